@@ -1,0 +1,53 @@
+# Two commands on a fresh machine: `make demo` and `make test`. Both make .venv themselves.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+
+.PHONY: demo test lint bench povray clean help
+
+help:
+	@echo "make demo   set up, render the calibration board, say where the picture lies"
+	@echo "make test   set up (POV-Ray by apt where missing), lint, run all tests"
+	@echo "make lint   ruff and mypy --strict"
+	@echo "make bench  speed, overhead and memory, measured on this machine"
+
+demo: $(READY)
+	@$(BIN)/radwrap render rad_scenes/bench_board/scene.toml --out out/demo
+	@echo "The picture is out/demo/gray.png"
+
+test: $(READY) povray lint
+	@$(BIN)/python -m pytest
+
+lint: $(READY)
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/mypy
+
+bench: $(READY)
+	@$(BIN)/python scripts/bench.py
+
+# A changed lock file or project file sets the environment up again; otherwise this is done at once.
+$(READY): requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || \
+		{ echo "error: Python 3.11 or newer is needed; on Debian: apt install python3, or name one with PYTHON=python3.12"; exit 1; }
+	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || \
+		{ echo "error: Python's venv module is missing; on Debian: apt install python3-venv"; exit 1; }
+	@echo "setting up $(VENV) ..."
+	@$(PYTHON) -m venv --clear $(VENV)
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@touch $(READY)
+
+# POV-Ray is for cross-checks alone; where there is no apt, tests that need it say so.
+povray:
+	@command -v povray >/dev/null 2>&1 || ! command -v apt-get >/dev/null 2>&1 || { \
+		SUDO=; [ "$$(id -u)" = 0 ] || SUDO=sudo; \
+		echo "installing POV-Ray ..."; \
+		{ $$SUDO apt-get update -qq && $$SUDO env DEBIAN_FRONTEND=noninteractive \
+			apt-get install -qq -y --no-install-recommends povray; } >/dev/null 2>&1 \
+		|| echo "warning: POV-Ray could not be installed; cross-checks will not run" >&2; }
+
+clean:
+	rm -rf $(VENV) out

@@ -1,0 +1,69 @@
+"""``radwrap doctor``: what is installed, what is missing, and how to get it."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from radwrap.errors import EnvironmentFailure, RadwrapError
+from radwrap.manifest import json_text, versions
+from radwrap.process import Programs, available_cores
+from radwrap.tracers.installation import find_radiance, version
+
+
+def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
+    """Add the verb."""
+    parser = verbs.add_parser("doctor", help="check programs and libraries", description=__doc__)
+    parser.add_argument("--radiance", metavar="DIR", help="folder with another Radiance's bin and lib")
+    parser.add_argument("--json", action="store_true", help="machine-readable result on stdout")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Check everything; exit code 4 where something needed is missing."""
+    checks = [
+        _check("Radiance", True, "pip install pyradiance, or --radiance DIR", lambda: _radiance(arguments.radiance)),
+        _check("POV-Ray", False, "apt install povray (only for cross-checks)", _povray),
+    ]
+    whole = all(check["found"] or not check["needed"] for check in checks)
+    found = {"ok": whole, "checks": checks, "versions": versions(), "cores": available_cores()}
+    if arguments.json:
+        print(json_text(found), end="")
+    else:
+        for check in checks:
+            state = check["version"] if check["found"] else f"missing: {check['problem']}; get it by: {check['remedy']}"
+            print(f"{check['name']}: {state}" + (f" ({check['place']})" if check["place"] else ""))
+        for name, version in versions().items():
+            print(f"{name}: {version}")
+        print(f"cores: {available_cores()}")
+    return 0 if whole else EnvironmentFailure.exit_code
+
+
+def _check(name: str, needed: bool, remedy: str, look: Callable[[], tuple[str, str]]) -> dict[str, Any]:
+    entry: dict[str, Any] = {"name": name, "needed": needed, "remedy": remedy}
+    try:
+        version, place = look()
+    except RadwrapError as error:
+        return {**entry, "found": False, "version": None, "place": None, "problem": error.what}
+    return {**entry, "found": True, "version": version, "place": place, "problem": None}
+
+
+def _radiance(folder: str | None) -> tuple[str, str]:
+    installation = find_radiance(folder)
+    with Programs() as programs:
+        return version(installation, programs), f"{installation.programs}, from {installation.origin}"
+
+
+def _povray() -> tuple[str, str]:
+    place = shutil.which("povray")
+    if place is None:
+        raise EnvironmentFailure("not on PATH")
+    with Programs() as programs:
+        answer, said = programs.run(
+            [place, "--version"], folder=Path(place).parent, environment={"PATH": "/usr/bin:/bin"}
+        )
+    lines = (answer.decode(errors="replace") or said).splitlines()
+    return next((line.strip() for line in lines if "POV-Ray" in line), "unknown version"), place

@@ -1,0 +1,78 @@
+"""``radwrap explain``: what a scene amounts to, before a ray is traced."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from radwrap.cli import options as shared
+from radwrap.imaging.explain import explain
+from radwrap.manifest import json_text
+
+
+def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
+    """Add the verb."""
+    parser = verbs.add_parser("explain", help="tell what a scene amounts to", description=__doc__)
+    shared.add_scene(parser)
+    shared.add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Carry out the verb."""
+    found = explain(shared.load(arguments))
+    print(json_text(found) if arguments.json else "\n".join(_lines(found)) + "\n", end="")
+    return 0
+
+
+def _lines(found: Mapping[str, Any]) -> Iterator[str]:
+    camera = found["scene"]["camera"]
+    sensor = camera["sensor"]
+    width, height = found["field_of_view_deg"]
+    opening = "infinitesimal" if found["f_number"] is None else f"{camera['aperture']['diameter'] * 1e3:g} mm"
+    number = "" if found["f_number"] is None else f", F number {found['f_number']:.4g}"
+    yield (
+        f"camera: f {camera['focal_length'] * 1e3:g} mm, pinhole {opening}{number}, exposure "
+        f"{camera['exposure_time'] * 1e3:g} ms, field of view {width:.2f} x {height:.2f} deg"
+    )
+    yield (
+        f"sensor: {sensor['columns']} x {sensor['rows']} pixels of {sensor['pixel_width'] * 1e6:g} x "
+        f"{sensor['pixel_height'] * 1e6:g} um, G = {sensor['gain']:g} H^{sensor['gamma']:g} + {sensor['dark_gray']:g}, "
+        f"saturated at {sensor['saturation_gray']:g}"
+    )
+    for source in found["scene"]["sources"]:
+        yield f"source: {_source(source)}"
+    for target in found["targets"]:
+        if target["blur_radius_px"] is None:
+            yield f"target {target['name']}: behind the camera"
+            continue
+        u, v = target["blur_radius_px"]
+        yield (
+            f"target {target['name']}: {target['depth']:.4g} m along the axis, blur radius {u:.3g} x {v:.3g} px, "
+            f"{target['pinhole_projection_radius'] * 1e3:.3g} mm on the target"
+        )
+    for ring in found["rings"]:
+        for name, angle in ring["observation_angle_deg"].items():
+            if angle is not None:
+                yield f"ring {ring['name']}: seen from {name} at an observation angle of {angle:.3f} deg"
+    if peak := found["expected_peak"]:
+        yield (
+            f"expected peak: gray {peak['gray']:.1f} ({peak['radiant_exposure']:.3g} J/m^2) on {peak['target']} "
+            f"({peak['material']}), by closed form without shadows and blur"
+        )
+    yield f"advice: {found['advice']}"
+    for warning in found["warnings"]:
+        yield f"warning: {warning}"
+    for key, value in found["assumed"].items():
+        yield f"assumed: {key} = {value}"
+
+
+def _source(source: Mapping[str, Any]) -> str:
+    if source["is"] == "Ring":
+        return (
+            f"{source['name']}, ring of {source['count']} discs on {source['diameter'] * 1e3:g} mm, "
+            f"{source['radiance']:g} W/m^2/sr each, {source['beam']['profile']}"
+        )
+    emitter = source["emitter"]
+    return f"{emitter['name']}, {source['kind']}, {emitter['radiance']:g} W/m^2/sr, {emitter['beam']['profile']}"

@@ -1,0 +1,76 @@
+"""``radwrap``: one verb, one function, one exit code.
+
+Exit codes: 0 done, 1 a check failed, 2 bad input, 3 tolerance not met,
+4 environment or tracer, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+import traceback
+from collections.abc import Sequence
+from importlib.metadata import version
+from typing import Any
+
+from radwrap.cli import convert, doctor, explain, render, start
+from radwrap.errors import INTERRUPTED, EnvironmentFailure, RadwrapError
+
+_EPILOG = (
+    "Exit codes: 0 done, 1 a check failed, 2 bad input, 3 tolerance not met, 4 environment or tracer, 130 interrupted."
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; returns its exit code."""
+    signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        parsed = _parser().parse_args(arguments)
+        code: int = parsed.run(parsed)
+        sys.stdout.flush()
+        return code
+    except KeyboardInterrupt:
+        print("radwrap: interrupted; the same command goes on where it was", file=sys.stderr)
+        return INTERRUPTED
+    except RadwrapError as error:
+        print(f"radwrap: {error}", file=sys.stderr)
+        return error.exit_code
+    except BrokenPipeError:
+        # Whoever read our output has gone; Python must not try to flush it again.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EnvironmentFailure.exit_code
+    except (OSError, MemoryError) as error:
+        print(f"radwrap: {_one_line(error)}", file=sys.stderr)
+        return EnvironmentFailure.exit_code
+    except Exception:  # noqa: BLE001  (an error of ours: all of it is shown)
+        traceback.print_exc()
+        print("radwrap: this is an error in radwrap itself; please report it", file=sys.stderr)
+        return EnvironmentFailure.exit_code
+
+
+def _interrupt(*_: object) -> None:
+    """SIGTERM ends a run as Ctrl-C does: programs first."""
+    raise KeyboardInterrupt
+
+
+def _one_line(error: BaseException) -> str:
+    if isinstance(error, MemoryError):
+        return "not enough memory; see `radwrap render --dry-run`"
+    return " ".join(str(error).split())
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="radwrap", description="Predicts the gray values a machine-vision camera will capture.", epilog=_EPILOG
+    )
+    parser.add_argument("--version", action="version", version=f"radwrap {version('radwrap')}")
+    verbs: argparse._SubParsersAction[Any] = parser.add_subparsers(title="verbs", required=True, metavar="VERB")
+    for module in (start, render, explain, convert, doctor):
+        module.add_to(verbs)
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,64 @@
+"""Options that several verbs share."""
+
+from __future__ import annotations
+
+import argparse
+import tomllib
+from typing import Any
+
+from radwrap.errors import InputError
+from radwrap.scene.load import load_scene
+from radwrap.scene.scene import Scene
+from radwrap.units import TIME, parse_quantity
+
+
+def add_scene(parser: argparse.ArgumentParser) -> None:
+    """SCENE and --set."""
+    parser.add_argument("scene", metavar="SCENE.toml", help="scene file")
+    parser.add_argument(
+        "--set",
+        metavar="KEY=VALUE",
+        action="append",
+        default=[],
+        dest="overrides",
+        help='change one key of the scene, such as --set camera.exposure_time="64 ms"; may be repeated',
+    )
+
+
+def add_radiance(parser: argparse.ArgumentParser) -> None:
+    """--radiance, --trust and --tracer-timeout."""
+    parser.add_argument("--radiance", metavar="DIR", help="folder with another Radiance's bin and lib")
+    parser.add_argument(
+        "--trust", action="store_true", help="let included Radiance files run commands and name any file"
+    )
+    parser.add_argument(
+        "--tracer-timeout", metavar="TIME", default="600 s", help='longest silence of a tracer (default "600 s")'
+    )
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """--json."""
+    parser.add_argument("--json", action="store_true", help="machine-readable result on stdout")
+
+
+def load(arguments: argparse.Namespace) -> Scene:
+    """Read the scene, with what --set changes."""
+    return load_scene(arguments.scene, dict(map(_override, arguments.overrides)))
+
+
+def timeout(arguments: argparse.Namespace) -> float:
+    """Value of --tracer-timeout [s]."""
+    try:
+        return parse_quantity(arguments.tracer_timeout, TIME)
+    except InputError as error:
+        raise InputError(str(error), where="--tracer-timeout") from error
+
+
+def _override(text: str) -> tuple[str, Any]:
+    key, equals, value = text.partition("=")
+    if not equals or not key:
+        raise InputError(f'"{text}" is not KEY=VALUE', where="--set")
+    try:
+        return key.strip(), tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        return key.strip(), value.strip()

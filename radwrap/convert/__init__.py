@@ -1,0 +1,1 @@
+"""Other formats out of a scene."""

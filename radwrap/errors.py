@@ -1,0 +1,73 @@
+"""What can go wrong, and the exit code that says so.
+
+::
+
+    RadwrapError
+    ├── CheckFailed        exit 1   a check that was asked for failed
+    ├── InputError         exit 2   a scene file, an option or an argument is wrong
+    ├── ToleranceNotMet    exit 3   the image stands, but not to the asked tolerance
+    └── EnvironmentFailure exit 4   a program, a folder or the disk is not as needed
+        └── TracerError    exit 4   the ray tracer failed, warned or answered too little
+
+An interrupted command ends with 130 (:data:`INTERRUPTED`).
+"""
+
+from __future__ import annotations
+
+INTERRUPTED = 130
+
+
+class RadwrapError(Exception):
+    """An error told in one line: where, what, and what to do.
+
+    Parameters
+    ----------
+    what : str
+        What is wrong.
+    where : str
+        File and key path, or program; empty where there is no such place.
+    remedy : str
+        What the user can do; empty where ``what`` already says it.
+    """
+
+    exit_code = 1
+
+    def __init__(self, what: str, *, where: str = "", remedy: str = "") -> None:
+        self.what = what
+        self.where = where
+        self.remedy = remedy
+        super().__init__(what)
+
+    def __str__(self) -> str:
+        line = f"{self.where}: {self.what}" if self.where else self.what
+        if self.remedy:
+            line += f"; {self.remedy}"
+        return " ".join(line.split())
+
+
+class CheckFailed(RadwrapError):
+    """A check that was asked for failed."""
+
+    exit_code = 1
+
+
+class InputError(RadwrapError):
+    """A scene file, an option or an argument is wrong."""
+
+    exit_code = 2
+
+
+class ToleranceNotMet(RadwrapError):
+    """The image stands, but not to the asked tolerance."""
+
+    exit_code = 3
+
+
+class EnvironmentFailure(RadwrapError):
+    """A program, a folder or the disk is not as needed."""
+
+    exit_code = 4
+
+
+class TracerError(EnvironmentFailure):
+    """The ray tracer failed, warned or answered too little."""

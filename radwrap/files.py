@@ -1,0 +1,140 @@
+"""Files that are either whole or absent, and folders with one owner."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from radwrap.errors import EnvironmentFailure, InputError
+
+TEMPORARY_SUFFIX = ".part"
+LOCK_NAME = ".radwrap.lock"
+
+
+def temporary_name(path: Path) -> Path:
+    """Name under which a file is written before it is whole; keeps the extension."""
+    return path.with_name(f".{path.stem}{TEMPORARY_SUFFIX}{path.suffix}")
+
+
+def disk_failure(path: Path, error: OSError) -> EnvironmentFailure:
+    """Turn an operating-system error about a file into ours."""
+    return EnvironmentFailure(
+        f"cannot write: {error.strerror or error}",
+        where=str(path),
+        remedy="free disk space or choose another folder",
+    )
+
+
+def flush_to_disk(path: Path) -> None:
+    """Wait until the disk holds the file or folder."""
+    if path.is_dir() and sys.platform == "win32":
+        return  # Windows does not open folders
+    descriptor = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def publish(temporary: Path, final: Path) -> None:
+    """Rename a whole, read-back file to its final name, durably.
+
+    Raises
+    ------
+    EnvironmentFailure
+        If the disk refuses.
+    """
+    try:
+        flush_to_disk(temporary)
+        temporary.replace(final)
+        flush_to_disk(final.parent)
+    except OSError as error:
+        raise disk_failure(final, error) from error
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a file whole or not at all: temporary name, flush, read back, rename.
+
+    Raises
+    ------
+    EnvironmentFailure
+        If the disk refuses, or does not give back what was written.
+    """
+    temporary = temporary_name(path)
+    try:
+        temporary.write_bytes(content)
+        flush_to_disk(temporary)
+        if temporary.read_bytes() != content:
+            raise EnvironmentFailure("the disk gave back other bytes than were written", where=str(path))
+        publish(temporary, path)
+    except OSError as error:
+        raise disk_failure(path, error) from error
+    finally:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file, in hexadecimal."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder and its parents.
+
+    Raises
+    ------
+    InputError
+        If a regular file stands in the way.
+    EnvironmentFailure
+        If the disk refuses.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError) as error:
+        raise InputError(
+            "a file stands where a folder is needed", where=str(path), remedy="choose another --out"
+        ) from error
+    except OSError as error:
+        raise disk_failure(path, error) from error
+
+
+@contextmanager
+def sole_owner(folder: Path) -> Iterator[None]:
+    """Hold a folder for one run; the lock falls with the process, even a killed one.
+
+    Raises
+    ------
+    EnvironmentFailure
+        If another run holds the folder.
+    """
+    try:
+        stream = (folder / LOCK_NAME).open("a+b")
+    except OSError as error:
+        raise disk_failure(folder, error) from error
+    with stream:
+        try:
+            _lock(stream.fileno())
+        except OSError as error:
+            raise EnvironmentFailure(
+                "another run is writing here", where=str(folder), remedy="wait for it or choose another --out"
+            ) from error
+        yield
+
+
+if sys.platform == "win32":
+    import msvcrt
+
+    def _lock(descriptor: int) -> None:
+        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+
+else:
+    import fcntl
+
+    def _lock(descriptor: int) -> None:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,0 +1,225 @@
+"""Images as types, and their files; the one door to OpenImageIO.
+
+Radiance, radiant exposure and gray level are three types, so that a type
+checker refuses one where another is due.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+import OpenImageIO as oiio  # noqa: N813  (its own short name)
+from numpy.typing import NDArray
+
+from radwrap.errors import EnvironmentFailure, InputError
+from radwrap.files import disk_failure, publish, temporary_name
+
+Provenance = Mapping[str, Any]
+_NOTHING: Final[Provenance] = MappingProxyType({})
+
+# OpenEXR files carry a date; a fixed one keeps equal images equal byte by byte.
+_FIXED_DATE: Final = "2000:01:01 00:00:00"
+
+
+def _checked(values: NDArray[Any], what: str) -> None:
+    if values.ndim != 2 or values.size == 0:
+        raise ValueError(f"{what} needs the shape (rows, columns), not {values.shape}")
+    if not np.isfinite(values).all():
+        raise ValueError(f"{what} holds NaN or infinity")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RadianceImage:
+    """What one sub-viewpoint sees.
+
+    Attributes
+    ----------
+    values : ndarray of float32, shape (rows, columns)
+        Mean over the pixel's rays of radiance times cos^4(theta)
+        [W m^-2 sr^-1]; theta is each ray's own angle to the axis.
+    provenance : Mapping
+        Where it comes from.
+    """
+
+    values: NDArray[np.float32]
+    provenance: Provenance = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        _checked(self.values, "a radiance image")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExposureImage:
+    """What the sensor receives.
+
+    Attributes
+    ----------
+    values : ndarray of float64, shape (rows, columns)
+        Radiant exposure H, mean over each pixel [J m^-2] (Eqs. 2 and 3).
+    provenance : Mapping
+        Where it comes from.
+    """
+
+    values: NDArray[np.float64]
+    provenance: Provenance = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        _checked(self.values, "an exposure image")
+        if (self.values < 0).any():
+            raise ValueError("an exposure image holds negative values")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GrayImage:
+    """What an algorithm gets.
+
+    Attributes
+    ----------
+    values : ndarray of float64, shape (rows, columns)
+        Gray levels, clipped at saturation; whole numbers where the sensor rounds.
+    bit_depth : int
+        Bits of the camera's digital output, 1 to 16.
+    provenance : Mapping
+        Where it comes from.
+    """
+
+    values: NDArray[np.float64]
+    bit_depth: int = 8
+    provenance: Provenance = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        _checked(self.values, "a gray image")
+
+    @property
+    def codes(self) -> NDArray[np.uint8] | NDArray[np.uint16]:
+        """Gray levels as the camera sends them: uint8 up to 8 bits, else uint16."""
+        rounded = np.rint(self.values)
+        return rounded.astype(np.uint8) if self.bit_depth <= 8 else rounded.astype(np.uint16)
+
+
+def digest(pixels: NDArray[Any]) -> str:
+    """SHA-256 of the pixels, in hexadecimal."""
+    return hashlib.sha256(np.ascontiguousarray(pixels).data).hexdigest()
+
+
+def write_exr(path: Path, pixels: NDArray[np.float32], *, channel: str, metadata: Mapping[str, str] = _NOTHING) -> None:
+    """Write one channel of float32 as OpenEXR, whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        Final name.
+    pixels : ndarray of float32, shape (rows, columns)
+        Values.
+    channel : str
+        Name of the channel.
+    metadata : Mapping[str, str]
+        Attributes to store.
+
+    Raises
+    ------
+    EnvironmentFailure
+        If the disk refuses, or does not give back what was written.
+    """
+    _write(path, np.ascontiguousarray(pixels, dtype=np.float32), channel, metadata)
+
+
+def write_png(path: Path, codes: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
+    """Write gray levels as PNG of 8 or 16 bits, whole or not at all; raises as `write_exr`."""
+    _write(path, np.ascontiguousarray(codes), "Y", _NOTHING)
+
+
+def _write(path: Path, pixels: NDArray[Any], channel: str, metadata: Mapping[str, str]) -> None:
+    rows, columns = pixels.shape
+    spec = oiio.ImageSpec(columns, rows, 1, str(pixels.dtype) if pixels.dtype != np.float32 else "float")
+    spec.channelnames = [channel]
+    if path.suffix == ".exr":
+        spec.attribute("DateTime", _FIXED_DATE)
+        spec.attribute("compression", "zip")
+    else:
+        # A gray level is a number, not a colour: without this the PNG gets sRGB and gamma chunks.
+        spec.attribute("oiio:ColorSpace", "data")
+    for key, value in metadata.items():
+        spec.attribute(key, value)
+    temporary = temporary_name(path)
+    try:
+        output = oiio.ImageOutput.create(str(temporary))
+        if output is None:
+            raise EnvironmentFailure(f"cannot write: {oiio.geterror()}", where=str(path))
+        # The third axis is needed: a two-dimensional float32 array crashes the writer (OpenImageIO 3.2.2).
+        written = output.open(str(temporary), spec) and output.write_image(pixels[:, :, np.newaxis])
+        message = output.geterror()
+        if not (output.close() and written):
+            raise EnvironmentFailure(
+                f"cannot write: {message or output.geterror() or 'no reason given'}",
+                where=str(path),
+                remedy="free disk space or choose another folder",
+            )
+        # Success is not to be believed: PNG on a full disk reports it.
+        if not np.array_equal(_read(temporary)[0], pixels):
+            raise EnvironmentFailure(
+                "the disk gave back another image than was written",
+                where=str(path),
+                remedy="free disk space or choose another folder",
+            )
+        publish(temporary, path)
+    except OSError as error:
+        raise disk_failure(path, error) from error
+    finally:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def _read(path: Path) -> tuple[NDArray[Any], dict[str, str]]:
+    source = oiio.ImageInput.open(str(path))
+    if source is None:
+        raise EnvironmentFailure(f"is not a whole image: {oiio.geterror()}", where=str(path))
+    try:
+        spec = source.spec()
+        pixels = source.read_image(spec.format)
+        if pixels is None or spec.nchannels != 1:
+            raise EnvironmentFailure(f"is not a whole one-channel image: {source.geterror()}", where=str(path))
+        metadata = {attribute.name: str(attribute.value) for attribute in spec.extra_attribs}
+    finally:
+        source.close()
+    return pixels.reshape(spec.height, spec.width), metadata
+
+
+def read_image(path: Path) -> tuple[NDArray[Any], dict[str, str]]:
+    """Read a one-channel image as it is stored, with its attributes.
+
+    Returns
+    -------
+    pixels : ndarray, shape (rows, columns)
+        uint8, uint16 or float32, as stored.
+    metadata : dict
+        Attributes as strings.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read whole, or holds NaN or infinity.
+    """
+    try:
+        pixels, metadata = _read(path)
+    except EnvironmentFailure as error:
+        raise InputError(error.what, where=str(path)) from error
+    if not np.isfinite(pixels).all():
+        raise InputError("holds NaN or infinity", where=str(path))
+    return pixels, metadata
+
+
+def png_bytes(codes: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
+    """Gray levels as a PNG file in memory, for notebooks."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "gray.png"
+        write_png(path, codes)
+        return path.read_bytes()

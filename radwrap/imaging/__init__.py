@@ -1,0 +1,1 @@
+"""What the sensor receives: aperture, exposure, sensor."""

@@ -1,0 +1,91 @@
+"""What a run will cost: rays, memory, time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+from radwrap.errors import InputError
+from radwrap.scene.scene import Scene
+
+# Measured on rtrace 6.0a: a fixed part, and a part for each source, for each ray [s on one core].
+_SECONDS_PER_RAY: Final = 0.6e-6
+_SECONDS_PER_RAY_AND_SOURCE: Final = 0.6e-6
+# Interpreter, libraries and one tracer [byte].
+_BASE_MEMORY: Final = 150 << 20
+# Float64 sums and images while merging, and each worker's float32 image with its copy for reading back [byte/pixel].
+_MERGE_BYTES: Final = 60
+_WORKER_BYTES: Final = 16
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """What a run will cost.
+
+    Attributes
+    ----------
+    rays : int
+        Rays in all.
+    memory_bytes : int
+        Peak memory of all its processes [byte].
+    seconds : float
+        Wall time [s].
+    """
+
+    rays: int
+    memory_bytes: int
+    seconds: float
+
+    def __str__(self) -> str:
+        return f"{self.rays:.3g} rays, {self.memory_bytes / 2**30:.2g} GiB of memory, {_duration(self.seconds)}"
+
+
+def _duration(seconds: float) -> str:
+    for unit, size in (("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.1f} {unit}"
+    return f"{seconds:.2g} s"
+
+
+def estimate(scene: Scene, rays_per_pixel: int, workers: int, measure: Callable[[], float] | None = None) -> Cost:
+    """Estimate what a run will cost.
+
+    Parameters
+    ----------
+    scene : Scene
+        For the size of the sensor and the number of sources.
+    rays_per_pixel : int
+        Rays of each pixel over all sub-viewpoints.
+    workers : int
+        Tracer processes at a time.
+    measure : callable, optional
+        Gives the time a ray takes on one core [s]; default a model of rtrace.
+    """
+    pixels = scene.camera.sensor.pixels
+    model = _SECONDS_PER_RAY + _SECONDS_PER_RAY_AND_SOURCE * len(scene.emitters)
+    per_ray = model if measure is None else measure()
+    rays = pixels * rays_per_pixel
+    return Cost(
+        rays=rays,
+        memory_bytes=_BASE_MEMORY + pixels * (_MERGE_BYTES + _WORKER_BYTES * workers),
+        seconds=rays * per_ray / workers,
+    )
+
+
+def check_size(scene: Scene, max_pixels: int, rays_per_pixel: int, workers: int) -> None:
+    """Refuse a sensor that is larger than the user wants to pay for.
+
+    Raises
+    ------
+    InputError
+        With what the run would cost.
+    """
+    pixels = scene.camera.sensor.pixels
+    if pixels > max_pixels:
+        raise InputError(
+            f"{pixels:.4g} pixels are more than --max-pixels {max_pixels:.4g}; this would take "
+            f"{estimate(scene, rays_per_pixel, workers)}",
+            where=f"{scene.origin}: camera.sensor",
+            remedy="raise --max-pixels if that is meant",
+        )

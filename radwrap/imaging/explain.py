@@ -1,0 +1,135 @@
+"""What a scene amounts to, told before a ray is traced."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import numpy as np
+
+from radwrap.imaging.closed_form import radiance
+from radwrap.imaging.sensor import unclipped_gray
+from radwrap.manifest import SCHEMA_VERSION, finite, plain
+from radwrap.scene.camera import Camera
+from radwrap.scene.checks import warnings_of
+from radwrap.scene.geometry import in_view, project, surface_points
+from radwrap.scene.scene import Scene
+from radwrap.scene.sources import Ring, emitters
+
+# Below this share of the gray range above dark the image is called dim; the advice aims at the other one.
+_DIM_SHARE: Final = 0.25
+_ADVISED_SHARE: Final = 0.85
+
+
+def explain(scene: Scene) -> dict[str, Any]:
+    """Sum up a scene.
+
+    Returns
+    -------
+    dict
+        ``scene`` in SI; ``f_number`` (null for an infinitesimal pinhole);
+        ``targets``: for each its depth [m], blur radius [px] and R of Eq. 8
+        [m]; ``rings``: observation angle at each target [deg];
+        ``expected_peak``: gray and radiant exposure by closed form (no
+        shadows, no blur) and where; ``advice``; ``warnings``; ``assumed``.
+    """
+    camera = scene.camera
+    peak = _peak(scene)
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "scene": {
+            "camera": plain(camera),
+            "sources": plain(scene.sources),
+            "materials": plain(scene.materials),
+            "targets": plain(scene.targets),
+        },
+        "f_number": None if camera.aperture.is_infinitesimal else camera.focal_length / camera.aperture.diameter,
+        "field_of_view_deg": [
+            math.degrees(2 * math.atan(size / 2 / camera.focal_length))
+            for size in (camera.sensor.width, camera.sensor.height)
+        ],
+        "targets": [_target(camera, target.name, target.pose.position) for target in scene.targets],
+        "rings": [_ring(scene, source) for source in scene.sources if isinstance(source, Ring)],
+        "expected_peak": peak,
+        "advice": _advice(camera, peak),
+        "warnings": list(warnings_of(scene)),
+        "assumed": dict(sorted(scene.assumed.items())),
+    }
+
+
+def blur_radius(camera: Camera, depth: float) -> float:
+    """Radius of the blur on the sensor [m] of a point at `depth`, (d_p/2)(1 + f/D'); Eq. 8 seen from the sensor."""
+    return camera.aperture.diameter / 2 * (1 + camera.focal_length / depth)
+
+
+def _target(camera: Camera, name: str, position: tuple[float, float, float]) -> dict[str, Any]:
+    _, depths = project(camera, np.array([position]))
+    depth = float(depths[0])
+    if depth <= 0:
+        return {"name": name, "depth": depth, "blur_radius_px": None, "pinhole_projection_radius": None}
+    blur = blur_radius(camera, depth)
+    return {
+        "name": name,
+        "depth": depth,
+        "blur_radius_px": [blur / camera.sensor.pixel_width, blur / camera.sensor.pixel_height],
+        "pinhole_projection_radius": blur * depth / camera.focal_length,
+    }
+
+
+def _ring(scene: Scene, ring: Ring) -> dict[str, Any]:
+    """Angle at each target between the pinhole and the ring's LEDs, seen from the target's centre."""
+    angles = {}
+    for target in scene.targets:
+        origin = np.asarray(target.pose.position)
+        to_eye = np.asarray(scene.camera.pose.position) - origin
+        to_led = np.array([emitter.position for emitter in emitters(ring)]) - origin
+        cosine = to_led @ to_eye / (np.linalg.norm(to_led, axis=1) * np.linalg.norm(to_eye))
+        angles[target.name] = finite(float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))).mean()))
+    return {"name": ring.name, "observation_angle_deg": angles}
+
+
+def _peak(scene: Scene) -> dict[str, Any] | None:
+    """Brightest point in view by closed form; None where nothing that is known here is lit and in view."""
+    camera = scene.camera
+    eye = np.asarray(camera.pose.position)
+    best: tuple[float, str, str] | None = None
+    for target in scene.targets:
+        for group in surface_points(target, camera.pose.position):
+            seen = in_view(camera, group.points)
+            if not seen.any():
+                continue
+            material = scene.materials[group.material]
+            total = sum((radiance(material, group, emitter, eye) for emitter in scene.emitters), np.zeros(len(seen)))
+            ray = group.points - eye
+            cosine = ray @ np.asarray(camera.pose.z_axis) / np.linalg.norm(ray, axis=1)
+            value = float((total * cosine**4)[seen].max())
+            if best is None or value > best[0]:
+                best = (value, group.target, group.material)
+    if best is None:
+        return None
+    exposure = best[0] * camera.exposure_time * camera.aperture.area / camera.focal_length**2
+    gray = float(unclipped_gray(np.array([exposure]), camera.sensor)[0])
+    return {
+        "target": best[1],
+        "material": best[2],
+        "radiant_exposure": exposure,
+        "gray": min(gray, camera.sensor.saturation_gray),
+        "gray_without_saturation": finite(gray),
+    }
+
+
+def _advice(camera: Camera, peak: dict[str, Any] | None) -> str:
+    if peak is None:
+        return "nothing that is known beforehand is lit and in view"
+    sensor = camera.sensor
+    gray, span = peak["gray_without_saturation"], sensor.saturation_gray - sensor.dark_gray
+    if peak["radiant_exposure"] <= 0:
+        return "no light reaches the sensor: check that sources shine on what the camera sees"
+    wanted = (_ADVISED_SHARE * span / sensor.gain) ** (1 / sensor.gamma)
+    advised = f"{camera.exposure_time * wanted / peak['radiant_exposure'] * 1e3:.4g} ms"
+    goal = f"an exposure time of {advised} brings the peak to {_ADVISED_SHARE:.0%} of the range"
+    if gray is None or gray >= sensor.saturation_gray:
+        return f"saturated; {goal}"
+    if gray - sensor.dark_gray < _DIM_SHARE * span:
+        return f"dim; {goal}, or a wider pinhole does"
+    return "the exposure fits the sensor"

@@ -1,0 +1,54 @@
+"""From radiant exposure to gray level, Eq. 5: G = K H^gamma + G0."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.images import ExposureImage, GrayImage
+from radwrap.scene.camera import Sensor
+
+
+def unclipped_gray(radiant_exposure: NDArray[np.float64], sensor: Sensor) -> NDArray[np.float64]:
+    """Gray level by the power law alone, without saturation and rounding.
+
+    Parameters
+    ----------
+    radiant_exposure : ndarray
+        H [J m^-2], not negative.
+    sensor : Sensor
+        Response.
+
+    Returns
+    -------
+    ndarray
+        K H^gamma + G0; infinite where that overflows.
+    """
+    with np.errstate(over="ignore"):  # beyond saturation in any case
+        gray: NDArray[np.float64] = sensor.gain * np.power(radiant_exposure, sensor.gamma) + sensor.dark_gray
+    return gray
+
+
+def gray_levels(radiant_exposure: NDArray[np.float64], sensor: Sensor) -> NDArray[np.float64]:
+    """Gray level with saturation, before rounding."""
+    return np.minimum(unclipped_gray(radiant_exposure, sensor), sensor.saturation_gray)
+
+
+def gray_image(exposure: ExposureImage, sensor: Sensor) -> GrayImage:
+    """The image that the camera gives: Eq. 5, saturation, and rounding where the sensor rounds."""
+    gray = gray_levels(exposure.values, sensor)
+    return GrayImage(np.rint(gray) if sensor.rounding else gray, sensor.bit_depth, exposure.provenance)
+
+
+def radiant_exposure_of(gray: NDArray[np.float64], sensor: Sensor) -> NDArray[np.float64]:
+    """Invert Eq. 5 between dark and saturation: H = ((G - G0)/K)^(1/gamma) [J m^-2].
+
+    Raises
+    ------
+    ValueError
+        If a gray level lies below dark or at saturation, where no inverse exists.
+    """
+    if (gray < sensor.dark_gray).any() or (gray >= sensor.saturation_gray).any():
+        raise ValueError("gray levels below dark or at saturation have no radiant exposure")
+    exposure: NDArray[np.float64] = np.power((gray - sensor.dark_gray) / sensor.gain, 1 / sensor.gamma)
+    return exposure

@@ -1,0 +1,101 @@
+"""What is true of a scene's image: depth, which part each pixel sees, where dots, edges and targets are."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.frames import points_to_local, to_world
+from radwrap.imaging.view import PixelPlan, ray_blocks, traced
+from radwrap.scene.camera import Camera
+from radwrap.scene.geometry import in_view, project
+from radwrap.scene.scene import Scene
+from radwrap.scene.targets import DotBoard, EdgeTarget, Target
+from radwrap.tracers.radiance import RadianceTracer
+
+
+def central_maps(camera: Camera, identity: RadianceTracer) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
+    """Depth and part of what each pixel's centre sees through the pinhole's centre.
+
+    Parameters
+    ----------
+    camera : Camera
+        The camera.
+    identity : RadianceTracer
+        Of the scene in which each part glows with its number.
+
+    Returns
+    -------
+    depth : ndarray of float32, shape (rows, columns)
+        Distance along the axis [m]; 0 where nothing is seen.
+    parts : ndarray of uint16, shape (rows, columns)
+        Number of the part; 0 where nothing is seen.
+    """
+    parts = np.empty(camera.sensor.pixels, dtype=np.uint16)
+    depth = np.empty(camera.sensor.pixels, dtype=np.float32)
+    for block, number in traced(identity.trace, ray_blocks(camera, (0.0, 0.0), PixelPlan())):
+        parts[block.first : block.first + block.pixels] = np.rint(number)
+    for block, distance in traced(identity.distances, ray_blocks(camera, (0.0, 0.0), PixelPlan())):
+        here = slice(block.first, block.first + block.pixels)
+        depth[here] = np.where(parts[here] > 0, distance * block.cos4**0.25, 0.0)
+    shape = (camera.sensor.rows, camera.sensor.columns)
+    return depth.reshape(shape), parts.reshape(shape)
+
+
+def geometry(scene: Scene, part_names: tuple[str, ...]) -> dict[str, Any]:
+    """True places of what measurements look for, by projection through the pinhole's centre.
+
+    Returns
+    -------
+    dict
+        ``parts``: name -> number in mask.png; ``targets``: for each target
+        its pose ``camera_from_target`` (4 x 4, m), its dots (row, column,
+        u, v [px], in_view) or its edge (end points and the line
+        u cos(angle) + v sin(angle) = offset [px]).
+    """
+    return {
+        "pixel_convention": "u is the column, v the row; the centre of the first pixel is (0, 0)",
+        "parts": {name: number for number, name in enumerate(part_names, start=1)},
+        "targets": {target.name: _target(scene.camera, target) for target in scene.targets},
+    }
+
+
+def _target(camera: Camera, target: Target) -> dict[str, Any]:
+    entry: dict[str, Any] = {"kind": type(target).__name__, "camera_from_target": _pose(camera, target)}
+    if isinstance(target, DotBoard):
+        centres = target.dot_centres()
+        points = np.array([to_world(target.pose, centre) for _, _, centre in centres])
+        uv, _ = project(camera, points)
+        seen = in_view(camera, points)
+        entry["dots"] = [
+            {"row": row, "column": column, "u": float(u), "v": float(v), "in_view": bool(visible)}
+            for (row, column, _), (u, v), visible in zip(centres, uv, seen, strict=True)
+        ]
+    if isinstance(target, EdgeTarget):
+        entry["edge"] = _edge(camera, target)
+    return entry
+
+
+def _pose(camera: Camera, target: Target) -> list[list[float]]:
+    camera_from_world = np.asarray(camera.pose.rotation).T
+    rotation = camera_from_world @ np.asarray(target.pose.rotation)
+    translation = points_to_local(camera.pose, np.array([target.pose.position]))[0]
+    rows = np.column_stack([rotation, translation]).tolist()
+    return [*rows, [0.0, 0.0, 0.0, 1.0]]
+
+
+def _edge(camera: Camera, target: EdgeTarget) -> dict[str, Any]:
+    ends = [(target.edge_position, y, 0.0) for y in (-target.height / 2, target.height / 2)]
+    uv, depth = project(camera, np.array([to_world(target.pose, end) for end in ends]))
+    if (depth <= 0).any():
+        return {"ends": None, "angle": None, "offset": None}
+    along = uv[1] - uv[0]
+    normal = np.array([-along[1], along[0]]) / np.hypot(*along)
+    normal = normal if normal[0] > 0 or (normal[0] == 0 and normal[1] > 0) else -normal
+    return {
+        "ends": uv.tolist(),
+        "angle": float(np.arctan2(normal[1], normal[0])),
+        "offset": float(normal @ uv[0]),
+    }

@@ -1,0 +1,92 @@
+"""Manifests: what was made, of what, with what, so that it can be made again."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import math
+import platform
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, Final
+
+from radwrap.errors import InputError
+from radwrap.files import write_bytes
+
+SCHEMA_VERSION: Final = 1
+_PACKAGES: Final = ("numpy", "OpenImageIO", "pydantic", "pyradiance")
+
+
+def versions() -> dict[str, str]:
+    """Versions of everything in this process that a result depends on."""
+    found = {
+        "radwrap": version("radwrap"),
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+    }
+    for package in _PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "not installed"
+    return found
+
+
+def plain(value: Any) -> Any:
+    """Turn frozen dataclasses into what JSON can hold; the type's name goes along."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        fields = {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value) if f.compare}
+        return {"is": type(value).__name__, **fields}
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, Path):
+        return str(value)
+    return value
+
+
+def json_text(value: Any) -> str:
+    """JSON with a fixed layout; NaN and infinity never pass.
+
+    Raises
+    ------
+    ValueError
+        If a number is NaN or infinite.
+    """
+    return json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def sha256_of_value(value: Any) -> str:
+    """SHA-256 of a value's JSON form, in hexadecimal."""
+    text = json.dumps(plain(value), sort_keys=True, ensure_ascii=True, allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def write_manifest(path: Path, manifest: Mapping[str, Any]) -> None:
+    """Write a manifest, whole or not at all."""
+    write_bytes(path, json_text(manifest).encode())
+
+
+def read_manifest(path: Path) -> dict[str, Any]:
+    """Read a manifest.
+
+    Raises
+    ------
+    InputError
+        If it is not there, or not one of ours.
+    """
+    try:
+        manifest = json.loads(path.read_bytes())
+    except (OSError, ValueError) as error:
+        raise InputError("is no readable manifest", where=str(path)) from error
+    if not isinstance(manifest, dict) or manifest.get("schema_version") != SCHEMA_VERSION:
+        raise InputError(f"is no manifest of schema version {SCHEMA_VERSION}", where=str(path))
+    return manifest
+
+
+def finite(value: float) -> float | None:
+    """The number, or None where it is NaN or infinite, which JSON cannot hold."""
+    return value if math.isfinite(value) else None

@@ -1,0 +1,287 @@
+"""The one door to other programs: argv lists, bytes in and out, no shell.
+
+Every program runs in a folder and an environment that the caller names, in a
+process group of its own, and is killed with that group when it stalls, when
+its caller fails, or when the user interrupts.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from radwrap.errors import EnvironmentFailure, TracerError
+
+_PIPE_BYTES = 1 << 20
+_STDERR_BYTES_KEPT = 1 << 16
+_TICK = 0.5  # s between looks at the clock while a program is silent
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What a program may use.
+
+    Attributes
+    ----------
+    silence : float
+        Longest time without a byte in or out [s]; then it counts as hung.
+    memory : int
+        Address space [byte].
+    """
+
+    silence: float = 600.0
+    memory: int = 16 << 30
+
+
+class Programs:
+    """The programs that run on behalf of one command; leaving the block ends them all.
+
+    Use as ``with Programs() as programs:``. Several threads may run programs
+    through one object; `cancel` ends them from any thread.
+    """
+
+    def __init__(self) -> None:
+        self._running: set[subprocess.Popen[bytes]] = set()
+        self._guard = threading.Lock()
+        self._cancelled = False
+
+    def __enter__(self) -> Programs:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.cancel()
+
+    def cancel(self) -> None:
+        """End every running program, and refuse new ones."""
+        with self._guard:
+            self._cancelled = True
+            for program in self._running:
+                _kill(program)
+
+    @property
+    def cancelled(self) -> bool:
+        """Whether the programs were told to end."""
+        return self._cancelled
+
+    def _start(self, argv: Sequence[str], folder: Path, environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
+        with self._guard:
+            if self._cancelled:
+                raise TracerError("cancelled", where=Path(argv[0]).name)
+            try:
+                program = subprocess.Popen(
+                    list(argv),
+                    cwd=folder,
+                    env=dict(environment),
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    stderr=subprocess.PIPE,
+                    bufsize=0,
+                    # A group of its own: Ctrl-C in the terminal reaches us alone, and we end the whole group.
+                    start_new_session=True,
+                )
+            except OSError as error:
+                raise EnvironmentFailure(f"cannot start: {error.strerror or error}", where=argv[0]) from error
+            self._running.add(program)
+        return program
+
+    def run(
+        self,
+        argv: Sequence[str],
+        *,
+        folder: Path,
+        environment: Mapping[str, str],
+        stdin: Iterable[bytes] = (),
+        limits: Limits = Limits(),
+    ) -> tuple[bytes, str]:
+        """Run a program to its end.
+
+        Returns
+        -------
+        stdout : bytes
+            What it wrote.
+        stderr : str
+            What it said (the last 64 KiB); the caller must judge it.
+
+        Raises
+        ------
+        EnvironmentFailure
+            If it cannot be started.
+        TracerError
+            If it fails, hangs or is cancelled.
+        """
+        said: list[str] = []
+        output = b"".join(
+            self.stream(argv, folder=folder, environment=environment, stdin=stdin, limits=limits, said=said)
+        )
+        return output, said[0]
+
+    def stream(
+        self,
+        argv: Sequence[str],
+        *,
+        folder: Path,
+        environment: Mapping[str, str],
+        stdin: Iterable[bytes],
+        said: list[str],
+        limits: Limits = Limits(),
+    ) -> Iterator[bytes]:
+        """Run a program and yield its output as it comes.
+
+        `said` receives its stderr once it has ended; the caller must judge it.
+        Raises as :meth:`run`.
+        """
+        program = self._start(argv, folder, environment)
+        name = Path(argv[0]).name
+        feeder = _Feeder(program, stdin)
+        listener = _Listener(program)
+        try:
+            _limit(program, limits)
+            feeder.start()
+            listener.start()
+            yield from _output(program, feeder, limits.silence, name)
+            _wait(program, limits.silence, name)
+            feeder.join()
+            listener.join()
+            if self._cancelled:
+                raise TracerError("cancelled", where=name)
+            if feeder.error is not None:
+                raise feeder.error
+            if program.returncode != 0:
+                raise TracerError(
+                    f"ended with exit code {program.returncode}: {listener.text or 'no message'}", where=name
+                )
+            said.append(listener.text)
+        finally:
+            _kill(program)
+            program.wait()
+            feeder.stop()
+            for thread in (feeder, listener):
+                if thread.ident is not None:
+                    thread.join()
+            for pipe in (program.stdin, program.stdout, program.stderr):
+                if pipe is not None:
+                    with suppress(OSError):
+                        pipe.close()
+            with self._guard:
+                self._running.discard(program)
+
+
+class _Feeder(threading.Thread):
+    """Writes the input, so that a program with full pipes cannot block us."""
+
+    def __init__(self, program: subprocess.Popen[bytes], chunks: Iterable[bytes]) -> None:
+        super().__init__(daemon=True)
+        self._program = program
+        self._chunks = chunks
+        self._stopped = False
+        self.last_progress = time.monotonic()
+        self.error: BaseException | None = None
+
+    def stop(self) -> None:
+        self._stopped = True
+
+    def run(self) -> None:
+        pipe = self._program.stdin
+        assert pipe is not None  # noqa: S101  (stdin=PIPE above)
+        try:
+            for chunk in self._chunks:
+                view = memoryview(chunk).cast("B")
+                while view and not self._stopped:
+                    written = pipe.write(view[:_PIPE_BYTES])
+                    view = view[written:]
+                    self.last_progress = time.monotonic()
+                if self._stopped:
+                    break
+        except (BrokenPipeError, ConnectionResetError):
+            pass  # the program ended early; its exit code and output tell
+        except BaseException as error:  # noqa: BLE001  (raised again in the caller's thread)
+            self.error = error
+            _kill(self._program)
+        finally:
+            with suppress(OSError):
+                pipe.close()
+
+
+class _Listener(threading.Thread):
+    """Reads stderr to its end and keeps the last part."""
+
+    def __init__(self, program: subprocess.Popen[bytes]) -> None:
+        super().__init__(daemon=True)
+        self._pipe = program.stderr
+        self.text = ""
+
+    def run(self) -> None:
+        kept = b""
+        assert self._pipe is not None  # noqa: S101  (stderr=PIPE above)
+        while block := self._pipe.read(4096):
+            kept = (kept + block)[-_STDERR_BYTES_KEPT:]
+        self.text = kept.decode(errors="replace").strip()
+
+
+def _output(program: subprocess.Popen[bytes], feeder: _Feeder, silence: float, name: str) -> Iterator[bytes]:
+    pipe = program.stdout
+    assert pipe is not None  # noqa: S101  (stdout=PIPE above)
+    last_read = time.monotonic()
+    while True:
+        if sys.platform != "win32":  # select() knows no pipes there; Windows goes without the hang watch
+            while not select.select([pipe], [], [], _TICK)[0]:
+                if time.monotonic() - max(last_read, feeder.last_progress) > silence:
+                    raise TracerError(
+                        f"was silent for {silence:g} s and was ended",
+                        where=name,
+                        remedy="raise --tracer-timeout if the scene needs longer",
+                    )
+        block = pipe.read(_PIPE_BYTES)
+        if not block:
+            return
+        yield block
+        last_read = time.monotonic()
+
+
+def _wait(program: subprocess.Popen[bytes], silence: float, name: str) -> None:
+    try:
+        program.wait(silence)
+    except subprocess.TimeoutExpired as error:
+        raise TracerError(f"closed its output but did not end within {silence:g} s", where=name) from error
+
+
+def _kill(program: subprocess.Popen[bytes]) -> None:
+    """End a program and everything in its group."""
+    if sys.platform == "win32":
+        program.kill()
+        return
+    with suppress(ProcessLookupError, PermissionError):
+        os.killpg(program.pid, signal.SIGKILL)
+
+
+def _limit(program: subprocess.Popen[bytes], limits: Limits) -> None:
+    """Limit memory and core files from outside; only Linux can."""
+    if sys.platform != "linux":
+        return
+    import resource
+
+    with suppress(ProcessLookupError):
+        resource.prlimit(program.pid, resource.RLIMIT_AS, (limits.memory, limits.memory))
+        resource.prlimit(program.pid, resource.RLIMIT_CORE, (0, 0))
+
+
+def available_cores() -> int:
+    """Number of cores this process may use."""
+    if sys.platform == "linux":
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def children_cpu_time() -> float:
+    """CPU time that ended child processes have used so far [s]."""
+    times = os.times()
+    return times.children_user + times.children_system

@@ -1,0 +1,81 @@
+"""How far a long piece of work is, on stderr."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from typing import Final, TextIO
+
+_BAR_WIDTH: Final = 30
+_TERMINAL_PERIOD: Final = 0.2  # s between updates of a bar that is seen
+_LOG_PERIOD: Final = 10.0  # s between lines where stderr goes to a file
+
+
+class Progress:
+    """A bar with the time left; a line now and then where nobody watches.
+
+    Parameters
+    ----------
+    what : str
+        What is done.
+    total : int
+        How many units of work there are.
+    shown : bool
+        Whether to write at all.
+    stream : TextIO, optional
+        Where to write; default stderr.
+    """
+
+    def __init__(self, what: str, total: int, *, shown: bool = True, stream: TextIO | None = None) -> None:
+        self._what = what
+        self._total = max(total, 1)
+        self._done = 0
+        self._skipped = 0
+        self._stream = stream or sys.stderr
+        self._terminal = self._stream.isatty()
+        self._shown = shown
+        self._start = time.monotonic()
+        self._last = self._start if not self._terminal else 0.0
+        self._guard = threading.Lock()
+
+    def add(self, amount: int) -> None:
+        """Count work that was done now; any thread may call."""
+        with self._guard:
+            self._done += amount
+            self._show()
+
+    def skip(self, amount: int) -> None:
+        """Count work that was found done, which says nothing about speed."""
+        with self._guard:
+            self._done += amount
+            self._skipped += amount
+            self._show()
+
+    def close(self) -> None:
+        """End the line."""
+        if self._shown and self._terminal:
+            self._stream.write("\r\x1b[K")
+            self._stream.flush()
+
+    def _show(self) -> None:
+        now = time.monotonic()
+        if not self._shown or now - self._last < (_TERMINAL_PERIOD if self._terminal else _LOG_PERIOD):
+            return
+        self._last = now
+        share = min(self._done / self._total, 1.0)
+        text = f"{self._what} {100 * share:3.0f} %{self._time_left(now)}"
+        if self._terminal:
+            filled = round(_BAR_WIDTH * share)
+            self._stream.write(f"\r[{'#' * filled}{'.' * (_BAR_WIDTH - filled)}] {text}\x1b[K")
+        else:
+            self._stream.write(text + "\n")
+        self._stream.flush()
+
+    def _time_left(self, now: float) -> str:
+        fresh = self._done - self._skipped
+        if fresh <= 0:
+            return ""
+        seconds = (now - self._start) * (self._total - self._done) / fresh
+        minutes, seconds = divmod(max(round(seconds), 0), 60)
+        return f", {minutes} min {seconds:02d} s left" if minutes else f", {seconds} s left"

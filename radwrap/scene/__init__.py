@@ -1,0 +1,1 @@
+"""What is there: frozen descriptions in SI units; writes nothing, runs nothing."""

@@ -1,0 +1,82 @@
+"""Types of the scene file's values: how text becomes SI, and what the JSON schema says of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated, Any, ClassVar
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema
+
+from radwrap.errors import InputError
+from radwrap.units import (
+    ANGLE,
+    COEFFICIENT_OF_RETROREFLECTION,
+    LENGTH,
+    PIXEL,
+    RADIANCE,
+    RADIANT_INTENSITY,
+    TIME,
+    Dimension,
+    parse_quantity,
+)
+
+# No object of a scene is smaller or larger than this [m]: far beyond any machine-vision scene, well inside doubles.
+SMALLEST_LENGTH = 1e-9
+LARGEST_LENGTH = 1e9
+
+
+def _reader(dimension: Dimension) -> Callable[[object], float]:
+    def read(text: object) -> float:
+        try:
+            return parse_quantity(text, dimension)
+        except InputError as error:
+            raise ValueError(str(error)) from error
+
+    return read
+
+
+def _schema(dimension: Dimension) -> WithJsonSchema:
+    description = f"{dimension.name}: one number, one blank, one unit of {', '.join(dimension.units)}"
+    return WithJsonSchema({"type": "string", "pattern": dimension.pattern, "description": description})
+
+
+AnyLength = Annotated[
+    float, Field(ge=-LARGEST_LENGTH, le=LARGEST_LENGTH), BeforeValidator(_reader(LENGTH)), _schema(LENGTH)
+]
+Size = Annotated[float, Field(ge=SMALLEST_LENGTH, le=LARGEST_LENGTH), BeforeValidator(_reader(LENGTH)), _schema(LENGTH)]
+SizeOrZero = Annotated[float, Field(ge=0, le=LARGEST_LENGTH), BeforeValidator(_reader(LENGTH)), _schema(LENGTH)]
+Angle = Annotated[float, BeforeValidator(_reader(ANGLE)), _schema(ANGLE)]
+PositiveAngle = Annotated[float, Field(gt=0), BeforeValidator(_reader(ANGLE)), _schema(ANGLE)]
+Duration = Annotated[float, Field(ge=0, le=1e9), BeforeValidator(_reader(TIME)), _schema(TIME)]
+RadianceValue = Annotated[float, Field(ge=0, le=1e30), BeforeValidator(_reader(RADIANCE)), _schema(RADIANCE)]
+RadiantIntensityValue = Annotated[
+    float, Field(ge=0, le=1e30), BeforeValidator(_reader(RADIANT_INTENSITY)), _schema(RADIANT_INTENSITY)
+]
+Coefficient = Annotated[
+    float,
+    Field(gt=0, le=1e9),
+    BeforeValidator(_reader(COEFFICIENT_OF_RETROREFLECTION)),
+    _schema(COEFFICIENT_OF_RETROREFLECTION),
+]
+PixelPosition = Annotated[float, Field(ge=-1e9, le=1e9), BeforeValidator(_reader(PIXEL)), _schema(PIXEL)]
+
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Share = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=1)]
+Factor = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=1e6)]
+Count = Annotated[int, Field(strict=True, ge=1, le=1_000_000)]
+Flag = Annotated[bool, Field(strict=True)]
+# Names become identifiers of Radiance's text.
+Name = Annotated[str, Field(strict=True, pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")]
+Point = tuple[AnyLength, AnyLength, AnyLength]
+Direction = tuple[Number, Number, Number]
+
+
+class Model(BaseModel):
+    """A table of the scene file; an unknown key is an error."""
+
+    model_config: ClassVar[ConfigDict] = ConfigDict(extra="forbid", frozen=True, validate_default=True)
+
+
+def default(value: Any) -> Any:
+    """Value that is taken, and listed as assumed, where the file is silent; written as the user would."""
+    return Field(default=value)

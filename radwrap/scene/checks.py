@@ -1,0 +1,209 @@
+"""Whether the parts of a scene go together; values alone were checked at the border."""
+
+from __future__ import annotations
+
+import math
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.errors import InputError
+from radwrap.scene.geometry import SurfacePoints, in_view, signed_distance, surface_points
+from radwrap.scene.materials import GLASS_BEAD_OBSERVATION, CoefficientTable, GlassBeads, Material
+from radwrap.scene.scene import Scene
+from radwrap.scene.sources import Emitter
+from radwrap.scene.targets import Polygon, signed_area
+
+# A source is sampled at its centre, which misses the irradiance by about (radius/distance)^2.
+WIDE_SOURCE_LIMIT: Final = 0.01
+# Above this a valid scene is warned of it.
+_WIDTH_WARNING: Final = 1e-3
+# Points that get less than this share of a source's axial intensity do not count as lit by it.
+_LIT_SHARE: Final = 1e-4
+_ANGLE_TOLERANCE: Final = 1e-9  # rad, rounding of the angles
+
+
+def check_scene(scene: Scene) -> None:
+    """Check what a scene needs to be traced.
+
+    Raises
+    ------
+    InputError
+        If it is empty or unlit, the camera touches a target, a polygon is
+        flat or crosses itself, a source is too wide for its distance, or
+        sheeting is seen at angles its data do not cover.
+    """
+    if not scene.targets:
+        raise InputError("the scene is empty", where=f"{scene.origin}: targets", remedy="add [[targets]]")
+    lit = any(emitter.radiance > 0 for emitter in scene.emitters)
+    if not lit and not scene.included:
+        raise InputError(
+            "there is no light",
+            where=f"{scene.origin}: sources",
+            remedy="add [[sources]] with a radiance above zero",
+        )
+    _check_polygons(scene)
+    _check_clearance(scene)
+    _check_source_widths(scene)
+    _check_sheeting_angles(scene)
+
+
+def _where(scene: Scene, kind: str, name: str) -> str:
+    things = scene.sources if kind == "sources" else scene.targets
+    index = next((i for i, thing in enumerate(things) if name == thing.name or name.startswith(f"{thing.name}.")), 0)
+    return f"{scene.origin}: {kind}[{index}]"
+
+
+def _check_polygons(scene: Scene) -> None:
+    for target in scene.targets:
+        if not isinstance(target, Polygon):
+            continue
+        where = _where(scene, "targets", target.name) + ".vertices"
+        largest = max(abs(value) for vertex in target.vertices for value in vertex)
+        if abs(signed_area(target.vertices)) <= 1e-12 * largest**2:
+            raise InputError("the polygon has no area", where=where)
+        sides = list(zip(target.vertices, target.vertices[1:] + target.vertices[:1], strict=True))
+        if any(_cross(a, b) for a, b in combinations(sides, 2)):
+            raise InputError("the polygon's sides cross", where=where)
+
+
+def _cross(first: tuple[tuple[float, float], ...], second: tuple[tuple[float, float], ...]) -> bool:
+    def side(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> float:
+        return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+    (a, b), (c, d) = first, second
+    return side(a, b, c) * side(a, b, d) < 0 and side(c, d, a) * side(c, d, b) < 0
+
+
+def _check_clearance(scene: Scene) -> None:
+    """No sub-viewpoint may lie in or on a target: it would see its inside, or nothing."""
+    eye = scene.camera.pose.position
+    for target in scene.targets:
+        distance = signed_distance(target, eye)
+        if distance <= max(scene.camera.aperture.reach, 1e-9):
+            place = "inside" if distance < 0 else "on"
+            raise InputError(
+                f'the camera\'s pinhole lies {place} the target "{target.name}"',
+                where=f"{scene.origin}: camera.position",
+                remedy="move the camera or the target",
+            )
+
+
+def source_width_error(scene: Scene, emitter: Emitter) -> float:
+    """Largest (radius/distance)^2 over the points that a source lights: the error of sampling its centre."""
+    worst = 0.0
+    for target in scene.targets:
+        for group in surface_points(target, emitter.position):
+            away = group.points - emitter.position
+            distance = np.maximum(np.linalg.norm(away, axis=1), 1e-300)
+            lit = _relative_intensity(emitter, away, distance) > _LIT_SHARE
+            if lit.any():
+                worst = max(worst, (emitter.radius / float(distance[lit].min())) ** 2)
+    return worst
+
+
+def _relative_intensity(
+    emitter: Emitter, away: NDArray[np.float64], distance: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    cosine = np.clip(away @ np.asarray(emitter.axis) / distance, -1.0, 1.0)
+    return np.array([emitter.beam.relative_intensity(math.acos(c)) for c in cosine])
+
+
+def _check_source_widths(scene: Scene) -> None:
+    for emitter in scene.emitters:
+        error = source_width_error(scene, emitter) if emitter.radiance > 0 else 0.0
+        if error > WIDE_SOURCE_LIMIT:
+            raise InputError(
+                f'"{emitter.name}" is too wide for its distance: its irradiance would be off '
+                f"by up to {min(error, 1):.0%}",
+                where=_where(scene, "sources", emitter.name) + ".diameter",
+                remedy="move it away, or describe it by several smaller sources",
+            )
+
+
+def _check_sheeting_angles(scene: Scene) -> None:
+    for target in scene.targets:
+        for group in surface_points(target, scene.camera.pose.position):
+            material = scene.materials[group.material]
+            limits = _sheeting_limits(material)
+            if limits is None:
+                continue
+            seen = in_view(scene.camera, group.points)
+            for emitter in scene.emitters:
+                if emitter.radiance > 0:
+                    _check_angles(scene, group, seen, emitter, limits)
+
+
+def _sheeting_limits(material: Material) -> tuple[float, float, float] | None:
+    """(smallest alpha, largest alpha, largest beta) [rad] that the data cover."""
+    if isinstance(material, CoefficientTable) and material.outside == "refuse":
+        return material.observation[0], material.observation[-1], material.entrance[-1]
+    if isinstance(material, GlassBeads) and material.outside == "refuse":
+        return math.radians(GLASS_BEAD_OBSERVATION[0]), math.radians(GLASS_BEAD_OBSERVATION[-1]), math.pi / 2
+    return None
+
+
+def sheeting_angles(
+    points: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    light: NDArray[np.float64],
+    eye: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Observation angle alpha and entrance angle beta [rad] at points of a surface, each shape (n,)."""
+    to_light, to_eye = light - points, eye - points
+    to_light = to_light / np.linalg.norm(to_light, axis=1, keepdims=True)
+    to_eye = to_eye / np.linalg.norm(to_eye, axis=1, keepdims=True)
+    # From the chord: acos loses half the digits at the small angles that matter here.
+    alpha = 2 * np.arcsin(np.minimum(np.linalg.norm(to_light - to_eye, axis=1) / 2, 1.0))
+    beta = np.arccos(np.clip((to_light * normals).sum(axis=1), -1.0, 1.0))
+    return alpha, beta
+
+
+def _check_angles(
+    scene: Scene,
+    group: SurfacePoints,
+    seen: NDArray[np.bool_],
+    emitter: Emitter,
+    limits: tuple[float, float, float],
+) -> None:
+    away = group.points - emitter.position
+    lit = _relative_intensity(emitter, away, np.linalg.norm(away, axis=1)) > _LIT_SHARE
+    eye = np.asarray(scene.camera.pose.position)
+    alpha, beta = sheeting_angles(group.points, group.normals, np.asarray(emitter.position), eye)
+    front = (beta < math.pi / 2) & (((eye - group.points) * group.normals).sum(axis=1) > 0)
+    counted = seen & lit & front
+    if not counted.any():
+        return
+    low, high, entrance = limits
+    least, most, steepest = alpha[counted].min(), alpha[counted].max(), beta[counted].max()
+    where = f"{scene.origin}: materials.{group.material}"
+    remedy = 'give data that cover them, or set outside = "hold"'
+    if least < low - _ANGLE_TOLERANCE or most > high + _ANGLE_TOLERANCE:
+        raise InputError(
+            f'"{group.target}" is seen at observation angles {math.degrees(least):.3g} to {math.degrees(most):.3g} deg '
+            f'under "{emitter.name}", its data cover {math.degrees(low):.3g} to {math.degrees(high):.3g} deg',
+            where=where,
+            remedy=remedy,
+        )
+    if steepest > entrance + _ANGLE_TOLERANCE:
+        raise InputError(
+            f'"{group.target}" is lit at entrance angles up to {math.degrees(steepest):.3g} deg by "{emitter.name}", '
+            f"its data end at {math.degrees(entrance):.3g} deg",
+            where=where,
+            remedy=remedy,
+        )
+
+
+def warnings_of(scene: Scene) -> tuple[str, ...]:
+    """What a user should know of a scene that is valid, one line each."""
+    found = []
+    for emitter in scene.emitters:
+        error = source_width_error(scene, emitter) if emitter.radiance > 0 else 0.0
+        if error > _WIDTH_WARNING:
+            found.append(f'"{emitter.name}" is close to what it lights: irradiance off by up to {error:.2%}')
+    groups = [group for target in scene.targets for group in surface_points(target, scene.camera.pose.position)]
+    if not scene.included and not any(in_view(scene.camera, group.points).any() for group in groups):
+        found.append("no target is in the camera's view")
+    return tuple(found)

@@ -1,0 +1,241 @@
+"""From the validated tables of a scene file to frozen values in SI."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+from radwrap.errors import InputError
+from radwrap.frames import Pose, aim, normalised, rotation_about_fixed_axes
+from radwrap.scene import document as tables
+from radwrap.scene.camera import Aperture, Camera, Sensor
+from radwrap.scene.materials import (
+    CoefficientTable,
+    GlassBeads,
+    Lambertian,
+    Material,
+    PerturbedNormal,
+    Specular,
+)
+from radwrap.scene.scene import Scene
+from radwrap.scene.sources import Beam, Emitter, LedChange, Ring, SingleSource, Source, gaussian_spread
+from radwrap.scene.targets import (
+    Box,
+    Cylinder,
+    Disc,
+    DotBoard,
+    EdgeTarget,
+    Polygon,
+    RadFile,
+    Sheet,
+    Sphere,
+    Target,
+)
+from radwrap.units import parse_gain
+
+_DEFAULT_EXPOSURE_DIAMETER = 1e-4
+_ORIGIN = (0.0, 0.0, 0.0)
+
+
+def scene_from_model(
+    model: tables.SceneModel, *, assumed: dict[str, str], origin: str, folder: Path, document: str
+) -> Scene:
+    """Convert a validated scene file.
+
+    Raises
+    ------
+    InputError
+        Where values that are right one by one do not go together.
+    """
+    names: set[str] = set()
+    sources = tuple(
+        _source(table, f"{origin}: sources[{i}]", f"sources[{i}]", assumed) for i, table in enumerate(model.sources)
+    )
+    targets = tuple(_target(table, i) for i, table in enumerate(model.targets))
+    for kind, things in (("sources", sources), ("targets", targets)):
+        for index, thing in enumerate(things):
+            if thing.name in names:
+                raise InputError(f'the name "{thing.name}" stands there twice', where=f"{origin}: {kind}[{index}].name")
+            names.add(thing.name)
+    _check_materials(targets, model.materials, origin)
+    return Scene(
+        camera=_camera(model.camera, f"{origin}: camera", assumed),
+        sources=sources,
+        materials={name: _material(table) for name, table in model.materials.items()},
+        targets=targets,
+        assumed=assumed,
+        origin=origin,
+        folder=folder,
+        document=document,
+    )
+
+
+def _check_materials(targets: tuple[Target, ...], materials: Mapping[str, object], origin: str) -> None:
+    for index, target in enumerate(targets):
+        for key in ("material", "dot_material", "edge_material"):
+            name = getattr(target, key, None)
+            if name is not None and name not in materials:
+                raise InputError(
+                    f'no material "{name}"',
+                    where=f"{origin}: targets[{index}].{key}",
+                    remedy=f"define [materials.{name}]",
+                )
+
+
+def _pose(table: tables.Aimed, where: str) -> Pose:
+    position = table.position or getattr(table, "translation", None)
+    if position is None:
+        raise InputError("is missing", where=f"{where}.position")
+    if table.rotation is not None:
+        return Pose(position, rotation_about_fixed_axes(table.rotation, table.rotation_order or "xyz"))
+    try:
+        return aim(position, table.look_at or _ORIGIN, table.up)
+    except ValueError as error:
+        raise InputError(str(error), where=f"{where}.look_at", remedy="choose another look_at or up") from error
+
+
+def _placed(table: tables.Placed) -> Pose:
+    return Pose(table.position, rotation_about_fixed_axes(table.rotation, table.rotation_order))
+
+
+def _camera(table: tables.CameraModel, where: str, assumed: dict[str, str]) -> Camera:
+    sensor = table.sensor
+    opening = table.aperture
+    if opening.diameter == 0 and opening.exposure_diameter is None:
+        assumed["camera.aperture.exposure_diameter"] = "0.1 mm"
+    centre = ((sensor.columns - 1) / 2, (sensor.rows - 1) / 2)
+    if table.principal_point is None:
+        assumed["camera.principal_point"] = f"[{centre[0]:g} px, {centre[1]:g} px]"
+    return Camera(
+        pose=_pose(table, where),
+        focal_length=table.focal_length,
+        principal_point=table.principal_point or centre,
+        exposure_time=table.exposure_time,
+        aperture=Aperture(
+            shape=opening.shape,
+            diameter=opening.diameter,
+            inner_diameter=opening.inner_diameter or 0.0,
+            rotation=opening.rotation,
+            exposure_diameter=opening.exposure_diameter or _DEFAULT_EXPOSURE_DIAMETER,
+        ),
+        sensor=Sensor(
+            rows=sensor.rows,
+            columns=sensor.columns,
+            pixel_width=sensor.pixel_width,
+            pixel_height=sensor.pixel_height,
+            gain=parse_gain(sensor.gain)[0],
+            gamma=sensor.gamma,
+            dark_gray=sensor.dark_gray,
+            saturation_gray=sensor.saturation_gray,
+            bit_depth=sensor.bit_depth,
+            rounding=sensor.rounding,
+            channel=sensor.channel,
+        ),
+    )
+
+
+def _beam(table: tables.BeamModel, where: str, key: str, assumed: dict[str, str]) -> Beam:
+    if table.profile == "lambertian" or table.width is None:
+        return Beam("lambertian")
+    if table.width_definition is None:
+        assumed[f"{key}.beam.width_definition"] = "fwhm"
+    definition = table.width_definition or "fwhm"
+    if table.profile == "gaussian":
+        return Beam("gaussian", gaussian_spread(table.width, definition))
+    half = table.width if definition == "half_angle" else table.width / 2
+    if half > math.pi / 2:
+        raise InputError("a cone cannot be wider than a half space", where=f"{where}.beam.width")
+    return Beam("cone", half)
+
+
+def _radiance(table: tables.Shining, diameter: float) -> float:
+    if table.radiance is not None:
+        return table.radiance
+    return (table.radiant_intensity or 0.0) / (math.pi * diameter**2 / 4)
+
+
+def _source(table: tables.SourceModel, where: str, key: str, assumed: dict[str, str]) -> Source:
+    if table.position is None:
+        raise InputError("is missing", where=f"{where}.position")
+    pose = _pose(table, where)
+    if isinstance(table, tables.RingModel):
+        return Ring(
+            name=table.name,
+            pose=pose,
+            count=table.count,
+            diameter=table.diameter,
+            first_angle=table.first_angle,
+            led_radius=table.led_diameter / 2,
+            radiance=_radiance(table, table.led_diameter),
+            beam=_beam(table.beam, where, key, assumed),
+            misalignment_y=table.misalignment.about_y,
+            misalignment_z=table.misalignment.about_z,
+            changes=tuple(
+                LedChange(led.index, led.radiance_factor, led.beam_width_factor, led.axis_tilt, led.axis_azimuth)
+                for led in table.leds
+            ),
+        )
+    beam = Beam("lambertian") if isinstance(table, tables.DiscSourceModel) else _beam(table.beam, where, key, assumed)
+    emitter = Emitter(
+        table.name,
+        pose.position,
+        normalised(pose.z_axis),
+        table.diameter / 2,
+        _radiance(table, table.diameter),
+        beam,
+    )
+    return SingleSource(table.type, emitter)
+
+
+def _material(table: tables.MaterialModel) -> Material:
+    match table:
+        case tables.LambertianModel():
+            return Lambertian(table.reflectance)
+        case tables.SpecularModel():
+            return Specular(table.diffuse_reflectance, table.specular_reflectance, table.roughness)
+    if table.reflectance is not None and table.roughness is not None:
+        return PerturbedNormal(table.reflectance, table.roughness)
+    if table.anchor is not None:
+        return GlassBeads(table.anchor, table.outside or "refuse")
+    return CoefficientTable(
+        observation=tuple(abs(angle) for angle in table.observation_angles or ()),
+        entrance=tuple(abs(angle) for angle in table.entrance_angles or ()),
+        coefficient=table.coefficients or (),
+        interpolation=table.interpolation or "log",
+        outside=table.outside or "refuse",
+    )
+
+
+def _target(table: tables.TargetModel, index: int) -> Target:
+    name = table.name or f"target{index}"
+    pose = _placed(table)
+    match table:
+        case tables.SheetModel():
+            return Sheet(name, pose, table.material, *table.size)
+        case tables.BoardModel():
+            return DotBoard(
+                name,
+                pose,
+                table.material,
+                table.dot_material,
+                table.rows,
+                table.columns,
+                table.pitch,
+                table.dot_diameter,
+                table.margin,
+            )
+        case tables.EdgeModel():
+            return EdgeTarget(name, pose, table.material, table.edge_material, *table.size, table.edge_position)
+        case tables.PolygonModel():
+            return Polygon(name, pose, table.material, table.vertices)
+        case tables.DiscModel():
+            return Disc(name, pose, table.material, table.diameter)
+        case tables.SphereModel():
+            return Sphere(name, pose, table.material, table.diameter)
+        case tables.CylinderModel():
+            return Cylinder(name, pose, table.material, table.diameter, table.length)
+        case tables.BoxModel():
+            return Box(name, pose, table.material, table.size)
+        case tables.RadModel():
+            return RadFile(name, pose, table.rad, table.length_unit)

@@ -1,0 +1,473 @@
+"""The scene file's tables as pydantic models; nothing of this goes further than `load`."""
+
+from __future__ import annotations
+
+import tomllib
+from importlib.resources import files
+from itertools import pairwise
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import ConfigDict, Field, model_validator
+
+from radwrap.errors import InputError
+from radwrap.scene.border import (
+    Angle,
+    AnyLength,
+    Coefficient,
+    Count,
+    Direction,
+    Duration,
+    Factor,
+    Flag,
+    Model,
+    Name,
+    PixelPosition,
+    Point,
+    PositiveAngle,
+    RadianceValue,
+    RadiantIntensityValue,
+    Share,
+    Size,
+    SizeOrZero,
+    default,
+)
+from radwrap.scene.sources import WidthDefinition
+from radwrap.units import parse_gain
+
+RotationOrder = Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
+_PERTURBED = ("reflectance", "roughness")
+_TABLE = ("observation_angles", "entrance_angles", "coefficients", "interpolation")
+_FUNCTION = ("function", "anchor")
+
+
+def _exactly_one(model: Model, *keys: str) -> None:
+    given = [key for key in keys if getattr(model, key) is not None]
+    if len(given) != 1:
+        raise ValueError(f"needs exactly one of {' and '.join(keys)}, not {len(given)}")
+
+
+class Placed(Model):
+    """Something with a position and a rotation about fixed world axes."""
+
+    position: Point = default(("0 m", "0 m", "0 m"))
+    rotation: tuple[Angle, Angle, Angle] = default(("0 deg", "0 deg", "0 deg"))
+    rotation_order: RotationOrder = "xyz"
+
+
+class Aimed(Model):
+    """Something that looks along its own z axis: by look_at (and up), or by rotation."""
+
+    position: Point | None = None
+    look_at: Point | None = None
+    up: Direction | None = None
+    rotation: tuple[Angle, Angle, Angle] | None = None
+    rotation_order: RotationOrder | None = None
+
+    @model_validator(mode="after")
+    def _one_attitude(self) -> Aimed:
+        _exactly_one(self, "look_at", "rotation")
+        if self.up is not None and self.look_at is None:
+            raise ValueError("up goes with look_at")
+        if self.rotation_order is not None and self.rotation is None:
+            raise ValueError("rotation_order goes with rotation")
+        return self
+
+
+class ApertureModel(Model):
+    """[camera.aperture]."""
+
+    shape: Literal["round", "square", "annular", "half_disc"] = "round"
+    diameter: SizeOrZero = default("0.1 mm")
+    inner_diameter: SizeOrZero | None = None
+    rotation: Angle = default("0 deg")
+    exposure_diameter: Size | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> ApertureModel:
+        if (self.shape == "annular") != (self.inner_diameter is not None):
+            raise ValueError('inner_diameter goes with shape = "annular", and that needs it')
+        if self.inner_diameter is not None and not self.inner_diameter < self.diameter:
+            raise ValueError("inner_diameter must be smaller than diameter")
+        if self.exposure_diameter is not None and self.diameter != 0:
+            raise ValueError('exposure_diameter goes with diameter = "0 mm"')
+        if 0 < self.diameter < 1e-9:
+            raise ValueError('diameter must be "0 mm" or at least 1 nm')
+        return self
+
+
+def _preset_or_all(schema: dict[str, Any]) -> None:
+    """In the JSON schema: what is required without a preset is not with one."""
+    schema["anyOf"] = [{"required": ["preset"]}, {"required": schema.pop("required", [])}]
+
+
+class SensorModel(Model):
+    """[camera.sensor]: a preset, or all of it; what is given beside a preset replaces its value."""
+
+    model_config: ClassVar[ConfigDict] = ConfigDict(json_schema_extra=_preset_or_all)
+
+    preset: Name | None = None
+    rows: Count
+    columns: Count
+    pixel_width: Size
+    pixel_height: Size
+    gain: str
+    gamma: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.01, le=10)]
+    dark_gray: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
+    saturation_gray: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
+    bit_depth: Annotated[int, Field(strict=True, ge=1, le=16)] = 8
+    rounding: Flag = True
+    channel: Literal["equal", "red", "green", "blue"] = "equal"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_preset(cls, table: Any) -> Any:
+        if not isinstance(table, dict) or not isinstance(table.get("preset"), str):
+            return table
+        return {**sensor_preset(table["preset"]), **table}
+
+    @model_validator(mode="after")
+    def _consistent(self) -> SensorModel:
+        try:
+            gain, exponent = parse_gain(self.gain)
+        except InputError as error:
+            raise ValueError(f"gain: {error}") from error
+        if gain <= 0:
+            raise ValueError("gain: must be above zero")
+        if exponent != self.gamma:
+            raise ValueError(f"gain: its unit says gamma {exponent:g}, but gamma is {self.gamma:g}")
+        if not self.dark_gray < self.saturation_gray <= 2**self.bit_depth - 1:
+            raise ValueError(f"needs dark_gray < saturation_gray <= {2**self.bit_depth - 1} ({self.bit_depth} bits)")
+        return self
+
+
+def sensor_presets() -> tuple[str, ...]:
+    """Names of the sensors that radwrap knows."""
+    folder = files("radwrap") / "data" / "sensors"
+    return tuple(sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml")))
+
+
+def sensor_preset(name: str) -> dict[str, Any]:
+    """Table of a sensor that radwrap knows.
+
+    Raises
+    ------
+    ValueError
+        If it knows no such sensor.
+    """
+    known = sensor_presets()
+    if name not in known:
+        raise ValueError(f'preset: no sensor "{name}"; known: {", ".join(known)}')
+    return tomllib.loads((files("radwrap") / "data" / "sensors" / f"{name}.toml").read_text("utf-8"))
+
+
+class CameraModel(Aimed):
+    """[camera]."""
+
+    translation: Point | None = None
+    focal_length: Size
+    principal_point: tuple[PixelPosition, PixelPosition] | None = None
+    exposure_time: Duration
+    aperture: ApertureModel = default({})
+    sensor: SensorModel
+
+    @model_validator(mode="after")
+    def _one_place(self) -> CameraModel:
+        _exactly_one(self, "position", "translation")
+        return self
+
+
+class BeamModel(Model):
+    """Angular distribution of a source."""
+
+    profile: Literal["gaussian", "cone", "lambertian"]
+    width: PositiveAngle | None = None
+    width_definition: WidthDefinition | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> BeamModel:
+        if self.profile == "lambertian":
+            if self.width is not None or self.width_definition is not None:
+                raise ValueError("a lambertian beam has no width")
+            return self
+        if self.width is None:
+            raise ValueError(f"a {self.profile} beam needs its width")
+        if self.profile == "cone" and self.width_definition in ("1/e^2_full", "sigma"):
+            raise ValueError('the width of a cone is "fwhm" (full angle) or "half_angle"')
+        return self
+
+
+class Shining(Model):
+    """What all sources have in common."""
+
+    name: Name
+    radiance: RadianceValue | None = None
+    radiant_intensity: RadiantIntensityValue | None = None
+
+    @model_validator(mode="after")
+    def _one_level(self) -> Shining:
+        _exactly_one(self, "radiance", "radiant_intensity")
+        return self
+
+
+class LedModel(Shining, Aimed):
+    """A single LED."""
+
+    type: Literal["led"]
+    diameter: Size = default("5.08 mm")
+    beam: BeamModel
+
+
+class LampModel(Shining, Aimed):
+    """A lamp: a disc at a position, with a beam."""
+
+    type: Literal["lamp"]
+    diameter: Size
+    beam: BeamModel
+
+
+class DiscSourceModel(Shining, Aimed):
+    """A plain Lambertian disc."""
+
+    type: Literal["disc"]
+    diameter: Size
+
+
+class LedChangeModel(Model):
+    """How one LED of a ring differs."""
+
+    index: Annotated[int, Field(strict=True, ge=0)]
+    radiance_factor: Factor = 1.0
+    beam_width_factor: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=1e6)] = 1.0
+    axis_tilt: Angle = default("0 deg")
+    axis_azimuth: Angle = default("0 deg")
+
+
+class MisalignmentModel(Model):
+    """Turn of a whole ring, about the world's y axis, then about its z axis."""
+
+    about_y: Angle = default("0 deg")
+    about_z: Angle = default("0 deg")
+
+
+class RingModel(Shining, Aimed):
+    """LEDs evenly on a circle."""
+
+    type: Literal["ring"]
+    count: Annotated[int, Field(strict=True, ge=1, le=4096)]
+    diameter: Size
+    first_angle: Angle = default("0 deg")
+    led_diameter: Size = default("5.08 mm")
+    beam: BeamModel
+    misalignment: MisalignmentModel = default({})
+    leds: tuple[LedChangeModel, ...] = ()
+
+    @model_validator(mode="after")
+    def _leds_exist(self) -> RingModel:
+        indices = [led.index for led in self.leds]
+        if len(set(indices)) < len(indices):
+            raise ValueError("leds: an index stands there twice")
+        if indices and max(indices) >= self.count:
+            raise ValueError(f"leds: index {max(indices)} is too large, the ring has LEDs 0 to {self.count - 1}")
+        return self
+
+
+SourceModel = Annotated[LedModel | LampModel | DiscSourceModel | RingModel, Field(discriminator="type")]
+
+
+class LambertianModel(Model):
+    """Diffuse material."""
+
+    type: Literal["lambertian"]
+    reflectance: Share
+
+
+class SpecularModel(Model):
+    """Gaussian lobe over a diffuse part."""
+
+    type: Literal["specular"]
+    diffuse_reflectance: Share = 0.0
+    specular_reflectance: Share
+    roughness: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-3, le=0.5)]
+
+    @model_validator(mode="after")
+    def _conserves(self) -> SpecularModel:
+        if self.diffuse_reflectance + self.specular_reflectance > 1:
+            raise ValueError("diffuse_reflectance + specular_reflectance must not exceed 1")
+        return self
+
+
+class RetroreflectiveModel(Model):
+    """Retroreflector: the paper's perturbed normal, or measured R_A by function or table."""
+
+    type: Literal["retroreflective"]
+    model: Literal["perturbed_normal", "coefficient"]
+    reflectance: Share | None = None
+    roughness: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-4, le=0.5)] | None = None
+    function: Literal["glass_beads"] | None = None
+    anchor: Coefficient | None = None
+    observation_angles: tuple[Angle, ...] | None = None
+    entrance_angles: tuple[Angle, ...] | None = None
+    coefficients: tuple[tuple[Coefficient, ...], ...] | None = None
+    interpolation: Literal["linear", "log"] | None = None
+    outside: Literal["refuse", "hold"] | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> RetroreflectiveModel:
+        if self.model == "perturbed_normal":
+            self._only(_PERTURBED, needed=_PERTURBED)
+        elif self.function is not None:
+            self._only((*_FUNCTION, "outside"), needed=_FUNCTION)
+        else:
+            self._only((*_TABLE, "outside"), needed=_TABLE[:3])
+            self._check_table()
+        return self
+
+    def _only(self, allowed: tuple[str, ...], needed: tuple[str, ...]) -> None:
+        given = [key for key in (*_PERTURBED, *_FUNCTION, *_TABLE, "outside") if getattr(self, key) is not None]
+        for key in needed:
+            if key not in given:
+                raise ValueError(f'model "{self.model}" needs {key}')
+        for key in given:
+            if key not in allowed:
+                raise ValueError(f"{key} does not go with {' and '.join(needed)}")
+
+    def _check_table(self) -> None:
+        for key in ("observation_angles", "entrance_angles"):
+            angles = [abs(angle) for angle in getattr(self, key)]
+            if len(angles) < 2 or any(a >= b for a, b in pairwise(angles)):
+                raise ValueError(f"{key} needs two or more angles, increasing without regard to sign")
+            if angles[-1] >= 1.55:
+                raise ValueError(f"{key} must stay below 88.8 degrees")
+        rows, columns = len(self.observation_angles or ()), len(self.entrance_angles or ())
+        table = self.coefficients or ()
+        if len(table) != rows or any(len(row) != columns for row in table):
+            raise ValueError(f"coefficients needs {rows} rows (observation) of {columns} values (entrance)")
+
+
+MaterialModel = Annotated[LambertianModel | SpecularModel | RetroreflectiveModel, Field(discriminator="type")]
+
+
+class TargetBase(Placed):
+    """What all targets have in common."""
+
+    name: Name | None = None
+
+
+class SheetModel(TargetBase):
+    """A flat rectangle."""
+
+    type: Literal["sheet"]
+    material: Name
+    size: tuple[Size, Size]
+
+
+class BoardModel(TargetBase):
+    """A calibration board of dots."""
+
+    type: Literal["board"]
+    material: Name
+    dot_material: Name
+    rows: Annotated[int, Field(strict=True, ge=1, le=1000)]
+    columns: Annotated[int, Field(strict=True, ge=1, le=1000)]
+    pitch: Size
+    dot_diameter: Size
+    margin: SizeOrZero = default("10 mm")
+
+    @model_validator(mode="after")
+    def _dots_apart(self) -> BoardModel:
+        if self.dot_diameter > self.pitch and self.rows * self.columns > 1:
+            raise ValueError("dots overlap: dot_diameter must not exceed pitch")
+        return self
+
+
+class EdgeModel(TargetBase):
+    """Two materials that meet at a straight edge."""
+
+    type: Literal["edge"]
+    material: Name
+    edge_material: Name
+    size: tuple[Size, Size]
+    edge_position: AnyLength = default("0 mm")
+
+    @model_validator(mode="after")
+    def _edge_inside(self) -> EdgeModel:
+        if not abs(self.edge_position) < self.size[0] / 2:
+            raise ValueError("edge_position lies outside the target")
+        return self
+
+
+class PolygonModel(TargetBase):
+    """A flat polygon."""
+
+    type: Literal["polygon"]
+    material: Name
+    vertices: Annotated[tuple[tuple[AnyLength, AnyLength], ...], Field(min_length=3, max_length=1000)]
+
+
+class DiscModel(TargetBase):
+    """A flat disc."""
+
+    type: Literal["disc"]
+    material: Name
+    diameter: Size
+
+
+class SphereModel(TargetBase):
+    """A sphere."""
+
+    type: Literal["sphere"]
+    material: Name
+    diameter: Size
+
+
+class CylinderModel(TargetBase):
+    """A closed cylinder about its z axis."""
+
+    type: Literal["cylinder"]
+    material: Name
+    diameter: Size
+    length: Size
+
+
+class BoxModel(TargetBase):
+    """A box."""
+
+    type: Literal["box"]
+    material: Name
+    size: tuple[Size, Size, Size]
+
+
+class RadModel(TargetBase):
+    """An included Radiance file."""
+
+    type: Literal["rad"] = "rad"
+    rad: Annotated[str, Field(strict=True, min_length=1, max_length=1000)]
+    length_unit: Size = default("1 m")
+
+
+TargetModel = Annotated[
+    SheetModel | BoardModel | EdgeModel | PolygonModel | DiscModel | SphereModel | CylinderModel | BoxModel | RadModel,
+    Field(discriminator="type"),
+]
+
+
+class SceneModel(Model):
+    """A scene file."""
+
+    title: str | None = None
+    camera: CameraModel
+    sources: tuple[SourceModel, ...] = ()
+    materials: dict[Name, MaterialModel] = default({})
+    targets: tuple[TargetModel, ...] = ()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _rad_names_its_type(cls, table: Any) -> Any:
+        """A target that names a Radiance file needs no type beside it."""
+        if not isinstance(table, dict) or not isinstance(table.get("targets"), list):
+            return table
+        targets = [
+            {"type": "rad", **target} if isinstance(target, dict) and "rad" in target else target
+            for target in table["targets"]
+        ]
+        return {**table, "targets": targets}

@@ -1,0 +1,225 @@
+"""From a scene file to a Scene: read, override, validate, convert to SI.
+
+Errors name the file and the key path, such as ``scene.toml: targets[0].pitch``.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails, PydanticUndefined
+
+from radwrap.errors import InputError
+from radwrap.scene.checks import check_scene
+from radwrap.scene.convert import scene_from_model
+from radwrap.scene.document import SceneModel
+from radwrap.scene.scene import Scene
+
+_LARGEST_FILE: Final = 16 << 20  # byte; a scene file is written by hand
+
+
+def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Scene:
+    """Read a scene file.
+
+    Parameters
+    ----------
+    path : str or Path
+        The TOML file.
+    overrides : Mapping[str, Any], optional
+        Key path -> value as the file would hold it, such as
+        ``{"camera.exposure_time": "64 ms", "targets[0].rotation": ["46 deg", "6 deg", "-2 deg"]}``.
+
+    Returns
+    -------
+    Scene
+        Validated, in SI units.
+
+    Raises
+    ------
+    InputError
+        What is wrong, with file and key path.
+    """
+    path = Path(path)
+    document = _read(path)
+    return scene_from_document(document, overrides, origin=path.name, folder=path.parent)
+
+
+def scene_from_document(
+    document: Mapping[str, Any],
+    overrides: Mapping[str, Any] | None = None,
+    *,
+    origin: str = "scene",
+    folder: Path = Path(),
+) -> Scene:
+    """Make a Scene from the tables of a scene file; arguments, result and errors as `load_scene`."""
+    document = json.loads(_checked_json(document, origin))
+    for key, value in (overrides or {}).items():
+        _override(document, key, value, origin)
+    text = _checked_json(document, origin)
+    try:
+        model = SceneModel.model_validate(document)
+    except ValidationError as error:
+        raise _translated(error, origin) from error
+    scene = scene_from_model(model, assumed=dict(_assumed(model)), origin=origin, folder=folder, document=text)
+    check_scene(scene)
+    return scene
+
+
+def with_value(scene: Scene, key: str, value: Any) -> Scene:
+    """A scene that differs in one key, written as the scene file would hold it.
+
+    Examples
+    --------
+    >>> brighter = with_value(scene, "camera.exposure_time", "64 ms")  # doctest: +SKIP
+    """
+    return scene_from_document(json.loads(scene.document), {key: value}, origin=scene.origin, folder=scene.folder)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        if path.stat().st_size > _LARGEST_FILE:
+            raise InputError(f"is larger than {_LARGEST_FILE >> 20} MiB, which no scene file is", where=str(path))
+        if not path.is_file():
+            raise InputError("is no regular file", where=str(path), remedy="name a scene file")
+        return tomllib.loads(path.read_bytes().decode("utf-8"))
+    except FileNotFoundError as error:
+        raise InputError(
+            "no such scene file", where=str(path), remedy="`radwrap init DIR` writes one to start from"
+        ) from error
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", where=str(path)) from error
+    except UnicodeDecodeError as error:
+        raise InputError("is not UTF-8 text", where=str(path)) from error
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise InputError(f"is not TOML: {error}", where=str(path)) from error
+
+
+def _checked_json(document: Mapping[str, Any], origin: str) -> str:
+    """JSON of a document; dates and non-finite numbers are no values of a scene."""
+    for key, value in _leaves(document, ""):
+        if isinstance(value, float) and not math.isfinite(value):
+            raise InputError("is not a finite number", where=f"{origin}: {key}")
+        if not isinstance(value, str | int | float | bool | dict | list):
+            raise InputError(f"a {type(value).__name__} is no value of a scene", where=f"{origin}: {key}")
+    return json.dumps(document, ensure_ascii=False)
+
+
+def _leaves(value: Any, key: str) -> Iterator[tuple[str, Any]]:
+    if isinstance(value, Mapping):
+        for name, item in value.items():
+            yield from _leaves(item, f"{key}.{name}" if key else str(name))
+    elif isinstance(value, list | tuple):
+        for index, item in enumerate(value):
+            yield from _leaves(item, f"{key}[{index}]")
+    else:
+        yield key, value
+
+
+def _override(document: Any, key: str, value: Any, origin: str) -> None:
+    """Set one key path; tables on the way are made, list entries must exist."""
+    where = f"{origin}: {key}"
+    steps: list[str | int] = []
+    for part in key.split("."):
+        name, *indices = part.replace("]", "").split("[")
+        if not name or not all(index.isdecimal() for index in indices):
+            raise InputError(
+                "is no key path",
+                where=where,
+                remedy='write it as "camera.exposure_time" or "targets[0].pitch"',
+            )
+        steps += [name, *map(int, indices)]
+    place = document
+    for step in steps[:-1]:
+        if isinstance(step, str) and isinstance(place, dict):
+            place = place.setdefault(step, {})
+        elif isinstance(step, int) and isinstance(place, list) and step < len(place):
+            place = place[step]
+        else:
+            raise InputError("the scene has no such place", where=where)
+    last = steps[-1]
+    if isinstance(last, str) and isinstance(place, dict):  # noqa: SIM114  (a type checker needs them apart)
+        place[last] = value
+    elif isinstance(last, int) and isinstance(place, list) and last < len(place):
+        place[last] = value
+    else:
+        raise InputError("the scene has no such place", where=where)
+
+
+def _translated(error: ValidationError, origin: str) -> InputError:
+    """One line for the first thing that is wrong, in the user's words."""
+    details = error.errors(include_url=False)
+    # An unknown key often explains the missing one beside it, so it is told first.
+    details.sort(key=lambda detail: detail["type"] != "extra_forbidden")
+    first = details[0]
+    more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
+    return InputError(_message(first) + more, where=f"{origin}: {_key_path(first['loc'])}")
+
+
+def _key_path(location: tuple[int | str, ...]) -> str:
+    """Key path as in the file; the names of alternatives, which pydantic adds, are left out."""
+    steps = list(location)
+    if steps and steps[0] in ("sources", "targets", "materials") and len(steps) > 2:
+        del steps[2]
+    path = ""
+    for step in steps:
+        path += f"[{step}]" if isinstance(step, int) else f".{step}" if path else step
+    return path or "the file"
+
+
+def _message(detail: ErrorDetails) -> str:
+    context: Mapping[str, Any] = detail.get("ctx", {})
+    given = detail["input"]
+    match detail["type"]:
+        case "extra_forbidden":
+            return "unknown key"
+        case "missing":
+            return "is missing"
+        case "value_error":
+            return str(context["error"])
+        case "greater_than":
+            return f"must be above {context['gt']:g} (in SI units), not {given!r}"
+        case "greater_than_equal":
+            return f"must be at least {context['ge']:g} (in SI units), not {given!r}"
+        case "less_than_equal":
+            return f"must be at most {context['le']:g} (in SI units), not {given!r}"
+        case "literal_error" | "union_tag_invalid":
+            return (
+                f"{context.get('tag', given)!r} is not one of {context.get('expected', context.get('expected_tags'))}"
+            )
+        case "union_tag_not_found":
+            return "needs its type"
+        case "string_pattern_mismatch":
+            return f"{given!r} is no name: a letter, then letters, digits, _ or -, at most 64"
+        case "finite_number":
+            return "is not a finite number"
+    return f"{detail['msg'][0].lower()}{detail['msg'][1:]}"
+
+
+def _assumed(model: BaseModel, prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Key path and value of everything that was taken because the file is silent."""
+    for name, field in type(model).model_fields.items():
+        key = f"{prefix}{name}"
+        value = getattr(model, name)
+        if name not in model.model_fields_set and field.default not in (PydanticUndefined, None, (), {}):
+            yield key, _shown(field.default)
+        if isinstance(value, BaseModel):
+            yield from _assumed(value, f"{key}.")
+        elif isinstance(value, tuple):
+            for index, item in enumerate(value):
+                if isinstance(item, BaseModel):
+                    yield from _assumed(item, f"{key}[{index}].")
+        elif isinstance(value, dict):
+            for entry, item in value.items():
+                yield from _assumed(item, f"{key}.{entry}.")
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_shown, value))}]"
+    return str(value)

@@ -1,0 +1,61 @@
+"""The whole of what is there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from radwrap.scene.camera import Camera
+from radwrap.scene.materials import Material
+from radwrap.scene.sources import Emitter, Source, emitters
+from radwrap.scene.targets import RadFile, Surface, Target, surfaces
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """A camera, what it sees, and what lights it; all in SI units.
+
+    Attributes
+    ----------
+    camera : Camera
+        The one camera.
+    sources : tuple of Source
+        Light sources.
+    materials : Mapping[str, Material]
+        Name -> material.
+    targets : tuple of Target
+        What can be seen.
+    assumed : Mapping[str, str]
+        Key of the scene file -> value that was taken because the file is silent.
+    origin : str
+        File the scene was read from, for messages.
+    folder : Path
+        Folder against which file names in the scene are resolved.
+    document : str
+        The scene file's content as JSON, with overrides, as the user wrote it.
+    """
+
+    camera: Camera
+    sources: tuple[Source, ...]
+    materials: Mapping[str, Material]
+    targets: tuple[Target, ...]
+    assumed: Mapping[str, str] = field(default_factory=dict)
+    origin: str = field(default="scene", compare=False)
+    folder: Path = field(default=Path(), compare=False)
+    document: str = field(default="{}", compare=False, repr=False)
+
+    @property
+    def emitters(self) -> tuple[Emitter, ...]:
+        """All shining discs, dark ones included."""
+        return tuple(emitter for source in self.sources for emitter in emitters(source))
+
+    @property
+    def surfaces(self) -> tuple[Surface, ...]:
+        """All surfaces that are known here; those of Radiance files are not."""
+        return tuple(surface for target in self.targets for surface in surfaces(target))
+
+    @property
+    def included(self) -> tuple[RadFile, ...]:
+        """The Radiance files that the scene includes."""
+        return tuple(target for target in self.targets if isinstance(target, RadFile))

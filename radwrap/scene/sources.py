@@ -1,0 +1,224 @@
+"""Light sources: discs that shine to their front with a beam.
+
+A beam is a far-field radiant intensity I(theta) = I(0) g(theta), as data
+sheets give it. "gaussian" and "cone" describe g itself; "lambertian" is
+g = cos(theta), the disc of constant radiance.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from radwrap.frames import (
+    Pose,
+    Vector,
+    apply_rotation,
+    multiply,
+    normalised,
+    rotation_about,
+    to_world,
+)
+
+Profile = Literal["gaussian", "cone", "lambertian"]
+WidthDefinition = Literal["fwhm", "half_angle", "1/e^2_full", "sigma"]
+
+
+@dataclass(frozen=True, slots=True)
+class Beam:
+    """Angular distribution of radiant intensity.
+
+    Attributes
+    ----------
+    profile : str
+        "gaussian", "cone" or "lambertian".
+    spread : float
+        "gaussian": standard deviation of exp(-theta^2/(2 spread^2)) [rad];
+        "cone": angle from the axis to the rim [rad]; "lambertian": not used.
+    """
+
+    profile: Profile
+    spread: float = 0.0
+
+    def relative_intensity(self, theta: float) -> float:
+        """I(theta)/I(0) at the angle theta to the axis [rad]; 0 behind the disc."""
+        if math.cos(theta) <= 0.0:
+            return 0.0
+        match self.profile:
+            case "gaussian":
+                return math.exp(-((theta / self.spread) ** 2) / 2)
+            case "cone":
+                return 1.0 if theta < self.spread else 0.0
+        return math.cos(theta)
+
+
+def gaussian_spread(width: float, definition: WidthDefinition) -> float:
+    """Standard deviation [rad] of a Gaussian beam whose width is given in one of four ways.
+
+    Parameters
+    ----------
+    width : float
+        The width as stated [rad].
+    definition : str
+        "fwhm": full width at half maximum; "half_angle": axis to half maximum;
+        "1/e^2_full": full width at exp(-2) of the maximum; "sigma": the
+        standard deviation itself.
+    """
+    to_half_maximum = math.sqrt(2 * math.log(2))
+    divisor = {"fwhm": 2 * to_half_maximum, "half_angle": to_half_maximum, "1/e^2_full": 4.0, "sigma": 1.0}
+    return width / divisor[definition]
+
+
+@dataclass(frozen=True, slots=True)
+class Emitter:
+    """One shining disc.
+
+    Attributes
+    ----------
+    name : str
+        Unique in the scene.
+    position : tuple of float, shape (3,)
+        Centre in the world [m].
+    axis : tuple of float, shape (3,)
+        Unit vector into which it shines.
+    radius : float
+        Radius of the disc [m].
+    radiance : float
+        Radiance along the axis [W m^-2 sr^-1].
+    beam : Beam
+        Angular distribution.
+    """
+
+    name: str
+    position: Vector
+    axis: Vector
+    radius: float
+    radiance: float
+    beam: Beam
+
+    @property
+    def radiant_intensity(self) -> float:
+        """Radiant intensity along the axis, I(0) = radiance x area [W sr^-1]."""
+        return self.radiance * math.pi * self.radius**2
+
+
+@dataclass(frozen=True, slots=True)
+class SingleSource:
+    """A source of one disc: an LED, a lamp or a plain Lambertian disc.
+
+    Attributes
+    ----------
+    kind : str
+        "led", "lamp" or "disc".
+    emitter : Emitter
+        The disc.
+    """
+
+    kind: Literal["led", "lamp", "disc"]
+    emitter: Emitter
+
+    @property
+    def name(self) -> str:
+        """Name of the source."""
+        return self.emitter.name
+
+
+@dataclass(frozen=True, slots=True)
+class LedChange:
+    """How one LED of a ring differs from the others.
+
+    Attributes
+    ----------
+    index : int
+        Number of the LED, 0 is the first.
+    radiance_factor : float
+        Factor on the radiance.
+    beam_width_factor : float
+        Factor on the beam's width.
+    axis_tilt : float
+        Angle between its axis and the ring's [rad].
+    axis_azimuth : float
+        Direction of the tilt, from the ring's x towards its y [rad].
+    """
+
+    index: int
+    radiance_factor: float = 1.0
+    beam_width_factor: float = 1.0
+    axis_tilt: float = 0.0
+    axis_azimuth: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Ring:
+    """LEDs evenly on a circle.
+
+    Attributes
+    ----------
+    name : str
+        Unique in the scene.
+    pose : Pose
+        world_from_ring; the LEDs lie in its xy plane and shine along +z.
+    count : int
+        Number of LEDs.
+    diameter : float
+        Diameter of the circle through the LEDs' centres [m].
+    first_angle : float
+        Angle of LED 0, from the ring's x towards its y [rad].
+    led_radius : float
+        Radius of each disc [m].
+    radiance : float
+        Radiance of each LED along its axis [W m^-2 sr^-1].
+    beam : Beam
+        Angular distribution of each LED.
+    misalignment_y, misalignment_z : float
+        The whole ring is turned about the world's fixed y axis, then about
+        its fixed z axis, both through the ring's centre: R = Rz Ry [rad].
+    changes : tuple of LedChange
+        LEDs that differ.
+    """
+
+    name: str
+    pose: Pose
+    count: int
+    diameter: float
+    first_angle: float
+    led_radius: float
+    radiance: float
+    beam: Beam
+    misalignment_y: float = 0.0
+    misalignment_z: float = 0.0
+    changes: tuple[LedChange, ...] = ()
+
+    @property
+    def turned_pose(self) -> Pose:
+        """world_from_ring after the misalignment."""
+        misalignment = multiply(rotation_about("z", self.misalignment_z), rotation_about("y", self.misalignment_y))
+        return replace(self.pose, rotation=multiply(misalignment, self.pose.rotation))
+
+
+Source = SingleSource | Ring
+
+
+def emitters(source: Source) -> tuple[Emitter, ...]:
+    """The discs that a source consists of, dark ones included."""
+    if isinstance(source, SingleSource):
+        return (source.emitter,)
+    return tuple(_led(source, index) for index in range(source.count))
+
+
+def _led(ring: Ring, index: int) -> Emitter:
+    change = next((change for change in ring.changes if change.index == index), LedChange(index))
+    pose = ring.turned_pose
+    angle = ring.first_angle + 2 * math.pi * index / ring.count
+    place = (ring.diameter / 2 * math.cos(angle), ring.diameter / 2 * math.sin(angle), 0.0)
+    tilt, azimuth = change.axis_tilt, change.axis_azimuth
+    axis = (math.sin(tilt) * math.cos(azimuth), math.sin(tilt) * math.sin(azimuth), math.cos(tilt))
+    return Emitter(
+        name=f"{ring.name}.led{index:02d}",
+        position=to_world(pose, place),
+        axis=normalised(apply_rotation(pose.rotation, axis)),
+        radius=ring.led_radius,
+        radiance=ring.radiance * change.radiance_factor,
+        beam=replace(ring.beam, spread=ring.beam.spread * change.beam_width_factor),
+    )

@@ -1,0 +1,1 @@
+"""Rays in, radiance out: everything that belongs to a ray tracer."""

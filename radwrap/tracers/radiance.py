@@ -1,0 +1,282 @@
+"""Radiance as a tracer: scene text in a folder, a frozen octree, rtrace processes."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.errors import InputError, TracerError
+from radwrap.files import make_folder
+from radwrap.frames import fixed_axis_angles
+from radwrap.process import Limits, Programs
+from radwrap.scene.scene import Scene
+from radwrap.scene.targets import RadFile
+from radwrap.tracers.included import check_no_cycle, light_in, read_included
+from radwrap.tracers.installation import Installation, judge
+from radwrap.tracers.radiance_text import RadianceScene, identity_text, scales_of, scene_text
+
+_OCTREE: Final = "scene.oct"
+# Direct light is exact and repeatable: every source once, at its centre (-ds 0, -dj 0), none left out by a
+# threshold (-dt 0, -dc 1); no random reflected rays (-st 1), no interreflection (-ab 0). Mirrors of an included
+# file are followed 8 deep, never by Russian roulette.
+VALUE_OPTIONS: Final = tuple("-h -fdf -ov -ab 0 -dt 0 -dc 1 -dj 0 -ds 0 -st 1 -lr 8 -lw 0 -n 1 -x 0 -y 0".split(" "))
+_LENGTH_OPTIONS: Final = tuple("-h -fdf -oL -ab 0 -n 1 -x 0 -y 0".split(" "))
+# The identity scene has no lights on purpose.
+NO_LIGHT: Final = r"(rtrace|oconv): warning - no light sources found"
+_CHANNELS: Final = {"red": 0, "green": 1, "blue": 2}
+# The channels of a gray scene agree to the float32's last digits.
+_CHANNEL_TOLERANCE: Final = 1e-5
+
+
+@dataclass(frozen=True, slots=True)
+class RadianceOptions:
+    """How Radiance is used.
+
+    Attributes
+    ----------
+    installation : Installation
+        Which Radiance.
+    trusted : bool
+        Whether included files may run commands and name any file.
+    limits : Limits
+        Time and memory of each program.
+    """
+
+    installation: Installation
+    trusted: bool = False
+    limits: Limits = field(default_factory=Limits)
+
+
+@dataclass(frozen=True, slots=True)
+class PreparedScene:
+    """Scene text and files, ready to be laid into a folder.
+
+    Attributes
+    ----------
+    scene : RadianceScene
+        Text and files of what is to be rendered.
+    identity : str
+        Text of the same geometry, each part glowing with its number.
+    parts : tuple of str
+        Names of the parts; the first has the number 1.
+    """
+
+    scene: RadianceScene
+    identity: str
+    parts: tuple[str, ...]
+
+
+def prepare(scene: Scene, options: RadianceOptions, programs: Programs, folder: Path) -> PreparedScene:
+    """Write a scene for Radiance, with the files that it includes.
+
+    Parameters
+    ----------
+    scene : Scene
+        What is there.
+    options : RadianceOptions
+        Which Radiance; whether included files are trusted.
+    programs : Programs
+        Owner of the processes.
+    folder : Path
+        A working folder.
+
+    Raises
+    ------
+    InputError
+        If an included file breaks the trust rule, or nothing shines.
+    TracerError
+        If Radiance does not accept an included file.
+    """
+    texts: dict[str, str] = {}
+    glowing: dict[str, str] = {}
+    files: dict[str, bytes] = {}
+    lit = any(emitter.radiance > 0 for emitter in scene.emitters)
+    unit = scales_of(scene).length
+    for target in scene.included:
+        text, beside, has_light = _included(scene, target, options, programs, folder)
+        lit = lit or has_light
+        files.update(beside)
+        move = _move(target, unit)
+        texts[target.name] = _xform(text, move, options, programs, folder)
+        glowing[target.name] = _xform(text, ["-m", target.name, *move], options, programs, folder)
+    if not lit:
+        raise InputError("there is no light", where=f"{scene.origin}: sources", remedy="add [[sources]]")
+    identity, parts = identity_text(scene, glowing)
+    return PreparedScene(scene_text(scene, texts, files), identity, parts)
+
+
+def _included(
+    scene: Scene, target: RadFile, options: RadianceOptions, programs: Programs, folder: Path
+) -> tuple[str, Mapping[str, bytes], bool]:
+    index = scene.targets.index(target)
+    where = f"{scene.origin}: targets[{index}].rad"
+    path = scene.folder / target.file
+    if not options.trusted:
+        checked = read_included(
+            path, folder=scene.folder, library=options.installation.library, prefix=f"include{index}", where=where
+        )
+        return checked.text, checked.files, checked.has_light
+    if not path.is_file():
+        raise InputError(f'no file "{target.file}"', where=where)
+    check_no_cycle(path, where=where)
+    # Commands of a trusted file run in its own folder, as its author expects.
+    text = _run_xform([path.name], b"", options, programs, path.parent.absolute())
+    return text, {}, light_in(text)
+
+
+def _move(target: RadFile, unit: float) -> list[str]:
+    """Transform arguments: scale, then rotations about fixed x, y, z, then position."""
+    x, y, z = (float(np.degrees(angle)) for angle in fixed_axis_angles(target.pose.rotation))
+    place = [repr(value / unit) for value in target.pose.position]
+    return ["-s", repr(target.length_unit / unit), "-rx", repr(x), "-ry", repr(y), "-rz", repr(z), "-t", *place]
+
+
+def _xform(text: str, arguments: list[str], options: RadianceOptions, programs: Programs, folder: Path) -> str:
+    return _run_xform(arguments, text.encode(), options, programs, folder)
+
+
+def _run_xform(arguments: list[str], stdin: bytes, options: RadianceOptions, programs: Programs, folder: Path) -> str:
+    output, said = programs.run(
+        [options.installation.program("xform"), *arguments],
+        folder=folder,
+        environment=options.installation.environment(),
+        stdin=[stdin],
+        limits=options.limits,
+    )
+    judge(said, "xform")
+    lines = output.decode(errors="replace").splitlines(keepends=True)
+    return "".join(line for line in lines if not line.startswith("# xform "))
+
+
+@dataclass(frozen=True, slots=True)
+class RadianceTracer:
+    """A frozen octree and how to ask it; satisfies `Tracer`.
+
+    Attributes
+    ----------
+    options : RadianceOptions
+        Which Radiance, and its limits.
+    programs : Programs
+        Owner of the processes.
+    folder : Path
+        Working folder with the octree and its files.
+    scene : RadianceScene
+        For the units of its text.
+    search : tuple of Path
+        Further folders for files that a trusted scene names.
+    channel : str
+        Which of the three channels is asked for; "equal" demands that they agree.
+    harmless : tuple of str
+        Warnings that may be passed over, see `judge`.
+    """
+
+    options: RadianceOptions
+    programs: Programs
+    folder: Path
+    scene: RadianceScene
+    search: tuple[Path, ...] = ()
+    channel: str = "equal"
+    harmless: tuple[str, ...] = ()
+
+    def trace(self, rays: Iterable[NDArray[np.float64]]) -> Iterator[NDArray[np.float64]]:
+        """Radiance along rays, one rtrace process for all of them; see `Tracer.trace`."""
+        for values in self._ask(VALUE_OPTIONS, rays, 3):
+            radiance = self._one_channel(values)
+            if (radiance < 0).any():
+                raise TracerError("answered a negative radiance", where="rtrace")
+            yield radiance * self.scene.scales.radiance
+
+    def distances(self, rays: Iterable[NDArray[np.float64]]) -> Iterator[NDArray[np.float64]]:
+        """Distance to the first surface along rays [m]; blocks as in `trace`."""
+        for values in self._ask(_LENGTH_OPTIONS, rays, 1):
+            yield values[:, 0] * self.scene.scales.length
+
+    def _one_channel(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        if self.channel in _CHANNELS:
+            return values[:, _CHANNELS[self.channel]]
+        largest = values.max(axis=1)
+        if (largest - values.min(axis=1) > _CHANNEL_TOLERANCE * largest).any():
+            raise InputError(
+                "the scene is coloured: the tracer's three channels differ",
+                where="camera.sensor.channel",
+                remedy='say which one the sensor sees: "red", "green" or "blue"',
+            )
+        return values[:, 0]
+
+    def _ask(
+        self, arguments: Iterable[str], rays: Iterable[NDArray[np.float64]], width: int
+    ) -> Iterator[NDArray[np.float64]]:
+        """Send blocks of rays, yield blocks of answers of `width` floats a ray."""
+        waiting: deque[int] = deque()
+        said: list[str] = []
+        received = bytearray()
+        stream = self.programs.stream(
+            [self.options.installation.program("rtrace"), *arguments, _OCTREE],
+            folder=self.folder,
+            environment=self.options.installation.environment(self.search),
+            stdin=self._sent(rays, waiting),
+            said=said,
+            limits=self.options.limits,
+        )
+        for part in stream:
+            received += part
+            while waiting and len(received) >= (size := 4 * width * waiting[0]):
+                waiting.popleft()
+                values = np.frombuffer(bytes(received[:size]), dtype=np.float32).reshape(-1, width)
+                del received[:size]
+                if not np.isfinite(values).all():
+                    raise TracerError("answered NaN or infinity", where="rtrace")
+                yield values.astype(np.float64)
+        judge(said[0], "rtrace", self.harmless)
+        if waiting or received:
+            missing = 4 * width * sum(waiting) - len(received)
+            raise TracerError(f"its answer is {missing} bytes short", where="rtrace")
+
+    def _sent(self, rays: Iterable[NDArray[np.float64]], waiting: deque[int]) -> Iterator[bytes]:
+        for block in rays:
+            if not np.isfinite(block).all():
+                raise ValueError("a ray holds NaN or infinity")  # rtrace would answer nothing, without an error
+            if self.scene.scales.length != 1.0:
+                block = np.hstack([block[:, :3] / self.scene.scales.length, block[:, 3:]])  # noqa: PLW2901
+            waiting.append(len(block))
+            yield np.ascontiguousarray(block, dtype=np.float64).tobytes()
+
+
+def build(
+    text: str,
+    files: Mapping[str, bytes],
+    folder: Path,
+    options: RadianceOptions,
+    programs: Programs,
+    *,
+    search: tuple[Path, ...] = (),
+    harmless: tuple[str, ...] = (),
+) -> None:
+    """Lay a scene's files into a folder and freeze its octree.
+
+    Only the frozen octree is used afterwards: an unfrozen one would run the
+    commands of a trusted file again at each start of rtrace.
+
+    Raises
+    ------
+    TracerError
+        If oconv fails or warns.
+    """
+    for name, content in files.items():
+        make_folder((folder / name).parent)
+        (folder / name).write_bytes(content)
+    octree, said = programs.run(
+        [options.installation.program("oconv"), "-f", "-"],
+        folder=folder,
+        environment=options.installation.environment(search),
+        stdin=[text.encode()],
+        limits=options.limits,
+    )
+    judge(said, "oconv", harmless)
+    (folder / _OCTREE).write_bytes(octree)

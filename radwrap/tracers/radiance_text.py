@@ -1,0 +1,329 @@
+"""A scene as Radiance text: deterministic, readable, commented.
+
+Lengths are in m and radiances in W m^-2 sr^-1 unless the header says another
+scale: Radiance loses spheres below 1e-6 units, and light below 1e-6.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Final
+
+from radwrap.errors import InputError
+from radwrap.frames import Vector
+from radwrap.scene.materials import (
+    GLASS_BEAD_ENTRANCE_SCALE,
+    GLASS_BEAD_OBSERVATION,
+    GLASS_BEAD_PROFILE,
+    CoefficientTable,
+    GlassBeads,
+    Lambertian,
+    Material,
+    PerturbedNormal,
+    Specular,
+)
+from radwrap.scene.scene import Scene
+from radwrap.scene.sources import Emitter, emitters
+from radwrap.scene.targets import DiscShape, PolygonShape, Shape, SphereShape, Surface, TubeShape, surfaces
+
+FUNCTIONS: Final = "radwrap.cal"
+
+# Features smaller than this [scene unit] come near Radiance's 1e-6; then the unit is made smaller.
+_SMALLEST_FEATURE: Final = 1e-4
+# Radiances outside this range are scaled by a power of ten for the tracer.
+_RADIANCE_RANGE: Final = (1.0, 1e6)
+# In the text's unit: below, Radiance takes a source for dark (its limit is 1e-6), above, it overflows (1e39).
+_DARKEST: Final = 1e-5
+_BRIGHTEST: Final = 1e30
+
+
+@dataclass(frozen=True, slots=True)
+class Scales:
+    """What the text's numbers are multiplied by to be SI.
+
+    Attributes
+    ----------
+    length : float
+        One unit of length in the text [m].
+    radiance : float
+        One unit of radiance in the text [W m^-2 sr^-1].
+    """
+
+    length: float = 1.0
+    radiance: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class RadianceScene:
+    """Text for oconv and the files that belong beside it.
+
+    Attributes
+    ----------
+    text : str
+        The scene.
+    files : Mapping[str, bytes]
+        Relative name -> content of function and data files.
+    scales : Scales
+        Units of the text.
+    """
+
+    text: str
+    files: Mapping[str, bytes]
+    scales: Scales
+
+
+def scales_of(scene: Scene) -> Scales:
+    """Units in which Radiance can hold the scene.
+
+    Raises
+    ------
+    InputError
+        If the sources differ by more than Radiance can hold.
+    """
+    lengths = [emitter.radius for emitter in scene.emitters]
+    lengths += [size for surface in scene.surfaces for size in _sizes(surface.shape)]
+    smallest = min(lengths, default=1.0)
+    length = 1.0
+    while smallest < _SMALLEST_FEATURE * length:
+        length /= 1000
+    return Scales(length, _radiance_scale(scene))
+
+
+def _radiance_scale(scene: Scene) -> float:
+    radiances = [emitter.radiance for emitter in scene.emitters if emitter.radiance > 0]
+    if not radiances:
+        return 1.0
+    brightest, darkest = max(radiances), min(radiances)
+    low, high = _RADIANCE_RANGE
+    scale = 1.0
+    if not scene.included and not low <= brightest <= high:
+        scale = 10.0 ** (math.floor(math.log10(brightest)) - 3)
+    if darkest / scale < _DARKEST or brightest / scale > _BRIGHTEST:
+        raise InputError(
+            f"sources from {darkest:g} to {brightest:g} W/m^2/sr cannot be traced together",
+            where=f"{scene.origin}: sources",
+            remedy="render them one by one",
+        )
+    return scale
+
+
+def _sizes(shape: Shape) -> tuple[float, ...]:
+    match shape:
+        case PolygonShape(vertices):
+            following = vertices[1:] + vertices[:1]
+            return (max(math.dist(a, b) for a, b in zip(vertices, following, strict=True)),)
+        case TubeShape(start, end, radius):
+            return radius, math.dist(start, end)
+        case DiscShape() | SphereShape():
+            return (shape.radius,)
+
+
+def scene_text(scene: Scene, included: Mapping[str, str], files_beside: Mapping[str, bytes]) -> RadianceScene:
+    """Write a scene for Radiance.
+
+    Parameters
+    ----------
+    scene : Scene
+        What is there.
+    included : Mapping[str, str]
+        Target name -> checked Radiance text of an included file, already
+        moved to its pose, in this text's length unit.
+    files_beside : Mapping[str, bytes]
+        Files that the included texts need.
+
+    Returns
+    -------
+    RadianceScene
+        Text and files; in the text later surfaces lie on top of earlier ones in the same plane.
+    """
+    scales = scales_of(scene)
+    beside = {**files_beside, FUNCTIONS: (files("radwrap") / "data" / "cal" / FUNCTIONS).read_bytes()}
+    parts = [_header(scene, scales)]
+    for file in scene.included:
+        parts.append(f"# {file.name}: included {file.file}\n\n{included[file.name]}")
+    for emitter in scene.emitters:
+        parts.append(_emitter(emitter, scales))
+    for name, material in scene.materials.items():
+        beside.update(_data_files(name, material))
+    for target in scene.targets:
+        parts += _target(surfaces(target), scene.materials, scales)
+    return RadianceScene("\n".join(parts), beside, scales)
+
+
+def identity_text(scene: Scene, included: Mapping[str, str]) -> tuple[str, tuple[str, ...]]:
+    """The same geometry, each part of each target glowing with its own number.
+
+    Returns
+    -------
+    text : str
+        Radiance text without light.
+    parts : tuple of str
+        Names such as "board.dots"; the first has the number 1.
+    """
+    scales = scales_of(scene)
+    parts: list[str] = []
+    texts = []
+    for file in scene.included:
+        parts.append(file.name)
+        texts.append(f"{_glow(file.name, len(parts))}\n{included[file.name]}")
+    for source in scene.sources:
+        parts.append(source.name)
+        texts.append(_glow(source.name, len(parts)))
+        texts += [
+            _primitive(source.name, "ring", emitter.name, _ring(emitter.position, emitter.axis, emitter.radius, scales))
+            for emitter in emitters(source)
+        ]
+    for target in scene.targets:
+        for surface in surfaces(target):
+            part = f"{target.name}.{surface.part}"
+            if part not in parts:
+                parts.append(part)
+                texts.append(_glow(part, len(parts)))
+            texts.append(_geometry(surface, part, scales))
+    return "\n".join(texts), tuple(parts)
+
+
+def _glow(name: str, number: int) -> str:
+    return _primitive("void", "glow", name, (number, number, number, 0))
+
+
+def _header(scene: Scene, scales: Scales) -> str:
+    lines = ["Radiance scene written by radwrap; see radwrap.cal for its functions."]
+    if scales.length != 1.0:
+        lines.append(f"One unit of length is {scales.length:g} m.")
+    if scales.radiance != 1.0:
+        lines.append(f"One unit of radiance is {scales.radiance:g} W/m^2/sr: multiply what is rendered by it.")
+    if scales == Scales():
+        lines.append("Lengths in m, radiances in W/m^2/sr.")
+    return "".join(f"# {line}\n" for line in lines)
+
+
+def _number(value: float) -> str:
+    return repr(value + 0.0)  # + 0.0 turns -0.0 into 0.0
+
+
+def _primitive(
+    modifier: str, kind: str, name: str, numbers: tuple[float, ...] = (), words: tuple[str, ...] = ()
+) -> str:
+    strings = " ".join([str(len(words)), *words])
+    reals = " ".join([str(len(numbers)), *map(_number, numbers)])
+    return f"{modifier} {kind} {name}\n{strings}\n0\n{reals}\n"
+
+
+def _scaled(scales: Scales, *points: Vector) -> tuple[float, ...]:
+    return tuple(value / scales.length for point in points for value in point)
+
+
+def _ring(centre: Vector, normal: Vector, radius: float, scales: Scales) -> tuple[float, ...]:
+    return (*_scaled(scales, centre), *normal, 0.0, radius / scales.length)
+
+
+def _emitter(emitter: Emitter, scales: Scales) -> str:
+    intensity = f"{emitter.radiant_intensity:g} W/sr on its axis"
+    if emitter.radiance == 0:
+        return f"# {emitter.name}: dark, left out\n"
+    text = f"# {emitter.name}: {intensity}, {emitter.beam.profile}\n"
+    modifier = "void"
+    if emitter.beam.profile != "lambertian":
+        modifier = f"{emitter.name}.beam"
+        words = (f"{emitter.beam.profile}_beam", FUNCTIONS)
+        text += _primitive("void", "brightfunc", modifier, (emitter.beam.spread,), words)
+    radiance = emitter.radiance / scales.radiance
+    text += _primitive(modifier, "light", f"{emitter.name}.light", (radiance, radiance, radiance))
+    disc = _ring(emitter.position, emitter.axis, emitter.radius, scales)
+    return text + _primitive(f"{emitter.name}.light", "ring", emitter.name, disc)
+
+
+def _target(parts: tuple[Surface, ...], materials: Mapping[str, Material], scales: Scales) -> Iterator[str]:
+    written: set[str] = set()
+    for surface in parts:
+        # Each part has its own copy of its material, defined just before its first surface: where two surfaces
+        # share a plane, Radiance shows the one whose material was defined last.
+        modifier = f"{surface.name.split('.')[0]}.{surface.part}"
+        if modifier not in written:
+            written.add(modifier)
+            yield f"# {modifier}: {surface.material}\n" + _material(
+                modifier, surface.material, materials[surface.material]
+            )
+        yield _geometry(surface, modifier, scales)
+
+
+def _material(name: str, of: str, material: Material) -> str:
+    match material:
+        case Lambertian(reflectance):
+            return _primitive("void", "plastic", name, (reflectance, reflectance, reflectance, 0, 0))
+        case Specular(diffuse, specular, roughness):
+            # Metal keeps the specular share the same at all angles; its colour multiplies both parts.
+            colour = diffuse + specular
+            share = specular / colour if colour else 0.0
+            return _primitive("void", "metal", name, (colour, colour, colour, share, roughness))
+        case PerturbedNormal(reflectance, roughness):
+            words = ("turned_x", "turned_y", "turned_z", FUNCTIONS)
+            return (
+                _primitive("void", "texfunc", f"{name}.turned", (), words)
+                + _primitive(
+                    f"{name}.turned", "metal", f"{name}.front", (reflectance, reflectance, reflectance, 1, roughness)
+                )
+                + _front_only(name)
+            )
+        case CoefficientTable():
+            function = f"{material.interpolation}_table"
+            limits = (material.observation[0], material.observation[-1], material.entrance[0], material.entrance[-1])
+            table = (function, _data_name(of), FUNCTIONS, "observation_deg", "entrance_deg")
+            numbers = (1.0, 1.0, 1.0, 1.0, *map(math.degrees, limits))
+            return _primitive("void", "metdata", f"{name}.front", numbers, table) + _front_only(name)
+        case GlassBeads(anchor):
+            words = ("glass_beads", _data_name(of), FUNCTIONS, "observation_deg")
+            limits_deg = (GLASS_BEAD_OBSERVATION[0], GLASS_BEAD_OBSERVATION[-1], 0.0, 90.0)
+            numbers = (1.0, 1.0, 1.0, 1.0, *limits_deg, anchor, GLASS_BEAD_ENTRANCE_SCALE)
+            return _primitive("void", "metdata", f"{name}.front", numbers, words) + _front_only(name)
+
+
+def _front_only(name: str) -> str:
+    """Mix the front's material with a black back, which sheeting has."""
+    black = _primitive("void", "plastic", f"{name}.back", (0, 0, 0, 0, 0))
+    words = (f"{name}.front", f"{name}.back", "front", FUNCTIONS)
+    return black + _primitive("void", "mixfunc", name, (), words)
+
+
+def _data_name(material: str) -> str:
+    return f"{material}.dat"
+
+
+def _data_files(name: str, material: Material) -> dict[str, bytes]:
+    """Radiance data files: the nodes of each dimension, then the values, last dimension fastest."""
+    match material:
+        case CoefficientTable():
+            axes: tuple[tuple[float, ...], ...] = (
+                tuple(map(math.degrees, material.observation)),
+                tuple(map(math.degrees, material.entrance)),
+            )
+            values = [value for row in material.coefficient for value in row]
+            if material.interpolation == "log":
+                values = [math.log(value) for value in values]
+        case GlassBeads():
+            axes = (GLASS_BEAD_OBSERVATION,)
+            values = [math.log(value) for value in GLASS_BEAD_PROFILE]
+        case _:
+            return {}
+    lines = [str(len(axes))]
+    lines += [f"0 0 {len(nodes)} {' '.join(map(_number, nodes))}" for nodes in axes]
+    lines += [_number(value) for value in values]
+    return {_data_name(name): ("\n".join(lines) + "\n").encode()}
+
+
+def _geometry(surface: Surface, modifier: str, scales: Scales) -> str:
+    match surface.shape:
+        case PolygonShape(vertices):
+            return _primitive(modifier, "polygon", surface.name, _scaled(scales, *vertices))
+        case DiscShape(centre, normal, radius):
+            return _primitive(modifier, "ring", surface.name, _ring(centre, normal, radius, scales))
+        case SphereShape(centre, radius):
+            return _primitive(modifier, "sphere", surface.name, (*_scaled(scales, centre), radius / scales.length))
+        case TubeShape(start, end, radius):
+            return _primitive(
+                modifier, "cylinder", surface.name, (*_scaled(scales, start, end), radius / scales.length)
+            )

@@ -1,0 +1,34 @@
+"""The narrow waist: rays in, radiance out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Tracer(Protocol):
+    """Whatever can tell the radiance along rays."""
+
+    def trace(self, rays: Iterable[NDArray[np.float64]]) -> Iterator[NDArray[np.float64]]:
+        """Radiance along rays.
+
+        Parameters
+        ----------
+        rays : iterable of ndarray, shape (n, 6)
+            Blocks of origins [m] and directions (of any length) in the world.
+
+        Yields
+        ------
+        ndarray, shape (n,)
+            Radiance [W m^-2 sr^-1] for each block of rays, in the same order.
+
+        Raises
+        ------
+        TracerError
+            If the tracer fails, warns, or answers other than one finite
+            number a ray.
+        """
+        ...

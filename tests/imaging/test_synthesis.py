@@ -1,0 +1,136 @@
+"""Rendering from Python: what comes back, what it costs, how far it may be off."""
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import radwrap
+from radwrap.errors import InputError
+from radwrap.imaging.cost import check_size, estimate
+from radwrap.imaging.synthesis import forecast
+
+START = Path(__file__).parents[2] / "radwrap" / "data" / "init" / "scene.toml"
+
+
+def scene(**changes: Any) -> radwrap.Scene:
+    document = tomllib.loads(START.read_text())
+    document["camera"]["sensor"] |= {"rows": 33, "columns": 48, "pixel_width": "55 um", "pixel_height": "80 um"}
+    return radwrap.scene_from_document(document, changes)
+
+
+def test_a_result_holds_images_and_manifest_and_shows_itself(tmp_path: Path) -> None:
+    result = radwrap.render(scene(), tmp_path / "out", viewpoints=7)
+    assert result.radiant_exposure.values.shape == (33, 48)
+    assert result.gray.codes.dtype == np.uint8
+    assert result.manifest["viewpoints"] == 7
+    assert result.manifest["gray"]["max"] == result.gray.values.max()
+    assert result._repr_png_().startswith(b"\x89PNG")
+    assert {path.name for path in (tmp_path / "out").iterdir() if not path.name.startswith(".")} == {
+        "gray.png",
+        "radiant_exposure.exr",
+        "manifest.json",
+    }
+
+
+def test_files_of_an_older_run_do_not_stay_beside_the_new_image(tmp_path: Path) -> None:
+    radwrap.render(scene(), tmp_path, viewpoints=1, truth=True)
+    assert (tmp_path / "truth.json").is_file()
+    (tmp_path / ".gray.part.png").write_bytes(b"half")
+    radwrap.render(scene(**{"camera.exposure_time": "1 ms"}), tmp_path, viewpoints=1)
+    assert {path.name for path in tmp_path.iterdir()} == {
+        ".radwrap.lock",
+        "gray.png",
+        "radiant_exposure.exr",
+        "manifest.json",
+    }
+
+
+def test_nothing_stays_where_no_folder_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    radwrap.render(scene(), viewpoints=1)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_manifest_suffices_to_make_the_image_again(tmp_path: Path) -> None:
+    import json
+
+    first = radwrap.render(scene(), tmp_path / "a", viewpoints=7, pixel_samples=2, pixel_sampling="jitter", seed=5)
+    told = first.manifest
+    again = radwrap.render(
+        radwrap.scene_from_document(json.loads(told["scene"])),
+        tmp_path / "b",
+        method=told["method"],
+        viewpoints=told["viewpoints"],
+        layout=told["layout"],
+        pixel_samples=told["pixel_samples"],
+        pixel_sampling=told["pixel_sampling"],
+        seed=told["seed"],
+    )
+    assert again.manifest["files"] == told["files"]
+    assert again.manifest["scene_sha256"] == told["scene_sha256"]
+
+
+def test_a_sensor_that_does_not_round_keeps_its_fractions(tmp_path: Path) -> None:
+    smooth = radwrap.render(scene(**{"camera.sensor.rounding": False}), tmp_path / "a", viewpoints=7)
+    rounded = radwrap.render(scene(), tmp_path / "b", viewpoints=7)
+    assert (smooth.gray.values % 1 != 0).any()
+    assert np.array_equal(np.rint(smooth.gray.values), rounded.gray.values)
+    assert (tmp_path / "a" / "gray.exr").is_file()
+
+
+def test_more_than_eight_bits_make_a_png_of_sixteen(tmp_path: Path) -> None:
+    changes = {"camera.sensor.bit_depth": 12, "camera.sensor.saturation_gray": 4000, "camera.sensor.dark_gray": 300}
+    result = radwrap.render(scene(**changes, **{"camera.sensor.gain": "7e5 (J/m^2)^-0.85"}), tmp_path, viewpoints=7)
+    assert result.gray.codes.dtype == np.uint16
+    assert result.gray.values.max() > 1000
+
+
+def test_the_image_does_not_depend_on_the_workers() -> None:
+    one, three = (radwrap.render(scene(), viewpoints=7, workers=workers) for workers in (1, 3))
+    assert one.manifest["files"] == three.manifest["files"]
+
+
+def test_the_stated_error_is_about_the_true_one() -> None:
+    """Against 331 sub-viewpoints: the halves' estimate lies within a factor of two on the safe side."""
+    smooth = scene(**{"camera.sensor.rounding": False})
+    reference = radwrap.render(smooth, viewpoints=331).gray.values
+    for count in (7, 37):
+        result = radwrap.render(smooth, viewpoints=count)
+        true = float(np.sqrt(np.mean((result.gray.values - reference) ** 2)))
+        assert 0.9 * true < result.manifest["error"]["rms_gray"] < 2.5 * true
+
+
+def test_the_pinhole_says_how_far_it_is_from_the_finite_one() -> None:
+    smooth = scene(**{"camera.sensor.rounding": False})
+    pinhole = radwrap.render(smooth, method="pinhole")
+    finite = radwrap.render(smooth, viewpoints=61)
+    true = float(np.sqrt(np.mean((pinhole.gray.values - finite.gray.values) ** 2)))
+    assert pinhole.manifest["error"]["method"] == "probe"
+    # 512 of 1584 pixels were probed.
+    assert pinhole.manifest["error"]["rms_gray"] == pytest.approx(true, rel=0.3)
+
+
+def test_large_sensors_are_refused_with_their_cost() -> None:
+    big = scene(**{"camera.sensor.rows": 40_000, "camera.sensor.columns": 40_000})
+    with pytest.raises(InputError, match=r"1\.6e\+09 pixels .* rays, .* GiB of memory, .* (hours|days)"):
+        radwrap.render(big)
+    check_size(big, 2_000_000_000, 37, 2)
+
+
+def test_a_forecast_measures_the_time_of_a_ray() -> None:
+    cost = forecast(scene(), radwrap.RenderOptions(viewpoints=7, workers=2))
+    assert cost.rays == 33 * 48 * 7
+    assert 1e-7 < cost.seconds / cost.rays < 1e-3
+    assert estimate(scene(), 7, 2).seconds == pytest.approx(cost.rays * 7.8e-6 / 2)
+
+
+@pytest.mark.parametrize(
+    "options", [{"viewpoints": 0}, {"pixel_samples": 0}, {"workers": 0}, {"seed": -1}, {"tracer_timeout": float("nan")}]
+)
+def test_options_out_of_range_are_refused(options: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match="must lie between"):
+        radwrap.render(scene(), **options)

@@ -1,0 +1,116 @@
+"""Programs are run without a shell, watched, and never left behind."""
+
+import os
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+
+from radwrap.errors import EnvironmentFailure, TracerError
+from radwrap.process import Limits, Programs
+
+PYTHON = sys.executable
+ECHO = "import sys; sys.stdout.buffer.write(sys.stdin.buffer.read())"
+
+
+def run(code: str, folder: Path, **more: object) -> tuple[bytes, str]:
+    with Programs() as programs:
+        return programs.run([PYTHON, "-c", code], folder=folder, environment={"A": "b c"}, **more)  # type: ignore[arg-type]
+
+
+def test_bytes_go_in_and_out_without_deadlock(tmp_path: Path) -> None:
+    """More than any pipe holds, while the program writes as it reads."""
+    block = os.urandom(1 << 20)
+    code = "import sys\nwhile b := sys.stdin.buffer.read(9999): sys.stdout.buffer.write(b)"
+    output, said = run(code, tmp_path, stdin=(block for _ in range(16)))
+    assert output == block * 16
+    assert said == ""
+
+
+def test_folder_and_environment_are_the_named_ones(tmp_path: Path) -> None:
+    output, said = run("import os, sys; print(os.getcwd(), dict(os.environ).get('HOME'), os.environ['A'])", tmp_path)
+    assert output.decode().split("\n")[0] == f"{tmp_path.resolve()} None b c"
+    assert said == ""
+
+
+def test_nothing_goes_through_a_shell(tmp_path: Path) -> None:
+    with Programs() as programs:
+        output, _ = programs.run(
+            [PYTHON, "-c", "import sys; print(sys.argv[1:])", "$(touch x)", "a b; touch y"],
+            folder=tmp_path,
+            environment={},
+        )
+    assert output.decode().strip() == "['$(touch x)', 'a b; touch y']"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_failures_say_what_and_with_which_code(tmp_path: Path) -> None:
+    with pytest.raises(TracerError, match="exit code 3: too bad"):
+        run("import sys; print('too bad', file=sys.stderr); sys.exit(3)", tmp_path)
+    with Programs() as programs, pytest.raises(EnvironmentFailure, match="cannot start"):
+        programs.run([str(tmp_path / "none")], folder=tmp_path, environment={})
+
+
+def test_a_silent_program_is_ended_with_all_its_children(tmp_path: Path) -> None:
+    code = (
+        "import subprocess, sys, time;"
+        "p = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(100)']);"
+        "open('pid', 'w').write(str(p.pid)); time.sleep(100)"
+    )
+    start = time.monotonic()
+    with pytest.raises(TracerError, match="was silent for 1 s"):
+        run(code, tmp_path, limits=Limits(silence=1.0))
+    assert time.monotonic() - start < 10
+    pid = int((tmp_path / "pid").read_text())
+    assert gone(pid)
+
+
+def gone(pid: int) -> bool:
+    """Whether a process has ended; one that only waits to be collected counts."""
+    for _ in range(100):
+        try:
+            if psutil.Process(pid).status() == psutil.STATUS_ZOMBIE:
+                return True
+        except psutil.NoSuchProcess:
+            return True
+        time.sleep(0.02)
+    return False
+
+
+def test_an_error_in_the_input_ends_the_program_and_comes_back(tmp_path: Path) -> None:
+    def broken() -> Iterator[bytes]:
+        yield b"first"
+        raise ValueError("no more")
+
+    with pytest.raises((ValueError, TracerError)) as caught:
+        run(ECHO, tmp_path, stdin=broken())
+    assert "no more" in str(caught.value)
+
+
+def test_cancelling_from_another_thread_ends_the_program(tmp_path: Path) -> None:
+    with Programs() as programs:
+        threading.Timer(0.3, programs.cancel).start()
+        start = time.monotonic()
+        with pytest.raises(TracerError, match="cancelled"):
+            programs.run([PYTHON, "-c", "import time; time.sleep(100)"], folder=tmp_path, environment={})
+        assert time.monotonic() - start < 5
+        with pytest.raises(TracerError, match="cancelled"):
+            programs.run([PYTHON, "-c", ""], folder=tmp_path, environment={})
+
+
+def test_leaving_an_unfinished_stream_ends_the_program(tmp_path: Path) -> None:
+    code = "import os, sys, time; print(os.getpid(), flush=True); time.sleep(100)"
+    with Programs() as programs:
+        stream = programs.stream([PYTHON, "-c", code], folder=tmp_path, environment={}, stdin=(), said=[])
+        pid = int(next(stream))
+        stream.close()
+        assert gone(pid)
+
+
+def test_a_program_that_does_not_read_its_input_does_not_block(tmp_path: Path) -> None:
+    output, _ = run("print('done')", tmp_path, stdin=(bytes(1 << 20) for _ in range(20)))
+    assert output.strip() == b"done"

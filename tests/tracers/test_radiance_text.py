@@ -1,0 +1,80 @@
+"""Scene text: golden files, units of the text, and what Radiance makes of extremes."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+import radwrap
+from radwrap.errors import InputError
+from radwrap.process import Programs
+from radwrap.tracers.installation import find_radiance
+from radwrap.tracers.radiance import RadianceOptions, build, prepare
+from radwrap.tracers.radiance_text import Scales, scales_of
+
+ROOT = Path(__file__).parents[2]
+SCENES = sorted((ROOT / "rad_scenes").rglob("scene.toml"))
+BENCH = ROOT / "rad_scenes" / "bench_board" / "scene.toml"
+
+# Another machine's sine may differ in its last digit; everything else is compared to the letter.
+LAST_DIGITS = 1e-14
+
+
+@pytest.mark.parametrize("path", SCENES, ids=lambda path: path.parent.name)
+def test_the_text_is_the_golden_one(path: Path, tmp_path: Path) -> None:
+    golden = path.with_name("scene.rad").read_text()
+    with Programs() as programs:
+        prepared = prepare(radwrap.load_scene(path), RadianceOptions(find_radiance()), programs, tmp_path)
+    for ours, theirs in zip(prepared.scene.text.split("\n"), golden.split("\n"), strict=True):
+        if ours == theirs:
+            continue
+        words = ours.split(), theirs.split()
+        assert len(words[0]) == len(words[1])
+        for mine, golden_word in zip(*words, strict=True):
+            assert mine == golden_word or float(mine) == pytest.approx(float(golden_word), rel=LAST_DIGITS, abs=1e-15)
+
+
+def test_the_text_is_readable() -> None:
+    text = BENCH.with_name("scene.rad").read_text()
+    assert text.startswith("# Radiance scene written by radwrap")
+    assert "# board.dots: sheeting" in text
+    assert len(re.findall(r" light ", text)) == 12
+    # Of two surfaces in one plane Radiance shows the one whose material was defined last.
+    assert text.index(" board.surface\n") < text.index(" board.dots\n")
+
+
+@pytest.mark.parametrize(
+    ("changes", "scales"),
+    [
+        ({}, Scales()),
+        ({"sources[0].led_diameter": "100 um"}, Scales(1e-3)),
+        ({"sources[0].led_diameter": "1 um"}, Scales(1e-3)),
+        ({"sources[0].led_diameter": "10 nm"}, Scales(1e-6)),
+        ({"sources[0].radiance": "1e-12 W/m^2/sr"}, Scales(1, 1e-15)),
+        ({"sources[0].radiance": "1e12 W/m^2/sr"}, Scales(1, 1e9)),
+    ],
+)
+def test_units_suit_what_radiance_can_hold(changes: dict[str, str], scales: Scales) -> None:
+    assert scales_of(radwrap.load_scene(BENCH, changes)) == scales
+
+
+def test_sources_too_far_apart_are_refused() -> None:
+    scene = radwrap.load_scene(BENCH, {"sources[0].leds": [{"index": 0, "radiance_factor": 1e-9}]})
+    with pytest.raises(InputError, match="cannot be traced together"):
+        scales_of(scene)
+
+
+def test_dark_leds_are_left_out_by_name(tmp_path: Path) -> None:
+    scene = radwrap.load_scene(BENCH, {"sources[0].leds": [{"index": 0, "radiance_factor": 0.0}]})
+    with Programs() as programs:
+        text = prepare(scene, RadianceOptions(find_radiance()), programs, tmp_path).scene.text
+    assert "# ring.led00: dark, left out" in text
+    assert text.count(" light ") == 11
+
+
+def test_oconv_takes_every_scene_without_a_word(tmp_path: Path) -> None:
+    options = RadianceOptions(find_radiance())
+    with Programs() as programs:
+        for path in SCENES:
+            prepared = prepare(radwrap.load_scene(path), options, programs, tmp_path)
+            build(prepared.scene.text, prepared.scene.files, tmp_path, options, programs)
