@@ -25,6 +25,9 @@ from radwrap.files import disk_failure, publish, temporary_name
 Provenance = Mapping[str, Any]
 _NOTHING: Final[Provenance] = MappingProxyType({})
 
+# Bits of what a file may hold as gray levels.
+_BITS: Final = {"uint8": 8, "uint16": 16, "half": 16, "float": 16}
+
 # OpenEXR files carry a date; a fixed one keeps equal images equal byte by byte.
 _FIXED_DATE: Final = "2000:01:01 00:00:00"
 
@@ -215,6 +218,45 @@ def read_image(path: Path) -> tuple[NDArray[Any], dict[str, str]]:
     if not np.isfinite(pixels).all():
         raise InputError("holds NaN or infinity", where=str(path))
     return pixels, metadata
+
+
+def read_gray(path: Path) -> GrayImage:
+    """Read a gray image, predicted or captured: PNG, TIFF, PGM of 8 or 16 bits, or EXR with gray levels.
+
+    A picture with several channels is taken where all colour channels agree.
+
+    Returns
+    -------
+    GrayImage
+        Gray levels as stored; 16 bits where the file holds floats.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read whole, is in colour, or holds NaN or infinity.
+    """
+    if not path.is_file():
+        raise InputError("no such image", where=str(path))
+    source = oiio.ImageInput.open(str(path))
+    if source is None:
+        raise InputError(f"is no image: {oiio.geterror()}", where=str(path))
+    try:
+        spec = source.spec()
+        kind = str(spec.format)
+        if kind not in _BITS:
+            raise InputError(f"holds pixels of the type {kind}", where=str(path), remedy="use 8 or 16 bits, or floats")
+        pixels = source.read_image("float" if kind == "half" else spec.format)
+        if pixels is None:
+            raise InputError(f"is not whole: {source.geterror()}", where=str(path))
+    finally:
+        source.close()
+    pixels = pixels.reshape(spec.height, spec.width, spec.nchannels).astype(np.float64)
+    colours = pixels[:, :, :3] if spec.nchannels > 2 else pixels[:, :, :1]
+    if not np.isfinite(colours).all():
+        raise InputError("holds NaN or infinity", where=str(path))
+    if (colours != colours[:, :, :1]).any():
+        raise InputError("is in colour", where=str(path), remedy="give the one channel that the camera saw")
+    return GrayImage(np.ascontiguousarray(colours[:, :, 0]), _BITS[kind], {"file": str(path)})
 
 
 def png_bytes(codes: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:

@@ -1,0 +1,1 @@
+"""What an algorithm sees: gray image in, numbers out."""
