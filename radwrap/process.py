@@ -14,7 +14,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -133,7 +133,7 @@ class Programs:
         stdin: Iterable[bytes],
         said: list[str],
         limits: Limits = Limits(),
-    ) -> Iterator[bytes]:
+    ) -> Generator[bytes]:
         """Run a program and yield its output as it comes.
 
         `said` receives its stderr once it has ended; the caller must judge it.
@@ -270,7 +270,10 @@ def _limit(program: subprocess.Popen[bytes], limits: Limits) -> None:
     import resource
 
     with suppress(ProcessLookupError):
-        resource.prlimit(program.pid, resource.RLIMIT_AS, (limits.memory, limits.memory))
+        # The user's own limits may be lower, and may not be raised.
+        soft, hard = resource.prlimit(program.pid, resource.RLIMIT_AS)
+        least = min(limit for limit in (soft, hard, limits.memory) if limit != resource.RLIM_INFINITY)
+        resource.prlimit(program.pid, resource.RLIMIT_AS, (least, least))
         resource.prlimit(program.pid, resource.RLIMIT_CORE, (0, 0))
 
 
