@@ -259,10 +259,11 @@ class _Sent:
         for block in self._source:
             if not np.isfinite(block).all():
                 raise ValueError("a ray holds NaN or infinity")  # rtrace would answer nothing, without an error
-            scaled = block if self._unit == 1.0 else np.hstack([block[:, :3] / self._unit, block[:, 3:]])
+            scaled = block.astype(np.float64)  # a copy: the caller keeps metres
+            scaled[:, :3] /= self._unit
             self.blocks.append(len(block))
             self.rays += len(block)
-            yield np.ascontiguousarray(scaled, dtype=np.float64).tobytes()
+            yield scaled.tobytes()
 
 
 def build(
