@@ -21,6 +21,9 @@ from pathlib import Path
 
 from radwrap.errors import EnvironmentFailure, TracerError
 
+if sys.platform != "win32":
+    import fcntl
+
 _PIPE_BYTES = 1 << 20
 _STDERR_BYTES_KEPT = 1 << 16
 _TICK = 0.5  # s between looks at the clock while a program is silent
@@ -91,6 +94,7 @@ class Programs:
             except OSError as error:
                 raise EnvironmentFailure(f"cannot start: {error.strerror or error}", where=argv[0]) from error
             self._running.add(program)
+        _widen_pipes(program)
         return program
 
     def run(
@@ -261,6 +265,16 @@ def _kill(program: subprocess.Popen[bytes]) -> None:
         return
     with suppress(ProcessLookupError, PermissionError):
         os.killpg(program.pid, signal.SIGKILL)
+
+
+def _widen_pipes(program: subprocess.Popen[bytes]) -> None:
+    """Let the pipes hold more than 64 KiB where Linux permits it: fewer changes between the two processes."""
+    if sys.platform != "linux":
+        return
+    for pipe in (program.stdin, program.stdout):
+        if pipe is not None:
+            with suppress(OSError):
+                fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
 
 
 def _limit(program: subprocess.Popen[bytes], limits: Limits) -> None:
