@@ -17,25 +17,50 @@ Examples
 >>> result.gray.values.max(), result.radiant_exposure.values.max()  # doctest: +SKIP
 """
 
-from radwrap.errors import CheckFailed, EnvironmentFailure, InputError, RadwrapError, ToleranceNotMet, TracerError
-from radwrap.imaging.explain import explain
-from radwrap.imaging.synthesis import Rendered, RenderOptions, render
-from radwrap.scene.load import load_scene, scene_from_document, with_value
-from radwrap.scene.scene import Scene
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-__all__ = [
-    "CheckFailed",
-    "EnvironmentFailure",
-    "InputError",
-    "RadwrapError",
-    "RenderOptions",
-    "Rendered",
-    "Scene",
-    "ToleranceNotMet",
-    "TracerError",
-    "explain",
-    "load_scene",
-    "render",
-    "scene_from_document",
-    "with_value",
-]
+if TYPE_CHECKING:
+    from radwrap.errors import CheckFailed as CheckFailed
+    from radwrap.errors import EnvironmentFailure as EnvironmentFailure
+    from radwrap.errors import InputError as InputError
+    from radwrap.errors import RadwrapError as RadwrapError
+    from radwrap.errors import ToleranceNotMet as ToleranceNotMet
+    from radwrap.errors import TracerError as TracerError
+    from radwrap.imaging.explain import explain as explain
+    from radwrap.imaging.synthesis import Rendered as Rendered
+    from radwrap.imaging.synthesis import RenderOptions as RenderOptions
+    from radwrap.imaging.synthesis import render as render
+    from radwrap.scene.load import load_scene as load_scene
+    from radwrap.scene.load import scene_from_document as scene_from_document
+    from radwrap.scene.load import with_value as with_value
+    from radwrap.scene.scene import Scene as Scene
+
+# Each public name and its home. They are fetched when they are first used: the command starts at once, and can be
+# interrupted cleanly from its first moment on.
+_HOMES = {
+    "CheckFailed": "radwrap.errors",
+    "EnvironmentFailure": "radwrap.errors",
+    "InputError": "radwrap.errors",
+    "RadwrapError": "radwrap.errors",
+    "RenderOptions": "radwrap.imaging.synthesis",
+    "Rendered": "radwrap.imaging.synthesis",
+    "Scene": "radwrap.scene.scene",
+    "ToleranceNotMet": "radwrap.errors",
+    "TracerError": "radwrap.errors",
+    "explain": "radwrap.imaging.explain",
+    "load_scene": "radwrap.scene.load",
+    "render": "radwrap.imaging.synthesis",
+    "scene_from_document": "radwrap.scene.load",
+    "with_value": "radwrap.scene.load",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'radwrap' has no attribute {name!r}")
+    return getattr(import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(_HOMES)

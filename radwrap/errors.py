@@ -42,7 +42,13 @@ class RadwrapError(Exception):
         line = f"{self.where}: {self.what}" if self.where else self.what
         if self.remedy:
             line += f"; {self.remedy}"
-        return " ".join(line.split())
+        return one_line(line)
+
+
+def one_line(text: str) -> str:
+    """Text in one line that a terminal shows as it is: what is not printable is escaped."""
+    folded = " ".join(text.split())
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in folded)
 
 
 class CheckFailed(RadwrapError):

@@ -90,10 +90,14 @@ def make_folder(path: Path) -> None:
     Raises
     ------
     InputError
-        If a regular file stands in the way.
+        If a regular file stands in the way, or the name is not text.
     EnvironmentFailure
         If the disk refuses.
     """
+    try:
+        str(path).encode()
+    except UnicodeEncodeError as error:
+        raise InputError("its name is not UTF-8", where=repr(str(path)), remedy="choose another --out") from error
     try:
         path.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError) as error:

@@ -16,7 +16,11 @@ from radwrap.tracers.installation import find_radiance, version
 
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     """Add the verb."""
-    parser = verbs.add_parser("doctor", help="check programs and libraries", description=__doc__)
+    parser = verbs.add_parser(
+        "doctor",
+        help="check programs and libraries",
+        description="Tells what is installed, what is missing, and how to get it.",
+    )
     parser.add_argument("--radiance", metavar="DIR", help="folder with another Radiance's bin and lib")
     parser.add_argument("--json", action="store_true", help="machine-readable result on stdout")
     parser.set_defaults(run=run)

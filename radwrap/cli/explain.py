@@ -13,7 +13,11 @@ from radwrap.manifest import json_text
 
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     """Add the verb."""
-    parser = verbs.add_parser("explain", help="tell what a scene amounts to", description=__doc__)
+    parser = verbs.add_parser(
+        "explain",
+        help="tell what a scene amounts to",
+        description="Tells what a scene amounts to, before a ray is traced.",
+    )
     shared.add_scene(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)

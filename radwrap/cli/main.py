@@ -13,10 +13,9 @@ import sys
 import traceback
 from collections.abc import Sequence
 from importlib.metadata import version
-from typing import Any
+from typing import Any, NoReturn
 
-from radwrap.cli import convert, doctor, explain, render, start
-from radwrap.errors import INTERRUPTED, EnvironmentFailure, RadwrapError
+from radwrap.errors import INTERRUPTED, EnvironmentFailure, InputError, RadwrapError, one_line
 
 _EPILOG = (
     "Exit codes: 0 done, 1 a check failed, 2 bad input, 3 tolerance not met, 4 environment or tracer, 130 interrupted."
@@ -25,7 +24,8 @@ _EPILOG = (
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit code."""
-    signal.signal(signal.SIGTERM, _interrupt)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _interrupt)
     try:
         parsed = _parser().parse_args(arguments)
         code: int = parsed.run(parsed)
@@ -51,18 +51,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _interrupt(*_: object) -> None:
-    """SIGTERM ends a run as Ctrl-C does: programs first."""
+    """SIGTERM ends a run as Ctrl-C does: programs first. Further signals would only disturb that."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
     raise KeyboardInterrupt
 
 
-def _one_line(error: BaseException) -> str:
+def _one_line(error: OSError | MemoryError) -> str:
     if isinstance(error, MemoryError):
         return "not enough memory; see `radwrap render --dry-run`"
-    return " ".join(str(error).split())
+    what = error.strerror or str(error)
+    return one_line(f"{error.filename}: {what}" if error.filename else what)
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line, like every other error."""
+
+    def error(self, message: str) -> NoReturn:
+        raise InputError(message, remedy=f"see `{self.prog} --help`")
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    # Here and not above: until the libraries are loaded, an interrupt must find `main` at work.
+    from radwrap.cli import convert, doctor, explain, render, start
+
+    parser = _Parser(
         prog="radwrap", description="Predicts the gray values a machine-vision camera will capture.", epilog=_EPILOG
     )
     parser.add_argument("--version", action="version", version=f"radwrap {version('radwrap')}")

@@ -60,5 +60,5 @@ def _override(text: str) -> tuple[str, Any]:
         raise InputError(f'"{text}" is not KEY=VALUE', where="--set")
     try:
         return key.strip(), tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError:
+    except ValueError:
         return key.strip(), value.strip()

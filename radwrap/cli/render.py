@@ -13,10 +13,15 @@ from radwrap.imaging.synthesis import RenderOptions, forecast, render
 from radwrap.manifest import json_text
 from radwrap.scene.scene import Scene
 
+_DESCRIPTION = (
+    "Predicts the gray image of a scene. Writes gray.png, radiant_exposure.exr and manifest.json into DIR; a killed "
+    "run goes on where it was when it is started again."
+)
+
 
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     """Add the verb."""
-    parser = verbs.add_parser("render", help="predict the gray image of a scene", description=__doc__)
+    parser = verbs.add_parser("render", help="predict the gray image of a scene", description=_DESCRIPTION)
     shared.add_scene(parser)
     parser.add_argument("--out", metavar="DIR", help="folder for gray.png, radiant_exposure.exr and manifest.json")
     parser.add_argument(

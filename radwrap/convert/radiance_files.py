@@ -11,6 +11,7 @@ from radwrap.process import Programs
 from radwrap.scene.camera import Camera
 from radwrap.scene.scene import Scene
 from radwrap.tracers.radiance import RadianceOptions, prepare
+from radwrap.tracers.radiance_text import scales_of
 
 
 def write_scene(scene: Scene, path: Path, options: RadianceOptions) -> tuple[Path, ...]:
@@ -44,17 +45,24 @@ def write_scene(scene: Scene, path: Path, options: RadianceOptions) -> tuple[Pat
     return (*written, path)
 
 
-def view_text(camera: Camera) -> str:
+def view_text(camera: Camera, unit: float) -> str:
     """Central view as a Radiance view file, with all digits.
 
     The window is shifted where the principal point lies off the sensor's centre.
+
+    Parameters
+    ----------
+    camera : Camera
+        Whose view.
+    unit : float
+        Unit of length of the scene text that the view belongs to [m].
     """
     sensor = camera.sensor
     right = ((sensor.columns - 1) / 2 - camera.principal_point[0]) / sensor.columns
     down = ((sensor.rows - 1) / 2 - camera.principal_point[1]) / sensor.rows
     up = [-value for value in camera.pose.y_axis]
     numbers = {
-        "-vp": camera.pose.position,
+        "-vp": [value / unit for value in camera.pose.position],
         "-vd": camera.pose.z_axis,
         "-vu": up,
         "-vh": [math.degrees(2 * math.atan(sensor.width / 2 / camera.focal_length))],
@@ -69,5 +77,5 @@ def view_text(camera: Camera) -> str:
 def write_view(scene: Scene, path: Path) -> tuple[Path, ...]:
     """Write the central view; returns the file."""
     make_folder(path.parent)
-    write_bytes(path, view_text(scene.camera).encode())
+    write_bytes(path, view_text(scene.camera, scales_of(scene).length).encode())
     return (path,)

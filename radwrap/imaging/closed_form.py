@@ -74,28 +74,32 @@ def radiance(material: Material, group: SurfacePoints, emitter: Emitter, eye: Ar
     Returns
     -------
     ndarray, shape (n,)
-        L [W m^-2 sr^-1]; 0 where light or eye are behind the surface.
+        L [W m^-2 sr^-1]; 0 where the light is behind the surface, or the eye behind sheeting.
     """
     to_eye = eye - group.points
     to_eye = to_eye / np.linalg.norm(to_eye, axis=1, keepdims=True)
     to_light = np.asarray(emitter.position) - group.points
     to_light = to_light / np.linalg.norm(to_light, axis=1, keepdims=True)
-    cos_nu = (to_eye * group.normals).sum(axis=1)
-    cos_beta = (to_light * group.normals).sum(axis=1)
-    alpha, beta = sheeting_angles(group.points, group.normals, np.asarray(emitter.position), eye)
+    normals = group.normals
+    if isinstance(material, Lambertian | Specular):
+        # Paint has no back: what counts is the side that the eye sees.
+        normals = normals * np.where((to_eye * normals).sum(axis=1) < 0, -1.0, 1.0)[:, np.newaxis]
+    cos_nu = (to_eye * normals).sum(axis=1)
+    cos_beta = (to_light * normals).sum(axis=1)
+    alpha, beta = sheeting_angles(group.points, normals, np.asarray(emitter.position), eye)
     irradiance = perpendicular_irradiance(emitter, group.points)
     match material:
         case Lambertian(reflectance):
             factor = reflectance / math.pi * cos_beta
         case PerturbedNormal(reflectance, a):
             half = alpha / 2
-            factor = reflectance * np.exp(-((np.tan(half) / a) ** 2)) * np.cos(alpha)
+            factor = reflectance * np.exp(-((np.tan(half) / a) ** 2)) * np.maximum(np.cos(alpha), 0.0)
             factor = factor / (4 * math.pi * a**2 * np.cos(half) ** 6)
         case CoefficientTable() | GlassBeads():
             factor = coefficient_of_retroreflection(material, alpha, beta) / np.maximum(cos_nu, 1e-12)
         case Specular(diffuse, specular, a):
             half_way = to_eye + to_light
-            along = np.maximum((half_way * group.normals).sum(axis=1), 1e-12) ** 2
+            along = np.maximum((half_way * normals).sum(axis=1), 1e-12) ** 2
             square = (half_way**2).sum(axis=1)
             lobe = np.exp(-(square - along) / along / a**2) * square / (math.pi * along**2 * a**2)
             factor = (diffuse / math.pi + specular * lobe) * cos_beta

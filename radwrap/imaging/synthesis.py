@@ -18,7 +18,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from radwrap.errors import InputError
-from radwrap.files import TEMPORARY_SUFFIX, make_folder, sha256_of, sole_owner
+from radwrap.files import TEMPORARY_SUFFIX, disk_failure, make_folder, sha256_of, sole_owner
 from radwrap.images import ExposureImage, GrayImage, png_bytes, read_image, write_exr, write_png
 from radwrap.imaging.aperture import Layout, Viewpoints, central_viewpoint, sub_viewpoints
 from radwrap.imaging.cost import Cost, check_size, estimate
@@ -27,7 +27,7 @@ from radwrap.imaging.quality import error_of_pinhole, error_of_viewpoints
 from radwrap.imaging.sensor import gray_image, gray_levels
 from radwrap.imaging.truth import central_maps, geometry
 from radwrap.imaging.view import PixelPlan, PixelSampling, ray_blocks, traced
-from radwrap.imaging.viewpoints import Merged, ViewpointPlan, merge, trace_viewpoints
+from radwrap.imaging.viewpoints import Merged, ViewpointPlan, merge, missing_viewpoints, trace_viewpoints
 from radwrap.manifest import SCHEMA_VERSION, plain, read_manifest, sha256_of_value, versions, write_manifest
 from radwrap.process import Limits, Programs, available_cores, children_cpu_time
 from radwrap.progress import Progress
@@ -230,6 +230,8 @@ def _render_into(scene: Scene, out: Path, options: RenderOptions) -> Rendered:
             if not run.is_finished():
                 run.carry_out(start, cpu)
             run.clean_up()
+        except OSError as error:
+            raise disk_failure(Path(error.filename or out), error) from error
         finally:
             shutil.rmtree(work, ignore_errors=True)
         return load_result(scene, out)
@@ -289,7 +291,7 @@ class _Run:
 
     def is_finished(self) -> bool:
         """Whether the folder already holds this very result, every file of it."""
-        if self.options.keep_viewpoints and not self.folder.is_dir():
+        if self.options.keep_viewpoints and missing_viewpoints(self.plan, self.folder):
             return False
         try:
             manifest = read_manifest(self.out / MANIFEST)

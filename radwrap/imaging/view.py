@@ -9,7 +9,8 @@ window at once. Moving the viewpoint alone would be a lens focused at infinity.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -133,7 +134,7 @@ def pixel_means(block: RayBlock, radiance: NDArray[np.float64]) -> NDArray[np.fl
 
 
 def traced(
-    trace: Callable[[Iterable[NDArray[np.float64]]], Iterator[NDArray[np.float64]]], blocks: Iterable[RayBlock]
+    trace: Callable[[Iterable[NDArray[np.float64]]], Generator[NDArray[np.float64]]], blocks: Iterable[RayBlock]
 ) -> Iterator[tuple[RayBlock, NDArray[np.float64]]]:
     """Each block of rays with what `Tracer.trace`, or its like, answers to it."""
     pending: deque[RayBlock] = deque()
@@ -143,5 +144,6 @@ def traced(
             pending.append(block)
             yield block.rays
 
-    for radiance in trace(rays()):
-        yield pending.popleft(), radiance
+    with closing(trace(rays())) as answers:
+        for radiance in answers:
+            yield pending.popleft(), radiance

@@ -123,7 +123,7 @@ def trace_viewpoints(
     """
     name = plan.sha256()
     _remove_strangers(folder, len(plan.viewpoints))
-    due = [i for i in range(len(plan.viewpoints)) if not _is_whole(viewpoint_file(folder, i), name, i)]
+    due = missing_viewpoints(plan, folder)
     reused = len(plan.viewpoints) - len(due)
     progress.skip(reused * plan.rays // len(plan.viewpoints))
 
@@ -140,6 +140,12 @@ def trace_viewpoints(
             programs.cancel()
             raise
     return reused
+
+
+def missing_viewpoints(plan: ViewpointPlan, folder: Path) -> list[int]:
+    """Numbers of the sub-viewpoints whose file is not there, whole and of this plan."""
+    name = plan.sha256()
+    return [i for i in range(len(plan.viewpoints)) if not _is_whole(viewpoint_file(folder, i), name, i)]
 
 
 def _remove_strangers(folder: Path, count: int) -> None:

@@ -65,16 +65,33 @@ def _check_polygons(scene: Scene) -> None:
         if abs(signed_area(target.vertices)) <= 1e-12 * largest**2:
             raise InputError("the polygon has no area", where=where)
         sides = list(zip(target.vertices, target.vertices[1:] + target.vertices[:1], strict=True))
-        if any(_cross(a, b) for a, b in combinations(sides, 2)):
-            raise InputError("the polygon's sides cross", where=where)
+        if any(_meet(a, b) for a, b in combinations(sides, 2)):
+            raise InputError("the polygon's sides cross or touch", where=where)
 
 
-def _cross(first: tuple[tuple[float, float], ...], second: tuple[tuple[float, float], ...]) -> bool:
-    def side(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> float:
+_Corner = tuple[float, float]
+
+
+def _meet(first: tuple[_Corner, _Corner], second: tuple[_Corner, _Corner]) -> bool:
+    """Whether two sides of a polygon have a point in common, other than the corner where one follows the other."""
+
+    def turn(a: _Corner, b: _Corner, c: _Corner) -> float:
         return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
+    def between(a: _Corner, b: _Corner, c: _Corner) -> bool:
+        return min(a[0], b[0]) <= c[0] <= max(a[0], b[0]) and min(a[1], b[1]) <= c[1] <= max(a[1], b[1])
+
     (a, b), (c, d) = first, second
-    return side(a, b, c) * side(a, b, d) < 0 and side(c, d, a) * side(c, d, b) < 0
+    if b == c or d == a:
+        # Neighbours: they meet in their corner alone unless one runs back along the other.
+        ahead, corner, behind = (a, b, d) if b == c else (c, d, b)
+        along = (ahead[0] - corner[0]) * (behind[0] - corner[0]) + (ahead[1] - corner[1]) * (behind[1] - corner[1])
+        return turn(ahead, corner, behind) == 0 and along > 0
+    turns = turn(a, b, c), turn(a, b, d), turn(c, d, a), turn(c, d, b)
+    if turns[0] * turns[1] < 0 and turns[2] * turns[3] < 0:
+        return True
+    ends = ((a, b, c), (a, b, d), (c, d, a), (c, d, b))
+    return any(value == 0 and between(*end) for value, end in zip(turns, ends, strict=True))
 
 
 def _check_clearance(scene: Scene) -> None:

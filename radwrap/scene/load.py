@@ -96,7 +96,7 @@ def _read(path: Path) -> dict[str, Any]:
         raise InputError(f"cannot be read: {error.strerror}", where=str(path)) from error
     except UnicodeDecodeError as error:
         raise InputError("is not UTF-8 text", where=str(path)) from error
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # ValueError also for an integer of thousands of digits
         raise InputError(f"is not TOML: {error}", where=str(path)) from error
 
 

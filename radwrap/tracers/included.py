@@ -29,6 +29,8 @@ _OCTREES: Final = (".oct", ".rtm")
 _NO_FUNCTION_FILE: Final = "."
 _TRUST: Final = "or pass --trust if you trust the file"
 
+# Of Path.resolve: links in a circle (before Python 3.13), a NUL in the name.
+_UNRESOLVED: Final = (RuntimeError, ValueError)
 # A FIFO must not block, a link that replaces a checked file must not be followed.
 _OPEN_FLAGS: Final = (
     os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
@@ -98,11 +100,7 @@ def read_included(path: Path, *, folder: Path, library: Path, prefix: str, where
 def _real_path(path: Path, source: Source) -> Path:
     try:
         return path.resolve(strict=True)
-    except (
-        OSError,
-        RuntimeError,
-        ValueError,
-    ) as error:  # RuntimeError: links in a circle, before Python 3.13
+    except (OSError, *_UNRESOLVED) as error:
         raise source.fault("no such file", remedy="name a file beside the scene") from error
 
 
@@ -146,6 +144,7 @@ class _NamedFiles:
         self._library = library
         self._prefix = prefix
         self._source = source
+        self._laid: dict[str, str] = {}
         self._roles: dict[str, str] = {}
         self._dimensions: dict[str, int] = {}
         self._sum = 0
@@ -181,9 +180,13 @@ class _NamedFiles:
         if self._roles.setdefault(own, role) != role:
             what = f"{shown(name)} serves as two kinds of file"
             raise self._source.fault(what, line=line, remedy="use a copy of another name")
+        if own not in self._laid:
+            self._laid[own] = self._kept(own, role, line)
+        return self._laid[own]
+
+    def _kept(self, own: str, role: str, line: int) -> str:
+        """Check and keep the content of a file that is named for the first time; where it will lie."""
         laid = f"{self._prefix}/{own}"
-        if laid in self.files:
-            return laid
         content = self._own_content(own, line)
         if content is None:
             laid, content = own, self._library_content(own, line)
@@ -193,14 +196,21 @@ class _NamedFiles:
                 what = f"the files named are larger than {_LARGEST_SUM >> 20} MiB in all"
                 raise self._source.fault(what, line=line, remedy="make them smaller")
             self.files[laid] = content
-        self._judge(laid, name, role, content, line)
+        try:
+            if role == "d":
+                self._dimensions[laid] = _data_dimensions(content)
+            elif role == "p":
+                _check_picture(content)
+        except ValueError as error:
+            what = f"{shown(own)} {error}"
+            raise self._source.fault(what, line=line, remedy="correct that file") from error
         return laid
 
     def _own_content(self, own: str, line: int) -> bytes | None:
         """Content of a file in the included file's folder; None if it is not there."""
         try:
             real = (self._home / own).resolve(strict=True)
-        except (OSError, RuntimeError):
+        except (OSError, *_UNRESOLVED):
             return None
         if not real.is_relative_to(self._home):
             what = f"{shown(own)} lies outside the folder of the included file"
@@ -213,15 +223,6 @@ class _NamedFiles:
             what = f"{shown(own)} is neither in the included file's folder nor in Radiance's library"
             raise self._source.fault(what, line=line, remedy="put it beside the included file")
         return _read_regular(path.resolve(), self._source, line)
-
-    def _judge(self, laid: str, name: str, role: str, content: bytes, line: int) -> None:
-        try:
-            if role == "d":
-                self._dimensions[laid] = _data_dimensions(content)
-            elif role == "p":
-                _check_picture(content)
-        except ValueError as error:
-            raise self._source.fault(f"{shown(name)} {error}", line=line, remedy="correct that file") from error
 
 
 _DATA_WORD: Final = re.compile(rb"#[^\n]*|([^ \t\n\v\f\r#]+)")
@@ -347,7 +348,7 @@ def _commanded(real: Path, top: Path) -> list[Path]:
         match = _COMMAND.search(line)
         if match is None or match[1]:
             continue
-        for word in _SHELL_WORD.findall(match[2]):
+        for word in dict.fromkeys(_SHELL_WORD.findall(match[2])):
             file = _existing(word, (top, real.parent))
             if file is not None:
                 found[file] = None
@@ -360,7 +361,7 @@ def _existing(word: str, places: tuple[Path, ...]) -> Path | None:
             real = (place / word).resolve(strict=True)
             if real.is_file():
                 return real
-        except (OSError, RuntimeError, ValueError):
+        except (OSError, *_UNRESOLVED):
             continue
     return None
 

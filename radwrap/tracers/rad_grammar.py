@@ -32,14 +32,15 @@ _REAL: Final = re.compile(rf"{_BLANK}*([+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[
 _COUNT: Final = re.compile(r"[0-9]{1,9}")
 _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_.+-]{0,127}")
 _RELAYED: Final = re.compile(rf"{_NAME.pattern}(?:>{_NAME.pattern})*")
-# Printable ASCII without quotes and without what a shell, rtrace's arguments or cal contexts give a meaning.
+# Printable ASCII without quotes and without what shells, rtrace's arguments or cal contexts give a meaning.
 _PLAIN: Final = re.compile(r"[#%&()*+,\-./0-9:;<=>?A-Z\[\\\]^_a-z{|}~]+")
 
 # Radiance cuts words at 511 bytes and reads the rest as the next word.
 _LONGEST_WORD: Final = 500
 # Radiance reads the rest of a comment beyond 2047 bytes as scene.
 _LONGEST_COMMENT: Final = 2000
-# A frozen octree keeps counts in 16 bits: more would let the arguments be read as further, unchecked primitives.
+# A frozen octree keeps counts in 16 bits. With 65536 numbers it keeps the count 0, and rtrace reads the bytes
+# of the numbers as further primitives: numbers alone then open an octree and run its commands.
 _MOST_REALS: Final = 32767
 _MOST_WORDS: Final = 1000
 _MOST_REALS_IN_ALL: Final = 10_000_000
@@ -125,7 +126,8 @@ class _Form:
     Attributes
     ----------
     words : str
-        Roles of its string arguments; ``*``, ``+`` or ``?`` after the last: any number, one or more, none or one.
+        Roles of its string arguments; after the last may stand ``*`` for any number of it, ``+`` for one or
+        more, ``?`` for none or one.
     reals : sequence of int
         Permitted numbers of reals.
     check : callable
@@ -220,7 +222,7 @@ def _spectrum(reals: Sequence[float]) -> str:
     # Radiance answers with memory that it never set where samples lie more than about 150 nm apart, and
     # reads beyond them where the wavelengths are huge.
     first, last = reals[:2]
-    if not (100 <= min(first, last) and max(first, last) <= 1e4):
+    if min(first, last) < 100 or max(first, last) > 1e4:
         return "its wavelengths must lie between 100 and 10000 nm"
     step = abs(last - first) / (len(reals) - 3)
     return "" if 1e-3 <= step <= 100 else "its samples must lie 0.001 to 100 nm apart"
@@ -287,12 +289,12 @@ _MODIFIERS: Final = MappingProxyType(
 ALLOWED: Final = MappingProxyType({**_SURFACES, **_MODIFIERS})
 
 _OCTREE: Final = "opens a prebuilt octree or mesh, which may run commands"
-_XML: Final = "opens a file format that is not checked here"
+_UNCHECKED: Final = "opens a file format that is not checked here"
 _TEXT: Final = "opens font and text files that are not checked here"
 _REFUSED: Final = MappingProxyType(
     {"instance": _OCTREE, "mesh": _OCTREE}
-    | dict.fromkeys(("BSDF", "aBSDF", "WGMDfunc"), _XML)
-    | dict.fromkeys(("specfile", "specfunc", "specdata", "specpict"), _XML)
+    | dict.fromkeys(("BSDF", "aBSDF", "WGMDfunc"), _UNCHECKED)
+    | dict.fromkeys(("specfile", "specfunc", "specdata", "specpict"), _UNCHECKED)
     | dict.fromkeys(("colortext", "brighttext", "mixtext"), _TEXT)
 )
 
@@ -331,11 +333,9 @@ class _Reader:
                 return True
             end = self._text.find("\n", self._at)
             end = len(self._text) if end < 0 else end
-            if end - self._at > _LONGEST_COMMENT:
-                raise self.fault(
-                    f"a comment is longer than {_LONGEST_COMMENT} characters, and Radiance reads its end as scene",
-                    "break it into lines",
-                )
+            if len(self._text[self._at : end].encode()) > _LONGEST_COMMENT:
+                what = f"a comment is longer than {_LONGEST_COMMENT} bytes"
+                raise self.fault(f"{what}, and Radiance reads its end as scene", "break it into lines")
             self._at = end
         return False
 
@@ -375,7 +375,7 @@ class _Reader:
         values = []
         for index in range(count):
             match = _REAL.match(self._text, self._at)
-            if match is None:
+            if match is None or len(match[1]) > _LONGEST_WORD:
                 word = self.word(f"real {index + 1} of {count}")
                 raise self.fault(
                     f"{shown(word)} stands where real {index + 1} of {count} is due", "write a decimal number"

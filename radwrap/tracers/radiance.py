@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Generator, Iterable, Iterator, Mapping
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError, TracerError
-from radwrap.files import make_folder
+from radwrap.files import disk_failure, make_folder
 from radwrap.frames import fixed_axis_angles
 from radwrap.process import Limits, Programs
 from radwrap.scene.scene import Scene
@@ -126,7 +127,7 @@ def _included(
         raise InputError(f'no file "{target.file}"', where=where)
     check_no_cycle(path, where=where)
     # Commands of a trusted file run in its own folder, as its author expects.
-    text = _run_xform([path.name], b"", options, programs, path.parent.absolute())
+    text = _run_xform([f"./{path.name}"], b"", options, programs, path.parent.absolute())
     return text, {}, light_in(text)
 
 
@@ -184,18 +185,20 @@ class RadianceTracer:
     channel: str = "equal"
     harmless: tuple[str, ...] = ()
 
-    def trace(self, rays: Iterable[NDArray[np.float64]]) -> Iterator[NDArray[np.float64]]:
+    def trace(self, rays: Iterable[NDArray[np.float64]]) -> Generator[NDArray[np.float64]]:
         """Radiance along rays, one rtrace process for all of them; see `Tracer.trace`."""
-        for values in self._ask(VALUE_OPTIONS, rays, 3):
-            radiance = self._one_channel(values)
-            if (radiance < 0).any():
-                raise TracerError("answered a negative radiance", where="rtrace")
-            yield radiance * self.scene.scales.radiance
+        with closing(self._ask(VALUE_OPTIONS, rays, 3)) as answers:
+            yield from map(self._radiance, answers)
 
-    def distances(self, rays: Iterable[NDArray[np.float64]]) -> Iterator[NDArray[np.float64]]:
+    def _radiance(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        if (values < 0).any():
+            raise TracerError("answered a negative radiance", where="rtrace")
+        return self._one_channel(values) * self.scene.scales.radiance
+
+    def distances(self, rays: Iterable[NDArray[np.float64]]) -> Generator[NDArray[np.float64]]:
         """Distance to the first surface along rays [m]; blocks as in `trace`."""
-        for values in self._ask(_LENGTH_OPTIONS, rays, 1):
-            yield values[:, 0] * self.scene.scales.length
+        with closing(self._ask(_LENGTH_OPTIONS, rays, 1)) as answers:
+            yield from (values[:, 0] * self.scene.scales.length for values in answers)
 
     def _one_channel(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         if self.channel in _CHANNELS:
@@ -211,41 +214,56 @@ class RadianceTracer:
 
     def _ask(
         self, arguments: Iterable[str], rays: Iterable[NDArray[np.float64]], width: int
-    ) -> Iterator[NDArray[np.float64]]:
+    ) -> Generator[NDArray[np.float64]]:
         """Send blocks of rays, yield blocks of answers of `width` floats a ray."""
-        waiting: deque[int] = deque()
+        sent = _Sent(rays, self.scene.scales.length)
         said: list[str] = []
         received = bytearray()
+        answered = 0
         stream = self.programs.stream(
             [self.options.installation.program("rtrace"), *arguments, _OCTREE],
             folder=self.folder,
             environment=self.options.installation.environment(self.search),
-            stdin=self._sent(rays, waiting),
+            stdin=sent,
             said=said,
             limits=self.options.limits,
         )
-        for part in stream:
-            received += part
-            while waiting and len(received) >= (size := 4 * width * waiting[0]):
-                waiting.popleft()
-                values = np.frombuffer(bytes(received[:size]), dtype=np.float32).reshape(-1, width)
-                del received[:size]
-                if not np.isfinite(values).all():
-                    raise TracerError("answered NaN or infinity", where="rtrace")
-                yield values.astype(np.float64)
+        with closing(stream):  # an error here ends the program now, not when the generator is collected
+            for part in stream:
+                received += part
+                answered += len(part)
+                if answered > 4 * width * sent.rays:
+                    raise TracerError("printed too much: more numbers than rays", where="rtrace")
+                while sent.blocks and len(received) >= (size := 4 * width * sent.blocks[0]):
+                    sent.blocks.popleft()
+                    values = np.frombuffer(bytes(received[:size]), dtype=np.float32).reshape(-1, width)
+                    del received[:size]
+                    if not np.isfinite(values).all():
+                        raise TracerError("answered NaN or infinity", where="rtrace")
+                    yield values.astype(np.float64)
         judge(said[0], "rtrace", self.harmless)
-        if waiting or received:
-            missing = 4 * width * sum(waiting) - len(received)
-            raise TracerError(f"its answer is {missing} bytes short", where="rtrace")
+        if answered != 4 * width * sent.rays:
+            raise TracerError(f"its answer is {4 * width * sent.rays - answered} bytes short", where="rtrace")
 
-    def _sent(self, rays: Iterable[NDArray[np.float64]], waiting: deque[int]) -> Iterator[bytes]:
-        for block in rays:
+
+class _Sent:
+    """Rays on their way into rtrace, as bytes; knows what was sent. Read by one thread, asked by another."""
+
+    def __init__(self, rays: Iterable[NDArray[np.float64]], unit: float) -> None:
+        self._source = rays
+        self._unit = unit
+        self.blocks: deque[int] = deque()
+        self.rays = 0
+
+    def __iter__(self) -> Iterator[bytes]:
+        for block in self._source:
             if not np.isfinite(block).all():
                 raise ValueError("a ray holds NaN or infinity")  # rtrace would answer nothing, without an error
-            if self.scene.scales.length != 1.0:
-                block = np.hstack([block[:, :3] / self.scene.scales.length, block[:, 3:]])  # noqa: PLW2901
-            waiting.append(len(block))
-            yield np.ascontiguousarray(block, dtype=np.float64).tobytes()
+            scaled = block.astype(np.float64)  # a copy: the caller keeps metres
+            scaled[:, :3] /= self._unit
+            self.blocks.append(len(block))
+            self.rays += len(block)
+            yield scaled.tobytes()
 
 
 def build(
@@ -270,7 +288,7 @@ def build(
     """
     for name, content in files.items():
         make_folder((folder / name).parent)
-        (folder / name).write_bytes(content)
+        _lay(folder / name, content)
     octree, said = programs.run(
         [options.installation.program("oconv"), "-f", "-"],
         folder=folder,
@@ -279,4 +297,12 @@ def build(
         limits=options.limits,
     )
     judge(said, "oconv", harmless)
-    (folder / _OCTREE).write_bytes(octree)
+    _lay(folder / _OCTREE, octree)
+
+
+def _lay(path: Path, content: bytes) -> None:
+    """Write a file that lives only as long as the run."""
+    try:
+        path.write_bytes(content)
+    except OSError as error:
+        raise disk_failure(path, error) from error

@@ -1,7 +1,10 @@
 """A scene as Radiance text: deterministic, readable, commented.
 
-Lengths are in m and radiances in W m^-2 sr^-1 unless the header says another
-scale: Radiance loses spheres below 1e-6 units, and light below 1e-6.
+Lengths are in mm and radiances in W m^-2 sr^-1 unless the header says another
+unit. Not in m: Radiance takes a point for inside a polygon where the product
+of a side's length and the point's distance from it is below 1e-6 square units,
+which makes a turned sheet of 5 mm 0.2 mm wider on each side, if written in m.
+It also loses radii below 1e-6 units, and light below 1e-6.
 """
 
 from __future__ import annotations
@@ -27,12 +30,14 @@ from radwrap.scene.materials import (
 )
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Emitter, emitters
-from radwrap.scene.targets import DiscShape, PolygonShape, Shape, SphereShape, Surface, TubeShape, surfaces
+from radwrap.scene.targets import DiscShape, PolygonShape, SphereShape, Surface, TubeShape, surfaces
 
 FUNCTIONS: Final = "radwrap.cal"
 
-# Features smaller than this [scene unit] come near Radiance's 1e-6; then the unit is made smaller.
-_SMALLEST_FEATURE: Final = 1e-4
+_MILLIMETRE: Final = 1e-3
+# Polygon sides of at least 1 unit keep a polygon's border within 1e-6 units, and radii stay far from 1e-6 units.
+_SHORTEST_SIDE: Final = 1.0
+_SMALLEST_RADIUS: Final = 1e-3
 # Radiances outside this range are scaled by a power of ten for the tracer.
 _RADIANCE_RANGE: Final = (1.0, 1e6)
 # In the text's unit: below, Radiance takes a source for dark (its limit is 1e-6), above, it overflows (1e39).
@@ -52,7 +57,7 @@ class Scales:
         One unit of radiance in the text [W m^-2 sr^-1].
     """
 
-    length: float = 1.0
+    length: float = _MILLIMETRE
     radiance: float = 1.0
 
 
@@ -83,12 +88,10 @@ def scales_of(scene: Scene) -> Scales:
     InputError
         If the sources differ by more than Radiance can hold.
     """
-    lengths = [emitter.radius for emitter in scene.emitters]
-    lengths += [size for surface in scene.surfaces for size in _sizes(surface.shape)]
-    smallest = min(lengths, default=1.0)
-    length = 1.0
-    while smallest < _SMALLEST_FEATURE * length:
-        length /= 1000
+    length = _MILLIMETRE
+    for size, least in _sizes(scene):
+        while size < least * length:
+            length /= 1000
     return Scales(length, _radiance_scale(scene))
 
 
@@ -110,15 +113,19 @@ def _radiance_scale(scene: Scene) -> float:
     return scale
 
 
-def _sizes(shape: Shape) -> tuple[float, ...]:
-    match shape:
-        case PolygonShape(vertices):
-            following = vertices[1:] + vertices[:1]
-            return (max(math.dist(a, b) for a, b in zip(vertices, following, strict=True)),)
-        case TubeShape(start, end, radius):
-            return radius, math.dist(start, end)
-        case DiscShape() | SphereShape():
-            return (shape.radius,)
+def _sizes(scene: Scene) -> Iterator[tuple[float, float]]:
+    """Sizes in the scene [m], and how many units of length each must have."""
+    for emitter in scene.emitters:
+        yield emitter.radius, _SMALLEST_RADIUS
+    for surface in scene.surfaces:
+        match surface.shape:
+            case PolygonShape(vertices):
+                following = vertices[1:] + vertices[:1]
+                yield min(math.dist(a, b) for a, b in zip(vertices, following, strict=True)), _SHORTEST_SIDE
+            case TubeShape(start, end, radius):
+                yield min(radius, math.dist(start, end)), _SMALLEST_RADIUS
+            case DiscShape() | SphereShape():
+                yield surface.shape.radius, _SMALLEST_RADIUS
 
 
 def scene_text(scene: Scene, included: Mapping[str, str], files_beside: Mapping[str, bytes]) -> RadianceScene:
@@ -191,13 +198,12 @@ def _glow(name: str, number: int) -> str:
 
 
 def _header(scene: Scene, scales: Scales) -> str:
-    lines = ["Radiance scene written by radwrap; see radwrap.cal for its functions."]
-    if scales.length != 1.0:
-        lines.append(f"One unit of length is {scales.length:g} m.")
-    if scales.radiance != 1.0:
-        lines.append(f"One unit of radiance is {scales.radiance:g} W/m^2/sr: multiply what is rendered by it.")
-    if scales == Scales():
-        lines.append("Lengths in m, radiances in W/m^2/sr.")
+    length = "mm" if scales.length == _MILLIMETRE else f"{scales.length:g} m"
+    lines = ["Radiance scene written by radwrap; see radwrap.cal for its functions.", f"Lengths in {length},"]
+    if scales.radiance == 1.0:
+        lines[-1] += " radiances in W/m^2/sr."
+    else:
+        lines[-1] += f" radiances in {scales.radiance:g} W/m^2/sr: multiply what is rendered by it."
     return "".join(f"# {line}\n" for line in lines)
 
 
@@ -214,11 +220,16 @@ def _primitive(
 
 
 def _scaled(scales: Scales, *points: Vector) -> tuple[float, ...]:
-    return tuple(value / scales.length for point in points for value in point)
+    return tuple(_units(value, scales) for point in points for value in point)
+
+
+def _units(length: float, scales: Scales) -> float:
+    """A length in the text's unit; multiplied by the inverse, which is a whole number, so that 12.5 mm stays 12.5."""
+    return length * round(1 / scales.length)
 
 
 def _ring(centre: Vector, normal: Vector, radius: float, scales: Scales) -> tuple[float, ...]:
-    return (*_scaled(scales, centre), *normal, 0.0, radius / scales.length)
+    return (*_scaled(scales, centre), *normal, 0.0, _units(radius, scales))
 
 
 def _emitter(emitter: Emitter, scales: Scales) -> str:
@@ -322,8 +333,8 @@ def _geometry(surface: Surface, modifier: str, scales: Scales) -> str:
         case DiscShape(centre, normal, radius):
             return _primitive(modifier, "ring", surface.name, _ring(centre, normal, radius, scales))
         case SphereShape(centre, radius):
-            return _primitive(modifier, "sphere", surface.name, (*_scaled(scales, centre), radius / scales.length))
+            return _primitive(modifier, "sphere", surface.name, (*_scaled(scales, centre), _units(radius, scales)))
         case TubeShape(start, end, radius):
             return _primitive(
-                modifier, "cylinder", surface.name, (*_scaled(scales, start, end), radius / scales.length)
+                modifier, "cylinder", surface.name, (*_scaled(scales, start, end), _units(radius, scales))
             )

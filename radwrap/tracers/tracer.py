@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable
 from typing import Protocol
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 class Tracer(Protocol):
     """Whatever can tell the radiance along rays."""
 
-    def trace(self, rays: Iterable[NDArray[np.float64]]) -> Iterator[NDArray[np.float64]]:
+    def trace(self, rays: Iterable[NDArray[np.float64]]) -> Generator[NDArray[np.float64]]:
         """Radiance along rays.
 
         Parameters

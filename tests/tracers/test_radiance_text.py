@@ -47,11 +47,14 @@ def test_the_text_is_readable() -> None:
     ("changes", "scales"),
     [
         ({}, Scales()),
-        ({"sources[0].led_diameter": "100 um"}, Scales(1e-3)),
-        ({"sources[0].led_diameter": "1 um"}, Scales(1e-3)),
-        ({"sources[0].led_diameter": "10 nm"}, Scales(1e-6)),
-        ({"sources[0].radiance": "1e-12 W/m^2/sr"}, Scales(1, 1e-15)),
-        ({"sources[0].radiance": "1e12 W/m^2/sr"}, Scales(1, 1e9)),
+        ({"sources[0].led_diameter": "10 um"}, Scales(1e-3)),
+        ({"sources[0].led_diameter": "1 um"}, Scales(1e-6)),
+        (
+            {"targets[0].margin": "0 mm", "targets[0].pitch": "0.5 mm", "targets[0].dot_diameter": "0.1 mm"},
+            Scales(1e-3),
+        ),
+        ({"sources[0].radiance": "1e-12 W/m^2/sr"}, Scales(1e-3, 1e-15)),
+        ({"sources[0].radiance": "1e12 W/m^2/sr"}, Scales(1e-3, 1e9)),
     ],
 )
 def test_units_suit_what_radiance_can_hold(changes: dict[str, str], scales: Scales) -> None:

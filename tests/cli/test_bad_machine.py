@@ -1,0 +1,272 @@
+"""A machine that fails: no Radiance, a tracer that dies, hangs or lies, a full disk. Exit code 4, one line."""
+
+from __future__ import annotations
+
+import resource
+import shutil
+import signal
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from tests.cli.conftest import FINAL_NAMES, Done, files_in, here, inhabitants, products, run, side_by_side, write_scene
+
+SIZE = 24 * 20 * 12  # byte of a whole answer
+
+
+# ------------------------------------------------------------------------------------------------- Radiance is missing
+
+
+def test_missing_radiance_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, out, empty = write_scene(tmp_path), tmp_path / "out", tmp_path / "empty"
+    empty.mkdir()
+    render = ["render", scene, "--out", out]
+    assert str(empty) in here([*render, "--radiance", empty], capsys).refusal(4)
+    assert str(empty) in here(["convert", scene, tmp_path / "out.rad", "--radiance", empty], capsys).refusal(4)
+    assert str(empty) in here([*render, "--dry-run", "--radiance", empty], capsys).refusal(4)
+    assert str(scene) in here([*render, "--radiance", scene], capsys).refusal(4)
+    monkeypatch.setenv("RADWRAP_RADIANCE", "/nonexistent")
+    assert "/nonexistent" in here(render, capsys).refusal(4)
+    doctor = here(["doctor", "--json"], capsys)
+    assert doctor.code == 4
+    entry = next(check for check in doctor.json["checks"] if check["name"] == "Radiance")
+    assert not doctor.json["ok"] and not entry["found"] and entry["needed"] and "pip install" in entry["remedy"]
+    # What needs no tracer goes on.
+    here(["explain", scene], capsys).success()
+    here(["convert", scene, tmp_path / "out.vf"], capsys).success()
+    assert not {Path(name).name for name in files_in(out)} & set(FINAL_NAMES)
+
+
+# --------------------------------------------------------------------------------------------- Radiance does not behave
+
+RTRACE = """#!/bin/sh
+PATH=/usr/bin:/bin
+case "$*" in *-version*) echo "FAKE 1.0"; exit 0;; esac
+"""
+ANSWER = f"cat > /dev/null; head -c {SIZE} /dev/zero"
+OCONV = "#!/bin/sh\nPATH=/usr/bin:/bin\ncat > /dev/null\n"
+XFORM = OCONV
+
+
+@dataclass(frozen=True, eq=False)
+class Fake:
+    """A Radiance that fails in one way, and what the message must hold; `slow` where it takes its time."""
+
+    name: str
+    says: tuple[str, ...]
+    rtrace: str = ANSWER
+    oconv: str = "echo octree"
+    xform: str = "echo"
+    included: bool = False
+    slow: bool = False
+
+
+FAKES = [
+    Fake("rtrace dies", ("rtrace", "exit code 1"), "exit 1"),
+    Fake("rtrace dies with words", ("rtrace", "out of cheese"), "cat > /dev/null; echo out of cheese >&2; exit 1"),
+    Fake("rtrace is killed", ("rtrace", "-9"), "kill -9 $$"),
+    Fake("rtrace dies after half of it", ("rtrace", "exit code 3"), "cat > /dev/null; head -c 100 /dev/zero; exit 3"),
+    Fake("rtrace hangs at once", ("rtrace", "silent for 0.8 s", "--tracer-timeout"), "exec sleep 600", slow=True),
+    Fake(
+        "rtrace hangs with children",
+        ("rtrace", "silent for 0.8 s"),
+        "sleep 600 & sleep 601 & cat > /dev/null; wait",
+        slow=True,
+    ),
+    Fake("rtrace hangs after its answer", ("rtrace",), f"{ANSWER}; exec sleep 600", slow=True),
+    Fake(
+        "rtrace hangs without output", ("rtrace", "within 0.8 s"), f"{ANSWER}; exec >&- 2>&-; exec sleep 600", slow=True
+    ),
+    Fake("rtrace leaves a child behind", ("rtrace",), f"{ANSWER}; sleep 600 & exit 0", slow=True),
+    Fake("rtrace talks for ever", ("rtrace",), "while :; do echo 'no light here' >&2; done", slow=True),
+    Fake("rtrace prints too little", ("rtrace", "12 bytes"), f"cat > /dev/null; head -c {SIZE - 12} /dev/zero"),
+    Fake("rtrace prints a byte too little", ("rtrace", "1 byte"), f"cat > /dev/null; head -c {SIZE - 1} /dev/zero"),
+    Fake("rtrace prints too much", ("rtrace", "too much"), f"{ANSWER}; head -c 12 /dev/zero"),
+    Fake("rtrace prints without end", ("rtrace", "too much"), "exec cat /dev/zero", slow=True),
+    Fake("rtrace prints nothing", ("rtrace", "bytes"), "cat > /dev/null"),
+    Fake("rtrace reads nothing", ("rtrace", "bytes"), "exit 0"),
+    Fake("rtrace prints NaN", ("rtrace", "NaN"), f"{ANSWER} | tr '\\0' '\\377'"),
+    Fake("rtrace prints negative", ("rtrace", "negative"), f"{ANSWER} | tr '\\0' '\\201'"),
+    Fake("rtrace warns", ("rtrace", "warning - hot"), f"{ANSWER}; echo 'rtrace: warning - hot' >&2"),
+    Fake("oconv warns", ("oconv", "warning - cold"), oconv="echo octree; echo 'oconv: warning - cold' >&2"),
+    Fake("oconv dies", ("oconv", "exit code 2"), oconv="exit 2"),
+    Fake("oconv hangs", ("oconv", "0.8 s"), oconv="exec sleep 600", slow=True),
+    Fake("xform warns", ("xform", "wrong"), xform="echo wrong >&2", included=True),
+    Fake("xform dies", ("xform", "exit code 1"), xform="exit 1", included=True),
+    Fake("xform cannot start", ("xform",), xform="", included=True),
+]
+
+
+def _install(fake: Fake, folder: Path) -> Path:
+    for program, text in {
+        "rtrace": RTRACE + fake.rtrace,
+        "oconv": OCONV + fake.oconv,
+        "xform": XFORM + fake.xform if fake.xform else "#!/nonexistent",
+    }.items():
+        path = folder / "bin" / program
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text + "\n", "ascii")
+        path.chmod(0o755)
+    (folder / "lib").mkdir()
+    (folder / "lib" / "rayinit.cal").touch()
+    return folder
+
+
+def _small_memory() -> None:
+    """A test that goes wrong must not take the machine along."""
+    resource.setrlimit(resource.RLIMIT_AS, (2 << 30, resource.getrlimit(resource.RLIMIT_AS)[1]))
+
+
+def _lay(fake: Fake, folder: Path) -> list[object]:
+    changes: dict[str, Any] = {"targets.1": {"type": "rad", "rad": "room.rad"}} if fake.included else {}
+    scene = write_scene(folder, changes)
+    (folder / "room.rad").write_text("void plastic paint 0 0 5 1 1 1 0 0\npaint sphere ball 0 0 4 0 0 0 .02\n", "ascii")
+    radiance = _install(fake, folder / "fake")
+    options = ["--viewpoints", 7, "--radiance", radiance, "--tracer-timeout", "0.8 s"]
+    return ["render", scene, "--out", folder / "out", *options]
+
+
+def _fails_cleanly(fake: Fake, done: Done, folder: Path) -> None:
+    line = done.refusal(4)
+    assert [word for word in fake.says if word not in line] == [], line
+    assert len(line) < 1000
+    assert inhabitants(folder) == []
+    assert {Path(name).name for name in files_in(folder / "out")} <= {".radwrap.lock", "tracer_calls.log"}
+    assert done.wall < 15
+
+
+@pytest.mark.parametrize("fake", [pytest.param(fake, id=fake.name) for fake in FAKES if not fake.slow])
+def test_a_radiance_that_fails_is_told_in_one_line(
+    fake: Fake, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _fails_cleanly(fake, here(_lay(fake, tmp_path), capsys), tmp_path)
+    assert psutil.Process().children() == []
+
+
+@pytest.fixture(scope="module")
+def slow_ones(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Done, Path]]:
+    """Those that hang or flood, side by side: most of their time is waiting."""
+    slow = [fake for fake in FAKES if fake.slow]
+    folders = [tmp_path_factory.mktemp("fake") for _ in slow]
+    argv = [_lay(fake, folder) for fake, folder in zip(slow, folders, strict=True)]
+    found = side_by_side(lambda words: run(*words, preexec_fn=_small_memory), argv, at_once=len(argv))
+    return {fake.name: pair for fake, pair in zip(slow, zip(found, folders, strict=True), strict=True)}
+
+
+@pytest.mark.parametrize("fake", [pytest.param(fake, id=fake.name) for fake in FAKES if fake.slow])
+def test_a_radiance_that_hangs_or_floods_is_ended(fake: Fake, slow_ones: dict[str, tuple[Done, Path]]) -> None:
+    _fails_cleanly(fake, *slow_ones[fake.name])
+
+
+def test_the_fake_itself_is_good(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each of them fails for its own reason alone."""
+    here(_lay(Fake("all is well", ()), tmp_path), capsys).success()
+    assert set(FINAL_NAMES) <= set(files_in(tmp_path / "out"))
+
+
+def test_a_user_with_a_limit_of_memory_can_work(tmp_path: Path) -> None:
+    """As `ulimit -v` sets it, on clusters and in containers: the programs get no more than the user has."""
+    scene = write_scene(tmp_path)
+
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_AS, (8 << 30, 8 << 30))
+
+    run("render", scene, "--out", tmp_path / "out", "--viewpoints", 1, preexec_fn=limit).success()
+
+
+# --------------------------------------------------------------------------------------------- The disk is full
+
+
+def _whole_or_absent(out: Path, good: dict[str, Any]) -> None:
+    """What stands under a final name is what an undisturbed run writes."""
+    found = {name: content for name, content in products(out).items() if name != "manifest.json"}
+    assert {name: content for name, content in found.items() if content != good[name]} == {}
+    assert not [name for name in files_in(out) if ".part" in name or name.startswith(".work/")]
+
+
+@pytest.fixture
+def good(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    """What the command below writes where there is room."""
+    write_scene(tmp_path / "home")
+    here(_render(tmp_path / "home", tmp_path / "good"), capsys).success()
+    return products(tmp_path / "good")
+
+
+def _render(home: Path, out: Path) -> list[object]:
+    return ["render", home / "scene.toml", "--out", out, "--viewpoints", 2, "--truth", "--workers", 1]
+
+
+def test_a_limit_of_file_size_is_told(tmp_path: Path, good: dict[str, Any]) -> None:
+    sizes = [0, 1000, 2500, 4000, 20_000]
+
+    def limited(size: int) -> Done:
+        def limit() -> None:
+            signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+            resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+
+        return run(*_render(tmp_path / "home", tmp_path / str(size)), preexec_fn=limit)
+
+    failed = []
+    for size, done in zip(sizes, side_by_side(limited, sizes), strict=True):
+        out = tmp_path / str(size)
+        if done.code == 0:
+            assert products(out) == good
+            continue
+        failed.append(done.refusal(4))
+        assert not (out / "manifest.json").exists()
+        _whole_or_absent(out, good)
+    assert len(failed) >= 3
+    assert [line for line in failed if str(tmp_path) not in line] == []
+    assert inhabitants(tmp_path) == []
+
+
+def _mounted(place: Path) -> bool:
+    """Whether a small disk could be mounted; only root may, and not everywhere."""
+    place.mkdir()
+    words = ["mount", "-t", "tmpfs", "-o", "size=4k,nr_inodes=200", "tmpfs", str(place)]
+    mount = shutil.which("mount")
+    return mount is not None and subprocess.run([mount, *words[1:]], capture_output=True, check=False).returncode == 0
+
+
+@contextmanager
+def _small_disk(place: Path) -> Iterator[bool]:
+    there = _mounted(place)
+    try:
+        yield there
+    finally:
+        if there:
+            subprocess.run([str(shutil.which("umount")), "-l", str(place)], check=True)
+
+
+def test_a_full_disk_is_told_whatever_it_is_that_no_longer_fits(
+    tmp_path: Path, good: dict[str, Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    disk = tmp_path / "disk"
+    failed: list[str] = []
+    with _small_disk(disk) as there:
+        # Where no disk can be mounted the limits above must do.
+        for pages in range(1, 40) if there else []:
+            subprocess.run([str(shutil.which("mount")), "-o", f"remount,size={4 * pages}k", str(disk)], check=True)
+            out = disk / "out"
+            shutil.rmtree(out, ignore_errors=True)
+            done = here(_render(tmp_path / "home", out), capsys)
+            if done.code == 0:
+                assert products(out) == good
+                break
+            failed.append(done.refusal(4))
+            assert not (out / "manifest.json").exists()
+            _whole_or_absent(out, good)
+        else:
+            assert not there, "there never was enough room"
+    names = ("viewpoint_00000", "viewpoint_00001", "radiant_exposure", "gray", "depth", "mask", "truth", "manifest")
+    assert [name for name in names if there and not any(name in line for line in failed)] == []
+    assert [line for line in failed if str(disk) not in line] == []
+    assert inhabitants(tmp_path) == []
