@@ -15,7 +15,13 @@ ORDER = ["ground", "scene", "tracers", "imaging", "convert", "measure", "calibra
 DOORS = {
     "subprocess": {"process.py"},
     "OpenImageIO": {"images.py"},
-    "cv2": {"measure/dots/detect.py", "measure/dots/overlay.py", "calibrate/opencv_solver.py", "measure/compare.py", "measure/parts.py"},
+    "cv2": {
+        "measure/dots/detect.py",
+        "measure/dots/overlay.py",
+        "calibrate/opencv_solver.py",
+        "measure/compare.py",
+        "measure/parts.py",
+    },
     "pydantic": {"scene/border.py", "scene/document.py", "scene/load.py"},
     "pydantic_core": {"scene/load.py"},
     "pyradiance": set(),

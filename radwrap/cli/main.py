@@ -73,14 +73,14 @@ class _Parser(argparse.ArgumentParser):
 
 def _parser() -> argparse.ArgumentParser:
     # Here and not above: until the libraries are loaded, an interrupt must find `main` at work.
-    from radwrap.cli import convert, doctor, explain, render, start
+    from radwrap.cli import calibrate, compare, convert, doctor, explain, measure, render, start
 
     parser = _Parser(
         prog="radwrap", description="Predicts the gray values a machine-vision camera will capture.", epilog=_EPILOG
     )
     parser.add_argument("--version", action="version", version=f"radwrap {version('radwrap')}")
     verbs: argparse._SubParsersAction[Any] = parser.add_subparsers(title="verbs", required=True, metavar="VERB")
-    for module in (start, render, explain, convert, doctor):
+    for module in (start, render, explain, convert, measure, calibrate, compare, doctor):
         module.add_to(verbs)
     return parser
 

@@ -1,0 +1,189 @@
+"""``radwrap calibrate camera``: focal length, pose and distortion from one view of known points.
+
+POINTS.csv has the header ``x,y,z,u,v`` (in any order, no other column) and one
+line a point: x, y, z in the world, in --length-unit; u, v its image in pixels,
+u to the right, v down. Results are in SI units, angles in degrees; the camera
+frame is x right, y down, z forward, R = Rz Ry Rx, Xu = Xd (1 + kappa1 r^2).
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.calibrate.tsai import SOLVERS, CameraCalibration, as_json, calibrate_camera
+from radwrap.cli import options as shared
+from radwrap.errors import InputError
+from radwrap.manifest import json_text
+from radwrap.units import LENGTH, PIXEL, Dimension, parse_quantity
+
+_COLUMNS: Final = ("x", "y", "z", "u", "v")
+_OF_POINTS: Final = ("points", "image", "the points")  # the places of errors that lie in the file
+
+
+def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
+    """Add the verb."""
+    parser = verbs.add_parser(
+        "camera",
+        help="find focal length, pose and distortion from known points",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("points", metavar="POINTS.csv", help="columns x,y,z,u,v")
+    parser.add_argument("--pixel-width", metavar="LENGTH", required=True, help='such as "13.75 um"')
+    parser.add_argument("--pixel-height", metavar="LENGTH", required=True, help='such as "16 um"')
+    parser.add_argument(
+        "--centre", metavar=("U", "V"), nargs=2, required=True, help="image centre [px]; a start value where free"
+    )
+    parser.add_argument("--length-unit", choices=LENGTH.units, default="m", help="unit of x, y, z (default m)")
+    parser.add_argument("--solver", choices=SOLVERS, default="tsai", help="default tsai")
+    parser.add_argument(
+        "--free",
+        metavar="NAMES",
+        default="focal_length",
+        help='what to find beside the pose, by commas: focal_length, distortion, centre, sx (default focal_length; "" '
+        "for the pose alone)",
+    )
+    parser.add_argument("--focal-length", metavar="LENGTH", help="its value where it is not free")
+    parser.add_argument("--kappa1", metavar="K", type=float, help="distortion where it is not free [1/m^2] (default 0)")
+    parser.add_argument("--sx", metavar="S", type=float, help="horizontal scale where it is not free (default 1)")
+    shared.add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Carry out the verb."""
+    pixel_width = _quantity(arguments.pixel_width, LENGTH, "--pixel-width")
+    pixel_height = _quantity(arguments.pixel_height, LENGTH, "--pixel-height")
+    u, v = (_pixels(text) for text in arguments.centre)
+    focal_length = arguments.focal_length and _quantity(arguments.focal_length, LENGTH, "--focal-length")
+    points, image = read_points(Path(arguments.points), LENGTH.units[arguments.length_unit])
+    try:
+        found = calibrate_camera(
+            points,
+            image,
+            pixel_width=pixel_width,
+            pixel_height=pixel_height,
+            centre=(u, v),
+            solver=arguments.solver,
+            free=[name.strip() for name in arguments.free.split(",")] if arguments.free.strip() else [],
+            focal_length=focal_length,
+            kappa1=arguments.kappa1,
+            sx=arguments.sx,
+        )
+    except InputError as error:
+        where = f"{arguments.points}: {error.where}" if error.where in _OF_POINTS else error.where
+        raise InputError(error.what, where=where, remedy=error.remedy) from error
+    print(json_text(as_json(found)) if arguments.json else "\n".join(_lines(found)) + "\n", end="")
+    return 0
+
+
+def read_points(path: Path, unit: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Read known points and their images.
+
+    Parameters
+    ----------
+    path : Path
+        CSV file with the columns x, y, z, u, v.
+    unit : float
+        Unit of x, y, z [m].
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        Points in the world [m].
+    ndarray, shape (n, 2)
+        Their images u, v [px].
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, a column is missing, unknown or twice, or a line does not hold five finite numbers;
+        the error names the line.
+    """
+    try:
+        lines = path.read_text("utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot be read as text: {error}", where=str(path)) from error
+    if not lines:
+        raise InputError("is empty", where=str(path), remedy="begin with the header x,y,z,u,v")
+    header = [name.strip() for name in next(csv.reader(lines[:1]))]
+    if sorted(header) != sorted(_COLUMNS):
+        raise InputError(
+            f'the header is "{lines[0]}"', where=f"{path}:1", remedy="it must name x,y,z,u,v, each once, and no more"
+        )
+    order = [header.index(name) for name in _COLUMNS]
+    rows = [_row(cells, order, f"{path}:{number}") for number, cells in _cells(lines)]
+    values = np.array(rows, dtype=np.float64).reshape(-1, len(_COLUMNS))
+    return values[:, :3] * unit, values[:, 3:]
+
+
+def _cells(lines: Sequence[str]) -> Iterator[tuple[int, list[str]]]:
+    """Number and cells of each line below the header; empty lines at the end do not count."""
+    last = max(number for number, line in enumerate(lines, 1) if line.strip() or number == 1)
+    for number, line in enumerate(lines[1:last], 2):
+        yield number, next(csv.reader([line]), [])
+
+
+def _row(cells: Sequence[str], order: Sequence[int], where: str) -> list[float]:
+    if len(cells) != len(_COLUMNS):
+        raise InputError(f"holds {len(cells)} values", where=where, remedy="five are due: x,y,z,u,v")
+    return [_number(cells[index], name, where) for index, name in zip(order, _COLUMNS, strict=True)]
+
+
+def _number(text: str, name: str, where: str) -> float:
+    try:
+        value = float(text)
+    except ValueError as error:
+        raise InputError(f'{name} "{text.strip()}" is no number', where=where) from error
+    if not math.isfinite(value):
+        raise InputError(f"{name} {text.strip()} is not finite", where=where, remedy="leave the point out")
+    return value
+
+
+def _quantity(text: str, dimension: Dimension, where: str) -> float:
+    try:
+        return parse_quantity(text, dimension)
+    except InputError as error:
+        raise InputError(str(error), where=where) from error
+
+
+def _pixels(text: str) -> float:
+    """A position on the sensor: bare as in the file's columns u, v, or with its unit as in a scene."""
+    return _quantity(text, PIXEL, "--centre") if "px" in text else _number(text, "position", "--centre")
+
+
+def _lines(found: CameraCalibration) -> Iterator[str]:
+    sigma = found.sigma
+    degrees = [math.degrees(angle) for angle in found.angles]
+    yield f"focal length: {found.focal_length * 1e3:.6g} mm{_error(sigma.focal_length, 1e3, 'mm')}"
+    for axis, value, error in zip("xyz", found.translation, sigma.translation, strict=True):
+        yield f"translation {axis}: {value * 1e3:.6g} mm{_error(error, 1e3, 'mm')}"
+    for axis, value, error_ in zip("xyz", degrees, sigma.rotation or (None,) * 3, strict=True):
+        yield f"rotation {axis}: {value:.6g} deg{_error(error_, math.degrees(1.0), 'deg')}"
+    yield f"kappa1: {found.kappa1:.6g} /m^2{_error(sigma.kappa1, 1.0, '/m^2')}"
+    yield f"sx: {found.sx:.8g}{_error(sigma.sx, 1.0, '')}"
+    for axis, value, error_ in zip("uv", found.centre, sigma.centre or (None, None), strict=True):
+        yield f"centre {axis}: {value:.6g} px{_error(error_, 1.0, 'px')}"
+    yield (
+        f"residuals: {found.rms:.4g} px rms over {found.points} {'coplanar ' if found.coplanar else ''}points, "
+        f"sum of squares {found.sse:.6g} px^2"
+    )
+    yield (
+        f"minimum: gradient norm {found.gradient_norm:.2g} px, condition {found.condition:.3g}, solver {found.solver}"
+    )
+    if (linear := found.linear_stage) is not None:
+        yield f"linear stage alone: focal length {linear.focal_length * 1e3:.6g} mm, {linear.rms:.4g} px rms"
+    for note in found.notes:
+        yield f"note: {note}"
+
+
+def _error(sigma: float | None, factor: float, unit: str) -> str:
+    return " (held)" if sigma is None else f" +- {sigma * factor:.2g} {unit}".rstrip()

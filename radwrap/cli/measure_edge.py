@@ -1,0 +1,135 @@
+"""``radwrap measure edge``: where the one straight edge of an image lies, and how wide it is blurred."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from radwrap.cli import options as shared
+from radwrap.errors import InputError
+from radwrap.images import read_gray
+from radwrap.manifest import SCHEMA_VERSION, finite, json_text
+from radwrap.measure.edges import Edge, measure_edge
+
+
+def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
+    """Add the verb."""
+    parser = verbs.add_parser("edge", help="place, angle and blur of a straight edge", description=__doc__)
+    parser.add_argument("image", metavar="IMAGE", type=Path, help="PNG, TIFF, PGM of 8 or 16 bits, or EXR")
+    parser.add_argument(
+        "--dark", metavar="G", type=float, help="gray level without light (default: the dark side counts as unlit)"
+    )
+    parser.add_argument(
+        "--gamma",
+        metavar="G",
+        default="fitted",
+        help='exponent of the response, a number or "fitted" (default fitted)',
+    )
+    parser.add_argument(
+        "--region",
+        metavar=("U0", "V0", "U1", "V1"),
+        nargs=4,
+        type=int,
+        help="first column and row, last column and row to look at (default: the whole image)",
+    )
+    parser.add_argument(
+        "--pixel-aspect", metavar="A", type=float, default=1.0, help="height of a pixel over its width (default 1)"
+    )
+    parser.add_argument(
+        "--saturation",
+        metavar="G",
+        type=float,
+        help="pixels of this gray level and above are left out (default: full scale)",
+    )
+    shared.add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Carry out the verb."""
+    image = read_gray(arguments.image)
+    try:
+        edge = measure_edge(
+            image,
+            dark=arguments.dark,
+            gamma=_gamma(arguments.gamma),
+            region=tuple(arguments.region) if arguments.region else None,
+            pixel_aspect=arguments.pixel_aspect,
+            saturation=arguments.saturation,
+        )
+    except InputError as error:
+        raise _located(error, arguments.image) from error
+    print(json_text(_json(edge, arguments)) if arguments.json else "\n".join(_lines(edge)) + "\n", end="")
+    return 0
+
+
+def _gamma(text: str) -> float | None:
+    if text == "fitted":
+        return None
+    try:
+        return float(text)
+    except ValueError as error:
+        raise InputError(f'"{text}" is neither a number nor "fitted"', where="--gamma") from error
+
+
+def _located(error: InputError, path: Path) -> InputError:
+    """The file's name, or the option's, where the function speaks of its arguments."""
+    names = {"region": "--region", "gamma": "--gamma", "dark": "--dark", "pixel_aspect": "--pixel-aspect"}
+    where = error.where if error.where.startswith("--") else names.get(error.where, str(path))
+    return InputError(error.what, where=where, remedy=error.remedy)
+
+
+def _json(edge: Edge, arguments: argparse.Namespace) -> dict[str, Any]:
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "image": str(arguments.image),
+        "pixel_convention": "u is the column, v the row; the centre of the first pixel is (0, 0)",
+        "line": "u cos(angle) + v sin(angle) = offset [px], angle in rad",
+        "angle": edge.angle,
+        "sigma_angle": edge.sigma_angle,
+        "angle_deg": math.degrees(edge.angle),
+        "offset": edge.offset,
+        "sigma_offset": edge.sigma_offset,
+        "centre": list(edge.centre),
+        "sigma_position": edge.sigma_position,
+        "bright_side": edge.bright_side,
+        "radius": edge.radius,
+        "sigma_radius": finite(edge.sigma_radius),
+        "transition_width": 2 * edge.radius,
+        "pixel_aspect": arguments.pixel_aspect,
+        "gamma": edge.gamma,
+        "sigma_gamma": edge.sigma_gamma,
+        "gamma_fitted": arguments.gamma == "fitted",
+        "dark": arguments.dark,
+        "low": edge.low,
+        "sigma_low": edge.sigma_low,
+        "high": edge.high,
+        "sigma_high": edge.sigma_high,
+        "covariance": {"of": ["offset", "angle", "radius", "gamma"], "values": edge.covariance.tolist()},
+        "residual_rms": edge.residual_rms,
+        "pixels": edge.pixels,
+        "saturated_pixels": edge.saturated,
+        "strip": {"half_width": edge.half_width, "length": edge.length},
+    }
+
+
+def _lines(edge: Edge) -> Iterator[str]:
+    yield (
+        f"edge: u cos a + v sin a = {edge.offset:.4f} +- {edge.sigma_offset:.4f} px, a = "
+        f"{math.degrees(edge.angle):.4f} +- {math.degrees(edge.sigma_angle):.4f} deg"
+    )
+    u, v = edge.centre
+    yield f"at ({u:.3f}, {v:.3f}), where it is known to {edge.sigma_position:.4f} px"
+    yield f"blur: radius {edge.radius:.4f} +- {edge.sigma_radius:.4f} px, transition {2 * edge.radius:.3f} px"
+    side = "above" if edge.bright_side == "positive" else "below"
+    yield (
+        f"levels: gray {edge.low:.2f} +- {edge.sigma_low:.2f} and {edge.high:.2f} +- {edge.sigma_high:.2f}, bright "
+        f"where u cos a + v sin a is {side} the offset"
+    )
+    fitted = f"fitted +- {edge.sigma_gamma:.4f}" if edge.sigma_gamma > 0 else "given"
+    yield f"gamma: {edge.gamma:.4f} ({fitted})"
+    left = f", {edge.saturated} saturated ones left out" if edge.saturated else ""
+    yield f"residual: {edge.residual_rms:.3g} gray rms over {edge.pixels} pixels{left}"

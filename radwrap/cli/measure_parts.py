@@ -1,0 +1,125 @@
+"""``radwrap measure parts``: count, place, orientation and area of parts on an even background."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from radwrap.cli import options as shared
+from radwrap.errors import InputError
+from radwrap.files import write_bytes
+from radwrap.images import read_gray
+from radwrap.manifest import SCHEMA_VERSION, json_text
+from radwrap.measure.parts import DEFAULT_MIN_AREA, Part, Parts, find_parts, overlay_png
+
+
+def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
+    """Add the verb."""
+    parser = verbs.add_parser("parts", help="count, place, orientation and area of parts", description=__doc__)
+    parser.add_argument("image", metavar="IMAGE", type=Path, help="PNG, TIFF, PGM of 8 or 16 bits, or EXR")
+    parser.add_argument(
+        "--threshold", metavar="G", type=float, help="gray level of the contour (default: half-way, part by part)"
+    )
+    parser.add_argument(
+        "--min-area",
+        metavar="A",
+        type=float,
+        default=DEFAULT_MIN_AREA,
+        help=f"smaller ones are left out [px^2] (default {DEFAULT_MIN_AREA:g})",
+    )
+    parser.add_argument("--dark", metavar="G", type=float, help="gray level without light; needed with --gamma")
+    parser.add_argument(
+        "--gamma", metavar="G", type=float, default=1.0, help="exponent of the sensor's response (default 1)"
+    )
+    parser.add_argument("--overlay", metavar="PNG", type=Path, help="picture of what was found")
+    shared.add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Carry out the verb."""
+    if arguments.overlay and arguments.overlay.suffix.lower() != ".png":
+        raise InputError("is no name of a PNG file", where="--overlay", remedy="end it in .png")
+    image = read_gray(arguments.image)
+    try:
+        found = find_parts(
+            image,
+            threshold=arguments.threshold,
+            min_area=arguments.min_area,
+            dark=arguments.dark,
+            gamma=arguments.gamma,
+        )
+    except InputError as error:
+        raise _located(error, arguments.image) from error
+    if arguments.overlay:
+        write_bytes(arguments.overlay, overlay_png(image, found))
+    print(json_text(_json(found, arguments)) if arguments.json else "\n".join(_lines(found)) + "\n", end="")
+    return 0
+
+
+def _located(error: InputError, path: Path) -> InputError:
+    """The file's name, or the option's, where the function speaks of its arguments."""
+    names = {"threshold": "--threshold", "min_area": "--min-area", "gamma": "--gamma", "dark": "--dark"}
+    where = error.where if error.where.startswith("--") else names.get(error.where, str(path))
+    return InputError(error.what, where=where, remedy=error.remedy)
+
+
+def _json(found: Parts, arguments: argparse.Namespace) -> dict[str, Any]:
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "image": str(arguments.image),
+        "pixel_convention": "u is the column, v the row; the centre of the first pixel is (0, 0)",
+        "angles": "rad, from u towards v, in -pi/2 to pi/2",
+        "contrast": found.kind,
+        "count": len(found.parts),
+        "parts": [_entry(part) for part in found.parts],
+    }
+
+
+def _entry(part: Part) -> dict[str, Any]:
+    u, v, length, width = part.rectangle
+    return {
+        "u": part.u,
+        "sigma_u": part.sigma_u,
+        "v": part.v,
+        "sigma_v": part.sigma_v,
+        "orientation": part.orientation,
+        "orientation_deg": math.degrees(part.orientation),
+        "sigma_orientation": part.sigma_orientation,
+        "orientation_ambiguous": part.orientation_ambiguous,
+        "area": part.area,
+        "sigma_area": part.sigma_area,
+        "major_axis": part.major_axis,
+        "minor_axis": part.minor_axis,
+        "rectangle": {
+            "u": u,
+            "v": v,
+            "length": length,
+            "width": width,
+            "orientation": part.rectangle_orientation,
+            "orientation_deg": math.degrees(part.rectangle_orientation),
+        },
+        "contrast_gray": part.contrast,
+        "noise_gray": part.noise,
+        "blur_radius": part.blur_radius,
+        "touches_border": part.touches_border,
+    }
+
+
+def _lines(found: Parts) -> Iterator[str]:
+    yield f"{len(found.parts)} {found.kind} part{'s' if len(found.parts) > 1 else ''}"
+    for number, part in enumerate(found.parts, start=1):
+        turn = (
+            f"no axis by moments, rectangle at {math.degrees(part.rectangle_orientation):.2f} deg"
+            if part.orientation_ambiguous
+            else f"{math.degrees(part.orientation):.3f} +- {math.degrees(part.sigma_orientation):.3f} deg"
+        )
+        border = "; cut by the image's border" if part.touches_border else ""
+        yield (
+            f"{number}: u {part.u:.4f} +- {part.sigma_u:.4f}, v {part.v:.4f} +- {part.sigma_v:.4f} px; {turn}; "
+            f"area {part.area:.2f} +- {part.sigma_area:.2f} px^2; axes {part.major_axis:.2f} x "
+            f"{part.minor_axis:.2f} px{border}"
+        )

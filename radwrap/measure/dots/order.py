@@ -1,0 +1,261 @@
+"""Second stage: which candidate is which dot of the grid."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.measure.dots.plane import Matrix, Points, fit_homography, is_regular, jacobian, project
+
+# Share of the step to a neighbour by which a candidate may miss its predicted place: half a step would be
+# ambiguous, perspective changes neighbouring steps by less than a tenth.
+REACH: Final = 0.3
+# The same once a homography is fitted to all.
+FITTED_REACH: Final = 0.22
+SEEDS: Final = 8
+BASES: Final = 3
+NEIGHBOURS: Final = 10
+# Two steps that are nearly parallel span no lattice; tilt to 60 degrees leaves at least 37 degrees between them.
+LEAST_SINE: Final = 0.35
+ROUNDS: Final = 4
+# Share of the first dot's inverse distance.
+NEAR_HORIZON: Final = 1e-3
+
+Index = tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lattice:
+    """Candidates with their place in the grid.
+
+    Attributes
+    ----------
+    board : ndarray, shape (n, 2)
+        (column, row) of the candidates inside the grid [pitch].
+    image : ndarray, shape (n, 2)
+        Their (u, v) [px].
+    beyond : ndarray, shape (m, 2)
+        (column, row) of candidates that continue the lattice outside the
+        grid [pitch].
+    homography : ndarray, shape (3, 3)
+        Board to image.
+    """
+
+    board: Points
+    image: Points
+    beyond: Points
+    homography: Matrix
+
+    @property
+    def found(self) -> int:
+        """Number of dots inside the grid."""
+        return len(self.board)
+
+
+def order(points: Points, rows: int, columns: int) -> Lattice | None:
+    """Fit the grid to candidates.
+
+    Row 0 is the top row and column 0 the left column of the board as seen
+    with the smallest rotation, which is the rotation in the polar
+    decomposition of d(u, v)/d(column, row) at the grid's centre.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 2)
+        Candidates (u, v) [px], strongest first.
+    rows, columns : int
+        The grid.
+
+    Returns
+    -------
+    Lattice or None
+        The best one; None where candidates form none.
+    """
+    from scipy.spatial import cKDTree
+
+    if len(points) < 4:
+        return None
+    tree = cKDTree(points)
+    best: Lattice | None = None
+    # From the middle of the strongest outwards: a dot in the middle has eight neighbours to show the steps.
+    likely = points[: rows * columns]
+    seeds = np.argsort(np.sum((likely - np.median(likely, axis=0)) ** 2, axis=1), kind="stable")[:SEEDS]
+    for seed in seeds:
+        for first, second in _bases(points, tree, int(seed)):
+            nodes = _completed(points, tree, _grown(points, tree, int(seed), first, second))
+            lattice = _placed(points, nodes, rows, columns) if len(nodes) >= 4 else None
+            if lattice is not None and (best is None or _rank(lattice) > _rank(best)):
+                best = lattice
+            if best is not None and best.found == rows * columns:
+                return best
+    return best
+
+
+def _rank(lattice: Lattice) -> tuple[int, int]:
+    return lattice.found, len(lattice.beyond)
+
+
+def _bases(points: Points, tree: Any, seed: int) -> list[tuple[Points, Points]]:
+    """Pairs of steps from a candidate that most of its surroundings obey."""
+    distances, near = tree.query(points[seed], k=min(NEIGHBOURS + 1, len(points)))
+    steps = points[near[1:]] - points[seed]
+    around = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
+    ranked = []
+    for a, b in itertools.combinations(range(len(steps)), 2):
+        first, second = steps[a], steps[b]
+        area = abs(first[0] * second[1] - first[1] * second[0])
+        if area < LEAST_SINE * distances[a + 1] * distances[b + 1]:
+            continue
+        expected = points[seed] + np.array([i * first + j * second for i, j in around])
+        miss, _ = tree.query(expected)
+        obeyed = int(np.sum(miss < REACH * min(distances[a + 1], distances[b + 1])))
+        ranked.append((-obeyed, area, a, b))
+    # Of equally obeyed pairs the smallest cell: larger ones skip dots.
+    ranked.sort()
+    return [(steps[a], steps[b]) for _, _, a, b in ranked[:BASES]]
+
+
+def _grown(points: Points, tree: Any, seed: int, first: Points, second: Points) -> dict[Index, int]:
+    """Walk from dot to dot; each step is predicted from the last one in its direction."""
+    nodes: dict[Index, int] = {(0, 0): seed}
+    taken = {seed}
+    steps: dict[Index, tuple[Points, Points]] = {(0, 0): (first, second)}
+    waiting = [(0, 0)]
+    while waiting:
+        here = waiting.pop(0)
+        place, (along, across) = points[nodes[here]], steps[here]
+        for axis, way in ((0, 1), (0, -1), (1, 1), (1, -1)):
+            there = (here[0] + way, here[1]) if axis == 0 else (here[0], here[1] + way)
+            if there in nodes:
+                continue
+            step = along if axis == 0 else across
+            miss, candidate = tree.query(place + way * step)
+            if miss > REACH * min(math.hypot(*along), math.hypot(*across)) or int(candidate) in taken:
+                continue
+            taken.add(int(candidate))
+            nodes[there] = int(candidate)
+            seen = way * (points[candidate] - place)
+            # Half the news: one misplaced candidate must not bend the walk.
+            steps[there] = ((along + seen) / 2, across) if axis == 0 else (along, (across + seen) / 2)
+            waiting.append(there)
+    return nodes
+
+
+def _completed(points: Points, tree: Any, nodes: dict[Index, int]) -> dict[Index, int]:
+    """Fit a homography, drop what does not obey it, add what does."""
+    for _ in range(ROUNDS):
+        if len(nodes) < 4:
+            return nodes
+        indices = np.array(list(nodes), dtype=np.float64)
+        if np.linalg.matrix_rank(indices - indices.mean(axis=0)) < 2:
+            return {}
+        matrix = fit_homography(indices, points[list(nodes.values())])
+        # No dot may lie near the horizon, where steps grow beyond all bounds.
+        if not np.isfinite(matrix).all() or (indices @ matrix[2, :2] + 1 < NEAR_HORIZON).any():
+            return {}
+        low, high = indices.min(axis=0) - 1, indices.max(axis=0) + 1
+        box = np.array(
+            list(itertools.product(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))), dtype=np.float64
+        )
+        box = box[box @ matrix[2, :2] + 1 >= NEAR_HORIZON]
+        if len(box) == 0:
+            return {}
+        pitch = np.linalg.norm(jacobian(matrix, box), axis=1).min(axis=1)
+        miss, candidates = tree.query(project(matrix, box))
+        again: dict[Index, int] = {}
+        for place in np.argsort(miss):
+            if miss[place] > FITTED_REACH * pitch[place]:
+                continue
+            if int(candidates[place]) not in again.values():
+                again[int(box[place][0]), int(box[place][1])] = int(candidates[place])
+        again = _connected(again)
+        if again.keys() == nodes.keys():
+            return again
+        nodes = again
+    return nodes
+
+
+def _connected(nodes: dict[Index, int]) -> dict[Index, int]:
+    """The largest part that hangs together: a stray candidate beyond a gap is none of the grid's."""
+    left, largest = set(nodes), set[Index]()
+    while left:
+        part, waiting = set[Index](), [left.pop()]
+        while waiting:
+            i, j = waiting.pop()
+            part.add((i, j))
+            for near in itertools.product((i - 1, i, i + 1), (j - 1, j, j + 1)):
+                if near in left:
+                    left.remove(near)
+                    waiting.append(near)
+        largest = max(largest, part, key=len)
+    return {index: nodes[index] for index in nodes if index in largest}
+
+
+def _bases_of_the_plane() -> tuple[NDArray[np.int64], ...]:
+    """Changes of the lattice's basis: the steps that the walk took may be diagonals of the grid."""
+    entries = range(-2, 3)
+    matrices = (np.array([[a, b], [c, d]]) for a, b, c, d in itertools.product(entries, repeat=4) if a * d - b * c == 1)
+    # Turns by 90 degrees are the same basis: keep those whose first row lies in one quarter.
+    return tuple(matrix for matrix in matrices if matrix[0, 0] > 0 and matrix[0, 1] >= 0)
+
+
+_PLANE_BASES: Final = _bases_of_the_plane()
+
+
+def _placed(points: Points, nodes: dict[Index, int], rows: int, columns: int) -> Lattice | None:
+    """Turn lattice indices into rows and columns: the change of basis that fills the grid best."""
+    indices = np.array(list(nodes), dtype=np.int64)
+    image = points[list(nodes.values())]
+    best: tuple[int, NDArray[np.int64]] | None = None
+    for basis in _PLANE_BASES:
+        changed = indices @ basis.T
+        for wide, high in {(columns, rows), (rows, columns)}:
+            corner, inside = _fullest(changed, wide, high)
+            # What lies outside counts against: the right basis of a clean picture leaves nothing there.
+            value = 2 * inside - len(nodes)
+            if best is None or value > best[0]:
+                best = value, changed - corner
+    return None if best is None else _turned(best[1], image, rows, columns)
+
+
+def _fullest(indices: NDArray[np.int64], wide: int, high: int) -> tuple[NDArray[np.int64], int]:
+    """Corner of the window of wide x high that holds most indices, and how many."""
+    low = indices.min(axis=0)
+    shape = indices.max(axis=0) - low + 1
+    filled = np.zeros((int(shape[0]) + 2 * wide, int(shape[1]) + 2 * high), dtype=np.int64)
+    filled[tuple((indices - low + (wide, high)).T)] = 1
+    total = np.pad(filled.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
+    counts = total[wide:, high:] - total[:-wide, high:] - total[wide:, :-high] + total[:-wide, :-high]
+    i, j = np.unravel_index(int(np.argmax(counts)), counts.shape)
+    return low + np.array([int(i) - wide, int(j) - high]), int(counts[i, j])
+
+
+def _turned(indices: NDArray[np.int64], image: Points, rows: int, columns: int) -> Lattice | None:
+    """Of the turns that fit the grid, the one with the smallest rotation."""
+    best: tuple[float, Lattice] | None = None
+    for swap, flip_first, flip_second in itertools.product((False, True), repeat=3):
+        size = (rows, columns) if swap else (columns, rows)
+        turned = indices.copy()
+        for axis, flip in enumerate((flip_first, flip_second)):
+            if flip:
+                turned[:, axis] = size[axis] - 1 - turned[:, axis]
+        if swap:
+            turned = turned[:, ::-1]
+        inside = ((turned >= 0) & (turned < (columns, rows))).all(axis=1)
+        board = turned[inside].astype(np.float64)
+        if inside.sum() < 4 or np.linalg.matrix_rank(board - board.mean(axis=0)) < 2:
+            continue
+        matrix = fit_homography(board, image[inside])
+        if not is_regular(matrix, board):
+            continue
+        (((a, b), (c, d)),) = jacobian(matrix, np.array([[(columns - 1) / 2, (rows - 1) / 2]]))
+        rotation = abs(math.atan2(c - b, a + d))
+        lattice = Lattice(board, image[inside], turned[~inside].astype(np.float64), matrix)
+        if best is None or (lattice.found, -rotation) > (best[1].found, -best[0]):
+            best = rotation, lattice
+    return None if best is None else best[1]

@@ -1,0 +1,294 @@
+"""Fourth stage: the grid in the picture, and that every place of it holds a dot and none beyond does."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.images import GrayImage
+from radwrap.measure.dots.centres import Centre, centre
+from radwrap.measure.dots.contrast import likelier_contrast
+from radwrap.measure.dots.detect import blobs
+from radwrap.measure.dots.order import Lattice, order
+from radwrap.measure.dots.plane import Matrix, fit_homography, is_regular, jacobian, project
+from radwrap.measure.dots.result import REMEDY, DotsNotFound, missing, too_many
+from radwrap.measure.dots.split import refined
+from radwrap.measure.dots.survey import Grid, Survey, board_of, patch_means, survey, windows
+
+Field = NDArray[np.float64]
+
+# Scales and contrasts that are tried, the likeliest first.
+TRIALS: Final = 12
+# Share of the dots that must be seen at once before the grid is trusted to tell where the others are.
+ENOUGH: Final = 0.6
+# Scales that answer less than this share of the strongest show other things than the dots.
+WEAKER: Final = 0.3
+HYPOTHESES: Final = 3
+# Share of neighbours in a row that may be no brighter than what lies between them: noise, missing dots.
+MOST_BRIGHTER: Final = 0.25
+UNSEEN_PATCH: Final = 0.08  # [pitch]
+ROUNDS: Final = 4
+# The grid is settled once no dot's place moves by more [px].
+SETTLED: Final = 0.03
+STEPS: Final = 2
+# A dot's centre lies where the grid says to this [pitch]: lens distortion moves neighbours together, not one alone.
+LARGEST_MISS: Final = 0.2
+# A dot has at least this share of the level of the board's bright dots, and this many times the noise.
+FAINTEST: Final = 0.03
+LEAST_SIGNAL: Final = 4.0
+# Its image has the area that its neighbours' have, to these factors.
+SMALLEST_AREA: Final = 0.35
+LARGEST_AREA: Final = 2.8
+# Places just outside the grid: dots there have this share of the level of their neighbours in the grid; a row of
+# dots is one where half of the places in view have one.
+LEVEL_BEYOND: Final = 0.3
+SHARE_BEYOND: Final = 0.5
+
+
+def grid_in(
+    image: GrayImage, shape: tuple[int, int], noise: float, radius: float | None, saturation: float
+) -> tuple[Grid, Survey]:
+    """Find the grid and see that every dot is there.
+
+    Parameters
+    ----------
+    image : GrayImage
+        The picture.
+    shape : tuple of int
+        Rows and columns of dots.
+    noise : float
+        Standard deviation of a pixel [gray].
+    radius : float or None
+        Of the dots, where it is known [pitch].
+    saturation : float
+        Gray level from which on the sensor saturates.
+
+    Returns
+    -------
+    Grid, Survey
+
+    Raises
+    ------
+    DotsNotFound
+        If dots are missing, or go on beyond the grid.
+    """
+    number = shape[0] * shape[1]
+    lattices = _lattices(image, shape)
+    if not lattices:
+        nothing = np.empty((0, 2))
+        raise DotsNotFound(f"found 0 of {number} dots", nothing, nothing, remedy=REMEDY)
+    sign = likelier_contrast(image.values, {one: tried[0] for one, tried in lattices.items()})
+    failed: DotsNotFound | None = None
+    for lattice in lattices[sign]:
+        try:
+            grid, found = _settled(
+                _grid(image, sign, shape, lattice, noise=noise, radius=radius, saturation=saturation), noise
+            )
+        except DotsNotFound as error:
+            # The likeliest lattice tells the user most.
+            failed = error if failed is None or len(failed.found) == 0 else failed
+            continue
+        # Outside the loop's error: a grid that is whole and goes on is no matter of scale.
+        _check_beyond(grid, found, noise)
+        return grid, found
+    best = lattices[sign][0]
+    if failed is None or (best.found == number and len(best.beyond) >= min(shape)):
+        raise too_many(shape, "around", best.image) from failed
+    raise failed
+
+
+def _lattices(image: GrayImage, shape: tuple[int, int]) -> dict[int, list[Lattice]]:
+    """Lattices of each contrast, of several scales, the likeliest first.
+
+    At too fine a scale long dots count twice and fill a larger grid, at too
+    coarse a one some are lost.
+    """
+    rows, columns = shape
+    number = rows * columns
+    found: dict[int, list[tuple[float, Lattice]]] = {}
+    for trial in blobs(image.values, number)[:TRIALS]:
+        tried = found.setdefault(trial.sign, [])
+        answer = trial.answer(number)
+        if tried and answer < WEAKER * tried[0][0]:
+            continue
+        if any(lattice.found == number and len(lattice.beyond) == 0 for _, lattice in tried):
+            continue
+        lattice = order(trial.points, rows, columns)
+        if lattice is not None:
+            tried.append((answer, lattice))
+    return {
+        sign: [lattice for _, lattice in sorted(tried, key=lambda one: (-_neatness(one[1]), -one[0]))[:HYPOTHESES]]
+        for sign, tried in found.items()
+        if tried
+    }
+
+
+def _neatness(lattice: Lattice) -> float:
+    """Dots in the grid, less half of those beyond it."""
+    return lattice.found - len(lattice.beyond) / 2
+
+
+def _grid(
+    image: GrayImage,
+    sign: int,
+    shape: tuple[int, int],
+    lattice: Lattice,
+    *,
+    noise: float,
+    radius: float | None,
+    saturation: float,
+) -> Grid:
+    """Take a lattice for the grid, where it shows enough of it."""
+    number = shape[0] * shape[1]
+    board = board_of(shape)
+    if lattice.found < max(ENOUGH * number, 4) or not is_regular(lattice.homography, board):
+        raise DotsNotFound(f"found {lattice.found} of {number} dots", lattice.image, np.empty((0, 2)), remedy=REMEDY)
+    values = image.values * sign
+    matrix = _unseen(values, shape, lattice, noise) if lattice.found < number else lattice.homography
+    return Grid(values, sign, shape, matrix, project(matrix, board), radius, None, saturation)
+
+
+def _unseen(values: Field, shape: tuple[int, int], lattice: Lattice, noise: float) -> Matrix:
+    """Where the dots are that no candidate stands for: the homography, after a test of the picture itself.
+
+    Where a whole row has no candidates, it may lie at either end of the rest.
+    """
+    board = board_of(shape)
+    best: tuple[NDArray[np.bool_], Matrix] | None = None
+    for shift in ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0)):
+        shifted = lattice.board + shift
+        if (shifted < 0).any() or (shifted > board[-1]).any():
+            continue
+        matrix = fit_homography(shifted, lattice.image)
+        if not is_regular(matrix, board):
+            continue
+        there = np.zeros(len(board), dtype=bool)
+        there[(shifted[:, 1] * shape[1] + shifted[:, 0]).astype(int)] = True
+        core = patch_means(values, matrix, board, UNSEEN_PATCH)
+        corners = patch_means(values, matrix, board[:, None, :] + _CORNERS, UNSEEN_PATCH)
+        with np.errstate(invalid="ignore"):
+            level = core - corners.mean(axis=1)
+            there |= level > max(FAINTEST * float(np.nanmedian(level[there])), noise)
+        if best is None or there.sum() > best[0].sum():
+            best = there, matrix
+    if best is None or not best[0].all():
+        there, matrix = (np.zeros(len(board), dtype=bool), lattice.homography) if best is None else best
+        raise missing(project(matrix, board), shape, there)
+    return best[1]
+
+
+def _settled(grid: Grid, noise: float) -> tuple[Grid, Survey]:
+    """Measure all dots where the grid says they are, fit the grid to them, and again."""
+    _check_between(grid)
+    found: Survey | None = None
+    for _ in range(ROUNDS):
+        found = survey(grid, noise, found.model if found else None)
+        before = project(grid.homography, grid.board)
+        parted = found.model is not None and bool(found.touching.any())
+        if parted:
+            grid, found = _parted(grid, found)
+        centres = [None if view is None else centre(view, "gray_threshold", noise) for view in windows(grid, found)]
+        good = present(grid, found, centres, noise)
+        if good.sum() < max(ENOUGH * len(good), 4):
+            raise missing(project(grid.homography, grid.board), grid.shape, good)
+        if not parted:
+            measured = np.array([(math.nan, math.nan) if one is None else one.place for one in centres])
+            homography = fit_homography(grid.board[good], measured[good])
+            # A lens bends the grid: a dot's window follows the dot.
+            places = np.where(good[:, None], measured, project(homography, grid.board))
+            grid = replace(grid, homography=homography, places=places)
+        if not is_regular(grid.homography, grid.board):
+            raise missing(project(grid.homography, grid.board), grid.shape, good)
+        if np.abs(project(grid.homography, grid.board) - before).max() < SETTLED:
+            break
+    found = survey(grid, noise, found.model if found else None)
+    if found.model is not None and found.touching.any():
+        grid, found = _parted(grid, found)
+    _check_border(grid, found.radius)
+    return grid, found
+
+
+def _check_between(grid: Grid) -> None:
+    """Refuse a lattice that counts each long dot twice: half way between its halves it is brightest."""
+    board, number = grid.board, np.arange(grid.shape[0] * grid.shape[1]).reshape(grid.shape)
+    dots = patch_means(grid.values, grid.homography, board, UNSEEN_PATCH / 2)
+    for here, there in ((number[:, :-1], number[:, 1:]), (number[:-1], number[1:])):
+        first, second = here.ravel(), there.ravel()
+        middle = patch_means(grid.values, grid.homography, (board[first] + board[second]) / 2, UNSEEN_PATCH / 2)
+        with np.errstate(invalid="ignore"):
+            brighter = middle >= (dots[first] + dots[second]) / 2
+        if brighter.mean() > MOST_BRIGHTER:
+            nothing = np.empty((0, 2))
+            raise DotsNotFound(f"found 0 of {number.size} dots", nothing, nothing, remedy=REMEDY)
+
+
+def _parted(grid: Grid, found: Survey) -> tuple[Grid, Survey]:
+    """Let the model of the board's light say where dots are that run together."""
+    model, homography = found.model, grid.homography
+    slopes = np.zeros_like(grid.places) if found.slopes is None else found.slopes
+    for _ in range(STEPS):
+        if model is not None and is_regular(homography, grid.board):
+            homography, model = refined(grid.values, homography, grid.board, slopes, model)
+    grid = replace(grid, homography=homography, places=project(homography, grid.board))
+    levels = found.levels if model is None else np.where(found.touching, model.levels, found.levels)
+    return grid, replace(found, model=model, levels=levels)
+
+
+def present(grid: Grid, found: Survey, centres: list[Centre | None], noise: float) -> NDArray[np.bool_]:
+    """Which places of the grid hold a dot."""
+    strong = float(np.quantile(found.levels, 0.9))
+    expected = project(grid.homography, grid.board)
+    areas = np.array([0.0 if one is None else one.area for one in centres])
+    cells = np.abs(np.linalg.det(found.affine))
+    usual = float(np.median(areas / cells))
+    good = found.levels > np.maximum(
+        LEAST_SIGNAL * noise / np.sqrt(0.2 * found.radius**2 * cells + 1), FAINTEST * strong
+    )
+    for dot, one in enumerate(centres):
+        if one is None:
+            good[dot] = False
+            continue
+        miss = np.linalg.solve(found.affine[dot], one.place - expected[dot])
+        share = areas[dot] / cells[dot] / usual if usual > 0 else 0.0
+        good[dot] &= bool(np.hypot(*miss) < LARGEST_MISS and SMALLEST_AREA < share < LARGEST_AREA)
+    return np.asarray(good)
+
+
+def _check_border(grid: Grid, radius: float) -> None:
+    """A dot that the picture's border cuts has no centre to measure."""
+    extent = radius * np.linalg.norm(jacobian(grid.homography, grid.board), axis=2)
+    size = np.array(grid.values.shape[::-1])
+    whole = ((grid.places - extent > -1.0) & (grid.places + extent < size)).all(axis=1)
+    if not whole.all():
+        raise missing(grid.places, grid.shape, whole, " (cut by the picture's border)")
+
+
+_CORNERS: Final = np.array([(-0.5, -0.5), (0.5, -0.5), (-0.5, 0.5), (0.5, 0.5)])
+
+
+def _check_beyond(grid: Grid, found: Survey, noise: float) -> None:
+    """A row of dots just outside the grid means that another grid was asked for."""
+    rows, columns = grid.shape
+    levels = found.levels.reshape(rows, columns)
+    sides = {
+        "above": ([(c, -1.0) for c in range(columns)], levels[0]),
+        "below": ([(c, float(rows)) for c in range(columns)], levels[-1]),
+        "left of": ([(-1.0, r) for r in range(rows)], levels[:, 0]),
+        "right of": ([(float(columns), r) for r in range(rows)], levels[:, -1]),
+    }
+    for side, (places, neighbours) in sides.items():
+        points = np.array(places, dtype=np.float64)
+        if not is_regular(grid.homography, points):
+            continue
+        core = patch_means(grid.values, grid.homography, points, 0.4 * found.radius)
+        corners = patch_means(grid.values, grid.homography, points[:, None, :] + _CORNERS, 0.05)
+        # Above the brightest corner: a board's edge is bright on one side only. NaN, out of view, is no dot.
+        with np.errstate(invalid="ignore"):
+            dots = core - corners.max(axis=1) > np.maximum(LEVEL_BEYOND * neighbours, 6 * noise)
+        seen = np.isfinite(core) & np.isfinite(corners).all(axis=1)
+        if seen.sum() >= 2 and dots[seen].mean() >= SHARE_BEYOND:
+            raise too_many(grid.shape, side, np.concatenate([grid.places, project(grid.homography, points[dots])]))

@@ -1,0 +1,465 @@
+"""One least-squares fit of place, blur, levels and gamma of a straight edge, with its covariance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.errors import InputError
+from radwrap.images import GrayImage
+from radwrap.measure.background import QUANTISATION
+from radwrap.measure.edges.profile import pixel_edge
+from radwrap.measure.edges.search import Line, find_line, normal_angle
+
+Array = NDArray[np.float64]
+Region = tuple[int, int, int, int]
+
+SMALLEST_SIDE: Final = 12  # px; less holds no edge with both of its levels
+LEVEL_PIXELS: Final = 3  # beyond the blur, on each side, in every row: level, slope and curvature hang on them
+LARGEST_SATURATED: Final = 0.05  # share of the strip; beyond it the bright level is not known
+LARGEST_RESIDUAL: Final = 0.15  # of the contrast; a straight edge between smooth sides leaves less
+LARGEST_GAMMA_ERROR: Final = 0.3  # a gamma known worse than that tells nothing, and spoils the position
+NARROWEST: Final = 1e-3  # px; blur below this is the sharp step
+KNOT_SPACING: Final = 40.0  # px along the edge; follows light whose width (sigma) is 20 px or more
+LIT_FLOOR: Final = 1e-5  # of the bright side; below it H^gamma is a chord through 0, so that its slope stays finite
+UNLIT: Final = 0.005  # of the contrast; a dark side this near to dark counts as unlit: H^gamma has no slope at 0
+GAMMA_RANGE: Final = (0.1, 5.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Edge:
+    """A straight edge u cos(angle) + v sin(angle) = offset; u is the column, v the row, as in truth.json.
+
+    Attributes
+    ----------
+    angle, offset : float
+        Of the edge's normal, in -pi/2 to pi/2 [rad]; distance from the first pixel's centre [px].
+    sigma_angle, sigma_offset : float
+        Standard errors [rad], [px]; the offset's holds the lever arm of the angle.
+    centre : tuple of float
+        Where the edge is, (u, v) [px]: the middle of its visible part.
+    sigma_position : float
+        Standard error across the edge at the centre [px].
+    radius, sigma_radius : float
+        Radius of the disc of blur, in pixel widths [px].
+    gamma, sigma_gamma : float
+        Exponent of the sensor's response; error 0 where it was given.
+    low, high, sigma_low, sigma_high : float
+        Gray level of the dark and the bright side at the centre (I_min, I_max).
+    bright_side : str
+        "positive" where u cos + v sin > offset is bright, else "negative".
+    covariance : ndarray, shape (4, 4)
+        Of offset [px], angle [rad], radius [px], gamma.
+    residual_rms : float
+        What the fit leaves [gray].
+    pixels, saturated : int
+        Pixels that were fitted, and pixels left out as saturated.
+    half_width, length : float
+        Of the strip that was fitted, across (one side) and along the edge [px].
+    """
+
+    angle: float
+    offset: float
+    sigma_angle: float
+    sigma_offset: float
+    centre: tuple[float, float]
+    sigma_position: float
+    radius: float
+    sigma_radius: float
+    gamma: float
+    sigma_gamma: float
+    low: float
+    high: float
+    sigma_low: float
+    sigma_high: float
+    bright_side: Literal["positive", "negative"]
+    covariance: Array
+    residual_rms: float
+    pixels: int
+    saturated: int
+    half_width: float
+    length: float
+
+
+def measure_edge(
+    image: GrayImage,
+    *,
+    dark: float | None = None,
+    gamma: float | None = None,
+    region: Region | None = None,
+    pixel_aspect: float = 1.0,
+    saturation: float | None = None,
+) -> Edge:
+    """Position, angle, blur, levels and gamma of the one straight edge of an image, by one least-squares fit.
+
+    Parameters
+    ----------
+    image : GrayImage
+        Gray levels.
+    dark : float, optional
+        Gray level without light, G0 of Eq. 5. Without it the dark side counts as unlit, as in Eq. 9, which
+        is right for gamma 1 and for a black dark side.
+    gamma : float, optional
+        Exponent of the sensor's response; without it, it is fitted too.
+    region : tuple of int, optional
+        (u0, v0, u1, v1): first and last column and row to look at, all included.
+    pixel_aspect : float
+        Height of a pixel over its width. The disc of blur is round on the sensor: of pixels that are not
+        square it needs to know. Lengths across the edge that are called radius are in pixel widths.
+    saturation : float, optional
+        Gray level from which pixels are left out; default the largest of the image's bit depth.
+
+    Returns
+    -------
+    Edge
+        With standard errors from the Jacobian and the residual. They count noise as independent from pixel
+        to pixel; rounding of an edge along rows or columns in even light is not.
+
+    Raises
+    ------
+    InputError
+        If the image is too small, blank, saturated, without an edge, with more than one, or if the edge
+        tells nothing about gamma.
+    """
+    _check_options(dark, gamma, pixel_aspect)
+    values, corner = _cut(image, region)
+    limit = float(2**image.bit_depth - 1) if saturation is None else saturation
+    usable = values < limit
+    low, high = float(values.min()), float(values.max())
+    if not usable.any():
+        raise InputError("is saturated all over", where="the image", remedy="shorten the exposure")
+    if low == high:
+        raise InputError(f"is blank: gray {low:g} all over", where="the image", remedy="aim at an edge")
+    start = find_line(values)
+    seen = _Pixels.of(values, usable)
+    found = start
+    for tolerance in (1e-4, 1e-10, 1e-10, 1e-10):  # the strip follows the blur; it stands after two or three rounds
+        strip = _strip(seen, found, values.shape)
+        last = found
+        found, edge = _fit(strip, found, dark, gamma, aspect=pixel_aspect, tolerance=tolerance)
+        if abs(found.half_width - last.half_width) < 1.0 and abs(found.shift_from(last)) < 0.05:
+            break
+    return _moved(edge, corner)
+
+
+def _check_options(dark: float | None, gamma: float | None, pixel_aspect: float) -> None:
+    if gamma is not None and not GAMMA_RANGE[0] <= gamma <= GAMMA_RANGE[1]:
+        raise InputError(f"must lie between {GAMMA_RANGE[0]:g} and {GAMMA_RANGE[1]:g}", where="gamma")
+    if dark is not None and not math.isfinite(dark):
+        raise InputError("is not a finite number", where="dark")
+    if not 0.01 <= pixel_aspect <= 100:
+        raise InputError("must lie between 0.01 and 100", where="pixel_aspect", remedy="give height over width")
+
+
+def _cut(image: GrayImage, region: Region | None) -> tuple[Array, tuple[int, int]]:
+    rows, columns = image.values.shape
+    u0, v0, u1, v1 = region or (0, 0, columns - 1, rows - 1)
+    if not (0 <= u0 <= u1 < columns and 0 <= v0 <= v1 < rows):
+        raise InputError(
+            f"{u0} {v0} {u1} {v1} does not lie in an image of {columns} x {rows} pixels",
+            where="region",
+            remedy="give first column, first row, last column, last row, counted from 0",
+        )
+    if min(u1 - u0, v1 - v0) + 1 < SMALLEST_SIDE:
+        raise InputError(
+            f"holds {u1 - u0 + 1} x {v1 - v0 + 1} pixels, an edge needs {SMALLEST_SIDE} x {SMALLEST_SIDE}",
+            where="the image" if region is None else "region",
+        )
+    return image.values[v0 : v1 + 1, u0 : u1 + 1], (u0, v0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pixels:
+    """Pixels as lists: column, row, gray; and which are not saturated."""
+
+    u: Array
+    v: Array
+    gray: Array
+    usable: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, values: Array, usable: NDArray[np.bool_]) -> _Pixels:
+        v, u = np.indices(values.shape, dtype=np.float64)
+        return cls(u.ravel(), v.ravel(), values.ravel(), usable.ravel())
+
+
+def _strip(seen: _Pixels, line: Line, shape: tuple[int, int]) -> _Pixels:
+    """Pixels near the edge that see it; ends inside the image are kept clear of what ends there."""
+    d, s = line.across(seen.u, seen.v), line.along(seen.u, seen.v)
+    inside = np.abs(d) <= line.half_width
+    first, last = line.ends
+    clear = line.radius + 3.0
+    reach_u = [line.centre[0] - end * math.sin(line.angle) for end in (first, last)]
+    reach_v = [line.centre[1] + end * math.cos(line.angle) for end in (first, last)]
+    margins = [
+        min(u, v, shape[1] - 1 - u, shape[0] - 1 - v) > line.half_width for u, v in zip(reach_u, reach_v, strict=True)
+    ]
+    first = first + clear if margins[0] else -math.inf
+    last = last - clear if margins[1] else math.inf
+    inside &= (s >= first) & (s <= last)
+    here = inside & seen.usable
+    length = float(np.ptp(s[here])) if here.any() else 0.0
+    sides = min((d[inside] > line.radius).sum(), (d[inside] < -line.radius).sum())
+    if length < SMALLEST_SIDE / 2 or sides < LEVEL_PIXELS * length:
+        raise InputError(
+            "shows no whole edge: too few pixels on one of its sides",
+            where="the image",
+            remedy="bring the edge and both of its sides into the image or region",
+        )
+    return _Pixels(seen.u[inside], seen.v[inside], seen.gray[inside], seen.usable[inside])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Model:
+    """G = P + C h^gamma, with P and h linear in the levels; d and s are scaled by the strip's size.
+
+    Shape parameters are: shift across [px], turn [rad], radius [px], gamma. Behind them come the levels of the
+    dark side, then of the bright one. Without a dark gray the dark levels are P itself; with it P is the dark
+    gray and the dark levels belong to h.
+    """
+
+    strip: _Pixels
+    line: Line
+    aspect: float
+    dark: float | None
+    contrast: float
+    along: Array  # (pixels, splines)
+    base: Array  # (pixels, dark levels)
+
+    def surfaces(self, shape: Array) -> tuple[Array, Array]:
+        """Columns of the dark and the bright levels."""
+        angle = self.line.angle + shape[1]
+        cos, sin = math.cos(angle), math.sin(angle)
+        # Across the edge in pixel widths: the normal in the image, where rows are `aspect` apart.
+        scale = 1 / math.hypot(cos, sin / self.aspect)
+        d = (self.strip.u - self.line.centre[0]) * cos + (self.strip.v - self.line.centre[1]) * sin - shape[0]
+        means = pixel_edge(d * scale, shape[2], abs(cos) * scale, abs(sin) * scale, 3)
+        width = self.line.half_width
+        bright = [(self.along * (mean * (n + 1) / width**n)[:, None]) for n, mean in enumerate(means)]
+        return self.base, np.concatenate(bright, axis=1)
+
+    def gray(self, parameters: Array, columns: tuple[Array, Array] | None = None) -> tuple[Array, Array, Array]:
+        """Gray levels, light h, and dG/dh."""
+        dark, bright = columns or self.surfaces(parameters[:4])
+        split = 4 + dark.shape[1]
+        pedestal, light = dark @ parameters[4:split], bright @ parameters[split:]
+        if self.dark is not None:
+            pedestal, light = np.full_like(light, self.dark), light + pedestal
+        gamma = parameters[3]
+        lit = np.maximum(light, LIT_FLOOR)
+        chord = self.contrast * lit ** (gamma - 1)
+        return pedestal + chord * light, light, chord * np.where(light > LIT_FLOOR, gamma, 1.0)
+
+    def residual(self, parameters: Array) -> Array:
+        left: Array = self.gray(parameters)[0] - self.strip.gray
+        return left[self.strip.usable]
+
+    def jacobian(self, parameters: Array) -> Array:
+        """Levels and gamma in closed form; shift, turn and radius by differences."""
+        columns = self.surfaces(parameters[:4])
+        here, light, slope = self.gray(parameters, columns)
+        gamma = parameters[3]
+        parts = []
+        for i, step in enumerate((1e-5, 1e-7, 1e-5 * parameters[2])):
+            move = np.zeros_like(parameters)
+            move[i] = step
+            parts.append((self.gray(parameters + move)[0] - here) / step)
+        lit = np.maximum(light, LIT_FLOOR)
+        by_gamma = self.contrast * lit ** (gamma - 1) * light * np.log(lit)
+        dark = columns[0] if self.dark is None else columns[0] * slope[:, None]
+        whole = np.column_stack([*parts, by_gamma, dark, columns[1] * slope[:, None]])
+        kept: Array = whole[self.strip.usable]
+        return kept
+
+    def levels(self, parameters: Array) -> tuple[Array, Callable[[Array], Array]]:
+        """Low and high gray at the centre, and how they hang on the parameters."""
+        middle = _splines(np.zeros(1), *self._span)[0]
+        split = 4 + self.base.shape[1]
+
+        def both(p: Array) -> Array:
+            floor, gamma = float(p[4]), p[3]
+            top = float(middle @ p[split : split + middle.size])
+            if self.dark is None:
+                return np.array([floor, floor + self.contrast * max(top, 0.0) ** gamma])
+            lights = np.maximum([floor, floor + top], 0.0)
+            grays: Array = self.dark + self.contrast * lights**gamma
+            return grays
+
+        return both(parameters), both
+
+    @property
+    def _span(self) -> tuple[float, float]:
+        s = self.line.along(self.strip.u, self.strip.v)
+        return float(s.min()), float(s.max())
+
+
+def _splines(s: Array, first: float, last: float) -> Array:
+    """Cubic B-splines along the edge; few enough to be held by few rows, many enough for a blob of light."""
+    from scipy.interpolate import BSpline
+
+    pieces = max(1, round((last - first) / KNOT_SPACING))
+    degree = 3 if last - first > KNOT_SPACING / 2 else 1
+    inner = np.linspace(first, last, pieces + 1)
+    knots = np.concatenate([np.full(degree, first), inner, np.full(degree, last)])
+    matrix: Array = BSpline.design_matrix(np.clip(s, first, last), knots, degree).toarray()
+    return matrix
+
+
+def _fit(
+    strip: _Pixels, line: Line, dark: float | None, gamma: float | None, *, aspect: float, tolerance: float
+) -> tuple[Line, Edge]:
+    from scipy.optimize import least_squares
+
+    d, s = line.across(strip.u, strip.v), line.along(strip.u, strip.v)
+    saturated = int((~strip.usable).sum())
+    if saturated > LARGEST_SATURATED * strip.u.size:
+        raise InputError(
+            f"is saturated: {saturated / strip.u.size:.0%} of the pixels along the edge",
+            where="the image",
+            remedy="shorten the exposure",
+        )
+    low = float(np.median(strip.gray[d < -line.radius]))
+    high = float(np.median(strip.gray[d > line.radius]))
+    if dark is not None and low - dark < UNLIT * (high - low):
+        dark = None
+    contrast = high - (low if dark is None else dark)
+    if high - low <= 0:
+        raise InputError("shows no edge above its noise", where="the image", remedy="raise contrast or exposure")
+    width, length = line.half_width, max(float(np.ptp(s)), 1.0)
+    base = np.column_stack([np.ones_like(d), d / width, s / length, (s / length) ** 2])
+    model = _Model(strip, line, aspect, dark, contrast, _splines(s, float(s.min()), float(s.max())), base)
+    splines = model.along.shape[1]
+    start = np.concatenate(
+        [[0.0, 0.0, line.radius, gamma or 1.0], [low, 0, 0, 0], np.ones(splines), np.zeros(2 * splines)]
+    )
+    if dark is not None:
+        start[4] = max(low - dark, 0.0) / contrast
+        start[8 : 8 + splines] -= start[4]
+    free = np.ones(start.size, dtype=bool)
+    free[3] = gamma is None
+    bounds = np.full((2, start.size), [[-np.inf], [np.inf]])
+    bounds[:, 0] = -width / 2, width / 2
+    bounds[:, 1] = -0.3, 0.3
+    bounds[:, 2] = NARROWEST, max(strip.u.size**0.5, 4 * line.radius)
+    bounds[:, 3] = GAMMA_RANGE
+
+    def whole(p: Array) -> Array:
+        full = start.copy()
+        full[free] = p
+        return full
+
+    solved = least_squares(
+        lambda p: model.residual(whole(p)),
+        start[free],
+        jac=lambda p: model.jacobian(whole(p))[:, free],
+        bounds=bounds[:, free],
+        x_scale="jac",
+        ftol=tolerance,
+        xtol=1e-9,
+        gtol=1e-12,
+        max_nfev=100,
+    )
+    parameters = whole(solved.x)
+    return _refined(line, parameters), _edge(model, parameters, free, saturated)
+
+
+def _refined(line: Line, parameters: Array) -> Line:
+    angle = line.angle + parameters[1]
+    shift = parameters[0]
+    centre = line.centre[0] + shift * math.cos(angle), line.centre[1] + shift * math.sin(angle)
+    return Line(angle, centre, float(parameters[2]), line.ends)
+
+
+def _edge(model: _Model, parameters: Array, free: NDArray[np.bool_], saturated: int) -> Edge:
+    """Standard errors from the Jacobian and the residual; refuses what is no straight edge."""
+    jacobian = model.jacobian(parameters)[:, free]
+    residual = model.residual(parameters)
+    count = residual.size
+    # The levels' columns can be all but dependent where light is even: the pseudo-inverse leaves out what is not there.
+    norms = np.linalg.norm(jacobian, axis=0)
+    norms[norms == 0] = 1.0
+    inverse = np.linalg.pinv(jacobian / norms, rcond=1e-10)
+    variance = float(residual @ residual) / max(count - int(free.sum()), 1)
+    if (model.strip.gray == np.rint(model.strip.gray)).all():
+        variance = max(variance, QUANTISATION)  # a fit without residual does not take rounding away
+    covariance = np.zeros((free.size, free.size))
+    covariance[np.ix_(free, free)] = variance * (inverse @ inverse.T) / np.outer(norms, norms)
+    (low, high), both = model.levels(parameters)
+    rms = math.sqrt(float(residual @ residual) / count)
+    if rms > LARGEST_RESIDUAL * abs(high - low) or high <= low:
+        raise InputError(
+            f"shows no straight edge: the model leaves {rms:.3g} gray of a contrast of {high - low:.3g}",
+            where="the image",
+            remedy="name a region that holds one edge",
+        )
+    if free[3] and covariance[3, 3] > LARGEST_GAMMA_ERROR**2:
+        raise InputError(
+            f"tells nothing about gamma ({parameters[3]:.2g} +- {math.sqrt(covariance[3, 3]):.2g})",
+            where="the edge",
+            remedy="give the camera's, or gamma 1",
+        )
+    steps = np.where(np.abs(parameters) > 1, np.abs(parameters), 1.0) * 1e-6
+    slopes = np.stack([(both(parameters + h) - both(parameters - h)) / (2 * h.max()) for h in np.diag(steps)], axis=1)
+    sigma_low, sigma_high = np.sqrt(np.diag(slopes @ covariance @ slopes.T))
+    levels = tuple(map(float, (low, high, sigma_low, sigma_high)))
+    return _named(model, parameters, covariance[:4, :4], levels=levels, rms=rms, saturated=saturated)
+
+
+def _named(
+    model: _Model, parameters: Array, covariance: Array, *, levels: tuple[float, ...], rms: float, saturated: int
+) -> Edge:
+    """Angle and offset as truth.json has them: the normal points to the right, or downwards."""
+    old, line = model.line, _refined(model.line, parameters)
+    angle = normal_angle(line.angle)
+    sign = 1.0 if math.cos(angle - line.angle) > 0 else -1.0
+    offset = line.centre[0] * math.cos(angle) + line.centre[1] * math.sin(angle)
+    # offset = sign (c . n(turn) + shift), c the centre about which the fit turned.
+    lever = old.centre[1] * math.cos(line.angle) - old.centre[0] * math.sin(line.angle)
+    to = np.array([[sign, sign * lever, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    named = to @ covariance @ to.T
+    low, high, sigma_low, sigma_high = levels
+    return Edge(
+        angle=float(angle),
+        offset=float(offset),
+        sigma_angle=math.sqrt(named[1, 1]),
+        sigma_offset=math.sqrt(named[0, 0]),
+        centre=(float(line.centre[0]), float(line.centre[1])),
+        sigma_position=math.sqrt(covariance[0, 0]),
+        radius=float(parameters[2]),
+        sigma_radius=math.sqrt(named[2, 2]),
+        gamma=float(parameters[3]),
+        sigma_gamma=math.sqrt(named[3, 3]),
+        low=low,
+        high=high,
+        sigma_low=sigma_low,
+        sigma_high=sigma_high,
+        bright_side="positive" if sign > 0 else "negative",
+        covariance=named,
+        residual_rms=rms,
+        pixels=int(model.strip.usable.sum()),
+        saturated=saturated,
+        half_width=model.line.half_width,
+        length=float(np.ptp(old.along(model.strip.u, model.strip.v))),
+    )
+
+
+def _moved(edge: Edge, corner: tuple[int, int]) -> Edge:
+    """From the region's pixels to the image's."""
+    u, v = corner
+    cos, sin = math.cos(edge.angle), math.sin(edge.angle)
+    by_turn = v * cos - u * sin
+    to = np.eye(4)
+    to[0, 1] = by_turn
+    covariance = to @ edge.covariance @ to.T
+    return replace(
+        edge,
+        offset=edge.offset + u * cos + v * sin,
+        centre=(edge.centre[0] + u, edge.centre[1] + v),
+        covariance=covariance,
+        sigma_offset=math.sqrt(covariance[0, 0]),
+    )

@@ -1,0 +1,1 @@
+"""What changes when a scene or an algorithm changes: predictions, measured and compared."""

@@ -1,0 +1,300 @@
+"""Edges of known place, angle, blur and gamma; and what is no edge."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from radwrap.cli import measure_edge as command
+from radwrap.errors import InputError
+from radwrap.images import GrayImage, write_png
+from radwrap.measure.edges import Edge, disc_edge, measure_edge, pixel_edge
+
+Array = NDArray[np.float64]
+
+# Sums over 16 x 16 points of a pixel stand for its mean to 1/(24 * 256) of E's curvature: 1e-4 of the contrast.
+OVERSAMPLING = 16
+NOISELESS = 5e-4  # px; what that leaves in position and radius
+# The statistics below are seeded; their bounds are 3.5 sigma wide, so a change of the seed fails once in 2000.
+
+
+def share(angle: float, offset: float, radius: float, *, shape: tuple[int, int] = (56, 60), aspect: float = 1) -> Array:
+    """Light beyond an edge by brute force: for each point of a pixel the disc's share that lies beyond."""
+    n = OVERSAMPLING
+    v, u = (np.indices((shape[0] * n, shape[1] * n)) + 0.5) / n - 0.5
+    scale = 1 / math.hypot(math.cos(angle), math.sin(angle) / aspect)
+    s = np.clip((u * math.cos(angle) + v * math.sin(angle) - offset) * scale / radius, -1, 1)
+    covered = 1 - (np.arccos(s) - s * np.sqrt(1 - s * s)) / math.pi
+    return covered.reshape(shape[0], n, shape[1], n).mean(axis=(1, 3))
+
+
+def gray(light: Array, gamma: float = 1.0, low: float = 20, high: float = 180) -> GrayImage:
+    return GrayImage(low + (high - low) * light**gamma)
+
+
+def misplaced(edge: Edge, angle: float, offset: float) -> tuple[float, float]:
+    """Errors of angle and offset; a line has two names where its normal is vertical."""
+    turned = (edge.angle - angle + math.pi / 2) % math.pi - math.pi / 2
+    same = math.cos(edge.angle - angle) > 0
+    return turned, (edge.offset if same else -edge.offset) - offset
+
+
+@pytest.mark.parametrize("order", range(5))
+def test_antiderivatives_are_the_disc_integrated(order: int) -> None:
+    """int_{t<x} (x - t)^n/n! k(t) dt, summed over chords k of the unit disc."""
+    t = (np.arange(200_000) + 0.5) / 100_000 - 1
+    chords = 2 / math.pi * np.sqrt(1 - t * t) / 100_000
+    for x in (-1.2, -0.7, 0.0, 0.4, 0.99, 1.7):
+        moments = np.where(t < x, np.maximum(x - t, 0) ** order / math.factorial(order) * chords, 0).sum()
+        assert disc_edge(np.array(2.5 * x), 2.5, order) == pytest.approx(2.5**order * moments, abs=2e-5 * 2.5**order)
+
+
+def test_known_values_of_the_disc() -> None:
+    """By hand: half at the edge, 0 and 1 outside; at S = 1/2 a segment of 120 degrees is left out."""
+    values = disc_edge(np.array([-3.0, -2.0, 0.0, 1.0, 2.0, 9.0]), 2.0)
+    assert values == pytest.approx([0, 0, 0.5, 1 - (math.pi / 3 - math.sqrt(3) / 4) / math.pi, 1, 1], abs=1e-15)
+
+
+@pytest.mark.parametrize("angle", [0.0, 5e-4, 0.02, 0.6, math.pi / 4, 1.3])
+def test_the_mean_over_a_pixel_is_that_of_its_points(angle: float) -> None:
+    distance = np.linspace(-4, 4, 33)
+    n = 200
+    v, u = (np.indices((n, n)) + 0.5) / n - 0.5
+    points = (u * math.cos(angle) + v * math.sin(angle)).ravel()
+    for order, mean in enumerate(pixel_edge(distance, 2.0, math.cos(angle), math.sin(angle), 3)):
+        brute = disc_edge(distance[:, None] + points, 2.0, order).mean(axis=1)
+        assert mean == pytest.approx(brute, abs=1e-5)
+
+
+def test_a_sharp_edge_on_pixels_is_their_covered_share() -> None:
+    """Without blur, along a row at 0 degrees: a ramp of one pixel."""
+    means = pixel_edge(np.array([-0.75, -0.25, 0.0, 0.25, 0.75]), 1e-3, 1.0, 0.0)[0]
+    assert means == pytest.approx([0, 0.25, 0.5, 0.75, 1], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("angle", "radius", "gamma"), [(0.0, 3.67, 0.85), (0.31, 2.0, 1.4), (-0.9, 3.0, 0.6), (1.5, 5.0, 1.0)]
+)
+def test_everything_is_found_where_there_is_no_noise(angle: float, radius: float, gamma: float) -> None:
+    offset = 29.3 * math.cos(angle) + 28.6 * math.sin(angle)
+    edge = measure_edge(gray(share(angle, offset, radius), gamma))
+    turned, moved = misplaced(edge, angle, offset)
+    assert abs(turned) < 1e-5
+    assert abs(moved) < NOISELESS
+    assert edge.radius == pytest.approx(radius, abs=NOISELESS)
+    assert edge.gamma == pytest.approx(gamma, abs=1e-3)
+    assert (edge.low, edge.high) == pytest.approx((20, 180), abs=0.05)
+    assert edge.bright_side == "positive"
+
+
+def test_a_dark_right_side_keeps_the_line_and_turns_the_sign() -> None:
+    light = share(0.2, 32.2, 2.0)
+    bright, dark = (measure_edge(gray(image), gamma=1.0) for image in (light, 1 - light))
+    assert (dark.angle, dark.offset) == pytest.approx((bright.angle, bright.offset), abs=NOISELESS)
+    assert (bright.bright_side, dark.bright_side) == ("positive", "negative")
+    assert misplaced(dark, 0.2, 32.2) == pytest.approx((0, 0), abs=NOISELESS)
+
+
+def test_pixels_that_are_not_square_keep_the_disc_round() -> None:
+    """The same disc at 60 degrees; taken for square, the radius is off by up to the aspect."""
+    image = gray(share(math.radians(60), 40.2, 3.0, aspect=16 / 13.75))
+    right, wrong = measure_edge(image, gamma=1.0, pixel_aspect=16 / 13.75), measure_edge(image, gamma=1.0)
+    assert right.radius == pytest.approx(3.0, abs=NOISELESS)
+    assert right.offset == pytest.approx(40.2, abs=NOISELESS)
+    assert abs(wrong.radius - 3.0) > 0.1
+
+
+@pytest.mark.parametrize("peak", [30.3, 50.0, 10.0])
+def test_light_that_falls_off_does_not_move_the_edge(peak: float) -> None:
+    """A Gaussian beam of sigma 40 px behind the blur; blurring the step alone would be off by 0.08 px at 10.
+
+    0.01 px is the bound of the fit's quadratic surface on a Gaussian.
+    """
+    n, radius, place = 64, 3.67, 30.3
+    u = (np.arange(80 * n) + 0.5) / n - 10.5
+    light = np.exp(-(((u - peak) / 40) ** 2) / 2) * (u > place)
+    t = np.arange(-int(radius * n), int(radius * n) + 1) / n
+    chords = np.sqrt(radius**2 - t * t)
+    blurred = np.convolve(light, chords / chords.sum(), "same").reshape(-1, n).mean(axis=1)[10:-10]
+    rows = np.exp(-(((np.arange(40) - 22) / 40) ** 2) / 2)
+    image = gray(np.outer(rows, blurred), 0.85, low=22)
+    edge = measure_edge(image, gamma=0.85)
+    assert edge.centre[0] == pytest.approx(place, abs=0.01)
+    assert edge.angle == pytest.approx(0, abs=1e-4)
+    assert edge.radius == pytest.approx(radius, abs=0.01)
+
+
+def test_a_dark_side_that_is_lit_needs_the_dark_gray() -> None:
+    """G = 10 + 150 H^0.7 with H from 0.2 to 1: with G0 the place is right, without it the dark side is taken for G0."""
+    light = 0.2 + 0.8 * share(0.1, 30.2, 3.0)
+    image = GrayImage(10 + 150 * light**0.7)
+    known, unknown = (measure_edge(image, dark=dark, gamma=0.7) for dark in (10.0, None))
+    assert misplaced(known, 0.1, 30.2) == pytest.approx((0, 0), abs=NOISELESS)
+    assert abs(unknown.offset - 30.2) > 0.1
+
+
+def test_standard_errors_cover_what_noise_does() -> None:
+    """60 noisy images: chi-square per parameter against its own expectation of 1, and shares within 1 and 2 sigma."""
+    generator = np.random.default_rng(4)
+    count, angle, offset = 60, 0.23, 26.4
+    clean = gray(share(angle, offset, 2.5, shape=(24, 48)), 0.85).values
+    pulls = []
+    for _ in range(count):
+        noisy = GrayImage(clean + generator.normal(0, 1.5, clean.shape))
+        edge = measure_edge(noisy)
+        pulls.append(
+            [
+                (edge.angle - angle) / edge.sigma_angle,
+                (edge.offset - offset) / edge.sigma_offset,
+                (edge.radius - 2.5) / edge.sigma_radius,
+                (edge.gamma - 0.85) / edge.sigma_gamma,
+                (edge.low - 20) / edge.sigma_low,
+                (edge.high - 180) / edge.sigma_high,
+            ]
+        )
+    square = np.mean(np.square(pulls), axis=0)
+    assert np.all(np.abs(square - 1) < 3.5 * math.sqrt(2 / count)), square
+    for sigmas, expected in ((1, 0.683), (2, 0.954)):
+        inside = np.mean(np.abs(pulls) < sigmas, axis=0)
+        assert np.all(np.abs(inside - expected) < 3.5 * math.sqrt(expected * (1 - expected) / count)), inside
+
+
+@pytest.mark.parametrize("angle", [0.5, -1.1])
+def test_the_covariance_gives_the_error_where_the_edge_is(angle: float) -> None:
+    """A line moves at c by d offset - (c . n') d angle, n' = (-sin, cos): at the centre that is sigma_position."""
+    offset = 34 * math.cos(angle) + 27 * math.sin(angle)
+    clean = gray(share(angle, offset, 2.0)).values
+    noisy = GrayImage(clean + np.random.default_rng(2).normal(0, 1, clean.shape))
+    edge = measure_edge(noisy, gamma=1.0, region=(6, 4, 57, 52))
+    lever = np.array([1, edge.centre[0] * math.sin(edge.angle) - edge.centre[1] * math.cos(edge.angle)])
+    assert math.sqrt(lever @ edge.covariance[:2, :2] @ lever) == pytest.approx(edge.sigma_position, rel=1e-6)
+    assert edge.sigma_offset > 1.05 * edge.sigma_position
+
+
+def test_a_region_speaks_of_the_whole_image() -> None:
+    """Two edges; the region holds one, and its numbers are those of the image."""
+    both = share(0.1, 20.4, 2.0) * (1 - share(-0.2, 38.0, 2.0))
+    edge = measure_edge(gray(both), gamma=1.0, region=(2, 5, 29, 50))
+    assert misplaced(edge, 0.1, 20.4) == pytest.approx((0, 0), abs=2 * NOISELESS)
+    assert 5 < edge.centre[1] < 50
+
+
+def test_saturated_pixels_are_left_out() -> None:
+    image = gray(share(0.1, 30.2, 2.0)).values
+    image[10:14, 35:37] = 255
+    edge = measure_edge(GrayImage(image), gamma=1.0)
+    assert edge.saturated == 8
+    assert misplaced(edge, 0.1, 30.2) == pytest.approx((0, 0), abs=NOISELESS)
+
+
+SQUARE = np.indices((56, 60)).astype(float)
+NOISE = np.random.default_rng(1)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        (np.full((56, 60), 50.0), "is blank: gray 50"),
+        (np.full((56, 60), 255.0), "is saturated all over"),
+        (np.full((1, 1), 50.0), "1 x 1 pixels, an edge needs 12 x 12"),
+        (NOISE.normal(100, 5, (56, 60)), "no edge above its noise"),
+        (NOISE.integers(0, 256, (56, 60)).astype(float), "no edge above its noise"),
+        (2 * SQUARE[1], "no whole edge"),
+        (20 + 100 * np.exp(-((SQUARE[1] - 30) ** 2 + (SQUARE[0] - 28) ** 2) / 450), "no single straight edge"),
+        (20 + 100 * disc_edge(20 - np.hypot(SQUARE[1] - 30, SQUARE[0] - 28), 2.0), "no single straight edge"),
+        (gray(share(0.0, 30.2, 2.0) * share(1.57, 28.0, 2.0)).values, "no single straight edge"),
+        (gray(np.abs(share(0.3, 36.0, 2.0) - share(-0.9, -4.0, 2.0))).values, "name a region that holds one edge"),
+        (gray(share(0.0, 59.3, 2.0)).values, "no whole edge"),
+        (gray(share(0.0, 56.2, 2.0)).values, "no whole edge"),
+        (np.minimum(gray(share(0.0, 30.2, 2.0), high=400).values, 255), "is saturated: 4.% of the pixels"),
+    ],
+)
+def test_what_is_no_single_edge_is_refused(values: Array, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        measure_edge(GrayImage(values), gamma=1.0)
+
+
+def test_nan_never_becomes_an_image() -> None:
+    with pytest.raises(ValueError, match="NaN"):
+        GrayImage(np.full((20, 20), np.nan))
+
+
+def test_a_sharp_edge_tells_nothing_about_gamma() -> None:
+    sharp = GrayImage(np.where(SQUARE[1] > 30, 180.0, 20.0))
+    with pytest.raises(InputError, match="nothing about gamma"):
+        measure_edge(sharp)
+    assert measure_edge(sharp, gamma=1.0).offset == pytest.approx(30.5, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("options", "where"),
+    [
+        ({"gamma": 9.0}, "gamma"),
+        ({"dark": math.nan}, "dark"),
+        ({"pixel_aspect": 0.0}, "pixel_aspect"),
+        ({"region": (0, 0, 99, 20)}, "region"),
+        ({"region": (30, 0, 20, 20)}, "region"),
+        ({"region": (0, 0, 5, 20)}, "region"),
+        ({"region": (0, 0, 20, 55)}, "the image"),
+    ],
+)
+def test_wrong_options_are_named(options: dict[str, Any], where: str) -> None:
+    with pytest.raises(InputError) as caught:
+        measure_edge(gray(share(0.0, 40.2, 2.0)), **options)
+    assert caught.value.where == where
+
+
+def run(*arguments: str) -> int:
+    import argparse
+
+    parser = argparse.ArgumentParser()
+    command.add_to(parser.add_subparsers())
+    parsed = parser.parse_args(["edge", *arguments])
+    return int(parsed.run(parsed))
+
+
+def test_the_command_tells_what_the_function_finds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "edge.png"
+    write_png(path, np.rint(gray(share(0.1, 30.2, 2.0)).values).astype(np.uint8))
+    assert run(str(path), "--gamma", "1", "--region", "5", "5", "54", "50", "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["schema_version"] == 1
+    assert (told["offset"], told["angle"]) == pytest.approx((30.2, 0.1), abs=0.01)
+    assert told["transition_width"] == 2 * told["radius"]
+    assert np.sqrt(np.diag(told["covariance"]["values"])) == pytest.approx(
+        [told["sigma_offset"], told["sigma_angle"], told["sigma_radius"], told["sigma_gamma"]]
+    )
+    assert run(str(path)) == 0
+    assert "gamma: 1.0" in capsys.readouterr().out
+
+
+def test_errors_of_the_command_name_file_or_option(tmp_path: Path) -> None:
+    import OpenImageIO as oiio  # noqa: N813
+
+    path = tmp_path / "blank.png"
+    write_png(path, np.full((20, 20), 7, np.uint8))
+    with pytest.raises(InputError, match="blank"):
+        run(str(path))
+    with pytest.raises(InputError) as caught:
+        run(str(path), "--gamma", "two")
+    assert caught.value.where == "--gamma"
+    with pytest.raises(InputError) as caught:
+        run(str(path), "--region", "0", "0", "50", "50")
+    assert caught.value.where == "--region"
+    cut = tmp_path / "cut.png"
+    cut.write_bytes(path.read_bytes()[:-30])
+    with pytest.raises(InputError, match=r"cut\.png"):
+        run(str(cut))
+    colour = tmp_path / "colour.tif"
+    pixels = np.zeros((20, 20, 3), np.uint8)
+    pixels[:, 10:, 0] = 200
+    output = oiio.ImageOutput.create(str(colour))
+    output.open(str(colour), oiio.ImageSpec(20, 20, 3, "uint8"))
+    output.write_image(pixels)
+    output.close()
+    with pytest.raises(InputError, match="is in colour"):
+        run(str(colour))
