@@ -89,6 +89,8 @@ def sub_viewpoints(aperture: Aperture, count: int, layout: Layout = "rings") -> 
     match layout:
         case "sunflower":
             points, weights = _sunflower(aperture, count)
+            # The spiral alone leaves the mean of its points beside the opening's centroid.
+            points += np.array(_centroid(aperture, (0.0, 1.0, 0.0, 1.0))) - points.mean(axis=0)
         case "hexagonal":
             points, weights = _lattice(aperture, count)
         case _:
@@ -172,7 +174,7 @@ def _cells_on_rings(aperture: Aperture, count: int, *, even_areas: bool, whole: 
     share = 0.5 if aperture.shape == "half_disc" else 1.0
     depth = math.sqrt(math.pi * share * (1 - inner**2) / (count + 1))
     rings = max(1, round((1 - inner) / depth - (0.5 if whole and even_areas else 0.0)))
-    step = 2 if whole and count % 2 == 0 else 1
+    step = 2 if aperture.shape != "half_disc" and count % 2 == 0 else 1
     rings = min(rings, count // step)
     if even_areas:
         # Circumference of each ring, in the same unit for all; a centre cell takes half a ring's depth.
