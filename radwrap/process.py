@@ -233,8 +233,10 @@ class _Listener(threading.Thread):
     def run(self) -> None:
         kept = b""
         assert self._pipe is not None  # noqa: S101  (stderr=PIPE above)
-        while block := self._pipe.read(4096):
-            kept = (kept + block)[-_STDERR_BYTES_KEPT:]
+        # An interrupt may close the pipe while it is read.
+        with suppress(OSError, ValueError):
+            while block := self._pipe.read(4096):
+                kept = (kept + block)[-_STDERR_BYTES_KEPT:]
         self.text = kept.decode(errors="replace").strip()
 
 

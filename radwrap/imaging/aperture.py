@@ -4,7 +4,8 @@ Every opening is described by two area-preserving coordinates: s, the share of
 the area that lies further in, and t, the share of a full turn. A cell
 [s0, s1] x [t0, t1] then has the area share (s1 - s0)(t1 - t0) whatever the
 shape, and its sub-viewpoint is the cell's centroid, so that a layout
-integrates constants and slopes exactly.
+integrates constants and slopes exactly (slopes not so the sunflower in a half
+disc, whose mean lies up to 1 % of the radius beside the centroid at N = 37).
 """
 
 from __future__ import annotations
@@ -89,8 +90,6 @@ def sub_viewpoints(aperture: Aperture, count: int, layout: Layout = "rings") -> 
     match layout:
         case "sunflower":
             points, weights = _sunflower(aperture, count)
-            # The spiral alone leaves the mean of its points beside the opening's centroid.
-            points += np.array(_centroid(aperture, (0.0, 1.0, 0.0, 1.0))) - points.mean(axis=0)
         case "hexagonal":
             points, weights = _lattice(aperture, count)
         case _:
