@@ -25,6 +25,9 @@ from radwrap.files import disk_failure, publish, temporary_name
 Provenance = Mapping[str, Any]
 _NOTHING: Final[Provenance] = MappingProxyType({})
 
+# Rows that are compared at a time; EXR packs 16 into a block.
+_BAND: Final = 64
+
 # OpenEXR files carry a date; a fixed one keeps equal images equal byte by byte.
 _FIXED_DATE: Final = "2000:01:01 00:00:00"
 
@@ -164,7 +167,7 @@ def _write(path: Path, pixels: NDArray[Any], channel: str, metadata: Mapping[str
                 remedy="free disk space or choose another folder",
             )
         # Success is not to be believed: PNG on a full disk reports it.
-        if not np.array_equal(_read(temporary)[0], pixels):
+        if not _holds(temporary, pixels):
             raise EnvironmentFailure(
                 "the disk gave back another image than was written",
                 where=str(path),
@@ -176,6 +179,25 @@ def _write(path: Path, pixels: NDArray[Any], channel: str, metadata: Mapping[str
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def _holds(path: Path, pixels: NDArray[Any]) -> bool:
+    """Whether a file holds these pixels; read in bands, so that many writers at a time stay small."""
+    source = oiio.ImageInput.open(str(path))
+    if source is None:
+        return False
+    try:
+        spec = source.spec()
+        if (spec.height, spec.width, spec.nchannels) != (*pixels.shape, 1):
+            return False
+        for first in range(0, spec.height, _BAND):
+            last = min(first + _BAND, spec.height)
+            band = source.read_scanlines(0, 0, first, last, 0, 0, 1, spec.format)
+            if band is None or not np.array_equal(np.reshape(band, (last - first, -1)), pixels[first:last]):
+                return False
+    finally:
+        source.close()
+    return True
 
 
 def _read(path: Path) -> tuple[NDArray[Any], dict[str, str]]:
