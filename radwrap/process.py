@@ -15,6 +15,7 @@ import sys
 import threading
 import time
 from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -76,6 +77,12 @@ class Programs:
         return self._cancelled
 
     def _start(self, argv: Sequence[str], folder: Path, environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
+        # In a thread: an interrupt is raised in the main thread, and must not come between a program's start and
+        # its entry into the list of those that are ended.
+        with ThreadPoolExecutor(1) as starter:
+            return starter.submit(self._enter, argv, folder, environment).result()
+
+    def _enter(self, argv: Sequence[str], folder: Path, environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
         with self._guard:
             if self._cancelled:
                 raise TracerError("cancelled", where=Path(argv[0]).name)
@@ -226,8 +233,10 @@ class _Listener(threading.Thread):
     def run(self) -> None:
         kept = b""
         assert self._pipe is not None  # noqa: S101  (stderr=PIPE above)
-        while block := self._pipe.read(4096):
-            kept = (kept + block)[-_STDERR_BYTES_KEPT:]
+        # An interrupt may close the pipe while it is read.
+        with suppress(OSError, ValueError):
+            while block := self._pipe.read(4096):
+                kept = (kept + block)[-_STDERR_BYTES_KEPT:]
         self.text = kept.decode(errors="replace").strip()
 
 

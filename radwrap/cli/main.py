@@ -32,8 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
         return code
     except KeyboardInterrupt:
-        print("radwrap: interrupted; the same command goes on where it was", file=sys.stderr)
-        return INTERRUPTED
+        return _interrupted()
     except RadwrapError as error:
         print(f"radwrap: {error}", file=sys.stderr)
         return error.exit_code
@@ -45,9 +44,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"radwrap: {_one_line(error)}", file=sys.stderr)
         return EnvironmentFailure.exit_code
     except Exception:  # noqa: BLE001  (an error of ours: all of it is shown)
+        if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+            return _interrupted()  # the interrupt came where a library turned it into an error of its own
         traceback.print_exc()
         print("radwrap: this is an error in radwrap itself; please report it", file=sys.stderr)
         return EnvironmentFailure.exit_code
+
+
+def _interrupted() -> int:
+    print("radwrap: interrupted; the same command goes on where it was", file=sys.stderr)
+    return INTERRUPTED
 
 
 def _interrupt(*_: object) -> None:

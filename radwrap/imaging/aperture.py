@@ -4,7 +4,8 @@ Every opening is described by two area-preserving coordinates: s, the share of
 the area that lies further in, and t, the share of a full turn. A cell
 [s0, s1] x [t0, t1] then has the area share (s1 - s0)(t1 - t0) whatever the
 shape, and its sub-viewpoint is the cell's centroid, so that a layout
-integrates constants and slopes exactly.
+integrates constants and slopes exactly (slopes not so the sunflower in a half
+disc, whose mean lies up to 1 % of the radius beside the centroid at N = 37).
 """
 
 from __future__ import annotations
@@ -172,7 +173,7 @@ def _cells_on_rings(aperture: Aperture, count: int, *, even_areas: bool, whole: 
     share = 0.5 if aperture.shape == "half_disc" else 1.0
     depth = math.sqrt(math.pi * share * (1 - inner**2) / (count + 1))
     rings = max(1, round((1 - inner) / depth - (0.5 if whole and even_areas else 0.0)))
-    step = 2 if whole and count % 2 == 0 else 1
+    step = 2 if aperture.shape != "half_disc" and count % 2 == 0 else 1
     rings = min(rings, count // step)
     if even_areas:
         # Circumference of each ring, in the same unit for all; a centre cell takes half a ring's depth.

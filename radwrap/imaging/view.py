@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from radwrap.scene.camera import Camera
 
 PixelSampling = Literal["centre", "jitter"]
-_RAYS_AT_ONCE: Final = 1 << 15  # 1.5 MiB of rays: small beside the images, large beside the cost of a call
+_RAYS_AT_ONCE: Final = 1 << 13  # 0.4 MiB of rays: what each of many threads may keep, large beside the cost of a call
 
 
 @dataclass(frozen=True, slots=True)

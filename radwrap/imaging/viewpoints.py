@@ -7,7 +7,7 @@ one with their area weights.
 
 from __future__ import annotations
 
-from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -28,6 +28,7 @@ from radwrap.tracers.tracer import Tracer
 
 CALL_LOG: Final = "tracer_calls.log"
 _CHANNEL: Final = "radiance_cos4"
+_TICK: Final = 0.2  # s
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,9 +131,12 @@ def trace_viewpoints(
     with ThreadPoolExecutor(max_workers=max(1, min(workers, len(due)))) as pool:
         jobs = [pool.submit(_trace_one, plan, tracer, folder, index, name=name, progress=progress) for index in due]
         try:
-            done, _ = wait(jobs, return_when=FIRST_EXCEPTION)
-            for job in done:
-                job.result()
+            waiting: set[Future[None]] = set(jobs)
+            while waiting:
+                # Awake now and then: a signal that another thread got is heard by the main one only when it runs.
+                done, waiting = wait(waiting, timeout=_TICK, return_when=FIRST_EXCEPTION)
+                for job in done:
+                    job.result()
         except BaseException:
             # Ctrl-C comes here too: the programs end at once, and so do the threads that wait for them.
             for job in jobs:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -14,7 +15,8 @@ import pytest
 from tests.cli.conftest import SLOWER, finished, inhabitants, run, side_by_side, start, traced, wait_for, write_scene
 
 PROMPT = 10.0  # s from the signal to the end, on a machine that has other work too
-# A run of some seconds; its rays fill several pipes.
+MANY = 600  # sub-viewpoints: enough for a minute
+# Rays that fill several pipes.
 LONG = {**SLOWER, "camera.sensor.rows": 240, "camera.sensor.columns": 288}
 
 
@@ -45,7 +47,7 @@ def _gone(processes: list[psutil.Process], patience: float) -> bool:
 @pytest.mark.parametrize("signals", [[signal.SIGINT], [signal.SIGTERM], [signal.SIGINT] * 3], ids=str)
 def test_an_interrupted_run_ends_soon_and_goes_on_later(signals: list[signal.Signals], tmp_path: Path) -> None:
     scene, out = write_scene(tmp_path, LONG), tmp_path / "out"
-    argv = ["render", scene, "--out", out, "--viewpoints", 61, "--keep-viewpoints"]
+    argv = ["render", scene, "--out", out, "--viewpoints", MANY, "--keep-viewpoints"]
     with start(argv) as process:
         tracers = _under_way(out, process)
         begin = time.monotonic()
@@ -64,12 +66,27 @@ def test_an_interrupted_run_ends_soon_and_goes_on_later(signals: list[signal.Sig
     assert not (out / ".work").exists()
 
     whole, log = finished(out), len(traced(out))
-    assert 0 < len(whole) < 61
+    assert 0 < len(whole) < MANY
     with start(argv) as process:
         assert wait_for(lambda: len(finished(out)) > len(whole), process)
         process.send_signal(signal.SIGINT)
         process.communicate(timeout=30)
     assert not set(traced(out)[log:]) & whole
+
+
+def test_a_signal_that_meets_a_worker_thread_is_heeded(tmp_path: Path) -> None:
+    """The system may give a signal to any thread; Python hears it when the main one wakes."""
+    scene, out = write_scene(tmp_path, LONG), tmp_path / "out"
+    with start(["render", scene, "--out", out, "--viewpoints", MANY]) as process:
+        tracers = _under_way(out, process)
+        others = {thread.id for thread in psutil.Process(process.pid).threads()} - {process.pid}
+        begin = time.monotonic()
+        os.kill(max(others), signal.SIGTERM)
+        process.communicate(timeout=60)
+        wall = time.monotonic() - begin
+    assert process.returncode == 130
+    assert wall < PROMPT
+    assert _gone(tracers, 0)
 
 
 def test_after_the_tracers_an_interrupted_run_is_completed(tmp_path: Path) -> None:
@@ -88,7 +105,7 @@ def test_after_the_tracers_an_interrupted_run_is_completed(tmp_path: Path) -> No
 
 def test_tracers_of_a_killed_run_end_by_themselves(tmp_path: Path) -> None:
     scene, out = write_scene(tmp_path, LONG), tmp_path / "out"
-    with start(["render", scene, "--out", out, "--viewpoints", 61]) as process:
+    with start(["render", scene, "--out", out, "--viewpoints", MANY]) as process:
         tracers = _under_way(out, process)
         process.kill()
     assert process.returncode == -signal.SIGKILL
