@@ -110,7 +110,7 @@ class Programs:
         *,
         folder: Path,
         environment: Mapping[str, str],
-        stdin: Iterable[bytes] = (),
+        stdin: Iterable[bytes | memoryview] = (),
         limits: Limits = Limits(),
     ) -> tuple[bytes, str]:
         """Run a program to its end.
@@ -141,7 +141,7 @@ class Programs:
         *,
         folder: Path,
         environment: Mapping[str, str],
-        stdin: Iterable[bytes],
+        stdin: Iterable[bytes | memoryview],
         said: list[str],
         limits: Limits = Limits(),
     ) -> Generator[bytes]:
@@ -189,7 +189,7 @@ class Programs:
 class _Feeder(threading.Thread):
     """Writes the input, so that a program with full pipes cannot block us."""
 
-    def __init__(self, program: subprocess.Popen[bytes], chunks: Iterable[bytes]) -> None:
+    def __init__(self, program: subprocess.Popen[bytes], chunks: Iterable[bytes | memoryview]) -> None:
         super().__init__(daemon=True)
         self._program = program
         self._chunks = chunks

@@ -12,8 +12,9 @@ import signal
 import sys
 import traceback
 from collections.abc import Sequence
+from importlib import import_module
 from importlib.metadata import version
-from typing import Any, NoReturn
+from typing import Any, Final, NoReturn
 
 from radwrap.errors import INTERRUPTED, EnvironmentFailure, InputError, RadwrapError, one_line
 
@@ -21,13 +22,26 @@ _EPILOG = (
     "Exit codes: 0 done, 1 a check failed, 2 bad input, 3 tolerance not met, 4 environment or tracer, 130 interrupted."
 )
 
+_MODULES: Final = {
+    "init": "start",
+    "schema": "start",
+    "render": "render",
+    "explain": "explain",
+    "convert": "convert",
+    "measure": "measure",
+    "calibrate": "calibrate",
+    "compare": "compare",
+    "doctor": "doctor",
+}
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit code."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)
     try:
-        parsed = _parser().parse_args(arguments)
+        given = sys.argv[1:] if arguments is None else list(arguments)
+        parsed = _parser(given).parse_args(given)
         code: int = parsed.run(parsed)
         sys.stdout.flush()
         return code
@@ -77,17 +91,17 @@ class _Parser(argparse.ArgumentParser):
         raise InputError(message, remedy=f"see `{self.prog} --help`")
 
 
-def _parser() -> argparse.ArgumentParser:
-    # Here and not above: until the libraries are loaded, an interrupt must find `main` at work.
-    from radwrap.cli import calibrate, compare, convert, doctor, explain, measure, render, start
-
+def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
+    """Parser of the verb that is asked for, or of all: to load every verb's libraries takes longer than a small run."""
+    asked = _MODULES.get(arguments[0]) if arguments else None
     parser = _Parser(
         prog="radwrap", description="Predicts the gray values a machine-vision camera will capture.", epilog=_EPILOG
     )
     parser.add_argument("--version", action="version", version=f"radwrap {version('radwrap')}")
     verbs: argparse._SubParsersAction[Any] = parser.add_subparsers(title="verbs", required=True, metavar="VERB")
-    for module in (start, render, explain, convert, measure, calibrate, compare, doctor):
-        module.add_to(verbs)
+    for name in dict.fromkeys(_MODULES.values()) if asked is None else (asked,):
+        # Here and not above: until the libraries are loaded, an interrupt must find `main` at work.
+        import_module(f"radwrap.cli.{name}").add_to(verbs)
     return parser
 
 

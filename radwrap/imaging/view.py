@@ -75,6 +75,9 @@ def ray_blocks(
     plan: PixelPlan,
     viewpoint: int = 0,
     pixels: NDArray[np.intp] | None = None,
+    *,
+    part: int = 0,
+    parts: int = 1,
 ) -> Iterator[RayBlock]:
     """Rays of one sub-viewpoint, in blocks.
 
@@ -90,13 +93,16 @@ def ray_blocks(
         Number of the sub-viewpoint, which the jitter depends on.
     pixels : ndarray of int, shape (n,), optional
         Numbers of the pixels, row by row; default all.
+    part, parts : int
+        Only this part of so many, of about equal size; a ray is the same, whatever the number of parts.
     """
     sensor, k = camera.sensor, plan.samples
     strata = np.stack(np.meshgrid(np.arange(k), np.arange(k)), axis=-1).reshape(-1, 2)  # (column, row) inside a pixel
     step = max(1, _RAYS_AT_ONCE // plan.rays)
     total = sensor.pixels if pixels is None else len(pixels)
-    for number, first in enumerate(range(0, total, step)):
-        last = min(first + step, total)
+    blocks = -(-total // step)
+    for number in range(blocks * part // parts, blocks * (part + 1) // parts):
+        first, last = number * step, min((number + 1) * step, total)
         indices = np.arange(first, last) if pixels is None else pixels[first:last]
         row, column = np.divmod(indices, sensor.columns)
         if plan.sampling == "jitter":

@@ -7,6 +7,7 @@ one with their area weights.
 
 from __future__ import annotations
 
+import threading
 from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
@@ -122,14 +123,17 @@ def trace_viewpoints(
     int
         How many files were re-used.
     """
-    name = plan.sha256()
     _remove_strangers(folder, len(plan.viewpoints))
     due = missing_viewpoints(plan, folder)
     reused = len(plan.viewpoints) - len(due)
     progress.skip(reused * plan.rays // len(plan.viewpoints))
 
-    with ThreadPoolExecutor(max_workers=max(1, min(workers, len(due)))) as pool:
-        jobs = [pool.submit(_trace_one, plan, tracer, folder, index, name=name, progress=progress) for index in due]
+    with ThreadPoolExecutor(max_workers=workers) as pool:
+        jobs = [
+            pool.submit(canvas.trace, part, tracer, progress)
+            for canvas in _canvases(plan, folder, due, workers)
+            for part in range(canvas.parts)
+        ]
         try:
             waiting: set[Future[None]] = set(jobs)
             while waiting:
@@ -175,23 +179,59 @@ def _is_whole(path: Path, plan: str, index: int) -> bool:
     )
 
 
-def _trace_one(plan: ViewpointPlan, tracer: Tracer, folder: Path, index: int, *, name: str, progress: Progress) -> None:
-    with (folder / CALL_LOG).open("a", encoding="ascii") as log:
-        log.write(f"{index}\n")
-    u, v = (float(value) for value in plan.viewpoints.positions[index])
+class _Canvas:
+    """A sub-viewpoint while it is traced, in one part or in several; the last part to end writes the file."""
+
+    def __init__(self, plan: ViewpointPlan, folder: Path, index: int, parts: int) -> None:
+        self.parts = parts
+        self._plan = plan
+        self._folder = folder
+        self._index = index
+        self._pixels: NDArray[np.float32] | None = None
+        self._due = parts
+        self._guard = threading.Lock()
+
+    def trace(self, part: int, tracer: Tracer, progress: Progress) -> None:
+        """Trace one part, and write the file if it was the last one."""
+        plan, index = self._plan, self._index
+        pixels = self._begun()
+        position = (float(plan.viewpoints.positions[index, 0]), float(plan.viewpoints.positions[index, 1]))
+        blocks = ray_blocks(plan.camera, position, plan.pixel_plan, index, part=part, parts=self.parts)
+        for block, radiance in traced(tracer.trace, blocks):
+            pixels[block.first : block.first + block.pixels] = pixel_means(block, radiance)
+            progress.add(len(radiance))
+        with self._guard:
+            self._due -= 1
+            whole = not self._due
+        if whole:
+            self._pixels = None
+            _write(plan, self._folder, index, pixels)
+
+    def _begun(self) -> NDArray[np.float32]:
+        with self._guard:
+            if self._pixels is None:
+                with (self._folder / CALL_LOG).open("a", encoding="ascii") as log:
+                    log.write(f"{self._index}\n")
+                self._pixels = np.empty(self._plan.camera.sensor.pixels, dtype=np.float32)
+            return self._pixels
+
+
+def _canvases(plan: ViewpointPlan, folder: Path, due: list[int], workers: int) -> list[_Canvas]:
+    """One for each sub-viewpoint that is due; the last ones, too few for all workers, are traced in parts."""
+    whole = len(due) - len(due) % workers
+    return [_Canvas(plan, folder, index, 1 if place < whole else workers) for place, index in enumerate(due)]
+
+
+def _write(plan: ViewpointPlan, folder: Path, index: int, pixels: NDArray[np.float32]) -> None:
     sensor = plan.camera.sensor
-    pixels = np.empty(sensor.pixels, dtype=np.float32)
-    for block, radiance in traced(tracer.trace, ray_blocks(plan.camera, (u, v), plan.pixel_plan, index)):
-        pixels[block.first : block.first + block.pixels] = pixel_means(block, radiance)
-        progress.add(len(radiance))
     image = pixels.reshape(sensor.rows, sensor.columns)
-    weight = float(plan.viewpoints.weights[index])
+    position, weight = plan.viewpoints.positions[index], float(plan.viewpoints.weights[index])
     metadata: dict[str, Any] = {
-        "plan": name,
+        "plan": plan.sha256(),
         "index": index,
         "pixels": digest(image),
-        "position_u": u,
-        "position_v": v,
+        "position_u": float(position[0]),
+        "position_v": float(position[1]),
         "area": weight * plan.viewpoints.area,
         "weight": weight,
         "unit": "W m^-2 sr^-1",

@@ -190,21 +190,21 @@ class RadianceTracer:
         with closing(self._ask(VALUE_OPTIONS, rays, 3)) as answers:
             yield from map(self._radiance, answers)
 
-    def _radiance(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        if (values < 0).any():
+    def _radiance(self, values: NDArray[np.float32]) -> NDArray[np.float64]:
+        if values.min() < 0:
             raise TracerError("answered a negative radiance", where="rtrace")
-        return self._one_channel(values) * self.scene.scales.radiance
+        return self._one_channel(values).astype(np.float64) * self.scene.scales.radiance
 
     def distances(self, rays: Iterable[NDArray[np.float64]]) -> Generator[NDArray[np.float64]]:
         """Distance to the first surface along rays [m]; blocks as in `trace`."""
         with closing(self._ask(_LENGTH_OPTIONS, rays, 1)) as answers:
-            yield from (values[:, 0] * self.scene.scales.length for values in answers)
+            yield from (values[:, 0].astype(np.float64) * self.scene.scales.length for values in answers)
 
-    def _one_channel(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _one_channel(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
         if self.channel in _CHANNELS:
             return values[:, _CHANNELS[self.channel]]
-        largest = values.max(axis=1)
-        if (largest - values.min(axis=1) > _CHANNEL_TOLERANCE * largest).any():
+        red, *others = values.T
+        if any((abs(other - red) > _CHANNEL_TOLERANCE * red).any() for other in others):
             raise InputError(
                 "the scene is coloured: the tracer's three channels differ",
                 where="camera.sensor.channel",
@@ -214,7 +214,7 @@ class RadianceTracer:
 
     def _ask(
         self, arguments: Iterable[str], rays: Iterable[NDArray[np.float64]], width: int
-    ) -> Generator[NDArray[np.float64]]:
+    ) -> Generator[NDArray[np.float32]]:
         """Send blocks of rays, yield blocks of answers of `width` floats a ray."""
         sent = _Sent(rays, self.scene.scales.length)
         said: list[str] = []
@@ -236,11 +236,11 @@ class RadianceTracer:
                     raise TracerError("printed too much: more numbers than rays", where="rtrace")
                 while sent.blocks and len(received) >= (size := 4 * width * sent.blocks[0]):
                     sent.blocks.popleft()
-                    values = np.frombuffer(bytes(received[:size]), dtype=np.float32).reshape(-1, width)
+                    values = np.frombuffer(received[:size], dtype=np.float32).reshape(-1, width)
                     del received[:size]
-                    if not np.isfinite(values).all():
+                    if not np.isfinite(values.sum(dtype=np.float64)):
                         raise TracerError("answered NaN or infinity", where="rtrace")
-                    yield values.astype(np.float64)
+                    yield values
         judge(said[0], "rtrace", self.harmless)
         if answered != 4 * width * sent.rays:
             raise TracerError(f"its answer is {4 * width * sent.rays - answered} bytes short", where="rtrace")
@@ -255,15 +255,15 @@ class _Sent:
         self.blocks: deque[int] = deque()
         self.rays = 0
 
-    def __iter__(self) -> Iterator[bytes]:
+    def __iter__(self) -> Iterator[memoryview]:
         for block in self._source:
-            if not np.isfinite(block).all():
-                raise ValueError("a ray holds NaN or infinity")  # rtrace would answer nothing, without an error
             scaled = block.astype(np.float64)  # a copy: the caller keeps metres
             scaled[:, :3] /= self._unit
+            if not np.isfinite(scaled.sum()):
+                raise ValueError("a ray holds NaN or infinity")  # rtrace would answer nothing, without an error
             self.blocks.append(len(block))
             self.rays += len(block)
-            yield scaled.tobytes()
+            yield scaled.data
 
 
 def build(
