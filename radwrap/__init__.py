@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from radwrap.errors import ToleranceNotMet as ToleranceNotMet
     from radwrap.errors import TracerError as TracerError
     from radwrap.imaging.explain import explain as explain
+    from radwrap.imaging.render_options import RenderOptions as RenderOptions
     from radwrap.imaging.synthesis import Rendered as Rendered
-    from radwrap.imaging.synthesis import RenderOptions as RenderOptions
     from radwrap.imaging.synthesis import render as render
     from radwrap.scene.load import load_scene as load_scene
     from radwrap.scene.load import scene_from_document as scene_from_document
@@ -43,7 +43,7 @@ _HOMES = {
     "EnvironmentFailure": "radwrap.errors",
     "InputError": "radwrap.errors",
     "RadwrapError": "radwrap.errors",
-    "RenderOptions": "radwrap.imaging.synthesis",
+    "RenderOptions": "radwrap.imaging.render_options",
     "Rendered": "radwrap.imaging.synthesis",
     "Scene": "radwrap.scene.scene",
     "ToleranceNotMet": "radwrap.errors",

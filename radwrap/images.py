@@ -116,7 +116,14 @@ def digest(pixels: NDArray[Any]) -> str:
     return hashlib.sha256(np.ascontiguousarray(pixels).data).hexdigest()
 
 
-def write_exr(path: Path, pixels: NDArray[np.float32], *, channel: str, metadata: Mapping[str, str] = _NOTHING) -> None:
+def write_exr(
+    path: Path,
+    pixels: NDArray[np.float32],
+    *,
+    channel: str,
+    metadata: Mapping[str, str] = _NOTHING,
+    packed: bool = True,
+) -> None:
     """Write one channel of float32 as OpenEXR, whole or not at all.
 
     Parameters
@@ -129,13 +136,15 @@ def write_exr(path: Path, pixels: NDArray[np.float32], *, channel: str, metadata
         Name of the channel.
     metadata : Mapping[str, str]
         Attributes to store.
+    packed : bool
+        Whether to make the file small; what lives only as long as a run is written sooner if not.
 
     Raises
     ------
     EnvironmentFailure
         If the disk refuses, or does not give back what was written.
     """
-    _write(path, np.ascontiguousarray(pixels, dtype=np.float32), channel, metadata)
+    _write(path, np.ascontiguousarray(pixels, dtype=np.float32), channel, metadata, "zip" if packed else "none")
 
 
 def write_png(path: Path, codes: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
@@ -143,13 +152,15 @@ def write_png(path: Path, codes: NDArray[np.uint8] | NDArray[np.uint16]) -> None
     _write(path, np.ascontiguousarray(codes), "Y", _NOTHING)
 
 
-def _write(path: Path, pixels: NDArray[Any], channel: str, metadata: Mapping[str, str]) -> None:
+def _write(
+    path: Path, pixels: NDArray[Any], channel: str, metadata: Mapping[str, str], compression: str = "zip"
+) -> None:
     rows, columns = pixels.shape
     spec = oiio.ImageSpec(columns, rows, 1, str(pixels.dtype) if pixels.dtype != np.float32 else "float")
     spec.channelnames = [channel]
     if path.suffix == ".exr":
         spec.attribute("DateTime", _FIXED_DATE)
-        spec.attribute("compression", "zip")
+        spec.attribute("compression", compression)
     else:
         # A gray level is a number, not a colour: without this the PNG gets sRGB and gamma chunks.
         spec.attribute("oiio:ColorSpace", "data")

@@ -39,6 +39,11 @@ class Progress:
         self._last = self._start if not self._terminal else 0.0
         self._guard = threading.Lock()
 
+    def expect(self, total: int) -> None:
+        """Say how many units of work there are, where that is learnt late."""
+        with self._guard:
+            self._total = max(total, 1)
+
     def add(self, amount: int) -> None:
         """Count work that was done now; any thread may call."""
         with self._guard:

@@ -35,7 +35,7 @@ def run(arguments: argparse.Namespace) -> int:
     out = Path(arguments.out)
     match out.suffix:
         case ".rad":
-            limits = Limits(silence=shared.timeout(arguments))
+            limits = Limits(silence=shared.time_of(arguments.tracer_timeout, "--tracer-timeout"))
             radiance = RadianceOptions(find_radiance(arguments.radiance), arguments.trust, limits)
             written = write_scene(scene, out, radiance)
         case ".vf":

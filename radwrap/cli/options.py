@@ -46,12 +46,12 @@ def load(arguments: argparse.Namespace) -> Scene:
     return load_scene(arguments.scene, dict(map(_override, arguments.overrides)))
 
 
-def timeout(arguments: argparse.Namespace) -> float:
-    """Value of --tracer-timeout [s]."""
+def time_of(text: str, where: str) -> float:
+    """Time that an option gives [s]."""
     try:
-        return parse_quantity(arguments.tracer_timeout, TIME)
+        return parse_quantity(text, TIME)
     except InputError as error:
-        raise InputError(str(error), where="--tracer-timeout") from error
+        raise InputError(str(error), where=where) from error
 
 
 def _override(text: str) -> tuple[str, Any]:

@@ -8,8 +8,9 @@ from dataclasses import asdict
 from typing import Any
 
 from radwrap.cli import options as shared
-from radwrap.errors import InputError
-from radwrap.imaging.synthesis import RenderOptions, forecast, render
+from radwrap.errors import InputError, ToleranceNotMet
+from radwrap.imaging.render_options import METHODS, RenderOptions
+from radwrap.imaging.synthesis import forecast, render
 from radwrap.manifest import json_text
 from radwrap.scene.scene import Scene
 
@@ -26,10 +27,18 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument("--out", metavar="DIR", help="folder for gray.png, radiant_exposure.exr and manifest.json")
     parser.add_argument(
         "--method",
-        choices=("pinhole", "viewpoints"),
-        help="infinitesimal pinhole, or finite pinhole by sub-viewpoints (default, unless the diameter is 0)",
+        choices=METHODS,
+        help="infinitesimal pinhole; finite pinhole by sub-viewpoints, as in the paper; by one image gathered with the "
+        "opening's shape; by rays over pixel and opening (default: the cheapest of the last two)",
     )
-    parser.add_argument("--viewpoints", metavar="N", type=int, default=37, help="sub-viewpoints (default 37)")
+    parser.add_argument(
+        "--tolerance", metavar="G", type=float, default=0.5, help="largest rms error in gray levels (default 0.5)"
+    )
+    parser.add_argument("--max-error", metavar="G", type=float, help="largest error of 99 %% of the pixels, likewise")
+    parser.add_argument(
+        "--budget", metavar="B", help='what a tolerance may cost: rays, "1e7", or time, "30 s" (then not reproducible)'
+    )
+    parser.add_argument("--viewpoints", metavar="N", type=int, help="sub-viewpoints (default 37)")
     parser.add_argument(
         "--layout",
         choices=("rings", "hexagonal", "sunflower", "uneven"),
@@ -70,17 +79,21 @@ def run(arguments: argparse.Namespace) -> int:
     manifest = result.manifest
     for warning in manifest["warnings"]:
         print(f"radwrap: warning: {warning}", file=sys.stderr)
+    met = manifest.get("plan", {}).get("met", True)
+    code = 0 if met else ToleranceNotMet.exit_code
     if arguments.json:
         print(json_text(manifest), end="")
-        return 0
+        return code
     gray, error = manifest["gray"], manifest["error"]
-    off = "unknown" if error["rms_gray"] is None else f"{error['rms_gray']:.2g} rms, {error['max_gray']:.2g} at most"
     print(
         f"{arguments.out}/gray.png: gray {gray['min']:g} to {gray['max']:g}, mean {gray['mean']:.1f}; "
         f"{manifest['saturated_fraction']:.1%} saturated, {manifest['dark_fraction']:.1%} dark\n"
-        f"error in gray levels: {off} ({error['note']})"
+        f"error in gray levels before rounding: {error['rms_gray']:.2g} rms, below {error['rms_gray_upper95']:.2g} "
+        f"(95 %), by {error['method']}; method {manifest['method']}, {manifest['rays']:.3g} rays"
     )
-    return 0
+    if not met:
+        print("radwrap: the tolerance was not met; this is the best image that was found", file=sys.stderr)
+    return code
 
 
 def _options(arguments: argparse.Namespace) -> RenderOptions:
@@ -89,6 +102,9 @@ def _options(arguments: argparse.Namespace) -> RenderOptions:
         raise InputError("must lie between 1 and 1e12", where="--max-pixels")
     return RenderOptions(
         method=arguments.method,
+        tolerance=arguments.tolerance,
+        max_error=arguments.max_error,
+        **_budget(arguments.budget),
         viewpoints=arguments.viewpoints,
         layout=arguments.layout,
         pixel_samples=arguments.pixel_samples,
@@ -100,9 +116,21 @@ def _options(arguments: argparse.Namespace) -> RenderOptions:
         trust=arguments.trust,
         radiance=arguments.radiance,
         max_pixels=int(arguments.max_pixels),
-        tracer_timeout=shared.timeout(arguments),
+        tracer_timeout=shared.time_of(arguments.tracer_timeout, "--tracer-timeout"),
         progress=True,
     )
+
+
+def _budget(text: str | None) -> dict[str, float]:
+    """Rays, or seconds where a unit says so."""
+    if text is None:
+        return {}
+    if " " in text.strip():
+        return {"budget_seconds": shared.time_of(text, "--budget")}
+    try:
+        return {"budget_rays": float(text)}
+    except ValueError as error:
+        raise InputError(f'"{text}" is no number', where="--budget", remedy='say "1e7" for rays or "30 s"') from error
 
 
 def _dry_run(scene: Scene, options: RenderOptions, *, as_json: bool) -> int:

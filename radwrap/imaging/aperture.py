@@ -97,10 +97,11 @@ def sub_viewpoints(aperture: Aperture, count: int, layout: Layout = "rings") -> 
             points = np.array([_centroid(aperture, cell) for cell in cells])
             weights = np.array([(s1 - s0) * (t1 - t0) for s0, s1, t0, t1 in cells])
     weights = weights / math.fsum(weights)
-    return Viewpoints(points @ _turn(aperture.rotation).T, weights, aperture.area)
+    return Viewpoints(points @ turn(aperture.rotation).T, weights, aperture.area)
 
 
-def _turn(angle: float) -> NDArray[np.float64]:
+def turn(angle: float) -> NDArray[np.float64]:
+    """Matrix that turns (x, y) from x towards y."""
     c, s = math.cos(angle), math.sin(angle)
     return np.array([[c, -s], [s, c]])
 

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
+import numpy as np
+
 from radwrap.errors import InputError
+from radwrap.imaging.view import View, trace_rays
 from radwrap.scene.scene import Scene
 
 # Measured on rtrace 6.0a: a fixed part, and a part for each source, for each ray [s on one core].
 _SECONDS_PER_RAY: Final = 0.6e-6
 _SECONDS_PER_RAY_AND_SOURCE: Final = 0.6e-6
 # Interpreter, libraries and one tracer [byte].
+_TIMED_PIXELS: Final = 20_000
 _BASE_MEMORY: Final = 150 << 20
 # Float64 sums and images while merging, and each worker's float32 image with its copy for reading back [byte/pixel].
 _MERGE_BYTES: Final = 60
@@ -48,15 +53,25 @@ def _duration(seconds: float) -> str:
     return f"{seconds:.2g} s"
 
 
-def estimate(scene: Scene, rays_per_pixel: int, workers: int, measure: Callable[[], float] | None = None) -> Cost:
+def seconds_per_ray(view: View) -> float:
+    """Time a ray takes on one core [s], from pixels spread over the sensor."""
+    sensor = view.camera.sensor
+    pixels = np.unique(np.linspace(0, sensor.pixels - 1, min(_TIMED_PIXELS, sensor.pixels)).astype(np.intp))
+    v, u = np.divmod(pixels.astype(np.float64), sensor.columns)
+    start = time.monotonic()
+    trace_rays(replace(view, workers=1), np.zeros((1, 2)), u, v)
+    return (time.monotonic() - start) / len(pixels)
+
+
+def estimate(scene: Scene, rays: float, workers: int, measure: Callable[[], float] | None = None) -> Cost:
     """Estimate what a run will cost.
 
     Parameters
     ----------
     scene : Scene
         For the size of the sensor and the number of sources.
-    rays_per_pixel : int
-        Rays of each pixel over all sub-viewpoints.
+    rays : float
+        Rays in all.
     workers : int
         Tracer processes at a time.
     measure : callable, optional
@@ -65,9 +80,8 @@ def estimate(scene: Scene, rays_per_pixel: int, workers: int, measure: Callable[
     pixels = scene.camera.sensor.pixels
     model = _SECONDS_PER_RAY + _SECONDS_PER_RAY_AND_SOURCE * len(scene.emitters)
     per_ray = model if measure is None else measure()
-    rays = pixels * rays_per_pixel
     return Cost(
-        rays=rays,
+        rays=round(rays),
         memory_bytes=_BASE_MEMORY + pixels * (_MERGE_BYTES + _WORKER_BYTES * workers),
         seconds=rays * per_ray / workers,
     )
@@ -85,7 +99,7 @@ def check_size(scene: Scene, max_pixels: int, rays_per_pixel: int, workers: int)
     if pixels > max_pixels:
         raise InputError(
             f"{pixels:.4g} pixels are more than --max-pixels {max_pixels:.4g}; this would take "
-            f"{estimate(scene, rays_per_pixel, workers)}",
+            f"{estimate(scene, pixels * rays_per_pixel, workers)}",
             where=f"{scene.origin}: camera.sensor",
             remedy="raise --max-pixels if that is meant",
         )

@@ -13,39 +13,30 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.files import TEMPORARY_SUFFIX, disk_failure, make_folder, sha256_of, sole_owner
 from radwrap.images import ExposureImage, GrayImage, png_bytes, read_image, write_exr, write_png
-from radwrap.imaging.aperture import Layout, Viewpoints, central_viewpoint, sub_viewpoints
-from radwrap.imaging.cost import Cost, check_size, estimate
+from radwrap.imaging.cost import Cost, check_size, estimate, seconds_per_ray
 from radwrap.imaging.exposure import radiant_exposure
-from radwrap.imaging.quality import error_of_pinhole, error_of_viewpoints
+from radwrap.imaging.methods import Made, fixed_method, how, make, viewpoint_plan
+from radwrap.imaging.planner import expected_rays
+from radwrap.imaging.render_options import RenderOptions
+from radwrap.imaging.replicates import Work
 from radwrap.imaging.sensor import gray_image, gray_levels
+from radwrap.imaging.tracing import TracedScene, traced_scene
 from radwrap.imaging.truth import central_maps, geometry
-from radwrap.imaging.view import PixelPlan, PixelSampling, ray_blocks, traced
-from radwrap.imaging.viewpoints import Merged, ViewpointPlan, merge, missing_viewpoints, trace_viewpoints
+from radwrap.imaging.viewpoints import missing_viewpoints
 from radwrap.manifest import SCHEMA_VERSION, plain, read_manifest, sha256_of_value, versions, write_manifest
-from radwrap.process import Limits, Programs, available_cores, children_cpu_time
+from radwrap.process import Programs, available_cores, children_cpu_time
 from radwrap.progress import Progress
 from radwrap.scene.checks import warnings_of
 from radwrap.scene.scene import Scene
-from radwrap.tracers.installation import find_radiance, version
-from radwrap.tracers.radiance import (
-    NO_LIGHT,
-    PreparedScene,
-    RadianceOptions,
-    RadianceTracer,
-    build,
-    prepare,
-)
-from radwrap.tracers.radiance_text import RadianceScene
-
-Method = Literal["pinhole", "viewpoints"]
-METHODS: Final[tuple[Method, ...]] = ("pinhole", "viewpoints")
+from radwrap.tracers.radiance import PreparedScene
 
 MANIFEST: Final = "manifest.json"
 EXPOSURE: Final = "radiant_exposure.exr"
@@ -57,73 +48,8 @@ TRUTH: Final = "truth.json"
 _OPTIONAL: Final = (UNROUNDED, DEPTH, PARTS, TRUTH)
 _VIEWPOINTS: Final = "viewpoints"
 _WORK: Final = ".work"
-_TIMED_PIXELS: Final = 20_000
-
-
-@dataclass(frozen=True, slots=True)
-class RenderOptions:
-    """How a scene is rendered.
-
-    Attributes
-    ----------
-    method : str, optional
-        "pinhole" (infinitesimal) or "viewpoints" (the paper's finite pinhole);
-        default "viewpoints" where the opening is finite.
-    viewpoints : int
-        Number of sub-viewpoints.
-    layout : str
-        How they lie, see `sub_viewpoints`.
-    pixel_samples : int
-        k; k x k rays a pixel for each sub-viewpoint.
-    pixel_sampling : str
-        "centre" of each stratum, or seeded "jitter".
-    seed : int
-        Seed of all that is drawn.
-    workers : int, optional
-        Tracer processes at a time; default one a core.
-    keep_viewpoints : bool
-        Keep the sub-viewpoints' files.
-    truth : bool
-        Write depth, parts and true positions too.
-    trust : bool
-        Let included Radiance files run commands and name any file.
-    radiance : str, optional
-        Folder of a Radiance other than the wheel's.
-    max_pixels : int
-        Largest sensor.
-    tracer_timeout : float
-        Longest silence of a tracer [s].
-    progress : bool
-        Show progress on stderr.
-    """
-
-    method: Method | None = None
-    viewpoints: int = 37
-    layout: Layout = "rings"
-    pixel_samples: int = 1
-    pixel_sampling: PixelSampling = "centre"
-    seed: int = 0
-    workers: int | None = None
-    keep_viewpoints: bool = False
-    truth: bool = False
-    trust: bool = False
-    radiance: str | None = None
-    max_pixels: int = 64_000_000
-    tracer_timeout: float = 600.0
-    progress: bool = False
-
-    def __post_init__(self) -> None:
-        limits = {
-            "viewpoints": (self.viewpoints, 1, 100_000),
-            "pixel-samples": (self.pixel_samples, 1, 100),
-            "workers": (1 if self.workers is None else self.workers, 1, 4096),
-            "seed": (self.seed, 0, 2**63 - 1),
-            "max-pixels": (self.max_pixels, 1, 10**12),
-            "tracer-timeout": (self.tracer_timeout, 1e-3, 1e9),
-        }
-        for name, (value, low, high) in limits.items():
-            if not low <= value <= high:
-                raise InputError(f"must lie between {low:g} and {high:g}, not {value}", where=f"--{name}")
+# Rays a pixel that a tolerance takes, where only a rough number is needed.
+_USUAL_RAYS: Final = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,7 +103,7 @@ def render(
         If Radiance or the disk fails, or another run owns the folder.
     """
     options = replace(options or RenderOptions(), **changes)
-    check_size(scene, options.max_pixels, rays_per_pixel(scene, options), options.workers or available_cores())
+    check_size(scene, options.max_pixels, _usual_rays(scene, options), options.workers or available_cores())
     if out is None:
         with tempfile.TemporaryDirectory(prefix="radwrap-") as folder:
             return _render_into(scene, Path(folder), options)
@@ -185,21 +111,12 @@ def render(
     return _render_into(scene, Path(out), options)
 
 
-def method_of(scene: Scene, options: RenderOptions) -> Method:
-    """The method that is asked for, or fits the opening."""
-    return options.method or ("pinhole" if scene.camera.aperture.is_infinitesimal else "viewpoints")
-
-
-def _viewpoints(scene: Scene, options: RenderOptions) -> Viewpoints:
-    if method_of(scene, options) == "pinhole":
-        return central_viewpoint(scene.camera.aperture)
-    return sub_viewpoints(scene.camera.aperture, options.viewpoints, options.layout)
-
-
-def rays_per_pixel(scene: Scene, options: RenderOptions) -> int:
-    """Rays that each pixel gets, over all sub-viewpoints."""
-    number = 1 if method_of(scene, options) == "pinhole" else options.viewpoints
-    return number * options.pixel_samples**2
+def _usual_rays(scene: Scene, options: RenderOptions) -> int:
+    """Rays that each pixel gets, as far as that is known before a ray is traced."""
+    method = fixed_method(scene, options)
+    if method is None:
+        return _USUAL_RAYS
+    return (1 if method == "pinhole" else options.viewpoint_number) * options.pixel_samples**2
 
 
 def forecast(scene: Scene, options: RenderOptions) -> Cost:
@@ -211,10 +128,13 @@ def forecast(scene: Scene, options: RenderOptions) -> Cost:
         As `render`.
     """
     workers = options.workers or available_cores()
-    check_size(scene, options.max_pixels, rays_per_pixel(scene, options), workers)
-    with tempfile.TemporaryDirectory(prefix="radwrap-") as folder, Programs() as programs:
-        run = _Run(scene, Path(folder), Path(folder), options, programs)
-        return estimate(scene, rays_per_pixel(scene, options), workers, run.seconds_per_ray)
+    rays = _usual_rays(scene, options)
+    check_size(scene, options.max_pixels, rays, workers)
+    with traced_scene(scene, options) as view:
+        expected: float = rays * scene.camera.sensor.pixels
+        if fixed_method(scene, options) is None:
+            expected = expected_rays(view, options.demand, options.seed)
+        return estimate(scene, expected, workers, lambda: seconds_per_ray(view))
 
 
 def _render_into(scene: Scene, out: Path, options: RenderOptions) -> Rendered:
@@ -256,28 +176,14 @@ class _Run:
         self.work = work
         self.options = options
         self.programs = programs
-        limits = Limits(silence=options.tracer_timeout)
-        self.radiance = RadianceOptions(find_radiance(options.radiance), options.trust, limits)
-        self.prepared: PreparedScene = prepare(scene, self.radiance, programs, work)
-        self.versions = {**versions(), "radiance": version(self.radiance.installation, programs)}
-        self.plan = ViewpointPlan(
-            camera=scene.camera,
-            viewpoints=_viewpoints(scene, options),
-            pixel_plan=PixelPlan(options.pixel_samples, options.pixel_sampling, options.seed),
-            scene_sha256=sha256_of_value(
-                {
-                    "text": self.prepared.scene.text,
-                    "files": {name: content.hex() for name, content in self.prepared.scene.files.items()},
-                    "radiance": self.versions["radiance"],
-                }
-            ),
-        )
+        self.traced = TracedScene(scene, options, programs, work)
+        self.versions = {**versions(), "radiance": self.traced.version}
+        self.traced_sha256 = self.traced.sha256()
         self.sha256 = sha256_of_value(
             {
-                "plan": self.plan.sha256(),
+                "traced": self.traced_sha256,
                 "camera": scene.camera,
-                "method": method_of(scene, options),
-                "layout": options.layout,
+                "how": how(scene, options),
                 "truth": options.truth,
                 "document": scene.document,
                 "versions": self.versions,
@@ -291,8 +197,11 @@ class _Run:
 
     def is_finished(self) -> bool:
         """Whether the folder already holds this very result, every file of it."""
-        if self.options.keep_viewpoints and missing_viewpoints(self.plan, self.folder):
-            return False
+        method = fixed_method(self.scene, self.options)
+        if self.options.keep_viewpoints and method is not None:
+            plan = viewpoint_plan(self.scene, self.options, method, self.traced_sha256)
+            if missing_viewpoints(plan, self.folder):
+                return False
         try:
             manifest = read_manifest(self.out / MANIFEST)
             files = manifest["files"]
@@ -305,73 +214,45 @@ class _Run:
     def carry_out(self, start: float, cpu: float) -> None:
         """Trace, merge, expose, and write; the manifest last."""
         make_folder(self.folder)
-        tracer = self._tracer(self.prepared.scene, self.work / "scene")
-        progress = Progress("tracing", self.plan.rays, shown=self.options.progress)
+        progress = Progress("tracing", 1, shown=self.options.progress)
         try:
-            reused = trace_viewpoints(
-                self.plan,
-                tracer,
-                self.folder,
-                programs=self.programs,
-                workers=self.options.workers or available_cores(),
-                progress=progress,
+            made = make(
+                self.scene,
+                self.options,
+                Work(self.traced.view(), self.folder, self.programs, progress, self.traced_sha256, self.options.seed),
             )
         finally:
             progress.close()
-        merged = merge(self.plan, self.folder)
-        if method_of(self.scene, self.options) == "pinhole":
-            error = error_of_pinhole(self.plan, tracer, merged)
-        else:
-            error = error_of_viewpoints(self.plan, merged)
         # From here on the old manifest no longer fits the files, and what only an older run wrote fits nothing.
         for name in (MANIFEST, *_OPTIONAL):
             (self.out / name).unlink(missing_ok=True)
-        summary, files = self._write_images(merged)
+        summary, files = self._write_images(made.radiance)
         if self.options.truth:
             files += self._write_truth()
         timing = {
             "wall_s": time.monotonic() - start,
             "tracer_cpu_s": children_cpu_time() - cpu,
             "workers": self.options.workers or available_cores(),
-            "reused_viewpoints": reused,
+            "reused_viewpoints": made.reused,
         }
         manifest = {
-            **self._description(),
+            **self._description(made),
             **summary,
-            "error": error,
+            "error": made.error,
             "files": {name: sha256_of(self.out / name) for name in files},
             "timing": timing,
         }
         write_manifest(self.out / MANIFEST, manifest)
 
-    def seconds_per_ray(self) -> float:
-        """Time a ray takes on one core [s], from pixels spread over the sensor."""
-        tracer = self._tracer(self.prepared.scene, self.work / "scene")
-        number = self.scene.camera.sensor.pixels
-        pixels = np.unique(np.linspace(0, number - 1, min(_TIMED_PIXELS, number)).astype(np.intp))
-        start = time.monotonic()
-        for _ in traced(tracer.trace, ray_blocks(self.scene.camera, (0.0, 0.0), PixelPlan(), 0, pixels)):
-            pass
-        return (time.monotonic() - start) / len(pixels)
-
     def clean_up(self) -> None:
-        """Remove the sub-viewpoints' files, unless they are wanted."""
-        if not self.options.keep_viewpoints:
+        """Remove the pieces, unless they are sub-viewpoints and wanted."""
+        if not self.options.keep_viewpoints or fixed_method(self.scene, self.options) is None:
             shutil.rmtree(self.folder, ignore_errors=True)
 
-    def _tracer(self, scene: RadianceScene, folder: Path, harmless: tuple[str, ...] = ()) -> RadianceTracer:
-        make_folder(folder)
-        # A trusted file may name files beside itself, and Radiance looks for them where it runs.
-        search = tuple({(self.scene.folder / target.file).parent.absolute() for target in self.scene.included})
-        search = tuple(sorted(search)) if self.options.trust else ()
-        build(scene.text, scene.files, folder, self.radiance, self.programs, search=search, harmless=harmless)
-        channel = self.scene.camera.sensor.channel
-        return RadianceTracer(self.radiance, self.programs, folder, scene, search, channel, harmless)
-
-    def _write_images(self, merged: Merged) -> tuple[dict[str, Any], list[str]]:
+    def _write_images(self, radiance: NDArray[np.float64]) -> tuple[dict[str, Any], list[str]]:
         camera = self.scene.camera
         sensor = camera.sensor
-        exact = radiant_exposure(merged.mean, camera, self.plan.viewpoints.area, {})
+        exact = radiant_exposure(radiance, camera, camera.aperture.area, {})
         # The gray image is Eq. 5 of the exposure as the file holds it, so that anybody can compute it again.
         stored = exact.values.astype(np.float32)
         exposure = ExposureImage(stored.astype(np.float64))
@@ -392,32 +273,22 @@ class _Run:
         return summary, files
 
     def _write_truth(self) -> list[str]:
-        identity = replace(
-            self.prepared.scene, text=self.prepared.identity, scales=replace(self.prepared.scene.scales, radiance=1.0)
-        )
-        tracer = self._tracer(identity, self.work / "identity", (NO_LIGHT,))
-        depth, parts = central_maps(self.scene.camera, replace(tracer, channel="equal"))
+        depth, parts = central_maps(self.scene.camera, self.traced.identity_tracer())
         write_exr(self.out / DEPTH, depth, channel="depth", metadata={"radwrap:unit": "m"})
         write_png(self.out / PARTS, parts)
         write_manifest(
             self.out / TRUTH,
-            {"schema_version": SCHEMA_VERSION, **geometry(self.scene, self.prepared.parts)},
+            {"schema_version": SCHEMA_VERSION, **geometry(self.scene, self.traced.prepared.parts)},
         )
         return [DEPTH, PARTS, TRUTH]
 
-    def _description(self) -> dict[str, Any]:
+    def _description(self, made: Made) -> dict[str, Any]:
         options = self.options
         return {
             "schema_version": SCHEMA_VERSION,
-            "scene_sha256": scene_sha256(self.scene, self.prepared),
+            "scene_sha256": scene_sha256(self.scene, self.traced.prepared),
             "run_sha256": self.sha256,
-            "method": method_of(self.scene, options),
-            "layout": options.layout if len(self.plan.viewpoints) > 1 else None,
-            "viewpoints": len(self.plan.viewpoints),
-            "pixel_samples": options.pixel_samples,
-            "pixel_sampling": options.pixel_sampling,
-            "rays_per_pixel": rays_per_pixel(self.scene, options),
-            "rays": self.plan.rays,
+            **made.description,
             "seed": options.seed,
             "trust": options.trust,
             "versions": self.versions,

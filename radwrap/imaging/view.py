@@ -8,8 +8,10 @@ window at once. Moving the viewpoint alone would be a lens focused at infinity.
 
 from __future__ import annotations
 
+import itertools
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -18,9 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.scene.camera import Camera
+from radwrap.tracers.tracer import Tracer
 
 PixelSampling = Literal["centre", "jitter"]
-_RAYS_AT_ONCE: Final = 1 << 13  # 0.4 MiB of rays: what each of many threads may keep, large beside the cost of a call
+RAYS_AT_ONCE: Final = 1 << 13  # 0.4 MiB of rays: what each of many threads may keep, large beside the cost of a call
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +101,7 @@ def ray_blocks(
     """
     sensor, k = camera.sensor, plan.samples
     strata = np.stack(np.meshgrid(np.arange(k), np.arange(k)), axis=-1).reshape(-1, 2)  # (column, row) inside a pixel
-    step = max(1, _RAYS_AT_ONCE // plan.rays)
+    step = max(1, RAYS_AT_ONCE // plan.rays)
     total = sensor.pixels if pixels is None else len(pixels)
     blocks = -(-total // step)
     for number in range(blocks * part // parts, blocks * (part + 1) // parts):
@@ -112,22 +115,43 @@ def ray_blocks(
         offsets = (strata + inside) / k - 0.5
         u = (column[:, np.newaxis] + offsets[..., 0]).ravel()
         v = (row[:, np.newaxis] + offsets[..., 1]).ravel()
-        rays, cos4 = _rays(camera, opening_point, u, v)
+        rays, cos4 = rays_through(camera, opening_point, u, v)
         yield RayBlock(first, len(indices), rays, cos4)
 
 
-def _rays(
-    camera: Camera, opening_point: tuple[float, float], u: NDArray[np.float64], v: NDArray[np.float64]
+def rays_through(
+    camera: Camera,
+    opening_point: tuple[float, float] | NDArray[np.float64],
+    u: NDArray[np.float64],
+    v: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Rays through the sensor positions u (column) and v (row) [px]."""
+    """Rays from points of the opening through positions on the sensor.
+
+    Parameters
+    ----------
+    camera : Camera
+        Pose, focal length, pixels.
+    opening_point : tuple or ndarray, shape (2,) or (n, 2)
+        One for all rays or one for each, in the pinhole plane [m].
+    u, v : ndarray, shape (n,)
+        Sensor positions, column and row [px].
+
+    Returns
+    -------
+    rays : ndarray, shape (n, 6)
+        Origin [m] and direction in the world.
+    cos4 : ndarray, shape (n,)
+        cos^4 of each ray's angle to the camera's axis.
+    """
     rotation = np.asarray(camera.pose.rotation)
     f = camera.focal_length
+    opening = np.atleast_2d(opening_point)
     local = np.empty((len(u), 3))
-    local[:, 0] = (u - camera.principal_point[0]) * camera.sensor.pixel_width + opening_point[0]
-    local[:, 1] = (v - camera.principal_point[1]) * camera.sensor.pixel_height + opening_point[1]
+    local[:, 0] = (u - camera.principal_point[0]) * camera.sensor.pixel_width + opening[:, 0]
+    local[:, 1] = (v - camera.principal_point[1]) * camera.sensor.pixel_height + opening[:, 1]
     local[:, 2] = f
     rays = np.empty((len(u), 6))
-    rays[:, :3] = np.asarray(camera.pose.position) + rotation @ np.array([*opening_point, 0.0])
+    rays[:, :3] = np.asarray(camera.pose.position) + opening @ rotation[:, :2].T
     np.matmul(local, rotation.T, out=rays[:, 3:])
     cos4: NDArray[np.float64] = (f**2 / np.einsum("ij,ij->i", local, local)) ** 2
     return rays, cos4
@@ -153,3 +177,103 @@ def traced(
     with closing(trace(rays())) as answers:
         for radiance in answers:
             yield pending.popleft(), radiance
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """A camera, and who traces its rays.
+
+    Attributes
+    ----------
+    camera : Camera
+        Pose, focal length, pixels, opening.
+    tracer : Tracer
+        Who traces.
+    workers : int
+        Tracer processes at a time, where there are rays enough.
+    """
+
+    camera: Camera
+    tracer: Tracer
+    workers: int = 1
+
+    @property
+    def exposure_of_radiance(self) -> float:
+        """Radiant exposure of an even field of radiance 1, but for cos^4: tau A/f^2 [s sr] (Eq. 3)."""
+        camera = self.camera
+        return camera.exposure_time * camera.aperture.area / camera.focal_length**2
+
+
+def trace_rays(
+    view: View,
+    opening: NDArray[np.float64],
+    u: NDArray[np.float64],
+    v: NDArray[np.float64],
+    *,
+    with_depth: bool = False,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """L cos^4(theta) along any rays, and m = 1 + f/z of what they meet.
+
+    Parameters
+    ----------
+    view : View
+        Whose rays.
+    opening : ndarray, shape (1, 2) or (n, 2)
+        Points of the opening [m].
+    u, v : ndarray, shape (n,)
+        Sensor positions [px].
+    with_depth : bool
+        Whether m is needed; else it is 1.
+    """
+    parts = min(view.workers, -(-len(u) // RAYS_AT_ONCE))
+    if parts <= 1:
+        return _trace_part(view, opening, u, v, with_depth=with_depth)
+    cuts = [slice(*pair) for pair in itertools.pairwise(np.linspace(0, len(u), parts + 1).astype(int))]
+    with ThreadPoolExecutor(parts) as pool:
+        jobs = [
+            pool.submit(
+                _trace_part,
+                view,
+                opening if len(opening) == 1 else opening[cut],
+                u[cut],
+                v[cut],
+                with_depth=with_depth,
+            )
+            for cut in cuts
+        ]
+        answers = [job.result() for job in jobs]
+    return np.concatenate([value for value, _ in answers]), np.concatenate([m for _, m in answers])
+
+
+def _trace_part(
+    view: View, opening: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.float64], *, with_depth: bool
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    values, magnification = np.empty(len(u)), np.ones(len(u))
+    cosines: deque[NDArray[np.float64]] = deque()
+
+    def blocks() -> Iterator[NDArray[np.float64]]:
+        for start in range(0, len(u), RAYS_AT_ONCE):
+            part = slice(start, start + RAYS_AT_ONCE)
+            rays, cos4 = rays_through(view.camera, opening if len(opening) == 1 else opening[part], u[part], v[part])
+            cosines.append(cos4)
+            yield rays
+
+    start = 0
+    for radiance, distance in _asked(view.tracer, blocks(), with_depth=with_depth):
+        part, cos4 = slice(start, start + len(radiance)), cosines.popleft()
+        start += len(radiance)
+        values[part] = radiance * cos4
+        if distance is not None:
+            magnification[part] = 1 + view.camera.focal_length / (distance * cos4**0.25)
+    return values, magnification
+
+
+def _asked(
+    tracer: Tracer, rays: Iterator[NDArray[np.float64]], *, with_depth: bool
+) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64] | None]]:
+    if with_depth:
+        with closing(tracer.trace_with_distances(rays)) as answers:
+            yield from answers
+    else:
+        with closing(tracer.trace(rays)) as values:
+            yield from ((radiance, None) for radiance in values)

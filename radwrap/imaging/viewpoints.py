@@ -8,28 +8,22 @@ one with their area weights.
 from __future__ import annotations
 
 import threading
-from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.errors import EnvironmentFailure, InputError
-from radwrap.files import TEMPORARY_SUFFIX
-from radwrap.images import digest, read_image, write_exr
+from radwrap.errors import EnvironmentFailure
 from radwrap.imaging.aperture import Viewpoints
+from radwrap.imaging.pieces import log_call, read_piece, remove_strangers, run_jobs, write_piece
 from radwrap.imaging.view import PixelPlan, pixel_means, ray_blocks, traced
 from radwrap.manifest import sha256_of_value
 from radwrap.process import Programs
 from radwrap.progress import Progress
 from radwrap.scene.camera import Camera
 from radwrap.tracers.tracer import Tracer
-
-CALL_LOG: Final = "tracer_calls.log"
-_CHANNEL: Final = "radiance_cos4"
-_TICK: Final = 0.2  # s
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,23 +70,6 @@ class ViewpointPlan:
         return self.camera.sensor.pixels * self.pixel_plan.rays * len(self.viewpoints)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Merged:
-    """Area-weighted means over the sub-viewpoints, float64, shape (rows, columns) [W m^-2 sr^-1].
-
-    Attributes
-    ----------
-    mean : ndarray
-        Over all of them.
-    halves : tuple of ndarray
-        Over every second one and over the others, each with its own weights;
-        empty where there is only one.
-    """
-
-    mean: NDArray[np.float64]
-    halves: tuple[NDArray[np.float64], ...]
-
-
 def viewpoint_file(folder: Path, index: int) -> Path:
     """File of a sub-viewpoint."""
     return folder / f"viewpoint_{index:05d}.exr"
@@ -123,60 +100,21 @@ def trace_viewpoints(
     int
         How many files were re-used.
     """
-    _remove_strangers(folder, len(plan.viewpoints))
+    remove_strangers(folder, {viewpoint_file(folder, index).name for index in range(len(plan.viewpoints))})
     due = missing_viewpoints(plan, folder)
     reused = len(plan.viewpoints) - len(due)
     progress.skip(reused * plan.rays // len(plan.viewpoints))
 
-    with ThreadPoolExecutor(max_workers=workers) as pool:
-        jobs = [
-            pool.submit(canvas.trace, part, tracer, progress)
-            for canvas in _canvases(plan, folder, due, workers)
-            for part in range(canvas.parts)
-        ]
-        try:
-            waiting: set[Future[None]] = set(jobs)
-            while waiting:
-                # Awake now and then: a signal that another thread got is heard by the main one only when it runs.
-                done, waiting = wait(waiting, timeout=_TICK, return_when=FIRST_EXCEPTION)
-                for job in done:
-                    job.result()
-        except BaseException:
-            # Ctrl-C comes here too: the programs end at once, and so do the threads that wait for them.
-            for job in jobs:
-                job.cancel()
-            programs.cancel()
-            raise
+    canvases = _canvases(plan, folder, due, workers)
+    jobs = [partial(canvas.trace, part, tracer, progress) for canvas in canvases for part in range(canvas.parts)]
+    run_jobs(jobs, programs, workers)
     return reused
 
 
 def missing_viewpoints(plan: ViewpointPlan, folder: Path) -> list[int]:
     """Numbers of the sub-viewpoints whose file is not there, whole and of this plan."""
     name = plan.sha256()
-    return [i for i in range(len(plan.viewpoints)) if not _is_whole(viewpoint_file(folder, i), name, i)]
-
-
-def _remove_strangers(folder: Path, count: int) -> None:
-    """Remove half-written files and sub-viewpoints that this plan does not have."""
-    ours = {viewpoint_file(folder, index).name for index in range(count)}
-    for path in folder.iterdir():
-        if path.suffix == ".exr" and (path.name not in ours or TEMPORARY_SUFFIX in path.suffixes):
-            path.unlink(missing_ok=True)
-
-
-def _is_whole(path: Path, plan: str, index: int) -> bool:
-    """Whether a file holds this sub-viewpoint of this plan, every pixel of it."""
-    if not path.is_file():
-        return False
-    try:
-        pixels, metadata = read_image(path)
-    except InputError:
-        return False
-    return (metadata.get("radwrap:plan"), metadata.get("radwrap:index"), metadata.get("radwrap:pixels")) == (
-        plan,
-        str(index),
-        digest(pixels),
-    )
+    return [i for i in range(len(plan.viewpoints)) if read_piece(viewpoint_file(folder, i), _name(name, i)) is None]
 
 
 class _Canvas:
@@ -210,8 +148,7 @@ class _Canvas:
     def _begun(self) -> NDArray[np.float32]:
         with self._guard:
             if self._pixels is None:
-                with (self._folder / CALL_LOG).open("a", encoding="ascii") as log:
-                    log.write(f"{self._index}\n")
+                log_call(self._folder, self._index)
                 self._pixels = np.empty(self._plan.camera.sensor.pixels, dtype=np.float32)
             return self._pixels
 
@@ -226,26 +163,28 @@ def _write(plan: ViewpointPlan, folder: Path, index: int, pixels: NDArray[np.flo
     sensor = plan.camera.sensor
     image = pixels.reshape(sensor.rows, sensor.columns)
     position, weight = plan.viewpoints.positions[index], float(plan.viewpoints.weights[index])
-    metadata: dict[str, Any] = {
-        "plan": plan.sha256(),
+    metadata = {
         "index": index,
-        "pixels": digest(image),
         "position_u": float(position[0]),
         "position_v": float(position[1]),
         "area": weight * plan.viewpoints.area,
         "weight": weight,
-        "unit": "W m^-2 sr^-1",
     }
-    write_exr(
-        viewpoint_file(folder, index),
-        image,
-        channel=_CHANNEL,
-        metadata={f"radwrap:{key}": str(value) for key, value in metadata.items()},
-    )
+    write_piece(viewpoint_file(folder, index), image, _name(plan.sha256(), index), metadata, packed=True)
 
 
-def merge(plan: ViewpointPlan, folder: Path) -> Merged:
-    """Area-weighted means, reading one file at a time in a fixed order.
+def _name(plan: str, index: int) -> str:
+    """A sub-viewpoint's plan: files of the same plan may not change places either."""
+    return f"{plan}-{index}"
+
+
+def merge(plan: ViewpointPlan, folder: Path) -> NDArray[np.float64]:
+    """Area-weighted mean over the sub-viewpoints, reading one file at a time in a fixed order.
+
+    Returns
+    -------
+    ndarray of float64, shape (rows, columns)
+        [W m^-2 sr^-1]
 
     Raises
     ------
@@ -253,16 +192,12 @@ def merge(plan: ViewpointPlan, folder: Path) -> Merged:
         If a file changed since it was written.
     """
     name = plan.sha256()
-    weights = plan.viewpoints.weights
     shape = (plan.camera.sensor.rows, plan.camera.sensor.columns)
-    sums = [np.zeros(shape), np.zeros(shape)]
-    for index, weight in enumerate(weights):
+    mean = np.zeros(shape)
+    for index, weight in enumerate(plan.viewpoints.weights):
         path = viewpoint_file(folder, index)
-        pixels, metadata = read_image(path)
-        if metadata.get("radwrap:plan") != name or pixels.shape != shape:
+        found = read_piece(path, _name(name, index))
+        if found is None or found[0].shape != shape:
             raise EnvironmentFailure("was changed by somebody else", where=str(path), remedy="run again")
-        sums[index % 2] += weight * pixels.astype(np.float64)
-    mean = sums[0] + sums[1]
-    if len(weights) < 2:
-        return Merged(mean, ())
-    return Merged(mean, tuple(part / weights[first::2].sum() for first, part in enumerate(sums)))
+        mean += weight * found[0].astype(np.float64)
+    return mean

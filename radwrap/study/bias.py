@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from radwrap.errors import InputError
 from radwrap.files import write_bytes
 from radwrap.images import ExposureImage, GrayImage
+from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.sensor import gray_image
-from radwrap.imaging.synthesis import RenderOptions, render
+from radwrap.imaging.synthesis import render
 from radwrap.imaging.truth import geometry
 from radwrap.manifest import json_text
 from radwrap.measure.dots import Method, find_dots

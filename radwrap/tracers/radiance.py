@@ -27,10 +27,13 @@ _OCTREE: Final = "scene.oct"
 # threshold (-dt 0, -dc 1); no random reflected rays (-st 1), no interreflection (-ab 0). Mirrors of an included
 # file are followed 8 deep, never by Russian roulette.
 VALUE_OPTIONS: Final = tuple("-h -fdf -ov -ab 0 -dt 0 -dc 1 -dj 0 -ds 0 -st 1 -lr 8 -lw 0 -n 1 -x 0 -y 0".split(" "))
+_BOTH_OPTIONS: Final = tuple("-ovL" if option == "-ov" else option for option in VALUE_OPTIONS)
 _LENGTH_OPTIONS: Final = tuple("-h -fdf -oL -ab 0 -n 1 -x 0 -y 0".split(" "))
 # The identity scene has no lights on purpose.
 NO_LIGHT: Final = r"(rtrace|oconv): warning - no light sources found"
 _CHANNELS: Final = {"red": 0, "green": 1, "blue": 2}
+# What rtrace says of a ray that meets nothing: 1e10 in the scene's unit, a float32.
+_NOWHERE: Final = 9.9e9
 # The channels of a gray scene agree to the float32's last digits.
 _CHANNEL_TOLERANCE: Final = 1e-5
 
@@ -189,6 +192,15 @@ class RadianceTracer:
         """Radiance along rays, one rtrace process for all of them; see `Tracer.trace`."""
         with closing(self._ask(VALUE_OPTIONS, rays, 3)) as answers:
             yield from map(self._radiance, answers)
+
+    def trace_with_distances(
+        self, rays: Iterable[NDArray[np.float64]]
+    ) -> Generator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+        """Radiance and distance along rays, one rtrace process for all of them; see `Tracer`."""
+        with closing(self._ask(_BOTH_OPTIONS, rays, 4)) as answers:
+            for values in answers:
+                distances = values[:, 3].astype(np.float64) * self.scene.scales.length
+                yield self._radiance(values[:, :3]), np.where(values[:, 3] < _NOWHERE, distances, np.inf)
 
     def _radiance(self, values: NDArray[np.float32]) -> NDArray[np.float64]:
         if values.min() < 0:

@@ -32,3 +32,12 @@ class Tracer(Protocol):
             number a ray.
         """
         ...
+
+    def trace_with_distances(
+        self, rays: Iterable[NDArray[np.float64]]
+    ) -> Generator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+        """Radiance along rays, and the distance to the first surface [m]; blocks and errors as in `trace`.
+
+        The distance is infinite where a ray meets nothing.
+        """
+        ...

@@ -36,7 +36,8 @@ KEPT: Final = "--keep-viewpoints"
 
 
 def _argv(scene: Path, out: Path, *options: object, number: int = 7) -> list[object]:
-    return ["render", scene, "--out", out, "--viewpoints", number, *options]
+    how: list[object] = [] if "--method" in options else ["--viewpoints", number]
+    return ["render", scene, "--out", out, *how, *options]
 
 
 def _again_is_the_same(out: Path, good: dict[str, Any]) -> None:
@@ -81,7 +82,7 @@ def test_ten_kills_at_random_change_nothing(memory_path: Path, capsys: pytest.Ca
 # A process that kills itself: the command's own code, forked for each moment, so that libraries are loaded once.
 DRIVER: Final = """
 import json, os, pathlib, shutil, signal, sys
-import radwrap.files, radwrap.imaging.synthesis, radwrap.imaging.viewpoints
+import radwrap.files, radwrap.imaging.methods, radwrap.imaging.pieces, radwrap.imaging.viewpoints
 from radwrap.cli.main import main
 
 argv, moments, cores = json.loads(sys.stdin.read())
@@ -93,8 +94,8 @@ def arm(kind, number):
         nonlocal count
         count += kind in kinds
         return kind in kinds and count == number
-    rename, read, whole = pathlib.Path.replace, radwrap.imaging.viewpoints.read_image, shutil.rmtree
-    merge, unlink = radwrap.imaging.synthesis.merge, pathlib.Path.unlink
+    rename, read, whole = pathlib.Path.replace, radwrap.imaging.pieces.read_image, shutil.rmtree
+    merge, unlink = radwrap.imaging.methods.merge, pathlib.Path.unlink
     def replace(self, target):
         last = at_last("before rename", "half written", "after rename")
         if last and kind == "before rename":
@@ -111,7 +112,7 @@ def arm(kind, number):
             if at_last("merge"):
                 die()
             return read(path)
-        radwrap.imaging.viewpoints.read_image = reading
+        radwrap.imaging.pieces.read_image = reading
         return merge(*arguments)
     def unlinking(self, missing_ok=False):
         unlink(self, missing_ok=missing_ok)
@@ -124,7 +125,7 @@ def arm(kind, number):
             die()
         return whole(folder, **options)
     pathlib.Path.replace, shutil.rmtree, pathlib.Path.unlink = replace, removing, unlinking
-    radwrap.imaging.synthesis.merge = merging
+    radwrap.imaging.methods.merge = merging
 
 sys.stdout.flush()
 status = {}
@@ -356,6 +357,8 @@ def test_a_changed_scene_in_the_same_folder_gives_its_own_result(
         ("unrounded", ["--set", "camera.sensor.rounding=false"]),
         ("layout", ["--layout", "sunflower"]),
         ("pinhole", ["--method", "pinhole"]),
+        ("kernel", ["--method", "kernel"]),
+        ("rays", ["--method", "rays", "--tolerance", 4]),
         ("samples", ["--pixel-samples", 2]),
         ("first again", []),
     ]

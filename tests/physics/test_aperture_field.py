@@ -79,7 +79,7 @@ def expose(tmp_path: Path) -> Callable[..., np.ndarray]:
         with Programs() as programs:
             progress = Progress("", plan.rays, shown=False)
             trace_viewpoints(plan, tracer, folder, programs=programs, workers=2, progress=progress)
-        return radiant_exposure(merge(plan, folder).mean, camera, views.area, {}).values
+        return radiant_exposure(merge(plan, folder), camera, views.area, {}).values
 
     return run
 

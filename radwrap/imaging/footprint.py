@@ -1,0 +1,125 @@
+"""What a pixel gathers on the central image: its box folded with the opening's magnified shape.
+
+A point at depth z that is seen through the opening's point q appears at
+x' = x_c - m q, with m = 1 + f/z and x_c its place on the central image (that
+of the opening's centre). So a pixel gathers the central image over its own
+box, moved by + m q for all q: a correlation with the magnified opening. To
+convolve instead would turn the opening by half a turn.
+
+Places are in pixels; the grid's cells have the size h, the corner of cell
+(0, 0) is that of pixel (0, 0), so that cells and pixels divide each other.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.imaging.aperture import place, turn
+from radwrap.scene.camera import Aperture, Camera
+
+# Points that stand for the opening's area lie this share of a cell or pixel apart, whichever is larger: with the box
+# folded over them, the weight of a cell is then right to about 1e-4 of the largest.
+_SPACING: Final = 0.5
+_FEWEST, _MOST = 8, 96  # rings of points
+_TURN_POINTS: Final = 6  # points on a ring for each ring: about as far from each other as the rings are
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Footprint:
+    """Weights of cells around a pixel.
+
+    Attributes
+    ----------
+    first : tuple of int
+        Row and column of the first cell, from the cell in which the pixel's corner lies.
+    weights : ndarray, shape (rows, columns)
+        Not negative; their sum is 1.
+    """
+
+    first: tuple[int, int]
+    weights: NDArray[np.float64]
+
+
+def opening_points(aperture: Aperture, spacing: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Points of equal area that stand for an opening.
+
+    Parameters
+    ----------
+    aperture : Aperture
+        Any; the infinitesimal one has one point.
+    spacing : float
+        About how far apart [m].
+
+    Returns
+    -------
+    positions : ndarray, shape (n, 2)
+        Along the camera's x and y [m].
+    weights : ndarray, shape (n,)
+        Their sum is 1.
+    """
+    if aperture.is_infinitesimal:
+        return np.zeros((1, 2)), np.ones(1)
+    rings = min(max(math.ceil(aperture.reach / spacing), _FEWEST), _MOST)
+    number = _TURN_POINTS * rings
+    s, t = np.meshgrid((np.arange(rings) + 0.5) / rings, (np.arange(number) + 0.5) / number)
+    points = place(aperture, s.ravel(), t.ravel()) @ turn(aperture.rotation).T
+    return points, np.full(len(points), 1 / len(points))
+
+
+def reach_px(camera: Camera, magnification: float) -> tuple[float, float]:
+    """How far, in columns and rows, a pixel's centre gathers light from [px]."""
+    reach = camera.aperture.reach * magnification
+    return reach / camera.sensor.pixel_width, reach / camera.sensor.pixel_height
+
+
+def footprint(camera: Camera, magnification: float, cell: float, phase: tuple[int, ...] = (0, 0)) -> Footprint:
+    """Weights of the cells from which a pixel gathers light, exact for radiance that is even in each cell.
+
+    Parameters
+    ----------
+    camera : Camera
+        Its opening and pixels.
+    magnification : float
+        m = 1 + f/z; 0 where nothing depends on the opening.
+    cell : float
+        Size h of the cells [px]; a power of two.
+    phase : tuple of int
+        Row and column of the pixel [px]; where cells are smaller than pixels all pixels are alike.
+    """
+    sensor = camera.sensor
+    spacing = _SPACING * max(cell, 1.0) * min(sensor.pixel_width, sensor.pixel_height) / max(magnification, 1e-9)
+    points, weights = opening_points(camera.aperture, spacing)
+    return folded(points * magnification / (sensor.pixel_width, sensor.pixel_height), weights, cell, phase)
+
+
+def folded(
+    points: NDArray[np.float64], weights: NDArray[np.float64], cell: float, phase: tuple[int, ...] = (0, 0)
+) -> Footprint:
+    """Weights of cells for a pixel's box around each of some points, as `footprint`.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 2)
+        Columns and rows from the pixel's centre [px].
+    weights : ndarray, shape (n,)
+        Whatever each stands for; their sum is 1.
+    cell, phase
+        As in `footprint`.
+    """
+    first_column, across = _overlaps(points[:, 0] + phase[1], cell)
+    first_row, along = _overlaps(points[:, 1] + phase[0], cell)
+    return Footprint((first_row, first_column), (along * weights[:, np.newaxis]).T @ across)
+
+
+def _overlaps(starts: NDArray[np.float64], cell: float) -> tuple[int, NDArray[np.float64]]:
+    """Shares of pixel boxes, which begin at `starts` [px], that lie in each cell; and the first cell's number."""
+    low, high = starts / cell, (starts + 1) / cell
+    first, last = math.floor(low.min()), math.ceil(high.max())
+    edges = np.arange(first, last)
+    inside = np.minimum(high[:, np.newaxis], edges + 1) - np.maximum(low[:, np.newaxis], edges)
+    return first, np.maximum(inside, 0.0) * cell

@@ -1,0 +1,274 @@
+"""The finite pinhole from one image: the central image, gathered with the opening's shape.
+
+Exact where radiance does not change over the opening and nothing hides
+anything; the certificate tells how far that holds. Depth enters by layers:
+each cell's light is spread with its own magnification, shared between the two
+layers next to it.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.errors import InputError
+from radwrap.imaging.central import CentralImage, GridPlan, central_image
+from radwrap.imaging.footprint import Footprint, footprint, reach_px
+from radwrap.imaging.sensor import gray_levels
+from radwrap.imaging.view import View
+from radwrap.scene.camera import Camera
+
+# Base cells are at most this share of the blur's radius, grid cells a quarter of them; where the blur is smaller than
+# a pixel, grid cells are an eighth of a pixel, for the footprint then has edges as sharp as that.
+_BASE_SHARE: Final = 0.25
+_LEVELS: Final = 2
+_SHARP_LEVELS: Final = 3
+_SHARP_BLUR: Final = 1.5  # px
+_COARSEST: Final = 64  # px
+# Radii of blur [px] that are told apart: one layer does where all lie this close together, else layers this far apart.
+_SAME_RADIUS: Final = 0.02
+_LAYER_STEP: Final = 0.25
+_MOST_LAYERS: Final = 64
+_TILE_CELLS: Final = 1280  # grid cells along a tile: what a transform of some 50 MiB holds
+
+
+@dataclass(frozen=True, slots=True)
+class KernelPlan:
+    """All that decides an image by the kernel, the scene and the seed aside.
+
+    Attributes
+    ----------
+    camera : Camera
+        The view.
+    grid : GridPlan
+        The central image.
+    layers : tuple of float
+        Magnifications m = 1 + f/z, evenly spaced.
+    tiles : tuple
+        First row, last row + 1, first column, last column + 1 of each tile of the sensor [px].
+    """
+
+    camera: Camera
+    grid: GridPlan
+    layers: tuple[float, ...]
+    tiles: tuple[tuple[int, int, int, int], ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gathered:
+    """A tile of the image.
+
+    Attributes
+    ----------
+    values : ndarray, shape (rows, columns)
+        Mean of L cos^4(theta) over pixel and opening [W m^-2 sr^-1].
+    grid_square : float
+        Mean square of what the cells' size changes, from cells of twice the size [gray level^2].
+    central : CentralImage
+        What it was gathered from.
+    """
+
+    values: NDArray[np.float64]
+    grid_square: float
+    central: CentralImage
+
+
+def plan_kernel(view: View, magnifications: NDArray[np.float64], aim: float) -> KernelPlan:
+    """Choose grid, layers and tiles.
+
+    Parameters
+    ----------
+    view : View
+        For its camera.
+    magnifications : ndarray
+        m of what is in view, from a survey.
+    aim : float
+        Rms error of one replicate to aim at [gray level].
+
+    Raises
+    ------
+    InputError
+        If the scene is too deep for as many layers as are allowed.
+    """
+    camera = view.camera
+    low, high = (float(magnifications.min()), float(magnifications.max())) if magnifications.size else (1.0, 1.0)
+    layers = _layers(camera, low, high)
+    blur = min(reach_px(camera, low))
+    base = 2 ** max(0, min(math.floor(math.log2(max(1.0, _BASE_SHARE * blur))), int(math.log2(_COARSEST))))
+    sensor = camera.sensor
+    opening = camera.aperture.area if not camera.aperture.is_infinitesimal else 0.0
+    grid = GridPlan(
+        base=base,
+        levels=_LEVELS if blur >= _SHARP_BLUR else _SHARP_LEVELS,
+        area=1 + opening * low**2 / (sensor.pixel_width * sensor.pixel_height),
+        aim=aim,
+        exposure_of_radiance=view.exposure_of_radiance,
+        sensor=sensor,
+        with_depth=len(layers) > 1,
+    )
+    side = max(1, int(_TILE_CELLS * grid.cell))
+    rows, columns = (_cuts(size, side) for size in (sensor.rows, sensor.columns))
+    tiles = tuple((r0, r1, c0, c1) for r0, r1 in rows for c0, c1 in columns)
+    return KernelPlan(camera, grid, layers, tiles)
+
+
+def _cuts(size: int, side: int) -> list[tuple[int, int]]:
+    number = -(-size // side)
+    bounds = [size * i // number for i in range(number + 1)]
+    return list(itertools.pairwise(bounds))
+
+
+def _layers(camera: Camera, low: float, high: float) -> tuple[float, ...]:
+    """Magnifications between which each cell's light is shared."""
+    spread = max(reach_px(camera, 1.0)) * (high - low)
+    if spread <= _SAME_RADIUS:
+        return ((low + high) / 2,)
+    number = math.ceil(spread / _LAYER_STEP) + 1
+    if number > _MOST_LAYERS:
+        raise InputError(
+            f"the blur's radius differs by {spread:.3g} px over the scene's depth, too much for one central image",
+            where="--method kernel",
+            remedy="use --method rays",
+        )
+    return tuple(np.linspace(low, high, max(2, number)).tolist())
+
+
+def layer_shares(layers: tuple[float, ...], magnification: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Share of each layer in light of the given magnifications; shares sum to 1."""
+    if len(layers) == 1:
+        return [np.ones_like(magnification)]
+    place = np.clip((magnification - layers[0]) / (layers[1] - layers[0]), 0.0, len(layers) - 1.0)
+    return [np.maximum(0.0, 1 - np.abs(place - number)) for number in range(len(layers))]
+
+
+def gathered_tile(
+    view: View, plan: KernelPlan, tile: int, seed: tuple[int, ...], progress: Callable[[int], None]
+) -> Gathered:
+    """Trace what a tile needs of the central image, and gather it.
+
+    Parameters
+    ----------
+    view : View
+        Who traces.
+    plan : KernelPlan
+        What to do.
+    tile : int
+        Number of the tile.
+    seed : tuple of int
+        Decides the grid's place and all that is drawn.
+    progress : callable
+        Is told how many rays were traced.
+    """
+    place = plan.tiles[tile]
+    cell = plan.grid.cell
+    reach = reach_px(plan.camera, plan.layers[-1])
+    # One pair of cells more on each side, for the coarser image.
+    spans = [
+        (math.floor((begin - far) / cell) - 2, math.ceil((end + far) / cell) + 2)
+        for begin, end, far in ((*place[:2], reach[1]), (*place[2:], reach[0]))
+    ]
+    region = ((spans[0][0], spans[1][0]), (spans[0][1] - spans[0][0], spans[1][1] - spans[1][0]))
+    central = central_image(view, plan.grid, region, seed=seed, progress=progress)
+    values = gather(plan, central, cell, place)
+    # An error of second order in the cells' size: a third of what twice the size adds. Some pixels tell.
+    some, coarse = gather_some(plan, _coarser(central), 2 * cell, place)
+    fine = values[some]
+    changed = np.maximum(fine + (coarse - fine) / 3, 0.0)
+    gray, exact = (gray_levels(v * plan.grid.exposure_of_radiance, plan.camera.sensor) for v in (changed, fine))
+    return Gathered(values, float(((gray - exact) ** 2).mean()) if fine.size else 0.0, central)
+
+
+def gather(
+    plan: KernelPlan, central: CentralImage, cell: float, place: tuple[int, int, int, int]
+) -> NDArray[np.float64]:
+    """Correlate the central image with the footprint of each pixel of a tile."""
+    result = np.empty((place[1] - place[0], place[3] - place[2]))
+    step = max(1, round(cell))
+    for pixels, values in _by_phase(plan, central, cell, place, np.ndindex(step, step)):
+        result[pixels] = values
+    return result
+
+
+def gather_some(
+    plan: KernelPlan, central: CentralImage, cell: float, place: tuple[int, int, int, int]
+) -> tuple[tuple[NDArray[np.intp], ...], NDArray[np.float64]]:
+    """As `gather`, for the pixels that lie alike in their cells only: where they are in the tile, and their values."""
+    return next(_by_phase(plan, central, cell, place, iter([(0, 0)])))
+
+
+def _by_phase(
+    plan: KernelPlan,
+    central: CentralImage,
+    cell: float,
+    place: tuple[int, int, int, int],
+    phases: Iterator[tuple[int, ...]],
+) -> Iterator[tuple[tuple[NDArray[np.intp], ...], NDArray[np.float64]]]:
+    """Pixels whose corner lies alike in a cell have one footprint; gather them together."""
+    shape = tuple(_fast_length(size) for size in central.values.shape)
+    if central.magnification is None:
+        spectra = [np.fft.rfft2(central.values, shape)]
+    else:
+        shares = layer_shares(plan.layers, central.magnification)
+        spectra = [np.fft.rfft2(central.values * share, shape) for share in shares]
+    step = max(1, round(cell))
+    for phase in phases:
+        total = sum(
+            spectrum * np.conj(np.fft.rfft2(_laid_out(footprint(plan.camera, layer, cell, phase), shape)))
+            for layer, spectrum in zip(plan.layers, spectra, strict=True)
+        )
+        field = np.fft.irfft2(total, shape)
+        pixels = [
+            np.arange(begin + (shift - begin) % step, end, step)
+            for begin, end, shift in ((*place[:2], phase[0]), (*place[2:], phase[1]))
+        ]
+        cells = (np.floor(at / cell).astype(int) - first for at, first in zip(pixels, central.first, strict=True))
+        # The transform leaves rounding errors of 1e-16 of the largest value, of either sign.
+        yield np.ix_(pixels[0] - place[0], pixels[1] - place[2]), np.maximum(field[np.ix_(*cells)], 0.0)
+
+
+def _laid_out(print_: Footprint, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Weights in a field of a shape, those of cells before the pixel's own at the far ends."""
+    weights = np.zeros(shape)
+    places = (
+        np.arange(first, first + size) % whole
+        for first, size, whole in zip(print_.first, print_.weights.shape, shape, strict=True)
+    )
+    weights[np.ix_(*places)] = print_.weights
+    return weights
+
+
+def _coarser(central: CentralImage) -> CentralImage:
+    """Cells of twice the size, on a grid whose corner is the same."""
+    row, column = (first % 2 for first in central.first)
+    rows, columns = ((size - skip) // 2 * 2 for size, skip in zip(central.values.shape, (row, column), strict=True))
+
+    def halved(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        cut = values[row : row + rows, column : column + columns]
+        means: NDArray[np.float64] = cut.reshape(rows // 2, 2, columns // 2, 2).mean(axis=(1, 3))
+        return means
+
+    values = halved(central.values)
+    magnification = None
+    if central.magnification is not None:
+        light = halved(central.values * central.magnification)
+        magnification = np.where(values > 0, light / np.where(values > 0, values, 1.0), halved(central.magnification))
+    first = ((central.first[0] + row) // 2, (central.first[1] + column) // 2)
+    return replace(central, first=first, values=values, magnification=magnification)
+
+
+def _fast_length(size: int) -> int:
+    """Smallest number from `size` on that has no prime factor above 5: transforms of others are slow."""
+    while True:
+        rest = size
+        for factor in (2, 3, 5):
+            while rest % factor == 0:
+                rest //= factor
+        if rest == 1:
+            return size
+        size += 1

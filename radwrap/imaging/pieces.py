@@ -1,0 +1,80 @@
+"""Pieces of a run on the disk: its memory, so that a killed run goes on where it was.
+
+Each piece is a float32 OpenEXR file that says of what plan it is, and the
+digest of its pixels; one that is not whole, or of another plan, is made again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.errors import InputError
+from radwrap.files import TEMPORARY_SUFFIX
+from radwrap.images import digest, read_image, write_exr
+from radwrap.process import Programs
+
+CALL_LOG: Final = "tracer_calls.log"
+_CHANNEL: Final = "radiance_cos4"
+_PREFIX: Final = "radwrap:"
+_TICK: Final = 0.2  # s
+
+
+def write_piece(
+    path: Path, pixels: NDArray[np.float32], plan: str, metadata: Mapping[str, object], *, packed: bool = False
+) -> None:
+    """Write a piece, whole or not at all; packed where users may keep it."""
+    own = {"plan": plan, "pixels": digest(pixels), "unit": "W m^-2 sr^-1", **metadata}
+    attributes = {f"{_PREFIX}{key}": str(value) for key, value in own.items()}
+    write_exr(path, pixels, channel=_CHANNEL, metadata=attributes, packed=packed)
+
+
+def read_piece(path: Path, plan: str) -> tuple[NDArray[np.float32], dict[str, str]] | None:
+    """Pixels and metadata of a piece; None where it is not there, not whole or of another plan."""
+    if not path.is_file():
+        return None
+    try:
+        pixels, found = read_image(path)
+    except InputError:
+        return None
+    metadata = {key.removeprefix(_PREFIX): value for key, value in found.items() if key.startswith(_PREFIX)}
+    if (metadata.get("plan"), metadata.get("pixels")) != (plan, digest(pixels)):
+        return None
+    return pixels, metadata
+
+
+def log_call(folder: Path, name: object) -> None:
+    """Note that a piece is begun: the proof that nothing finished is traced again."""
+    with (folder / CALL_LOG).open("a", encoding="ascii") as log:
+        log.write(f"{name}\n")
+
+
+def remove_strangers(folder: Path, ours: set[str]) -> None:
+    """Remove half-written pieces, and those of another plan."""
+    for path in folder.iterdir():
+        if path.suffix == ".exr" and (path.name not in ours or TEMPORARY_SUFFIX in path.suffixes):
+            path.unlink(missing_ok=True)
+
+
+def run_jobs(jobs: Iterable[Callable[[], None]], programs: Programs, workers: int) -> None:
+    """Run jobs in threads; the first failure, or an interrupt, ends all programs."""
+    with ThreadPoolExecutor(max_workers=workers) as pool:
+        running = [pool.submit(job) for job in jobs]
+        try:
+            waiting: set[Future[None]] = set(running)
+            while waiting:
+                # Awake now and then: a signal that another thread got is heard by the main one only when it runs.
+                done, waiting = wait(waiting, timeout=_TICK, return_when=FIRST_EXCEPTION)
+                for job in done:
+                    job.result()
+        except BaseException:
+            # Ctrl-C comes here too: the programs end at once, and so do the threads that wait for them.
+            for job in running:
+                job.cancel()
+            programs.cancel()
+            raise

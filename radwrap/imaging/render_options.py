@@ -1,0 +1,136 @@
+"""How a scene is rendered."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from radwrap.errors import InputError
+from radwrap.imaging.aperture import Layout
+from radwrap.imaging.planner import Budget, Demand, ToleranceMethod
+from radwrap.imaging.view import PixelSampling
+
+FixedMethod = Literal["pinhole", "viewpoints"]
+Method = Literal["pinhole", "viewpoints", "kernel", "rays"]
+METHODS: Final[tuple[Method, ...]] = ("pinhole", "viewpoints", "kernel", "rays")
+
+_TO_TOLERANCE: Final[dict[Method | None, ToleranceMethod]] = {"kernel": "kernel", "rays": "rays"}
+_VIEWPOINTS: Final = 37
+_FINEST: Final = 1e-3  # gray levels; the float32 of the tracer ends near there
+
+
+@dataclass(frozen=True, slots=True)
+class RenderOptions:
+    """How a scene is rendered.
+
+    Attributes
+    ----------
+    method : str, optional
+        "pinhole" (infinitesimal), "viewpoints" (the paper's finite pinhole),
+        "kernel" or "rays"; default "viewpoints" where their number is given,
+        or another option of theirs is, else the cheapest of kernel and rays
+        that keeps the tolerance.
+    tolerance : float
+        Largest rms error of kernel or rays [gray level].
+    max_error : float, optional
+        Largest error of 99 % of the pixels, likewise [gray level].
+    budget_rays, budget_seconds : float, optional
+        What kernel or rays may cost; by seconds [s] the same image may not
+        come out again.
+    viewpoints : int, optional
+        Number of sub-viewpoints; default 37.
+    layout : str
+        How they lie, see `sub_viewpoints`.
+    pixel_samples : int
+        k; k x k rays a pixel for each sub-viewpoint.
+    pixel_sampling : str
+        "centre" of each stratum, or seeded "jitter".
+    seed : int
+        Seed of all that is drawn.
+    workers : int, optional
+        Tracer processes at a time; default one a core.
+    keep_viewpoints : bool
+        Keep the sub-viewpoints' files.
+    truth : bool
+        Write depth, parts and true positions too.
+    trust : bool
+        Let included Radiance files run commands and name any file.
+    radiance : str, optional
+        Folder of a Radiance other than the wheel's.
+    max_pixels : int
+        Largest sensor.
+    tracer_timeout : float
+        Longest silence of a tracer [s].
+    progress : bool
+        Show progress on stderr.
+    """
+
+    method: Method | None = None
+    tolerance: float = 0.5
+    max_error: float | None = None
+    budget_rays: float | None = None
+    budget_seconds: float | None = None
+    viewpoints: int | None = None
+    layout: Layout = "rings"
+    pixel_samples: int = 1
+    pixel_sampling: PixelSampling = "centre"
+    seed: int = 0
+    workers: int | None = None
+    keep_viewpoints: bool = False
+    truth: bool = False
+    trust: bool = False
+    radiance: str | None = None
+    max_pixels: int = 64_000_000
+    tracer_timeout: float = 600.0
+    progress: bool = False
+
+    def __post_init__(self) -> None:
+        limits = {
+            "viewpoints": (self.viewpoint_number, 1, 100_000),
+            "tolerance": (self.tolerance, _FINEST, 1e6),
+            "max-error": (1.0 if self.max_error is None else self.max_error, _FINEST, 1e6),
+            "budget": (1.0 if self.budget_rays is None else self.budget_rays, 1, 1e18),
+            "budget seconds": (1.0 if self.budget_seconds is None else self.budget_seconds, 1e-3, 1e9),
+            "pixel-samples": (self.pixel_samples, 1, 100),
+            "workers": (1 if self.workers is None else self.workers, 1, 4096),
+            "seed": (self.seed, 0, 2**63 - 1),
+            "max-pixels": (self.max_pixels, 1, 10**12),
+            "tracer-timeout": (self.tracer_timeout, 1e-3, 1e9),
+        }
+        for name, (value, low, high) in limits.items():
+            if not low <= value <= high:
+                raise InputError(f"must lie between {low:g} and {high:g}, not {value}", where=f"--{name}")
+        if self.viewpoints is not None and self.method not in {None, "viewpoints"}:
+            raise InputError(
+                f"says nothing to --method {self.method}", where="--viewpoints", remedy="leave one of them out"
+            )
+
+    @property
+    def viewpoint_number(self) -> int:
+        """Number of sub-viewpoints."""
+        return _VIEWPOINTS if self.viewpoints is None else self.viewpoints
+
+    @property
+    def fixed_method(self) -> FixedMethod | None:
+        """The method whose number of rays is fixed beforehand; None where a tolerance decides.
+
+        An option that only the paper's method has asks for that method.
+        """
+        match self.method:
+            case "pinhole" | "viewpoints":
+                return self.method
+            case "kernel" | "rays":
+                return None
+        paper = self.viewpoints is not None or self.keep_viewpoints or self.pixel_samples != 1
+        paper = paper or self.layout != "rings" or self.pixel_sampling != "centre"
+        return "viewpoints" if paper else None
+
+    @property
+    def demand(self) -> Demand:
+        """What kernel or rays must keep."""
+        budget = Budget(
+            math.inf if self.budget_rays is None else self.budget_rays,
+            math.inf if self.budget_seconds is None else self.budget_seconds,
+        )
+        return Demand(self.tolerance, self.max_error, _TO_TOLERANCE.get(self.method), budget)

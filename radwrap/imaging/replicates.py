@@ -1,0 +1,176 @@
+"""Independent images of the same scene by kernel or rays: their mean is the result, their differences its noise."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.errors import EnvironmentFailure
+from radwrap.imaging.bounds import Bounded, mean_square_of_differences
+from radwrap.imaging.footprint import reach_px
+from radwrap.imaging.kernel import KernelPlan, gathered_tile
+from radwrap.imaging.pieces import log_call, read_piece, remove_strangers, run_jobs, write_piece
+from radwrap.imaging.rays import RaysPlan, traced_tile
+from radwrap.imaging.sensor import gray_levels
+from radwrap.imaging.view import View
+from radwrap.manifest import sha256_of_value
+from radwrap.process import Programs
+from radwrap.progress import Progress
+
+Plan = KernelPlan | RaysPlan
+_LOOKS: Final = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Replicates:
+    """Images by the same plan, each with its own rays.
+
+    Attributes
+    ----------
+    images : ndarray, shape (replicates, rows, columns)
+        Mean of L cos^4(theta) over pixel and opening [W m^-2 sr^-1].
+    grid_square : float
+        Mean square of what the size of the kernel's cells changes [gray level^2].
+    rays : int
+        How many were traced for all of them.
+    reused : int
+        How many pieces were found on the disk.
+    block : tuple of int
+        Rows and columns over which errors hang together [px].
+    """
+
+    images: NDArray[np.float64]
+    grid_square: float
+    rays: int
+    reused: int
+    block: tuple[int, int]
+
+    @property
+    def mean(self) -> NDArray[np.float64]:
+        """The result."""
+        mean: NDArray[np.float64] = self.images.mean(axis=0)
+        return mean
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """Where and by whom a run's pieces are made.
+
+    Attributes
+    ----------
+    view : View
+        The camera, and who traces.
+    folder : Path
+        Where the pieces are.
+    programs : Programs
+        Ended at the first failure.
+    progress : Progress
+        Counts rays.
+    scene_sha256 : str
+        Hash of the scene as the tracer gets it, and of the tracer.
+    seed : int
+        Of all that is drawn.
+    """
+
+    view: View
+    folder: Path
+    programs: Programs
+    progress: Progress
+    scene_sha256: str
+    seed: int
+
+
+def trace_replicates(work: Work, plan: Plan, number: int) -> Replicates:
+    """Trace so many replicates, tile by tile; pieces that are finished are not traced again.
+
+    Raises
+    ------
+    TracerError, EnvironmentFailure
+        If the tracer or the disk fails.
+    """
+    name = sha256_of_value({"scene": work.scene_sha256, "plan": plan, "seed": work.seed})
+    pieces = [
+        _Piece(work, plan, name, replicate, tile) for replicate in range(number) for tile in range(len(plan.tiles))
+    ]
+    remove_strangers(work.folder, {piece.path.name for piece in pieces})
+    due = [piece for piece in pieces if piece.read() is None]
+    run_jobs([piece.make for piece in due], work.programs, work.view.workers)
+    sensor = work.view.camera.sensor
+    images = np.empty((number, sensor.rows, sensor.columns))
+    grid_square, rays = 0.0, 0
+    for piece in pieces:
+        found = piece.read()
+        if found is None:
+            raise EnvironmentFailure("was changed by somebody else", where=str(piece.path), remedy="run again")
+        pixels, metadata = found
+        rays += int(metadata["rays"])
+        r0, r1, c0, c1 = plan.tiles[piece.tile]
+        images[piece.replicate, r0:r1, c0:c1] = pixels
+        grid_square += float(metadata["grid_square"]) * pixels.size / images.size
+    return Replicates(images, grid_square, rays, len(pieces) - len(due), _block(plan))
+
+
+def _block(plan: Plan) -> tuple[int, int]:
+    if isinstance(plan, RaysPlan):
+        return (1, 1)
+    reach = reach_px(plan.camera, plan.layers[-1])
+    return (math.ceil(2 * reach[1]) + 1, math.ceil(2 * reach[0]) + 1)
+
+
+class _Piece:
+    """A tile of a replicate."""
+
+    def __init__(self, work: Work, plan: Plan, name: str, replicate: int, tile: int) -> None:
+        self.replicate, self.tile = replicate, tile
+        self.path = work.folder / f"piece_{replicate:03d}_{tile:05d}.exr"
+        self._work, self._plan, self._name = work, plan, f"{name}-{replicate}-{tile}"
+
+    def read(self) -> tuple[NDArray[np.float32], dict[str, str]] | None:
+        return read_piece(self.path, self._name)
+
+    def make(self) -> None:
+        work = self._work
+        view = View(work.view.camera, work.view.tracer)
+        seed = (work.seed, 2, self.replicate, self.tile)
+        log_call(work.folder, f"{self.replicate} {self.tile}")
+        values, found = _tile(view, self._plan, self.tile, seed, work.progress.add)
+        write_piece(self.path, values.astype(np.float32), self._name, found)
+
+
+def _tile(
+    view: View, plan: Plan, tile: int, seed: tuple[int, ...], progress: Callable[[int], None]
+) -> tuple[NDArray[np.float64], dict[str, object]]:
+    """Pixels of a tile, and what is to be remembered of them."""
+    if isinstance(plan, RaysPlan):
+        values, rays = traced_tile(view, plan, tile, seed, progress)
+        return values, {"rays": rays, "grid_square": 0.0}
+    gathered = gathered_tile(view, plan, tile, seed, progress)
+    return gathered.values, {"rays": gathered.central.rays, "grid_square": repr(gathered.grid_square)}
+
+
+def discretisation(view: View, replicates: Replicates) -> tuple[Bounded, NDArray[np.float64]]:
+    """Mean square error from the finite number of rays, and samples of it for each pixel.
+
+    Returns
+    -------
+    square : Bounded
+        [gray level^2]
+    errors : ndarray, shape (replicates - 1, rows, columns)
+        Each distributed as the error of the mean [gray level].
+    """
+    scale, sensor = view.exposure_of_radiance, view.camera.sensor
+    # Neighbours tell the same: an eighth of the distance over which errors hang together is near enough.
+    rows, columns = (max(1, size // _LOOKS) for size in replicates.block)
+    gray = gray_levels(replicates.images[:, ::rows, ::columns] * scale, sensor)
+    number = len(gray)
+    # Helmert's contrasts: independent, each with the variance of the mean of all replicates.
+    errors = np.stack([(gray[:k].mean(axis=0) - gray[k]) * math.sqrt(k / (k + 1) / number) for k in range(1, number)])
+    block = (-(-replicates.block[0] // rows), -(-replicates.block[1] // columns))
+    grid = replicates.grid_square
+    return mean_square_of_differences(errors, block) + Bounded(grid, grid), errors

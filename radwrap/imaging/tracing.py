@@ -1,0 +1,74 @@
+"""A scene laid out for the tracer: what every verb that traces begins with."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+from radwrap.files import make_folder
+from radwrap.imaging.render_options import RenderOptions
+from radwrap.imaging.view import View
+from radwrap.manifest import sha256_of_value
+from radwrap.process import Limits, Programs, available_cores
+from radwrap.scene.scene import Scene
+from radwrap.tracers.installation import find_radiance, version
+from radwrap.tracers.radiance import NO_LIGHT, RadianceOptions, RadianceTracer, build, prepare
+from radwrap.tracers.radiance_text import RadianceScene
+
+
+class TracedScene:
+    """A scene's text and files, and the tracers that are built from them in a working folder.
+
+    Raises
+    ------
+    InputError
+        If an included file breaks the trust rule, or nothing shines.
+    EnvironmentFailure
+        If there is no Radiance, or it does not accept the scene.
+    """
+
+    def __init__(self, scene: Scene, options: RenderOptions, programs: Programs, work: Path) -> None:
+        self.scene = scene
+        self._options = options
+        self._programs = programs
+        self._work = work
+        limits = Limits(silence=options.tracer_timeout)
+        self._radiance = RadianceOptions(find_radiance(options.radiance), options.trust, limits)
+        self.prepared = prepare(scene, self._radiance, programs, work)
+        self.version = version(self._radiance.installation, programs)
+
+    def sha256(self) -> str:
+        """Hash of the scene as the tracer gets it, and of the tracer."""
+        text = self.prepared.scene
+        files = {name: content.hex() for name, content in text.files.items()}
+        return sha256_of_value({"text": text.text, "files": files, "radiance": self.version})
+
+    def view(self) -> View:
+        """The camera, with a tracer for the scene."""
+        tracer = self._tracer(self.prepared.scene, self._work / "scene")
+        return View(self.scene.camera, tracer, self._options.workers or available_cores())
+
+    def identity_tracer(self) -> RadianceTracer:
+        """A tracer for the same geometry, in which each part glows with its number."""
+        text = self.prepared.scene
+        identity = replace(text, text=self.prepared.identity, scales=replace(text.scales, radiance=1.0))
+        return replace(self._tracer(identity, self._work / "identity", (NO_LIGHT,)), channel="equal")
+
+    def _tracer(self, text: RadianceScene, folder: Path, harmless: tuple[str, ...] = ()) -> RadianceTracer:
+        make_folder(folder)
+        # A trusted file may name files beside itself, and Radiance looks for them where it runs.
+        search = tuple({(self.scene.folder / target.file).parent.absolute() for target in self.scene.included})
+        search = tuple(sorted(search)) if self._options.trust else ()
+        build(text.text, text.files, folder, self._radiance, self._programs, search=search, harmless=harmless)
+        channel = self.scene.camera.sensor.channel
+        return RadianceTracer(self._radiance, self._programs, folder, text, search, channel, harmless)
+
+
+@contextmanager
+def traced_scene(scene: Scene, options: RenderOptions | None = None) -> Iterator[View]:
+    """A view of a scene for probes; its files and programs are gone at the end of the block."""
+    with tempfile.TemporaryDirectory(prefix="radwrap-") as folder, Programs() as programs:
+        yield TracedScene(scene, options or RenderOptions(), programs, Path(folder)).view()
