@@ -73,7 +73,9 @@ class PreparedScene:
     parts: tuple[str, ...]
 
 
-def prepare(scene: Scene, options: RadianceOptions, programs: Programs, folder: Path) -> PreparedScene:
+def prepare(
+    scene: Scene, options: RadianceOptions, programs: Programs, folder: Path, stem: str = "scene"
+) -> PreparedScene:
     """Write a scene for Radiance, with the files that it includes.
 
     Parameters
@@ -86,6 +88,8 @@ def prepare(scene: Scene, options: RadianceOptions, programs: Programs, folder: 
         Owner of the processes.
     folder : Path
         A working folder.
+    stem : str
+        What the names of the files beside the text begin with.
 
     Raises
     ------
@@ -100,7 +104,7 @@ def prepare(scene: Scene, options: RadianceOptions, programs: Programs, folder: 
     lit = any(emitter.radiance > 0 for emitter in scene.emitters)
     unit = scales_of(scene).length
     for target in scene.included:
-        text, beside, has_light = _included(scene, target, options, programs, folder)
+        text, beside, has_light = _included(scene, target, options, programs, stem)
         lit = lit or has_light
         files.update(beside)
         move = _move(target, unit)
@@ -109,18 +113,22 @@ def prepare(scene: Scene, options: RadianceOptions, programs: Programs, folder: 
     if not lit:
         raise InputError("there is no light", where=f"{scene.origin}: sources", remedy="add [[sources]]")
     identity, parts = identity_text(scene, glowing)
-    return PreparedScene(scene_text(scene, texts, files), identity, parts)
+    return PreparedScene(scene_text(scene, texts, files, stem), identity, parts)
 
 
 def _included(
-    scene: Scene, target: RadFile, options: RadianceOptions, programs: Programs, folder: Path
+    scene: Scene, target: RadFile, options: RadianceOptions, programs: Programs, stem: str
 ) -> tuple[str, Mapping[str, bytes], bool]:
     index = scene.targets.index(target)
     where = f"{scene.origin}: targets[{index}].rad"
     path = scene.folder / target.file
     if not options.trusted:
         checked = read_included(
-            path, folder=scene.folder, library=options.installation.library, prefix=f"include{index}", where=where
+            path,
+            folder=scene.folder,
+            library=options.installation.library,
+            prefix=f"{stem}.include{index}",
+            where=where,
         )
         return checked.text, checked.files, checked.has_light
     if not path.is_file():
