@@ -76,7 +76,7 @@ def on_face(target: Flat, xy: Array) -> NDArray[np.bool_]:
     inside: NDArray[np.bool_]
     match target:
         case Polygon():
-            return _in_polygon(np.asarray(target.vertices), xy)
+            return in_polygon(np.asarray(target.vertices), xy)
         case Disc():
             inside = np.hypot(x, y) <= target.diameter / 2
         case _:
@@ -84,8 +84,8 @@ def on_face(target: Flat, xy: Array) -> NDArray[np.bool_]:
     return inside
 
 
-def _in_polygon(vertices: Array, xy: Array) -> NDArray[np.bool_]:
-    """Even-odd rule; on the border it may be either."""
+def in_polygon(vertices: Array, xy: Array) -> NDArray[np.bool_]:
+    """Which points, shape (n, 2), lie in a polygon, shape (m, 2): even-odd rule; on the border it may be either."""
     inside = np.zeros(len(xy), dtype=bool)
     for (x0, y0), (x1, y1) in zip(vertices, np.roll(vertices, -1, axis=0), strict=True):
         if y0 != y1:
