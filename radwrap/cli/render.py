@@ -9,7 +9,7 @@ from typing import Any
 
 from radwrap.cli import options as shared
 from radwrap.errors import InputError
-from radwrap.imaging.synthesis import RenderOptions, forecast, render
+from radwrap.imaging.synthesis import RenderOptions, forecast, method_of, render
 from radwrap.manifest import json_text
 from radwrap.scene.scene import Scene
 
@@ -29,7 +29,12 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         choices=("pinhole", "viewpoints"),
         help="infinitesimal pinhole, or finite pinhole by sub-viewpoints (default, unless the diameter is 0)",
     )
-    parser.add_argument("--viewpoints", metavar="N", type=int, default=37, help="sub-viewpoints (default 37)")
+    parser.add_argument(
+        "--viewpoints",
+        metavar="N",
+        type=int,
+        help=f"sub-viewpoints (default {RenderOptions().viewpoints}); not with the method pinhole",
+    )
     parser.add_argument(
         "--layout",
         choices=("rings", "hexagonal", "sunflower", "uneven"),
@@ -47,7 +52,12 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     )
     parser.add_argument("--seed", metavar="S", type=int, default=0, help="seed of all that is drawn (default 0)")
     parser.add_argument("--workers", metavar="W", type=int, help="tracer processes at a time (default: all cores)")
-    parser.add_argument("--keep-viewpoints", action="store_true", help="keep the images of the sub-viewpoints")
+    parser.add_argument(
+        "--keep-viewpoints",
+        action="store_true",
+        help="keep the images of the sub-viewpoints in DIR/viewpoints: not listed in manifest.json, and deleted by a "
+        "later run into DIR that goes without this option",
+    )
     parser.add_argument("--truth", action="store_true", help="write depth, parts and true positions too")
     parser.add_argument("--dry-run", action="store_true", help="only say what rays, memory and time it would take")
     parser.add_argument(
@@ -62,6 +72,9 @@ def run(arguments: argparse.Namespace) -> int:
     """Carry out the verb."""
     scene = shared.load(arguments)
     options = _options(arguments)
+    if arguments.viewpoints is not None and method_of(scene, options) == "pinhole":
+        reason = "with --method pinhole" if arguments.method else "as the pinhole's diameter is 0"
+        raise InputError(f"there are no sub-viewpoints {reason}", where="--viewpoints", remedy="leave it out")
     if arguments.dry_run:
         return _dry_run(scene, options, as_json=arguments.json)
     if not arguments.out:
@@ -89,7 +102,7 @@ def _options(arguments: argparse.Namespace) -> RenderOptions:
         raise InputError("must lie between 1 and 1e12", where="--max-pixels")
     return RenderOptions(
         method=arguments.method,
-        viewpoints=arguments.viewpoints,
+        viewpoints=RenderOptions().viewpoints if arguments.viewpoints is None else arguments.viewpoints,
         layout=arguments.layout,
         pixel_samples=arguments.pixel_samples,
         pixel_sampling=arguments.pixel_sampling,
