@@ -31,7 +31,8 @@ def explain(scene: Scene) -> dict[str, Any]:
         ``targets``: for each its depth [m], blur radius [px] and R of Eq. 8
         [m]; ``rings``: observation angle at each target [deg];
         ``expected_peak``: gray, irradiance on the sensor [W m^-2] and radiant
-        exposure [J m^-2] by closed form (no shadows, no blur) and where; ``advice``; ``warnings``; ``assumed``.
+        exposure [J m^-2] by closed form (no shadows, no blur but that of a
+        source that is seen itself) and where; ``advice``; ``warnings``; ``assumed``.
     """
     camera = scene.camera
     peak = _peak(scene)

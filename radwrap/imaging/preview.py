@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -26,7 +26,9 @@ from radwrap.scene.targets import Target
 
 Array = NDArray[np.float64]
 
-_MOST_RAYS: Final = 20_000  # of the search's first look at the sensor
+_MOST_RAYS: Final = 20_000  # of the search's first look at the sensor, and from special places
+_MOST_VALUES: Final = 2_000_000  # rays times sources of a first look: a few seconds
+_MOST_BEAMS: Final = 200  # sources, spread over all, whose beams are followed
 _STARTS: Final = 8  # brightest rays from which the search goes on
 _FINER: Final = 9  # rays along each side of a finer look, which is a quarter as wide as the one before
 _LOOKS: Final = 7
@@ -95,12 +97,11 @@ def look(scene: Scene, rays: Array) -> Seen:
                 value[of] = _reflected(scene, SurfacePoints(target.name, material, points[of], normals[of]), eye)
                 number[of] = len(names)
             names.append((target.name, material))
-    for emitter in scene.emitters:
-        if emitter.radiance > 0:
-            distance, shown = _disc(emitter, eye, rays)
-            closer = distance < nearest
-            nearest[closer], value[closer], number[closer] = distance[closer], shown[closer], len(names)
-            names.append((emitter.name, "light"))
+    for emitter in _lit(scene):
+        distance, shown = _disc(emitter, eye, rays)
+        closer = distance < nearest
+        nearest[closer], value[closer], number[closer] = distance[closer], shown[closer], len(names)
+        names.append((emitter.name, "light"))
     cosine = rays @ np.asarray(scene.camera.pose.z_axis)
     return Seen(value * cosine**4, number, tuple(names))
 
@@ -113,9 +114,8 @@ def _hits(scene: Scene, rays: Array) -> list[tuple[Target, Array, Array]]:
 def _reflected(scene: Scene, group: SurfacePoints, eye: Array) -> Array:
     material = scene.materials[group.material]
     total = np.zeros(len(group.points))
-    for emitter in scene.emitters:
-        if emitter.radiance > 0:
-            total += radiance(material, group, emitter, eye)
+    for emitter in _lit(scene):
+        total += radiance(material, group, emitter, eye)
     return total
 
 
@@ -134,13 +134,13 @@ def _disc(emitter: Emitter, eye: Array, rays: Array) -> tuple[Array, Array]:
 def brightest(scene: Scene) -> Brightest | None:
     """Brightest point in view; None where no ray meets anything that is known here."""
     uv, step = _first_look(scene)
-    seen = look(scene, directions(scene.camera, uv))
+    seen = _blurred(scene, look(scene, directions(scene.camera, uv)))
     best: tuple[float, tuple[str, str]] | None = None
-    for start in _brightest_rays(seen, uv):
+    for start in _brightest_rays(seen, uv, _STARTS if len(_lit(scene)) <= _MOST_BEAMS else 2):
         place, width = start, step
         for _ in range(_LOOKS):
             around = _around(scene, place, width)
-            finer = look(scene, directions(scene.camera, around))
+            finer = _blurred(scene, look(scene, directions(scene.camera, around)))
             if (finer.number < 0).all():  # on the very border of what is seen
                 break
             top = int(np.nanargmax(finer.value))
@@ -150,32 +150,60 @@ def brightest(scene: Scene) -> Brightest | None:
     return None if best is None else Brightest(*best[1], best[0])
 
 
+def _blurred(scene: Scene, seen: Seen) -> Seen:
+    """The same with the discs of sources as dim as a finite pinhole makes them.
+
+    A disc is brighter than anything else and often smaller than its blur: a
+    pixel sees it through the part of the opening that its pencil has of it.
+    """
+    camera = scene.camera
+    share = {}
+    for emitter in scene.emitters:
+        away = np.asarray(emitter.position) - camera.pose.position
+        depth = float(away @ np.asarray(camera.pose.z_axis))
+        pencil = (
+            0.0 if camera.aperture.is_infinitesimal else camera.aperture.area * (1 + depth / camera.focal_length) ** 2
+        )
+        slant = abs(float(away @ np.asarray(emitter.axis))) / max(float(np.linalg.norm(away)), 1e-300)
+        disc = math.pi * emitter.radius**2 * slant
+        share[emitter.name] = min(1.0, disc / pencil) if pencil > 0 else 1.0
+    factors = np.array([share.get(name, 1.0) for name, _ in seen.names] + [math.nan])
+    return replace(seen, value=seen.value * factors[seen.number])
+
+
 def _first_look(scene: Scene) -> tuple[Array, float]:
     """Places on the sensor, (column, row) [px], shape (n, 2), and the distance of those that are evenly spread."""
     sensor = scene.camera.sensor
-    step = max(1.0, math.sqrt(sensor.pixels / _MOST_RAYS))
+    most = _most_rays(scene)
+    step = max(1.0, math.sqrt(sensor.pixels / most))
     counts = (max(1, math.ceil(sensor.columns / step)), max(1, math.ceil(sensor.rows / step)))
     u, v = (
         (np.arange(number) + 0.5) * size / number - 0.5
         for number, size in zip(counts, (sensor.columns, sensor.rows), strict=True)
     )
     grid = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-    return np.vstack([grid, _special_places(scene)]), step
+    special = _special_places(scene)
+    return np.vstack([grid, special[:: math.ceil(max(len(special), 1) / most)]]), step
+
+
+def _most_rays(scene: Scene) -> int:
+    return max(1000, min(_MOST_RAYS, _MOST_VALUES // max(1, len(_lit(scene)))))
 
 
 def _special_places(scene: Scene) -> Array:
     """Where sources, what they light, and their mirror images are seen, (column, row) [px]."""
     camera = scene.camera
-    points = [np.array([emitter.position for emitter in scene.emitters if emitter.radiance > 0]).reshape(-1, 3)]
+    lit = _lit(scene)
+    beams = lit[:: math.ceil(max(len(lit), 1) / _MOST_BEAMS)]
+    points = [np.array([emitter.position for emitter in lit]).reshape(-1, 3)]
     for target in scene.targets:
         groups = surface_points(target, camera.pose.position)
         points += [group.points for group in groups]
         glossy = any(isinstance(scene.materials[name], Specular) for name in materials_of(target))
-        for emitter in scene.emitters:
-            if emitter.radiance > 0:
-                points += [group.points for group in lit_points(target, emitter)]
-                if glossy:
-                    points.append(_highlight(scene, target, emitter))
+        for emitter in beams:
+            points += [group.points for group in lit_points(target, emitter)]
+            if glossy:
+                points.append(_highlight(scene, target, emitter))
     together = np.vstack(points)
     uv, _ = project(camera, together[in_view(camera, together)])
     return uv
@@ -223,6 +251,10 @@ def _around(scene: Scene, place: Array, width: float) -> Array:
     return np.clip(uv, -0.5, [sensor.columns - 0.5, sensor.rows - 0.5])
 
 
-def _brightest_rays(seen: Seen, uv: Array) -> Array:
+def _brightest_rays(seen: Seen, uv: Array, number: int) -> Array:
     met = np.flatnonzero(seen.number >= 0)
-    return uv[met[np.argsort(-seen.value[met], kind="stable")[:_STARTS]]]
+    return uv[met[np.argsort(-seen.value[met], kind="stable")[:number]]]
+
+
+def _lit(scene: Scene) -> list[Emitter]:
+    return [emitter for emitter in scene.emitters if emitter.radiance > 0]
