@@ -180,6 +180,18 @@ def fixed_axis_angles(rotation: Rotation) -> tuple[float, float, float]:
     return math.atan2(-rotation[1][2], rotation[1][1]), math.atan2(-r20, cosine), 0.0
 
 
+def default_up(position: Vector, look_at: Vector) -> Vector:
+    """What appears upwards where nobody says: world +y, or world +z where the view is along y.
+
+    Raises
+    ------
+    ValueError
+        If the two points coincide.
+    """
+    z_axis = normalised(subtract(look_at, position))
+    return (0.0, 1.0, 0.0) if norm(cross(z_axis, (0.0, 1.0, 0.0))) > _PARALLEL_SINE else (0.0, 0.0, 1.0)
+
+
 def aim(position: Vector, look_at: Vector, up: Vector | None = None) -> Pose:
     """Pose of a camera or source that looks from one point at another.
 
@@ -188,7 +200,7 @@ def aim(position: Vector, look_at: Vector, up: Vector | None = None) -> Pose:
     position, look_at : tuple of float, shape (3,)
         Where it stands and what it looks at [m].
     up : tuple of float, shape (3,), optional
-        What appears upwards. Default: world +y, or world +z where it looks along y.
+        What appears upwards; default as `default_up`.
 
     Raises
     ------
@@ -196,9 +208,7 @@ def aim(position: Vector, look_at: Vector, up: Vector | None = None) -> Pose:
         If the two points coincide, or `up` is parallel to the viewing direction.
     """
     z_axis = normalised(subtract(look_at, position))
-    if up is None:
-        up = (0.0, 1.0, 0.0) if norm(cross(z_axis, (0.0, 1.0, 0.0))) > _PARALLEL_SINE else (0.0, 0.0, 1.0)
-    right = cross(z_axis, normalised(up))
+    right = cross(z_axis, normalised(default_up(position, look_at) if up is None else up))
     if norm(right) <= _PARALLEL_SINE:
         raise ValueError("up is parallel to the viewing direction")
     x_axis = normalised(right)

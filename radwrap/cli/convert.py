@@ -20,7 +20,8 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser = verbs.add_parser(
         "convert",
         help="write a scene as a Radiance scene (.rad) or its central view (.vf)",
-        description="Writes OUT.rad with its function files beside it (oconv OUT.rad works there), or OUT.vf.",
+        description="Writes OUT.rad with its function and data files beside it, named OUT.*, or OUT.vf. "
+        "oconv OUT.rad works in that folder.",
     )
     shared.add_scene(parser)
     parser.add_argument("out", metavar="OUT", help="file to write, ending in .rad or .vf")

@@ -56,7 +56,12 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     )
     parser.add_argument("--seed", metavar="S", type=int, default=0, help="seed of all that is drawn (default 0)")
     parser.add_argument("--workers", metavar="W", type=int, help="tracer processes at a time (default: all cores)")
-    parser.add_argument("--keep-viewpoints", action="store_true", help="keep the images of the sub-viewpoints")
+    parser.add_argument(
+        "--keep-viewpoints",
+        action="store_true",
+        help="keep the images of the sub-viewpoints in DIR/viewpoints: not listed in manifest.json, and deleted by a "
+        "later run into DIR that goes without this option",
+    )
     parser.add_argument("--truth", action="store_true", help="write depth, parts and true positions too")
     parser.add_argument("--dry-run", action="store_true", help="only say what rays, memory and time it would take")
     parser.add_argument(

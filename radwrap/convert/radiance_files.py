@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
+import re
 import tempfile
 from pathlib import Path
+from typing import Final
 
+from radwrap.errors import InputError
 from radwrap.files import make_folder, write_bytes
 from radwrap.process import Programs
 from radwrap.scene.camera import Camera
@@ -13,11 +17,28 @@ from radwrap.scene.scene import Scene
 from radwrap.tracers.radiance import RadianceOptions, prepare
 from radwrap.tracers.radiance_text import scales_of
 
+# Radiance's text holds no other words, and cuts the names of functions at 127 characters, of which the file's is part.
+_PLAIN_STEM: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]{0,29}")
+_NOT_PLAIN: Final = re.compile(r"[^A-Za-z0-9_+-]")
+
+
+def side_stem(path: Path) -> str:
+    """What the names of the files beside a converted scene begin with: its own, as far as Radiance can hold that.
+
+    Different scenes of one folder have different stems, so that none writes
+    over another's files.
+    """
+    if _PLAIN_STEM.fullmatch(path.stem):
+        return path.stem
+    mark = hashlib.sha256(path.stem.encode(errors="surrogateescape")).hexdigest()[:8]
+    return f"{_NOT_PLAIN.sub('_', path.stem[:20])}-{mark}"
+
 
 def write_scene(scene: Scene, path: Path, options: RadianceOptions) -> tuple[Path, ...]:
     """Write a scene as Radiance text, its function and data files beside it.
 
-    ``oconv`` reads the text when it is run in that folder.
+    ``oconv`` reads the text when it is run in that folder. The files beside it
+    are named after it, see `side_stem`.
 
     Parameters
     ----------
@@ -32,9 +53,17 @@ def write_scene(scene: Scene, path: Path, options: RadianceOptions) -> tuple[Pat
     -------
     tuple of Path
         All files that were written, the scene last.
+
+    Raises
+    ------
+    InputError
+        If the .rad file is one that the scene includes, or an included file breaks the trust rule.
     """
+    for target in scene.included:
+        if (scene.folder / target.file).resolve() == path.resolve():
+            raise InputError("is a file that the scene includes", where=str(path), remedy="choose another name")
     with Programs() as programs, tempfile.TemporaryDirectory(prefix="radwrap-") as work:
-        prepared = prepare(scene, options, programs, Path(work))
+        prepared = prepare(scene, options, programs, Path(work), side_stem(path))
     written = []
     for name, content in sorted(prepared.scene.files.items()):
         make_folder((path.parent / name).parent)

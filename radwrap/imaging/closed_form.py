@@ -31,11 +31,8 @@ Array = NDArray[np.float64]
 
 def perpendicular_irradiance(emitter: Emitter, points: Array) -> Array:
     """E_perp = I(theta)/d^2 at points, shape (n,) [W m^-2]; the source counts as a point."""
-    away = points - np.asarray(emitter.position)
-    distance = np.linalg.norm(away, axis=1)
-    cosine = np.clip(away @ np.asarray(emitter.axis) / distance, -1.0, 1.0)
-    relative = np.array([emitter.beam.relative_intensity(math.acos(c)) for c in cosine])
-    irradiance: Array = emitter.radiant_intensity * relative / distance**2
+    square = ((points - np.asarray(emitter.position)) ** 2).sum(axis=1)
+    irradiance: Array = emitter.radiant_intensity * emitter.relative_intensity_at(points) / square
     return irradiance
 
 

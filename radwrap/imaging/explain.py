@@ -7,12 +7,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from radwrap.imaging.closed_form import radiance
+from radwrap.imaging.preview import brightest
 from radwrap.imaging.sensor import unclipped_gray
 from radwrap.manifest import SCHEMA_VERSION, finite, plain
 from radwrap.scene.camera import Camera
 from radwrap.scene.checks import warnings_of
-from radwrap.scene.geometry import in_view, project, surface_points
+from radwrap.scene.geometry import project
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Ring, emitters
 
@@ -30,8 +30,9 @@ def explain(scene: Scene) -> dict[str, Any]:
         ``scene`` in SI; ``f_number`` (null for an infinitesimal pinhole);
         ``targets``: for each its depth [m], blur radius [px] and R of Eq. 8
         [m]; ``rings``: observation angle at each target [deg];
-        ``expected_peak``: gray and radiant exposure by closed form (no
-        shadows, no blur) and where; ``advice``; ``warnings``; ``assumed``.
+        ``expected_peak``: gray, irradiance on the sensor [W m^-2] and radiant
+        exposure [J m^-2] by closed form (no shadows, no blur but that of a
+        source that is seen itself) and where; ``advice``; ``warnings``; ``assumed``.
     """
     camera = scene.camera
     peak = _peak(scene)
@@ -89,29 +90,17 @@ def _ring(scene: Scene, ring: Ring) -> dict[str, Any]:
 
 
 def _peak(scene: Scene) -> dict[str, Any] | None:
-    """Brightest point in view by closed form; None where nothing that is known here is lit and in view."""
+    """Brightest point in view by closed form; None where nothing that is known here is in view."""
     camera = scene.camera
-    eye = np.asarray(camera.pose.position)
-    best: tuple[float, str, str] | None = None
-    for target in scene.targets:
-        for group in surface_points(target, camera.pose.position):
-            seen = in_view(camera, group.points)
-            if not seen.any():
-                continue
-            material = scene.materials[group.material]
-            total = sum((radiance(material, group, emitter, eye) for emitter in scene.emitters), np.zeros(len(seen)))
-            ray = group.points - eye
-            cosine = ray @ np.asarray(camera.pose.z_axis) / np.linalg.norm(ray, axis=1)
-            value = float((total * cosine**4)[seen].max())
-            if best is None or value > best[0]:
-                best = (value, group.target, group.material)
-    if best is None:
+    found = brightest(scene)
+    if found is None:
         return None
-    exposure = best[0] * camera.exposure_time * camera.aperture.area / camera.focal_length**2
+    exposure = found.radiance * camera.exposure_time * camera.aperture.area / camera.focal_length**2
     gray = float(unclipped_gray(np.array([exposure]), camera.sensor)[0])
     return {
-        "target": best[1],
-        "material": best[2],
+        "target": found.target,
+        "material": found.material,
+        "irradiance": found.radiance * camera.aperture.area / camera.focal_length**2,
         "radiant_exposure": exposure,
         "gray": min(gray, camera.sensor.saturation_gray),
         "gray_without_saturation": finite(gray),
@@ -120,14 +109,16 @@ def _peak(scene: Scene) -> dict[str, Any] | None:
 
 def _advice(camera: Camera, peak: dict[str, Any] | None) -> str:
     if peak is None:
-        return "nothing that is known beforehand is lit and in view"
+        return "nothing that is known beforehand was found in view"
     sensor = camera.sensor
     gray, span = peak["gray_without_saturation"], sensor.saturation_gray - sensor.dark_gray
-    if peak["radiant_exposure"] <= 0:
-        return "no light reaches the sensor: check that sources shine on what the camera sees"
+    if peak["irradiance"] <= 0:
+        return "no light was found on what the camera sees: check that sources shine there"
     wanted = (_ADVISED_SHARE * span / sensor.gain) ** (1 / sensor.gamma)
-    advised = f"{camera.exposure_time * wanted / peak['radiant_exposure'] * 1e3:.4g} ms"
+    advised = f"{wanted / peak['irradiance'] * 1e3:.4g} ms"
     goal = f"an exposure time of {advised} brings the peak to {_ADVISED_SHARE:.0%} of the range"
+    if camera.exposure_time == 0:
+        return f"the exposure time is 0 s, so the image stays dark; {goal}"
     if gray is None or gray >= sensor.saturation_gray:
         return f"saturated; {goal}"
     if gray - sensor.dark_gray < _DIM_SHARE * span:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from radwrap.errors import InputError
 from radwrap.imaging.aperture import central_viewpoint, sub_viewpoints
 from radwrap.imaging.certificate import certify_by_independent_rays
 from radwrap.imaging.planner import render_to_tolerance
@@ -41,11 +42,21 @@ class Made:
 
 
 def fixed_method(scene: Scene, options: RenderOptions) -> FixedMethod | None:
-    """The method whose rays are fixed beforehand; None where a tolerance decides."""
+    """The method whose rays are fixed beforehand; None where a tolerance decides.
+
+    Raises
+    ------
+    InputError
+        If sub-viewpoints are asked for in an infinitesimal pinhole.
+    """
     asked = options.fixed_method
-    if asked == "viewpoints" and options.method is None and scene.camera.aperture.is_infinitesimal:
-        return "pinhole"
-    return asked
+    if asked != "viewpoints" or options.method is not None or not scene.camera.aperture.is_infinitesimal:
+        return asked
+    if options.viewpoints is not None:
+        raise InputError(
+            "there are no sub-viewpoints as the pinhole's diameter is 0", where="--viewpoints", remedy="leave it out"
+        )
+    return "pinhole"
 
 
 def how(scene: Scene, options: RenderOptions) -> dict[str, Any]:

@@ -103,7 +103,7 @@ class RenderOptions:
                 raise InputError(f"must lie between {low:g} and {high:g}, not {value}", where=f"--{name}")
         if self.viewpoints is not None and self.method not in {None, "viewpoints"}:
             raise InputError(
-                f"says nothing to --method {self.method}", where="--viewpoints", remedy="leave one of them out"
+                f"there are no sub-viewpoints with --method {self.method}", where="--viewpoints", remedy="leave it out"
             )
 
     @property

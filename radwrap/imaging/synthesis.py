@@ -64,11 +64,18 @@ class Rendered:
         What the camera gives.
     manifest : Mapping
         What was made, of what, with what.
+    truth : Mapping, optional
+        With ``truth=True``: ``depth`` along the axis, 0 where nothing is seen,
+        float32, shape (rows, columns) [m]; ``mask``, the number of the part
+        that each pixel's centre sees, uint16, of that shape; and what
+        truth.json holds: ``parts`` (name -> number), ``targets`` (poses, dots,
+        edges), ``pixel_convention``.
     """
 
     radiant_exposure: ExposureImage
     gray: GrayImage
     manifest: Mapping[str, Any]
+    truth: Mapping[str, Any] | None = None
 
     def _repr_png_(self) -> bytes:
         return png_bytes(self.gray.codes)
@@ -164,7 +171,15 @@ def load_result(scene: Scene, out: Path) -> Rendered:
     # A sensor that does not round leaves its gray levels in an own file, the PNG holds them rounded.
     file = out / (GRAY if scene.camera.sensor.rounding else UNROUNDED)
     gray = GrayImage(read_image(file)[0].astype(np.float64), scene.camera.sensor.bit_depth, manifest)
-    return Rendered(exposure, gray, manifest)
+    return Rendered(exposure, gray, manifest, _read_truth(out) if TRUTH in manifest["files"] else None)
+
+
+def _read_truth(out: Path) -> dict[str, Any]:
+    return {
+        **read_manifest(out / TRUTH),
+        "depth": read_image(out / DEPTH)[0],
+        "mask": read_image(out / PARTS)[0],
+    }
 
 
 class _Run:

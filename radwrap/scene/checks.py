@@ -10,18 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
-from radwrap.scene.geometry import SurfacePoints, in_view, signed_distance, surface_points
+from radwrap.scene.camera import Camera
+from radwrap.scene.geometry import SurfacePoints, in_view, signed_distance
 from radwrap.scene.materials import GLASS_BEAD_OBSERVATION, CoefficientTable, GlassBeads, Material
+from radwrap.scene.probes import LIT_SHARE, lit_points, materials_of, merged, nearest_lit, seen_points, surface_points
 from radwrap.scene.scene import Scene
+from radwrap.scene.sight import shared_planes, sources_in_sight
 from radwrap.scene.sources import Emitter
-from radwrap.scene.targets import Polygon, signed_area
+from radwrap.scene.targets import Polygon, Target, signed_area
 
 # A source is sampled at its centre, which misses the irradiance by about (radius/distance)^2.
 WIDE_SOURCE_LIMIT: Final = 0.01
 # Above this a valid scene is warned of it.
 _WIDTH_WARNING: Final = 1e-3
-# Points that get less than this share of a source's axial intensity do not count as lit by it.
-_LIT_SHARE: Final = 1e-4
 _ANGLE_TOLERANCE: Final = 1e-9  # rad, rounding of the angles
 
 
@@ -109,23 +110,18 @@ def _check_clearance(scene: Scene) -> None:
 
 
 def source_width_error(scene: Scene, emitter: Emitter) -> float:
-    """Largest (radius/distance)^2 over the points that a source lights: the error of sampling its centre."""
+    """Largest (radius/distance)^2 over the points that a source lights: the error of sampling its centre.
+
+    0 where it is nowhere above the limit of the warning.
+    """
     worst = 0.0
     for target in scene.targets:
-        for group in surface_points(target, emitter.position):
-            away = group.points - emitter.position
-            distance = np.maximum(np.linalg.norm(away, axis=1), 1e-300)
-            lit = _relative_intensity(emitter, away, distance) > _LIT_SHARE
-            if lit.any():
-                worst = max(worst, (emitter.radius / float(distance[lit].min())) ** 2)
+        # What is nearest is no nearer than this, lit or not.
+        distance = max(signed_distance(target, emitter.position), 0.0)
+        if emitter.radius**2 <= max(worst, _WIDTH_WARNING) * distance**2:
+            continue
+        worst = max(worst, (emitter.radius / max(nearest_lit(target, emitter), 1e-300)) ** 2)
     return worst
-
-
-def _relative_intensity(
-    emitter: Emitter, away: NDArray[np.float64], distance: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    cosine = np.clip(away @ np.asarray(emitter.axis) / distance, -1.0, 1.0)
-    return np.array([emitter.beam.relative_intensity(math.acos(c)) for c in cosine])
 
 
 def _check_source_widths(scene: Scene) -> None:
@@ -141,16 +137,17 @@ def _check_source_widths(scene: Scene) -> None:
 
 
 def _check_sheeting_angles(scene: Scene) -> None:
+    camera = scene.camera
     for target in scene.targets:
-        for group in surface_points(target, scene.camera.pose.position):
-            material = scene.materials[group.material]
-            limits = _sheeting_limits(material)
-            if limits is None:
-                continue
-            seen = in_view(scene.camera, group.points)
-            for emitter in scene.emitters:
-                if emitter.radiance > 0:
-                    _check_angles(scene, group, seen, emitter, limits)
+        limits = {name: found for name in materials_of(target) if (found := _sheeting_limits(scene.materials[name]))}
+        if not limits:
+            continue
+        spread = (*surface_points(target, camera.pose.position), *seen_points(target, camera))
+        for emitter in scene.emitters:
+            if emitter.radiance > 0:
+                for group in merged([*spread, *lit_points(target, emitter)]):
+                    if group.material in limits:
+                        _check_angles(scene, group, emitter, limits[group.material])
 
 
 def _sheeting_limits(material: Material) -> tuple[float, float, float] | None:
@@ -181,12 +178,11 @@ def sheeting_angles(
 def _check_angles(
     scene: Scene,
     group: SurfacePoints,
-    seen: NDArray[np.bool_],
     emitter: Emitter,
     limits: tuple[float, float, float],
 ) -> None:
-    away = group.points - emitter.position
-    lit = _relative_intensity(emitter, away, np.linalg.norm(away, axis=1)) > _LIT_SHARE
+    seen = in_view(scene.camera, group.points)
+    lit = emitter.relative_intensity_at(group.points) > LIT_SHARE
     eye = np.asarray(scene.camera.pose.position)
     alpha, beta = sheeting_angles(group.points, group.normals, np.asarray(emitter.position), eye)
     front = (beta < math.pi / 2) & (((eye - group.points) * group.normals).sum(axis=1) > 0)
@@ -220,7 +216,11 @@ def warnings_of(scene: Scene) -> tuple[str, ...]:
         error = source_width_error(scene, emitter) if emitter.radiance > 0 else 0.0
         if error > _WIDTH_WARNING:
             found.append(f'"{emitter.name}" is close to what it lights: irradiance off by up to {error:.2%}')
-    groups = [group for target in scene.targets for group in surface_points(target, scene.camera.pose.position)]
-    if not scene.included and not any(in_view(scene.camera, group.points).any() for group in groups):
+    if not scene.included and not any(_is_seen(scene.camera, target) for target in scene.targets):
         found.append("no target is in the camera's view")
-    return tuple(found)
+    return (*found, *sources_in_sight(scene), *shared_planes(scene))
+
+
+def _is_seen(camera: Camera, target: Target) -> bool:
+    spread = surface_points(target, camera.pose.position)
+    return any(in_view(camera, group.points).any() for group in spread) or bool(seen_points(target, camera))

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from itertools import count
 from pathlib import Path
 
 from radwrap.errors import InputError
-from radwrap.frames import Pose, aim, normalised, rotation_about_fixed_axes
+from radwrap.frames import Pose, aim, default_up, normalised, rotation_about_fixed_axes
 from radwrap.scene import document as tables
 from radwrap.scene.camera import Aperture, Camera, Sensor
 from radwrap.scene.materials import (
@@ -52,7 +53,8 @@ def scene_from_model(
     sources = tuple(
         _source(table, f"{origin}: sources[{i}]", f"sources[{i}]", assumed) for i, table in enumerate(model.sources)
     )
-    targets = tuple(_target(table, i) for i, table in enumerate(model.targets))
+    target_names = _target_names(model, assumed)
+    targets = tuple(_target(table, name) for table, name in zip(model.targets, target_names, strict=True))
     for kind, things in (("sources", sources), ("targets", targets)):
         for index, thing in enumerate(things):
             if thing.name in names:
@@ -62,7 +64,7 @@ def scene_from_model(
     return Scene(
         camera=_camera(model.camera, f"{origin}: camera", assumed),
         sources=sources,
-        materials={name: _material(table) for name, table in model.materials.items()},
+        materials={name: _material(table, f"materials.{name}", assumed) for name, table in model.materials.items()},
         targets=targets,
         assumed=assumed,
         origin=origin,
@@ -83,16 +85,44 @@ def _check_materials(targets: tuple[Target, ...], materials: Mapping[str, object
                 )
 
 
-def _pose(table: tables.Aimed, where: str) -> Pose:
+def _target_names(model: tables.SceneModel, assumed: dict[str, str]) -> list[str]:
+    """Names of the targets; one that has none gets its number, another one where that name is taken."""
+    taken = {thing.name for thing in (*model.sources, *model.targets) if thing.name}
+    names = []
+    for index, table in enumerate(model.targets):
+        free = (f"target{number}" for number in count(index))
+        name = table.name or next(name for name in free if name not in taken)
+        if table.name is None:
+            assumed[f"targets[{index}].name"] = name
+            taken.add(name)
+        names.append(name)
+    return names
+
+
+def _pose(table: tables.Aimed, where: str, key: str, assumed: dict[str, str], *, has_roll: bool = True) -> Pose:
+    """Pose of a camera or a source; a single disc has no roll, so nothing is assumed of it."""
     position = table.position or getattr(table, "translation", None)
     if position is None:
         raise InputError("is missing", where=f"{where}.position")
     if table.rotation is not None:
+        if table.rotation_order is None:
+            assumed[f"{key}.rotation_order"] = "xyz"
         return Pose(position, rotation_about_fixed_axes(table.rotation, table.rotation_order or "xyz"))
+    look_at = table.look_at or _ORIGIN
     try:
-        return aim(position, table.look_at or _ORIGIN, table.up)
+        up = default_up(position, look_at)
     except ValueError as error:
-        raise InputError(str(error), where=f"{where}.look_at", remedy="choose another look_at or up") from error
+        raise InputError(
+            "is the position itself: a direction needs a length above zero",
+            where=f"{where}.look_at",
+            remedy="look at another point",
+        ) from error
+    if table.up is None and has_roll:
+        assumed[f"{key}.up"] = f"[{', '.join(f'{value:g}' for value in up)}]"
+    try:
+        return aim(position, look_at, table.up)
+    except ValueError as error:
+        raise InputError(str(error), where=f"{where}.up", remedy="choose another up") from error
 
 
 def _placed(table: tables.Placed) -> Pose:
@@ -104,11 +134,13 @@ def _camera(table: tables.CameraModel, where: str, assumed: dict[str, str]) -> C
     opening = table.aperture
     if opening.diameter == 0 and opening.exposure_diameter is None:
         assumed["camera.aperture.exposure_diameter"] = "0.1 mm"
+    if opening.shape in ("round", "annular"):
+        assumed.pop("camera.aperture.rotation", None)  # it changes nothing
     centre = ((sensor.columns - 1) / 2, (sensor.rows - 1) / 2)
     if table.principal_point is None:
         assumed["camera.principal_point"] = f"[{centre[0]:g} px, {centre[1]:g} px]"
     return Camera(
-        pose=_pose(table, where),
+        pose=_pose(table, where, "camera", assumed),
         focal_length=table.focal_length,
         principal_point=table.principal_point or centre,
         exposure_time=table.exposure_time,
@@ -149,6 +181,15 @@ def _beam(table: tables.BeamModel, where: str, key: str, assumed: dict[str, str]
     return Beam("cone", half)
 
 
+def _check_beam_factors(table: tables.RingModel, beam: Beam, where: str) -> None:
+    for index, led in enumerate(table.leds):
+        place = f"{where}.leds[{index}].beam_width_factor"
+        if beam.profile == "lambertian" and led.beam_width_factor != 1:
+            raise InputError("a lambertian beam has no width", where=place, remedy="leave it out")
+        if beam.profile == "cone" and beam.spread * led.beam_width_factor > math.pi / 2:
+            raise InputError("a cone cannot be wider than a half space", where=place, remedy="choose a smaller one")
+
+
 def _radiance(table: tables.Shining, diameter: float) -> float:
     if table.radiance is not None:
         return table.radiance
@@ -158,8 +199,10 @@ def _radiance(table: tables.Shining, diameter: float) -> float:
 def _source(table: tables.SourceModel, where: str, key: str, assumed: dict[str, str]) -> Source:
     if table.position is None:
         raise InputError("is missing", where=f"{where}.position")
-    pose = _pose(table, where)
+    pose = _pose(table, where, key, assumed, has_roll=isinstance(table, tables.RingModel))
     if isinstance(table, tables.RingModel):
+        beam = _beam(table.beam, where, key, assumed)
+        _check_beam_factors(table, beam, where)
         return Ring(
             name=table.name,
             pose=pose,
@@ -168,7 +211,7 @@ def _source(table: tables.SourceModel, where: str, key: str, assumed: dict[str, 
             first_angle=table.first_angle,
             led_radius=table.led_diameter / 2,
             radiance=_radiance(table, table.led_diameter),
-            beam=_beam(table.beam, where, key, assumed),
+            beam=beam,
             misalignment_y=table.misalignment.about_y,
             misalignment_z=table.misalignment.about_z,
             changes=tuple(
@@ -188,7 +231,7 @@ def _source(table: tables.SourceModel, where: str, key: str, assumed: dict[str, 
     return SingleSource(table.type, emitter)
 
 
-def _material(table: tables.MaterialModel) -> Material:
+def _material(table: tables.MaterialModel, key: str, assumed: dict[str, str]) -> Material:
     match table:
         case tables.LambertianModel():
             return Lambertian(table.reflectance)
@@ -196,8 +239,12 @@ def _material(table: tables.MaterialModel) -> Material:
             return Specular(table.diffuse_reflectance, table.specular_reflectance, table.roughness)
     if table.reflectance is not None and table.roughness is not None:
         return PerturbedNormal(table.reflectance, table.roughness)
+    if table.outside is None:
+        assumed[f"{key}.outside"] = "refuse"
     if table.anchor is not None:
         return GlassBeads(table.anchor, table.outside or "refuse")
+    if table.interpolation is None:
+        assumed[f"{key}.interpolation"] = "log"
     return CoefficientTable(
         observation=tuple(abs(angle) for angle in table.observation_angles or ()),
         entrance=tuple(abs(angle) for angle in table.entrance_angles or ()),
@@ -207,8 +254,7 @@ def _material(table: tables.MaterialModel) -> Material:
     )
 
 
-def _target(table: tables.TargetModel, index: int) -> Target:
-    name = table.name or f"target{index}"
+def _target(table: tables.TargetModel, name: str) -> Target:
     pose = _placed(table)
     match table:
         case tables.SheetModel():

@@ -11,6 +11,9 @@ import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from radwrap.frames import (
     Pose,
     Vector,
@@ -41,16 +44,17 @@ class Beam:
     profile: Profile
     spread: float = 0.0
 
-    def relative_intensity(self, theta: float) -> float:
-        """I(theta)/I(0) at the angle theta to the axis [rad]; 0 behind the disc."""
-        if math.cos(theta) <= 0.0:
-            return 0.0
+    def relative_intensity(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
+        """I(theta)/I(0) at angles theta to the axis [rad]; 0 behind the disc."""
         match self.profile:
             case "gaussian":
-                return math.exp(-((theta / self.spread) ** 2) / 2)
+                relative = np.exp(-((theta / self.spread) ** 2) / 2)
             case "cone":
-                return 1.0 if theta < self.spread else 0.0
-        return math.cos(theta)
+                relative = np.where(theta < self.spread, 1.0, 0.0)
+            case "lambertian":
+                relative = np.cos(theta)
+        in_front: NDArray[np.float64] = np.where(np.cos(theta) > 0.0, relative, 0.0)
+        return in_front
 
 
 def gaussian_spread(width: float, definition: WidthDefinition) -> float:
@@ -101,6 +105,12 @@ class Emitter:
     def radiant_intensity(self) -> float:
         """Radiant intensity along the axis, I(0) = radiance x area [W sr^-1]."""
         return self.radiance * math.pi * self.radius**2
+
+    def relative_intensity_at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """I(theta)/I(0) in the direction of points of the world, shape (n, 3) [m]."""
+        away = points - np.asarray(self.position)
+        distance = np.maximum(np.linalg.norm(away, axis=1), 1e-300)
+        return self.beam.relative_intensity(np.arccos(np.clip(away @ np.asarray(self.axis) / distance, -1.0, 1.0)))
 
 
 @dataclass(frozen=True, slots=True)

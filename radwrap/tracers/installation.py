@@ -20,6 +20,8 @@ _PROGRAMS: Final = ("oconv", "rtrace", "xform")
 # The function file without which every run fails: it tells a Radiance library from another folder.
 _LIBRARY_MARK: Final = "rayinit.cal"
 _LIMITS: Final = Limits()
+# What commands of a trusted file find after Radiance's programs; the user's own PATH would make images depend on it.
+_SYSTEM_PROGRAMS: Final = ("/usr/bin", "/bin")
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,16 +46,20 @@ class Installation:
         """Full path of a program."""
         return str(self.programs / (f"{name}.exe" if sys.platform == "win32" else name))
 
-    def environment(self, extra: Iterable[Path] = ()) -> dict[str, str]:
+    def environment(self, extra: Iterable[Path] = (), *, commands: bool = False) -> dict[str, str]:
         """Environment for its programs: its own, nothing of the user's.
 
         Parameters
         ----------
         extra : iterable of Path
             Folders in which files may be looked for besides the working folder and the library.
+        commands : bool
+            Whether a trusted file may run the system's programs, such as
+            ``!awk``, after Radiance's own.
         """
+        programs = [str(self.programs), *(_SYSTEM_PROGRAMS if commands and sys.platform != "win32" else ())]
         places = [".", *map(str, extra), str(self.library)]
-        environment = {"PATH": str(self.programs), "RAYPATH": os.pathsep.join(places), "LC_ALL": "C"}
+        environment = {"PATH": os.pathsep.join(programs), "RAYPATH": os.pathsep.join(places), "LC_ALL": "C"}
         if sys.platform == "win32":
             environment["SYSTEMROOT"] = os.environ.get("SYSTEMROOT", r"C:\Windows")
         return environment

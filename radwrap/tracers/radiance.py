@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Generator, Iterable, Iterator, Mapping
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -76,7 +76,9 @@ class PreparedScene:
     parts: tuple[str, ...]
 
 
-def prepare(scene: Scene, options: RadianceOptions, programs: Programs, folder: Path) -> PreparedScene:
+def prepare(
+    scene: Scene, options: RadianceOptions, programs: Programs, folder: Path, stem: str = "scene"
+) -> PreparedScene:
     """Write a scene for Radiance, with the files that it includes.
 
     Parameters
@@ -89,6 +91,8 @@ def prepare(scene: Scene, options: RadianceOptions, programs: Programs, folder: 
         Owner of the processes.
     folder : Path
         A working folder.
+    stem : str
+        What the names of the files beside the text begin with.
 
     Raises
     ------
@@ -103,27 +107,41 @@ def prepare(scene: Scene, options: RadianceOptions, programs: Programs, folder: 
     lit = any(emitter.radiance > 0 for emitter in scene.emitters)
     unit = scales_of(scene).length
     for target in scene.included:
-        text, beside, has_light = _included(scene, target, options, programs, folder)
-        lit = lit or has_light
-        files.update(beside)
-        move = _move(target, unit)
-        texts[target.name] = _xform(text, move, options, programs, folder)
-        glowing[target.name] = _xform(text, ["-m", target.name, *move], options, programs, folder)
+        with _naming(f"{scene.origin}: targets[{scene.targets.index(target)}].rad"):
+            text, beside, has_light = _included(scene, target, options, programs, stem)
+            lit = lit or has_light
+            files.update(beside)
+            move = _move(target, unit)
+            texts[target.name] = _xform(text, move, options, programs, folder)
+            glowing[target.name] = _xform(text, ["-m", target.name, *move], options, programs, folder)
     if not lit:
         raise InputError("there is no light", where=f"{scene.origin}: sources", remedy="add [[sources]]")
     identity, parts = identity_text(scene, glowing)
-    return PreparedScene(scene_text(scene, texts, files), identity, parts)
+    return PreparedScene(scene_text(scene, texts, files, stem), identity, parts)
+
+
+@contextmanager
+def _naming(where: str) -> Generator[None]:
+    """Say of a tracer's failure which included file it is about."""
+    try:
+        yield
+    except TracerError as error:
+        raise TracerError(f"{error.where}: {error.what}", where=where, remedy=error.remedy) from error
 
 
 def _included(
-    scene: Scene, target: RadFile, options: RadianceOptions, programs: Programs, folder: Path
+    scene: Scene, target: RadFile, options: RadianceOptions, programs: Programs, stem: str
 ) -> tuple[str, Mapping[str, bytes], bool]:
     index = scene.targets.index(target)
     where = f"{scene.origin}: targets[{index}].rad"
     path = scene.folder / target.file
     if not options.trusted:
         checked = read_included(
-            path, folder=scene.folder, library=options.installation.library, prefix=f"include{index}", where=where
+            path,
+            folder=scene.folder,
+            library=options.installation.library,
+            prefix=f"{stem}.include{index}",
+            where=where,
         )
         return checked.text, checked.files, checked.has_light
     if not path.is_file():
@@ -149,7 +167,7 @@ def _run_xform(arguments: list[str], stdin: bytes, options: RadianceOptions, pro
     output, said = programs.run(
         [options.installation.program("xform"), *arguments],
         folder=folder,
-        environment=options.installation.environment(),
+        environment=options.installation.environment(commands=options.trusted),
         stdin=[stdin],
         limits=options.limits,
     )
@@ -235,7 +253,7 @@ class RadianceTracer:
         stream = self.programs.stream(
             [self.options.installation.program("rtrace"), *arguments, _OCTREE],
             folder=self.folder,
-            environment=self.options.installation.environment(self.search),
+            environment=self.options.installation.environment(self.search, commands=self.options.trusted),
             stdin=sent,
             said=said,
             limits=self.options.limits,
@@ -304,7 +322,7 @@ def build(
     octree, said = programs.run(
         [options.installation.program("oconv"), "-f", "-"],
         folder=folder,
-        environment=options.installation.environment(search),
+        environment=options.installation.environment(search, commands=options.trusted),
         stdin=[text.encode()],
         limits=options.limits,
     )

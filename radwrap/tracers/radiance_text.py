@@ -32,7 +32,7 @@ from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Emitter, emitters
 from radwrap.scene.targets import DiscShape, PolygonShape, SphereShape, Surface, TubeShape, surfaces
 
-FUNCTIONS: Final = "radwrap.cal"
+_FUNCTIONS: Final = "radwrap.cal"
 
 _MILLIMETRE: Final = 1e-3
 # Polygon sides of at least 1 unit keep a polygon's border within 1e-6 units, and radii stay far from 1e-6 units.
@@ -128,7 +128,9 @@ def _sizes(scene: Scene) -> Iterator[tuple[float, float]]:
                 yield surface.shape.radius, _SMALLEST_RADIUS
 
 
-def scene_text(scene: Scene, included: Mapping[str, str], files_beside: Mapping[str, bytes]) -> RadianceScene:
+def scene_text(
+    scene: Scene, included: Mapping[str, str], files_beside: Mapping[str, bytes], stem: str = "scene"
+) -> RadianceScene:
     """Write a scene for Radiance.
 
     Parameters
@@ -140,6 +142,9 @@ def scene_text(scene: Scene, included: Mapping[str, str], files_beside: Mapping[
         moved to its pose, in this text's length unit.
     files_beside : Mapping[str, bytes]
         Files that the included texts need.
+    stem : str
+        What the names of function and data files begin with, so that texts of
+        different stems can lie in one folder.
 
     Returns
     -------
@@ -147,16 +152,17 @@ def scene_text(scene: Scene, included: Mapping[str, str], files_beside: Mapping[
         Text and files; in the text later surfaces lie on top of earlier ones in the same plane.
     """
     scales = scales_of(scene)
-    beside = {**files_beside, FUNCTIONS: (files("radwrap") / "data" / "cal" / FUNCTIONS).read_bytes()}
-    parts = [_header(scene, scales)]
+    functions = f"{stem}.{_FUNCTIONS}"
+    beside = {**files_beside, functions: (files("radwrap") / "data" / "cal" / _FUNCTIONS).read_bytes()}
+    parts = [_header(functions, scales)]
     for file in scene.included:
         parts.append(f"# {file.name}: included {file.file}\n\n{included[file.name]}")
     for emitter in scene.emitters:
-        parts.append(_emitter(emitter, scales))
+        parts.append(_emitter(emitter, functions, scales))
     for name, material in scene.materials.items():
-        beside.update(_data_files(name, material))
+        beside.update(_data_files(f"{stem}.{name}", material))
     for target in scene.targets:
-        parts += _target(surfaces(target), scene.materials, scales)
+        parts += _target(surfaces(target), scene.materials, stem, scales)
     return RadianceScene("\n".join(parts), beside, scales)
 
 
@@ -197,9 +203,9 @@ def _glow(name: str, number: int) -> str:
     return _primitive("void", "glow", name, (number, number, number, 0))
 
 
-def _header(scene: Scene, scales: Scales) -> str:
+def _header(functions: str, scales: Scales) -> str:
     length = "mm" if scales.length == _MILLIMETRE else f"{scales.length:g} m"
-    lines = ["Radiance scene written by radwrap; see radwrap.cal for its functions.", f"Lengths in {length},"]
+    lines = [f"Radiance scene written by radwrap; see {functions} for its functions.", f"Lengths in {length},"]
     if scales.radiance == 1.0:
         lines[-1] += " radiances in W/m^2/sr."
     else:
@@ -232,7 +238,7 @@ def _ring(centre: Vector, normal: Vector, radius: float, scales: Scales) -> tupl
     return (*_scaled(scales, centre), *normal, 0.0, _units(radius, scales))
 
 
-def _emitter(emitter: Emitter, scales: Scales) -> str:
+def _emitter(emitter: Emitter, functions: str, scales: Scales) -> str:
     intensity = f"{emitter.radiant_intensity:g} W/sr on its axis"
     if emitter.radiance == 0:
         return f"# {emitter.name}: dark, left out\n"
@@ -240,7 +246,7 @@ def _emitter(emitter: Emitter, scales: Scales) -> str:
     modifier = "void"
     if emitter.beam.profile != "lambertian":
         modifier = f"{emitter.name}.beam"
-        words = (f"{emitter.beam.profile}_beam", FUNCTIONS)
+        words = (f"{emitter.beam.profile}_beam", functions)
         text += _primitive("void", "brightfunc", modifier, (emitter.beam.spread,), words)
     radiance = emitter.radiance / scales.radiance
     text += _primitive(modifier, "light", f"{emitter.name}.light", (radiance, radiance, radiance))
@@ -248,7 +254,7 @@ def _emitter(emitter: Emitter, scales: Scales) -> str:
     return text + _primitive(f"{emitter.name}.light", "ring", emitter.name, disc)
 
 
-def _target(parts: tuple[Surface, ...], materials: Mapping[str, Material], scales: Scales) -> Iterator[str]:
+def _target(parts: tuple[Surface, ...], materials: Mapping[str, Material], stem: str, scales: Scales) -> Iterator[str]:
     written: set[str] = set()
     for surface in parts:
         # Each part has its own copy of its material, defined just before its first surface: where two surfaces
@@ -257,12 +263,12 @@ def _target(parts: tuple[Surface, ...], materials: Mapping[str, Material], scale
         if modifier not in written:
             written.add(modifier)
             yield f"# {modifier}: {surface.material}\n" + _material(
-                modifier, surface.material, materials[surface.material]
+                modifier, f"{stem}.{surface.material}", f"{stem}.{_FUNCTIONS}", materials[surface.material]
             )
         yield _geometry(surface, modifier, scales)
 
 
-def _material(name: str, of: str, material: Material) -> str:
+def _material(name: str, data: str, functions: str, material: Material) -> str:
     match material:
         case Lambertian(reflectance):
             return _primitive("void", "plastic", name, (reflectance, reflectance, reflectance, 0, 0))
@@ -272,36 +278,36 @@ def _material(name: str, of: str, material: Material) -> str:
             share = specular / colour if colour else 0.0
             return _primitive("void", "metal", name, (colour, colour, colour, share, roughness))
         case PerturbedNormal(reflectance, roughness):
-            words = ("turned_x", "turned_y", "turned_z", FUNCTIONS)
+            words = ("turned_x", "turned_y", "turned_z", functions)
             return (
                 _primitive("void", "texfunc", f"{name}.turned", (), words)
                 + _primitive(
                     f"{name}.turned", "metal", f"{name}.front", (reflectance, reflectance, reflectance, 1, roughness)
                 )
-                + _front_only(name)
+                + _front_only(name, functions)
             )
         case CoefficientTable():
             function = f"{material.interpolation}_table"
             limits = (material.observation[0], material.observation[-1], material.entrance[0], material.entrance[-1])
-            table = (function, _data_name(of), FUNCTIONS, "observation_deg", "entrance_deg")
+            table = (function, _data_name(data), functions, "observation_deg", "entrance_deg")
             numbers = (1.0, 1.0, 1.0, 1.0, *map(math.degrees, limits))
-            return _primitive("void", "metdata", f"{name}.front", numbers, table) + _front_only(name)
+            return _primitive("void", "metdata", f"{name}.front", numbers, table) + _front_only(name, functions)
         case GlassBeads(anchor):
-            words = ("glass_beads", _data_name(of), FUNCTIONS, "observation_deg")
+            words = ("glass_beads", _data_name(data), functions, "observation_deg")
             limits_deg = (GLASS_BEAD_OBSERVATION[0], GLASS_BEAD_OBSERVATION[-1], 0.0, 90.0)
             numbers = (1.0, 1.0, 1.0, 1.0, *limits_deg, anchor, GLASS_BEAD_ENTRANCE_SCALE)
-            return _primitive("void", "metdata", f"{name}.front", numbers, words) + _front_only(name)
+            return _primitive("void", "metdata", f"{name}.front", numbers, words) + _front_only(name, functions)
 
 
-def _front_only(name: str) -> str:
+def _front_only(name: str, functions: str) -> str:
     """Mix the front's material with a black back, which sheeting has."""
     black = _primitive("void", "plastic", f"{name}.back", (0, 0, 0, 0, 0))
-    words = (f"{name}.front", f"{name}.back", "front", FUNCTIONS)
+    words = (f"{name}.front", f"{name}.back", "front", functions)
     return black + _primitive("void", "mixfunc", name, (), words)
 
 
-def _data_name(material: str) -> str:
-    return f"{material}.dat"
+def _data_name(data: str) -> str:
+    return f"{data}.dat"
 
 
 def _data_files(name: str, material: Material) -> dict[str, bytes]:

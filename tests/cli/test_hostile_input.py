@@ -285,6 +285,10 @@ OPTIONS = [
         {"camera.aperture.diameter": "0 mm"},
         ("--method", "viewpoints"),
     ),
+    Case("viewpoints with one alone", ("--viewpoints: there are no", "pinhole"), options=("--method", "pinhole")),
+    Case(
+        "viewpoints of no diameter", ("--viewpoints: there are no", "is 0"), {"camera.aperture": {"diameter": "0 mm"}}
+    ),
     Case("set without value", ("--set", "nonsense"), options=("--set", "nonsense")),
     Case("set an unknown key", ("scene.toml: camera.zoom", "unknown key"), options=("--set", "camera.zoom=1")),
     Case("set what is not there", ("scene.toml: targets[9].pitch",), options=("--set", 'targets[9].pitch="1 mm"')),

@@ -176,6 +176,23 @@ def test_a_trusted_file_may_do_what_it_likes_but_not_turn_in_circles(
     assert inhabitants(tmp_path) == []
 
 
+def test_a_trusted_files_commands_find_the_systems_programs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever the user's PATH is; Radiance's own come first."""
+    monkeypatch.setenv("PATH", "/nowhere")
+    write_scene(tmp_path, ROOM)
+    _lay(tmp_path, {"room.rad": f"{GRAY}!echo | awk '{{ print \"paint sphere ball 0 0 4 0 0 0 .02\" }}'\n"})
+    here(_argv(tmp_path, "--trust", "--truth"), capsys).success()
+    whole = products(tmp_path / "out")
+    _lay(tmp_path, {"room.rad": GRAY + BALL})
+    here(_argv(tmp_path, "--trust", "--truth"), capsys).success()
+    assert products(tmp_path / "out")["mask.png"] == whole["mask.png"]
+    _lay(tmp_path, {"room.rad": f"{GRAY}!no-such-program\n"})
+    line = here(_argv(tmp_path, "--trust"), capsys).refusal(4)
+    assert line.startswith("radwrap: scene.toml: targets[1].rad: xform: ") and "no-such-program" in line
+
+
 def test_a_coloured_scene_asks_for_the_channel(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     images = {}
     _lay(tmp_path, {"room.rad": f"void plastic paint 0 0 5 .8 .4 .2 0 0\n{BALL}"})

@@ -37,6 +37,24 @@ def test_a_result_holds_images_and_manifest_and_shows_itself(tmp_path: Path) -> 
     }
 
 
+def test_a_result_holds_the_truth_that_was_asked_for(tmp_path: Path) -> None:
+    """A board turned by no angle, 0.79 m away: all of it has that depth, whatever the pixel."""
+    flat = scene(**{"targets[0].rotation": ["0 deg", "0 deg", "0 deg"]})
+    assert radwrap.render(flat, tmp_path, viewpoints=1).truth is None
+    truth = radwrap.render(flat, tmp_path, viewpoints=1, truth=True).truth
+    assert truth is not None
+    depth, mask = truth["depth"], truth["mask"]
+    assert depth.shape == mask.shape == (33, 48)
+    assert depth.dtype == np.float32 and mask.dtype == np.uint16
+    assert set(np.unique(mask)) - {0} == {truth["parts"]["board.surface"], truth["parts"]["board.dots"]}
+    assert depth[mask > 0] == pytest.approx(0.79, rel=1e-6)
+    middle = next(dot for dot in truth["targets"]["board"]["dots"] if (dot["row"], dot["column"]) == (2, 2))
+    assert mask[round(middle["v"]), round(middle["u"])] == truth["parts"]["board.dots"]
+    # As it comes from the folder, also of a run that was finished before.
+    again = radwrap.render(flat, tmp_path, viewpoints=1, truth=True).truth
+    assert again is not None and (again["depth"] == depth).all()
+
+
 def test_files_of_an_older_run_do_not_stay_beside_the_new_image(tmp_path: Path) -> None:
     radwrap.render(scene(), tmp_path, viewpoints=1, truth=True)
     assert (tmp_path / "truth.json").is_file()

@@ -81,6 +81,67 @@ def test_what_the_file_does_not_say_is_listed_as_assumed(document: dict[str, Any
     )
 
 
+def test_defaults_that_change_the_image_are_all_listed(document: dict[str, Any]) -> None:
+    document["camera"]["aperture"] = {"diameter": "0.1 mm"}
+    document["targets"] += [{"type": "disc", "material": "black", "diameter": "1 mm"}]
+    document["targets"][-1] |= {"position": ["0 mm", "0 mm", "-9 mm"]}
+    document["materials"]["beads"] = {
+        "type": "retroreflective",
+        "model": "coefficient",
+        "function": "glass_beads",
+        "anchor": "95 1/sr",
+    }
+    document["materials"]["table"] = {
+        "type": "retroreflective",
+        "model": "coefficient",
+        "observation_angles": ["0.1 deg", "2 deg"],
+        "entrance_angles": ["0 deg", "60 deg"],
+        "coefficients": [["3 1/sr", "2 1/sr"], ["2 1/sr", "1 1/sr"]],
+    }
+    assumed = load(document).assumed
+    listed = {
+        "materials.table.interpolation": "log",
+        "materials.table.outside": "refuse",
+        "materials.beads.outside": "refuse",
+        "camera.up": "[0, 1, 0]",
+        "sources[0].up": "[0, 1, 0]",
+        "targets[1].name": "target1",
+    }
+    assert {key: assumed.get(key) for key in listed} == listed
+    assert not assumed.keys() & {"materials.beads.interpolation", "targets[0].name", "materials.sheeting.outside"}
+    said = {"materials.table.interpolation": "linear", "materials.table.outside": "hold", "camera.up": [0, 0.5, 0]}
+    said |= {"materials.beads.outside": "hold", "sources[0].up": [0, 1, 0], "targets[1].name": "spot"}
+    assert not load(document, **said).assumed.keys() & listed.keys()
+    # World z, where the view is along y.
+    across = {"camera.position": ["0 mm", "800 mm", "0 mm"], "targets[0].rotation": ["-90 deg", "0 deg", "0 deg"]}
+    assert load(document, **across).assumed["camera.up"] == "[0, 0, 1]"
+
+
+def test_what_has_no_meaning_is_not_listed(document: dict[str, Any]) -> None:
+    for shape, more in (("round", {}), ("annular", {"inner_diameter": "0.05 mm"}), ("square", {}), ("half_disc", {})):
+        document["camera"]["aperture"] = {"shape": shape, "diameter": "0.1 mm", **more}
+        assert ("camera.aperture.rotation" in load(document).assumed) == (shape in ("square", "half_disc"))
+    lamp = {"type": "disc", "name": "lamp", "position": ["0 mm", "0 mm", "1 m"], "look_at": ["0 mm"] * 3}
+    document["sources"] = [lamp | {"diameter": "5 mm", "radiance": "1 W/m^2/sr"}]
+    assert "sources[0].up" not in load(document).assumed
+
+
+def test_the_order_of_rotations_is_listed(document: dict[str, Any]) -> None:
+    del document["camera"]["look_at"]
+    document["camera"]["rotation"] = ["180 deg", "0 deg", "0 deg"]
+    assumed = load(document).assumed
+    assert assumed["camera.rotation_order"] == "xyz" and "camera.up" not in assumed
+    assert "camera.rotation_order" not in load(document, **{"camera.rotation_order": "xyz"}).assumed
+
+
+def test_automatic_names_leave_given_ones_alone(document: dict[str, Any]) -> None:
+    plain = {"type": "disc", "material": "black", "diameter": "1 mm"}
+    document["targets"] = [plain | {"position": ["0 mm", "0 mm", f"{z} mm"]} for z in range(4)]
+    document["targets"][0]["name"] = "target2"
+    document["sources"][0]["name"] = "target1"
+    assert [target.name for target in load(document).targets] == ["target2", "target3", "target4", "target5"]
+
+
 def test_sensor_presets_can_be_changed_key_by_key(document: dict[str, Any]) -> None:
     assert sensor_presets() == ("fivs",)
     sensor = load(document, **{"camera.sensor.rows": 20, "camera.sensor.bit_depth": 10}).camera.sensor
@@ -115,7 +176,7 @@ def test_camera_poses_agree_however_they_are_written(document: dict[str, Any]) -
         ({"camera.focal_length": "12,5 mm"}, "camera.focal_length", "NUMBER UNIT"),
         ({"camera.focal_length": 12.5}, "camera.focal_length", "no unit"),
         ({"camera.focal_length": "12.5 deg"}, "camera.focal_length", "no unit of length"),
-        ({"camera.focal_length": "0 mm"}, "camera.focal_length", "at least"),
+        ({"camera.focal_length": "0 mm"}, "camera.focal_length", "at least 1e-09 (in SI units), not '0 mm'"),
         ({"camera.focal_length": "-1 mm"}, "camera.focal_length", "at least"),
         ({"camera.exposure_time": "-1 ms"}, "camera.exposure_time", "at least"),
         ({"camera.focus": "1 mm"}, "camera.focus", "unknown key"),
@@ -123,16 +184,45 @@ def test_camera_poses_agree_however_they_are_written(document: dict[str, Any]) -
         ({"sources[0].beam.width": "7.6 mm"}, "sources[0].beam.width", "no unit of angle"),
         ({"sources[0].radiance": "2324 W/m^2"}, "sources[0].radiance", "no unit of radiance"),
         ({"sources[0].radiant_intensity": "1 W/sr"}, "sources[0]", "exactly one"),
-        ({"sources[0].type": "laser"}, "sources[0]", "not one of"),
+        ({"sources[0].type": "laser"}, "sources[0].type", "not one of"),
+        ({"targets[0]": {"name": "board"}}, "targets[0].type: is missing", ""),
+        ({"materials.black.type": 3}, "materials.black.type", "'3' is not one of 'lambertian'"),
         ({"sources[0].leds": [{"index": 12}]}, "sources[0]", "LEDs 0 to 11"),
-        ({"targets[0].rows": 0}, "targets[0].rows", "at least"),
-        ({"targets[0].rows": 5.5}, "targets[0].rows", "integer"),
-        ({"targets[0].rows": True}, "targets[0].rows", "integer"),
+        (
+            {
+                "sources[0].leds": [{"index": 1}, {"index": 3, "beam_width_factor": 2.3}],
+                "sources[0].beam": {"profile": "cone", "width": "40 deg", "width_definition": "half_angle"},
+            },
+            "sources[0].leds[1].beam_width_factor",
+            "wider than a half space",
+        ),
+        (
+            {
+                "sources[0].leds": [{"index": 3, "beam_width_factor": 0.5}],
+                "sources[0].beam": {"profile": "lambertian"},
+            },
+            "sources[0].leds[0].beam_width_factor",
+            "no width",
+        ),
+        ({"targets[0].rows": 0}, "targets[0].rows: must be at least 1, not 0", ""),
+        ({"targets[0].rows": 5.5}, "targets[0].rows", "must be an integer, not 5.5"),
+        ({"targets[0].rows": True}, "targets[0].rows", "must be an integer, not True"),
+        ({"camera": 3}, "camera: ", "must be a table, not 3"),
+        ({"camera.aperture": [1]}, "camera.aperture: ", "must be a table, not an array"),
+        ({"materials": "x"}, "materials: ", "must be a table, not 'x'"),
+        ({"sources[0].beam": "gaussian"}, "sources[0].beam: ", "must be a table, not 'gaussian'"),
+        ({"targets[0]": 3}, "targets[0]: ", "must be a table, not 3"),
+        ({"targets": {"a": 1}}, "targets: ", "must be an array, not a table"),
+        ({"camera.position": "0 mm"}, "camera.position: ", "must be an array, not '0 mm'"),
+        ({"camera.position": ["0 mm"] * 4}, "camera.position: ", "at most 3 entries, not 4"),
+        ({"camera.sensor.gamma": "0.85"}, "camera.sensor.gamma: ", "must be a number, not '0.85'"),
+        ({"camera.sensor.rounding": 1}, "camera.sensor.rounding: ", "must be true or false, not 1"),
+        ({"title": 3}, "title: ", "must be a string, not 3"),
         ({"targets[0].dot_diameter": "20 mm"}, "targets[0]", "overlap"),
         ({"targets[0].material": "gold"}, "targets[0].material", "no material"),
         ({"targets[0].name": "two words"}, "targets[0].name", "is no name"),
         ({"targets[0].name": "ring"}, "targets[0].name", "twice"),
-        ({"materials.black.reflectance": 1.5}, "materials.black.reflectance", "at most"),
+        ({"materials.black.reflectance": 1.5}, "materials.black.reflectance: must be at most 1, not 1.5", ""),
         ({"materials.black.reflectance": math.nan}, "materials.black.reflectance", "finite"),
         ({"materials.sheeting.anchor": "95 cd/lx/m^2"}, "materials.sheeting", "does not go"),
         ({"camera.sensor.gamma": 0.9}, "camera.sensor", "its unit says gamma"),
@@ -140,7 +230,8 @@ def test_camera_poses_agree_however_they_are_written(document: dict[str, Any]) -
         ({"camera.sensor.dark_gray": 200}, "camera.sensor", "dark_gray < saturation_gray"),
         ({"camera.sensor.preset": "nikon"}, "camera.sensor", "known: fivs"),
         ({"camera.look_at": ["0 mm", "0 mm", "790 mm"]}, "camera.look_at", "length above zero"),
-        ({"camera.up": [0, 0, 1]}, "camera.look_at", "parallel"),
+        ({"camera.up": [0, 0, 1]}, "camera.up", "parallel"),
+        ({"camera.up": [0, 0, 0]}, "camera.up", "length above zero"),
         ({"camera.rotation": ["0 deg", "0 deg", "0 deg"]}, "camera", "exactly one"),
         ({"camera.position": ["0 mm"] * 3, "camera.look_at": ["0 mm", "0 mm", "1 mm"]}, "camera", "lies on"),
         ({"targets": []}, "targets", "empty"),

@@ -1,0 +1,213 @@
+"""Where rays meet targets, and what of a target is nearest: closed forms, without a tracer."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.frames import Vector, points_to_local
+from radwrap.scene.targets import (
+    Box,
+    Cylinder,
+    Disc,
+    DotBoard,
+    EdgeTarget,
+    Polygon,
+    RadFile,
+    Sheet,
+    Sphere,
+    Target,
+)
+
+Array = NDArray[np.float64]
+Flat = Sheet | DotBoard | EdgeTarget | Polygon | Disc
+
+# A ray that starts on a surface does not meet it there [m]; no scene has parts as small.
+_START: Final = 1e-12
+
+
+def first_hit(target: Target, origins: Array, directions: Array) -> tuple[Array, Array]:
+    """Where rays first meet a target.
+
+    Parameters
+    ----------
+    target : Target
+        Of a Radiance file nothing is known: it is never met.
+    origins : ndarray, shape (3,) or (n, 3)
+        In the world [m].
+    directions : ndarray, shape (n, 3)
+        Unit vectors.
+
+    Returns
+    -------
+    distance : ndarray, shape (n,)
+        Along the ray [m]; infinite where it misses.
+    normals : ndarray, shape (n, 3)
+        Unit normals of the front, which for solids is the outside; meaningless where the ray misses.
+    """
+    rotation = np.asarray(target.pose.rotation)
+    directions = np.atleast_2d(directions)
+    start = np.broadcast_to(points_to_local(target.pose, np.atleast_2d(origins)), directions.shape)
+    along = directions @ rotation
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        match target:
+            case RadFile():
+                return np.full(len(along), math.inf), np.zeros_like(along)
+            case Sphere():
+                distance, normals = _sphere_hit(target, start, along)
+            case Cylinder():
+                distance, normals = _cylinder_hit(target, start, along)
+            case Box():
+                distance, normals = _box_hit(target, start, along)
+            case _:
+                distance = -start[:, 2] / along[:, 2]
+                met = (distance > _START) & on_face(target, (start + distance[:, np.newaxis] * along)[:, :2])
+                distance = np.where(met, distance, math.inf)
+                normals = np.broadcast_to([0.0, 0.0, 1.0], along.shape)
+    return distance, normals @ rotation.T
+
+
+def on_face(target: Flat, xy: Array) -> NDArray[np.bool_]:
+    """Which points of its plane, shape (n, 2) [m], belong to a flat target."""
+    x, y = xy[:, 0], xy[:, 1]
+    inside: NDArray[np.bool_]
+    match target:
+        case Polygon():
+            return in_polygon(np.asarray(target.vertices), xy)
+        case Disc():
+            inside = np.hypot(x, y) <= target.diameter / 2
+        case _:
+            inside = (np.abs(x) <= target.width / 2) & (np.abs(y) <= target.height / 2)
+    return inside
+
+
+def in_polygon(vertices: Array, xy: Array) -> NDArray[np.bool_]:
+    """Which points, shape (n, 2), lie in a polygon, shape (m, 2): even-odd rule; on the border it may be either."""
+    inside = np.zeros(len(xy), dtype=bool)
+    for (x0, y0), (x1, y1) in zip(vertices, np.roll(vertices, -1, axis=0), strict=True):
+        if y0 != y1:
+            crosses = (y0 > xy[:, 1]) != (y1 > xy[:, 1])
+            inside ^= crosses & (xy[:, 0] < x0 + (xy[:, 1] - y0) * (x1 - x0) / (y1 - y0))
+    return inside
+
+
+def _roots(a: Array, half_b: Array, c: Array) -> tuple[Array, Array]:
+    """Roots of a t^2 + 2 half_b t + c, NaN where there are none."""
+    root = np.sqrt(half_b**2 - a * c)
+    return (-half_b - root) / a, (-half_b + root) / a
+
+
+def _nearest(*candidates: Array) -> Array:
+    """Smallest positive value; infinity where there is none."""
+    stacked = np.stack(candidates)
+    smallest: Array = np.where(stacked > _START, stacked, math.inf).min(axis=0)
+    return smallest
+
+
+def _at(start: Array, along: Array, distance: Array) -> Array:
+    return start + np.where(np.isfinite(distance), distance, 0.0)[:, np.newaxis] * along
+
+
+def _sphere_hit(target: Sphere, start: Array, along: Array) -> tuple[Array, Array]:
+    radius = target.diameter / 2
+    half_b, c = (start * along).sum(axis=1), (start**2).sum(axis=1) - radius**2
+    distance = _nearest(*_roots(np.ones(len(along)), half_b, c))
+    return distance, _at(start, along, distance) / radius
+
+
+def _cylinder_hit(target: Cylinder, start: Array, along: Array) -> tuple[Array, Array]:
+    radius, half = target.diameter / 2, target.length / 2
+    a = (along[:, :2] ** 2).sum(axis=1)
+    half_b, c = (start[:, :2] * along[:, :2]).sum(axis=1), (start[:, :2] ** 2).sum(axis=1) - radius**2
+    side = [np.where(np.abs(start[:, 2] + t * along[:, 2]) <= half, t, math.inf) for t in _roots(a, half_b, c)]
+    caps = []
+    for end in (-half, half):
+        t = (end - start[:, 2]) / along[:, 2]
+        away = np.hypot(start[:, 0] + t * along[:, 0], start[:, 1] + t * along[:, 1])
+        caps.append(np.where(away <= radius, t, math.inf))
+    on_side, on_cap = _nearest(*side), _nearest(*caps)
+    distance = np.minimum(on_side, on_cap)
+    normals = _at(start, along, distance)
+    is_side = (on_side <= on_cap)[:, np.newaxis]
+    normals = np.where(is_side, normals * [1 / radius, 1 / radius, 0], np.sign(normals) * [0, 0, 1])
+    return distance, normals
+
+
+def _box_hit(target: Box, start: Array, along: Array) -> tuple[Array, Array]:
+    half = np.asarray(target.size) / 2
+    low, high = (-half - start) / along, (half - start) / along
+    near = np.fmax.reduce(np.fmin(low, high), axis=1)
+    far = np.fmin.reduce(np.fmax(low, high), axis=1)
+    distance = np.where(near <= far, _nearest(near, far), math.inf)
+    scaled = _at(start, along, distance) / half
+    axis = np.abs(scaled).argmax(axis=1)
+    normals = np.where(np.arange(3) == axis[:, np.newaxis], np.sign(scaled), 0.0)
+    return distance, normals
+
+
+def nearest_point(target: Target, point: Vector) -> tuple[Array, Array]:
+    """The point of a target's surface that is nearest to a point of the world.
+
+    Returns
+    -------
+    nearest, normal : ndarray, shape (3,)
+        In the world [m]; unit normal of the front. A Radiance file has none:
+        its point is infinitely far.
+    """
+    rotation = np.asarray(target.pose.rotation)
+    local = points_to_local(target.pose, np.array([point]))[0]
+    place, normal = _nearest_local(target, local)
+    return rotation @ place + np.asarray(target.pose.position), rotation @ normal
+
+
+def _nearest_local(target: Target, local: Array) -> tuple[Array, Array]:
+    match target:
+        case RadFile():
+            return np.full(3, math.inf), np.zeros(3)
+        case Sphere():
+            normal = _unit(local)
+            return normal * target.diameter / 2, normal
+        case Cylinder():
+            radius, half = target.diameter / 2, target.length / 2
+            radial = _unit(local * [1, 1, 0])
+            axial = np.array([0.0, 0.0, 1.0 if local[2] >= 0 else -1.0])
+            place = radial * min(math.hypot(*local[:2]), radius) + axial * min(abs(local[2]), half)
+            beyond = math.hypot(*local[:2]) - radius, abs(local[2]) - half
+            if beyond[0] >= beyond[1]:
+                return radial * radius + place * [0, 0, 1], radial
+            return place * [1, 1, 0] + axial * half, axial
+        case Box():
+            size = np.asarray(target.size) / 2
+            face = int((np.abs(local) - size).argmax())
+            normal = np.zeros(3)
+            normal[face] = 1.0 if local[face] >= 0 else -1.0
+            place = np.clip(local, -size, size)
+            place[face] = normal[face] * size[face]
+            return place, normal
+    return np.append(clamped(target, local[:2]), 0.0), np.array([0.0, 0.0, 1.0])
+
+
+def _unit(vector: Array) -> Array:
+    length = float(np.linalg.norm(vector))
+    return vector / length if length > 0 else np.array([1.0, 0.0, 0.0])
+
+
+def clamped(target: Flat, xy: Array) -> Array:
+    """The point of a flat target's face that is nearest to a point of its plane, shape (2,) [m]."""
+    if on_face(target, xy[np.newaxis])[0]:
+        return xy
+    match target:
+        case Polygon():
+            start = np.asarray(target.vertices)
+            side = np.roll(start, -1, axis=0) - start
+            share = np.clip(((xy - start) * side).sum(axis=1) / (side**2).sum(axis=1), 0.0, 1.0)
+            feet = start + share[:, np.newaxis] * side
+            nearest: Array = feet[np.hypot(*(feet - xy).T).argmin()]
+            return nearest
+        case Disc():
+            return xy * (target.diameter / 2 / math.hypot(*xy))
+    half = np.array([target.width, target.height]) / 2
+    return np.clip(xy, -half, half)
