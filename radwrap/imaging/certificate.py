@@ -10,6 +10,7 @@ k. All on gray levels before rounding, clipped at saturation.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import asdict, dataclass
 from typing import Any, Final
@@ -24,7 +25,10 @@ from radwrap.imaging.sensor import gray_levels
 from radwrap.imaging.view import View, trace_rays
 
 # Shares of the pixels, by how much gray changes around them, and of the sample: nearly all error lies at edges.
-_STRATA: Final = ((0.1, 0.5), (0.2, 0.25), (0.7, 0.25))
+_STRATA: Final[tuple[tuple[float, float], ...]] = ((0.1, 0.5), (0.2, 0.25), (0.7, 0.25))
+# Where something may hide something, half of the sample is drawn, in two strata of its own.
+_RISKY_STRATA: Final[tuple[tuple[float, float], ...]] = ((0.3, 0.6), (0.7, 0.4))
+_RISKY_SHARE: Final = 0.5
 _FEWEST_IN_STRATUM: Final = 8
 _LOOKED_AT: Final = 1 << 16
 
@@ -88,28 +92,48 @@ class PixelSample:
     stratum: NDArray[np.intp]
     shares: NDArray[np.float64]
 
-    def places(self, columns: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Columns and rows of the pixels [px]."""
-        v, u = np.divmod(self.pixels, columns)
-        return u.astype(np.float64), v.astype(np.float64)
+
+def places_of(pixels: NDArray[np.intp], columns: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Columns and rows of pixels [px]."""
+    v, u = np.divmod(pixels, columns)
+    return u.astype(np.float64), v.astype(np.float64)
 
 
-def draw_pixels(gray: NDArray[np.float64], count: int, seed: tuple[int, ...]) -> PixelSample:
-    """Draw pixels, more where gray changes; all of them where there are not more than `count`."""
+def draw_pixels(
+    gray: NDArray[np.float64], count: int, seed: tuple[int, ...], risky: NDArray[np.bool_] | None = None
+) -> PixelSample:
+    """Draw pixels, more where gray changes, and more where they are risky; all where there are not more than `count`.
+
+    Parameters
+    ----------
+    gray : ndarray, shape (rows, columns)
+        The image [gray level].
+    count : int
+        About how many pixels.
+    seed : tuple of int
+        Of what is drawn.
+    risky : ndarray of bool, shape (rows, columns), optional
+        Pixels that form strata of their own.
+    """
     number = gray.size
-    if number <= count:
-        return PixelSample(np.arange(number), np.zeros(number, dtype=np.intp), np.ones(1))
     random = np.random.default_rng(seed)
     # Of a large image some pixels, drawn evenly, stand for all.
     drawn = random.choice(number, min(number, _LOOKED_AT), replace=False, shuffle=False)
-    order = drawn[np.argsort(-_change(gray, drawn), kind="stable")]
-    bounds = np.rint(np.cumsum([0.0, *(share for share, _ in _STRATA)]) * len(order)).astype(int)
-    chosen = [
-        random.choice(order[first:last], min(max(round(part * count), _FEWEST_IN_STRATUM), last - first), replace=False)
-        for first, last, (_, part) in zip(bounds[:-1], bounds[1:], _STRATA, strict=True)
-    ]
-    stratum = np.repeat(np.arange(len(_STRATA)), [len(pixels) for pixels in chosen])
-    return PixelSample(np.concatenate(chosen), stratum, np.diff(bounds) / len(order))
+    apart = np.zeros(len(drawn), dtype=bool) if risky is None else risky.ravel()[drawn]
+    groups = [(drawn[~apart], _STRATA, 1 - _RISKY_SHARE if apart.any() else 1.0)]
+    groups.append((drawn[apart], _RISKY_STRATA, _RISKY_SHARE if not apart.all() else 1.0))
+    chosen: list[NDArray[np.intp]] = []
+    sizes: list[int] = []
+    for pixels, strata, part in groups:
+        order = pixels[np.argsort(-_change(gray, pixels), kind="stable")]
+        bounds = np.rint(np.cumsum([0.0, *(share for share, _ in strata)]) * len(order)).astype(int)
+        for (first, last), (_, wanted) in zip(itertools.pairwise(bounds.tolist()), strata, strict=True):
+            if last > first:
+                size = min(max(round(part * wanted * count), _FEWEST_IN_STRATUM), last - first)
+                chosen.append(random.choice(order[first:last], size, replace=False))
+                sizes.append(last - first)
+    stratum = np.repeat(np.arange(len(chosen)), [len(pixels) for pixels in chosen])
+    return PixelSample(np.concatenate(chosen), stratum, np.array(sizes) / len(drawn))
 
 
 def _change(gray: NDArray[np.float64], pixels: NDArray[np.intp]) -> NDArray[np.float64]:
@@ -147,7 +171,7 @@ class PixelErrors:
 def model_errors(
     view: View,
     layers: tuple[float, ...],
-    sample: PixelSample,
+    pixels: NDArray[np.intp],
     radiance: NDArray[np.float64],
     *,
     pairs: int,
@@ -161,16 +185,16 @@ def model_errors(
         The camera, and who traces.
     layers : tuple of float
         The kernel's magnifications.
-    sample : PixelSample
-        Where.
+    pixels : ndarray of int, shape (n,)
+        Numbers of the pixels.
     radiance : ndarray, shape (n,)
-        The image's mean radiance at the sample, through which Eq. 5 is taken.
+        The image's mean radiance there, through which Eq. 5 is taken.
     pairs : int
         Pairs for each of the two values.
     seed : tuple of int
         Of all that is drawn.
     """
-    u, v = sample.places(view.camera.sensor.columns)
+    u, v = places_of(pixels, view.camera.sensor.columns)
     lacks = []
     random = np.random.default_rng(seed)
     rays = 0
@@ -193,10 +217,10 @@ def model_errors(
 
 
 def independent_errors(
-    view: View, sample: PixelSample, radiance: NDArray[np.float64], *, rays: int, seed: tuple[int, ...]
+    view: View, pixels: NDArray[np.intp], radiance: NDArray[np.float64], *, rays: int, seed: tuple[int, ...]
 ) -> PixelErrors:
     """What an image lacks at some pixels, by independent rays over pixel and opening; parameters as `model_errors`."""
-    u, v = sample.places(view.camera.sensor.columns)
+    u, v = places_of(pixels, view.camera.sensor.columns)
     random = np.random.default_rng(seed)
     values = [sampled_radiance(view, u, v, rays, random).mean(axis=1) for _ in range(2)]
     first, second = (_in_gray(view, radiance, value) for value in values)
@@ -227,7 +251,7 @@ def certify_by_independent_rays(
     """
     gray = gray_levels(radiance * view.exposure_of_radiance, view.camera.sensor)
     sample = draw_pixels(gray, pixels, (seed, 3))
-    errors = independent_errors(view, sample, radiance.ravel()[sample.pixels], rays=rays, seed=(seed, 4))
+    errors = independent_errors(view, sample.pixels, radiance.ravel()[sample.pixels], rays=rays, seed=(seed, 4))
     square = errors.mean_square(sample, (seed, 5))
     return Certificate(
         rms_gray=root(square.mean),

@@ -17,26 +17,38 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.imaging.bounds import NOTHING, Bounded
-from radwrap.imaging.certificate import Certificate, PixelErrors, PixelSample, draw_pixels, model_errors, root
+from radwrap.imaging.certificate import (
+    Certificate,
+    PixelErrors,
+    PixelSample,
+    draw_pixels,
+    model_errors,
+    places_of,
+    root,
+)
+from radwrap.imaging.footprint import reach_px
 from radwrap.imaging.kernel import KernelPlan, plan_kernel
 from radwrap.imaging.rays import ORDER, PILOT, RaysPlan, gray_deviation, plan_rays, sampled_radiance
-from radwrap.imaging.replicates import Replicates, Work, discretisation, trace_replicates
+from radwrap.imaging.replicates import Replicates, Work, discretisation, replicates_needed, trace_replicates
 from radwrap.imaging.sensor import gray_levels
-from radwrap.imaging.view import View, trace_rays
+from radwrap.imaging.view import View, magnifications_at
 
 ToleranceMethod = Literal["kernel", "rays"]
 
-_SURVEY_SIDE: Final = 48  # rows and columns of the survey's grid of central rays
+_SURVEY_SIDE: Final = 128  # rows and columns of the survey's grid of central rays, which are told distances alone
 _SURVEY_PIXELS: Final = 192
 _SURVEY_PAIRS: Final = 4
 # Share of the tolerance that the predicted error takes: the bound lies above the error by 10 to 30 %.
 _AIM_SHARE: Final = 0.75
 # Where the model's error takes more than this share of the tolerance, rays are asked instead.
 _MODEL_SHARE: Final = 0.85
-_REPLICATES: Final = 2
+# A step in depth costs about this share of its difference in magnification and of the contrast (measured).
+_STEP_COST: Final = 0.32
+# Pixels where that may reach this share of the tolerance are looked at apart.
+_RISK_SHARE: Final = 0.1
 _ATTEMPTS: Final = 8
-# Pixels and pairs of the model's certificate, tried in turn.
-_EFFORTS: Final = ((512, 4), (1024, 16), (4096, 64))
+# Pixels of the model's certificate, and pairs of each: where depth is even, and near steps; tried in turn.
+_EFFORTS: Final = ((512, 4, 64), (1024, 16, 256), (2048, 64, 1024))
 # A 99 % quantile without an exceedance among so many: 97.5 % sure of each half's 99.5 %.
 _QUANTILE_PIXELS: Final = 1024
 _QUANTILE: Final = 0.995
@@ -93,8 +105,8 @@ class Survey:
 
     Attributes
     ----------
-    magnifications : ndarray
-        m = 1 + f/z of all that a grid of central rays met.
+    magnification : ndarray, shape (rows, columns)
+        m = 1 + f/z of what a grid of central rays met, 1 where nothing.
     model : Bounded
         Mean square error of the kernel's model [gray level^2].
     deviations : ndarray
@@ -103,7 +115,7 @@ class Survey:
         What it took.
     """
 
-    magnifications: NDArray[np.float64]
+    magnification: NDArray[np.float64]
     model: Bounded
     deviations: NDArray[np.float64]
     rays: int
@@ -154,39 +166,76 @@ def survey(view: View, seed: int) -> Survey:
         )
     )
     u, v = (grid.ravel() for grid in np.meshgrid(columns, rows))
-    values, magnification = trace_rays(view, np.zeros((1, 2)), u, v, with_depth=True)
-    met = magnification[magnification > 1]
+    magnification = magnifications_at(view, u, v).reshape(len(rows), len(columns))
     drawn = np.random.default_rng((seed, 6)).choice(sensor.pixels, min(sensor.pixels, _SURVEY_PIXELS), replace=False)
-    sample = PixelSample(drawn, np.zeros(len(drawn), dtype=np.intp), np.ones(1))
-    places = sample.places(sensor.columns)
-    pilot = sampled_radiance(view, *places, PILOT, np.random.default_rng((seed, 7)))
+    pilot = sampled_radiance(view, *places_of(drawn, sensor.columns), PILOT, np.random.default_rng((seed, 7)))
     deviations = gray_deviation(pilot, plan_rays(view, 1.0))
-    rays = len(values) + pilot.size
+    rays = magnification.size + pilot.size
     model = NOTHING
     if not view.camera.aperture.is_infinitesimal:
         try:
-            layers = plan_kernel(view, met, 1.0).layers
+            layers = plan_kernel(view, met_by(magnification), 1.0).layers
         except InputError:
-            return Survey(met, Bounded(math.inf, math.inf), deviations, rays)
-        errors = model_errors(view, layers, sample, pilot.mean(axis=1), pairs=_SURVEY_PAIRS, seed=(seed, 8))
+            return Survey(magnification, Bounded(math.inf, math.inf), deviations, rays)
+        errors = model_errors(view, layers, drawn, pilot.mean(axis=1), pairs=_SURVEY_PAIRS, seed=(seed, 8))
+        sample = PixelSample(drawn, np.zeros(len(drawn), dtype=np.intp), np.ones(1))
         model = errors.mean_square(sample, (seed, 9))
         rays += errors.rays
-    return Survey(met, model, deviations, rays)
+    return Survey(magnification, model, deviations, rays)
+
+
+def met_by(magnification: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Magnifications of what was met."""
+    return magnification[magnification > 1]
+
+
+def steps(view: View, magnification: NDArray[np.float64], least: float) -> NDArray[np.bool_]:
+    """Pixels, shape (rows, columns), that gather light across a step in depth.
+
+    Parameters
+    ----------
+    view : View
+        For its camera.
+    magnification : ndarray, shape (rows, columns)
+        Of the survey's grid.
+    least : float
+        Smallest difference of magnifications that counts.
+    """
+    sensor = view.camera.sensor
+    high = low = magnification
+    for axis, (size, reach) in enumerate(
+        zip((sensor.rows, sensor.columns), reach_px(view.camera, float(magnification.max()))[::-1], strict=True)
+    ):
+        far = min(math.ceil(reach * magnification.shape[axis] / size) + 1, magnification.shape[axis] - 1)
+        high, low = _extreme(high, axis, far, np.maximum), _extreme(low, axis, far, np.minimum)
+    rows, columns = (
+        np.arange(size) * n // size for size, n in zip((sensor.rows, sensor.columns), magnification.shape, strict=True)
+    )
+    wide: NDArray[np.bool_] = (high - low > least)[np.ix_(rows, columns)]
+    return wide
+
+
+def _extreme(values: NDArray[np.float64], axis: int, far: int, choose: np.ufunc) -> NDArray[np.float64]:
+    """Largest or smallest within so many steps along an axis."""
+    values = np.moveaxis(values, axis, 0)
+    framed = np.concatenate([values[:1].repeat(far, axis=0), values, values[-1:].repeat(far, axis=0)])
+    windows = np.lib.stride_tricks.sliding_window_view(framed, 2 * far + 1, axis=0)
+    return np.moveaxis(choose.reduce(windows, axis=-1), 0, axis)
 
 
 def predicted_rays(view: View, found: Survey, tolerance: float) -> dict[str, float]:
     """Rays that each method is expected to take for an rms error: a model, good to a factor of about two."""
     sensor = view.camera.sensor
-    aim = _AIM_SHARE * tolerance * math.sqrt(_REPLICATES)
+    aim = _AIM_SHARE * tolerance * math.sqrt(2)
     numbers = np.clip((found.deviations / aim) ** (1 / ORDER), 4, 1 << 14)
-    rays = _REPLICATES * sensor.pixels * (PILOT + float(numbers.mean()))
+    rays = 2 * sensor.pixels * (PILOT + float(numbers.mean()))
     if not math.isfinite(found.model.mean):
         return {"rays": rays, "kernel": math.inf}
-    plan = plan_kernel(view, found.magnifications, aim)
+    plan = plan_kernel(view, met_by(found.magnification), aim)
     reach = view.camera.aperture.reach * plan.layers[-1]
     covered = (sensor.columns + 2 * reach / sensor.pixel_width) * (sensor.rows + 2 * reach / sensor.pixel_height)
     # About as many again where cells are cut.
-    kernel = 2 * _REPLICATES * covered / plan.grid.base**2
+    kernel = 2 * replicates_needed(plan) * covered / plan.grid.base**2
     return {"rays": rays, "kernel": kernel}
 
 
@@ -196,7 +245,7 @@ def expected_rays(view: View, demand: Demand, seed: int) -> float:
     expected = predicted_rays(view, found, demand.tolerance)
     if demand.method is not None:
         return expected[demand.method]
-    holds = math.isfinite(found.model.upper) and root(found.model.upper) <= _MODEL_SHARE * demand.tolerance
+    holds = root(found.model.mean) <= _MODEL_SHARE * demand.tolerance
     return min(expected.values()) if holds else expected["rays"]
 
 
@@ -224,52 +273,54 @@ class _Search:
         self.attempts: list[dict[str, Any]] = []
         self.reused = 0
         self.effort = 0 if demand.max_error is None else 1
-        self.replicates = _REPLICATES
 
     def run(self) -> Outcome:
         method, why = self._choose()
-        aim = self._first_aim(method)
+        share = self._first_share(method)
         best: Outcome | None = None
         for _ in range(_ATTEMPTS):
-            outcome = self._attempt(method, aim, why)
+            outcome = self._attempt(method, share, why)
             if best is None or outcome.certificate.rms_gray_upper95 < best.certificate.rms_gray_upper95:
                 best = outcome
             if outcome.met or self._is_spent(outcome):
                 break
-            method, aim, why = self._next(outcome, aim, why)
+            method, share, why = self._next(outcome, share, why)
         assert best is not None  # noqa: S101  (the loop ran)
         return best
 
     def _choose(self) -> tuple[ToleranceMethod, str]:
         if self.demand.method is not None:
             return self.demand.method, "asked for"
-        model = root(self.found.model.upper) if math.isfinite(self.found.model.upper) else math.inf
+        model = root(self.found.model.mean)
         if model > _MODEL_SHARE * self.demand.tolerance:
             return "rays", f"the kernel's model may be off by {model:.3g} gray rms"
         if self.considered["rays"] < self.considered["kernel"]:
             return "rays", "fewer rays are expected than for the kernel"
         return "kernel", "fewest rays are expected, and its model holds"
 
-    def _first_aim(self, method: ToleranceMethod) -> float:
-        """Rms error of one replicate to aim at."""
+    def _first_share(self, method: ToleranceMethod) -> float:
+        """Rms error of the result to aim at."""
         model = max(self.found.model.mean, 0.0) if method == "kernel" else 0.0
         left = self.demand.tolerance**2 - (model if math.isfinite(model) else 0.0)
-        share = math.sqrt(max(left, (0.3 * self.demand.tolerance) ** 2))
-        return _AIM_SHARE * share * math.sqrt(self.replicates)
+        return _AIM_SHARE * math.sqrt(max(left, (0.3 * self.demand.tolerance) ** 2))
 
-    def _attempt(self, method: ToleranceMethod, aim: float, why: str) -> Outcome:
-        plan: KernelPlan | RaysPlan = (
-            plan_kernel(self.view, self.found.magnifications, aim) if method == "kernel" else plan_rays(self.view, aim)
-        )
-        replicates = trace_replicates(self.work, plan, self.replicates)
+    def _plan(self, method: ToleranceMethod, aim: float) -> KernelPlan | RaysPlan:
+        if method == "rays":
+            return plan_rays(self.view, aim)
+        return plan_kernel(self.view, met_by(self.found.magnification), aim)
+
+    def _attempt(self, method: ToleranceMethod, share: float, why: str) -> Outcome:
+        number = replicates_needed(self._plan(method, share))
+        plan = self._plan(method, share * math.sqrt(number))
+        replicates = trace_replicates(self.work, plan, number)
         self.reused += replicates.reused
         self.spent += replicates.rays
         certificate, model = self._certify(plan, replicates)
         self.attempts.append(
             {
                 "method": method,
-                "aim_gray": aim,
-                "replicates": self.replicates,
+                "aim_gray": share,
+                "replicates": number,
                 "rays": replicates.rays,
                 "rms_gray_upper95": certificate.rms_gray_upper95,
             }
@@ -308,14 +359,13 @@ class _Search:
             return self._certificate(NOTHING, noise, quantile, pixels=0, rays=0), None
         radiance = replicates.mean
         gray = gray_levels(radiance * view.exposure_of_radiance, view.camera.sensor)
+        risky = steps(view, self.found.magnification, self._least_step(gray))
         while True:
-            pixels, pairs = _EFFORTS[self.effort]
+            pixels, *pairs = _EFFORTS[self.effort]
             if self.demand.max_error is not None:
                 pixels = max(pixels, _QUANTILE_PIXELS)
-            sample = draw_pixels(gray, pixels, (seed, 10, self.effort))
-            found = model_errors(
-                view, plan.layers, sample, radiance.ravel()[sample.pixels], pairs=pairs, seed=(seed, 11, self.effort)
-            )
+            sample = draw_pixels(gray, pixels, (seed, 10, self.effort), risky)
+            found = self._model_errors(plan, sample, radiance, risky, pairs)
             self.spent += found.rays
             model = found.mean_square(sample, (seed, 12, self.effort))
             wanted = self.demand.tolerance**2
@@ -328,6 +378,31 @@ class _Search:
         if self.demand.max_error is not None:
             quantile = _quantile(errors, noise) + _model_quantile(found, sample.stratum, sample.shares)
         return self._certificate(model, noise, quantile, pixels=len(sample.pixels), rays=found.rays), found
+
+    def _least_step(self, gray: NDArray[np.float64]) -> float:
+        """Difference of magnifications that matters at the tolerance."""
+        contrast = max(float(gray.max() - gray.min()), 1e-9)
+        return _RISK_SHARE * self.demand.tolerance / (_STEP_COST * contrast)
+
+    def _model_errors(
+        self,
+        plan: KernelPlan,
+        sample: PixelSample,
+        radiance: NDArray[np.float64],
+        risky: NDArray[np.bool_],
+        pairs: list[int],
+    ) -> PixelErrors:
+        """Pairs at all pixels of a sample, more of them where depth makes steps."""
+        first, second = np.empty(len(sample.pixels)), np.empty(len(sample.pixels))
+        apart, rays = risky.ravel()[sample.pixels], 0
+        for part, number in zip((~apart, apart), pairs, strict=True):
+            if part.any():
+                pixels = sample.pixels[part]
+                seed = (self.work.seed, 11, self.effort, number)
+                found = model_errors(self.view, plan.layers, pixels, radiance.ravel()[pixels], pairs=number, seed=seed)
+                first[part], second[part] = found.first, found.second
+                rays += found.rays
+        return PixelErrors(first, second, rays)
 
     def _certificate(
         self, model: Bounded, noise: Bounded, quantile: float | None, *, pixels: int, rays: int
@@ -352,7 +427,7 @@ class _Search:
             return True
         return self.spent + 2 * outcome.replicates.rays > budget.rays
 
-    def _next(self, outcome: Outcome, aim: float, why: str) -> tuple[ToleranceMethod, float, str]:
+    def _next(self, outcome: Outcome, share: float, why: str) -> tuple[ToleranceMethod, float, str]:
         """What to try after an image that does not keep the tolerance."""
         certificate, wanted = outcome.certificate, self.demand.tolerance
         noise = certificate.discretisation_rms_gray
@@ -363,9 +438,9 @@ class _Search:
                 certificate.model_rms_gray > _MODEL_SHARE * wanted or rest > wanted or stuck
             ):
                 self.attempts[-1]["left_because"] = "model" if not stuck else "grid"
-                return "rays", self._first_aim("rays"), "the kernel's certificate did not hold"
+                return "rays", self._first_share("rays"), "the kernel's certificate did not hold"
         self.attempts[-1]["noise"] = noise
-        return outcome.method, aim / 2, why
+        return outcome.method, share / 2, why
 
     def _noise_before(self, outcome: Outcome) -> float:
         before = self.attempts[-2].get("noise", math.inf)

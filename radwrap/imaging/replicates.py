@@ -25,6 +25,10 @@ from radwrap.progress import Progress
 
 Plan = KernelPlan | RaysPlan
 _LOOKS: Final = 8
+_HANGS_TOGETHER: Final = 1.2
+# Degrees of freedom that are asked for: the bound is then a third above the error at most.
+_DEGREES: Final = 40
+_MOST_REPLICATES: Final = 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,10 +121,22 @@ def trace_replicates(work: Work, plan: Plan, number: int) -> Replicates:
 
 
 def _block(plan: Plan) -> tuple[int, int]:
+    """Rows and columns over which errors hang together [px].
+
+    The correlation of noise that was gathered over a disc of radius R has the
+    integral of its square 1.41 R^2: a square of 1.2 R.
+    """
     if isinstance(plan, RaysPlan):
         return (1, 1)
     reach = reach_px(plan.camera, plan.layers[-1])
-    return (math.ceil(2 * reach[1]) + 1, math.ceil(2 * reach[0]) + 1)
+    return (math.ceil(_HANGS_TOGETHER * reach[1]) + 1, math.ceil(_HANGS_TOGETHER * reach[0]) + 1)
+
+
+def replicates_needed(plan: Plan) -> int:
+    """How many replicates tell their noise: two, but more where the image is small beside the blur."""
+    sensor, block = plan.camera.sensor, _block(plan)
+    blocks = max(1.0, sensor.rows / block[0]) * max(1.0, sensor.columns / block[1])
+    return min(max(1 + math.ceil(_DEGREES / blocks), 2), _MOST_REPLICATES)
 
 
 class _Piece:

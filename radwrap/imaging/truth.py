@@ -39,7 +39,7 @@ def central_maps(camera: Camera, identity: RadianceTracer) -> tuple[NDArray[np.f
         parts[block.first : block.first + block.pixels] = np.rint(number)
     for block, distance in traced(identity.distances, ray_blocks(camera, (0.0, 0.0), PixelPlan())):
         here = slice(block.first, block.first + block.pixels)
-        depth[here] = np.where(parts[here] > 0, distance * block.cos4**0.25, 0.0)
+        depth[here] = np.where(parts[here] > 0, distance, 0.0) * block.cos4**0.25
     shape = (camera.sensor.rows, camera.sensor.columns)
     return depth.reshape(shape), parts.reshape(shape)
 

@@ -277,3 +277,12 @@ def _asked(
     else:
         with closing(tracer.trace(rays)) as values:
             yield from ((radiance, None) for radiance in values)
+
+
+def magnifications_at(view: View, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    """M = 1 + f/z of what central rays through sensor positions (u, v) [px] meet; 1 where nothing."""
+    rays, cos4 = rays_through(view.camera, (0.0, 0.0), u, v)
+    with closing(view.tracer.distances(np.array_split(rays, -(-len(u) // RAYS_AT_ONCE)))) as answers:
+        distance = np.concatenate(list(answers))
+    magnification: NDArray[np.float64] = 1 + view.camera.focal_length / (distance * cos4**0.25)
+    return magnification

@@ -217,8 +217,7 @@ class RadianceTracer:
         """Radiance and distance along rays, one rtrace process for all of them; see `Tracer`."""
         with closing(self._ask(_BOTH_OPTIONS, rays, 4)) as answers:
             for values in answers:
-                distances = values[:, 3].astype(np.float64) * self.scene.scales.length
-                yield self._radiance(values[:, :3]), np.where(values[:, 3] < _NOWHERE, distances, np.inf)
+                yield self._radiance(values[:, :3]), self._distance(values[:, 3])
 
     def _radiance(self, values: NDArray[np.float32]) -> NDArray[np.float64]:
         if values.min() < 0:
@@ -228,7 +227,10 @@ class RadianceTracer:
     def distances(self, rays: Iterable[NDArray[np.float64]]) -> Generator[NDArray[np.float64]]:
         """Distance to the first surface along rays [m]; blocks as in `trace`."""
         with closing(self._ask(_LENGTH_OPTIONS, rays, 1)) as answers:
-            yield from (values[:, 0].astype(np.float64) * self.scene.scales.length for values in answers)
+            yield from (self._distance(values[:, 0]) for values in answers)
+
+    def _distance(self, lengths: NDArray[np.float32]) -> NDArray[np.float64]:
+        return np.where(lengths < _NOWHERE, lengths.astype(np.float64) * self.scene.scales.length, np.inf)
 
     def _one_channel(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
         if self.channel in _CHANNELS:

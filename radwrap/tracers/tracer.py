@@ -41,3 +41,7 @@ class Tracer(Protocol):
         The distance is infinite where a ray meets nothing.
         """
         ...
+
+    def distances(self, rays: Iterable[NDArray[np.float64]]) -> Generator[NDArray[np.float64]]:
+        """Distance to the first surface alone [m], infinite where a ray meets nothing; cheaper than `trace`."""
+        ...
