@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -95,6 +95,8 @@ class CentralImage:
         n; n x n rays in each cell that an edge crosses.
     predicted_rms : float
         Error of the image that is gathered from this one, as it was predicted from the differences [gray level].
+    cuts : tuple
+        Rows and columns of the cells that were cut at each level, and of those that got n x n rays.
     """
 
     first: tuple[int, int]
@@ -103,6 +105,7 @@ class CentralImage:
     rays: int
     samples: int
     predicted_rms: float
+    cuts: tuple[tuple[NDArray[np.intp], NDArray[np.intp]], ...]
 
 
 def central_image(
@@ -112,6 +115,7 @@ def central_image(
     *,
     seed: tuple[int, ...],
     progress: Callable[[int], None],
+    like: CentralImage | None = None,
 ) -> CentralImage:
     """Trace part of the central image.
 
@@ -127,8 +131,13 @@ def central_image(
         Where the base grid lies, and where the rays in cells that are cut.
     progress : callable
         Is told how many rays were traced.
+    like : CentralImage, optional
+        Traced with the same plan, region and seed, perhaps in other light: the very same rays are traced as for it,
+        and its magnifications are kept, so that the values are linear in the light.
     """
     random = np.random.default_rng(seed)
+    if like is not None:
+        plan = replace(plan, with_depth=False)
     step = 2**plan.levels
     # The base grid lies anywhere on the grid of cells.
     first = tuple(start - int(random.integers(step)) for start in region[0])
@@ -139,21 +148,29 @@ def central_image(
     rows, columns = np.indices(shape)
     values, magnification = sampler.sample(rows.ravel(), columns.ravel(), step, None)
     values, magnification = values.reshape(shape), magnification.reshape(shape)
+    cuts = []
     for level in range(plan.levels):
-        row, column = np.nonzero(_spread(plan.gray(values)) > plan.threshold(plan.base / 2**level))
+        cut = (
+            like.cuts[level] if like else np.nonzero(_spread(plan.gray(values)) > plan.threshold(plan.base / 2**level))
+        )
+        cuts.append((cut[0], cut[1]))
         values, magnification = (np.repeat(np.repeat(a, 2, axis=0), 2, axis=1) for a in (values, magnification))
-        row, column = _children(row, column)
+        row, column = _children(*cuts[-1])
         values[row, column], magnification[row, column] = sampler.sample(
             row, column, 2 ** (plan.levels - level - 1), random
         )
-    spread = _spread(plan.gray(values))
-    row, column = np.nonzero(spread > plan.threshold(plan.cell))
-    samples, predicted = _samples_needed(plan, spread[row, column], values.size)
+    if like:
+        row, column = like.cuts[-1]
+        samples, predicted = like.samples, like.predicted_rms
+    else:
+        spread = _spread(plan.gray(values))
+        row, column = np.nonzero(spread > plan.threshold(plan.cell))
+        samples, predicted = _samples_needed(plan, spread[row, column], values.size)
+    cuts.append((row, column))
     if samples > 1 and len(row):
         values[row, column], magnification[row, column] = sampler.means(row, column, samples, random)
-    return CentralImage(
-        (first[0], first[1]), values, magnification if plan.with_depth else None, sampler.rays, samples, predicted
-    )
+    depth = like.magnification if like else magnification if plan.with_depth else None
+    return CentralImage((first[0], first[1]), values, depth, sampler.rays, samples, predicted, tuple(cuts))
 
 
 def _children(row: NDArray[np.intp], column: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -22,6 +22,7 @@ from radwrap.imaging.kernel import layer_shares
 from radwrap.imaging.rays import rays_over, sampled_radiance
 from radwrap.imaging.sensor import gray_levels
 from radwrap.imaging.view import View, trace_rays
+from radwrap.scene.camera import Sensor
 
 # Shares of the pixels, by how much gray changes around them, and of the sample: nearly all error lies at edges.
 _STRATA: Final = ((0.1, 0.5), (0.2, 0.25), (0.7, 0.25))
@@ -153,7 +154,31 @@ def model_errors(
     pairs: int,
     seed: tuple[int, ...],
 ) -> PixelErrors:
-    """What the kernel's model lacks at some pixels, by paired rays.
+    """What the kernel's model lacks at some pixels, in gray levels.
+
+    Parameters
+    ----------
+    view, layers, sample, pairs, seed
+        As in `model_lacks`.
+    radiance : ndarray, shape (n,)
+        The image's mean radiance at the sample, through which Eq. 5 is taken.
+    """
+    lacks, rays = model_lacks(view, layers, sample, pairs=pairs, seed=seed)
+    return lacks_in_gray(radiance, lacks, rays, view.exposure_of_radiance, view.camera.sensor)
+
+
+def lacks_in_gray(
+    radiance: NDArray[np.float64], lacks: NDArray[np.float64], rays: int, exposure_of_radiance: float, sensor: Sensor
+) -> PixelErrors:
+    """Two values of what is lacking, shape (2, n) [W m^-2 sr^-1], through Eq. 5 at the image's radiance."""
+    first, second = (_in_gray(radiance, radiance + lack, exposure_of_radiance, sensor) for lack in lacks)
+    return PixelErrors(first, second, rays)
+
+
+def model_lacks(
+    view: View, layers: tuple[float, ...], sample: PixelSample, *, pairs: int, seed: tuple[int, ...]
+) -> tuple[NDArray[np.float64], int]:
+    """What the kernel's model lacks at some pixels, by paired rays; linear in the sources.
 
     Parameters
     ----------
@@ -163,12 +188,17 @@ def model_errors(
         The kernel's magnifications.
     sample : PixelSample
         Where.
-    radiance : ndarray, shape (n,)
-        The image's mean radiance at the sample, through which Eq. 5 is taken.
     pairs : int
         Pairs for each of the two values.
     seed : tuple of int
         Of all that is drawn.
+
+    Returns
+    -------
+    lacks : ndarray, shape (2, n)
+        Two independent values of what is lacking [W m^-2 sr^-1].
+    rays : int
+        How many were traced.
     """
     u, v = sample.places(view.camera.sensor.columns)
     lacks = []
@@ -188,8 +218,7 @@ def model_errors(
             difference -= central * layer_shares(layers, magnification)[number]
         rays += (1 + len(layers)) * difference.size
         lacks.append(difference.reshape(len(u), pairs).mean(axis=1))
-    first, second = (_in_gray(view, radiance, radiance + lack) for lack in lacks)
-    return PixelErrors(first, second, rays)
+    return np.stack(lacks), rays
 
 
 def independent_errors(
@@ -199,13 +228,15 @@ def independent_errors(
     u, v = sample.places(view.camera.sensor.columns)
     random = np.random.default_rng(seed)
     values = [sampled_radiance(view, u, v, rays, random).mean(axis=1) for _ in range(2)]
-    first, second = (_in_gray(view, radiance, value) for value in values)
+    scale, sensor = view.exposure_of_radiance, view.camera.sensor
+    first, second = (_in_gray(radiance, value, scale, sensor) for value in values)
     return PixelErrors(first, second, 2 * rays * len(u))
 
 
-def _in_gray(view: View, image: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArray[np.float64]:
+def _in_gray(
+    image: NDArray[np.float64], truth: NDArray[np.float64], scale: float, sensor: Sensor
+) -> NDArray[np.float64]:
     """Difference of gray levels; a mean that noise took below zero counts as dark."""
-    scale, sensor = view.exposure_of_radiance, view.camera.sensor
     return gray_levels(np.maximum(truth, 0.0) * scale, sensor) - gray_levels(image * scale, sensor)
 
 

@@ -22,7 +22,7 @@ from radwrap.imaging.central import CentralImage, GridPlan, central_image
 from radwrap.imaging.footprint import Footprint, footprint, reach_px
 from radwrap.imaging.sensor import gray_levels
 from radwrap.imaging.view import View
-from radwrap.scene.camera import Camera
+from radwrap.scene.camera import Camera, Sensor
 
 # Base cells are at most this share of the blur's radius, grid cells a quarter of them; where the blur is smaller than
 # a pixel, grid cells are an eighth of a pixel, for the footprint then has edges as sharp as that.
@@ -68,15 +68,37 @@ class Gathered:
     ----------
     values : ndarray, shape (rows, columns)
         Mean of L cos^4(theta) over pixel and opening [W m^-2 sr^-1].
-    grid_square : float
-        Mean square of what the cells' size changes, from cells of twice the size [gray level^2].
-    central : CentralImage
-        What it was gathered from.
+    some : tuple of ndarray of int
+        Rows and columns, from the tile's corner, of pixels that tell what the cells' size changes.
+    change : ndarray, shape (rows, columns)
+        That change at these pixels [W m^-2 sr^-1].
+    central, coarser : CentralImage
+        What they were gathered from.
     """
 
     values: NDArray[np.float64]
-    grid_square: float
+    some: tuple[NDArray[np.intp], ...]
+    change: NDArray[np.float64]
     central: CentralImage
+    coarser: CentralImage
+
+    def grid_square(self, exposure_of_radiance: float, sensor: Sensor) -> float:
+        """Mean square of what the cells' size changes [gray level^2]."""
+        if not self.change.size:
+            return 0.0
+        fine = self.values[self.some]
+        squares = grid_squares(fine, self.change, exposure_of_radiance, sensor)
+        return float(squares.mean())
+
+
+def grid_squares(
+    radiance: NDArray[np.float64], change: NDArray[np.float64], exposure_of_radiance: float, sensor: Sensor
+) -> NDArray[np.float64]:
+    """Squares of what changes of radiance [W m^-2 sr^-1] do to gray levels [gray level^2]."""
+    changed = np.maximum(radiance + change, 0.0)
+    gray, exact = (gray_levels(values * exposure_of_radiance, sensor) for values in (changed, radiance))
+    squares: NDArray[np.float64] = (gray - exact) ** 2
+    return squares
 
 
 def plan_kernel(view: View, magnifications: NDArray[np.float64], aim: float) -> KernelPlan:
@@ -148,7 +170,13 @@ def layer_shares(layers: tuple[float, ...], magnification: NDArray[np.float64]) 
 
 
 def gathered_tile(
-    view: View, plan: KernelPlan, tile: int, seed: tuple[int, ...], progress: Callable[[int], None]
+    view: View,
+    plan: KernelPlan,
+    tile: int,
+    seed: tuple[int, ...],
+    progress: Callable[[int], None],
+    *,
+    like: Gathered | None = None,
 ) -> Gathered:
     """Trace what a tile needs of the central image, and gather it.
 
@@ -164,6 +192,8 @@ def gathered_tile(
         Decides the grid's place and all that is drawn.
     progress : callable
         Is told how many rays were traced.
+    like : Gathered, optional
+        The same tile, perhaps in other light: the very same rays are traced as for it, see `central_image`.
     """
     place = plan.tiles[tile]
     cell = plan.grid.cell
@@ -174,14 +204,14 @@ def gathered_tile(
         for begin, end, far in ((*place[:2], reach[1]), (*place[2:], reach[0]))
     ]
     region = ((spans[0][0], spans[1][0]), (spans[0][1] - spans[0][0], spans[1][1] - spans[1][0]))
-    central = central_image(view, plan.grid, region, seed=seed, progress=progress)
+    central = central_image(view, plan.grid, region, seed=seed, progress=progress, like=like.central if like else None)
     values = gather(plan, central, cell, place)
     # An error of second order in the cells' size: a third of what twice the size adds. Some pixels tell.
-    some, coarse = gather_some(plan, _coarser(central), 2 * cell, place)
-    fine = values[some]
-    changed = np.maximum(fine + (coarse - fine) / 3, 0.0)
-    gray, exact = (gray_levels(v * plan.grid.exposure_of_radiance, plan.camera.sensor) for v in (changed, fine))
-    return Gathered(values, float(((gray - exact) ** 2).mean()) if fine.size else 0.0, central)
+    coarser = _coarser(central)
+    if like:
+        coarser = replace(coarser, magnification=like.coarser.magnification)
+    some, coarse = gather_some(plan, coarser, 2 * cell, place)
+    return Gathered(values, some, (coarse - values[some]) / 3, central, coarser)
 
 
 def gather(

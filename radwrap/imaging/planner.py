@@ -131,6 +131,10 @@ class Outcome:
         Pieces that were found on the disk.
     model : PixelErrors or None
         Samples of the model's error, where the method has a model.
+    ray_plan : KernelPlan or RaysPlan
+        What was traced.
+    effort : tuple of int
+        Pixels and pairs of the model's certificate.
     """
 
     radiance: NDArray[np.float64]
@@ -141,6 +145,8 @@ class Outcome:
     plan: dict[str, Any]
     reused: int
     model: PixelErrors | None
+    ray_plan: KernelPlan | RaysPlan
+    effort: tuple[int, int]
 
 
 def survey(view: View, seed: int) -> Survey:
@@ -298,14 +304,16 @@ class _Search:
             },
             reused=self.reused,
             model=model,
+            ray_plan=plan,
+            effort=_EFFORTS[self.effort],
         )
 
     def _certify(self, plan: KernelPlan | RaysPlan, replicates: Replicates) -> tuple[Certificate, PixelErrors | None]:
         view, seed = self.view, self.work.seed
         noise, errors = discretisation(view, replicates)
         if isinstance(plan, RaysPlan) or view.camera.aperture.is_infinitesimal:
-            quantile = _quantile(errors, noise) if self.demand.max_error is not None else None
-            return self._certificate(NOTHING, noise, quantile, pixels=0, rays=0), None
+            quantile = noise_quantile(errors, noise) if self.demand.max_error is not None else None
+            return certificate_of(NOTHING, noise, quantile, pixels=0, rays=0), None
         radiance = replicates.mean
         gray = gray_levels(radiance * view.exposure_of_radiance, view.camera.sensor)
         while True:
@@ -326,23 +334,8 @@ class _Search:
             self.effort += 1
         quantile = None
         if self.demand.max_error is not None:
-            quantile = _quantile(errors, noise) + _model_quantile(found, sample.stratum, sample.shares)
-        return self._certificate(model, noise, quantile, pixels=len(sample.pixels), rays=found.rays), found
-
-    def _certificate(
-        self, model: Bounded, noise: Bounded, quantile: float | None, *, pixels: int, rays: int
-    ) -> Certificate:
-        square = Bounded(max(model.mean, 0.0), max(model.upper, 0.0)) + noise
-        return Certificate(
-            rms_gray=root(square.mean),
-            rms_gray_upper95=root(square.upper),
-            p99_gray_upper95=quantile,
-            model_rms_gray=root(model.mean),
-            discretisation_rms_gray=root(noise.mean),
-            certificate_pixels=pixels,
-            certificate_rays=rays,
-            method="pairs and replicates" if pixels else "replicates",
-        )
+            quantile = noise_quantile(errors, noise) + model_quantile(found, sample)
+        return certificate_of(model, noise, quantile, pixels=len(sample.pixels), rays=found.rays), found
 
     def _is_spent(self, outcome: Outcome) -> bool:
         """Whether another attempt, which takes about twice the rays at least, would pass the budget."""
@@ -372,16 +365,32 @@ class _Search:
         return float(before)
 
 
-def _quantile(errors: NDArray[np.float64], noise: Bounded) -> float:
+def certificate_of(model: Bounded, noise: Bounded, quantile: float | None, *, pixels: int, rays: int) -> Certificate:
+    """Certificate from mean squares [gray level^2]: of the model's error, and of what the number of rays adds."""
+    square = Bounded(max(model.mean, 0.0), max(model.upper, 0.0)) + noise
+    return Certificate(
+        rms_gray=root(square.mean),
+        rms_gray_upper95=root(square.upper),
+        p99_gray_upper95=quantile,
+        model_rms_gray=root(model.mean),
+        discretisation_rms_gray=root(noise.mean),
+        certificate_pixels=pixels,
+        certificate_rays=rays,
+        method="pairs and replicates" if pixels else "replicates",
+    )
+
+
+def noise_quantile(errors: NDArray[np.float64], noise: Bounded) -> float:
     """Error that 99.5 % of the pixels stay below, raised as the rms error's bound is."""
     scale = math.sqrt(noise.upper / noise.mean) if noise.mean > 0 else 1.0
     return float(np.quantile(np.abs(errors), _QUANTILE)) * scale
 
 
-def _model_quantile(errors: PixelErrors, stratum: NDArray[np.intp], shares: NDArray[np.float64]) -> float:
+def model_quantile(errors: PixelErrors, sample: PixelSample) -> float:
     """Error of the model that 99.5 % of the pixels stay below: the largest that was seen where few lie above it."""
     size = (np.abs(errors.first) + np.abs(errors.second)) / 2
-    weights = (shares / np.bincount(stratum, minlength=len(shares)))[stratum]
+    shares = sample.shares
+    weights = (shares / np.bincount(sample.stratum, minlength=len(shares)))[sample.stratum]
     order = np.argsort(-size)
     above = np.cumsum(weights[order])
     # Half of the share that may lie above, for what the sample did not see.

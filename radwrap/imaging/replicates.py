@@ -137,10 +137,15 @@ class _Piece:
     def make(self) -> None:
         work = self._work
         view = View(work.view.camera, work.view.tracer)
-        seed = (work.seed, 2, self.replicate, self.tile)
+        seed = tile_seed(work.seed, self.replicate, self.tile)
         log_call(work.folder, f"{self.replicate} {self.tile}")
         values, found = _tile(view, self._plan, self.tile, seed, work.progress.add)
         write_piece(self.path, values.astype(np.float32), self._name, found)
+
+
+def tile_seed(seed: int, replicate: int, tile: int) -> tuple[int, ...]:
+    """Seed of all that is drawn for a tile of a replicate."""
+    return (seed, 2, replicate, tile)
 
 
 def _tile(
@@ -148,10 +153,11 @@ def _tile(
 ) -> tuple[NDArray[np.float64], dict[str, object]]:
     """Pixels of a tile, and what is to be remembered of them."""
     if isinstance(plan, RaysPlan):
-        values, rays = traced_tile(view, plan, tile, seed, progress)
-        return values, {"rays": rays, "grid_square": 0.0}
+        traced = traced_tile(view, plan, tile, seed, progress)
+        return traced.values, {"rays": traced.rays, "grid_square": 0.0}
     gathered = gathered_tile(view, plan, tile, seed, progress)
-    return gathered.values, {"rays": gathered.central.rays, "grid_square": repr(gathered.grid_square)}
+    grid_square = gathered.grid_square(plan.grid.exposure_of_radiance, plan.camera.sensor)
+    return gathered.values, {"rays": gathered.central.rays, "grid_square": repr(grid_square)}
 
 
 def discretisation(view: View, replicates: Replicates) -> tuple[Bounded, NDArray[np.float64]]:
@@ -164,13 +170,34 @@ def discretisation(view: View, replicates: Replicates) -> tuple[Bounded, NDArray
     errors : ndarray, shape (replicates - 1, rows, columns)
         Each distributed as the error of the mean [gray level].
     """
-    scale, sensor = view.exposure_of_radiance, view.camera.sensor
-    # Neighbours tell the same: an eighth of the distance over which errors hang together is near enough.
-    rows, columns = (max(1, size // _LOOKS) for size in replicates.block)
-    gray = gray_levels(replicates.images[:, ::rows, ::columns] * scale, sensor)
+    rows, columns = looks(replicates.block)
+    radiance = replicates.images[:, ::rows, ::columns]
+    gray = gray_levels(radiance * view.exposure_of_radiance, view.camera.sensor)
+    noise, errors = noise_of(gray, replicates.block)
+    grid = replicates.grid_square
+    return noise + Bounded(grid, grid), errors
+
+
+def looks(block: tuple[int, int]) -> tuple[int, int]:
+    """Steps between the rows and columns [px] that are looked at, where errors hang together over blocks.
+
+    Neighbours tell the same: an eighth of the distance over which errors hang together is near enough.
+    """
+    return max(1, block[0] // _LOOKS), max(1, block[1] // _LOOKS)
+
+
+def noise_of(gray: NDArray[np.float64], block: tuple[int, int]) -> tuple[Bounded, NDArray[np.float64]]:
+    """Mean square error of the mean of some replicates, and samples of it for each pixel that is looked at.
+
+    Parameters
+    ----------
+    gray : ndarray, shape (replicates, rows, columns)
+        Gray levels at the pixels that `looks` tells.
+    block : tuple of int
+        Rows and columns over which errors hang together [px].
+    """
+    rows, columns = looks(block)
     number = len(gray)
     # Helmert's contrasts: independent, each with the variance of the mean of all replicates.
     errors = np.stack([(gray[:k].mean(axis=0) - gray[k]) * math.sqrt(k / (k + 1) / number) for k in range(1, number)])
-    block = (-(-replicates.block[0] // rows), -(-replicates.block[1] // columns))
-    grid = replicates.grid_square
-    return mean_square_of_differences(errors, block) + Bounded(grid, grid), errors
+    return mean_square_of_differences(errors, (-(-block[0] // rows), -(-block[1] // columns))), errors
