@@ -246,20 +246,28 @@ def _by_phase(
     else:
         shares = layer_shares(plan.layers, central.magnification)
         spectra = [np.fft.rfft2(central.values * share, shape) for share in shares]
-    step = max(1, round(cell))
     for phase in phases:
         total = sum(
             spectrum * np.conj(np.fft.rfft2(_laid_out(footprint(plan.camera, layer, cell, phase), shape)))
             for layer, spectrum in zip(plan.layers, spectra, strict=True)
         )
         field = np.fft.irfft2(total, shape)
-        pixels = [
-            np.arange(begin + (shift - begin) % step, end, step)
-            for begin, end, shift in ((*place[:2], phase[0]), (*place[2:], phase[1]))
-        ]
+        pixels = lattice(cell, place, phase)
         cells = (np.floor(at / cell).astype(int) - first for at, first in zip(pixels, central.first, strict=True))
         # The transform leaves rounding errors of 1e-16 of the largest value, of either sign.
         yield np.ix_(pixels[0] - place[0], pixels[1] - place[2]), np.maximum(field[np.ix_(*cells)], 0.0)
+
+
+def lattice(
+    cell: float, place: tuple[int, int, int, int], phase: tuple[int, ...] = (0, 0)
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns of the sensor in which a tile's pixels lie alike in their cells [px]."""
+    step = max(1, round(cell))
+    rows, columns = (
+        np.arange(begin + (shift - begin) % step, end, step)
+        for begin, end, shift in ((*place[:2], phase[0]), (*place[2:], phase[1]))
+    )
+    return rows, columns
 
 
 def _laid_out(print_: Footprint, shape: tuple[int, ...]) -> NDArray[np.float64]:

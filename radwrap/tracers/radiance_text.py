@@ -128,7 +128,9 @@ def _sizes(scene: Scene) -> Iterator[tuple[float, float]]:
                 yield surface.shape.radius, _SMALLEST_RADIUS
 
 
-def scene_text(scene: Scene, included: Mapping[str, str], files_beside: Mapping[str, bytes]) -> RadianceScene:
+def scene_text(
+    scene: Scene, included: Mapping[str, str], files_beside: Mapping[str, bytes], *, only: str | None = None
+) -> RadianceScene:
     """Write a scene for Radiance.
 
     Parameters
@@ -140,6 +142,8 @@ def scene_text(scene: Scene, included: Mapping[str, str], files_beside: Mapping[
         moved to its pose, in this text's length unit.
     files_beside : Mapping[str, bytes]
         Files that the included texts need.
+    only : str, optional
+        Name of the one emitter that shines; the discs of the others are black then. Default all.
 
     Returns
     -------
@@ -152,7 +156,7 @@ def scene_text(scene: Scene, included: Mapping[str, str], files_beside: Mapping[
     for file in scene.included:
         parts.append(f"# {file.name}: included {file.file}\n\n{included[file.name]}")
     for emitter in scene.emitters:
-        parts.append(_emitter(emitter, scales))
+        parts.append(_emitter(emitter, scales, shines=only in {None, emitter.name}))
     for name, material in scene.materials.items():
         beside.update(_data_files(name, material))
     for target in scene.targets:
@@ -232,10 +236,15 @@ def _ring(centre: Vector, normal: Vector, radius: float, scales: Scales) -> tupl
     return (*_scaled(scales, centre), *normal, 0.0, _units(radius, scales))
 
 
-def _emitter(emitter: Emitter, scales: Scales) -> str:
+def _emitter(emitter: Emitter, scales: Scales, *, shines: bool = True) -> str:
     intensity = f"{emitter.radiant_intensity:g} W/sr on its axis"
     if emitter.radiance == 0:
         return f"# {emitter.name}: dark, left out\n"
+    disc = _ring(emitter.position, emitter.axis, emitter.radius, scales)
+    if not shines:
+        # Not a light of radiance 0, which Radiance leaves out with a warning; the disc still hides what is behind it.
+        black = _primitive("void", "plastic", f"{emitter.name}.dark", (0, 0, 0, 0, 0))
+        return f"# {emitter.name}: off\n{black}" + _primitive(f"{emitter.name}.dark", "ring", emitter.name, disc)
     text = f"# {emitter.name}: {intensity}, {emitter.beam.profile}\n"
     modifier = "void"
     if emitter.beam.profile != "lambertian":
@@ -244,7 +253,6 @@ def _emitter(emitter: Emitter, scales: Scales) -> str:
         text += _primitive("void", "brightfunc", modifier, (emitter.beam.spread,), words)
     radiance = emitter.radiance / scales.radiance
     text += _primitive(modifier, "light", f"{emitter.name}.light", (radiance, radiance, radiance))
-    disc = _ring(emitter.position, emitter.axis, emitter.radius, scales)
     return text + _primitive(f"{emitter.name}.light", "ring", emitter.name, disc)
 
 
