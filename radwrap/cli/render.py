@@ -63,6 +63,11 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         "later run into DIR that goes without this option",
     )
     parser.add_argument("--truth", action="store_true", help="write depth, parts and true positions too")
+    parser.add_argument(
+        "--basis",
+        action="store_true",
+        help="write an image for each source too; radwrap relight makes any levels of it",
+    )
     parser.add_argument("--dry-run", action="store_true", help="only say what rays, memory and time it would take")
     parser.add_argument(
         "--max-pixels", metavar="N", type=float, default=64e6, help="largest sensor (default 64e6 pixels)"
@@ -118,6 +123,7 @@ def _options(arguments: argparse.Namespace) -> RenderOptions:
         workers=arguments.workers,
         keep_viewpoints=arguments.keep_viewpoints,
         truth=arguments.truth,
+        basis=arguments.basis,
         trust=arguments.trust,
         radiance=arguments.radiance,
         max_pixels=int(arguments.max_pixels),

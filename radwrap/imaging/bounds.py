@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 _NORMAL_QUANTILE: Final = 1.959963985  # of 0.975
 _TAIL: Final = 0.025
 _RESAMPLES: Final = 999
+_ROUNDING: Final = 1e-12  # of sums of squares in float64
 # Wilson and Hilferty's cube is good to some per cent from here on; below, nothing is certain.
 _FEWEST_DEGREES: Final = 3.0
 
@@ -44,6 +45,38 @@ class Bounded:
 NOTHING: Final = Bounded(0.0, 0.0)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Resampling:
+    """How a stratified sample is drawn again, some hundred times: made once, used for any values of that sample.
+
+    Attributes
+    ----------
+    members : tuple of ndarray of int
+        Places of each stratum's samples.
+    drawn : tuple of ndarray, shape (resamples, n)
+        How often each sample of a stratum comes in each resample.
+    shares : ndarray, shape (strata,)
+        Share of each stratum in the population.
+    """
+
+    members: tuple[NDArray[np.intp], ...]
+    drawn: tuple[NDArray[np.float64], ...]
+    shares: NDArray[np.float64]
+
+
+def resampling(stratum: NDArray[np.intp], shares: NDArray[np.float64], seed: tuple[int, ...]) -> Resampling:
+    """Draw the resamples of a stratified sample; parameters as in `stratified_mean`."""
+    random = np.random.default_rng(seed)
+    members = tuple(np.flatnonzero(stratum == k) for k in range(len(shares)))
+    drawn = []
+    for places in members:
+        n = len(places)
+        chosen = random.integers(0, max(n, 1), (_RESAMPLES, n)) + n * np.arange(_RESAMPLES)[:, np.newaxis]
+        times = np.bincount(chosen.ravel(), minlength=_RESAMPLES * n).reshape(_RESAMPLES, n)
+        drawn.append(times.astype(np.float64))
+    return Resampling(members, tuple(drawn), shares)
+
+
 def stratified_mean(
     values: NDArray[np.float64], stratum: NDArray[np.intp], shares: NDArray[np.float64], seed: tuple[int, ...]
 ) -> Bounded:
@@ -60,34 +93,34 @@ def stratified_mean(
     seed : tuple of int
         Of the resampling.
     """
-    counts = np.bincount(stratum, minlength=len(shares))
-    weights = (shares / counts)[stratum]
-    mean = float((weights * values).sum())
-    error = _standard_error(values[np.newaxis], stratum, counts, shares)[0]
-    if error == 0.0:
-        return Bounded(mean, mean)
-    random = np.random.default_rng(seed)
-    drawn = np.concatenate(
-        [random.choice(np.flatnonzero(stratum == k), (_RESAMPLES, n)) for k, n in enumerate(counts.tolist()) if n],
-        axis=1,
-    )
-    order = stratum[drawn[0]]
-    samples = values[drawn]
-    errors = _standard_error(samples, order, counts, shares)
-    t = (samples @ (shares / counts)[order] - mean) / np.where(errors > 0, errors, np.inf)
-    quantile = max(_NORMAL_QUANTILE, -float(np.quantile(t, _TAIL)))
-    return Bounded(mean, mean + quantile * error)
+    return stratified_means(values[np.newaxis], resampling(stratum, shares, seed))[0]
 
 
-def _standard_error(
-    samples: NDArray[np.float64], stratum: NDArray[np.intp], counts: NDArray[np.intp], shares: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Standard error of the stratified mean of each row."""
-    variance = np.zeros(len(samples))
-    for k, n in enumerate(counts.tolist()):
+def stratified_means(values: NDArray[np.float64], again: Resampling) -> list[Bounded]:
+    """As `stratified_mean`, for several sets of values of one sample, shape (sets, n)."""
+    sets = len(values)
+    mean, variance = np.zeros(sets), np.zeros(sets)
+    shift, variances = np.zeros((_RESAMPLES, sets)), np.zeros((_RESAMPLES, sets))
+    for places, drawn, share in zip(again.members, again.drawn, again.shares.tolist(), strict=True):
+        n = len(places)
+        if not n:
+            continue
+        middle = values[:, places].mean(axis=1)
+        mean += share * middle
+        centred = values[:, places] - middle[:, np.newaxis]
+        moved = drawn @ centred.T / n
+        shift += share * moved
         if n > 1:
-            variance += shares[k] ** 2 * samples[:, stratum == k].var(axis=1, ddof=1) / n
-    return np.sqrt(variance)
+            variance += share**2 * (centred**2).sum(axis=1) / (n - 1) / n
+            squares = drawn @ (centred**2).T / n
+            spread = squares - moved**2
+            # A resample of equal values has no spread; what rounding leaves of it is no measure of an error.
+            variances += share**2 * np.where(spread > _ROUNDING * squares, spread, 0.0) / (n - 1)
+    errors = np.sqrt(variances)
+    t = shift / np.where(errors > 0, errors, np.inf)
+    quantiles = np.maximum(_NORMAL_QUANTILE, -np.quantile(t, _TAIL, axis=0))
+    upper = mean + quantiles * np.sqrt(variance)
+    return [Bounded(*pair) for pair in zip(mean.tolist(), upper.tolist(), strict=True)]
 
 
 def mean_square_of_differences(differences: NDArray[np.float64], block: tuple[int, int]) -> Bounded:

@@ -2,9 +2,9 @@
 
 A grid of base cells, a power of two of pixels each, gets a ray a cell. Where
 neighbours differ a cell is cut in four, again and again, down to the grid's
-cells; where those still differ, a cell gets n x n rays. Each ray below the
-base level lies anywhere in its cell (drawn), so that errors of different
-cells are independent, and cells' means are unbiased.
+cells; where those still differ, a cell is to get n x n rays. Then each cell is
+traced anew, by rays anywhere in it (drawn), so that errors of different cells
+are independent and their means unbiased.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from radwrap.imaging.sensor import unclipped_gray
 from radwrap.imaging.view import View, trace_rays
 from radwrap.scene.camera import Sensor
 
+_T = TypeVar("_T", bound=np.generic)
 SUB_SAMPLES: Final = (1, 2, 4, 8)
 # A difference between neighbours is passed over where it moves no pixel by more than this share of the aim.
 _PASSED_OVER: Final = 0.25
@@ -78,6 +79,32 @@ class GridPlan:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Cells:
+    """Into which cells a part of the central image is cut.
+
+    Attributes
+    ----------
+    first : tuple of int
+        Row and column of the first grid cell.
+    levels : ndarray of int, shape (rows, columns)
+        For each grid cell how often the base cell was cut to come to the cell that it belongs to; one more where an
+        edge crosses it, which asks for more rays.
+    samples : int
+        n; n x n rays in each of those.
+    predicted_rms : float
+        Error of an image that is gathered from these cells, as predicted from the differences [gray level].
+    rays : int
+        How many were traced to find out.
+    """
+
+    first: tuple[int, int]
+    levels: NDArray[np.int8]
+    samples: int
+    predicted_rms: float
+    rays: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class CentralImage:
     """Part of the central image on the grid.
 
@@ -91,29 +118,27 @@ class CentralImage:
         m = 1 + f/z of each cell.
     rays : int
         How many were traced.
-    samples : int
-        n; n x n rays in each cell that an edge crosses.
-    predicted_rms : float
-        Error of the image that is gathered from this one, as it was predicted from the differences [gray level].
     """
 
     first: tuple[int, int]
     values: NDArray[np.float64]
     magnification: NDArray[np.float64] | None
     rays: int
-    samples: int
-    predicted_rms: float
 
 
-def central_image(
+def decide_cells(
     view: View,
     plan: GridPlan,
     region: tuple[tuple[int, int], tuple[int, int]],
     *,
     seed: tuple[int, ...],
     progress: Callable[[int], None],
-) -> CentralImage:
-    """Trace part of the central image.
+) -> Cells:
+    """Find out where the central image changes, by rays that serve nothing else.
+
+    A value that decided whether a cell is cut must not be the cell's own:
+    what is cut where something was seen, and left where it was missed, would
+    be too dark.
 
     Parameters
     ----------
@@ -122,9 +147,9 @@ def central_image(
     plan : GridPlan
         How fine.
     region : tuple
-        First row and column of grid cells that are needed, and how many; the image returned holds at least these.
+        First row and column of grid cells that are needed, and how many; the cells hold at least these.
     seed : tuple of int
-        Where the base grid lies, and where the rays in cells that are cut.
+        Where the base grid lies, and where rays go in their cells.
     progress : callable
         Is told how many rays were traced.
     """
@@ -137,23 +162,95 @@ def central_image(
     )
     sampler = _Sampler(view, plan, (first[0], first[1]), progress)
     rows, columns = np.indices(shape)
-    values, magnification = sampler.sample(rows.ravel(), columns.ravel(), step, None)
-    values, magnification = values.reshape(shape), magnification.reshape(shape)
+    values = sampler.trace(*sampler.places(rows.ravel(), columns.ravel(), step, random), with_depth=False)[0]
+    values = values.reshape(shape)
+    cut = []
     for level in range(plan.levels):
-        row, column = np.nonzero(_spread(plan.gray(values)) > plan.threshold(plan.base / 2**level))
-        values, magnification = (np.repeat(np.repeat(a, 2, axis=0), 2, axis=1) for a in (values, magnification))
-        row, column = _children(row, column)
-        values[row, column], magnification[row, column] = sampler.sample(
-            row, column, 2 ** (plan.levels - level - 1), random
-        )
+        cut.append(_spread(plan.gray(values)) > plan.threshold(math.ldexp(plan.base, -level)))
+        row, column = _children(*np.nonzero(cut[-1]))
+        values = _doubled(values)
+        size = 2 ** (plan.levels - level - 1)
+        values[row, column] = sampler.trace(*sampler.places(row, column, size, random), with_depth=False)[0]
     spread = _spread(plan.gray(values))
-    row, column = np.nonzero(spread > plan.threshold(plan.cell))
-    samples, predicted = _samples_needed(plan, spread[row, column], values.size)
-    if samples > 1 and len(row):
-        values[row, column], magnification[row, column] = sampler.means(row, column, samples, random)
-    return CentralImage(
-        (first[0], first[1]), values, magnification if plan.with_depth else None, sampler.rays, samples, predicted
-    )
+    cut.append(spread > plan.threshold(plan.cell))
+    samples, predicted = _samples_needed(plan, spread[cut[-1]], values.size)
+    return Cells((first[0], first[1]), _levels(cut), samples, predicted, sampler.rays)
+
+
+def _levels(cut: list[NDArray[np.bool_]]) -> NDArray[np.int8]:
+    """Level of each grid cell from what is cut at each level; what holds a cut cell is cut too."""
+    for level in range(len(cut) - 1, 0, -1):
+        rows, columns = cut[level - 1].shape
+        cut[level - 1] |= cut[level].reshape(rows, 2, columns, 2).any(axis=(1, 3))
+    levels = cut[0].astype(np.int8)
+    for mask in cut[1:]:
+        levels = _doubled(levels)
+        levels[mask] += 1
+    return levels
+
+
+def central_image(
+    view: View,
+    plan: GridPlan,
+    cells: Cells,
+    *,
+    seed: tuple[int, ...],
+    progress: Callable[[int], None],
+    like: CentralImage | None = None,
+) -> CentralImage:
+    """Trace part of the central image, each cell by rays anywhere in it.
+
+    Parameters
+    ----------
+    view : View
+        Whose.
+    plan : GridPlan
+        How fine.
+    cells : Cells
+        Where how many rays go.
+    seed : tuple of int
+        Decides the rays.
+    progress : callable
+        Is told how many rays were traced.
+    like : CentralImage, optional
+        Traced with the same plan, cells and seed, perhaps in other light: its magnifications are kept, so that the
+        values are linear in the light.
+    """
+    random = np.random.default_rng(seed)
+    sampler = _Sampler(view, plan, cells.first, progress)
+    parts = []
+    for level in range(plan.levels + 1):
+        size = 2 ** (plan.levels - level)
+        row, column = np.nonzero(cells.levels[::size, ::size] == level)
+        parts.append((row, column, size, 1))
+    row, column = np.nonzero(cells.levels == plan.levels + 1)
+    parts.append((row, column, 1, cells.samples))
+    placed = [sampler.strata(row, column, size, n, random) for row, column, size, n in parts]
+    rows, columns = (np.concatenate([part[axis] for part in placed]) for axis in (0, 1))
+    traced = sampler.trace(rows, columns, with_depth=plan.with_depth and like is None)
+    values, magnification = np.empty(cells.levels.shape), np.ones(cells.levels.shape)
+    end = 0
+    for row, column, size, n in parts:
+        start, end = end, end + len(row) * n * n
+        means = _means(*(answer[start:end].reshape(-1, n * n) for answer in traced))
+        for field, mean in zip((values, magnification), means, strict=True):
+            for down, right in np.ndindex(size, size):
+                field[row * size + down, column * size + right] = mean
+    depth = like.magnification if like else magnification if plan.with_depth else None
+    return CentralImage(cells.first, values, depth, sampler.rays)
+
+
+def _means(
+    values: NDArray[np.float64], magnification: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean over each cell's rays; of m, weighted by the light."""
+    means = values.mean(axis=1)
+    weighted = (values * magnification).sum(axis=1) / np.where(means > 0, values.sum(axis=1), 1.0)
+    return means, np.where(means > 0, weighted, magnification[:, 0])
+
+
+def _doubled(values: NDArray[_T]) -> NDArray[_T]:
+    return np.repeat(np.repeat(values, 2, axis=0), 2, axis=1)
 
 
 def _children(row: NDArray[np.intp], column: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -198,32 +295,29 @@ class _Sampler:
         self._first = first
         self.rays = 0
 
-    def sample(
-        self, row: NDArray[np.intp], column: NDArray[np.intp], size: int, random: np.random.Generator | None
+    def places(
+        self, row: NDArray[np.intp], column: NDArray[np.intp], size: int, random: np.random.Generator
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """One ray a cell of `size` x `size` grid cells: at its centre, or anywhere in it."""
-        inside = np.full((2, 1), 0.5) if random is None else random.random((2, len(row)))
-        return self._trace((row + inside[0]) * size, (column + inside[1]) * size)
+        """A place anywhere in each cell of `size` x `size` grid cells."""
+        return self.strata(row, column, size, 1, random)
 
-    def means(
-        self, row: NDArray[np.intp], column: NDArray[np.intp], n: int, random: np.random.Generator
+    def strata(
+        self, row: NDArray[np.intp], column: NDArray[np.intp], size: int, n: int, random: np.random.Generator
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Mean of n x n rays a grid cell, one anywhere in each of its strata; of m, weighted by the light."""
+        """Rows and columns [grid cell] of n x n places in each cell, one anywhere in each of its strata."""
         i, j = (a.ravel() for a in np.indices((n, n)))
         inside = random.random((2, len(row), n * n))
-        rows = row[:, np.newaxis] + (i + inside[0]) / n
-        columns = column[:, np.newaxis] + (j + inside[1]) / n
-        values, magnification = (a.reshape(-1, n * n) for a in self._trace(rows.ravel(), columns.ravel()))
-        means = values.mean(axis=1)
-        weighted = (values * magnification).sum(axis=1) / np.where(means > 0, values.sum(axis=1), 1.0)
-        return means, np.where(means > 0, weighted, magnification[:, 0])
+        rows = (row[:, np.newaxis] + (i + inside[0]) / n) * size
+        columns = (column[:, np.newaxis] + (j + inside[1]) / n) * size
+        return rows.ravel(), columns.ravel()
 
-    def _trace(
-        self, rows: NDArray[np.float64], columns: NDArray[np.float64]
+    def trace(
+        self, rows: NDArray[np.float64], columns: NDArray[np.float64], *, with_depth: bool
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """L cos^4(theta) and m at places [grid cell]."""
         cell = self._plan.cell
         u, v = (self._first[1] + columns) * cell - 0.5, (self._first[0] + rows) * cell - 0.5
-        answer = trace_rays(self._view, np.zeros((1, 2)), u, v, with_depth=self._plan.with_depth)
+        answer = trace_rays(self._view, np.zeros((1, 2)), u, v, with_depth=with_depth)
         self.rays += len(u)
         self._progress(len(u))
         return answer

@@ -23,6 +23,7 @@ from radwrap.imaging.kernel import layer_shares
 from radwrap.imaging.rays import rays_over, sampled_radiance
 from radwrap.imaging.sensor import gray_levels
 from radwrap.imaging.view import View, trace_rays
+from radwrap.scene.camera import Sensor
 
 # Shares of the pixels, by how much gray changes around them, and of the sample: nearly all error lies at edges.
 _STRATA: Final[tuple[tuple[float, float], ...]] = ((0.1, 0.5), (0.2, 0.25), (0.7, 0.25))
@@ -86,11 +87,14 @@ class PixelSample:
         Of each.
     shares : ndarray of float
         Share of each stratum in the image.
+    pairs : ndarray of int
+        Pairs of rays that each gets where a kernel's model is held against rays.
     """
 
     pixels: NDArray[np.intp]
     stratum: NDArray[np.intp]
     shares: NDArray[np.float64]
+    pairs: NDArray[np.intp]
 
 
 def places_of(pixels: NDArray[np.intp], columns: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -100,7 +104,12 @@ def places_of(pixels: NDArray[np.intp], columns: int) -> tuple[NDArray[np.float6
 
 
 def draw_pixels(
-    gray: NDArray[np.float64], count: int, seed: tuple[int, ...], risky: NDArray[np.bool_] | None = None
+    gray: NDArray[np.float64],
+    count: int,
+    seed: tuple[int, ...],
+    *,
+    risky: NDArray[np.bool_] | None = None,
+    pairs: tuple[int, int] = (0, 0),
 ) -> PixelSample:
     """Draw pixels, more where gray changes, and more where they are risky; all where there are not more than `count`.
 
@@ -114,6 +123,8 @@ def draw_pixels(
         Of what is drawn.
     risky : ndarray of bool, shape (rows, columns), optional
         Pixels that form strata of their own.
+    pairs : tuple of int
+        Pairs of rays for each pixel, and for each risky one.
     """
     number = gray.size
     random = np.random.default_rng(seed)
@@ -124,8 +135,8 @@ def draw_pixels(
     groups.append((drawn[apart], _RISKY_STRATA, _RISKY_SHARE if not apart.all() else 1.0))
     chosen: list[NDArray[np.intp]] = []
     sizes: list[int] = []
-    for pixels, strata, part in groups:
-        order = pixels[np.argsort(-_change(gray, pixels), kind="stable")]
+    for group, strata, part in groups:
+        order = group[np.argsort(-_change(gray, group), kind="stable")]
         bounds = np.rint(np.cumsum([0.0, *(share for share, _ in strata)]) * len(order)).astype(int)
         for (first, last), (_, wanted) in zip(itertools.pairwise(bounds.tolist()), strata, strict=True):
             if last > first:
@@ -133,7 +144,9 @@ def draw_pixels(
                 chosen.append(random.choice(order[first:last], size, replace=False))
                 sizes.append(last - first)
     stratum = np.repeat(np.arange(len(chosen)), [len(pixels) for pixels in chosen])
-    return PixelSample(np.concatenate(chosen), stratum, np.array(sizes) / len(drawn))
+    pixels = np.concatenate(chosen)
+    numbers = np.full(len(pixels), pairs[0]) if risky is None else np.where(risky.ravel()[pixels], pairs[1], pairs[0])
+    return PixelSample(pixels, stratum, np.array(sizes) / len(drawn), numbers)
 
 
 def _change(gray: NDArray[np.float64], pixels: NDArray[np.intp]) -> NDArray[np.float64]:
@@ -171,13 +184,36 @@ class PixelErrors:
 def model_errors(
     view: View,
     layers: tuple[float, ...],
-    pixels: NDArray[np.intp],
+    sample: PixelSample,
     radiance: NDArray[np.float64],
     *,
-    pairs: int,
     seed: tuple[int, ...],
 ) -> PixelErrors:
-    """What the kernel's model lacks at some pixels, by paired rays.
+    """What the kernel's model lacks at some pixels, in gray levels.
+
+    Parameters
+    ----------
+    view, layers, sample, seed
+        As in `model_lacks`.
+    radiance : ndarray, shape (n,)
+        The image's mean radiance at the sample, through which Eq. 5 is taken.
+    """
+    lacks, rays = model_lacks(view, layers, sample, seed=seed)
+    return lacks_in_gray(radiance, lacks, rays, view.exposure_of_radiance, view.camera.sensor)
+
+
+def lacks_in_gray(
+    radiance: NDArray[np.float64], lacks: NDArray[np.float64], rays: int, exposure_of_radiance: float, sensor: Sensor
+) -> PixelErrors:
+    """Two values of what is lacking, shape (2, n) [W m^-2 sr^-1], through Eq. 5 at the image's radiance."""
+    first, second = (_in_gray(radiance, radiance + lack, exposure_of_radiance, sensor) for lack in lacks)
+    return PixelErrors(first, second, rays)
+
+
+def model_lacks(
+    view: View, layers: tuple[float, ...], sample: PixelSample, *, seed: tuple[int, ...]
+) -> tuple[NDArray[np.float64], int]:
+    """What the kernel's model lacks at some pixels, by paired rays; linear in the sources.
 
     Parameters
     ----------
@@ -185,35 +221,47 @@ def model_errors(
         The camera, and who traces.
     layers : tuple of float
         The kernel's magnifications.
-    pixels : ndarray of int, shape (n,)
-        Numbers of the pixels.
-    radiance : ndarray, shape (n,)
-        The image's mean radiance there, through which Eq. 5 is taken.
-    pairs : int
-        Pairs for each of the two values.
+    sample : PixelSample
+        Where, and with how many pairs.
     seed : tuple of int
         Of all that is drawn.
+
+    Returns
+    -------
+    lacks : ndarray, shape (2, n)
+        Two independent values of what is lacking [W m^-2 sr^-1].
+    rays : int
+        How many were traced.
     """
-    u, v = places_of(pixels, view.camera.sensor.columns)
-    lacks = []
-    random = np.random.default_rng(seed)
+    lacks = np.empty((2, len(sample.pixels)))
     rays = 0
-    for _ in range(2):
-        opening, places_u, places_v = rays_over(view.camera, u, v, pairs, random)
-        difference, _ = trace_rays(view, opening, places_u, places_v)
-        for number, layer in enumerate(layers):
-            central, magnification = trace_rays(
-                view,
-                np.zeros((1, 2)),
-                places_u + layer * opening[:, 0] / view.camera.sensor.pixel_width,
-                places_v + layer * opening[:, 1] / view.camera.sensor.pixel_height,
-                with_depth=len(layers) > 1,
-            )
-            difference -= central * layer_shares(layers, magnification)[number]
-        rays += (1 + len(layers)) * difference.size
-        lacks.append(difference.reshape(len(u), pairs).mean(axis=1))
-    first, second = (_in_gray(view, radiance, radiance + lack) for lack in lacks)
-    return PixelErrors(first, second, rays)
+    for pairs in np.unique(sample.pairs).tolist():
+        part = np.flatnonzero(sample.pairs == pairs)
+        random = np.random.default_rng((*seed, pairs))
+        for half in lacks:
+            differences = _pair_differences(view, layers, sample.pixels[part], pairs, random)
+            half[part] = differences.mean(axis=1)
+            rays += (1 + len(layers)) * differences.size
+    return lacks, rays
+
+
+def _pair_differences(
+    view: View, layers: tuple[float, ...], pixels: NDArray[np.intp], pairs: int, random: np.random.Generator
+) -> NDArray[np.float64]:
+    """Ray less what the kernel takes in its place, shape (pixels, pairs)."""
+    u, v = places_of(pixels, view.camera.sensor.columns)
+    opening, places_u, places_v = rays_over(view.camera, u, v, pairs, random)
+    difference, _ = trace_rays(view, opening, places_u, places_v)
+    for number, layer in enumerate(layers):
+        central, magnification = trace_rays(
+            view,
+            np.zeros((1, 2)),
+            places_u + layer * opening[:, 0] / view.camera.sensor.pixel_width,
+            places_v + layer * opening[:, 1] / view.camera.sensor.pixel_height,
+            with_depth=len(layers) > 1,
+        )
+        difference -= central * layer_shares(layers, magnification)[number]
+    return difference.reshape(len(u), pairs)
 
 
 def independent_errors(
@@ -223,13 +271,15 @@ def independent_errors(
     u, v = places_of(pixels, view.camera.sensor.columns)
     random = np.random.default_rng(seed)
     values = [sampled_radiance(view, u, v, rays, random).mean(axis=1) for _ in range(2)]
-    first, second = (_in_gray(view, radiance, value) for value in values)
+    scale, sensor = view.exposure_of_radiance, view.camera.sensor
+    first, second = (_in_gray(radiance, value, scale, sensor) for value in values)
     return PixelErrors(first, second, 2 * rays * len(u))
 
 
-def _in_gray(view: View, image: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArray[np.float64]:
+def _in_gray(
+    image: NDArray[np.float64], truth: NDArray[np.float64], scale: float, sensor: Sensor
+) -> NDArray[np.float64]:
     """Difference of gray levels; a mean that noise took below zero counts as dark."""
-    scale, sensor = view.exposure_of_radiance, view.camera.sensor
     return gray_levels(np.maximum(truth, 0.0) * scale, sensor) - gray_levels(image * scale, sensor)
 
 

@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
-from radwrap.imaging.central import CentralImage, GridPlan, central_image
+from radwrap.imaging.central import Cells, CentralImage, GridPlan, central_image, decide_cells
 from radwrap.imaging.footprint import Footprint, footprint, reach_px
 from radwrap.imaging.sensor import gray_levels
 from radwrap.imaging.view import View
-from radwrap.scene.camera import Camera
+from radwrap.scene.camera import Camera, Sensor
 
 # Base cells are at most this share of the blur's radius, grid cells a quarter of them; where the blur is smaller than
 # a pixel, grid cells are an eighth of a pixel, for the footprint then has edges as sharp as that.
@@ -35,7 +35,8 @@ _COARSEST: Final = 64  # px
 _SAME_RADIUS: Final = 0.02
 _LAYER_STEP: Final = 0.25
 _MOST_LAYERS: Final = 64
-_TILE_CELLS: Final = 1280  # grid cells along a tile: what a transform of some 50 MiB holds
+# Grid cells of a tile: what a transform of some 30 MiB holds; wide rather than high, so that small images have two.
+_TILE_ROWS, _TILE_COLUMNS = 400, 1600
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,15 +69,37 @@ class Gathered:
     ----------
     values : ndarray, shape (rows, columns)
         Mean of L cos^4(theta) over pixel and opening [W m^-2 sr^-1].
-    grid_square : float
-        Mean square of what the cells' size changes, from cells of twice the size [gray level^2].
-    central : CentralImage
-        What it was gathered from.
+    some : tuple of ndarray of int
+        Rows and columns, from the tile's corner, of pixels that tell what the cells' size changes.
+    change : ndarray, shape (rows, columns)
+        That change at these pixels [W m^-2 sr^-1].
+    central, coarser : CentralImage
+        What they were gathered from.
     """
 
     values: NDArray[np.float64]
-    grid_square: float
+    some: tuple[NDArray[np.intp], ...]
+    change: NDArray[np.float64]
     central: CentralImage
+    coarser: CentralImage
+
+    def grid_square(self, exposure_of_radiance: float, sensor: Sensor) -> float:
+        """Mean square of what the cells' size changes [gray level^2]."""
+        if not self.change.size:
+            return 0.0
+        fine = self.values[self.some]
+        squares = grid_squares(fine, self.change, exposure_of_radiance, sensor)
+        return float(squares.mean())
+
+
+def grid_squares(
+    radiance: NDArray[np.float64], change: NDArray[np.float64], exposure_of_radiance: float, sensor: Sensor
+) -> NDArray[np.float64]:
+    """Squares of what changes of radiance [W m^-2 sr^-1] do to gray levels [gray level^2]."""
+    changed = np.maximum(radiance + change, 0.0)
+    gray, exact = (gray_levels(values * exposure_of_radiance, sensor) for values in (changed, radiance))
+    squares: NDArray[np.float64] = (gray - exact) ** 2
+    return squares
 
 
 def plan_kernel(view: View, magnifications: NDArray[np.float64], aim: float) -> KernelPlan:
@@ -112,8 +135,10 @@ def plan_kernel(view: View, magnifications: NDArray[np.float64], aim: float) -> 
         sensor=sensor,
         with_depth=len(layers) > 1,
     )
-    side = max(1, int(_TILE_CELLS * grid.cell))
-    rows, columns = (_cuts(size, side) for size in (sensor.rows, sensor.columns))
+    rows, columns = (
+        _cuts(size, max(1, int(most * grid.cell)))
+        for size, most in ((sensor.rows, _TILE_ROWS), (sensor.columns, _TILE_COLUMNS))
+    )
     tiles = tuple((r0, r1, c0, c1) for r0, r1 in rows for c0, c1 in columns)
     return KernelPlan(camera, grid, layers, tiles)
 
@@ -147,8 +172,30 @@ def layer_shares(layers: tuple[float, ...], magnification: NDArray[np.float64]) 
     return [np.maximum(0.0, 1 - np.abs(place - number)) for number in range(len(layers))]
 
 
-def gathered_tile(
+def decide_tile(
     view: View, plan: KernelPlan, tile: int, seed: tuple[int, ...], progress: Callable[[int], None]
+) -> Cells:
+    """Find out which cells of the central image a tile needs; parameters as in `gathered_tile`."""
+    place, cell = plan.tiles[tile], plan.grid.cell
+    reach = reach_px(plan.camera, plan.layers[-1])
+    # One pair of cells more on each side, for the coarser image.
+    spans = [
+        (math.floor((begin - far) / cell) - 2, math.ceil((end + far) / cell) + 2)
+        for begin, end, far in ((*place[:2], reach[1]), (*place[2:], reach[0]))
+    ]
+    region = ((spans[0][0], spans[1][0]), (spans[0][1] - spans[0][0], spans[1][1] - spans[1][0]))
+    return decide_cells(view, plan.grid, region, seed=seed, progress=progress)
+
+
+def gathered_tile(
+    view: View,
+    plan: KernelPlan,
+    tile: int,
+    cells: Cells,
+    *,
+    seed: tuple[int, ...],
+    progress: Callable[[int], None],
+    like: Gathered | None = None,
 ) -> Gathered:
     """Trace what a tile needs of the central image, and gather it.
 
@@ -160,28 +207,24 @@ def gathered_tile(
         What to do.
     tile : int
         Number of the tile.
+    cells : Cells
+        What `decide_tile` found.
     seed : tuple of int
-        Decides the grid's place and all that is drawn.
+        Decides the rays.
     progress : callable
         Is told how many rays were traced.
+    like : Gathered, optional
+        The same tile, perhaps in other light: the very same rays are traced as for it, see `central_image`.
     """
-    place = plan.tiles[tile]
-    cell = plan.grid.cell
-    reach = reach_px(plan.camera, plan.layers[-1])
-    # One pair of cells more on each side, for the coarser image.
-    spans = [
-        (math.floor((begin - far) / cell) - 2, math.ceil((end + far) / cell) + 2)
-        for begin, end, far in ((*place[:2], reach[1]), (*place[2:], reach[0]))
-    ]
-    region = ((spans[0][0], spans[1][0]), (spans[0][1] - spans[0][0], spans[1][1] - spans[1][0]))
-    central = central_image(view, plan.grid, region, seed=seed, progress=progress)
+    place, cell = plan.tiles[tile], plan.grid.cell
+    central = central_image(view, plan.grid, cells, seed=seed, progress=progress, like=like.central if like else None)
     values = gather(plan, central, cell, place)
     # An error of second order in the cells' size: a third of what twice the size adds. Some pixels tell.
-    some, coarse = gather_some(plan, _coarser(central), 2 * cell, place)
-    fine = values[some]
-    changed = np.maximum(fine + (coarse - fine) / 3, 0.0)
-    gray, exact = (gray_levels(v * plan.grid.exposure_of_radiance, plan.camera.sensor) for v in (changed, fine))
-    return Gathered(values, float(((gray - exact) ** 2).mean()) if fine.size else 0.0, central)
+    coarser = _coarser(central)
+    if like:
+        coarser = replace(coarser, magnification=like.coarser.magnification)
+    some, coarse = gather_some(plan, coarser, 2 * cell, place)
+    return Gathered(values, some, (coarse - values[some]) / 3, central, coarser)
 
 
 def gather(
@@ -216,20 +259,28 @@ def _by_phase(
     else:
         shares = layer_shares(plan.layers, central.magnification)
         spectra = [np.fft.rfft2(central.values * share, shape) for share in shares]
-    step = max(1, round(cell))
     for phase in phases:
         total = sum(
             spectrum * np.conj(np.fft.rfft2(_laid_out(footprint(plan.camera, layer, cell, phase), shape)))
             for layer, spectrum in zip(plan.layers, spectra, strict=True)
         )
         field = np.fft.irfft2(total, shape)
-        pixels = [
-            np.arange(begin + (shift - begin) % step, end, step)
-            for begin, end, shift in ((*place[:2], phase[0]), (*place[2:], phase[1]))
-        ]
+        pixels = lattice(cell, place, phase)
         cells = (np.floor(at / cell).astype(int) - first for at, first in zip(pixels, central.first, strict=True))
         # The transform leaves rounding errors of 1e-16 of the largest value, of either sign.
         yield np.ix_(pixels[0] - place[0], pixels[1] - place[2]), np.maximum(field[np.ix_(*cells)], 0.0)
+
+
+def lattice(
+    cell: float, place: tuple[int, int, int, int], phase: tuple[int, ...] = (0, 0)
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns of the sensor in which a tile's pixels lie alike in their cells [px]."""
+    step = max(1, round(cell))
+    rows, columns = (
+        np.arange(begin + (shift - begin) % step, end, step)
+        for begin, end, shift in ((*place[:2], phase[0]), (*place[2:], phase[1]))
+    )
+    return rows, columns
 
 
 def _laid_out(print_: Footprint, shape: tuple[int, ...]) -> NDArray[np.float64]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from radwrap.errors import InputError
 from radwrap.imaging.aperture import central_viewpoint, sub_viewpoints
 from radwrap.imaging.certificate import certify_by_independent_rays
-from radwrap.imaging.planner import render_to_tolerance
+from radwrap.imaging.planner import Outcome, render_to_tolerance
 from radwrap.imaging.render_options import FixedMethod, RenderOptions
 from radwrap.imaging.replicates import Work
 from radwrap.imaging.view import PixelPlan
@@ -33,12 +33,15 @@ class Made:
         The manifest's ``error``.
     reused : int
         Pieces that were found on the disk.
+    outcome : Outcome or None
+        How it came about, where a tolerance decided.
     """
 
     radiance: NDArray[np.float64]
     description: dict[str, Any]
     error: dict[str, Any]
     reused: int
+    outcome: Outcome | None = None
 
 
 def fixed_method(scene: Scene, options: RenderOptions) -> FixedMethod | None:
@@ -137,4 +140,4 @@ def _to_tolerance(options: RenderOptions, work: Work) -> Made:
         "rays": outcome.plan["rays"],
         "plan": outcome.plan,
     }
-    return Made(outcome.radiance, description, outcome.certificate.as_manifest(), outcome.reused)
+    return Made(outcome.radiance, description, outcome.certificate.as_manifest(), outcome.reused, outcome)

@@ -143,6 +143,10 @@ class Outcome:
         Pieces that were found on the disk.
     model : PixelErrors or None
         Samples of the model's error, where the method has a model.
+    ray_plan : KernelPlan or RaysPlan
+        What was traced.
+    sample : PixelSample or None
+        Pixels of the model's certificate.
     """
 
     radiance: NDArray[np.float64]
@@ -153,6 +157,8 @@ class Outcome:
     plan: dict[str, Any]
     reused: int
     model: PixelErrors | None
+    ray_plan: KernelPlan | RaysPlan
+    sample: PixelSample | None
 
 
 def survey(view: View, seed: int) -> Survey:
@@ -177,8 +183,9 @@ def survey(view: View, seed: int) -> Survey:
             layers = plan_kernel(view, met_by(magnification), 1.0).layers
         except InputError:
             return Survey(magnification, Bounded(math.inf, math.inf), deviations, rays)
-        errors = model_errors(view, layers, drawn, pilot.mean(axis=1), pairs=_SURVEY_PAIRS, seed=(seed, 8))
-        sample = PixelSample(drawn, np.zeros(len(drawn), dtype=np.intp), np.ones(1))
+        every = np.zeros(len(drawn), dtype=np.intp)
+        sample = PixelSample(drawn, every, np.ones(1), every + _SURVEY_PAIRS)
+        errors = model_errors(view, layers, sample, pilot.mean(axis=1), seed=(seed, 8))
         model = errors.mean_square(sample, (seed, 9))
         rays += errors.rays
     return Survey(magnification, model, deviations, rays)
@@ -315,7 +322,7 @@ class _Search:
         replicates = trace_replicates(self.work, plan, number)
         self.reused += replicates.reused
         self.spent += replicates.rays
-        certificate, model = self._certify(plan, replicates)
+        certificate, model, sample = self._certify(plan, replicates)
         self.attempts.append(
             {
                 "method": method,
@@ -349,14 +356,18 @@ class _Search:
             },
             reused=self.reused,
             model=model,
+            ray_plan=plan,
+            sample=sample,
         )
 
-    def _certify(self, plan: KernelPlan | RaysPlan, replicates: Replicates) -> tuple[Certificate, PixelErrors | None]:
+    def _certify(
+        self, plan: KernelPlan | RaysPlan, replicates: Replicates
+    ) -> tuple[Certificate, PixelErrors | None, PixelSample | None]:
         view, seed = self.view, self.work.seed
         noise, errors = discretisation(view, replicates)
         if isinstance(plan, RaysPlan) or view.camera.aperture.is_infinitesimal:
-            quantile = _quantile(errors, noise) if self.demand.max_error is not None else None
-            return self._certificate(NOTHING, noise, quantile, pixels=0, rays=0), None
+            quantile = noise_quantile(errors, noise) if self.demand.max_error is not None else None
+            return certificate_of(NOTHING, noise, quantile, pixels=0, rays=0), None, None
         radiance = replicates.mean
         gray = gray_levels(radiance * view.exposure_of_radiance, view.camera.sensor)
         risky = steps(view, self.found.magnification, self._least_step(gray))
@@ -364,8 +375,9 @@ class _Search:
             pixels, *pairs = _EFFORTS[self.effort]
             if self.demand.max_error is not None:
                 pixels = max(pixels, _QUANTILE_PIXELS)
-            sample = draw_pixels(gray, pixels, (seed, 10, self.effort), risky)
-            found = self._model_errors(plan, sample, radiance, risky, pairs)
+            sample = draw_pixels(gray, pixels, (seed, 10, self.effort), risky=risky, pairs=(pairs[0], pairs[1]))
+            at = radiance.ravel()[sample.pixels]
+            found = model_errors(view, plan.layers, sample, at, seed=(seed, 11, self.effort))
             self.spent += found.rays
             model = found.mean_square(sample, (seed, 12, self.effort))
             wanted = self.demand.tolerance**2
@@ -376,48 +388,13 @@ class _Search:
             self.effort += 1
         quantile = None
         if self.demand.max_error is not None:
-            quantile = _quantile(errors, noise) + _model_quantile(found, sample.stratum, sample.shares)
-        return self._certificate(model, noise, quantile, pixels=len(sample.pixels), rays=found.rays), found
+            quantile = noise_quantile(errors, noise) + model_quantile(found, sample)
+        return certificate_of(model, noise, quantile, pixels=len(sample.pixels), rays=found.rays), found, sample
 
     def _least_step(self, gray: NDArray[np.float64]) -> float:
         """Difference of magnifications that matters at the tolerance."""
         contrast = max(float(gray.max() - gray.min()), 1e-9)
         return _RISK_SHARE * self.demand.tolerance / (_STEP_COST * contrast)
-
-    def _model_errors(
-        self,
-        plan: KernelPlan,
-        sample: PixelSample,
-        radiance: NDArray[np.float64],
-        risky: NDArray[np.bool_],
-        pairs: list[int],
-    ) -> PixelErrors:
-        """Pairs at all pixels of a sample, more of them where depth makes steps."""
-        first, second = np.empty(len(sample.pixels)), np.empty(len(sample.pixels))
-        apart, rays = risky.ravel()[sample.pixels], 0
-        for part, number in zip((~apart, apart), pairs, strict=True):
-            if part.any():
-                pixels = sample.pixels[part]
-                seed = (self.work.seed, 11, self.effort, number)
-                found = model_errors(self.view, plan.layers, pixels, radiance.ravel()[pixels], pairs=number, seed=seed)
-                first[part], second[part] = found.first, found.second
-                rays += found.rays
-        return PixelErrors(first, second, rays)
-
-    def _certificate(
-        self, model: Bounded, noise: Bounded, quantile: float | None, *, pixels: int, rays: int
-    ) -> Certificate:
-        square = Bounded(max(model.mean, 0.0), max(model.upper, 0.0)) + noise
-        return Certificate(
-            rms_gray=root(square.mean),
-            rms_gray_upper95=root(square.upper),
-            p99_gray_upper95=quantile,
-            model_rms_gray=root(model.mean),
-            discretisation_rms_gray=root(noise.mean),
-            certificate_pixels=pixels,
-            certificate_rays=rays,
-            method="pairs and replicates" if pixels else "replicates",
-        )
 
     def _is_spent(self, outcome: Outcome) -> bool:
         """Whether another attempt, which takes about twice the rays at least, would pass the budget."""
@@ -447,16 +424,32 @@ class _Search:
         return float(before)
 
 
-def _quantile(errors: NDArray[np.float64], noise: Bounded) -> float:
+def certificate_of(model: Bounded, noise: Bounded, quantile: float | None, *, pixels: int, rays: int) -> Certificate:
+    """Certificate from mean squares [gray level^2]: of the model's error, and of what the number of rays adds."""
+    square = Bounded(max(model.mean, 0.0), max(model.upper, 0.0)) + noise
+    return Certificate(
+        rms_gray=root(square.mean),
+        rms_gray_upper95=root(square.upper),
+        p99_gray_upper95=quantile,
+        model_rms_gray=root(model.mean),
+        discretisation_rms_gray=root(noise.mean),
+        certificate_pixels=pixels,
+        certificate_rays=rays,
+        method="pairs and replicates" if pixels else "replicates",
+    )
+
+
+def noise_quantile(errors: NDArray[np.float64], noise: Bounded) -> float:
     """Error that 99.5 % of the pixels stay below, raised as the rms error's bound is."""
     scale = math.sqrt(noise.upper / noise.mean) if noise.mean > 0 else 1.0
     return float(np.quantile(np.abs(errors), _QUANTILE)) * scale
 
 
-def _model_quantile(errors: PixelErrors, stratum: NDArray[np.intp], shares: NDArray[np.float64]) -> float:
+def model_quantile(errors: PixelErrors, sample: PixelSample) -> float:
     """Error of the model that 99.5 % of the pixels stay below: the largest that was seen where few lie above it."""
     size = (np.abs(errors.first) + np.abs(errors.second)) / 2
-    weights = (shares / np.bincount(stratum, minlength=len(shares)))[stratum]
+    shares = sample.shares
+    weights = (shares / np.bincount(sample.stratum, minlength=len(shares)))[sample.stratum]
     order = np.argsort(-size)
     above = np.cumsum(weights[order])
     # Half of the share that may lie above, for what the sample did not see.

@@ -52,6 +52,25 @@ class RaysPlan:
     tiles: tuple[tuple[int, int, int, int], ...]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class TracedTile:
+    """A tile of an image by rays.
+
+    Attributes
+    ----------
+    values : ndarray, shape (rows, columns)
+        Mean of L cos^4(theta) over pixel and opening [W m^-2 sr^-1].
+    numbers : ndarray of int, shape (rows * columns,)
+        Rays of each pixel.
+    rays : int
+        How many were traced in all.
+    """
+
+    values: NDArray[np.float64]
+    numbers: NDArray[np.intp]
+    rays: int
+
+
 def plan_rays(view: View, aim: float) -> RaysPlan:
     """Cut the sensor into bands of rows."""
     sensor = view.camera.sensor
@@ -61,9 +80,15 @@ def plan_rays(view: View, aim: float) -> RaysPlan:
 
 
 def traced_tile(
-    view: View, plan: RaysPlan, tile: int, seed: tuple[int, ...], progress: Callable[[int], None]
-) -> tuple[NDArray[np.float64], int]:
-    """Mean of L cos^4(theta) over pixel and opening for each pixel of a tile, and the number of rays.
+    view: View,
+    plan: RaysPlan,
+    tile: int,
+    seed: tuple[int, ...],
+    progress: Callable[[int], None],
+    *,
+    numbers: NDArray[np.intp] | None = None,
+) -> TracedTile:
+    """Mean of L cos^4(theta) over pixel and opening for each pixel of a tile.
 
     Parameters
     ----------
@@ -77,15 +102,23 @@ def traced_tile(
         Decides all that is drawn.
     progress : callable
         Is told how many rays were traced.
+    numbers : ndarray of int, optional
+        Rays of each pixel, as they were found for the same tile and seed, perhaps in other light: the very same rays
+        are traced.
     """
     r0, r1, c0, c1 = plan.tiles[tile]
     shape = (r1 - r0, c1 - c0)
     rows, columns = np.indices(shape)
     u, v = (columns + c0).ravel().astype(np.float64), (rows + r0).ravel().astype(np.float64)
     random = np.random.default_rng(seed)
-    pilot = sampled_radiance(view, u, v, PILOT, random)
-    progress(pilot.size)
-    numbers = _numbers(plan, pilot, shape)
+    rays = 0
+    if numbers is None:
+        pilot = sampled_radiance(view, u, v, PILOT, random)
+        progress(pilot.size)
+        rays = pilot.size
+        numbers = _numbers(plan, pilot, shape)
+    else:
+        _keys(len(u), random)
     values = np.empty(len(u))
     for number in np.unique(numbers).tolist():
         chosen = np.flatnonzero(numbers == number)
@@ -94,7 +127,7 @@ def traced_tile(
             part = chosen[start : start + step]
             values[part] = sampled_radiance(view, u[part], v[part], number, random).mean(axis=1)
             progress(len(part) * number)
-    return values.reshape(shape), int(numbers.sum()) + pilot.size
+    return TracedTile(values.reshape(shape), numbers, int(numbers.sum()) + rays)
 
 
 def sampled_radiance(
@@ -110,8 +143,7 @@ def rays_over(
     camera: Camera, u: NDArray[np.float64], v: NDArray[np.float64], number: int, random: np.random.Generator
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Points of the opening, shape (pixels * number, 2) [m], and places (u, v) on the sensor [px], for each ray."""
-    keys = random.integers(0, 2**32, (len(u), DIMENSIONS), dtype=np.uint32)
-    points = scrambled_points(keys, number)
+    points = scrambled_points(_keys(len(u), random), number)
     if camera.aperture.is_infinitesimal:
         opening = np.zeros((points.shape[0] * number, 2))
     else:
@@ -122,6 +154,11 @@ def rays_over(
         (u[:, np.newaxis] + points[..., 0] - 0.5).ravel(),
         (v[:, np.newaxis] + points[..., 1] - 0.5).ravel(),
     )
+
+
+def _keys(pixels: int, random: np.random.Generator) -> NDArray[np.uint32]:
+    """Keys of each pixel's stream of points."""
+    return random.integers(0, 2**32, (pixels, DIMENSIONS), dtype=np.uint32)
 
 
 def gray_deviation(radiance: NDArray[np.float64], plan: RaysPlan) -> NDArray[np.float64]:

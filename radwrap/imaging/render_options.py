@@ -54,6 +54,8 @@ class RenderOptions:
         Keep the sub-viewpoints' files.
     truth : bool
         Write depth, parts and true positions too.
+    basis : bool
+        Write one image for each source by the same rays too, from which `relit` makes any levels.
     trust : bool
         Let included Radiance files run commands and name any file.
     radiance : str, optional
@@ -79,6 +81,7 @@ class RenderOptions:
     workers: int | None = None
     keep_viewpoints: bool = False
     truth: bool = False
+    basis: bool = False
     trust: bool = False
     radiance: str | None = None
     max_pixels: int = 64_000_000
@@ -104,6 +107,13 @@ class RenderOptions:
         if self.viewpoints is not None and self.method not in {None, "viewpoints"}:
             raise InputError(
                 f"there are no sub-viewpoints with --method {self.method}", where="--viewpoints", remedy="leave it out"
+            )
+
+        if self.basis and self.fixed_method is not None:
+            raise InputError(
+                f"needs an image to tolerance, not {self.fixed_method}",
+                where="--basis",
+                remedy="leave out the method and its options, or name kernel or rays",
             )
 
     @property

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import EnvironmentFailure
 from radwrap.imaging.bounds import Bounded, mean_square_of_differences
+from radwrap.imaging.central import Cells
 from radwrap.imaging.footprint import reach_px
-from radwrap.imaging.kernel import KernelPlan, gathered_tile
+from radwrap.imaging.kernel import KernelPlan, decide_tile, gathered_tile
 from radwrap.imaging.pieces import log_call, read_piece, remove_strangers, run_jobs, write_piece
 from radwrap.imaging.rays import RaysPlan, traced_tile
 from radwrap.imaging.sensor import gray_levels
@@ -99,11 +99,17 @@ def trace_replicates(work: Work, plan: Plan, number: int) -> Replicates:
         If the tracer or the disk fails.
     """
     name = sha256_of_value({"scene": work.scene_sha256, "plan": plan, "seed": work.seed})
-    pieces = [
-        _Piece(work, plan, name, replicate, tile) for replicate in range(number) for tile in range(len(plan.tiles))
-    ]
-    remove_strangers(work.folder, {piece.path.name for piece in pieces})
+    tiles = range(len(plan.tiles))
+    decided = [_CellsPiece(work, plan, name, tile) for tile in tiles] if isinstance(plan, KernelPlan) else []
+    pieces = [_TilePiece(work, plan, name, replicate, tile) for replicate in range(number) for tile in tiles]
+    remove_strangers(work.folder, {piece.path.name for piece in decided} | {piece.path.name for piece in pieces})
     due = [piece for piece in pieces if piece.read() is None]
+    wanted = {piece.tile for piece in due}
+    run_jobs(
+        [piece.make for piece in decided if piece.tile in wanted and piece.read() is None],
+        work.programs,
+        work.view.workers,
+    )
     run_jobs([piece.make for piece in due], work.programs, work.view.workers)
     sensor = work.view.camera.sensor
     images = np.empty((number, sensor.rows, sensor.columns))
@@ -139,13 +145,14 @@ def replicates_needed(plan: Plan) -> int:
     return min(max(1 + math.ceil(_DEGREES / blocks), 2), _MOST_REPLICATES)
 
 
-class _Piece:
+class _TilePiece:
     """A tile of a replicate."""
 
     def __init__(self, work: Work, plan: Plan, name: str, replicate: int, tile: int) -> None:
         self.replicate, self.tile = replicate, tile
         self.path = work.folder / f"piece_{replicate:03d}_{tile:05d}.exr"
         self._work, self._plan, self._name = work, plan, f"{name}-{replicate}-{tile}"
+        self._whole = name
 
     def read(self) -> tuple[NDArray[np.float32], dict[str, str]] | None:
         return read_piece(self.path, self._name)
@@ -153,21 +160,73 @@ class _Piece:
     def make(self) -> None:
         work = self._work
         view = View(work.view.camera, work.view.tracer)
-        seed = (work.seed, 2, self.replicate, self.tile)
+        seed = tile_seed(work.seed, self.replicate, self.tile)
         log_call(work.folder, f"{self.replicate} {self.tile}")
-        values, found = _tile(view, self._plan, self.tile, seed, work.progress.add)
+        if isinstance(self._plan, RaysPlan):
+            traced = traced_tile(view, self._plan, self.tile, seed, work.progress.add)
+            values, found = traced.values, {"rays": traced.rays, "grid_square": 0.0}
+        else:
+            values, found = self._gathered(view, self._plan, seed)
         write_piece(self.path, values.astype(np.float32), self._name, found)
 
+    def _gathered(
+        self, view: View, plan: KernelPlan, seed: tuple[int, ...]
+    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+        cells = _CellsPiece(self._work, plan, self._whole, self.tile).cells()
+        gathered = gathered_tile(view, plan, self.tile, cells, seed=seed, progress=self._work.progress.add)
+        # The rays that decided the cells are counted once.
+        rays = gathered.central.rays + (cells.rays if self.replicate == 0 else 0)
+        grid_square = gathered.grid_square(plan.grid.exposure_of_radiance, plan.camera.sensor)
+        return gathered.values, {"rays": rays, "grid_square": repr(grid_square)}
 
-def _tile(
-    view: View, plan: Plan, tile: int, seed: tuple[int, ...], progress: Callable[[int], None]
-) -> tuple[NDArray[np.float64], dict[str, object]]:
-    """Pixels of a tile, and what is to be remembered of them."""
-    if isinstance(plan, RaysPlan):
-        values, rays = traced_tile(view, plan, tile, seed, progress)
-        return values, {"rays": rays, "grid_square": 0.0}
-    gathered = gathered_tile(view, plan, tile, seed, progress)
-    return gathered.values, {"rays": gathered.central.rays, "grid_square": repr(gathered.grid_square)}
+
+class _CellsPiece:
+    """The cells of a tile, which all replicates have in common."""
+
+    def __init__(self, work: Work, plan: KernelPlan, name: str, tile: int) -> None:
+        self.tile = tile
+        self.path = work.folder / f"cells_{tile:05d}.exr"
+        self._work, self._plan, self._name = work, plan, f"{name}-cells-{tile}"
+
+    def read(self) -> tuple[NDArray[np.float32], dict[str, str]] | None:
+        return read_piece(self.path, self._name)
+
+    def make(self) -> None:
+        work = self._work
+        view = View(work.view.camera, work.view.tracer)
+        log_call(work.folder, f"cells {self.tile}")
+        cells = decide_tile(view, self._plan, self.tile, cells_seed(work.seed, self.tile), work.progress.add)
+        told = {
+            "first_row": cells.first[0],
+            "first_column": cells.first[1],
+            "samples": cells.samples,
+            "predicted_rms": repr(cells.predicted_rms),
+            "rays": cells.rays,
+        }
+        write_piece(self.path, cells.levels.astype(np.float32), self._name, told)
+
+    def cells(self) -> Cells:
+        found = self.read()
+        if found is None:
+            raise EnvironmentFailure("was changed by somebody else", where=str(self.path), remedy="run again")
+        levels, told = found
+        return Cells(
+            first=(int(told["first_row"]), int(told["first_column"])),
+            levels=levels.astype(np.int8),
+            samples=int(told["samples"]),
+            predicted_rms=float(told["predicted_rms"]),
+            rays=int(told["rays"]),
+        )
+
+
+def cells_seed(seed: int, tile: int) -> tuple[int, ...]:
+    """Seed of all that is drawn to find out a tile's cells."""
+    return (seed, 1, tile)
+
+
+def tile_seed(seed: int, replicate: int, tile: int) -> tuple[int, ...]:
+    """Seed of all that is drawn for a tile of a replicate."""
+    return (seed, 2, replicate, tile)
 
 
 def discretisation(view: View, replicates: Replicates) -> tuple[Bounded, NDArray[np.float64]]:
@@ -180,13 +239,34 @@ def discretisation(view: View, replicates: Replicates) -> tuple[Bounded, NDArray
     errors : ndarray, shape (replicates - 1, rows, columns)
         Each distributed as the error of the mean [gray level].
     """
-    scale, sensor = view.exposure_of_radiance, view.camera.sensor
-    # Neighbours tell the same: an eighth of the distance over which errors hang together is near enough.
-    rows, columns = (max(1, size // _LOOKS) for size in replicates.block)
-    gray = gray_levels(replicates.images[:, ::rows, ::columns] * scale, sensor)
+    rows, columns = looks(replicates.block)
+    radiance = replicates.images[:, ::rows, ::columns]
+    gray = gray_levels(radiance * view.exposure_of_radiance, view.camera.sensor)
+    noise, errors = noise_of(gray, replicates.block)
+    grid = replicates.grid_square
+    return noise + Bounded(grid, grid), errors
+
+
+def looks(block: tuple[int, int]) -> tuple[int, int]:
+    """Steps between the rows and columns [px] that are looked at, where errors hang together over blocks.
+
+    Neighbours tell the same: an eighth of the distance over which errors hang together is near enough.
+    """
+    return max(1, block[0] // _LOOKS), max(1, block[1] // _LOOKS)
+
+
+def noise_of(gray: NDArray[np.float64], block: tuple[int, int]) -> tuple[Bounded, NDArray[np.float64]]:
+    """Mean square error of the mean of some replicates, and samples of it for each pixel that is looked at.
+
+    Parameters
+    ----------
+    gray : ndarray, shape (replicates, rows, columns)
+        Gray levels at the pixels that `looks` tells.
+    block : tuple of int
+        Rows and columns over which errors hang together [px].
+    """
+    rows, columns = looks(block)
     number = len(gray)
     # Helmert's contrasts: independent, each with the variance of the mean of all replicates.
     errors = np.stack([(gray[:k].mean(axis=0) - gray[k]) * math.sqrt(k / (k + 1) / number) for k in range(1, number)])
-    block = (-(-replicates.block[0] // rows), -(-replicates.block[1] // columns))
-    grid = replicates.grid_square
-    return mean_square_of_differences(errors, block) + Bounded(grid, grid), errors
+    return mean_square_of_differences(errors, (-(-block[0] // rows), -(-block[1] // columns))), errors

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from radwrap.errors import InputError
 from radwrap.files import TEMPORARY_SUFFIX, disk_failure, make_folder, sha256_of, sole_owner
 from radwrap.images import ExposureImage, GrayImage, png_bytes, read_image, write_exr, write_png
+from radwrap.imaging.basis import BASIS, FOLDER, shining, write_basis
 from radwrap.imaging.cost import Cost, check_size, estimate, seconds_per_ray
 from radwrap.imaging.exposure import radiant_exposure
 from radwrap.imaging.methods import Made, fixed_method, how, make, viewpoint_plan
@@ -194,12 +195,14 @@ class _Run:
         self.traced = TracedScene(scene, options, programs, work)
         self.versions = {**versions(), "radiance": self.traced.version}
         self.traced_sha256 = self.traced.sha256()
+        self.sources = shining(scene, self.traced.prepared) if options.basis else ()
         self.sha256 = sha256_of_value(
             {
                 "traced": self.traced_sha256,
                 "camera": scene.camera,
                 "how": how(scene, options),
                 "truth": options.truth,
+                "basis": self.sources,
                 "document": scene.document,
                 "versions": self.versions,
             }
@@ -230,18 +233,16 @@ class _Run:
         """Trace, merge, expose, and write; the manifest last."""
         make_folder(self.folder)
         progress = Progress("tracing", 1, shown=self.options.progress)
+        view = self.traced.view()
+        work = Work(view, self.folder, self.programs, progress, self.traced_sha256, self.options.seed)
         try:
-            made = make(
-                self.scene,
-                self.options,
-                Work(self.traced.view(), self.folder, self.programs, progress, self.traced_sha256, self.options.seed),
-            )
+            made = make(self.scene, self.options, work)
+            self._remove_old()
+            basis = self._write_basis(work, made)
         finally:
             progress.close()
-        # From here on the old manifest no longer fits the files, and what only an older run wrote fits nothing.
-        for name in (MANIFEST, *_OPTIONAL):
-            (self.out / name).unlink(missing_ok=True)
         summary, files = self._write_images(made.radiance)
+        files += basis
         if self.options.truth:
             files += self._write_truth()
         timing = {
@@ -286,6 +287,28 @@ class _Run:
             "dark_fraction": float(np.mean(levels < sensor.dark_gray + 0.5)),
         }
         return summary, files
+
+    def _remove_old(self) -> None:
+        """From here on an old manifest no longer fits the files, and what only an older run wrote fits nothing."""
+        if (self.out / BASIS).exists():
+            shutil.rmtree(self.out / FOLDER, ignore_errors=True)
+        for name in (MANIFEST, BASIS, *_OPTIONAL):
+            (self.out / name).unlink(missing_ok=True)
+
+    def _write_basis(self, work: Work, made: Made) -> list[str]:
+        if not self.sources or made.outcome is None:
+            return []
+        views = {name: self.traced.view_of(name) for name in self.sources}
+        told = {
+            "scene_sha256": scene_sha256(self.scene, self.traced.prepared),
+            "run_sha256": self.sha256,
+            "tolerance": self.options.tolerance,
+            "max_error": self.options.max_error,
+            "seed": self.options.seed,
+            "dark": sorted({emitter.name for emitter in self.scene.emitters} - set(self.sources)),
+            "versions": self.versions,
+        }
+        return write_basis(self.out, work, views, made.outcome, told)
 
     def _write_truth(self) -> list[str]:
         depth, parts = central_maps(self.scene.camera, self.traced.identity_tracer())

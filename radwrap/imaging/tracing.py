@@ -51,6 +51,12 @@ class TracedScene:
         tracer = self._tracer(self.prepared.scene, self._work / "scene")
         return View(self.scene.camera, tracer, self._options.workers or available_cores())
 
+    def view_of(self, emitter: str) -> View:
+        """The camera, with a tracer for the scene in the light of one emitter; the discs of the others are black."""
+        text = self.prepared.lit_by(self.scene, emitter)
+        tracer = self._tracer(text, self._work / "sources" / emitter)
+        return View(self.scene.camera, tracer, self._options.workers or available_cores())
+
     def identity_tracer(self) -> RadianceTracer:
         """A tracer for the same geometry, in which each part glows with its number."""
         text = self.prepared.scene

@@ -69,11 +69,21 @@ class PreparedScene:
         Text of the same geometry, each part glowing with its number.
     parts : tuple of str
         Names of the parts; the first has the number 1.
+    included : Mapping[str, str]
+        Target name -> text of an included file.
+    shining_files : tuple of str
+        Names of the targets whose files hold light of their own.
     """
 
     scene: RadianceScene
     identity: str
     parts: tuple[str, ...]
+    included: Mapping[str, str]
+    shining_files: tuple[str, ...]
+
+    def lit_by(self, scene: Scene, emitter: str) -> RadianceScene:
+        """The same text and files with one emitter alone; the discs of the others are black."""
+        return scene_text(scene, self.included, self.scene.files, only=emitter)
 
 
 def prepare(
@@ -105,19 +115,21 @@ def prepare(
     glowing: dict[str, str] = {}
     files: dict[str, bytes] = {}
     lit = any(emitter.radiance > 0 for emitter in scene.emitters)
+    shining = []
     unit = scales_of(scene).length
     for target in scene.included:
         with _naming(f"{scene.origin}: targets[{scene.targets.index(target)}].rad"):
             text, beside, has_light = _included(scene, target, options, programs, stem)
-            lit = lit or has_light
+            if has_light:
+                shining.append(target.name)
             files.update(beside)
             move = _move(target, unit)
             texts[target.name] = _xform(text, move, options, programs, folder)
             glowing[target.name] = _xform(text, ["-m", target.name, *move], options, programs, folder)
-    if not lit:
+    if not (lit or shining):
         raise InputError("there is no light", where=f"{scene.origin}: sources", remedy="add [[sources]]")
     identity, parts = identity_text(scene, glowing)
-    return PreparedScene(scene_text(scene, texts, files, stem), identity, parts)
+    return PreparedScene(scene_text(scene, texts, files, stem), identity, parts, texts, tuple(shining))
 
 
 @contextmanager

@@ -129,7 +129,12 @@ def _sizes(scene: Scene) -> Iterator[tuple[float, float]]:
 
 
 def scene_text(
-    scene: Scene, included: Mapping[str, str], files_beside: Mapping[str, bytes], stem: str = "scene"
+    scene: Scene,
+    included: Mapping[str, str],
+    files_beside: Mapping[str, bytes],
+    stem: str = "scene",
+    *,
+    only: str | None = None,
 ) -> RadianceScene:
     """Write a scene for Radiance.
 
@@ -145,6 +150,8 @@ def scene_text(
     stem : str
         What the names of function and data files begin with, so that texts of
         different stems can lie in one folder.
+    only : str, optional
+        Name of the one emitter that shines; the discs of the others are black then. Default all.
 
     Returns
     -------
@@ -158,7 +165,7 @@ def scene_text(
     for file in scene.included:
         parts.append(f"# {file.name}: included {file.file}\n\n{included[file.name]}")
     for emitter in scene.emitters:
-        parts.append(_emitter(emitter, functions, scales))
+        parts.append(_emitter(emitter, functions, scales, shines=only in {None, emitter.name}))
     for name, material in scene.materials.items():
         beside.update(_data_files(f"{stem}.{name}", material))
     for target in scene.targets:
@@ -238,10 +245,15 @@ def _ring(centre: Vector, normal: Vector, radius: float, scales: Scales) -> tupl
     return (*_scaled(scales, centre), *normal, 0.0, _units(radius, scales))
 
 
-def _emitter(emitter: Emitter, functions: str, scales: Scales) -> str:
+def _emitter(emitter: Emitter, functions: str, scales: Scales, *, shines: bool = True) -> str:
     intensity = f"{emitter.radiant_intensity:g} W/sr on its axis"
     if emitter.radiance == 0:
         return f"# {emitter.name}: dark, left out\n"
+    disc = _ring(emitter.position, emitter.axis, emitter.radius, scales)
+    if not shines:
+        # Not a light of radiance 0, which Radiance leaves out with a warning; the disc still hides what is behind it.
+        black = _primitive("void", "plastic", f"{emitter.name}.dark", (0, 0, 0, 0, 0))
+        return f"# {emitter.name}: off\n{black}" + _primitive(f"{emitter.name}.dark", "ring", emitter.name, disc)
     text = f"# {emitter.name}: {intensity}, {emitter.beam.profile}\n"
     modifier = "void"
     if emitter.beam.profile != "lambertian":
@@ -250,7 +262,6 @@ def _emitter(emitter: Emitter, functions: str, scales: Scales) -> str:
         text += _primitive("void", "brightfunc", modifier, (emitter.beam.spread,), words)
     radiance = emitter.radiance / scales.radiance
     text += _primitive(modifier, "light", f"{emitter.name}.light", (radiance, radiance, radiance))
-    disc = _ring(emitter.position, emitter.axis, emitter.radius, scales)
     return text + _primitive(f"{emitter.name}.light", "ring", emitter.name, disc)
 
 
