@@ -27,9 +27,11 @@ from radwrap.scene.camera import Sensor
 
 # Shares of the pixels, by how much gray changes around them, and of the sample: nearly all error lies at edges.
 _STRATA: Final[tuple[tuple[float, float], ...]] = ((0.1, 0.5), (0.2, 0.25), (0.7, 0.25))
-# Where something may hide something, half of the sample is drawn, in two strata of its own.
+# Where something may hide something, up to half of the sample is drawn, in two strata of its own: so many times more
+# than their share of the image.
 _RISKY_STRATA: Final[tuple[tuple[float, float], ...]] = ((0.3, 0.6), (0.7, 0.4))
 _RISKY_SHARE: Final = 0.5
+_RISKY_TIMES: Final = 5.0
 _FEWEST_IN_STRATUM: Final = 8
 _LOOKED_AT: Final = 1 << 16
 
@@ -131,8 +133,8 @@ def draw_pixels(
     # Of a large image some pixels, drawn evenly, stand for all.
     drawn = random.choice(number, min(number, _LOOKED_AT), replace=False, shuffle=False)
     apart = np.zeros(len(drawn), dtype=bool) if risky is None else risky.ravel()[drawn]
-    groups = [(drawn[~apart], _STRATA, 1 - _RISKY_SHARE if apart.any() else 1.0)]
-    groups.append((drawn[apart], _RISKY_STRATA, _RISKY_SHARE if not apart.all() else 1.0))
+    part_apart = 1.0 if apart.all() else min(_RISKY_SHARE, _RISKY_TIMES * float(apart.mean()))
+    groups = [(drawn[~apart], _STRATA, 1 - part_apart), (drawn[apart], _RISKY_STRATA, part_apart)]
     chosen: list[NDArray[np.intp]] = []
     sizes: list[int] = []
     for group, strata, part in groups:

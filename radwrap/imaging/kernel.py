@@ -30,7 +30,9 @@ _BASE_SHARE: Final = 0.25
 _LEVELS: Final = 2
 _SHARP_LEVELS: Final = 3
 _SHARP_BLUR: Final = 1.5  # px
-_COARSEST: Final = 64  # px
+_COARSEST: Final = 64.0  # px
+# Base cells of an image, at least: what is smaller than all of them may be missed, and then is only found as noise.
+_BASE_CELLS: Final = 1 << 14
 # Radii of blur [px] that are told apart: one layer does where all lie this close together, else layers this far apart.
 _SAME_RADIUS: Final = 0.02
 _LAYER_STEP: Final = 0.25
@@ -102,7 +104,7 @@ def grid_squares(
     return squares
 
 
-def plan_kernel(view: View, magnifications: NDArray[np.float64], aim: float) -> KernelPlan:
+def plan_kernel(view: View, magnifications: NDArray[np.float64], aim: float, finer: int = 0) -> KernelPlan:
     """Choose grid, layers and tiles.
 
     Parameters
@@ -113,6 +115,8 @@ def plan_kernel(view: View, magnifications: NDArray[np.float64], aim: float) -> 
         m of what is in view, from a survey.
     aim : float
         Rms error of one replicate to aim at [gray level].
+    finer : int
+        How often the grid's cells are halved, where the usual ones were found too coarse.
 
     Raises
     ------
@@ -123,12 +127,15 @@ def plan_kernel(view: View, magnifications: NDArray[np.float64], aim: float) -> 
     low, high = (float(magnifications.min()), float(magnifications.max())) if magnifications.size else (1.0, 1.0)
     layers = _layers(camera, low, high)
     blur = min(reach_px(camera, low))
-    base = 2 ** max(0, min(math.floor(math.log2(max(1.0, _BASE_SHARE * blur))), int(math.log2(_COARSEST))))
     sensor = camera.sensor
+    reach = reach_px(camera, high)
+    covered = (sensor.columns + 2 * reach[0]) * (sensor.rows + 2 * reach[1])
+    coarsest = min(_BASE_SHARE * blur, math.sqrt(covered / _BASE_CELLS), _COARSEST)
+    base = 2 ** math.floor(math.log2(max(1.0, coarsest)))
     opening = camera.aperture.area if not camera.aperture.is_infinitesimal else 0.0
     grid = GridPlan(
         base=base,
-        levels=_LEVELS if blur >= _SHARP_BLUR else _SHARP_LEVELS,
+        levels=(_LEVELS if blur >= _SHARP_BLUR else _SHARP_LEVELS) + finer,
         area=1 + opening * low**2 / (sensor.pixel_width * sensor.pixel_height),
         aim=aim,
         exposure_of_radiance=view.exposure_of_radiance,

@@ -47,8 +47,11 @@ _STEP_COST: Final = 0.32
 # Pixels where that may reach this share of the tolerance are looked at apart.
 _RISK_SHARE: Final = 0.1
 _ATTEMPTS: Final = 8
+# Where the size of the grid's cells takes more than this share of the tolerance they are halved, so often at most.
+_GRID_SHARE: Final = 0.5
+_FINEST: Final = 2
 # Pixels of the model's certificate, and pairs of each: where depth is even, and near steps; tried in turn.
-_EFFORTS: Final = ((512, 4, 64), (1024, 16, 256), (2048, 64, 1024))
+_EFFORTS: Final = ((512, 4, 16), (1024, 16, 128), (2048, 64, 1024))
 # A 99 % quantile without an exceedance among so many: 97.5 % sure of each half's 99.5 %.
 _QUANTILE_PIXELS: Final = 1024
 _QUANTILE: Final = 0.995
@@ -196,8 +199,8 @@ def met_by(magnification: NDArray[np.float64]) -> NDArray[np.float64]:
     return magnification[magnification > 1]
 
 
-def steps(view: View, magnification: NDArray[np.float64], least: float) -> NDArray[np.bool_]:
-    """Pixels, shape (rows, columns), that gather light across a step in depth.
+def steps(view: View, magnification: NDArray[np.float64], gray: NDArray[np.float64], least: float) -> NDArray[np.bool_]:
+    """Pixels, shape (rows, columns), that gather light across a step in depth that may matter.
 
     Parameters
     ----------
@@ -205,21 +208,36 @@ def steps(view: View, magnification: NDArray[np.float64], least: float) -> NDArr
         For its camera.
     magnification : ndarray, shape (rows, columns)
         Of the survey's grid.
+    gray : ndarray, shape (rows, columns)
+        The image [gray level].
     least : float
-        Smallest difference of magnifications that counts.
+        Smallest error that matters [gray level].
     """
-    sensor = view.camera.sensor
-    high = low = magnification
-    for axis, (size, reach) in enumerate(
-        zip((sensor.rows, sensor.columns), reach_px(view.camera, float(magnification.max()))[::-1], strict=True)
-    ):
-        far = min(math.ceil(reach * magnification.shape[axis] / size) + 1, magnification.shape[axis] - 1)
-        high, low = _extreme(high, axis, far, np.maximum), _extreme(low, axis, far, np.minimum)
-    rows, columns = (
-        np.arange(size) * n // size for size, n in zip((sensor.rows, sensor.columns), magnification.shape, strict=True)
-    )
-    wide: NDArray[np.bool_] = (high - low > least)[np.ix_(rows, columns)]
+    places = [_nearest(size, n) for size, n in zip(gray.shape, magnification.shape, strict=True)]
+    seen = gray[np.ix_(*places)]
+    # Where a survey's point lies between pixels, a step hides by so much: the reach, and a point more.
+    reach = reach_px(view.camera, float(magnification.max()))[::-1]
+    far = [
+        min(math.ceil(reach[axis] * n / size) + 1, n - 1)
+        for axis, (size, n) in enumerate(zip(gray.shape, magnification.shape, strict=True))
+    ]
+    cost = _STEP_COST * _range_nearby(magnification, far) * _range_nearby(seen, far)
+    back = [np.arange(size) * n // size for size, n in zip(gray.shape, magnification.shape, strict=True)]
+    wide: NDArray[np.bool_] = (cost > least)[np.ix_(*back)]
     return wide
+
+
+def _nearest(size: int, number: int) -> NDArray[np.intp]:
+    """Pixels in the middle of `number` equal parts of `size`."""
+    return ((np.arange(number) + 0.5) / number * size).astype(np.intp)
+
+
+def _range_nearby(values: NDArray[np.float64], far: list[int]) -> NDArray[np.float64]:
+    """Largest less smallest within so many steps along each axis."""
+    high = low = values
+    for axis, steps_away in enumerate(far):
+        high, low = _extreme(high, axis, steps_away, np.maximum), _extreme(low, axis, steps_away, np.minimum)
+    return high - low
 
 
 def _extreme(values: NDArray[np.float64], axis: int, far: int, choose: np.ufunc) -> NDArray[np.float64]:
@@ -279,6 +297,7 @@ class _Search:
         work.progress.expect(int(min(self.considered.values())))
         self.attempts: list[dict[str, Any]] = []
         self.reused = 0
+        self.finer = 0
         self.effort = 0 if demand.max_error is None else 1
 
     def run(self) -> Outcome:
@@ -314,7 +333,7 @@ class _Search:
     def _plan(self, method: ToleranceMethod, aim: float) -> KernelPlan | RaysPlan:
         if method == "rays":
             return plan_rays(self.view, aim)
-        return plan_kernel(self.view, met_by(self.found.magnification), aim)
+        return plan_kernel(self.view, met_by(self.found.magnification), aim, self.finer)
 
     def _attempt(self, method: ToleranceMethod, share: float, why: str) -> Outcome:
         number = replicates_needed(self._plan(method, share))
@@ -370,7 +389,7 @@ class _Search:
             return certificate_of(NOTHING, noise, quantile, pixels=0, rays=0), None, None
         radiance = replicates.mean
         gray = gray_levels(radiance * view.exposure_of_radiance, view.camera.sensor)
-        risky = steps(view, self.found.magnification, self._least_step(gray))
+        risky = steps(view, self.found.magnification, gray, _RISK_SHARE * self.demand.tolerance)
         while True:
             pixels, *pairs = _EFFORTS[self.effort]
             if self.demand.max_error is not None:
@@ -391,11 +410,6 @@ class _Search:
             quantile = noise_quantile(errors, noise) + model_quantile(found, sample)
         return certificate_of(model, noise, quantile, pixels=len(sample.pixels), rays=found.rays), found, sample
 
-    def _least_step(self, gray: NDArray[np.float64]) -> float:
-        """Difference of magnifications that matters at the tolerance."""
-        contrast = max(float(gray.max() - gray.min()), 1e-9)
-        return _RISK_SHARE * self.demand.tolerance / (_STEP_COST * contrast)
-
     def _is_spent(self, outcome: Outcome) -> bool:
         """Whether another attempt, which takes about twice the rays at least, would pass the budget."""
         budget = self.demand.budget
@@ -407,21 +421,17 @@ class _Search:
     def _next(self, outcome: Outcome, share: float, why: str) -> tuple[ToleranceMethod, float, str]:
         """What to try after an image that does not keep the tolerance."""
         certificate, wanted = outcome.certificate, self.demand.tolerance
-        noise = certificate.discretisation_rms_gray
-        if outcome.method == "kernel":
-            rest = math.sqrt(max(certificate.rms_gray_upper95**2 - noise**2, 0.0))
-            stuck = len(self.attempts) >= 2 and noise > 0.7 * self._noise_before(outcome)
-            if self.demand.method is None and (
-                certificate.model_rms_gray > _MODEL_SHARE * wanted or rest > wanted or stuck
-            ):
-                self.attempts[-1]["left_because"] = "model" if not stuck else "grid"
-                return "rays", self._first_share("rays"), "the kernel's certificate did not hold"
-        self.attempts[-1]["noise"] = noise
-        return outcome.method, share / 2, why
-
-    def _noise_before(self, outcome: Outcome) -> float:
-        before = self.attempts[-2].get("noise", math.inf)
-        return float(before)
+        if outcome.method == "rays":
+            return "rays", share / 2, why
+        grid = math.sqrt(outcome.replicates.grid_square)
+        if grid > _GRID_SHARE * wanted and self.finer < _FINEST:
+            self.finer += 1
+            return "kernel", share, why
+        rest = math.sqrt(max(certificate.rms_gray_upper95**2 - certificate.discretisation_rms_gray**2, 0.0))
+        stuck = certificate.model_rms_gray > _MODEL_SHARE * wanted or rest > wanted or grid > _GRID_SHARE * wanted
+        if self.demand.method is None and (stuck or share < wanted * _AIM_SHARE / 4):
+            return "rays", self._first_share("rays"), "the kernel's certificate did not hold"
+        return "kernel", share / 2, why
 
 
 def certificate_of(model: Bounded, noise: Bounded, quantile: float | None, *, pixels: int, rays: int) -> Certificate:

@@ -27,8 +27,8 @@ Plan = KernelPlan | RaysPlan
 _LOOKS: Final = 8
 _HANGS_TOGETHER: Final = 1.2
 # Degrees of freedom that are asked for: the bound is then a third above the error at most.
-_DEGREES: Final = 40
-_MOST_REPLICATES: Final = 16
+_DEGREES: Final = 30
+_MOST_REPLICATES: Final = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
