@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 import radwrap
 from radwrap.images import GrayImage
 from radwrap.imaging.sensor import gray_levels
+from radwrap.imaging.truth import geometry
 from radwrap.measure.edges import Edge, measure_edge
-from radwrap.scene.geometry import geometry
 from radwrap.scene.scene import Scene
 
 SCENE: Final = Path(__file__).resolve().parent.parent / "rad_scenes" / "fig11_edge" / "scene.toml"

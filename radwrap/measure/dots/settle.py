@@ -18,7 +18,7 @@ from radwrap.measure.dots.order import Lattice, order
 from radwrap.measure.dots.plane import Matrix, fit_homography, is_regular, jacobian, project
 from radwrap.measure.dots.result import REMEDY, DotsNotFound, missing, too_many
 from radwrap.measure.dots.split import refined
-from radwrap.measure.dots.survey import Grid, Survey, board_of, patch_means, survey, windows
+from radwrap.measure.dots.survey import Grid, Survey, board_of, patch_means, sampled, survey, windows
 
 Field = NDArray[np.float64]
 
@@ -32,6 +32,11 @@ HYPOTHESES: Final = 3
 # Share of neighbours in a row that may be no brighter than what lies between them: noise, missing dots.
 MOST_BRIGHTER: Final = 0.25
 UNSEEN_PATCH: Final = 0.08  # [pitch]
+# Where dots run together the dark between them is looked at so far from a corner of their cells [pitch]; its centre
+# lies aside by less than this unless the grid strayed: right grids of saturated boards show 0.003, strayed ones 0.06.
+GAP_REACH: Final = 0.35
+GAP_SAMPLES: Final = 7
+LARGEST_ASIDE: Final = 0.03
 OUTSIDE_PATCH: Final = 0.06  # [pitch]
 ROUNDS: Final = 4
 # The grid is settled once no dot's place moves by more [px].
@@ -227,8 +232,33 @@ def _settled(grid: Grid, noise: float) -> tuple[Grid, Survey]:
     found = survey(grid, noise, found.model if found else None)
     if found.model is not None and found.touching.any():
         grid, found = _parted(grid, found)
+    if found.touching.any():
+        _check_gaps(grid)
     _check_border(grid, found.radius)
     return grid, found
+
+
+def _check_gaps(grid: Grid) -> None:
+    """Where dots run together, what is dark lies about the corners between them; a grid that strayed has it aside.
+
+    A model of light cannot tell where dots are when all of them are saturated, and may walk off with the grid.
+    """
+    rows, columns = grid.shape
+    corners = np.array([(c + 0.5, r + 0.5) for r in range(rows - 1) for c in range(columns - 1)])
+    steps = np.linspace(-GAP_REACH, GAP_REACH, 2 * GAP_SAMPLES + 1)
+    around = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    gray = sampled(grid.values, project(grid.homography, corners[:, None, :] + around))
+    darkness = np.nan_to_num(np.nanmax(gray, axis=1, keepdims=True) - gray)
+    weight = darkness.sum(axis=1)
+    seen = weight > 0
+    aside = np.einsum("nk,kx->nx", darkness[seen], around) / weight[seen, None]
+    if not seen.any() or float(np.hypot(*np.median(aside, axis=0))) > LARGEST_ASIDE:
+        raise DotsNotFound(
+            f"found no {rows} x {columns} dots that can be told apart: they run together",
+            np.empty((0, 2)),
+            np.empty((0, 2)),
+            remedy="shorten the exposure if the picture is saturated, or sharpen it",
+        )
 
 
 def _check_between(grid: Grid) -> None:
