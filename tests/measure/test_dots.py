@@ -377,3 +377,52 @@ def test_the_overlay_shows_every_dot() -> None:
 def test_all_methods_share_one_search() -> None:
     picture = drawn()
     assert set(find_dots_by(picture.gray, 5, 5, pitch=PITCH, dot_diameter=DIAMETER)) == set(METHODS)
+
+
+# ---- saturated boards --------------------------------------------------------------------------------------------
+
+
+def saturated_board(times: float) -> Picture:
+    """The paper's board and blur, exposed so many times too long; the sensor clips at 181."""
+    picture = drawn(tilt=46, turn=6, blur=3.67, levels=(22.0, 22 + 160 * times))
+    return Picture(GrayImage(np.rint(np.minimum(picture.gray.values, 181)), 8), picture.truth, picture.homography)
+
+
+@pytest.mark.parametrize("times", [2.6, 4.0, 6.0])
+def test_a_heavily_saturated_board_is_right_or_an_error(times: float) -> None:
+    """Never the lattice of the gaps, half a pitch off, nor one that a model of clipped light has moved.
+
+    1 px is a tenth of the smaller pitch: centres of saturated dots shift, but stay the dots' own.
+    """
+    picture = saturated_board(times)
+    for options in ({}, {"pitch": PITCH, "dot_diameter": DIAMETER}):
+        try:
+            dots = find_dots(picture.gray, 5, 5, method="ellipse", **options)
+        except DotsNotFound:
+            assert times > 5, "the gaps still tell where the dots are"
+            continue
+        assert dots.contrast == "bright"
+        assert np.abs(dots.centres - picture.truth).max() < 1.0
+
+
+def test_the_gaps_between_saturated_dots_are_no_grid() -> None:
+    """Given 25 gaps and notches as a lattice, the board outside is missing."""
+    from radwrap.measure.dots.settle import _outside
+    from radwrap.measure.dots.survey import Grid, survey
+
+    picture = saturated_board(4.0)
+    half = picture.homography @ np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
+    for sign, matrix, wrong in ((-1, half, True), (1, picture.homography, False)):
+        places = project(matrix, found_board(5, 5))
+        grid = Grid(picture.gray.values * sign, sign, (5, 5), matrix / matrix[2, 2], places, None, None, 181.0)
+        assert (_outside(grid, survey(grid, 0.3)) is not None) == wrong
+
+
+def test_sparse_saturated_dots_under_noise_are_bright() -> None:
+    """Here the dark between the dots used to be taken for the dots, and nothing was found."""
+    rng = np.random.default_rng(3)
+    picture = drawn(tilt=40, turn=6.4, pitch=23.7, ratio=0.5, levels=(22, 372))
+    gray = np.rint(np.clip(picture.gray.values + rng.normal(0, 1.5, picture.gray.values.shape), 0, 181))
+    dots = find_dots(GrayImage(gray, 8), 5, 5)
+    assert dots.contrast == "bright"
+    assert np.abs(dots.centres - picture.truth).max() < 0.5

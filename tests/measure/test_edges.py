@@ -13,6 +13,7 @@ from radwrap.cli import measure_edge as command
 from radwrap.errors import InputError
 from radwrap.images import GrayImage, write_png
 from radwrap.measure.edges import Edge, disc_edge, measure_edge, pixel_edge
+from radwrap.measure.edges.correlation import variance_factor
 
 Array = NDArray[np.float64]
 
@@ -163,6 +164,36 @@ def test_standard_errors_cover_what_noise_does() -> None:
         assert np.all(np.abs(inside - expected) < 3.5 * math.sqrt(expected * (1 - expected) / count)), inside
 
 
+def test_standard_errors_cover_rounding_that_is_the_same_in_every_row() -> None:
+    """Fifty places of an edge along the columns, gamma fitted, no noise: a pixel count would say 0.03 px of 0.09.
+
+    Errors of 50 places within one pixel are nearly independent; bounds are 3.5 binomial standard deviations wide,
+    upwards they are open: what is not known may be overstated, not understated.
+    """
+    count, pulls = 50, []
+    for i in range(count):
+        place = 30 + i / count
+        edge = measure_edge(GrayImage(np.rint(gray(share(0.0, place, 3.67, shape=(24, 60)), 0.85, 22, 62).values)))
+        pulls.append([(edge.centre[0] - place) / edge.sigma_position, (edge.gamma - 0.85) / edge.sigma_gamma])
+    for sigmas, expected in ((1, 0.683), (2, 0.954), (3, 0.997)):
+        inside = np.mean(np.abs(pulls) < sigmas, axis=0)
+        assert np.all(inside > expected - 3.5 * math.sqrt(expected * (1 - expected) / count)), (sigmas, inside)
+    # Nor is it overstated so far that it tells nothing.
+    assert np.all(np.mean(np.square(pulls), axis=0) > 0.2)
+
+
+def test_independent_noise_raises_no_variance_and_rows_alike_raise_it_by_their_number() -> None:
+    """Hand-made residuals on 20 rows of 40 pixels: 20 equal rows are one; the factor scatters by sqrt(2/40)."""
+    generator = np.random.default_rng(8)
+    v, u = (index.ravel().astype(float) for index in np.indices((20, 40)))
+    factors = [variance_factor(u, v, generator.normal(size=800)) for _ in range(40)]
+    assert np.mean(np.equal(factors, 1.0)) >= 0.95
+    alike = [variance_factor(u, v, np.tile(generator.normal(size=40), 20)) for _ in range(40)]
+    # Neighbours that go together by chance are counted, those that do not are not: some 15 % too much.
+    assert 18 < np.mean(alike) < 26
+    assert variance_factor(u, v, np.zeros(800)) == 1.0
+
+
 @pytest.mark.parametrize("angle", [0.5, -1.1])
 def test_the_covariance_gives_the_error_where_the_edge_is(angle: float) -> None:
     """A line moves at c by d offset - (c . n') d angle, n' = (-sin, cos): at the centre that is sigma_position."""
@@ -269,7 +300,11 @@ def test_the_command_tells_what_the_function_finds(tmp_path: Path, capsys: pytes
         [told["sigma_offset"], told["sigma_angle"], told["sigma_radius"], told["sigma_gamma"]]
     )
     assert run(str(path)) == 0
-    assert "gamma: 1.0" in capsys.readouterr().out
+    told_plainly = capsys.readouterr().out
+    assert "gamma: 1.0" in told_plainly
+    assert "place and gamma can hardly be told apart" in told_plainly
+    assert run(str(path), "--gamma", "1") == 0
+    assert "told apart" not in capsys.readouterr().out
 
 
 def test_errors_of_the_command_name_file_or_option(tmp_path: Path) -> None:

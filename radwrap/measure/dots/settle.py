@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Final
 
@@ -11,13 +12,13 @@ from numpy.typing import NDArray
 
 from radwrap.images import GrayImage
 from radwrap.measure.dots.centres import Centre, centre
-from radwrap.measure.dots.contrast import likelier_contrast
+from radwrap.measure.dots.contrast import JUST_OUTSIDE, LIKE_A_DOT, likelier_contrast
 from radwrap.measure.dots.detect import blobs
 from radwrap.measure.dots.order import Lattice, order
 from radwrap.measure.dots.plane import Matrix, fit_homography, is_regular, jacobian, project
 from radwrap.measure.dots.result import REMEDY, DotsNotFound, missing, too_many
 from radwrap.measure.dots.split import refined
-from radwrap.measure.dots.survey import Grid, Survey, board_of, patch_means, survey, windows
+from radwrap.measure.dots.survey import Grid, Survey, board_of, patch_means, sampled, survey, windows
 
 Field = NDArray[np.float64]
 
@@ -31,6 +32,12 @@ HYPOTHESES: Final = 3
 # Share of neighbours in a row that may be no brighter than what lies between them: noise, missing dots.
 MOST_BRIGHTER: Final = 0.25
 UNSEEN_PATCH: Final = 0.08  # [pitch]
+# Where dots run together the dark between them is looked at so far from a corner of their cells [pitch]; its centre
+# lies aside by less than this unless the grid strayed: right grids of saturated boards show 0.003, strayed ones 0.06.
+GAP_REACH: Final = 0.35
+GAP_SAMPLES: Final = 7
+LARGEST_ASIDE: Final = 0.03
+OUTSIDE_PATCH: Final = 0.06  # [pitch]
 ROUNDS: Final = 4
 # The grid is settled once no dot's place moves by more [px].
 SETTLED: Final = 0.03
@@ -83,22 +90,39 @@ def grid_in(
         raise DotsNotFound(f"found 0 of {number} dots", nothing, nothing, remedy=REMEDY)
     sign = likelier_contrast(image.values, {one: tried[0] for one, tried in lattices.items()})
     failed: DotsNotFound | None = None
-    for lattice in lattices[sign]:
+    for likely, lattice in _hypotheses(lattices, sign, number):
         try:
             grid, found = _settled(
-                _grid(image, sign, shape, lattice, noise=noise, radius=radius, saturation=saturation), noise
+                _grid(image, likely, shape, lattice, noise=noise, radius=radius, saturation=saturation), noise
             )
+            if likely != sign:
+                _check_beyond(grid, found, noise)
         except DotsNotFound as error:
             # The likeliest lattice tells the user most.
             failed = error if failed is None or len(failed.found) == 0 else failed
             continue
         # Outside the loop's error: a grid that is whole and goes on is no matter of scale.
         _check_beyond(grid, found, noise)
-        return grid, found
+        misfit = _outside(grid, found)
+        if misfit is None:
+            return grid, found
+        failed = failed or misfit
     best = lattices[sign][0]
     if failed is None or (best.found == number and len(best.beyond) >= min(shape)):
         raise too_many(shape, "around", best.image) from failed
     raise failed
+
+
+def _hypotheses(lattices: dict[int, list[Lattice]], sign: int, number: int) -> Iterator[tuple[int, Lattice]]:
+    """Contrast and lattice, the likeliest first; of the other contrast only what is whole and nothing more.
+
+    The gaps between dots are a lattice too, but they end in notches at the board's rim, or are too few.
+    """
+    for lattice in lattices[sign]:
+        yield sign, lattice
+    for lattice in lattices.get(-sign, []):
+        if lattice.found == number and len(lattice.beyond) == 0:
+            yield -sign, lattice
 
 
 def _lattices(image: GrayImage, shape: tuple[int, int]) -> dict[int, list[Lattice]]:
@@ -208,19 +232,47 @@ def _settled(grid: Grid, noise: float) -> tuple[Grid, Survey]:
     found = survey(grid, noise, found.model if found else None)
     if found.model is not None and found.touching.any():
         grid, found = _parted(grid, found)
+    if found.touching.any():
+        _check_gaps(grid)
     _check_border(grid, found.radius)
     return grid, found
+
+
+def _check_gaps(grid: Grid) -> None:
+    """Where dots run together, what is dark lies about the corners between them; a grid that strayed has it aside.
+
+    A model of light cannot tell where dots are when all of them are saturated, and may walk off with the grid.
+    """
+    rows, columns = grid.shape
+    corners = np.array([(c + 0.5, r + 0.5) for r in range(rows - 1) for c in range(columns - 1)])
+    steps = np.linspace(-GAP_REACH, GAP_REACH, 2 * GAP_SAMPLES + 1)
+    around = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    gray = sampled(grid.values, project(grid.homography, corners[:, None, :] + around))
+    darkness = np.nan_to_num(np.nanmax(gray, axis=1, keepdims=True) - gray)
+    weight = darkness.sum(axis=1)
+    seen = weight > 0
+    aside = np.einsum("nk,kx->nx", darkness[seen], around) / weight[seen, None]
+    if not seen.any() or float(np.hypot(*np.median(aside, axis=0))) > LARGEST_ASIDE:
+        raise DotsNotFound(
+            f"found no {rows} x {columns} dots that can be told apart: they run together",
+            np.empty((0, 2)),
+            np.empty((0, 2)),
+            remedy="shorten the exposure if the picture is saturated, or sharpen it",
+        )
 
 
 def _check_between(grid: Grid) -> None:
     """Refuse a lattice that counts each long dot twice: half way between its halves it is brightest."""
     board, number = grid.board, np.arange(grid.shape[0] * grid.shape[1]).reshape(grid.shape)
+    highest = float(grid.values.max())
     dots = patch_means(grid.values, grid.homography, board, UNSEEN_PATCH / 2)
     for here, there in ((number[:, :-1], number[:, 1:]), (number[:-1], number[1:])):
         first, second = here.ravel(), there.ravel()
         middle = patch_means(grid.values, grid.homography, (board[first] + board[second]) / 2, UNSEEN_PATCH / 2)
         with np.errstate(invalid="ignore"):
-            brighter = middle >= (dots[first] + dots[second]) / 2
+            # Where dots and what lies between them reach the highest level, the picture is saturated, and equal
+            # levels tell nothing.
+            brighter = (middle >= (dots[first] + dots[second]) / 2) & (middle < highest)
         if brighter.mean() > MOST_BRIGHTER:
             nothing = np.empty((0, 2))
             raise DotsNotFound(f"found 0 of {number.size} dots", nothing, nothing, remedy=REMEDY)
@@ -270,18 +322,56 @@ def _check_border(grid: Grid, radius: float) -> None:
 _CORNERS: Final = np.array([(-0.5, -0.5), (0.5, -0.5), (-0.5, 0.5), (0.5, 0.5)])
 
 
+def _sides(shape: tuple[int, int], step: float) -> dict[str, Field]:
+    """Places that lie `step` outside the outermost dots of each side, shape (dots, 2) [pitch]."""
+    rows, columns = shape
+    sides = {
+        "above": [(c, -step) for c in range(columns)],
+        "below": [(c, rows - 1 + step) for c in range(columns)],
+        "left of": [(-step, r) for r in range(rows)],
+        "right of": [(columns - 1 + step, r) for r in range(rows)],
+    }
+    return {side: np.array(places, dtype=np.float64) for side, places in sides.items()}
+
+
+def _outside(grid: Grid, found: Survey) -> DotsNotFound | None:
+    """An error where the picture does not look like board just outside the grid.
+
+    A grid that reaches past the dots on one side leaves out dots on the other; one of the gaps between dots
+    has the board's dark surroundings outside. On a board the dots end where the grid does.
+    """
+    number = np.arange(len(grid.board)).reshape(grid.shape)
+    border = {"above": number[0], "below": number[-1], "left of": number[:, 0], "right of": number[:, -1]}
+    for side, points in _sides(grid.shape, JUST_OUTSIDE).items():
+        if not is_regular(grid.homography, points):
+            continue
+        dots = border[side]
+        gray = patch_means(grid.values, grid.homography, points, OUTSIDE_PATCH)
+        inwards = patch_means(grid.values, grid.homography, grid.board[dots], OUTSIDE_PATCH)
+        # The darkest corner of a dot's cell: the others may hold a neighbour's light.
+        corners = patch_means(grid.values, grid.homography, grid.board[dots][:, None, :] + _CORNERS, OUTSIDE_PATCH)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            gap = corners.min(axis=1)
+            like_dots = (gray - gap) / (inwards - gap)
+        like_dots = like_dots[np.isfinite(like_dots)]
+        if len(like_dots) and float(np.median(like_dots)) > LIKE_A_DOT:
+            nothing = np.empty((0, 2))
+            return DotsNotFound(
+                f"found 0 of {number.size} dots: what looks like a grid has no board {side} it",
+                nothing,
+                nothing,
+                remedy=REMEDY,
+            )
+    return None
+
+
 def _check_beyond(grid: Grid, found: Survey, noise: float) -> None:
     """A row of dots just outside the grid means that another grid was asked for."""
     rows, columns = grid.shape
     levels = found.levels.reshape(rows, columns)
-    sides = {
-        "above": ([(c, -1.0) for c in range(columns)], levels[0]),
-        "below": ([(c, float(rows)) for c in range(columns)], levels[-1]),
-        "left of": ([(-1.0, r) for r in range(rows)], levels[:, 0]),
-        "right of": ([(float(columns), r) for r in range(rows)], levels[:, -1]),
-    }
-    for side, (places, neighbours) in sides.items():
-        points = np.array(places, dtype=np.float64)
+    border = {"above": levels[0], "below": levels[-1], "left of": levels[:, 0], "right of": levels[:, -1]}
+    for side, points in _sides(grid.shape, 1.0).items():
+        neighbours = border[side]
         if not is_regular(grid.homography, points):
             continue
         core = patch_means(grid.values, grid.homography, points, 0.4 * found.radius)

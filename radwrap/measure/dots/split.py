@@ -70,6 +70,7 @@ class _Crop:
     values: Field  # (rows, columns)
     design: Field  # (pixels, 3): 1, u, v
     used: NDArray[np.bool_]  # pixels that the model must explain
+    clipped: NDArray[np.bool_]  # of those, at the highest level: the light may be more
     dot: NDArray[np.intp]  # of each pixel: the nearest dot
     light: Field  # of each pixel, against that in the nearest dot's centre
     distance: Field  # of each sub-sample from the nearest dot's centre [pitch]
@@ -179,6 +180,7 @@ def _crop(values: Field, homography: Matrix, shape: tuple[int, int], binning: in
         values=part,
         design=np.column_stack([np.ones(part.size), np.tile(u, len(v)), np.repeat(v, len(u))]),
         used=used,
+        clipped=used & (part >= float(values.max())),
         dot=dot,
         light=_light(slopes[dot], away),
         distance=distance,
@@ -211,7 +213,8 @@ def _explained(crop: _Crop, levels: Field, radius: float, blur: Field, rounds: i
     cover = _cover(crop.distance, crop.sharpness, radius) * crop.light
     kernel = _Blur(cover.shape, blur)
     shares = np.maximum(np.bincount(crop.dot.ravel(), cover.ravel(), len(levels)), 1e-3)
-    use = crop.used.ravel()
+    use, clipped = crop.used.ravel(), crop.clipped.ravel()
+    told_exactly = use & ~clipped
     gray = crop.values.ravel()
     rest, background = gray, np.zeros(3)
     for step in range(rounds + 1):
@@ -219,10 +222,11 @@ def _explained(crop: _Crop, levels: Field, radius: float, blur: Field, rounds: i
         # One factor for all levels and the background at once, then each level by how much its own light is
         # over- or under-told.
         columns = np.column_stack([light, crop.design])
-        normal = columns[use].T @ columns[use]
-        factor, *plane = np.linalg.lstsq(normal, columns[use].T @ gray[use], rcond=None)[0]
+        exact = columns[told_exactly]
+        factor, *plane = np.linalg.lstsq(exact.T @ exact, exact.T @ gray[told_exactly], rcond=None)[0]
         levels, background = levels * factor, np.array(plane)
         rest = np.where(use, gray - crop.design @ background - factor * light, 0.0)
+        rest = np.where(clipped, np.maximum(rest, 0.0), rest)
         if step < rounds:
             told = np.bincount(crop.dot.ravel(), (cover * kernel(rest.reshape(cover.shape))).ravel(), len(levels))
             levels = np.maximum(levels + LEVEL_GAIN * told / shares, 0.0)
@@ -344,9 +348,12 @@ def refined(values: Field, homography: Matrix, board: Field, slopes: Field, mode
     shape = (len(used), count)
     light = sparse.csr_array((np.concatenate(entries), (rows, np.concatenate(columns))), shape=shape)
     plane = np.column_stack([np.ones(len(used)), used % width, used // width])
-    design = sparse.hstack([light, sparse.csr_array(plane)]).tocsc()
+    gray = values.ravel()[used]
+    # A clipped pixel does not tell its light, so nothing of where dots are.
+    exact = gray < gray.max()
+    design = sparse.hstack([light, sparse.csr_array(plane)]).tocsr()[exact].tocsc()
     normal = (design.T @ design).toarray() if count < DENSE else None
-    target = design.T @ values.ravel()[used]
+    target = design.T @ gray[exact]
     if normal is not None:
         solution = np.linalg.lstsq(normal, target, rcond=1e-13)[0]
     else:

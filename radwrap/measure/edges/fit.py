@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from radwrap.errors import InputError
 from radwrap.images import GrayImage
 from radwrap.measure.background import QUANTISATION
+from radwrap.measure.edges.correlation import variance_factor
 from radwrap.measure.edges.profile import pixel_edge
 from radwrap.measure.edges.search import Line, find_line, normal_angle
 
@@ -85,6 +86,16 @@ class Edge:
     half_width: float
     length: float
 
+    @property
+    def position_gamma_correlation(self) -> float:
+        """Of the place across the edge, at the centre, and gamma; 0 where gamma was given."""
+        if self.sigma_gamma == 0 or self.sigma_position == 0:
+            return 0.0
+        u, v = self.centre
+        lever = u * math.sin(self.angle) - v * math.cos(self.angle)
+        together = self.covariance[0, 3] + lever * self.covariance[1, 3]
+        return float(together / (self.sigma_position * self.sigma_gamma))
+
 
 def measure_edge(
     image: GrayImage,
@@ -117,8 +128,8 @@ def measure_edge(
     Returns
     -------
     Edge
-        With standard errors from the Jacobian and the residual. They count noise as independent from pixel
-        to pixel; rounding of an edge along rows or columns in even light is not.
+        With standard errors from the Jacobian and the residual, raised where the residual is not independent
+        from pixel to pixel: rounding, for one, is the same in every row of an edge along the columns.
 
     Raises
     ------
@@ -387,6 +398,9 @@ def _edge(model: _Model, parameters: Array, free: NDArray[np.bool_], saturated: 
     variance = float(residual @ residual) / max(count - int(free.sum()), 1)
     if (model.strip.gray == np.rint(model.strip.gray)).all():
         variance = max(variance, QUANTISATION)  # a fit without residual does not take rounding away
+    used = model.strip.usable
+    d, s = (way(model.strip.u, model.strip.v)[used] for way in (model.line.across, model.line.along))
+    variance *= variance_factor(d, s, residual)
     covariance = np.zeros((free.size, free.size))
     covariance[np.ix_(free, free)] = variance * (inverse @ inverse.T) / np.outer(norms, norms)
     (low, high), both = model.levels(parameters)
