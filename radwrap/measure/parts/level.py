@@ -85,7 +85,8 @@ def fitted_level(
     count = int(where.sum())
     degree = next((d for d, needed in SMALLEST_FOR_DEGREE.items() if d <= highest and count >= needed), 0)
     terms = powers(2 * u / max(columns - 1, 1) - 1, 2 * v / max(rows - 1, 1) - 1, degree)
-    inverse = np.linalg.pinv(terms[:, where].T) if count else np.zeros((len(terms), 0))
+    pinv = np.linalg.pinv(terms[:, where].T) if count else np.zeros((len(terms), 0))
+    inverse = np.asarray(pinv, dtype=np.float64)
     difference = (light - base)[where]
     coefficients = inverse @ difference
     surface = base + np.tensordot(coefficients, terms, 1)
