@@ -5,13 +5,14 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test lint bench povray clean help
+.PHONY: demo test lint bench bias povray clean help
 
 help:
 	@echo "make demo   set up, render the calibration board, say where the picture lies"
 	@echo "make test   set up (POV-Ray by apt where missing), lint, run all tests"
 	@echo "make lint   ruff and mypy --strict"
 	@echo "make bench  speed, overhead and memory, measured on this machine"
+	@echo "make bias   bias of algorithms on predicted images, with plots"
 
 demo: $(READY)
 	@$(BIN)/radwrap render rad_scenes/bench_board/scene.toml --out out/demo
@@ -27,6 +28,9 @@ lint: $(READY)
 
 bench: $(READY)
 	@$(BIN)/python scripts/bench.py
+
+bias: $(READY)
+	@$(BIN)/python scripts/bias_studies.py
 
 # A changed lock file or project file sets the environment up again; otherwise this is done at once.
 $(READY): requirements.lock pyproject.toml

@@ -34,6 +34,9 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument(
         "--gamma", metavar="G", type=float, default=1.0, help="exponent of the sensor's response (default 1)"
     )
+    parser.add_argument(
+        "--pixel-aspect", metavar="A", type=float, default=1.0, help="height of a pixel over its width (default 1)"
+    )
     parser.add_argument("--overlay", metavar="PNG", type=Path, help="picture of what was found")
     shared.add_json(parser)
     parser.set_defaults(run=run)
@@ -51,6 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
             min_area=arguments.min_area,
             dark=arguments.dark,
             gamma=arguments.gamma,
+            pixel_aspect=arguments.pixel_aspect,
         )
     except InputError as error:
         raise _located(error, arguments.image) from error
@@ -62,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _located(error: InputError, path: Path) -> InputError:
     """The file's name, or the option's, where the function speaks of its arguments."""
-    names = {"threshold": "--threshold", "min_area": "--min-area", "gamma": "--gamma", "dark": "--dark"}
+    names = {name: f"--{name.replace('_', '-')}" for name in ("threshold", "min_area", "gamma", "dark", "pixel_aspect")}
     where = error.where if error.where.startswith("--") else names.get(error.where, str(path))
     return InputError(error.what, where=where, remedy=error.remedy)
 
@@ -73,6 +77,7 @@ def _json(found: Parts, arguments: argparse.Namespace) -> dict[str, Any]:
         "image": str(arguments.image),
         "pixel_convention": "u is the column, v the row; the centre of the first pixel is (0, 0)",
         "angles": "rad, from u towards v, in -pi/2 to pi/2",
+        "pixel_aspect": arguments.pixel_aspect,
         "contrast": found.kind,
         "count": len(found.parts),
         "parts": [_entry(part) for part in found.parts],

@@ -171,24 +171,28 @@ def write_study(study: Study, folder: Path) -> tuple[Path, Path]:
 def _picture(study: Study) -> bytes:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(7, 6), layout="constrained")
+    figure = Figure(figsize=(8, 6), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True)
-    for method in dict.fromkeys(point.method for point in study.points):
-        curve = [point for point in study.points if point.method == method and not point.failure]
-        values = [point.value for point in curve]
-        above.plot(values, [point.bias for point in curve], "o-", label=method)
-        below.plot(values, [point.scatter for point in curve], "o-", label=method)
-    for point in study.points:
-        if point.failure:
-            below.axvline(point.value, color="0.8", zorder=0)
+    for number, method in enumerate(dict.fromkeys(point.method for point in study.points)):
+        points = [point for point in study.points if point.method == method]
+        # Curves may lie on each other: markers differ in shape, and what failed stands on the lower border.
+        marker, colour = "osD^v"[number % 5], f"C{number}"
+        for axes, quantity in ((above, "bias"), (below, "scatter")):
+            values = [math.nan if point.failure else getattr(point, quantity) for point in points]
+            axes.plot([point.value for point in points], values, f"{marker}-", color=colour, label=method, alpha=0.8)
+        failed = [point.value for point in points if point.failure]
+        height = 0.04 + 0.05 * number
+        below.plot(failed, [height] * len(failed), "x", color=colour, transform=below.get_xaxis_transform())
     above.set_title(study.title)
-    above.set_ylabel("bias [px]")
-    below.set_ylabel("scatter or standard error [px]")
-    below.set_xlabel(f"{study.axis}   (gray line: a method found nothing)")
+    above.set_ylabel("length of mean error [px]")
+    below.set_ylabel("scatter [px]")
+    below.set_xlabel(study.axis)
     for axes in (above, below):
         axes.set_yscale("log")
-        axes.grid(visible=True, which="both", alpha=0.3)
-    above.legend(fontsize="small")
+        axes.grid(visible=True, which="major", alpha=0.4)
+    figure.legend(*above.get_legend_handles_labels(), loc="outside right upper", fontsize="small")
+    if any(point.failure for point in study.points):
+        figure.supxlabel("x on the lower border: that method gave no answer", fontsize="small", color="0.3")
     content = BytesIO()
     figure.savefig(content, format="png", dpi=110, metadata={"Software": None})
     return content.getvalue()

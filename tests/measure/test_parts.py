@@ -199,6 +199,73 @@ def test_the_background_is_found_behind_a_large_part() -> None:
     assert np.abs(surface - light).max() < 0.5
 
 
+def test_light_that_varies_under_the_blur_moves_no_part() -> None:
+    """Slope g of ln light moves a centroid by g (R^2/4 + 1/12), here 0.08 px."""
+    u = np.indices(SHAPE)[1]
+    unblurred = np.exp(0.03 * (u - 36.0)) * (1 - 0.95 * ellipse(34.3, 30.7, 16, 9, 0.4))
+    part = only(GrayImage(100 * bench.blurred(np.pad(unblurred, 20, mode="edge"), 3.2)[20:-20, 20:-20], bit_depth=16))
+    assert (part.u, part.v) == pytest.approx((34.3, 30.7), abs=0.01)
+
+
+def test_blur_that_is_round_on_oblong_pixels_turns_no_axis() -> None:
+    """Second moments of the blur differ along rows and columns: an axis at 45 degrees turns by 7 mrad."""
+    radius, aspect = 3.2, 1.25
+    finer = bench.coverage(bench.placed([bench.circle(720, 1.0) * [64, 36]], 145.5, 129.5, 0.7), 260, 290)
+    blurred = bench.blurred(finer, radius * 4)
+    cells = blurred.reshape(52, 5, 290)[:, :, :288].reshape(52, 5, 72, 4).mean(axis=(1, 3))
+    image = GrayImage(200 - 160 * cells, bit_depth=16)
+    # Four fine pixels make a column, five a row.
+    true = (
+        math.atan2(
+            2 * 0.5 * math.sin(1.4) * (64**2 - 36**2) / 20,
+            (64**2 * math.cos(0.7) ** 2 + 36**2 * math.sin(0.7) ** 2) / 16
+            - (64**2 * math.sin(0.7) ** 2 + 36**2 * math.cos(0.7) ** 2) / 25,
+        )
+        / 2
+    )
+    assert only(image, pixel_aspect=aspect).orientation == pytest.approx(true, abs=1e-3)
+    assert abs(only(image).orientation - true) > 3e-3
+    assert only(image, pixel_aspect=aspect).blur_radius == pytest.approx(radius, rel=0.05)
+
+
+@pytest.mark.parametrize("kinds", [{}, {"dark": 22.0, "gamma": 0.85}])
+@pytest.mark.parametrize(("width", "centre"), [(26, (36, 32)), (30, (50, 45)), (34, (15, 50))])
+def test_a_narrow_beam_makes_no_parts_of_the_corners(
+    width: float, centre: tuple[int, int], kinds: dict[str, float]
+) -> None:
+    """The beam falls to nothing at the border; a part in it is found, and nothing without it."""
+    v, u = np.indices(SHAPE)
+    light = np.exp(-4 * math.log(2) * ((u - centre[0]) ** 2 + (v - centre[1]) ** 2) / width**2)
+    noise = np.random.default_rng(3).normal(0, 1, SHAPE)
+
+    def image(share: Array) -> GrayImage:
+        return GrayImage(np.clip(np.rint(22 + 128 * (light * (1 - share)) ** 0.85 + noise), 0, 255))
+
+    with pytest.raises(InputError, match="no part"):
+        find_parts(image(np.zeros(SHAPE)), **kinds)
+    part = only(image(0.99 * rectangle(centre[0] + 1, centre[1] - 2, 14, 8, 0.4)), **kinds)
+    assert (part.u, part.v) == pytest.approx((centre[0] + 1, centre[1] - 2), abs=0.5)
+
+
+def test_standard_errors_hold_where_light_varies_and_gray_levels_are_coarse() -> None:
+    """Rounding is the same at neighbours; 40 placements on a beam of 40 gray levels, without noise to dither it."""
+    generator = np.random.default_rng(4)
+    v, u = np.indices(SHAPE)
+    light = np.exp(-((u - 30) ** 2 + (v - 40) ** 2) / 2 / 40**2)
+    pulls = []
+    for _ in range(40):
+        turn = generator.uniform(-math.pi, math.pi)
+        outlines = bench.placed([bench.shapes()["triangle"][0]], *generator.uniform([32, 28], [40, 36]), turn)
+        share = bench.blurred(bench.coverage(outlines, *SHAPE), 1.8)
+        part = only(GrayImage(np.rint(22 + 40 * light * (1 - 0.97 * share))))
+        found = bench.errors(part, outlines, turn, "triangle")
+        pulls.append([found[key][0] / found[key][1] for key in ("u", "v", "orientation", "area")])
+    squares = np.mean(np.square(pulls), axis=0)
+    # A mean of 40 squares of normal numbers is 1 within 3.5 x 0.22.
+    assert (squares < 1.8).all(), squares
+    assert (squares > 0.1).all(), squares
+
+
 NOISE = np.random.default_rng(1)
 
 
@@ -227,6 +294,8 @@ def test_what_shows_no_part_is_refused(values: Array, message: str) -> None:
         ({"min_area": math.nan}, "min_area"),
         ({"gamma": 0.0}, "gamma"),
         ({"gamma": 0.85}, "dark"),
+        ({"pixel_aspect": 0.0}, "pixel_aspect"),
+        ({"pixel_aspect": math.nan}, "pixel_aspect"),
         ({"min_area": 1e6}, "the image"),
     ],
 )

@@ -1,0 +1,70 @@
+"""What was found of each part."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One part; u is the column, v the row, (0, 0) the centre of the first pixel; angles run from u towards v.
+
+    Attributes
+    ----------
+    u, v, sigma_u, sigma_v : float
+        Centroid of its area and standard errors [px].
+    orientation, sigma_orientation : float
+        Of the long principal axis, in -pi/2 to pi/2 [rad].
+    orientation_ambiguous : bool
+        Whether the second moments are too even, as of a disc, a square or a nut, to tell an axis.
+    area, sigma_area : float
+        Area [px^2], holes not counted.
+    major_axis, minor_axis : float
+        Axes of the ellipse of the same second moments; blur and pixel are taken out [px].
+    rectangle : tuple of float
+        Smallest rectangle about the half-level contour: centre u, v, length, width [px].
+    rectangle_orientation : float
+        Of its longer side, in -pi/2 to pi/2 [rad]; told also where the moments are even, then up to the part's
+        own symmetry.
+    contrast, noise : float
+        Background minus part, and what pixels differ from both levels [gray, or linear light where gamma was given].
+    blur_radius : float
+        Of the disc that would blur its rim as much [pixel widths].
+    touches_border : bool
+        Whether it is cut by the image's border; then nothing is told of the whole part.
+    """
+
+    u: float
+    v: float
+    sigma_u: float
+    sigma_v: float
+    orientation: float
+    sigma_orientation: float
+    orientation_ambiguous: bool
+    area: float
+    sigma_area: float
+    major_axis: float
+    minor_axis: float
+    rectangle: tuple[float, float, float, float]
+    rectangle_orientation: float
+    contrast: float
+    noise: float
+    blur_radius: float
+    touches_border: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """All parts of an image, from top to bottom.
+
+    Attributes
+    ----------
+    kind : str
+        "dark" parts on a bright background, or "bright" ones on a dark background.
+    parts : tuple of Part
+        At least one.
+    """
+
+    kind: Literal["dark", "bright"]
+    parts: tuple[Part, ...]
