@@ -23,9 +23,10 @@ from radwrap.imaging.aperture import place, turn
 from radwrap.scene.camera import Aperture, Camera
 
 # Points that stand for the opening's area lie this share of a cell or pixel apart, whichever is larger: with the box
-# folded over them, the weight of a cell is then right to about 1e-4 of the largest.
+# folded over them, the weights across the opening are then right to 2e-3 of the largest.
 _SPACING: Final = 0.5
-_FEWEST, _MOST = 8, 96  # rings of points
+_FEWEST, _MOST = 32, 96  # rings of points
+_GOLDEN: Final = (math.sqrt(5) - 1) / 2
 _TURN_POINTS: Final = 6  # points on a ring for each ring: about as far from each other as the rings are
 
 
@@ -46,7 +47,7 @@ class Footprint:
 
 
 def opening_points(aperture: Aperture, spacing: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Points of equal area that stand for an opening.
+    """Points that stand for parts of an opening.
 
     Parameters
     ----------
@@ -66,9 +67,13 @@ def opening_points(aperture: Aperture, spacing: float) -> tuple[NDArray[np.float
         return np.zeros((1, 2)), np.ones(1)
     rings = min(max(math.ceil(aperture.reach / spacing), _FEWEST), _MOST)
     number = _TURN_POINTS * rings
-    s, t = np.meshgrid((np.arange(rings) + 0.5) / rings, (np.arange(number) + 0.5) / number)
+    # Rings of equal width, which have unequal areas: those of equal area would leave the middle empty.
+    bounds = (np.arange(rings + 1) / rings) ** 2
+    s, t = np.meshgrid((bounds[1:] + bounds[:-1]) / 2, (np.arange(number) + 0.5) / number, indexing="ij")
+    # Each ring is turned against the one before, so that no line lies across points of many rings.
+    t = (t + _GOLDEN * np.arange(rings)[:, np.newaxis] / number) % 1.0
     points = place(aperture, s.ravel(), t.ravel()) @ turn(aperture.rotation).T
-    return points, np.full(len(points), 1 / len(points))
+    return points, np.repeat(np.diff(bounds), number) / number
 
 
 def reach_px(camera: Camera, magnification: float) -> tuple[float, float]:
