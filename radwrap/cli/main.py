@@ -26,6 +26,7 @@ _MODULES: Final = {
     "init": "start",
     "schema": "start",
     "render": "render",
+    "relight": "relight",
     "explain": "explain",
     "convert": "convert",
     "measure": "measure",

@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 _NORMAL_QUANTILE: Final = 1.959963985  # of 0.975
 _TAIL: Final = 0.025
 _RESAMPLES: Final = 999
+# Multiplications up to which OpenBLAS works alone: its threads wait for each other, for long where the machine is busy.
+ALONE: Final = 1 << 18
 _ROUNDING: Final = 1e-12  # of sums of squares in float64
 # Wilson and Hilferty's cube is good to some per cent from here on; below, nothing is certain.
 _FEWEST_DEGREES: Final = 3.0
@@ -108,11 +110,11 @@ def stratified_means(values: NDArray[np.float64], again: Resampling) -> list[Bou
         middle = values[:, places].mean(axis=1)
         mean += share * middle
         centred = values[:, places] - middle[:, np.newaxis]
-        moved = drawn @ centred.T / n
+        moved = small_products(drawn, centred.T) / n
         shift += share * moved
         if n > 1:
             variance += share**2 * (centred**2).sum(axis=1) / (n - 1) / n
-            squares = drawn @ (centred**2).T / n
+            squares = small_products(drawn, (centred**2).T) / n
             spread = squares - moved**2
             # A resample of equal values has no spread; what rounding leaves of it is no measure of an error.
             variances += share**2 * np.where(spread > _ROUNDING * squares, spread, 0.0) / (n - 1)
@@ -121,6 +123,15 @@ def stratified_means(values: NDArray[np.float64], again: Resampling) -> list[Bou
     quantiles = np.maximum(_NORMAL_QUANTILE, -np.quantile(t, _TAIL, axis=0))
     upper = mean + quantiles * np.sqrt(variance)
     return [Bounded(*pair) for pair in zip(mean.tolist(), upper.tolist(), strict=True)]
+
+
+def small_products(left: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Product of two matrices by parts, each made by one thread."""
+    result = np.empty((left.shape[0], right.shape[1]))
+    step = max(1, ALONE // max(1, right.size))
+    for start in range(0, len(left), step):
+        np.matmul(left[start : start + step], right, out=result[start : start + step])
+    return result
 
 
 def mean_square_of_differences(differences: NDArray[np.float64], block: tuple[int, int]) -> Bounded:

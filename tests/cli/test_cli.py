@@ -316,6 +316,7 @@ OPTIONS: Final[dict[str, tuple[list[object], dict[str, Any]]]] = {
     "--workers": (["--workers", 3], {"timing.workers": 3}),
     "--keep-viewpoints": (["--keep-viewpoints"], {}),
     "--truth": (["--truth"], {}),
+    "--basis": (["--method", "kernel", "--basis"], {"method": "kernel"}),
     "--dry-run": (["--dry-run"], {}),
     "--max-pixels": (["--max-pixels", "1e3"], {}),
     "--radiance": (["--radiance", "WHEEL"], {}),

@@ -1,0 +1,100 @@
+"""``radwrap relight``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from radwrap.cli import options as shared
+from radwrap.errors import InputError, ToleranceNotMet
+from radwrap.files import make_folder, sha256_of, sole_owner
+from radwrap.images import write_exr, write_png
+from radwrap.imaging.levels import Levels, read_levels
+from radwrap.imaging.relight import Basis, Relit, read_basis, relit
+from radwrap.manifest import SCHEMA_VERSION, json_text, write_manifest
+
+RESULT: Final = "relight.json"
+_DESCRIPTION = (
+    "Makes images for any levels of the sources from the basis that radwrap render --basis wrote, without a ray. "
+    "Writes NAME.png for each row of the table, and relight.json with each image's certified error, into DIR."
+)
+
+
+def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
+    """Add the verb."""
+    parser = verbs.add_parser("relight", help="images for any levels of the sources", description=_DESCRIPTION)
+    parser.add_argument("basis", metavar="BASIS_DIR", help="folder of a radwrap render --basis")
+    parser.add_argument(
+        "--levels",
+        metavar="LEVELS.csv",
+        required=True,
+        help='table with the columns "name" and one for each source: the factor on its radiance in the scene',
+    )
+    parser.add_argument("--out", metavar="DIR", required=True, help="folder for the images and relight.json")
+    parser.add_argument("--exposure", action="store_true", help="write radiant exposures too, as NAME.exr [J/m^2]")
+    shared.add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Carry out the verb."""
+    basis = read_basis(Path(arguments.basis))
+    levels = read_levels(Path(arguments.levels), basis.sources, basis.dark)
+    out = Path(arguments.out)
+    if out.resolve() == Path(arguments.basis).resolve():
+        raise InputError("is the folder of the basis", where="--out", remedy="choose another")
+    make_folder(out)
+    with sole_owner(out):
+        result = _write(out, basis, levels, with_exposure=arguments.exposure)
+    failed = [name for name, image in result["images"].items() if not image["met"]]
+    if arguments.json:
+        print(json_text(result), end="")
+    else:
+        worst = max(image["error"]["rms_gray_upper95"] for image in result["images"].values())
+        error = f"error in gray levels before rounding below {worst:.2g} rms (95 % for each)"
+        print(f"{out}: {len(levels.names)} images; {error}")
+    if failed:
+        more = f" and {len(failed) - 1} more" if len(failed) > 1 else ""
+        print(f"radwrap: {failed[0]}{more}: the tolerance of the basis was not met", file=sys.stderr)
+    return ToleranceNotMet.exit_code if failed else 0
+
+
+def _write(out: Path, basis: Basis, levels: Levels, *, with_exposure: bool) -> dict[str, Any]:
+    """Write all images, and what is told of them last."""
+    (out / RESULT).unlink(missing_ok=True)
+    images: dict[str, Any] = {}
+    for name, factors, image in zip(levels.names, levels.factors, relit(basis, levels.factors), strict=True):
+        files = [f"{name}.png"]
+        write_png(out / files[0], image.gray.codes)
+        if with_exposure:
+            files.append(f"{name}.exr")
+            stored = image.radiant_exposure.values.astype(np.float32)
+            write_exr(out / files[1], stored, channel="radiant_exposure", metadata={"radwrap:unit": "J m^-2"})
+        images[name] = {
+            "levels": dict(zip(basis.sources, factors.tolist(), strict=True)),
+            **_summary(image),
+            "met": image.keeps(basis),
+            "files": {file: sha256_of(out / file) for file in files},
+        }
+    result = {
+        "schema_version": SCHEMA_VERSION,
+        "scene_sha256": basis.scene_sha256,
+        "tolerance": basis.tolerance,
+        "max_error": basis.max_error,
+        "images": images,
+    }
+    write_manifest(out / RESULT, result)
+    return result
+
+
+def _summary(image: Relit) -> dict[str, Any]:
+    gray = image.gray.values
+    return {
+        "gray": {"min": float(gray.min()), "max": float(gray.max()), "mean": float(gray.mean())},
+        "saturated_fraction": image.saturated_fraction,
+        "error": image.certificate.as_manifest(),
+    }

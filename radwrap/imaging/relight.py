@@ -1,0 +1,303 @@
+"""Images for any levels of the sources, from a light basis and without a ray, each with its certificate.
+
+The levels enter linearly: into the replicates, into what the kernel's model
+lacks and into what the size of its cells changes. Eq. 5 comes after the sum,
+so that the certificate holds for these very gray levels.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.errors import InputError
+from radwrap.files import sha256_of
+from radwrap.images import ExposureImage, GrayImage, read_image
+from radwrap.imaging.basis import BASIS, file_name
+from radwrap.imaging.bounds import ALONE, NOTHING, Bounded, resampling, stratified_means
+from radwrap.imaging.certificate import Certificate, PixelErrors, PixelSample, lacks_in_gray
+from radwrap.imaging.kernel import grid_squares
+from radwrap.imaging.planner import certificate_of, model_quantile, noise_quantile
+from radwrap.imaging.replicates import looks, noise_of
+from radwrap.imaging.sensor import gray_image, gray_levels
+from radwrap.manifest import read_manifest
+from radwrap.scene.camera import Sensor
+
+# Images that are made together. Always as many, the last ones perhaps in vain: then a product's last bits do not depend
+# on how many images are asked for.
+_TOGETHER: Final = 16
+_VALUES_HELD: Final = 1 << 24  # 128 MiB
+_SURE: Final = 1.959963985  # normal quantile of 0.975
+_LARGEST_FLOAT32: Final = float(np.finfo(np.float32).max)
+_RESAMPLING_SEED: Final = (17,)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Basis:
+    """Images of each source alone, and what the certificate needs of each.
+
+    Attributes
+    ----------
+    sources : tuple of str
+        Names, in the order of the arrays' first axis.
+    dark : tuple of str
+        Names of the scene's sources that are dark in it.
+    images : ndarray of float32, shape (sources, replicates, rows, columns)
+        Mean of L cos^4(theta) over pixel and opening [W m^-2 sr^-1].
+    grid_pixels : ndarray of int, shape (n,)
+        Pixels at which it is known what the size of the kernel's cells changes.
+    grid : ndarray of float32, shape (sources, replicates, n)
+        That change [W m^-2 sr^-1].
+    sample : PixelSample or None
+        Pixels at which the kernel's model was held against rays.
+    lacks : ndarray of float32, shape (sources, 2, m)
+        Two values of what it lacks there [W m^-2 sr^-1].
+    model_rays : int
+        Rays that told so, in the light of each source.
+    block : tuple of int
+        Rows and columns over which errors hang together [px].
+    exposure_of_radiance : float
+        tau A/f^2.
+    sensor : Sensor
+        Response.
+    tolerance : float
+        What the image in the light of all sources was to keep [gray level].
+    max_error : float or None
+        Likewise for 99 % of the pixels.
+    scene_sha256 : str
+        Hash of the scene.
+    """
+
+    sources: tuple[str, ...]
+    dark: tuple[str, ...]
+    images: NDArray[np.float32]
+    grid_pixels: NDArray[np.intp]
+    grid: NDArray[np.float32]
+    sample: PixelSample | None
+    lacks: NDArray[np.float32]
+    model_rays: int
+    block: tuple[int, int]
+    exposure_of_radiance: float
+    sensor: Sensor
+    tolerance: float
+    max_error: float | None
+    scene_sha256: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Relit:
+    """An image in its own light.
+
+    Attributes
+    ----------
+    radiant_exposure : ExposureImage
+        H as a file holds it: rounded to float32 [J m^-2].
+    gray : GrayImage
+        What the camera gives.
+    certificate : Certificate
+        How far the gray levels may be off.
+    saturated_fraction : float
+        Share of the pixels at saturation.
+    """
+
+    radiant_exposure: ExposureImage
+    gray: GrayImage
+    certificate: Certificate
+    saturated_fraction: float
+
+    def keeps(self, basis: Basis) -> bool:
+        """Whether it keeps the tolerance that the basis was made for."""
+        quantile, largest = self.certificate.p99_gray_upper95, basis.max_error
+        return self.certificate.rms_gray_upper95 <= basis.tolerance and (
+            largest is None or (quantile is not None and quantile <= largest)
+        )
+
+
+def read_basis(folder: Path) -> Basis:
+    """Read what ``radwrap render --basis`` wrote.
+
+    Raises
+    ------
+    InputError
+        If there is no basis, or one of its files is not the one that was written.
+    """
+    told = read_manifest(folder / BASIS)
+    try:
+        return _basis(folder, told)
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError("is no light basis", where=str(folder / BASIS), remedy="make it again") from error
+
+
+def _basis(folder: Path, told: dict[str, Any]) -> Basis:
+    for name, known in told["files"].items():
+        _check_file(folder / name, known)
+    sources = tuple(told["sources"])
+    sensor = Sensor(**{key: value for key, value in told["camera"]["sensor"].items() if key != "is"})
+    number, model, grid_pixels = int(told["replicates"]), told["model"], np.array(told["grid_pixels"], dtype=np.intp)
+    images = np.empty((len(sources), number, sensor.rows, sensor.columns), dtype=np.float32)
+    grid = np.zeros((len(sources), number, len(grid_pixels)), dtype=np.float32)
+    lacks = np.zeros((len(sources), 2, len(model["pixels"]) if model else 0), dtype=np.float32)
+    for k, source in enumerate(sources):
+        for replicate in range(number):
+            images[k, replicate] = _part(folder, told, source, str(replicate))
+        if grid.size:
+            grid[k] = _part(folder, told, source, "grid")
+        if model:
+            lacks[k] = _part(folder, told, source, "model")
+    return Basis(
+        sources=sources,
+        dark=tuple(told["dark"]),
+        images=images,
+        grid_pixels=grid_pixels,
+        grid=grid,
+        sample=_sample(model) if model else None,
+        lacks=lacks,
+        model_rays=int(model["rays"]) if model else 0,
+        block=(int(told["block"][0]), int(told["block"][1])),
+        exposure_of_radiance=float(told["exposure_of_radiance"]),
+        sensor=sensor,
+        tolerance=float(told["tolerance"]),
+        max_error=told["max_error"],
+        scene_sha256=str(told["scene_sha256"]),
+    )
+
+
+def _check_file(path: Path, known: str) -> None:
+    try:
+        same = sha256_of(path) == known
+    except OSError as error:
+        raise InputError("cannot be read", where=str(path), remedy="make the basis again") from error
+    if not same:
+        raise InputError("is not the file that the basis was made with", where=str(path), remedy="make it again")
+
+
+def _part(folder: Path, told: dict[str, Any], source: str, part: str) -> NDArray[np.float32]:
+    name = file_name(source, part)
+    if name not in told["files"]:
+        raise KeyError(name)
+    pixels: NDArray[np.float32] = read_image(folder / name)[0]
+    return pixels
+
+
+def _sample(model: dict[str, Any]) -> PixelSample:
+    pixels, stratum = (np.array(model[key], dtype=np.intp) for key in ("pixels", "stratum"))
+    return PixelSample(pixels, stratum, np.array(model["shares"], dtype=np.float64))
+
+
+def relit(basis: Basis, factors: Sequence[Sequence[float]] | NDArray[np.float64]) -> Iterator[Relit]:
+    """Images for any levels of the sources.
+
+    Parameters
+    ----------
+    basis : Basis
+        See `read_basis`.
+    factors : array, shape (images, sources)
+        On the radiance of each source as it is in the basis' scene; finite, not negative.
+
+    Yields
+    ------
+    Relit
+        Each image, in the order of the factors.
+
+    Raises
+    ------
+    InputError
+        If the factors are not so, or a radiant exposure overflows.
+    """
+    levels = np.array(factors, dtype=np.float64)
+    if levels.ndim != 2 or levels.shape[1] != len(basis.sources):
+        raise InputError(f"have the shape {levels.shape}", where="factors", remedy="give one for each image and source")
+    if not (np.isfinite(levels).all() and (levels >= 0).all()):
+        raise InputError("must be finite and not negative", where="factors")
+    return _in_batches(basis, levels)
+
+
+def _in_batches(basis: Basis, levels: NDArray[np.float64]) -> Iterator[Relit]:
+    relighter = _Relighter(basis)
+    together = min(_TOGETHER, max(1, _VALUES_HELD // basis.images[0].size))
+    for first in range(0, len(levels), together):
+        part = levels[first : first + together]
+        full = np.zeros((together, levels.shape[1]))
+        full[: len(part)] = part
+        yield from relighter.images(full, len(part), first)
+
+
+class _Relighter:
+    """What is made once for all images."""
+
+    def __init__(self, basis: Basis) -> None:
+        self._basis = basis
+        self._again = (
+            None if basis.sample is None else resampling(basis.sample.stratum, basis.sample.shares, _RESAMPLING_SEED)
+        )
+
+    def images(self, levels: NDArray[np.float64], count: int, first: int) -> Iterator[Relit]:
+        """The first `count` images for some levels; the very first of them has the number `first`."""
+        basis = self._basis
+        replicates = _combined(levels, basis.images)
+        grid = _combined(levels, basis.grid)
+        mean = replicates.mean(axis=1)
+        errors = self._model_errors(mean, levels)
+        models = [NOTHING] * len(levels)
+        if self._again is not None:
+            models = stratified_means(np.stack([e.first * e.second for e in errors]), self._again)
+        for k in range(count):
+            noise, samples = self._noise(replicates[k], grid[k])
+            quantile = None
+            if basis.max_error is not None:
+                quantile = noise_quantile(samples, noise)
+                if basis.sample is not None:
+                    quantile += model_quantile(errors[k], basis.sample)
+            pixels = 0 if basis.sample is None else len(basis.sample.pixels)
+            certificate = certificate_of(models[k], noise, quantile, pixels=pixels, rays=basis.model_rays)
+            yield self._image(mean[k], certificate, first + k)
+
+    def _model_errors(self, mean: NDArray[np.float64], levels: NDArray[np.float64]) -> list[PixelErrors]:
+        basis = self._basis
+        if basis.sample is None:
+            return []
+        lacks = _combined(levels, basis.lacks)
+        image = mean.reshape(len(mean), -1)[:, basis.sample.pixels]
+        scale, sensor = basis.exposure_of_radiance, basis.sensor
+        return [lacks_in_gray(*pair, basis.model_rays, scale, sensor) for pair in zip(image, lacks, strict=True)]
+
+    def _noise(self, replicates: NDArray[np.float64], grid: NDArray[np.float64]) -> tuple[Bounded, NDArray[np.float64]]:
+        basis = self._basis
+        rows, columns = looks(basis.block)
+        gray = gray_levels(replicates[:, ::rows, ::columns] * basis.exposure_of_radiance, basis.sensor)
+        noise, samples = noise_of(gray, basis.block)
+        if not grid.size:
+            return noise, samples
+        at = replicates.reshape(len(replicates), -1)[:, basis.grid_pixels]
+        # Replicates see the same edges: only pixels are independent looks.
+        squares = grid_squares(at, grid, basis.exposure_of_radiance, basis.sensor).mean(axis=0)
+        mean = float(squares.mean())
+        return noise + Bounded(mean, mean + _SURE * float(squares.std()) / math.sqrt(len(squares))), samples
+
+    def _image(self, mean: NDArray[np.float64], certificate: Certificate, number: int) -> Relit:
+        sensor = self._basis.sensor
+        values = mean * self._basis.exposure_of_radiance
+        if values.max() > _LARGEST_FLOAT32:
+            raise InputError(f"the radiant exposure of image {number + 1} overflows", remedy="lower its factors")
+        exposure = ExposureImage(values.astype(np.float32).astype(np.float64), {"scene": self._basis.scene_sha256})
+        gray = gray_image(exposure, sensor)
+        # Not of the rounded gray levels: rounding may reach a saturation that the pixel does not.
+        saturated = float(np.mean(gray_levels(exposure.values, sensor) >= sensor.saturation_gray))
+        return Relit(exposure, gray, certificate, saturated)
+
+
+def _combined(levels: NDArray[np.float64], parts: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Sums over sources in float64, shape (images, ...), of parts of the shape (sources, ...)."""
+    flat = parts.reshape(len(parts), -1)
+    result = np.empty((len(levels), flat.shape[1]))
+    step = max(1, ALONE // levels.size)
+    for start in range(0, flat.shape[1], step):
+        part = slice(start, start + step)
+        np.matmul(levels, flat[:, part].astype(np.float64), out=result[:, part])
+    return result.reshape(len(levels), *parts.shape[1:])

@@ -1,0 +1,176 @@
+"""``radwrap render --basis`` and ``radwrap relight`` as users run them."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pytest
+
+from radwrap.images import read_image
+from tests.cli.conftest import SLOWER, SMALL, files_in, here, inhabitants, products, run, start, wait_for, write_scene
+
+SECOND: Final = {**SMALL["sources"][0], "name": "second", "position": ["-60 mm", "-90 mm", "450 mm"]}
+TWO: Final = {"sources.1": SECOND}
+GOOD: Final = "name,second,lamp\nboth,1,1\nhalf, 0.5 ,0\n\noff,0,0e0\n"
+
+
+@pytest.fixture(scope="module")
+def basis(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("relight")
+    run("render", write_scene(folder, TWO), "--basis", "--tolerance", 2, "--out", folder / "basis").success()
+    return folder / "basis"
+
+
+def _table(folder: Path, text: str) -> Path:
+    path = folder / "levels.csv"
+    path.write_bytes(text.encode())
+    return path
+
+
+def _argv(basis: Path, folder: Path, text: str, *more: object) -> list[object]:
+    return ["relight", basis, "--levels", _table(folder, text), "--out", folder / "out", *more]
+
+
+def test_relight_writes_an_image_for_each_row(basis: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    done = here(_argv(basis, tmp_path, GOOD, "--json"), capsys).success()
+    out = tmp_path / "out"
+    assert done.json == json.loads((out / "relight.json").read_bytes())
+    assert {path.name for path in out.iterdir()} == {
+        ".radwrap.lock",
+        "both.png",
+        "half.png",
+        "off.png",
+        "relight.json",
+    }
+    images = done.json["images"]
+    assert list(images) == ["both", "half", "off"]
+    assert images["half"]["levels"] == {"lamp": 0.0, "second": 0.5}
+    # With all factors 1 the picture is that of the render, byte by byte.
+    assert (out / "both.png").read_bytes() == (basis / "gray.png").read_bytes()
+    rendered = json.loads((basis / "manifest.json").read_bytes())
+    assert set(images["both"]["error"]) == set(rendered["error"])
+    assert images["both"]["gray"] == rendered["gray"]
+    assert images["off"]["gray"] == {"min": 22.0, "max": 22.0, "mean": 22.0}
+    assert images["half"]["gray"]["mean"] < images["both"]["gray"]["mean"]
+    assert all(image["met"] for image in images.values())
+    told = here(_argv(basis, tmp_path, GOOD), capsys).success().stdout
+    assert "3 images" in told and "95 %" in told
+
+
+def test_exposures_are_linear_in_the_factors(basis: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = "name,lamp,second\na,1,0\nb,0,1\nc,0.25,3\n"
+    images = here(_argv(basis, tmp_path, text, "--exposure", "--json"), capsys).json["images"]
+    a, b, c = (read_image(tmp_path / "out" / f"{name}.exr")[0].astype(float) for name in "abc")
+    assert np.abs(0.25 * a + 3 * b - c).max() < 1e-6 * c.max()  # each is rounded to float32
+    assert set(images["c"]["files"]) == {"c.png", "c.exr"}
+
+
+def test_the_same_table_gives_the_same_bytes(basis: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    here(_argv(basis, tmp_path, GOOD, "--exposure"), capsys).success()
+    first = files_in(tmp_path / "out")
+    shutil.rmtree(tmp_path / "out")
+    here(_argv(basis, tmp_path, "\ufeff" + GOOD.replace("\n", "\r\n"), "--exposure"), capsys).success()
+    assert files_in(tmp_path / "out") == first
+
+
+def test_levels_too_bright_for_the_tolerance_end_with_three(
+    basis: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(basis, tmp_path / "basis")
+    told = json.loads((basis / "basis.json").read_bytes())
+    (tmp_path / "basis" / "basis.json").write_text(json.dumps({**told, "tolerance": 1e-3}))
+    done = here(_argv(tmp_path / "basis", tmp_path, GOOD, "--json"), capsys)
+    assert done.code == 3
+    assert "both and 1 more: the tolerance of the basis was not met" in done.stderr
+    assert [image["met"] for image in done.json["images"].values()] == [False, False, True]
+
+
+BAD: Final[dict[str, tuple[str, str]]] = {
+    "missing column": ("name,lamp\na,1\n", 'line 1: the column "second" is missing'),
+    "no name": ("lamp,second\n1,1\n", 'line 1: the column "name" is missing'),
+    "unknown column": ("name,lamp,second,third\na,1,1,1\n", 'line 1: unknown column "third"'),
+    "column twice": ("name,lamp,second,lamp\na,1,1,1\n", 'line 1: the column "lamp" comes twice'),
+    "unnamed column": ("name,lamp,second,\na,1,1,\n", 'line 1: unknown column ""'),
+    "empty file": ("", 'line 1: the column "name" is missing'),
+    "no rows": ("name,lamp,second\n", "holds no image"),
+    "too few cells": ("name,lamp,second\na,1\n", "line 2: has 2 cells, the first line has 3"),
+    "too many cells": ("name,lamp,second\na,1,1\nb,1,1,1\n", "line 3: has 4 cells"),
+    "empty cell": ("name,lamp,second\na,1, \n", 'line 2, column "second": is empty'),
+    "negative": ("name,lamp,second\na,-0.1,1\n", 'line 2, column "lamp": "-0.1" is no number from 0 on'),
+    "nan": ("name,lamp,second\na,1,nan\n", 'line 2, column "second": "nan" is no number'),
+    "infinite": ("name,lamp,second\na,1,inf\n", 'column "second": "inf" is no number'),
+    "overflow": ("name,lamp,second\na,1,1e999\n", 'column "second": "1e999" is no number'),
+    "word": ("name,lamp,second\na,on,1\n", 'column "lamp": "on" is no number'),
+    "decimal comma": ('name,lamp,second\na,"1,5",1\n', 'column "lamp": "1,5" is no number'),
+    "underscore": ("name,lamp,second\na,1_0,1\n", 'column "lamp": "1_0" is no number'),
+    "foreign digits": ("name,lamp,second\na,٣,1\n", 'column "lamp":'),
+    "name twice": ("name,lamp,second\na,1,1\nA,1,1\n", 'line 3, column "name": "A" is taken by line 2'),
+    "path": ("name,lamp,second\n../a,1,1\n", 'line 2, column "name": "../a" cannot name a file'),
+    "hidden": ("name,lamp,second\n.a,1,1\n", '".a" cannot name a file'),
+    "device": ("name,lamp,second\nnul.x,1,1\n", '"nul.x" cannot name a file'),
+    "no file name": ("name,lamp,second\n,1,1\n", '"" cannot name a file'),
+    "open quote": ('name,lamp,second\n"a,1,1\n', "is no CSV"),
+    "too bright": ("name,lamp,second\na,1,1e300\n", "image 1 overflows"),
+}
+
+
+@pytest.mark.parametrize("fault", list(BAD))
+def test_bad_tables_are_refused(basis: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], fault: str) -> None:
+    text, expected = BAD[fault]
+    line = here(_argv(basis, tmp_path, text), capsys).refusal(2)
+    assert expected in line
+    assert fault == "too bright" or "levels.csv" in line
+    assert not list(tmp_path.rglob("*.png"))
+
+
+def test_what_is_no_basis_is_refused(basis: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "basis.json" in here(_argv(tmp_path, tmp_path, GOOD), capsys).refusal(2)
+    copy = tmp_path / "basis"
+    shutil.copytree(basis, copy)
+    (copy / "basis" / "lamp.0.exr").write_bytes((basis / "basis" / "lamp.1.exr").read_bytes())
+    line = here(_argv(copy, tmp_path, GOOD), capsys).refusal(2)
+    assert "lamp.0.exr: is not the file that the basis was made with" in line
+    (copy / "basis" / "lamp.0.exr").unlink()
+    assert "lamp.0.exr: cannot be read" in here(_argv(copy, tmp_path, GOOD), capsys).refusal(2)
+    (copy / "basis" / "lamp.0.exr").write_bytes((basis / "basis" / "lamp.0.exr").read_bytes())
+    here(_argv(copy, tmp_path, GOOD), capsys).success()
+    told: dict[str, Any] = json.loads((copy / "basis.json").read_bytes())
+    for key in ("sources", "block", "files", "camera"):
+        (copy / "basis.json").write_text(json.dumps({name: told[name] for name in told if name != key}))
+        assert "basis.json: is no light basis" in here(_argv(copy, tmp_path, GOOD), capsys).refusal(2), key
+    same = ["relight", basis, "--levels", _table(tmp_path, GOOD), "--out", basis]
+    assert "--out: is the folder of the basis" in here(same, capsys).refusal(2)
+    line = here(["relight", basis, "--levels", tmp_path / "no.csv", "--out", tmp_path], capsys).refusal(2)
+    assert "no.csv: is no readable text file" in line
+
+
+def test_a_dark_source_has_no_factor(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = write_scene(tmp_path, {"sources.1": {**SECOND, "radiance": "0 W/m^2/sr"}})
+    here(["render", scene, "--basis", "--tolerance", 5, "--out", tmp_path / "basis"], capsys).success()
+    line = here(_argv(tmp_path / "basis", tmp_path, "name,lamp,second\na,1,1\n"), capsys).refusal(2)
+    assert 'the source "second" is dark in the scene' in line
+
+
+def test_a_killed_basis_goes_on_where_it_was(memory_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = write_scene(memory_path, {**SLOWER, **TWO})
+    how = ["--basis", "--method", "kernel", "--tolerance", 0.5, "--workers", 1]
+    argv = ["render", scene, *how, "--out", memory_path / "out"]
+    pieces = memory_path / "out" / "viewpoints" / "basis"
+    with start(argv) as process:
+        assert wait_for(lambda: len(list(pieces.glob("tile_*.exr"))) > 0, process), "the run was too short"
+        process.kill()
+    assert process.returncode == -signal.SIGKILL
+    assert not (memory_path / "out" / "manifest.json").exists()
+    kept = {path.name: path.read_bytes() for path in pieces.glob("tile_*.exr")}
+    here(argv, capsys).success()
+    here([*argv[:-1], memory_path / "good"], capsys).success()
+    assert kept
+    assert products(memory_path / "out") == products(memory_path / "good")
+    assert files_in(memory_path / "out" / "basis") == files_in(memory_path / "good" / "basis")
+    assert not (memory_path / "out" / "viewpoints").exists()
+    assert inhabitants(memory_path) == []
