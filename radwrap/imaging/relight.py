@@ -186,8 +186,8 @@ def _part(folder: Path, told: dict[str, Any], source: str, part: str) -> NDArray
 
 
 def _sample(model: dict[str, Any]) -> PixelSample:
-    pixels, stratum = (np.array(model[key], dtype=np.intp) for key in ("pixels", "stratum"))
-    return PixelSample(pixels, stratum, np.array(model["shares"], dtype=np.float64))
+    pixels, stratum, pairs = (np.array(model[key], dtype=np.intp) for key in ("pixels", "stratum", "pairs"))
+    return PixelSample(pixels, stratum, np.array(model["shares"], dtype=np.float64), pairs)
 
 
 def relit(basis: Basis, factors: Sequence[Sequence[float]] | NDArray[np.float64]) -> Iterator[Relit]:

@@ -1,0 +1,196 @@
+"""Certificates: bounds that cover, errors that are found, decisions of the planner."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from radwrap.imaging.bounds import mean_square_of_differences, stratified_mean
+from radwrap.imaging.certificate import (
+    PixelSample,
+    certify_by_independent_rays,
+    draw_pixels,
+    model_errors,
+    root,
+)
+from radwrap.imaging.footprint import reach_px
+from radwrap.imaging.kernel import plan_kernel
+from radwrap.imaging.planner import Budget, Demand, Outcome, render_to_tolerance
+from radwrap.imaging.rays import sampled_radiance
+from radwrap.imaging.replicates import Work
+from radwrap.imaging.view import View
+from radwrap.process import Programs
+from radwrap.progress import Progress
+from radwrap.scene.camera import Aperture
+from tests.imaging.planes import Array, gray, view
+
+F = 0.01
+ROUND = Aperture("round", 2e-4)
+
+
+def disc(x: Array, y: Array) -> Array:
+    """A bright disc on gray."""
+    return np.where(np.hypot(x, y) < 6e-3, 1.0, 0.2)
+
+
+def search(seen: View, folder: Path, demand: Demand, seed: int = 0) -> Outcome:
+    """What the planner makes of it."""
+    folder.mkdir(exist_ok=True)
+    with Programs() as programs:
+        work = Work(seen, folder, programs, Progress("test", 1, shown=False), "none", seed)
+        return render_to_tolerance(work, demand)
+
+
+def true_rms(seen: View, radiance: Array, rays: int = 1024) -> float:
+    """Root of the mean squared error, by rays that nobody else drew."""
+    v, u = np.divmod(np.arange(radiance.size, dtype=float), radiance.shape[1])
+    first, second = (
+        sampled_radiance(seen, u, v, rays, np.random.default_rng(seed)).mean(axis=1) for seed in (101, 102)
+    )
+    flat = radiance.ravel()
+    return root(float((gray(seen, first - flat) * gray(seen, second - flat)).mean()))
+
+
+def test_a_stratified_mean_is_that_of_the_population_and_its_bound_covers() -> None:
+    """Squares with a heavy tail in one stratum; 97.5 % one-sided, measured over 400 draws."""
+    random = np.random.default_rng(1)
+    population = [random.lognormal(0, 1.5, 4000), random.exponential(0.1, 16000)]
+    truth = sum(map(np.sum, population)) / 20000
+    held, means = 0, []
+    for number in range(400):
+        values = np.concatenate([random.choice(part, 120) for part in population])
+        found = stratified_mean(values, np.repeat([0, 1], 120), np.array([0.2, 0.8]), (number,))
+        held += found.upper >= truth
+        means.append(found.mean)
+    assert np.mean(means) == pytest.approx(truth, rel=0.03)
+    assert held >= 350  # 356: what a tail that few draws see leaves of 97.5 %; a normal bound holds in 82 %
+
+
+def test_noise_is_bounded_by_as_many_degrees_of_freedom_as_it_has() -> None:
+    """Noise that hangs together over blocks of 8 x 8: the bound of a mean square holds in 95 % at least."""
+    random = np.random.default_rng(2)
+    held = 0
+    for _ in range(400):
+        noise = np.repeat(np.repeat(random.normal(size=(2, 6, 6)), 8, axis=1), 8, axis=2)
+        found = mean_square_of_differences((noise[:1] - noise[1:]) / 2, (8, 8))
+        truth = float((noise.mean(axis=0) ** 2).mean())
+        held += truth <= found.upper
+    assert held >= 380
+    # With as many blocks as pixels the same noise would be thought known far too well.
+    wrong = mean_square_of_differences((noise[:1] - noise[1:]) / 2, (1, 1))
+    assert wrong.upper < 0.8 * found.upper
+
+
+def test_strata_cover_the_image_and_look_where_gray_changes() -> None:
+    image = np.zeros((100, 200))
+    image[:, 100:] = 100.0
+    risky = np.zeros(image.shape, dtype=bool)
+    risky[:10] = True
+    sample = draw_pixels(image, 400, (3,), risky=risky, pairs=(4, 16))
+    assert sample.shares.sum() == pytest.approx(1)
+    assert len(set(sample.pixels.tolist())) == len(sample.pixels)
+    edge = np.isin(sample.pixels % 200, (99, 100))
+    assert edge.sum() >= 8  # twice as many as in an even sample: 1 % of the pixels
+    assert set(sample.pairs[risky.ravel()[sample.pixels]]) == {16}
+    assert set(sample.pairs[~risky.ravel()[sample.pixels]]) == {4}
+    weights = (sample.shares / np.bincount(sample.stratum))[sample.stratum]
+    assert float((weights * image.ravel()[sample.pixels]).sum()) == pytest.approx(50, abs=8)
+
+
+def test_pairs_find_nothing_on_a_plane_and_a_step_in_depth_where_there_is_one() -> None:
+    flat = view(ROUND, (1.0, disc))
+
+    def near(x: Array, y: Array) -> Array:
+        return np.where(x > 0, np.where(y > 0, 0.6, 0.1), np.nan)
+
+    stepped = view(ROUND, (3 * F, near), (1.0, lambda x, y: np.where(y > 0, 1.0, 0.2)))
+    found = []
+    for seen, magnifications in ((flat, [1 + F]), (stepped, [1 + F, 4 / 3])):
+        number = seen.camera.sensor.pixels
+        every = np.arange(number)
+        sample = PixelSample(every, every * 0, np.ones(1), every * 0 + 64)
+        plan = plan_kernel(seen, np.array(magnifications), 0.1)
+        errors = model_errors(seen, plan.layers, sample, np.full(number, 0.5), seed=(1,))
+        found.append(root(errors.mean_square(sample, (2,)).mean))
+    assert found[0] < 1e-3
+    assert found[1] > 0.5
+
+
+def test_a_planted_error_of_one_percent_is_seen() -> None:
+    seen = view(ROUND, (1.0, disc))
+    v, u = np.divmod(np.arange(seen.camera.sensor.pixels, dtype=float), seen.camera.sensor.columns)
+    shape = (seen.camera.sensor.rows, seen.camera.sensor.columns)
+    exact = sampled_radiance(seen, u, v, 4096, np.random.default_rng(5)).mean(axis=1).reshape(shape)
+    honest, planted = (certify_by_independent_rays(seen, exact * k, 1, rays=1024) for k in (1.0, 1.01))
+    caused = math.sqrt((gray(seen, 0.01 * exact) ** 2).mean())
+    assert planted.rms_gray == pytest.approx(caused, rel=0.25)
+    assert honest.rms_gray < 0.4 * caused
+    assert planted.rms_gray_upper95 > caused
+
+
+@pytest.mark.parametrize("tolerance", [2.0, 0.3])
+def test_the_planner_takes_the_kernel_where_it_holds(tolerance: float, tmp_path: Path) -> None:
+    seen = view(ROUND, (1.0, disc))
+    outcome = search(seen, tmp_path, Demand(tolerance))
+    assert outcome.method == "kernel" and outcome.met
+    assert outcome.certificate.rms_gray_upper95 <= tolerance
+    assert true_rms(seen, outcome.radiance) <= outcome.certificate.rms_gray_upper95 + 0.1  # the truth's own noise
+
+
+def test_the_planner_notices_where_the_kernel_does_not_hold(tmp_path: Path) -> None:
+    """A grating right before the pinhole hides other stripes from each point of the opening."""
+
+    def grating(x: Array, y: Array) -> Array:
+        return np.where(np.abs((x + y) % 2.4e-4 - 1.2e-4) < 6e-5, 0.3, np.nan)
+
+    seen = view(Aperture("round", 4e-4), (1.5 * F, grating), (1.0, disc), rows=8, columns=10)
+    outcome = search(seen, tmp_path, Demand(3.0))
+    assert outcome.method == "rays" and outcome.met
+    assert true_rms(seen, outcome.radiance, 2048) < 3.0
+    forced = search(seen, tmp_path / "kernel", Demand(3.0, method="kernel", budget=Budget(rays=3e5)))
+    assert not forced.met and forced.method == "kernel"
+    assert true_rms(seen, forced.radiance, 512) <= forced.certificate.rms_gray_upper95
+
+
+def test_a_budget_ends_the_search_with_the_best_image_and_its_error(tmp_path: Path) -> None:
+    seen = view(ROUND, (1.0, disc))
+    outcome = search(seen, tmp_path, Demand(0.005, budget=Budget(rays=1e5)))
+    assert not outcome.met and not outcome.plan["met"]
+    assert outcome.certificate.rms_gray_upper95 > 0.005
+    assert outcome.plan["reproducible"]
+    assert not search(seen, tmp_path, Demand(2.0, budget=Budget(seconds=60))).plan["reproducible"]
+
+
+def test_a_quantile_is_stated_where_it_is_asked_for(tmp_path: Path) -> None:
+    seen = view(ROUND, (1.0, disc))
+    assert search(seen, tmp_path, Demand(2.0)).certificate.p99_gray_upper95 is None
+    outcome = search(seen, tmp_path, Demand(2.0, max_error=1.0))
+    assert outcome.met
+    bound = outcome.certificate.p99_gray_upper95
+    assert bound is not None and bound <= 1.0
+    v, u = np.divmod(np.arange(outcome.radiance.size, dtype=float), outcome.radiance.shape[1])
+    truth = sampled_radiance(seen, u, v, 4096, np.random.default_rng(7)).mean(axis=1)
+    off = np.abs(gray(seen, truth - outcome.radiance.ravel()))
+    assert np.quantile(off, 0.99) <= bound + 0.2  # the truth's own noise
+
+
+def test_same_seed_same_image_whatever_the_workers(tmp_path: Path) -> None:
+    images: list[Any] = []
+    for number, workers in enumerate((1, 3)):
+        base = view(ROUND, (1.0, disc))
+        outcome = search(View(base.camera, base.tracer, workers), tmp_path / str(number), Demand(0.5))
+        images.append(outcome.radiance.tobytes())
+    assert images[0] == images[1]
+    assert search(view(ROUND, (1.0, disc)), tmp_path / "c", Demand(0.5), seed=1).radiance.tobytes() != images[0]
+
+
+def test_the_blur_of_a_wide_pinhole_reaches_beyond_the_image(tmp_path: Path) -> None:
+    """More replicates where the image is small beside the blur: two would not tell their noise."""
+    seen = view(Aperture("round", 2e-3), (1.0, disc))
+    assert min(reach_px(seen.camera, 1 + F)) > 60
+    outcome = search(seen, tmp_path, Demand(0.5, method="kernel"))
+    assert outcome.met and len(outcome.replicates.images) > 4
