@@ -27,6 +27,7 @@ _MODULES: Final = {
     "schema": "start",
     "render": "render",
     "explain": "explain",
+    "trade": "trade",
     "convert": "convert",
     "measure": "measure",
     "calibrate": "calibrate",
