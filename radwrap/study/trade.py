@@ -22,14 +22,14 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.files import make_folder, sole_owner, write_bytes
-from radwrap.imaging.aperture import LAYOUTS, Layout, central_viewpoint, sub_viewpoints
-from radwrap.imaging.cost import check_size, seconds_per_ray
+from radwrap.imaging.aperture import LAYOUTS, Layout, Viewpoints, central_viewpoint, sub_viewpoints
+from radwrap.imaging.cost import check_size
 from radwrap.imaging.planner import Budget, Demand, predicted_rays, render_to_tolerance, survey
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.replicates import Work
 from radwrap.imaging.sensor import gray_levels
 from radwrap.imaging.tracing import TracedScene
-from radwrap.imaging.view import PixelPlan, PixelSampling
+from radwrap.imaging.view import PixelPlan, PixelSampling, View, trace_rays
 from radwrap.manifest import json_text, sha256_of_value, versions
 from radwrap.process import Programs, available_cores, children_cpu_time
 from radwrap.progress import Progress
@@ -56,6 +56,7 @@ _SMALL_NUMBERS: Final = (7, 19)  # where more rays a pixel may pay
 _TOLERANCES: Final = (2.0, 1.0, 0.5, 0.2, 0.1)
 # A method that misses its tolerance tries again; after so many times the rays that were expected it has shown enough.
 _PATIENCE: Final = 8
+_TIMED_RAYS: Final = 1 << 15
 _LONGEST_LIMITS: Final = (1e-3, 1e9)
 
 
@@ -256,7 +257,7 @@ class _Sweep:
 
     def run(self) -> Trade:
         self.reference = self._reference()
-        self.seconds_per_ray = seconds_per_ray(self.view) / self.options.workers
+        self.seconds_per_ray = _seconds_per_ray(self.view)
         self.survey = survey(self.view, self.options.render.seed)
         self.progress = Progress("settings", len(_NUMBERS) + 2 * len(_TOLERANCES), shown=self.options.render.progress)
         try:
@@ -308,8 +309,18 @@ class _Sweep:
         found = [row for row in found if row.setting.layout == layout]
         found += self._all([setting(trial, layout, "jitter")])
         sampling = _best(found).pixel_sampling if found else "centre"
-        self._all(setting(number, layout, sampling) for number in _NUMBERS if number != trial)
-        self._all(setting(number, layout, way, 2) for number in _SMALL_NUMBERS for way in ("centre", "jitter"))
+        numbers = {number: self._layout_with(number, layout) for number in _NUMBERS}
+        self._all(setting(number, fit, sampling) for number, fit in numbers.items() if number != trial)
+        for way in ("centre", "jitter"):
+            self._all(setting(number, numbers[number], way, 2) for number in _SMALL_NUMBERS)
+
+    def _layout_with(self, number: int, layout: Layout) -> Layout:
+        """The layout, or where it has no such number of points the one that has them all."""
+        try:
+            sub_viewpoints(self.scene.camera.aperture, number, layout)
+        except InputError:
+            return LAYOUTS[0]
+        return layout
 
     def _is_affordable(self, rays_per_pixel: int) -> bool:
         rays = rays_per_pixel * self.scene.camera.sensor.pixels
@@ -342,10 +353,12 @@ class _Sweep:
             why = f"expected to take longer than {self.options.longest:g} s, by {expected:.3g} rays"
             self.left_out.append(LeftOut(setting, why))
             return None
+        viewpoints = self._points(setting)
         start, cpu = time.monotonic(), time.process_time() + children_cpu_time()
         if setting.tolerance is None:
-            radiance, rays = self._fixed(setting)
-            met, certified = None, None
+            plan = PixelPlan(setting.pixel_samples, setting.pixel_sampling, self.options.render.seed)
+            radiance = summed_viewpoints(self.view, viewpoints, plan, self.programs)
+            rays, met, certified = round(expected), None, None
         else:
             radiance, rays, met, certified = self._to_tolerance(setting, expected)
         wall, cpu = time.monotonic() - start, time.process_time() + children_cpu_time() - cpu
@@ -358,14 +371,11 @@ class _Sweep:
             return predicted_rays(self.view, self.survey, setting.tolerance)[setting.method]
         return (setting.viewpoints or 1) * setting.pixel_samples**2 * self.scene.camera.sensor.pixels
 
-    def _fixed(self, setting: Setting) -> tuple[NDArray[np.float64], int]:
+    def _points(self, setting: Setting) -> Viewpoints:
         aperture = self.scene.camera.aperture
-        viewpoints = central_viewpoint(aperture)
-        if setting.viewpoints is not None and setting.layout is not None:
-            viewpoints = sub_viewpoints(aperture, setting.viewpoints, setting.layout)
-        plan = PixelPlan(setting.pixel_samples, setting.pixel_sampling, self.options.render.seed)
-        radiance = summed_viewpoints(self.view, viewpoints, plan, self.programs)
-        return radiance, len(viewpoints) * plan.rays * self.scene.camera.sensor.pixels
+        if setting.viewpoints is None or setting.layout is None:
+            return central_viewpoint(aperture)
+        return sub_viewpoints(aperture, setting.viewpoints, setting.layout)
 
     def _to_tolerance(self, setting: Setting, expected: float) -> tuple[NDArray[np.float64], int, bool, float]:
         assert setting.tolerance is not None and setting.method in {"kernel", "rays"}  # noqa: S101
@@ -391,6 +401,15 @@ class _Sweep:
 
     def _write(self, name: str, content: dict[str, Any]) -> None:
         write_bytes(self.folder / f"{name}.json", json_text({"run_sha256": self.sha256, "content": content}).encode())
+
+
+def _seconds_per_ray(view: View) -> float:
+    """Wall time of a ray with all workers busy [s]."""
+    sensor = view.camera.sensor
+    u, v = np.random.default_rng(0).random((2, _TIMED_RAYS)) * [[sensor.columns], [sensor.rows]] - 0.5
+    start = time.monotonic()
+    trace_rays(view, np.zeros((1, 2)), u, v)
+    return (time.monotonic() - start) / _TIMED_RAYS
 
 
 def _best(rows: list[Row]) -> Setting:
