@@ -11,7 +11,7 @@ help:
 	@echo "make demo   set up, render the calibration board, say where the picture lies"
 	@echo "make test   set up (POV-Ray by apt where missing), lint, run all tests"
 	@echo "make lint   ruff and mypy --strict"
-	@echo "make bench  speed, overhead and memory, measured on this machine"
+	@echo "make bench  speed, overhead, memory, and what a tolerance costs, measured on this machine"
 
 demo: $(READY)
 	@$(BIN)/radwrap render rad_scenes/bench_board/scene.toml --out out/demo
@@ -26,7 +26,7 @@ lint: $(READY)
 	@$(BIN)/mypy
 
 bench: $(READY)
-	@$(BIN)/python scripts/bench.py
+	@$(BIN)/python scripts/bench.py; first=$$?; $(BIN)/python scripts/bench_tolerance.py && exit $$first
 
 # A changed lock file or project file sets the environment up again; otherwise this is done at once.
 $(READY): requirements.lock pyproject.toml
