@@ -132,8 +132,9 @@ def picture(trade: Trade) -> bytes:
         axes.annotate(label, (_shown(row), row.wall_s), fontsize="xx-small", xytext=(4, 4), textcoords="offset points")
     noise = max(trade.reference.rms_gray, _SMALLEST_SHOWN)
     axes.axvline(noise, color="0.7", linestyle="--", label=f"noise of the reference, {noise:.2g} gray (taken out)")
-    axes.set_xscale("log")
-    axes.set_yscale("log")
+    if trade.rows:  # a logarithmic axis refuses to be empty
+        axes.set_xscale("log")
+        axes.set_yscale("log")
     axes.set_xlabel(f"rms error [gray level]; below {_SMALLEST_SHOWN:g} shown there")
     axes.set_ylabel(f"wall time with {trade.options.workers} tracers at a time [s]")
     axes.set_title(f"{trade.title}: time against error")
