@@ -11,7 +11,7 @@ help:
 	@echo "make demo   set up, render the calibration board, say where the picture lies"
 	@echo "make test   set up (POV-Ray by apt where missing), lint, run all tests"
 	@echo "make lint   ruff and mypy --strict"
-	@echo "make bench  speed, overhead and memory, measured on this machine"
+	@echo "make bench  speed, overhead, memory, and what a tolerance costs, measured on this machine"
 	@echo "make bias   bias of algorithms on predicted images, with plots"
 
 demo: $(READY)
@@ -27,7 +27,7 @@ lint: $(READY)
 	@$(BIN)/mypy
 
 bench: $(READY)
-	@$(BIN)/python scripts/bench.py
+	@$(BIN)/python scripts/bench.py; first=$$?; $(BIN)/python scripts/bench_tolerance.py && exit $$first
 
 bias: $(READY)
 	@$(BIN)/python scripts/bias_studies.py

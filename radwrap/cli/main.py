@@ -28,6 +28,7 @@ _MODULES: Final = {
     "render": "render",
     "relight": "relight",
     "explain": "explain",
+    "trade": "trade",
     "convert": "convert",
     "measure": "measure",
     "calibrate": "calibrate",

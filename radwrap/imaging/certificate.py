@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -90,13 +90,13 @@ class PixelSample:
     shares : ndarray of float
         Share of each stratum in the image.
     pairs : ndarray of int
-        Pairs of rays that each gets where a kernel's model is held against rays.
+        Pairs of rays that each gets where a kernel's model is held against rays; empty where that is not done.
     """
 
     pixels: NDArray[np.intp]
     stratum: NDArray[np.intp]
     shares: NDArray[np.float64]
-    pairs: NDArray[np.intp]
+    pairs: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
 
 def places_of(pixels: NDArray[np.intp], columns: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

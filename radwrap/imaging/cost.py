@@ -43,10 +43,11 @@ class Cost:
     seconds: float
 
     def __str__(self) -> str:
-        return f"{self.rays:.3g} rays, {self.memory_bytes / 2**30:.2g} GiB of memory, {_duration(self.seconds)}"
+        return f"{self.rays:.3g} rays, {self.memory_bytes / 2**30:.2g} GiB of memory, {duration(self.seconds)}"
 
 
-def _duration(seconds: float) -> str:
+def duration(seconds: float) -> str:
+    """A time as people say it."""
     for unit, size in (("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)):
         if seconds >= 2 * size:
             return f"{seconds / size:.1f} {unit}"

@@ -33,7 +33,7 @@ from tests.cli.conftest import (
 )
 
 REPOSITORY: Final = Path(__file__).parents[2]
-VERBS: Final = ("init", "schema", "render", "explain", "convert", "doctor")
+VERBS: Final = ("init", "schema", "render", "explain", "trade", "convert", "doctor")
 EXIT_CODES: Final = (
     "0 done, 1 a check failed, 2 bad input, 3 tolerance not met, 4 environment or tracer, 130 interrupted"
 )
