@@ -144,7 +144,7 @@ def write_exr(
     EnvironmentFailure
         If the disk refuses, or does not give back what was written.
     """
-    _write(path, np.ascontiguousarray(pixels, dtype=np.float32), channel, metadata, "zip" if packed else "none")
+    _write(path, np.ascontiguousarray(pixels, dtype=np.float32), channel, metadata, "zip:1" if packed else "none")
 
 
 def write_png(path: Path, codes: NDArray[np.uint8] | NDArray[np.uint16]) -> None:

@@ -272,7 +272,8 @@ def independent_errors(
     """What an image lacks at some pixels, by independent rays over pixel and opening; parameters as `model_errors`."""
     u, v = places_of(pixels, view.camera.sensor.columns)
     random = np.random.default_rng(seed)
-    values = [sampled_radiance(view, u, v, rays, random).mean(axis=1) for _ in range(2)]
+    # Both in one call, which the workers share evenly.
+    values = sampled_radiance(view, np.tile(u, 2), np.tile(v, 2), rays, random).mean(axis=1).reshape(2, -1)
     scale, sensor = view.exposure_of_radiance, view.camera.sensor
     first, second = (_in_gray(radiance, value, scale, sensor) for value in values)
     return PixelErrors(first, second, 2 * rays * len(u))

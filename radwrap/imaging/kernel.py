@@ -27,8 +27,8 @@ from radwrap.scene.camera import Camera, Sensor
 # Base cells are at most this share of the blur's radius, grid cells a quarter of them; where the blur is smaller than
 # a pixel, grid cells are an eighth of a pixel, for the footprint then has edges as sharp as that.
 _BASE_SHARE: Final = 0.25
-_LEVELS: Final = 2
-_SHARP_LEVELS: Final = 3
+_LEVELS: Final = 1
+_SHARP_LEVELS: Final = 2
 _SHARP_BLUR: Final = 1.5  # px
 _COARSEST: Final = 64.0  # px
 # Base cells of an image, at least: what is smaller than all of them may be missed, and then is only found as noise.

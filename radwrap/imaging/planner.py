@@ -50,6 +50,8 @@ _ATTEMPTS: Final = 8
 # Where the size of the grid's cells takes more than this share of the tolerance they are halved, so often at most.
 _GRID_SHARE: Final = 0.5
 _FINEST: Final = 2
+# Below this tolerance the usual cells are too coarse at any contrast that matters [gray level].
+_COARSE_TOLERANCE: Final = 0.2
 # Pixels of the model's certificate, and pairs of each: where depth is even, and near steps; tried in turn.
 _EFFORTS: Final = ((512, 4, 16), (1024, 16, 128), (2048, 64, 1024))
 # A 99 % quantile without an exceedance among so many: 97.5 % sure of each half's 99.5 %.
@@ -297,7 +299,7 @@ class _Search:
         work.progress.expect(int(min(self.considered.values())))
         self.attempts: list[dict[str, Any]] = []
         self.reused = 0
-        self.finer = 0
+        self.finer = 0 if demand.tolerance >= _COARSE_TOLERANCE else 1
         self.effort = 0 if demand.max_error is None else 1
 
     def run(self) -> Outcome:
