@@ -56,8 +56,16 @@ def log_call(folder: Path, name: object) -> None:
 
 def remove_strangers(folder: Path, ours: set[str]) -> None:
     """Remove half-written pieces, and those of another plan."""
+    remove_halves(folder)
+    for path in folder.glob("*.exr"):
+        if path.name not in ours:
+            path.unlink(missing_ok=True)
+
+
+def remove_halves(folder: Path) -> None:
+    """Remove half-written pieces."""
     for path in folder.iterdir():
-        if path.suffix == ".exr" and (path.name not in ours or TEMPORARY_SUFFIX in path.suffixes):
+        if path.suffix == ".exr" and TEMPORARY_SUFFIX in path.suffixes:
             path.unlink(missing_ok=True)
 
 

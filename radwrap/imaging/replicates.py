@@ -15,7 +15,7 @@ from radwrap.imaging.bounds import Bounded, mean_square_of_differences
 from radwrap.imaging.central import Cells
 from radwrap.imaging.footprint import reach_px
 from radwrap.imaging.kernel import KernelPlan, decide_tile, gathered_tile
-from radwrap.imaging.pieces import log_call, read_piece, remove_strangers, run_jobs, write_piece
+from radwrap.imaging.pieces import log_call, read_piece, remove_halves, run_jobs, write_piece
 from radwrap.imaging.rays import RaysPlan, traced_tile
 from radwrap.imaging.sensor import gray_levels
 from radwrap.imaging.view import View
@@ -102,7 +102,8 @@ def trace_replicates(work: Work, plan: Plan, number: int) -> Replicates:
     tiles = range(len(plan.tiles))
     decided = [_CellsPiece(work, plan, name, tile) for tile in tiles] if isinstance(plan, KernelPlan) else []
     pieces = [_TilePiece(work, plan, name, replicate, tile) for replicate in range(number) for tile in tiles]
-    remove_strangers(work.folder, {piece.path.name for piece in decided} | {piece.path.name for piece in pieces})
+    # Pieces of earlier plans stay: a search that is killed goes through them again.
+    remove_halves(work.folder)
     due = [piece for piece in pieces if piece.read() is None]
     wanted = {piece.tile for piece in due}
     run_jobs(
@@ -150,7 +151,7 @@ class _TilePiece:
 
     def __init__(self, work: Work, plan: Plan, name: str, replicate: int, tile: int) -> None:
         self.replicate, self.tile = replicate, tile
-        self.path = work.folder / f"piece_{replicate:03d}_{tile:05d}.exr"
+        self.path = work.folder / f"piece_{name[:12]}_{replicate:03d}_{tile:05d}.exr"
         self._work, self._plan, self._name = work, plan, f"{name}-{replicate}-{tile}"
         self._whole = name
 
@@ -161,7 +162,7 @@ class _TilePiece:
         work = self._work
         view = View(work.view.camera, work.view.tracer)
         seed = tile_seed(work.seed, self.replicate, self.tile)
-        log_call(work.folder, f"{self.replicate} {self.tile}")
+        log_call(work.folder, self.path.stem)
         if isinstance(self._plan, RaysPlan):
             traced = traced_tile(view, self._plan, self.tile, seed, work.progress.add)
             values, found = traced.values, {"rays": traced.rays, "grid_square": 0.0}
@@ -185,7 +186,7 @@ class _CellsPiece:
 
     def __init__(self, work: Work, plan: KernelPlan, name: str, tile: int) -> None:
         self.tile = tile
-        self.path = work.folder / f"cells_{tile:05d}.exr"
+        self.path = work.folder / f"cells_{name[:12]}_{tile:05d}.exr"
         self._work, self._plan, self._name = work, plan, f"{name}-cells-{tile}"
 
     def read(self) -> tuple[NDArray[np.float32], dict[str, str]] | None:
@@ -194,7 +195,7 @@ class _CellsPiece:
     def make(self) -> None:
         work = self._work
         view = View(work.view.camera, work.view.tracer)
-        log_call(work.folder, f"cells {self.tile}")
+        log_call(work.folder, self.path.stem)
         cells = decide_tile(view, self._plan, self.tile, cells_seed(work.seed, self.tile), work.progress.add)
         told = {
             "first_row": cells.first[0],

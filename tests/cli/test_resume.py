@@ -365,11 +365,7 @@ def test_a_changed_scene_in_the_same_folder_gives_its_own_result(
     results = []
     for name, options in steps:
         for folder in (out, memory_path / name):
-            argv = _argv(scene, folder, KEPT, *options)
-            if name == "pinhole":  # which has no number of sub-viewpoints
-                at = argv.index("--viewpoints")
-                del argv[at : at + 2]
-            here(argv, capsys).success()
+            here(_argv(scene, folder, KEPT, *options), capsys).success()
         results.append(products(out))
         # What an earlier run left under a final name does not belong to this one.
         assert results[-1] == products(memory_path / name), name

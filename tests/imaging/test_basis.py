@@ -19,7 +19,7 @@ from radwrap.imaging.kernel import KernelPlan
 from radwrap.imaging.planner import Outcome, render_to_tolerance
 from radwrap.imaging.relight import Basis, read_basis, relit
 from radwrap.imaging.render_options import RenderOptions
-from radwrap.imaging.replicates import Work, tile_seed
+from radwrap.imaging.replicates import Work
 from radwrap.imaging.tracing import TracedScene, traced_scene
 from radwrap.imaging.view import View
 from radwrap.process import Programs
@@ -127,17 +127,14 @@ def test_relit_images_equal_those_of_a_scene_with_other_levels(made: Made) -> No
         for replicate in range(len(relit_images)):
             changed = []
             for tile, (r0, r1, c0, c1) in enumerate(plan.tiles):
-                frozen = freeze_tile(
-                    View(made.scene.camera, made.work.view.tracer), plan, tile, tile_seed(SEED, replicate, tile), int
-                )
+                frozen = freeze_tile(made.work, plan, replicate, tile)
                 values, change = frozen.trace(fresh, int)
                 assert np.abs(values - relit_images[replicate, r0:r1, c0:c1]).max() < LINEAR * peak
                 changed.append(change)
             assert np.abs(np.concatenate(changed) - relit_grid[replicate]).max(initial=0) < LINEAR * peak
         if isinstance(plan, KernelPlan):
             assert basis.sample is not None
-            pairs = basis.model_rays // (2 * len(basis.sample.pixels) * (1 + len(plan.layers)))
-            lacks, rays = model_lacks(fresh, plan.layers, basis.sample, pairs=pairs, seed=(SEED, 15))
+            lacks, rays = model_lacks(fresh, plan.layers, basis.sample, seed=(SEED, 15))
             assert rays == basis.model_rays
             assert np.abs(lacks - relit_lacks).max() < LINEAR * peak
 
@@ -171,7 +168,7 @@ def test_certificates_of_relit_images_hold(made: Made) -> None:
 def test_a_planted_error_is_detected(made: Made) -> None:
     """One replicate of one source too bright: the certificate grows by what that does, where its own noise is less."""
     images = made.basis.images.copy()
-    images[0, 0] *= 1.1 if made.outcome.method == "kernel" else 1.2
+    images[0, 0] *= 1.1 if made.outcome.method == "kernel" else 1.3
     good, bad = (next(relit(basis, [[1.0] * 4])) for basis in (made.basis, replace(made.basis, images=images)))
     moved = np.abs(good.gray.values - bad.gray.values).max()
     assert moved >= 1

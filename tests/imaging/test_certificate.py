@@ -142,18 +142,22 @@ def test_the_planner_takes_the_kernel_where_it_holds(tolerance: float, tmp_path:
 
 
 def test_the_planner_notices_where_the_kernel_does_not_hold(tmp_path: Path) -> None:
-    """A grating right before the pinhole hides other stripes from each point of the opening."""
+    """Right before the pinhole something hides other parts of the plane behind from each point of the opening."""
 
-    def grating(x: Array, y: Array) -> Array:
-        return np.where(np.abs((x + y) % 2.4e-4 - 1.2e-4) < 6e-5, 0.3, np.nan)
+    def near(x: Array, y: Array) -> Array:
+        return np.where(x > 0, np.where(y > 0, 0.6, 0.1), np.nan)
 
-    seen = view(Aperture("round", 4e-4), (1.5 * F, grating), (1.0, disc), rows=8, columns=10)
-    outcome = search(seen, tmp_path, Demand(3.0))
+    def behind(x: Array, y: Array) -> Array:
+        return np.where(y > 0, 1.0, 0.2)
+
+    seen = view(ROUND, (3 * F, near), (1.0, behind), rows=10, columns=16)
+    outcome = search(seen, tmp_path, Demand(0.4))
     assert outcome.method == "rays" and outcome.met
-    assert true_rms(seen, outcome.radiance, 2048) < 3.0
-    forced = search(seen, tmp_path / "kernel", Demand(3.0, method="kernel", budget=Budget(rays=3e5)))
-    assert not forced.met and forced.method == "kernel"
-    assert true_rms(seen, forced.radiance, 512) <= forced.certificate.rms_gray_upper95
+    assert true_rms(seen, outcome.radiance, 2048) <= outcome.certificate.rms_gray_upper95 + 0.1  # the truth's own noise
+    forced = search(seen, tmp_path / "kernel", Demand(0.4, method="kernel", budget=Budget(rays=1e6)))
+    assert forced.method == "kernel" and not forced.met
+    assert forced.certificate.model_rms_gray > 0.4
+    assert true_rms(seen, forced.radiance, 2048) <= forced.certificate.rms_gray_upper95
 
 
 def test_a_budget_ends_the_search_with_the_best_image_and_its_error(tmp_path: Path) -> None:

@@ -1,0 +1,82 @@
+"""``render`` to a tolerance, as a user sees it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import here, products, write_scene
+
+ERROR = {
+    "rms_gray",
+    "rms_gray_upper95",
+    "p99_gray_upper95",
+    "model_rms_gray",
+    "discretisation_rms_gray",
+    "certificate_pixels",
+    "certificate_rays",
+    "method",
+}
+
+
+def test_the_default_is_a_tolerance_of_half_a_gray_level(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    done = here(["render", write_scene(tmp_path), "--out", tmp_path / "out"], capsys).success()
+    manifest = json.loads((tmp_path / "out" / "manifest.json").read_bytes())
+    assert manifest["tolerance"] == 0.5 and manifest["method"] in {"kernel", "rays"} and manifest["plan"]["why"]
+    assert set(manifest["error"]) == ERROR
+    assert manifest["error"]["rms_gray_upper95"] <= 0.5 and manifest["error"]["p99_gray_upper95"] is None
+    assert "95 %" in done.stdout and manifest["method"] in done.stdout
+    assert not (tmp_path / "out" / "viewpoints").exists()
+
+
+def test_a_tolerance_beyond_the_budget_ends_with_3_and_the_best_image(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    argv = ["render", write_scene(tmp_path), "--out", out, "--tolerance", 0.01, "--budget", "2e4"]
+    done = here(argv, capsys)
+    assert done.code == 3 and "tolerance was not met" in done.stderr
+    manifest = json.loads((out / "manifest.json").read_bytes())
+    assert not manifest["plan"]["met"] and manifest["error"]["rms_gray_upper95"] > 0.01
+    assert {"gray.png", "radiant_exposure.exr"} <= set(products(out))
+    # The finished run is not run again, and says the same.
+    assert here(argv, capsys).code == 3
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--budget", "much"],
+        ["--budget", "nan"],
+        ["--budget", "-1"],
+        ["--budget", "5 parsec"],
+        ["--tolerance", "0"],
+        ["--tolerance", "nan"],
+        ["--max-error", "-2"],
+        ["--method", "kernel", "--viewpoints", "7"],
+    ],
+    ids=" ".join,
+)
+def test_demands_that_make_no_sense_are_refused(
+    options: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = here(["render", write_scene(tmp_path), "--out", tmp_path / "out", *options], capsys).refusal(2)
+    assert options[-2] in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_budget_of_time_is_marked_as_not_reproducible(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    argv = ["render", write_scene(tmp_path), "--out", tmp_path / "out", "--budget", "60 s", "--json"]
+    assert not here(argv, capsys).success().json["plan"]["reproducible"]
+
+
+def test_any_number_of_workers_gives_the_same_bytes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = write_scene(tmp_path)
+    found = []
+    for workers in (1, 3):
+        out = tmp_path / f"out{workers}"
+        here(["render", scene, "--out", out, "--workers", workers], capsys).success()
+        found.append(products(out))
+    assert found[0] == found[1]

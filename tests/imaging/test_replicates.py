@@ -1,0 +1,84 @@
+"""Pieces of a search for a tolerance: what was finished before a failure is not traced again."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from radwrap.errors import TracerError
+from radwrap.imaging.pieces import CALL_LOG
+from radwrap.imaging.planner import Demand, Outcome, render_to_tolerance
+from radwrap.imaging.replicates import Work
+from radwrap.imaging.view import View
+from radwrap.process import Programs
+from radwrap.progress import Progress
+from radwrap.scene.camera import Aperture
+from tests.imaging.planes import Array, Planes, view
+
+
+@dataclass(frozen=True)
+class Failing(Planes):
+    """Planes whose tracer dies at a call."""
+
+    left: list[int] = field(default_factory=lambda: [10**9])
+
+    def trace(self, rays: Iterable[Array]) -> Generator[Array]:
+        self.left[0] -= 1
+        if self.left[0] < 0:
+            raise TracerError("died", where="test")
+        yield from super().trace(rays)
+
+
+def stripes(x: Array, y: Array) -> Array:
+    """Something with edges."""
+    return np.where((x + 0.2 * y) % 4e-3 < 2e-3, 1.0, 0.2)
+
+
+def search(seen: View, folder: Path, demand: Demand) -> Outcome:
+    folder.mkdir(exist_ok=True)
+    with Programs() as programs:
+        return render_to_tolerance(Work(seen, folder, programs, Progress("", 1, shown=False), "none", 0), demand)
+
+
+@pytest.mark.parametrize("demand", [Demand(0.3, method="kernel"), Demand(3.0, method="rays")], ids=["kernel", "rays"])
+def test_what_is_finished_is_not_traced_again(demand: Demand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("radwrap.imaging.rays._TILE_PIXELS", 256)
+    monkeypatch.setattr("radwrap.imaging.kernel._TILE_ROWS", 40)
+    base = view(Aperture("round", 2e-4), (1.0, stripes), rows=20)
+    planes = ((1.0, stripes),)
+    good = search(base, tmp_path / "good", demand)
+    log = (tmp_path / "good" / CALL_LOG).read_text().split("\n")
+    folder = tmp_path / "broken"
+    calls = 1
+    while True:  # each run dies one call later than the one before
+        tracer = Failing(planes, [calls])
+        try:
+            outcome = search(View(base.camera, tracer), folder, demand)
+            break
+        except TracerError:
+            calls += 1
+        assert calls < 200
+    assert outcome.radiance.tobytes() == good.radiance.tobytes()
+    assert outcome.certificate == good.certificate
+    # Each piece was begun again only while it was not finished, and no other one was begun.
+    begun = (folder / CALL_LOG).read_text().split()
+    assert set((tmp_path / "good" / CALL_LOG).read_text().split()) == set(begun)
+    assert calls > 3 and len(log) > 3
+    again = search(base, folder, demand)
+    assert again.reused == len(list(folder.glob("piece_*.exr"))) and again.radiance.tobytes() == good.radiance.tobytes()
+    assert (folder / CALL_LOG).read_text().split() == begun
+
+
+def test_a_piece_of_another_plan_is_not_taken(tmp_path: Path) -> None:
+    base = view(Aperture("round", 2e-4), (1.0, stripes))
+    first = search(base, tmp_path, Demand(2.0, method="kernel"))
+    second = search(base, tmp_path, Demand(0.2, method="kernel"))
+    assert second.reused == 0 and first.radiance.tobytes() != second.radiance.tobytes()
+    for piece in tmp_path.glob("piece_*.exr"):
+        piece.write_bytes(piece.read_bytes()[:200])
+    third = search(base, tmp_path, Demand(0.2, method="kernel"))
+    assert third.reused == 0 and third.radiance.tobytes() == second.radiance.tobytes()
