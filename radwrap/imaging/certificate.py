@@ -98,6 +98,12 @@ class PixelSample:
     shares: NDArray[np.float64]
     pairs: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
+    @property
+    def weights(self) -> NDArray[np.float64]:
+        """Share of the image that each pixel stands for."""
+        each: NDArray[np.float64] = self.shares / np.bincount(self.stratum, minlength=len(self.shares))
+        return each[self.stratum]
+
 
 def places_of(pixels: NDArray[np.intp], columns: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Columns and rows of pixels [px]."""

@@ -146,8 +146,6 @@ class Outcome:
         For the manifest: why this method, what was tried.
     reused : int
         Pieces that were found on the disk.
-    model : PixelErrors or None
-        Samples of the model's error, where the method has a model.
     ray_plan : KernelPlan or RaysPlan
         What was traced.
     sample : PixelSample or None
@@ -161,7 +159,6 @@ class Outcome:
     method: ToleranceMethod
     plan: dict[str, Any]
     reused: int
-    model: PixelErrors | None
     ray_plan: KernelPlan | RaysPlan
     sample: PixelSample | None
 
@@ -343,7 +340,7 @@ class _Search:
         replicates = trace_replicates(self.work, plan, number)
         self.reused += replicates.reused
         self.spent += replicates.rays
-        certificate, model, sample = self._certify(plan, replicates)
+        certificate, sample = self._certify(plan, replicates)
         self.attempts.append(
             {
                 "method": method,
@@ -376,19 +373,16 @@ class _Search:
                 "reproducible": math.isinf(self.demand.budget.seconds),
             },
             reused=self.reused,
-            model=model,
             ray_plan=plan,
             sample=sample,
         )
 
-    def _certify(
-        self, plan: KernelPlan | RaysPlan, replicates: Replicates
-    ) -> tuple[Certificate, PixelErrors | None, PixelSample | None]:
+    def _certify(self, plan: KernelPlan | RaysPlan, replicates: Replicates) -> tuple[Certificate, PixelSample | None]:
         view, seed = self.view, self.work.seed
         noise, errors = discretisation(view, replicates)
         if isinstance(plan, RaysPlan) or view.camera.aperture.is_infinitesimal:
             quantile = noise_quantile(errors, noise) if self.demand.max_error is not None else None
-            return certificate_of(NOTHING, noise, quantile, pixels=0, rays=0), None, None
+            return certificate_of(NOTHING, noise, quantile, pixels=0, rays=0), None
         radiance = replicates.mean
         gray = gray_levels(radiance * view.exposure_of_radiance, view.camera.sensor)
         risky = steps(view, self.found.magnification, gray, _RISK_SHARE * self.demand.tolerance)
@@ -410,7 +404,7 @@ class _Search:
         quantile = None
         if self.demand.max_error is not None:
             quantile = noise_quantile(errors, noise) + model_quantile(found, sample)
-        return certificate_of(model, noise, quantile, pixels=len(sample.pixels), rays=found.rays), found, sample
+        return certificate_of(model, noise, quantile, pixels=len(sample.pixels), rays=found.rays), sample
 
     def _is_spent(self, outcome: Outcome) -> bool:
         """Whether another attempt, which takes about twice the rays at least, would pass the budget."""
@@ -460,10 +454,8 @@ def noise_quantile(errors: NDArray[np.float64], noise: Bounded) -> float:
 def model_quantile(errors: PixelErrors, sample: PixelSample) -> float:
     """Error of the model that 99.5 % of the pixels stay below: the largest that was seen where few lie above it."""
     size = (np.abs(errors.first) + np.abs(errors.second)) / 2
-    shares = sample.shares
-    weights = (shares / np.bincount(sample.stratum, minlength=len(shares)))[sample.stratum]
     order = np.argsort(-size)
-    above = np.cumsum(weights[order])
+    above = np.cumsum(sample.weights[order])
     # Half of the share that may lie above, for what the sample did not see.
     place = int(np.searchsorted(above, (1 - _QUANTILE) / 2))
     return float(size[order[min(place, len(order) - 1)]])

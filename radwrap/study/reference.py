@@ -57,7 +57,7 @@ class Reference:
     @property
     def rms_gray(self) -> float:
         """Rms error of the mean of both over the image [gray level]."""
-        return math.sqrt(float((_weights(self.sample) * (self.first - self.second) ** 2).sum()) / 4)
+        return math.sqrt(float((self.sample.weights * (self.first - self.second) ** 2).sum()) / 4)
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,17 +177,9 @@ def distance(reference: Reference, gray: NDArray[np.float64]) -> Distance:
     square = errors.mean_square(reference.sample, (reference.seed, 23))
     sizes = np.sqrt(np.maximum(errors.first * errors.second, 0.0))
     order = np.argsort(sizes)
-    below = np.cumsum(_weights(reference.sample)[order])
+    below = np.cumsum(reference.sample.weights[order])
     place = min(int(np.searchsorted(below, _QUANTILE)), len(order) - 1)
     return Distance(root(square.mean), root(square.upper), float(sizes[order[place]]), float(sizes.max()))
-
-
-def _weights(sample: PixelSample) -> NDArray[np.float64]:
-    """Share of the image that each pixel of the sample stands for."""
-    weights: NDArray[np.float64] = (sample.shares / np.bincount(sample.stratum, minlength=len(sample.shares)))[
-        sample.stratum
-    ]
-    return weights
 
 
 def reference_as_json(reference: Reference) -> dict[str, Any]:
