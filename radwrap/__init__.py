@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from radwrap.errors import RadwrapError as RadwrapError
     from radwrap.errors import ToleranceNotMet as ToleranceNotMet
     from radwrap.errors import TracerError as TracerError
+    from radwrap.imaging.effects import effects as effects
     from radwrap.imaging.explain import explain as explain
     from radwrap.imaging.render_options import RenderOptions as RenderOptions
     from radwrap.imaging.synthesis import Rendered as Rendered
@@ -48,6 +49,7 @@ _HOMES = {
     "Scene": "radwrap.scene.scene",
     "ToleranceNotMet": "radwrap.errors",
     "TracerError": "radwrap.errors",
+    "effects": "radwrap.imaging.effects",
     "explain": "radwrap.imaging.explain",
     "load_scene": "radwrap.scene.load",
     "render": "radwrap.imaging.synthesis",

@@ -30,10 +30,10 @@ from radwrap.imaging.aperture import LAYOUTS, Layout, sub_viewpoints
 from radwrap.imaging.certificate import draw_pixels, model_errors
 from radwrap.imaging.exposure import radiant_exposure
 from radwrap.imaging.kernel import plan_kernel
-from radwrap.imaging.planner import survey
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.replicates import Work, discretisation, trace_replicates
 from radwrap.imaging.sensor import gray_image, gray_levels
+from radwrap.imaging.survey import survey
 from radwrap.imaging.tracing import traced_scene
 from radwrap.imaging.view import PixelPlan, PixelSampling, View
 from radwrap.process import Programs

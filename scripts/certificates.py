@@ -37,9 +37,9 @@ from radwrap.imaging.certificate import (
     root,
 )
 from radwrap.imaging.kernel import decide_tile, gathered_tile, plan_kernel
-from radwrap.imaging.planner import met_by, survey
 from radwrap.imaging.rays import sampled_radiance
 from radwrap.imaging.sensor import gray_levels
+from radwrap.imaging.survey import met_by, survey
 from radwrap.imaging.tracing import traced_scene
 from radwrap.imaging.view import View, trace_rays
 

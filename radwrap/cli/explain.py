@@ -1,4 +1,4 @@
-"""``radwrap explain``: what a scene amounts to, before a ray is traced."""
+"""``radwrap explain``: what a scene amounts to and which effects it needs, before an image is made."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from radwrap.cli import options as shared
+from radwrap.imaging.effects import effects
 from radwrap.imaging.explain import explain
+from radwrap.imaging.render_options import RenderOptions
 from radwrap.manifest import json_text
 
 
@@ -16,16 +18,33 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser = verbs.add_parser(
         "explain",
         help="tell what a scene amounts to",
-        description="Tells what a scene amounts to, before a ray is traced.",
+        description="Tells what a scene amounts to, and by a few thousand rays which effects it needs: the error in "
+        "gray levels of leaving each out.",
     )
     shared.add_scene(parser)
+    parser.add_argument(
+        "--tolerance", metavar="GRAY", type=float, default=0.5, help="gray levels rms that are wanted (default 0.5)"
+    )
+    parser.add_argument("--seed", metavar="S", type=int, default=0, help="seed of all that is drawn (default 0)")
+    parser.add_argument("--no-rays", action="store_true", help="closed forms alone; needs no Radiance")
+    shared.add_radiance(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out the verb."""
-    found = explain(shared.load(arguments))
+    scene = shared.load(arguments)
+    found = explain(scene)
+    if not arguments.no_rays:
+        options = RenderOptions(
+            tolerance=arguments.tolerance,
+            seed=arguments.seed,
+            radiance=arguments.radiance,
+            trust=arguments.trust,
+            tracer_timeout=shared.time_of(arguments.tracer_timeout, "--tracer-timeout"),
+        )
+        found |= effects(scene, options)
     print(json_text(found) if arguments.json else "\n".join(_lines(found)) + "\n", end="")
     return 0
 
@@ -66,6 +85,14 @@ def _lines(found: Mapping[str, Any]) -> Iterator[str]:
             f"({peak['material']}), by closed form without shadows and blur"
         )
     yield f"advice: {found['advice']}"
+    for effect in found.get("effects", ()):
+        needed = "needed" if effect["needed"] else "not needed"
+        yield (
+            f"effect {effect['name']}: {needed}; {effect['rms_gray']:.3g} gray rms "
+            f"(at most {effect['rms_gray_upper95']:.3g}) if left out: {effect['left_out']}"
+        )
+    if planner := found.get("planner"):
+        yield f"method for a tolerance of {found['tolerance']:g}: {planner['method']} ({planner['why']})"
     for warning in found["warnings"]:
         yield f"warning: {warning}"
     for key, value in found["assumed"].items():

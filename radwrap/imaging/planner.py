@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.errors import InputError
 from radwrap.imaging.bounds import NOTHING, Bounded
 from radwrap.imaging.certificate import (
     Certificate,
@@ -23,27 +23,22 @@ from radwrap.imaging.certificate import (
     PixelSample,
     draw_pixels,
     model_errors,
-    places_of,
     root,
 )
-from radwrap.imaging.footprint import reach_px
 from radwrap.imaging.kernel import KernelPlan, plan_kernel
-from radwrap.imaging.rays import ORDER, PILOT, RaysPlan, gray_deviation, plan_rays, sampled_radiance
+from radwrap.imaging.rays import RaysPlan, plan_rays
 from radwrap.imaging.replicates import Replicates, Work, discretisation, replicates_needed, trace_replicates
 from radwrap.imaging.sensor import gray_levels
-from radwrap.imaging.view import View, magnifications_at
+from radwrap.imaging.survey import AIM_SHARE, Survey, met_by, middle_of, predicted_rays, steps, survey
+from radwrap.imaging.view import View
+from radwrap.manifest import finite
 
 ToleranceMethod = Literal["kernel", "rays"]
 
-_SURVEY_SIDE: Final = 128  # rows and columns of the survey's grid of central rays, which are told distances alone
-_SURVEY_PIXELS: Final = 192
-_SURVEY_PAIRS: Final = 4
-# Share of the tolerance that the predicted error takes: the bound lies above the error by 10 to 30 %.
-_AIM_SHARE: Final = 0.75
+# What costs less than this share of the tolerance is left out: errors add as squares, so it takes 5 % of the tolerance.
+NEGLIGIBLE_SHARE: Final = 0.3
 # Where the model's error takes more than this share of the tolerance, rays are asked instead.
 _MODEL_SHARE: Final = 0.85
-# A step in depth costs about this share of its difference in magnification and of the contrast (measured).
-_STEP_COST: Final = 0.32
 # Pixels where that may reach this share of the tolerance are looked at apart.
 _RISK_SHARE: Final = 0.1
 _ATTEMPTS: Final = 8
@@ -104,26 +99,34 @@ class Demand:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Survey:
-    """What a few thousand rays tell beforehand.
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """What a survey advises.
 
     Attributes
     ----------
-    magnification : ndarray, shape (rows, columns)
-        m = 1 + f/z of what a grid of central rays met, 1 where nothing.
+    method : str
+        "kernel" or "rays".
+    why : str
+        The reason.
+    one_layer : bool
+        Whether the spread of depths is left out.
     model : Bounded
-        Mean square error of the kernel's model [gray level^2].
-    deviations : ndarray
-        Standard deviation of one ray at pixels drawn at random [gray level].
-    rays : int
-        What it took.
+        Mean square error of that kernel's model [gray level^2].
+    expected_rays : Mapping[str, int or None]
+        What each method is expected to take; None where it cannot be used.
     """
 
-    magnification: NDArray[np.float64]
+    method: ToleranceMethod
+    why: str
+    one_layer: bool
     model: Bounded
-    deviations: NDArray[np.float64]
-    rays: int
+    expected_rays: Mapping[str, int | None]
+
+    def as_manifest(self) -> dict[str, Any]:
+        """What is expected, before an image is made."""
+        known = {key: value for key, value in self.expected_rays.items() if value is not None}
+        return {"expected_rays": known, "expected_model_rms_gray": finite(root(self.model.mean))}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,114 +166,25 @@ class Outcome:
     sample: PixelSample | None
 
 
-def survey(view: View, seed: int) -> Survey:
-    """Look at depths, at the kernel's model and at the spread of rays at a few pixels."""
-    sensor = view.camera.sensor
-    rows, columns = (
-        (np.arange(n) + 0.5) / n * size - 0.5
-        for size, n in (
-            (sensor.rows, min(sensor.rows, _SURVEY_SIDE)),
-            (sensor.columns, min(sensor.columns, _SURVEY_SIDE)),
-        )
+def choose(view: View, found: Survey, demand: Demand) -> Choice:
+    """Pick the cheapest method whose model is expected to hold."""
+    one_layer = root(found.one_layer.upper) <= NEGLIGIBLE_SHARE * demand.tolerance
+    model = found.one_layer if one_layer else found.model
+    rays, kernel = (
+        math.ceil(value) if math.isfinite(value) else None for value in predicted_rays(view, found, demand.tolerance)
     )
-    u, v = (grid.ravel() for grid in np.meshgrid(columns, rows))
-    magnification = magnifications_at(view, u, v).reshape(len(rows), len(columns))
-    drawn = np.random.default_rng((seed, 6)).choice(sensor.pixels, min(sensor.pixels, _SURVEY_PIXELS), replace=False)
-    pilot = sampled_radiance(view, *places_of(drawn, sensor.columns), PILOT, np.random.default_rng((seed, 7)))
-    deviations = gray_deviation(pilot, plan_rays(view, 1.0))
-    rays = magnification.size + pilot.size
-    model = NOTHING
-    if not view.camera.aperture.is_infinitesimal:
-        try:
-            layers = plan_kernel(view, met_by(magnification), 1.0).layers
-        except InputError:
-            return Survey(magnification, Bounded(math.inf, math.inf), deviations, rays)
-        every = np.zeros(len(drawn), dtype=np.intp)
-        sample = PixelSample(drawn, every, np.ones(1), every + _SURVEY_PAIRS)
-        errors = model_errors(view, layers, sample, pilot.mean(axis=1), seed=(seed, 8))
-        model = errors.mean_square(sample, (seed, 9))
-        rays += errors.rays
-    return Survey(magnification, model, deviations, rays)
-
-
-def met_by(magnification: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Magnifications of what was met."""
-    return magnification[magnification > 1]
-
-
-def steps(view: View, magnification: NDArray[np.float64], gray: NDArray[np.float64], least: float) -> NDArray[np.bool_]:
-    """Pixels, shape (rows, columns), that gather light across a step in depth that may matter.
-
-    Parameters
-    ----------
-    view : View
-        For its camera.
-    magnification : ndarray, shape (rows, columns)
-        Of the survey's grid.
-    gray : ndarray, shape (rows, columns)
-        The image [gray level].
-    least : float
-        Smallest error that matters [gray level].
-    """
-    places = [_nearest(size, n) for size, n in zip(gray.shape, magnification.shape, strict=True)]
-    seen = gray[np.ix_(*places)]
-    # Where a survey's point lies between pixels, a step hides by so much: the reach, and a point more.
-    reach = reach_px(view.camera, float(magnification.max()))[::-1]
-    far = [
-        min(math.ceil(reach[axis] * n / size) + 1, n - 1)
-        for axis, (size, n) in enumerate(zip(gray.shape, magnification.shape, strict=True))
-    ]
-    cost = _STEP_COST * _range_nearby(magnification, far) * _range_nearby(seen, far)
-    back = [np.arange(size) * n // size for size, n in zip(gray.shape, magnification.shape, strict=True)]
-    wide: NDArray[np.bool_] = (cost > least)[np.ix_(*back)]
-    return wide
-
-
-def _nearest(size: int, number: int) -> NDArray[np.intp]:
-    """Pixels in the middle of `number` equal parts of `size`."""
-    return ((np.arange(number) + 0.5) / number * size).astype(np.intp)
-
-
-def _range_nearby(values: NDArray[np.float64], far: list[int]) -> NDArray[np.float64]:
-    """Largest less smallest within so many steps along each axis."""
-    high = low = values
-    for axis, steps_away in enumerate(far):
-        high, low = _extreme(high, axis, steps_away, np.maximum), _extreme(low, axis, steps_away, np.minimum)
-    return high - low
-
-
-def _extreme(values: NDArray[np.float64], axis: int, far: int, choose: np.ufunc) -> NDArray[np.float64]:
-    """Largest or smallest within so many steps along an axis."""
-    values = np.moveaxis(values, axis, 0)
-    framed = np.concatenate([values[:1].repeat(far, axis=0), values, values[-1:].repeat(far, axis=0)])
-    windows = np.lib.stride_tricks.sliding_window_view(framed, 2 * far + 1, axis=0)
-    return np.moveaxis(choose.reduce(windows, axis=-1), 0, axis)
-
-
-def predicted_rays(view: View, found: Survey, tolerance: float) -> dict[str, float]:
-    """Rays that each method is expected to take for an rms error: a model, good to a factor of about two."""
-    sensor = view.camera.sensor
-    aim = _AIM_SHARE * tolerance * math.sqrt(2)
-    numbers = np.clip((found.deviations / aim) ** (1 / ORDER), 4, 1 << 14)
-    rays = 2 * sensor.pixels * (PILOT + float(numbers.mean()))
-    if not math.isfinite(found.model.mean):
-        return {"rays": rays, "kernel": math.inf}
-    plan = plan_kernel(view, met_by(found.magnification), aim)
-    reach = view.camera.aperture.reach * plan.layers[-1]
-    covered = (sensor.columns + 2 * reach / sensor.pixel_width) * (sensor.rows + 2 * reach / sensor.pixel_height)
-    # About as many again where cells are cut.
-    kernel = 2 * replicates_needed(plan) * covered / plan.grid.base**2
-    return {"rays": rays, "kernel": kernel}
-
-
-def expected_rays(view: View, demand: Demand, seed: int) -> float:
-    """Rays that a run is expected to take."""
-    found = survey(view, seed)
-    expected = predicted_rays(view, found, demand.tolerance)
+    method: ToleranceMethod = "rays"
     if demand.method is not None:
-        return expected[demand.method]
-    holds = root(found.model.mean) <= _MODEL_SHARE * demand.tolerance
-    return min(expected.values()) if holds else expected["rays"]
+        method, why = demand.method, "asked for"
+    elif kernel is None or math.isinf(model.mean):
+        why = "the scene is too deep for one central image"
+    elif root(model.mean) > _MODEL_SHARE * demand.tolerance:
+        why = f"the kernel's model may be off by {root(model.mean):.3g} gray rms"
+    elif rays is not None and rays < kernel:
+        why = "fewer rays are expected than for the kernel"
+    else:
+        method, why = "kernel", "fewest rays are expected, and its model holds"
+    return Choice(method, why, one_layer, model, {"kernel": kernel, "rays": rays})
 
 
 def render_to_tolerance(work: Work, demand: Demand) -> Outcome:
@@ -292,15 +206,16 @@ class _Search:
         self.start = time.monotonic()
         self.found = survey(work.view, work.seed)
         self.spent = self.found.rays
-        self.considered = predicted_rays(work.view, self.found, demand.tolerance)
-        work.progress.expect(int(min(self.considered.values())))
+        self.choice = choose(work.view, self.found, demand)
+        work.progress.expect(self.choice.expected_rays[self.choice.method] or 1)
         self.attempts: list[dict[str, Any]] = []
         self.reused = 0
         self.finer = 0 if demand.tolerance >= _COARSE_TOLERANCE else 1
         self.effort = 0 if demand.max_error is None else 1
+        self.one_layer = self.choice.one_layer
 
     def run(self) -> Outcome:
-        method, why = self._choose()
+        method, why = self.choice.method, self.choice.why
         share = self._first_share(method)
         best: Outcome | None = None
         for _ in range(_ATTEMPTS):
@@ -313,26 +228,22 @@ class _Search:
         assert best is not None  # noqa: S101  (the loop ran)
         return best
 
-    def _choose(self) -> tuple[ToleranceMethod, str]:
-        if self.demand.method is not None:
-            return self.demand.method, "asked for"
-        model = root(self.found.model.mean)
-        if model > _MODEL_SHARE * self.demand.tolerance:
-            return "rays", f"the kernel's model may be off by {model:.3g} gray rms"
-        if self.considered["rays"] < self.considered["kernel"]:
-            return "rays", "fewer rays are expected than for the kernel"
-        return "kernel", "fewest rays are expected, and its model holds"
+    @property
+    def model(self) -> Bounded:
+        """Mean square error of the kernel that is planned [gray level^2]."""
+        return self.found.one_layer if self.one_layer else self.found.model
 
     def _first_share(self, method: ToleranceMethod) -> float:
         """Rms error of the result to aim at."""
-        model = max(self.found.model.mean, 0.0) if method == "kernel" else 0.0
+        model = max(self.model.mean, 0.0) if method == "kernel" else 0.0
         left = self.demand.tolerance**2 - (model if math.isfinite(model) else 0.0)
-        return _AIM_SHARE * math.sqrt(max(left, (0.3 * self.demand.tolerance) ** 2))
+        return AIM_SHARE * math.sqrt(max(left, (0.3 * self.demand.tolerance) ** 2))
 
     def _plan(self, method: ToleranceMethod, aim: float) -> KernelPlan | RaysPlan:
         if method == "rays":
             return plan_rays(self.view, aim)
-        return plan_kernel(self.view, met_by(self.found.magnification), aim, self.finer)
+        met = met_by(self.found.magnification)
+        return plan_kernel(self.view, middle_of(met) if self.one_layer else met, aim, self.finer)
 
     def _attempt(self, method: ToleranceMethod, share: float, why: str) -> Outcome:
         number = replicates_needed(self._plan(method, share))
@@ -360,10 +271,8 @@ class _Search:
             plan={
                 "method": method,
                 "why": why,
-                "expected_rays": {key: value for key, value in self.considered.items() if math.isfinite(value)},
-                "expected_model_rms_gray": root(self.found.model.mean)
-                if math.isfinite(self.found.model.mean)
-                else None,
+                **self.choice.as_manifest(),
+                "one_layer_rms_gray": root(self.found.one_layer.mean),
                 "attempts": list(self.attempts),
                 "rays": self.spent,
                 "layers": len(plan.layers) if isinstance(plan, KernelPlan) else None,
@@ -424,8 +333,11 @@ class _Search:
             self.finer += 1
             return "kernel", share, why
         rest = math.sqrt(max(certificate.rms_gray_upper95**2 - certificate.discretisation_rms_gray**2, 0.0))
+        if self.one_layer and rest > NEGLIGIBLE_SHARE * wanted and math.isfinite(self.found.model.mean):
+            self.one_layer = False
+            return "kernel", share, "depths differ more than the survey saw"
         stuck = certificate.model_rms_gray > _MODEL_SHARE * wanted or rest > wanted or grid > _GRID_SHARE * wanted
-        if self.demand.method is None and (stuck or share < wanted * _AIM_SHARE / 4):
+        if self.demand.method is None and (stuck or share < wanted * AIM_SHARE / 4):
             return "rays", self._first_share("rays"), "the kernel's certificate did not hold"
         return "kernel", share / 2, why
 

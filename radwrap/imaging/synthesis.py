@@ -23,12 +23,14 @@ from radwrap.files import TEMPORARY_SUFFIX, disk_failure, make_folder, sha256_of
 from radwrap.images import ExposureImage, GrayImage, png_bytes, read_image, write_exr, write_png
 from radwrap.imaging.basis import BASIS, FOLDER, shining, write_basis
 from radwrap.imaging.cost import Cost, check_size, estimate, seconds_per_ray
+from radwrap.imaging.effects import Effect, bounces
 from radwrap.imaging.exposure import radiant_exposure
 from radwrap.imaging.methods import Made, fixed_method, how, make, viewpoint_plan
-from radwrap.imaging.planner import expected_rays
+from radwrap.imaging.planner import choose
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.replicates import Work
 from radwrap.imaging.sensor import gray_image, gray_levels
+from radwrap.imaging.survey import survey
 from radwrap.imaging.tracing import TracedScene, traced_scene
 from radwrap.imaging.truth import central_maps, geometry
 from radwrap.imaging.viewpoints import missing_viewpoints
@@ -141,7 +143,8 @@ def forecast(scene: Scene, options: RenderOptions) -> Cost:
     with traced_scene(scene, options) as view:
         expected: float = rays * scene.camera.sensor.pixels
         if fixed_method(scene, options) is None:
-            expected = expected_rays(view, options.demand, options.seed)
+            choice = choose(view, survey(view, options.seed), options.demand)
+            expected = choice.expected_rays[choice.method] or expected
         return estimate(scene, expected, workers, lambda: seconds_per_ray(view))
 
 
@@ -237,6 +240,7 @@ class _Run:
         work = Work(view, self.folder, self.programs, progress, self.traced_sha256, self.options.seed)
         try:
             made = make(self.scene, self.options, work)
+            left_out = bounces(self.traced, view, self.options.seed, self.options.tolerance)
             self._remove_old()
             basis = self._write_basis(work, made)
         finally:
@@ -253,8 +257,10 @@ class _Run:
         }
         manifest = {
             **self._description(made),
+            "warnings": [*warnings_of(self.scene), *_warnings_of(left_out)],
             **summary,
             "error": made.error,
+            "left_out": {left_out.name: left_out.as_manifest()},
             "files": {name: sha256_of(self.out / name) for name in files},
             "timing": timing,
         }
@@ -331,10 +337,18 @@ class _Run:
             "trust": options.trust,
             "versions": self.versions,
             "assumed": dict(sorted(self.scene.assumed.items())),
-            "warnings": list(warnings_of(self.scene)),
             "camera": plain(self.scene.camera),
             "scene": self.scene.document,
         }
+
+
+def _warnings_of(left_out: Effect) -> tuple[str, ...]:
+    if not left_out.needed:
+        return ()
+    return (
+        "light that goes from one surface to another is left out: it would change the image by about "
+        f"{left_out.rms_gray:.2g} gray rms (at most {left_out.rms_gray_upper95:.2g})",
+    )
 
 
 def scene_sha256(scene: Scene, prepared: PreparedScene) -> str:

@@ -13,7 +13,9 @@ from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.view import View
 from radwrap.manifest import sha256_of_value
 from radwrap.process import Limits, Programs, available_cores
+from radwrap.scene.camera import ColourChannel
 from radwrap.scene.scene import Scene
+from radwrap.scene.sources import Source
 from radwrap.tracers.installation import find_radiance, version
 from radwrap.tracers.radiance import NO_LIGHT, RadianceOptions, RadianceTracer, build, prepare
 from radwrap.tracers.radiance_text import RadianceScene
@@ -57,6 +59,14 @@ class TracedScene:
         tracer = self._tracer(text, self._work / "sources" / emitter)
         return View(self.scene.camera, tracer, self._options.workers or available_cores())
 
+    def view_lit_by(self, sources: tuple[Source, ...]) -> View:
+        """The camera, with a tracer for the same targets in other light."""
+        scene = replace(self.scene, sources=sources)
+        folder = self._work / "other"
+        make_folder(folder)
+        prepared = prepare(scene, self._radiance, self._programs, folder)
+        return View(scene.camera, self._tracer(prepared.scene, folder), self._options.workers or available_cores())
+
     def identity_tracer(self) -> RadianceTracer:
         """A tracer for the same geometry, in which each part glows with its number."""
         text = self.prepared.scene
@@ -74,7 +84,30 @@ class TracedScene:
 
 
 @contextmanager
-def traced_scene(scene: Scene, options: RenderOptions | None = None) -> Iterator[View]:
-    """A view of a scene for probes; its files and programs are gone at the end of the block."""
+def laid_out(scene: Scene, options: RenderOptions) -> Iterator[TracedScene]:
+    """A scene laid out for probes; its files and programs are gone at the end of the block."""
     with tempfile.TemporaryDirectory(prefix="radwrap-") as folder, Programs() as programs:
-        yield TracedScene(scene, options or RenderOptions(), programs, Path(folder)).view()
+        yield TracedScene(scene, options, programs, Path(folder))
+
+
+@contextmanager
+def traced_scene(scene: Scene, options: RenderOptions | None = None) -> Iterator[View]:
+    """A view of a scene for probes, as `laid_out`."""
+    with laid_out(scene, options or RenderOptions()) as traced:
+        yield traced.view()
+
+
+def with_bounces(view: View, bounces: int) -> View:
+    """The view with surfaces that light each other; one process, so that its random draws come in one order."""
+    return replace(view, tracer=replace(_radiance(view), bounces=bounces), workers=1)
+
+
+def of_channel(view: View, channel: ColourChannel) -> View:
+    """The view as one of the tracer's channels shows it."""
+    return replace(view, tracer=replace(_radiance(view), channel=channel))
+
+
+def _radiance(view: View) -> RadianceTracer:
+    if not isinstance(view.tracer, RadianceTracer):
+        raise TypeError("only Radiance does that")
+    return view.tracer

@@ -24,10 +24,11 @@ from radwrap.errors import InputError
 from radwrap.files import make_folder, sole_owner, write_bytes
 from radwrap.imaging.aperture import LAYOUTS, Layout, Viewpoints, central_viewpoint, sub_viewpoints
 from radwrap.imaging.cost import check_size
-from radwrap.imaging.planner import Budget, Demand, predicted_rays, render_to_tolerance, survey
+from radwrap.imaging.planner import Budget, Demand, choose, render_to_tolerance
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.replicates import Work
 from radwrap.imaging.sensor import gray_levels
+from radwrap.imaging.survey import survey
 from radwrap.imaging.tracing import TracedScene
 from radwrap.imaging.view import PixelPlan, PixelSampling, View, trace_rays
 from radwrap.manifest import json_text, sha256_of_value, versions
@@ -368,7 +369,8 @@ class _Sweep:
 
     def _expected_rays(self, setting: Setting) -> float:
         if setting.tolerance is not None:
-            return predicted_rays(self.view, self.survey, setting.tolerance)[setting.method]
+            expected = choose(self.view, self.survey, Demand(setting.tolerance)).expected_rays
+            return math.inf if (rays := expected[setting.method]) is None else rays
         return (setting.viewpoints or 1) * setting.pixel_samples**2 * self.scene.camera.sensor.pixels
 
     def _points(self, setting: Setting) -> Viewpoints:

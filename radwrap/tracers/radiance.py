@@ -27,6 +27,8 @@ _OCTREE: Final = "scene.oct"
 # threshold (-dt 0, -dc 1); no random reflected rays (-st 1), no interreflection (-ab 0). Mirrors of an included
 # file are followed 8 deep, never by Russian roulette.
 VALUE_OPTIONS: Final = tuple("-h -fdf -ov -ab 0 -dt 0 -dc 1 -dj 0 -ds 0 -st 1 -lr 8 -lw 0 -n 1 -x 0 -y 0".split(" "))
+# Interreflection point by point, no cache (-aa 0): so many ambient rays where a ray meets a surface, fewer after that.
+_AMBIENT_DIVISIONS: Final = 16
 _BOTH_OPTIONS: Final = tuple("-ovL" if option == "-ov" else option for option in VALUE_OPTIONS)
 _LENGTH_OPTIONS: Final = tuple("-h -fdf -oL -ab 0 -n 1 -x 0 -y 0".split(" "))
 # The identity scene has no lights on purpose.
@@ -208,6 +210,9 @@ class RadianceTracer:
         Which of the three channels is asked for; "equal" demands that they agree.
     harmless : tuple of str
         Warnings that may be passed over, see `judge`.
+    bounces : int
+        How often light may go from one surface to another: with more than none, radiance is a random draw, whose mean
+        is right.
     """
 
     options: RadianceOptions
@@ -217,19 +222,26 @@ class RadianceTracer:
     search: tuple[Path, ...] = ()
     channel: str = "equal"
     harmless: tuple[str, ...] = ()
+    bounces: int = 0
 
     def trace(self, rays: Iterable[NDArray[np.float64]]) -> Generator[NDArray[np.float64]]:
         """Radiance along rays, one rtrace process for all of them; see `Tracer.trace`."""
-        with closing(self._ask(VALUE_OPTIONS, rays, 3)) as answers:
+        with closing(self._ask([*VALUE_OPTIONS, *self._ambient], rays, 3)) as answers:
             yield from map(self._radiance, answers)
 
     def trace_with_distances(
         self, rays: Iterable[NDArray[np.float64]]
     ) -> Generator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
         """Radiance and distance along rays, one rtrace process for all of them; see `Tracer`."""
-        with closing(self._ask(_BOTH_OPTIONS, rays, 4)) as answers:
+        with closing(self._ask([*_BOTH_OPTIONS, *self._ambient], rays, 4)) as answers:
             for values in answers:
                 yield self._radiance(values[:, :3]), self._distance(values[:, 3])
+
+    @property
+    def _ambient(self) -> list[str]:
+        if not self.bounces:
+            return []
+        return f"-ab {self.bounces} -aa 0 -ad {_AMBIENT_DIVISIONS} -as 0".split(" ")
 
     def _radiance(self, values: NDArray[np.float32]) -> NDArray[np.float64]:
         if values.min() < 0:
