@@ -25,6 +25,7 @@ _T = TypeVar("_T", bound=np.generic)
 SUB_SAMPLES: Final = (1, 2, 4, 8)
 # A difference between neighbours is passed over where it moves no pixel by more than this share of the aim.
 _PASSED_OVER: Final = 0.25
+_LARGEST_HEIGHT: Final = 1e100  # gray level; its square does not overflow, whatever the sensor's gain
 # Variance of the mean over n x n strata of a cell that an edge of height d crosses is about d^2/(4 n^3): about 1.5 n
 # strata are crossed, each with the variance d^2/6. Of the cells beside an edge about every third is crossed.
 _EDGE_VARIANCE: Final = 12.0
@@ -279,7 +280,7 @@ def _samples_needed(plan: GridPlan, heights: NDArray[np.float64], cells: int) ->
     """
     # Sum over pixels of their squared weights of a cell, over the number of pixels: cell^2 is pixels a cell.
     share = (plan.cell**2 / plan.area) ** 2 * plan.area / (cells * plan.cell**2)
-    energy = float((heights**2).sum()) * share / _EDGE_VARIANCE
+    energy = float((np.minimum(heights, _LARGEST_HEIGHT) ** 2).sum()) * share / _EDGE_VARIANCE
     rms = [math.sqrt(energy / n**3) for n in SUB_SAMPLES]
     for n, error in zip(SUB_SAMPLES, rms, strict=True):
         if error <= plan.aim:
