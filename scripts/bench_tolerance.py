@@ -33,7 +33,7 @@ from radwrap.imaging.kernel import plan_kernel
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.replicates import Work, discretisation, trace_replicates
 from radwrap.imaging.sensor import gray_image, gray_levels
-from radwrap.imaging.survey import survey
+from radwrap.imaging.survey import AIM_SHARE, met_by, middle_of, survey
 from radwrap.imaging.tracing import traced_scene
 from radwrap.imaging.view import PixelPlan, PixelSampling, View
 from radwrap.process import Programs
@@ -244,6 +244,10 @@ class WatchedTracer:
         """As the tracer."""
         yield from self._watched(self.tracer.trace_with_distances(rays))
 
+    def distances(self, rays: Iterable[NDArray[np.float64]]) -> Generator[NDArray[np.float64]]:
+        """As the tracer."""
+        yield from self._watched(self.tracer.distances(rays))
+
     def _watched(self, answers: Generator[Any]) -> Generator[Any]:
         while True:
             start = time.perf_counter()
@@ -273,7 +277,7 @@ def profile(overrides: dict[str, object]) -> dict[str, float]:
         passed("survey")
         work = Work(view, Path(place), programs, Progress("", 1, shown=False), "bench", 0)
         # The aim of the planner's first attempt: its share of the tolerance, for the mean of two.
-        plan = plan_kernel(view, found.magnifications, 0.75 * JUDGED * 2**0.5)
+        plan = plan_kernel(view, middle_of(met_by(found.magnification)), AIM_SHARE * JUDGED * 2**0.5)
         waited.clear()
         replicates = trace_replicates(work, plan, 2)
         passed("tracer and gathering")
@@ -282,8 +286,9 @@ def profile(overrides: dict[str, object]) -> dict[str, float]:
         radiance = replicates.mean
         discretisation(view, replicates)
         gray = gray_levels(radiance * view.exposure_of_radiance, scene.camera.sensor)
-        sample = draw_pixels(gray, 512, (0, 10, 0))
-        errors = model_errors(view, plan.layers, sample, radiance.ravel()[sample.pixels], pairs=4, seed=(0, 11, 0))
+        even = np.zeros(gray.shape, dtype=bool)
+        sample = draw_pixels(gray, 512, (0, 10, 0), risky=even, pairs=(4, 4))
+        errors = model_errors(view, plan.layers, sample, radiance.ravel()[sample.pixels], seed=(0, 11, 0))
         errors.mean_square(sample, (0, 12, 0))
         passed("certificate")
         exposure = radiant_exposure(radiance, scene.camera, scene.camera.aperture.area, {})

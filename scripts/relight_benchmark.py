@@ -24,9 +24,8 @@ from radwrap.imaging.basis import freeze_tile, shining, write_basis
 from radwrap.imaging.certificate import certify_by_independent_rays
 from radwrap.imaging.planner import render_to_tolerance
 from radwrap.imaging.relight import Basis, read_basis, relit
-from radwrap.imaging.replicates import Work, tile_seed
+from radwrap.imaging.replicates import Work
 from radwrap.imaging.tracing import TracedScene, traced_scene
-from radwrap.imaging.view import View
 from radwrap.process import Programs
 from radwrap.progress import Progress
 from radwrap.scene.sources import LedChange, Ring
@@ -107,14 +106,18 @@ def off_linear(folder: Path, levels: np.ndarray) -> float:
         told = {"tolerance": options.tolerance, "max_error": None, "dark": [], "scene_sha256": ""}
         write_basis(folder / "frozen", work, views, outcome, told)
         basis = read_basis(folder / "frozen")
-        (tile,) = range(len(outcome.ray_plan.tiles))
+        plan, replicates = outcome.ray_plan, range(basis.images.shape[1])
         frozen = [
-            freeze_tile(View(scene.camera, work.view.tracer), outcome.ray_plan, tile, tile_seed(0, number, tile), int)
-            for number in range(basis.images.shape[1])
+            (place, freeze_tile(work, plan, number, tile))
+            for number in replicates
+            for tile, place in enumerate(plan.tiles)
         ]
         for factors, image in zip(levels, relit(basis, levels), strict=True):
+            fresh = np.zeros(image.radiant_exposure.values.shape)
             with traced_scene(lit(scene, factors)) as view:
-                fresh = np.mean([rays.trace(view, int)[0] for rays in frozen], axis=0) * view.exposure_of_radiance
+                for (r0, r1, c0, c1), rays in frozen:
+                    fresh[r0:r1, c0:c1] += rays.trace(view, int)[0] / len(replicates)
+            fresh *= work.view.exposure_of_radiance
             worst = max(worst, float(np.abs(fresh - image.radiant_exposure.values).max() / fresh.max()))
     return worst
 
