@@ -2,8 +2,8 @@
 
 Five shapes, 100 placements each, dark on a background of uneven light, covered exactly by area, blurred and with
 noise; and 100 placements of the same shapes rendered on a retroreflective sheet, the rectangle as a thin box.
-Prints a table and writes out/parts_benchmark.json; exit code 1 if a standard error is too small by more than a
-fifth, or a part was lost.
+Prints a table and writes out/parts_benchmark.json; exit code 1 if a standard error is too small by more than
+a third, or a part was lost.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SUBLINES = 16  # of each row that a side crosses, each covered exactly: a pixel 
 PLACEMENTS = 100
 TOLERANCE = 0.05  # gray levels rms, of the renders
 THICKNESS = 2.0  # mm, of the box that is rendered
-LARGEST_RATIO = 1.2  # of rms error to reported sigma; 100 placements know it to 7 %
+LARGEST_RATIO = 1.3  # of rms error to reported sigma; 100 placements know it to 7 %
 LEAST_COVERAGE = 0.95  # at 2 sigma, expected 0.954; 500 placements know it to 0.01
 SIGMAS = (1, 2, 3)
 
