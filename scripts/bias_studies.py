@@ -22,10 +22,11 @@ OUT = ROOT / "out" / "bias"
 BOARD = ROOT / "rad_scenes" / "bench_board" / "scene.toml"
 EDGE = ROOT / "rad_scenes" / "fig11_edge" / "scene.toml"
 OPTIONS = RenderOptions(viewpoints=37)
-# An edge is fitted to hundredths of a pixel: the steps of sub-viewpoints would be a bias of the picture, not of the fit.
+# An edge is fitted to hundredths of a pixel: the steps of sub-viewpoints would be the picture's bias, not the fit's.
 SMOOTH = RenderOptions(tolerance=0.05)
 
-BRIGHT = {"camera.exposure_time": "860 ms"}  # the edge's peak near the top of the gray range
+# The edge's peak near the top of the gray range; rows and columns that the widest blur needs.
+BRIGHT = {"camera.exposure_time": "860 ms", "camera.sensor.rows": 40, "camera.sensor.columns": 100}
 EDGE_METHODS = {
     "gamma fitted": {"dark": 22.0},
     "gamma 0.85": {"dark": 22.0, "gamma": 0.85},
@@ -107,6 +108,7 @@ def edge_against_pinhole() -> Study:
     points: list[BiasPoint] = []
     for diameter in (0.03, 0.05, 0.1, 0.15, 0.2, 0.3):
         changes = {
+            **BRIGHT,
             "camera.aperture.diameter": f"{diameter} mm",
             "camera.exposure_time": f"{860 * (0.1 / diameter) ** 2!r} ms",
         }

@@ -114,8 +114,8 @@ def test_pixels_that_are_not_square_keep_the_disc_round() -> None:
 def test_light_that_falls_off_does_not_move_the_edge(peak: float, rows: int) -> None:
     """A Gaussian beam of sigma 40 px behind the blur; blurring the step alone would be off by 0.08 px at 10.
 
-    A quadratic surface for light would be off by 0.002 to 0.006 px; points of 1/64 px leave 2e-4 px of the disc. The dark side
-    is black, gray 22.03 of the dark gray 22: taken for unlit, gamma would bend the foot of the edge by 0.002 px.
+    A quadratic surface for light would be off by 0.001 to 0.002 px. The dark side is black, gray 22.03 of the dark
+    gray 22: taken for unlit, it is off by 0.001 px and more, for gamma bends the foot of the edge.
     """
     n, radius, place = 64, 3.67, 30 + 19 / 64
     u = (np.arange(80 * n) + 0.5) / n - 10.5
