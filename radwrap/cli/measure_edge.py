@@ -82,7 +82,8 @@ def _gamma(text: str) -> float | None:
 
 def _located(error: InputError, path: Path) -> InputError:
     """The file's name, or the option's, where the function speaks of its arguments."""
-    names = {"region": "--region", "gamma": "--gamma", "dark": "--dark", "pixel_aspect": "--pixel-aspect"}
+    options = ("region", "gamma", "dark", "pixel_aspect", "saturation")
+    names = {name: f"--{name.replace('_', '-')}" for name in options}
     where = error.where if error.where.startswith("--") else names.get(error.where, str(path))
     return InputError(error.what, where=where, remedy=error.remedy)
 

@@ -157,3 +157,24 @@ def test_a_wrong_grid_is_one_clear_error(
     assert main(["measure", "dots", "edge.png", f"--grid={grid}"]) == 2
     out, err = capfd.readouterr()
     assert (out, err.count("\n")) == ("", 1)
+
+
+OPTIONS = {
+    "--dark=500": ["measure", "parts", "edge.png"],
+    "--dark=501": ["measure", "edge", "edge.png"],
+    "--dark=nan": ["measure", "dots", "edge.png", "--grid=5x5"],
+    "--saturation=-3": ["measure", "dots", "edge.png", "--grid=5x5"],
+    "--saturation=nan": ["measure", "edge", "edge.png"],
+}
+
+
+@pytest.mark.parametrize("option", OPTIONS)
+def test_a_gray_level_that_cannot_be_is_one_clear_error(
+    option: str, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_png(tmp_path / "edge.png", EDGE)
+    assert main([*OPTIONS[option], option]) == 2
+    out, err = capfd.readouterr()
+    assert (out, err.count("\n")) == ("", 1)
+    assert option.split("=", maxsplit=1)[0] in err

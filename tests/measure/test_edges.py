@@ -266,6 +266,9 @@ def test_a_sharp_edge_tells_nothing_about_gamma() -> None:
 @pytest.mark.parametrize(
     ("options", "where"),
     [
+        ({"saturation": math.nan}, "saturation"),
+        ({"saturation": -5.0}, "saturation"),
+        ({"dark": 500.0}, "dark"),
         ({"gamma": 9.0}, "gamma"),
         ({"dark": math.nan}, "dark"),
         ({"pixel_aspect": 0.0}, "pixel_aspect"),

@@ -139,7 +139,7 @@ def measure_edge(
         If the image is too small, blank, saturated, without an edge, with more than one, or if the edge
         tells nothing about gamma.
     """
-    _check_options(dark, gamma, pixel_aspect)
+    _check_options(dark, gamma, pixel_aspect, saturation)
     values, corner = _cut(image, region)
     limit = float(2**image.bit_depth - 1) if saturation is None else saturation
     usable = values < limit
@@ -160,7 +160,9 @@ def measure_edge(
     return _moved(edge, corner)
 
 
-def _check_options(dark: float | None, gamma: float | None, pixel_aspect: float) -> None:
+def _check_options(dark: float | None, gamma: float | None, pixel_aspect: float, saturation: float | None) -> None:
+    if saturation is not None and not (math.isfinite(saturation) and saturation > 0):
+        raise InputError("must be a gray level above 0", where="saturation")
     if gamma is not None and not GAMMA_RANGE[0] <= gamma <= GAMMA_RANGE[1]:
         raise InputError(f"must lie between {GAMMA_RANGE[0]:g} and {GAMMA_RANGE[1]:g}", where="gamma")
     if dark is not None and not math.isfinite(dark):
@@ -227,11 +229,13 @@ def _fit(
         )
     low = float(np.median(strip.gray[d < -line.radius]))
     high = float(np.median(strip.gray[d > line.radius]))
+    if high - low <= 0:
+        raise InputError("shows no edge above its noise", where="the image", remedy="raise contrast or exposure")
+    if dark is not None and dark > low + LARGEST_RESIDUAL * (high - low):
+        raise InputError(f"{dark:g} lies above the edge's dark side, gray {low:g}", where="dark")
     if dark is not None and low - dark < UNLIT * (high - low):
         dark = None
     contrast = high - (low if dark is None else dark)
-    if high - low <= 0:
-        raise InputError("shows no edge above its noise", where="the image", remedy="raise contrast or exposure")
     width, length = line.half_width, max(float(np.ptp(s)), 1.0)
     base = np.column_stack([np.ones_like(d), d / width, s / length, (s / length) ** 2])
     model = Model(strip, line, aspect, dark, contrast, splines_along(s, float(s.min()), float(s.max())), base)
