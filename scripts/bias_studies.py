@@ -23,7 +23,7 @@ BOARD = ROOT / "rad_scenes" / "bench_board" / "scene.toml"
 EDGE = ROOT / "rad_scenes" / "fig11_edge" / "scene.toml"
 OPTIONS = RenderOptions(viewpoints=37)
 # An edge is fitted to hundredths of a pixel: the steps of sub-viewpoints would be the picture's bias, not the fit's.
-SMOOTH = RenderOptions(tolerance=0.05)
+SMOOTH = RenderOptions(method="kernel", tolerance=0.03)
 
 # The edge's peak near the top of the gray range; rows and columns that the widest blur needs.
 BRIGHT = {"camera.exposure_time": "860 ms", "camera.sensor.rows": 40, "camera.sensor.columns": 100}
