@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import tempfile
+import zlib
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -27,6 +28,10 @@ _NOTHING: Final[Provenance] = MappingProxyType({})
 
 # Bits of what a file may hold as gray levels.
 _BITS: Final = {"uint8": 8, "uint16": 16, "half": 16, "float": 16}
+_WHOLE: Final = {"uint8", "uint16"}
+
+_PNG: Final = b"\x89PNG\r\n\x1a\n"
+_PNM_HEADER: Final = 4096  # bytes, with comments
 
 # Rows that are compared at a time; EXR packs 16 into a block.
 _BAND: Final = 64
@@ -214,7 +219,42 @@ def _holds(path: Path, pixels: NDArray[Any]) -> bool:
     return True
 
 
+def _broken_png(path: Path) -> str:
+    """What is wrong with the chunks of a PNG file, empty where all are whole; libpng would print it on stderr."""
+    content = path.read_bytes()
+    place = len(_PNG)
+    if content[:place] != _PNG:
+        return ""
+    while place + 12 <= len(content):
+        end = place + 12 + int.from_bytes(content[place : place + 4], "big")
+        if end > len(content):
+            break
+        kind, found = content[place + 4 : place + 8], int.from_bytes(content[end - 4 : end], "big")
+        if zlib.crc32(content[place + 4 : end - 4]) != found:
+            return f"a checksum is wrong {place} bytes from its start"
+        if kind == b"IEND":
+            return ""
+        place = end
+    return f"it ends after {len(content)} bytes, within the picture"
+
+
+def _full_scale(source: Any, path: Path) -> int:
+    """Largest whole number that the file could hold; OpenImageIO scales it up to 8 or 16 bits."""
+    spec = source.spec()
+    if source.format_name() != "pnm":
+        return int(2 ** spec.get_int_attribute("oiio:BitsPerSample", _BITS[str(spec.format)])) - 1
+    with path.open("rb") as file:
+        header = b" ".join(line.split(b"#")[0] for line in file.read(_PNM_HEADER).splitlines(keepends=True)[:64])
+    # Magic number, columns, rows, largest value; bit maps have none.
+    try:
+        return int(header.split(maxsplit=4)[3]) if header[:2] in {b"P2", b"P5", b"P3", b"P6"} else 1
+    except (IndexError, ValueError) as error:
+        raise InputError("has a header that names no largest gray level", where=str(path)) from error
+
+
 def _read(path: Path) -> tuple[NDArray[Any], dict[str, str]]:
+    if path.is_file() and (broken := _broken_png(path)):
+        raise EnvironmentFailure(f"is not whole: {broken}", where=str(path))
     source = oiio.ImageInput.open(str(path))
     if source is None:
         raise EnvironmentFailure(f"is not a whole image: {oiio.geterror()}", where=str(path))
@@ -261,7 +301,7 @@ def read_gray(path: Path) -> GrayImage:
     Returns
     -------
     GrayImage
-        Gray levels as stored; 16 bits where the file holds floats.
+        Gray levels as stored, in as many bits as the file says: 10 or 12 too; 16 bits where it holds floats.
 
     Raises
     ------
@@ -270,6 +310,12 @@ def read_gray(path: Path) -> GrayImage:
     """
     if not path.is_file():
         raise InputError("no such image", where=str(path))
+    try:
+        broken = _broken_png(path)
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", where=str(path)) from error
+    if broken:
+        raise InputError(f"is not whole: {broken}", where=str(path))
     source = oiio.ImageInput.open(str(path))
     if source is None:
         raise InputError(f"is no image: {oiio.geterror()}", where=str(path))
@@ -281,6 +327,7 @@ def read_gray(path: Path) -> GrayImage:
         pixels = source.read_image("float" if kind == "half" else spec.format)
         if pixels is None:
             raise InputError(f"is not whole: {source.geterror()}", where=str(path))
+        full = _full_scale(source, path) if kind in _WHOLE else 0
     finally:
         source.close()
     pixels = pixels.reshape(spec.height, spec.width, spec.nchannels).astype(np.float64)
@@ -289,7 +336,10 @@ def read_gray(path: Path) -> GrayImage:
         raise InputError("holds NaN or infinity", where=str(path))
     if (colours != colours[:, :, :1]).any():
         raise InputError("is in colour", where=str(path), remedy="give the one channel that the camera saw")
-    return GrayImage(np.ascontiguousarray(colours[:, :, 0]), _BITS[kind], {"file": str(path)})
+    gray = np.ascontiguousarray(colours[:, :, 0])
+    if full:
+        gray = np.rint(gray * (full / (2 ** _BITS[kind] - 1)))
+    return GrayImage(gray, full.bit_length() if full else _BITS[kind], {"file": str(path)})
 
 
 def png_bytes(codes: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:

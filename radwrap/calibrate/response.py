@@ -229,8 +229,10 @@ def fit_response(
 def _check(exposure: Array, gray: Array, not_negative: list[float]) -> None:
     if exposure.ndim != 1 or exposure.shape != gray.shape or exposure.size == 0:
         raise InputError(f"needs as many exposures as gray levels, not {exposure.shape} and {gray.shape}")
-    if not (np.isfinite(exposure).all() and np.isfinite(gray).all() and np.isfinite(not_negative).all()):
+    if not (np.isfinite(exposure).all() and np.isfinite(gray).all()):
         raise InputError("an exposure or gray level is not a finite number")
+    if not np.isfinite(not_negative).all():
+        raise InputError("dark, saturation, noise and quantisation must be finite numbers")
     if (exposure < 0).any():
         raise InputError(f"frame {int(np.argmin(exposure)) + 1} has a negative exposure")
     if min(not_negative) < 0:

@@ -110,8 +110,11 @@ def read_points(path: Path, unit: float) -> tuple[NDArray[np.float64], NDArray[n
     """
     try:
         lines = path.read_text("utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot be read as text: {error}", where=str(path)) from error
+    except OSError as error:
+        what = "no such file" if isinstance(error, FileNotFoundError) else f"cannot be read: {error.strerror}"
+        raise InputError(what, where=str(path), remedy="give a CSV file with the columns x,y,z,u,v") from error
+    except UnicodeDecodeError as error:
+        raise InputError("is no text", where=str(path), remedy="give a CSV file in UTF-8") from error
     if not lines:
         raise InputError("is empty", where=str(path), remedy="begin with the header x,y,z,u,v")
     header = [name.strip() for name in next(csv.reader(lines[:1]))]

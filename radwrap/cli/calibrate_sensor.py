@@ -105,8 +105,11 @@ def read_frames(path: Path) -> tuple[str, Array, Array, tuple[int, ...]]:
     """
     try:
         text = path.read_text("utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError("is no readable text file", where=str(path), remedy="give a CSV file in UTF-8") from error
+    except OSError as error:
+        what = "no such file" if isinstance(error, FileNotFoundError) else f"cannot be read: {error.strerror}"
+        raise InputError(what, where=str(path), remedy="give a CSV file of frames") from error
+    except UnicodeDecodeError as error:
+        raise InputError("is no text", where=str(path), remedy="give a CSV file in UTF-8") from error
     rows = csv.reader(io.StringIO(text))
     header = [name.strip() for name in next(rows, [])]
     kinds = [kind for kind in (EXPOSURE, TIME) if kind in header]

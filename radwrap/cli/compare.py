@@ -75,6 +75,8 @@ def run(arguments: argparse.Namespace) -> int:
             raise InputError("must be a number of zero or more", where=f"--{name.replace('_', '-')}")
     captured, predicted = read_gray(Path(arguments.captured)), read_gray(Path(arguments.predicted))
     shape = (predicted.values.shape[0], predicted.values.shape[1])
+    _check_saturated(captured, arguments.captured, arguments.saturation)
+    _check_saturated(predicted, arguments.predicted, arguments.saturation)
     regions = [_rectangle(text, shape) for text in arguments.region]
     if arguments.mask:
         regions += _mask(Path(arguments.mask), arguments.truth)
@@ -115,6 +117,15 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _highest(image: GrayImage, saturation: float | None) -> float:
+    return 2**image.bit_depth - 1 if saturation is None else saturation
+
+
+def _check_saturated(image: GrayImage, file: str, saturation: float | None) -> None:
+    if (image.values >= _highest(image, saturation)).all():
+        raise InputError("is saturated all over: it tells nothing", where=file, remedy="shorten the exposure")
+
+
 def _rectangle(text: str, shape: tuple[int, int]) -> Region:
     name, colon, numbers = text.rpartition(":")
     try:
@@ -153,8 +164,9 @@ def _warnings(
             "their gray levels may be on different scales"
         )
     for name, image in (("captured", captured), ("predicted", predicted)):
-        highest = 2**image.bit_depth - 1 if saturation is None else saturation
-        share = float(np.mean(image.values >= highest))
+        if np.ptp(image.values) == 0:
+            yield f"the {name} image is blank: gray {image.values[0, 0]:g} all over"
+        share = float(np.mean(image.values >= _highest(image, saturation)))
         if share > 0:
             yield f"{share:.2%} of the {name} image is saturated and left out of gain and causes"
     if comparison.levels.gain is None:

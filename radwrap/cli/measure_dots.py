@@ -42,7 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
     pitch = _length(arguments.pitch, "--pitch")
     diameter = _length(arguments.dot_diameter, "--dot-diameter")
     for name, gray in (("--dark", arguments.dark), ("--saturation", arguments.saturation)):
-        if gray is not None and not math.isfinite(gray):
+        if gray is not None and not (math.isfinite(gray) and (gray > 0 or name == "--dark")):
             raise InputError(f"{gray} is no gray level", where=name)
     path = Path(arguments.image)
     image = read_gray(path)

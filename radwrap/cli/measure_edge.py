@@ -16,6 +16,8 @@ from radwrap.measure.edges import Edge, measure_edge
 
 # Correlation from which on a fitted gamma costs the place more than a factor of 1.7 in standard error.
 HARDLY_APART = 0.8
+# Share of the bright side that has exactly one gray level; light and noise seldom leave so much.
+PLATEAU = 0.5
 
 
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
@@ -80,7 +82,8 @@ def _gamma(text: str) -> float | None:
 
 def _located(error: InputError, path: Path) -> InputError:
     """The file's name, or the option's, where the function speaks of its arguments."""
-    names = {"region": "--region", "gamma": "--gamma", "dark": "--dark", "pixel_aspect": "--pixel-aspect"}
+    options = ("region", "gamma", "dark", "pixel_aspect", "saturation")
+    names = {name: f"--{name.replace('_', '-')}" for name in options}
     where = error.where if error.where.startswith("--") else names.get(error.where, str(path))
     return InputError(error.what, where=where, remedy=error.remedy)
 
@@ -116,6 +119,8 @@ def _json(edge: Edge, arguments: argparse.Namespace) -> dict[str, Any]:
         "residual_rms": edge.residual_rms,
         "pixels": edge.pixels,
         "saturated_pixels": edge.saturated,
+        "level_share": edge.level_share,
+        "warnings": list(_warnings(edge)),
         "strip": {"half_width": edge.half_width, "length": edge.length},
     }
 
@@ -140,5 +145,14 @@ def _lines(edge: Edge) -> Iterator[str]:
             f"place and gamma can hardly be told apart (correlation {edge.position_gamma_correlation:+.2f}): "
             "with --gamma the place is better known"
         )
+    yield from (f"warning: {text}" for text in _warnings(edge))
     left = f", {edge.saturated} saturated ones left out" if edge.saturated else ""
     yield f"residual: {edge.residual_rms:.3g} gray rms over {edge.pixels} pixels{left}"
+
+
+def _warnings(edge: Edge) -> Iterator[str]:
+    if edge.level_share > PLATEAU:
+        yield (
+            f"{edge.level_share:.0%} of the bright side has one and the same gray level: where that is not even light "
+            "but the camera's saturation, place, blur and gamma are wrong; then name the level with --saturation"
+        )

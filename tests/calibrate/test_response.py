@@ -221,7 +221,7 @@ def test_equal_frames_give_an_equal_plot(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "words", "message"),
     [
-        (None, (), "no readable text file"),
+        (None, (), "no such file"),
         ("", (), "has the columns"),
         ("time,gray\n1,2\n", (), "has the columns"),
         ("radiant_exposure,gray\n", (), "holds no frames"),

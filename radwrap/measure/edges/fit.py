@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
@@ -14,7 +13,7 @@ from radwrap.errors import InputError
 from radwrap.images import GrayImage
 from radwrap.measure.background import QUANTISATION
 from radwrap.measure.edges.correlation import variance_factor
-from radwrap.measure.edges.profile import pixel_edge
+from radwrap.measure.edges.model import Model, Pixels, splines_along
 from radwrap.measure.edges.search import Line, find_line, normal_angle
 
 Array = NDArray[np.float64]
@@ -26,9 +25,7 @@ LARGEST_SATURATED: Final = 0.05  # share of the strip; beyond it the bright leve
 LARGEST_RESIDUAL: Final = 0.15  # of the contrast; a straight edge between smooth sides leaves less
 LARGEST_GAMMA_ERROR: Final = 0.3  # a gamma known worse than that tells nothing, and spoils the position
 NARROWEST: Final = 1e-3  # px; blur below this is the sharp step
-KNOT_SPACING: Final = 40.0  # px along the edge; follows light whose width (sigma) is 20 px or more
-LIT_FLOOR: Final = 1e-5  # of the bright side; below it H^gamma is a chord through 0, so that its slope stays finite
-UNLIT: Final = 0.005  # of the contrast; a dark side this near to dark counts as unlit: H^gamma has no slope at 0
+UNLIT: Final = 0.0002  # of the contrast; a dark side this near to dark counts as unlit: H^gamma has no slope at 0
 GAMMA_RANGE: Final = (0.1, 5.0)
 
 
@@ -62,6 +59,10 @@ class Edge:
         Pixels that were fitted, and pixels left out as saturated.
     half_width, length : float
         Of the strip that was fitted, across (one side) and along the edge [px].
+    level_share : float
+        Share of the bright side's pixels that have exactly its highest gray level: near 1 in even light without
+        noise, or where the camera saturates below full scale. Then gamma takes the clipping up, and place and blur
+        are off by more than their standard errors.
     """
 
     angle: float
@@ -85,6 +86,7 @@ class Edge:
     saturated: int
     half_width: float
     length: float
+    level_share: float
 
     @property
     def position_gamma_correlation(self) -> float:
@@ -137,7 +139,7 @@ def measure_edge(
         If the image is too small, blank, saturated, without an edge, with more than one, or if the edge
         tells nothing about gamma.
     """
-    _check_options(dark, gamma, pixel_aspect)
+    _check_options(dark, gamma, pixel_aspect, saturation)
     values, corner = _cut(image, region)
     limit = float(2**image.bit_depth - 1) if saturation is None else saturation
     usable = values < limit
@@ -147,7 +149,7 @@ def measure_edge(
     if low == high:
         raise InputError(f"is blank: gray {low:g} all over", where="the image", remedy="aim at an edge")
     start = find_line(values)
-    seen = _Pixels.of(values, usable)
+    seen = Pixels.of(values, usable)
     found = start
     for tolerance in (1e-4, 1e-10, 1e-10, 1e-10):  # the strip follows the blur; it stands after two or three rounds
         strip = _strip(seen, found, values.shape)
@@ -158,7 +160,9 @@ def measure_edge(
     return _moved(edge, corner)
 
 
-def _check_options(dark: float | None, gamma: float | None, pixel_aspect: float) -> None:
+def _check_options(dark: float | None, gamma: float | None, pixel_aspect: float, saturation: float | None) -> None:
+    if saturation is not None and not (math.isfinite(saturation) and saturation > 0):
+        raise InputError("must be a gray level above 0", where="saturation")
     if gamma is not None and not GAMMA_RANGE[0] <= gamma <= GAMMA_RANGE[1]:
         raise InputError(f"must lie between {GAMMA_RANGE[0]:g} and {GAMMA_RANGE[1]:g}", where="gamma")
     if dark is not None and not math.isfinite(dark):
@@ -184,22 +188,7 @@ def _cut(image: GrayImage, region: Region | None) -> tuple[Array, tuple[int, int
     return image.values[v0 : v1 + 1, u0 : u1 + 1], (u0, v0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Pixels:
-    """Pixels as lists: column, row, gray; and which are not saturated."""
-
-    u: Array
-    v: Array
-    gray: Array
-    usable: NDArray[np.bool_]
-
-    @classmethod
-    def of(cls, values: Array, usable: NDArray[np.bool_]) -> _Pixels:
-        v, u = np.indices(values.shape, dtype=np.float64)
-        return cls(u.ravel(), v.ravel(), values.ravel(), usable.ravel())
-
-
-def _strip(seen: _Pixels, line: Line, shape: tuple[int, int]) -> _Pixels:
+def _strip(seen: Pixels, line: Line, shape: tuple[int, int]) -> Pixels:
     """Pixels near the edge that see it; ends inside the image are kept clear of what ends there."""
     d, s = line.across(seen.u, seen.v), line.along(seen.u, seen.v)
     inside = np.abs(d) <= line.half_width
@@ -222,107 +211,11 @@ def _strip(seen: _Pixels, line: Line, shape: tuple[int, int]) -> _Pixels:
             where="the image",
             remedy="bring the edge and both of its sides into the image or region",
         )
-    return _Pixels(seen.u[inside], seen.v[inside], seen.gray[inside], seen.usable[inside])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Model:
-    """G = P + C h^gamma, with P and h linear in the levels; d and s are scaled by the strip's size.
-
-    Shape parameters are: shift across [px], turn [rad], radius [px], gamma. Behind them come the levels of the
-    dark side, then of the bright one. Without a dark gray the dark levels are P itself; with it P is the dark
-    gray and the dark levels belong to h.
-    """
-
-    strip: _Pixels
-    line: Line
-    aspect: float
-    dark: float | None
-    contrast: float
-    along: Array  # (pixels, splines)
-    base: Array  # (pixels, dark levels)
-
-    def surfaces(self, shape: Array) -> tuple[Array, Array]:
-        """Columns of the dark and the bright levels."""
-        angle = self.line.angle + shape[1]
-        cos, sin = math.cos(angle), math.sin(angle)
-        # Across the edge in pixel widths: the normal in the image, where rows are `aspect` apart.
-        scale = 1 / math.hypot(cos, sin / self.aspect)
-        d = (self.strip.u - self.line.centre[0]) * cos + (self.strip.v - self.line.centre[1]) * sin - shape[0]
-        means = pixel_edge(d * scale, shape[2], abs(cos) * scale, abs(sin) * scale, 3)
-        width = self.line.half_width
-        bright = [(self.along * (mean * (n + 1) / width**n)[:, None]) for n, mean in enumerate(means)]
-        return self.base, np.concatenate(bright, axis=1)
-
-    def gray(self, parameters: Array, columns: tuple[Array, Array] | None = None) -> tuple[Array, Array, Array]:
-        """Gray levels, light h, and dG/dh."""
-        dark, bright = columns or self.surfaces(parameters[:4])
-        split = 4 + dark.shape[1]
-        pedestal, light = dark @ parameters[4:split], bright @ parameters[split:]
-        if self.dark is not None:
-            pedestal, light = np.full_like(light, self.dark), light + pedestal
-        gamma = parameters[3]
-        lit = np.maximum(light, LIT_FLOOR)
-        chord = self.contrast * lit ** (gamma - 1)
-        return pedestal + chord * light, light, chord * np.where(light > LIT_FLOOR, gamma, 1.0)
-
-    def residual(self, parameters: Array) -> Array:
-        left: Array = self.gray(parameters)[0] - self.strip.gray
-        return left[self.strip.usable]
-
-    def jacobian(self, parameters: Array) -> Array:
-        """Levels and gamma in closed form; shift, turn and radius by differences."""
-        columns = self.surfaces(parameters[:4])
-        here, light, slope = self.gray(parameters, columns)
-        gamma = parameters[3]
-        parts = []
-        for i, step in enumerate((1e-5, 1e-7, 1e-5 * parameters[2])):
-            move = np.zeros_like(parameters)
-            move[i] = step
-            parts.append((self.gray(parameters + move)[0] - here) / step)
-        lit = np.maximum(light, LIT_FLOOR)
-        by_gamma = self.contrast * lit ** (gamma - 1) * light * np.log(lit)
-        dark = columns[0] if self.dark is None else columns[0] * slope[:, None]
-        whole = np.column_stack([*parts, by_gamma, dark, columns[1] * slope[:, None]])
-        kept: Array = whole[self.strip.usable]
-        return kept
-
-    def levels(self, parameters: Array) -> tuple[Array, Callable[[Array], Array]]:
-        """Low and high gray at the centre, and how they hang on the parameters."""
-        middle = _splines(np.zeros(1), *self._span)[0]
-        split = 4 + self.base.shape[1]
-
-        def both(p: Array) -> Array:
-            floor, gamma = float(p[4]), p[3]
-            top = float(middle @ p[split : split + middle.size])
-            if self.dark is None:
-                return np.array([floor, floor + self.contrast * max(top, 0.0) ** gamma])
-            lights = np.maximum([floor, floor + top], 0.0)
-            grays: Array = self.dark + self.contrast * lights**gamma
-            return grays
-
-        return both(parameters), both
-
-    @property
-    def _span(self) -> tuple[float, float]:
-        s = self.line.along(self.strip.u, self.strip.v)
-        return float(s.min()), float(s.max())
-
-
-def _splines(s: Array, first: float, last: float) -> Array:
-    """Cubic B-splines along the edge; few enough to be held by few rows, many enough for a blob of light."""
-    from scipy.interpolate import BSpline
-
-    pieces = max(1, round((last - first) / KNOT_SPACING))
-    degree = 3 if last - first > KNOT_SPACING / 2 else 1
-    inner = np.linspace(first, last, pieces + 1)
-    knots = np.concatenate([np.full(degree, first), inner, np.full(degree, last)])
-    matrix: Array = BSpline.design_matrix(np.clip(s, first, last), knots, degree).toarray()
-    return matrix
+    return Pixels(seen.u[inside], seen.v[inside], seen.gray[inside], seen.usable[inside])
 
 
 def _fit(
-    strip: _Pixels, line: Line, dark: float | None, gamma: float | None, *, aspect: float, tolerance: float
+    strip: Pixels, line: Line, dark: float | None, gamma: float | None, *, aspect: float, tolerance: float
 ) -> tuple[Line, Edge]:
     from scipy.optimize import least_squares
 
@@ -336,14 +229,16 @@ def _fit(
         )
     low = float(np.median(strip.gray[d < -line.radius]))
     high = float(np.median(strip.gray[d > line.radius]))
+    if high - low <= 0:
+        raise InputError("shows no edge above its noise", where="the image", remedy="raise contrast or exposure")
+    if dark is not None and dark > low + LARGEST_RESIDUAL * (high - low):
+        raise InputError(f"{dark:g} lies above the edge's dark side, gray {low:g}", where="dark")
     if dark is not None and low - dark < UNLIT * (high - low):
         dark = None
     contrast = high - (low if dark is None else dark)
-    if high - low <= 0:
-        raise InputError("shows no edge above its noise", where="the image", remedy="raise contrast or exposure")
     width, length = line.half_width, max(float(np.ptp(s)), 1.0)
     base = np.column_stack([np.ones_like(d), d / width, s / length, (s / length) ** 2])
-    model = _Model(strip, line, aspect, dark, contrast, _splines(s, float(s.min()), float(s.max())), base)
+    model = Model(strip, line, aspect, dark, contrast, splines_along(s, float(s.min()), float(s.max())), base)
     splines = model.along.shape[1]
     start = np.concatenate(
         [[0.0, 0.0, line.radius, gamma or 1.0], [low, 0, 0, 0], np.ones(splines), np.zeros(2 * splines)]
@@ -386,7 +281,7 @@ def _refined(line: Line, parameters: Array) -> Line:
     return Line(angle, centre, float(parameters[2]), line.ends)
 
 
-def _edge(model: _Model, parameters: Array, free: NDArray[np.bool_], saturated: int) -> Edge:
+def _edge(model: Model, parameters: Array, free: NDArray[np.bool_], saturated: int) -> Edge:
     """Standard errors from the Jacobian and the residual; refuses what is no straight edge."""
     jacobian = model.jacobian(parameters)[:, free]
     residual = model.residual(parameters)
@@ -425,7 +320,7 @@ def _edge(model: _Model, parameters: Array, free: NDArray[np.bool_], saturated: 
 
 
 def _named(
-    model: _Model, parameters: Array, covariance: Array, *, levels: tuple[float, ...], rms: float, saturated: int
+    model: Model, parameters: Array, covariance: Array, *, levels: tuple[float, ...], rms: float, saturated: int
 ) -> Edge:
     """Angle and offset as truth.json has them: the normal points to the right, or downwards."""
     old, line = model.line, _refined(model.line, parameters)
@@ -459,7 +354,15 @@ def _named(
         saturated=saturated,
         half_width=model.line.half_width,
         length=float(np.ptp(old.along(model.strip.u, model.strip.v))),
+        level_share=_level_share(model, line),
     )
+
+
+def _level_share(model: Model, line: Line) -> float:
+    """Share of the bright side's pixels that have its highest gray level."""
+    beyond = model.strip.usable & (line.across(model.strip.u, model.strip.v) > line.radius)
+    gray = model.strip.gray[beyond]
+    return float((gray == gray.max()).mean()) if gray.size else 0.0
 
 
 def _moved(edge: Edge, corner: tuple[int, int]) -> Edge:

@@ -27,7 +27,7 @@ def disc_edge(distance: Array, radius: float, order: int = 0) -> Array:
     radius : float
         Of the disc [px], above 0.
     order : int
-        n, 0 to 4.
+        n, 0 to 6.
 
     Returns
     -------
@@ -68,7 +68,7 @@ def pixel_edge(distance: Array, radius: float, along_u: float, along_v: float, o
     along_u, along_v : float
         Pixel width times |cos|, height times |sin| of the normal's angle [px].
     orders : int
-        How many, 1 to 3.
+        How many, 1 to 5.
 
     Returns
     -------

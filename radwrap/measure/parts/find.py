@@ -65,7 +65,7 @@ def find_parts(
     """
     gray = image.values
     _check(image, threshold, min_area)
-    _check_light(dark, gamma, pixel_aspect)
+    _check_light(float(gray.max()), dark, gamma, pixel_aspect)
     zero = 0.0 if dark is None else dark
     upright = LinearLight(zero, max(float(gray.max()) - zero, 1.0), gamma)
     kind, background = levels.background_surface(
@@ -115,11 +115,13 @@ def _check(image: GrayImage, threshold: float | None, min_area: float) -> None:
         raise InputError("must be a number above 0", where="min_area")
 
 
-def _check_light(dark: float | None, gamma: float, pixel_aspect: float) -> None:
+def _check_light(brightest: float, dark: float | None, gamma: float, pixel_aspect: float) -> None:
     if not 0.01 <= pixel_aspect <= 100:
         raise InputError("must lie between 0.01 and 100", where="pixel_aspect", remedy="give height over width")
     if not 0.1 <= gamma <= 5:
         raise InputError("must lie between 0.1 and 5", where="gamma")
+    if dark is not None and dark >= brightest:
+        raise InputError(f"{dark:g} lies above all of the image, at most {brightest:g}", where="dark")
     if gamma != 1 and (dark is None or not math.isfinite(dark)):
         raise InputError("is missing", where="dark", remedy="gamma needs the gray level without light")
 

@@ -1,0 +1,164 @@
+"""What an edge looks like: gray levels of light that ends at a line, blurred and seen by pixels."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.measure.edges.profile import pixel_edge
+from radwrap.measure.edges.search import Line
+
+Array = NDArray[np.float64]
+
+KNOT_SPACING: Final = 40.0  # px along the edge; follows light whose width (sigma) is 20 px or more
+FAINTEST_LIGHT: Final = 0.1  # of the bright side; its curve divides by it, and a step of the fit may go to 0
+LIT_FLOOR: Final = 1e-5  # of the bright side; below it H^gamma is a chord through 0, so that its slope stays finite
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pixels:
+    """Pixels as lists: column, row, gray; and which are not saturated."""
+
+    u: Array
+    v: Array
+    gray: Array
+    usable: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, values: Array, usable: NDArray[np.bool_]) -> Pixels:
+        """All pixels of an image."""
+        v, u = np.indices(values.shape, dtype=np.float64)
+        return cls(u.ravel(), v.ravel(), values.ravel(), usable.ravel())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Model:
+    """G = P + C h^gamma, with P and h linear in the levels; d and s are scaled by the strip's size.
+
+    Shape parameters are: shift across [px], turn [rad], radius [px], gamma. Behind them come the levels of the
+    dark side, then of the bright one. Without a dark gray the dark levels are P itself; with it P is the dark
+    gray and the dark levels belong to h.
+    """
+
+    strip: Pixels
+    line: Line
+    aspect: float
+    dark: float | None
+    contrast: float
+    along: Array  # (pixels, splines)
+    base: Array  # (pixels, dark levels)
+
+    def means(self, shape: Array) -> list[Array]:
+        """Of x^n/n! beyond the edge, blurred, over each pixel; n is 0 to 4."""
+        angle = self.line.angle + shape[1]
+        cos, sin = math.cos(angle), math.sin(angle)
+        # Across the edge in pixel widths: the normal in the image, where rows are `aspect` apart.
+        scale = 1 / math.hypot(cos, sin / self.aspect)
+        d = (self.strip.u - self.line.centre[0]) * cos + (self.strip.v - self.line.centre[1]) * sin - shape[0]
+        means = pixel_edge(d * scale, shape[2], abs(cos) * scale, abs(sin) * scale, 5)
+        return [mean * math.factorial(n) / self.line.half_width**n for n, mean in enumerate(means)]
+
+    def bright(self, levels: Array, means: list[Array]) -> Array:
+        """Light of the bright side: value, slope and curvature across the edge, and what these imply beyond."""
+        parts = [self.along @ part for part in levels.reshape(3, -1)]
+        light = np.stack([*parts, *_higher(*parts)]) * np.stack(means)
+        return np.asarray(light.sum(axis=0), dtype=np.float64)
+
+    def bright_columns(self, levels: Array, means: list[Array]) -> Array:
+        """Derivatives of the bright side's light by its levels."""
+        slopes = _higher_slopes(*(self.along @ part for part in levels.reshape(3, -1)))
+        weights = [mean + c * means[3] + d * means[4] for mean, (c, d) in zip(means[:3], slopes, strict=True)]
+        return np.concatenate([self.along * weight[:, None] for weight in weights], axis=1)
+
+    def gray(self, parameters: Array, means: list[Array] | None = None) -> tuple[Array, Array, Array]:
+        """Gray levels, light h, and dG/dh."""
+        means = means or self.means(parameters[:4])
+        split = 4 + self.base.shape[1]
+        pedestal, light = self.base @ parameters[4:split], self.bright(parameters[split:], means)
+        if self.dark is not None:
+            pedestal, light = np.full_like(light, self.dark), light + pedestal
+        gamma = parameters[3]
+        lit = np.maximum(light, LIT_FLOOR)
+        chord = self.contrast * lit ** (gamma - 1)
+        return pedestal + chord * light, light, chord * np.where(light > LIT_FLOOR, gamma, 1.0)
+
+    def residual(self, parameters: Array) -> Array:
+        """Model less image, of pixels that are not saturated [gray level]."""
+        left: Array = self.gray(parameters)[0] - self.strip.gray
+        return left[self.strip.usable]
+
+    def jacobian(self, parameters: Array) -> Array:
+        """Levels and gamma in closed form; shift, turn and radius by differences."""
+        means = self.means(parameters[:4])
+        here, light, slope = self.gray(parameters, means)
+        gamma = parameters[3]
+        parts = []
+        for i, step in enumerate((1e-5, 1e-7, 1e-5 * parameters[2])):
+            move = np.zeros_like(parameters)
+            move[i] = step
+            parts.append((self.gray(parameters + move)[0] - here) / step)
+        lit = np.maximum(light, LIT_FLOOR)
+        by_gamma = self.contrast * lit ** (gamma - 1) * light * np.log(lit)
+        dark = self.base if self.dark is None else self.base * slope[:, None]
+        bright = self.bright_columns(parameters[4 + self.base.shape[1] :], means)
+        whole = np.column_stack([*parts, by_gamma, dark, bright * slope[:, None]])
+        kept: Array = whole[self.strip.usable]
+        return kept
+
+    def levels(self, parameters: Array) -> tuple[Array, Callable[[Array], Array]]:
+        """Low and high gray at the centre, and how they hang on the parameters."""
+        middle = splines_along(np.zeros(1), *self._span)[0]
+        split = 4 + self.base.shape[1]
+
+        def both(p: Array) -> Array:
+            floor, gamma = float(p[4]), p[3]
+            top = float(middle @ p[split : split + middle.size])
+            if self.dark is None:
+                return np.array([floor, floor + self.contrast * max(top, 0.0) ** gamma])
+            lights = np.maximum([floor, floor + top], 0.0)
+            grays: Array = self.dark + self.contrast * lights**gamma
+            return grays
+
+        return both(parameters), both
+
+    @property
+    def _span(self) -> tuple[float, float]:
+        s = self.line.along(self.strip.u, self.strip.v)
+        return float(s.min()), float(s.max())
+
+
+def _higher(a: Array, b: Array, q: Array) -> tuple[Array, Array]:
+    """Cubic and quartic coefficient behind a + b x + q x^2 where all are of a exp(p x + r x^2), as of a beam."""
+    a = np.maximum(a, FAINTEST_LIGHT)
+    p = b / a
+    r = q / a - p**2 / 2
+    return a * (p * r + p**3 / 6), a * (r**2 / 2 + p**2 * r / 2 + p**4 / 24)
+
+
+def _higher_slopes(a: Array, b: Array, q: Array) -> list[tuple[Array, Array]]:
+    """Derivatives of both by a, by b and by q."""
+    is_lit, a = a > FAINTEST_LIGHT, np.maximum(a, FAINTEST_LIGHT)
+    p = b / a
+    r = q / a - p**2 / 2
+    cubic, quartic = p * r + p**3 / 6, r**2 / 2 + p**2 * r / 2 + p**4 / 24
+    by_r = p, r + p**2 / 2
+    by_b = r - p**2 / 2, -(p**3) / 3
+    by_a = cubic - p * by_b[0] - (r + p**2 / 2) * by_r[0], quartic - p * by_b[1] - (r + p**2 / 2) * by_r[1]
+    return [(is_lit * by_a[0], is_lit * by_a[1]), by_b, by_r]
+
+
+def splines_along(s: Array, first: float, last: float) -> Array:
+    """Cubic B-splines along the edge; few enough to be held by few rows, many enough for a blob of light."""
+    from scipy.interpolate import BSpline
+
+    pieces = max(1, round((last - first) / KNOT_SPACING))
+    degree = 3 if last - first > KNOT_SPACING / 2 else 2
+    inner = np.linspace(first, last, pieces + 1)
+    knots = np.concatenate([np.full(degree, first), inner, np.full(degree, last)])
+    matrix: Array = BSpline.design_matrix(np.clip(s, first, last), knots, degree).toarray()
+    return matrix

@@ -1,0 +1,180 @@
+"""Broken images and tables, each verb of measuring and calibrating: one line that says what, exit code 2."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from radwrap.cli.main import main
+from radwrap.images import write_exr, write_png
+
+EDGE = np.repeat([[20, 20, 60, 140, 180, 180]], 60, axis=0).repeat(10, axis=1).astype(np.uint8)
+
+
+def _noise() -> NDArray[np.uint8]:
+    return np.random.default_rng(0).normal(100, 5, (60, 60)).astype(np.uint8)
+
+
+def _colour(path: Path) -> None:
+    codes = np.stack([EDGE, EDGE // 2, EDGE], axis=2)
+    path.write_bytes(b"P6\n60 60\n255\n" + codes.tobytes())
+
+
+def _not_a_number(path: Path) -> None:
+    import OpenImageIO as oiio  # noqa: N813
+
+    values = EDGE.astype(np.float32)
+    values[3, 3] = np.nan
+    output = oiio.ImageOutput.create(str(path))
+    assert output.open(str(path), oiio.ImageSpec(60, 60, 1, "float"))
+    assert output.write_image(values[:, :, np.newaxis])
+    output.close()
+
+
+def _cut(ending: str) -> Callable[[Path], None]:
+    def write(path: Path) -> None:
+        whole = path.with_name(f"whole{ending}")
+        if ending == ".pgm":
+            whole.write_bytes(b"P5\n60 60\n255\n" + EDGE.tobytes())
+        elif ending == ".exr":
+            write_exr(whole, _noise().astype(np.float32), channel="Y")
+        else:
+            write_png(whole, _noise())
+        path.write_bytes(whole.read_bytes()[: whole.stat().st_size * 2 // 3])
+
+    return write
+
+
+IMAGES: dict[str, Callable[[Path], object]] = {
+    "blank.png": lambda path: write_png(path, np.full((60, 60), 30, np.uint8)),
+    "saturated.png": lambda path: write_png(path, np.full((60, 60), 255, np.uint8)),
+    "one.png": lambda path: write_png(path, np.full((1, 1), 30, np.uint8)),
+    "colour.ppm": _colour,
+    "nan.exr": _not_a_number,
+    "cut.png": _cut(".png"),
+    "cut.pgm": _cut(".pgm"),
+    "cut.exr": _cut(".exr"),
+    "empty.png": lambda path: path.write_bytes(b""),
+    "text.png": lambda path: path.write_text("gray\n" * 40),
+    "folder.png": lambda path: path.mkdir(),
+    "missing.png": lambda path: None,
+}
+SAYS = {
+    "saturated.png": "255|saturated",
+    "one.png": "1 x 1|gray level 30 everywhere",
+    "colour.ppm": "is in colour",
+    "nan.exr": "holds NaN or infinity",
+    "cut.png": "is not whole",
+    "cut.pgm": "is not whole",
+    "cut.exr": "is not whole",
+    "empty.png": "is no image",
+    "text.png": "is no image",
+    "folder.png": "no such image",
+    "missing.png": "no such image",
+}
+VERBS: dict[str, Callable[[str], list[str]]] = {
+    "dots": lambda image: ["measure", "dots", image, "--grid", "5x5"],
+    "edge": lambda image: ["measure", "edge", image],
+    "parts": lambda image: ["measure", "parts", image],
+    "compare to": lambda image: ["compare", "edge.png", image],
+    "compare": lambda image: ["compare", image, "edge.png"],
+}
+# A blank image differs from another by a number: that is told, with a warning.
+TOLD = {("compare", "blank.png"), ("compare to", "blank.png")}
+
+
+@pytest.mark.parametrize("image", IMAGES)
+@pytest.mark.parametrize("verb", VERBS)
+def test_a_broken_image_is_one_clear_error(
+    verb: str, image: str, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_png(tmp_path / "edge.png", EDGE)
+    IMAGES[image](tmp_path / image)
+    code = main(VERBS[verb](image))
+    out, err = capfd.readouterr()
+    if (verb, image) in TOLD:
+        assert code == 0
+        assert "is blank: gray 30 all over" in out
+        return
+    assert code == 2
+    assert out == ""
+    assert re.search(f"^radwrap: .*({SAYS.get(image, 'gray')})", err)
+    assert err.count("\n") == 1
+    assert not [path for path in tmp_path.iterdir() if path.suffix == ".json"]
+
+
+CAMERA = ["calibrate", "camera", "points.csv", "--pixel-width", "13.75 um", "--pixel-height", "16 um"]
+CAMERA += ["--centre", "95.5", "82"]
+HEADER = "x,y,z,u,v\n"
+# A board of 3 x 3 dots as a camera tilted by 40 degrees sees it, far from exact.
+SIDE = (-0.05, 0, 0.05)
+BOARD = [f"{x},{y},0,{95 + 900 * x / (1 - 0.6 * y)},{82 + 600 * y / (1 - 0.6 * y)}\n" for x in SIDE for y in SIDE]
+TABLES: dict[str, tuple[str | bytes | None, str]] = {
+    "missing": (None, "no such file"),
+    "empty": ("", "is empty"),
+    "header alone": (HEADER, "points"),
+    "no text": (b"\xff\xfe\x00\x01", "is no text"),
+    "another column": ("x,y,z,u,v,w\n1,2,3,4,5,6\n", "the header is"),
+    "a column twice": ("x,y,z,u,u\n1,2,3,4,5\n", "the header is"),
+    "a short line": (HEADER + "1,2,3,4\n", "points.csv:2: holds 4 values"),
+    "no number": (HEADER + "1,2,3,4,five\n", 'v "five" is no number'),
+    "NaN": (HEADER + "1,2,3,4,nan\n", "v nan is not finite"),
+    "a blank line inside": (HEADER + BOARD[0] + "\n" + "".join(BOARD[1:]), "points.csv:3: holds 0 values"),
+    "a point twice": (HEADER + "".join([*BOARD, BOARD[0]]), "point"),
+    "collinear": (HEADER + "".join(f"{i / 100},{i / 50},0,{90 + i},{80 + 2 * i}\n" for i in range(9)), "line"),
+    "four points": (HEADER + "".join(BOARD[:4]), "points"),
+}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_points_that_cannot_calibrate_are_one_clear_error(
+    name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    content, says = TABLES[name]
+    if content is not None:
+        (tmp_path / "points.csv").write_bytes(content.encode() if isinstance(content, str) else content)
+    assert main(CAMERA) == 2
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert err.startswith("radwrap: points.csv")
+    assert says in err
+
+
+@pytest.mark.parametrize("grid", ["", "5", "5x", "0x5", "-1x5", "5x5x5", "axb", "1e9x1e9", "100000x100000", "1x1"])
+def test_a_wrong_grid_is_one_clear_error(
+    grid: str, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_png(tmp_path / "edge.png", EDGE)
+    assert main(["measure", "dots", "edge.png", f"--grid={grid}"]) == 2
+    out, err = capfd.readouterr()
+    assert (out, err.count("\n")) == ("", 1)
+
+
+OPTIONS = {
+    "--dark=500": ["measure", "parts", "edge.png"],
+    "--dark=501": ["measure", "edge", "edge.png"],
+    "--dark=nan": ["measure", "dots", "edge.png", "--grid=5x5"],
+    "--saturation=-3": ["measure", "dots", "edge.png", "--grid=5x5"],
+    "--saturation=nan": ["measure", "edge", "edge.png"],
+}
+
+
+@pytest.mark.parametrize("option", OPTIONS)
+def test_a_gray_level_that_cannot_be_is_one_clear_error(
+    option: str, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_png(tmp_path / "edge.png", EDGE)
+    assert main([*OPTIONS[option], option]) == 2
+    out, err = capfd.readouterr()
+    assert (out, err.count("\n")) == ("", 1)
+    assert option.split("=", maxsplit=1)[0] in err
