@@ -46,7 +46,7 @@ _ATTEMPTS: Final = 8
 _GRID_SHARE: Final = 0.5
 _FINEST: Final = 2
 # Below this tolerance the usual cells are too coarse at any contrast that matters [gray level].
-_COARSE_TOLERANCE: Final = 0.2
+_COARSE_TOLERANCE: Final = 0.25
 # Pixels of the model's certificate, and pairs of each: where depth is even, and near steps; tried in turn.
 _EFFORTS: Final = ((512, 4, 16), (1024, 16, 128), (2048, 64, 1024))
 # A 99 % quantile without an exceedance among so many: 97.5 % sure of each half's 99.5 %.
