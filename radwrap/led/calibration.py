@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 import re
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -107,21 +106,24 @@ def _row(row: dict[str, str | None], where: str) -> tuple[int, float, float, flo
     return int(cells["led"]), float(cells["level"]), intensity, error
 
 
-def scaled(full: Sequence[float], standard_error: Sequence[float], level: float) -> tuple[LedTable, ...]:
-    """Tables of LEDs measured at one level alone: proportional to it, which PWM at a constant current is nearly.
+def scaled(
+    radiant_intensity: Sequence[float], standard_error: Sequence[float], levels: Sequence[float]
+) -> tuple[LedTable, ...]:
+    """Tables of LEDs measured at one level each: proportional to it, which PWM at a constant current is nearly.
 
     Parameters
     ----------
-    full : sequence of float
-        Radiant intensity of each LED at `level` [W sr^-1].
+    radiant_intensity : sequence of float
+        Of each LED at its level [W sr^-1].
     standard_error : sequence of float
         Of each [W sr^-1].
-    level : float
-        Level of the measurement, above 0 to 1; the tables end there.
+    levels : sequence of float
+        Level of each measurement, above 0 to 1; the tables end there.
     """
-    if not (math.isfinite(level) and 0 < level <= 1):
-        raise InputError(f"{level:g} is no level above 0 to 1")
-    return tuple(LedTable((0.0, level), (0.0, i), (0.0, e)) for i, e in zip(full, standard_error, strict=True))
+    return tuple(
+        LedTable((0.0, level), (0.0, intensity), (0.0, error))
+        for level, intensity, error in zip(levels, radiant_intensity, standard_error, strict=True)
+    )
 
 
 def write_calibration(path: Path, calibration: RingCalibration) -> None:

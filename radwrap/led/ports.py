@@ -104,13 +104,17 @@ def modules() -> Iterator[ModuleType]:
         pass
 
 
-def found(emulators: Iterable[str] = (), module: ModuleType | None = None) -> list[Found]:
+def found(
+    emulators: Iterable[str] = (), *, only_emulators: bool = False, module: ModuleType | None = None
+) -> list[Found]:
     """Every HID device that is there.
 
     Parameters
     ----------
     emulators : iterable of str
         Sockets of emulators.
+    only_emulators : bool
+        Whether to leave out real devices.
     module : module, optional
         hidapi's; default the best.
 
@@ -120,6 +124,8 @@ def found(emulators: Iterable[str] = (), module: ModuleType | None = None) -> li
         If hidapi is missing where no emulator is named, or an emulator does not answer.
     """
     there = [_emulated(path) for path in emulators]
+    if only_emulators:
+        return there
     module = module or next(modules(), None)
     if module is None:
         if there:

@@ -96,6 +96,11 @@ class LedRing:
         return self._backend.capabilities
 
     @property
+    def drive(self) -> Drive | None:
+        """What the LEDs may do."""
+        return self._drive
+
+    @property
     def calibration(self) -> RingCalibration | None:
         """Level to radiant intensity."""
         return self._calibration
@@ -127,9 +132,7 @@ class LedRing:
         if (levels is None) == (radiant_intensity is None):
             raise InputError("give levels or radiant intensities")
         if levels is None:
-            if self._calibration is None:
-                raise InputError("radiant intensities need a calibration", remedy="give --calibration, or levels")
-            levels = levels_for(self._calibration, radiant_intensity or ())
+            levels = self.levels_of(radiant_intensity or ())
         wanted = tuple(float(level) for level in levels)
         capabilities = self._backend.capabilities
         if self._drive is None:
@@ -149,6 +152,20 @@ class LedRing:
                 self._guardian.rest()
         fractions = tuple(step / capabilities.steps for step in held)
         return Frame(wanted, steps, fractions, capabilities.readback, capabilities.emulated)
+
+    def levels_of(self, radiant_intensity: Sequence[float]) -> tuple[float, ...]:
+        """Level of each LED that gives a radiant intensity along its axis [W sr^-1], by the calibration.
+
+        Raises
+        ------
+        InputError
+            If there is no calibration, or it does not reach so far.
+        """
+        if self._calibration is None:
+            raise InputError(
+                "radiant intensities need a calibration", remedy="give --calibration or --full-scale, or levels"
+            )
+        return levels_for(self._calibration, radiant_intensity)
 
     def off(self) -> None:
         """Every LED off, whatever happened before."""
