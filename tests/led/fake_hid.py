@@ -1,8 +1,9 @@
-"""What hidapi's Python module does, over emulated devices in this process: -1, OSError and ValueError where it has them."""
+"""hidapi's Python module over emulated devices in this process: -1, OSError and ValueError where it has them."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from typing import Any
 
 from radwrap.led.emulator.device import Frozen, Stall, Unit, Unplugged
@@ -18,8 +19,8 @@ class FakeHid:
     def __init__(self) -> None:
         self.units: dict[str, Unit] = {}
 
-    def enumerate(self) -> list[dict[str, Any]]:
-        return [
+    def enumerate(self, vendor: int = 0, product: int = 0) -> list[dict[str, Any]]:
+        wanted = [
             {
                 "path": path.encode(),
                 "vendor_id": unit.device.identity.vendor,
@@ -33,6 +34,8 @@ class FakeHid:
             for path, unit in self.units.items()
             if unit.plugged
         ]
+        asked = (vendor, product)
+        return [one for one in wanted if asked in ((0, 0), (one["vendor_id"], one["product_id"]))]
 
     def device(self) -> FakeDevice:
         return FakeDevice(self)
@@ -59,8 +62,8 @@ class FakeDevice:
     def error(self) -> str:
         return self._said
 
-    def write(self, report: bytes) -> int:
-        unit = self._open()
+    def write(self, data: Sequence[int]) -> int:
+        unit, report = self._open(), bytes(data)
         return self._sent(lambda: unit.output(report[1:] if report[0] == 0 else report), len(report))
 
     def send_feature_report(self, report: bytes) -> int:
