@@ -123,13 +123,11 @@ def put(source: Path, archive: Path, place: Path) -> None:
 
 
 def put_python(archive: Path) -> Path:
-    """This interpreter and its standard library, at the same paths."""
+    """Copy this interpreter and its standard library to the same paths."""
     python = Path(sys.executable).resolve()
     library = Path(sysconfig.get_path("stdlib"))
     put(python, archive, python)
-    shutil.copytree(
-        library, archive / library.relative_to("/"), ignore=shutil.ignore_patterns(*_LEFT_OUT, "config-*", "*.a")
-    )
+    shutil.copytree(library, archive / library.relative_to("/"), ignore=shutil.ignore_patterns(*_LEFT_OUT))
     extensions = list((library / "lib-dynload").glob("*.so"))
     for each in libraries(python, *extensions):
         put(each.resolve(), archive, each)
@@ -149,7 +147,8 @@ def put_package(archive: Path) -> None:
                 put(source, archive, Path("/package", each))
                 if ".so" in source.name:
                     for needed in libraries(source):
-                        put(needed.resolve(), archive, needed) if "hidapi" not in str(needed) else None
+                        if "hidapi" not in str(needed):  # those lie beside it
+                            put(needed.resolve(), archive, needed)
     for folder in Path("/usr/lib").glob("*/gconv"):
         for name in ("UTF-16.so", "gconv-modules", "gconv-modules.cache"):
             if (folder / name).exists():

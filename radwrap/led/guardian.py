@@ -25,6 +25,7 @@ MISSED: Final = 1.0  # s without one: the process hangs
 _START: Final = 20.0  # s, on a busy machine ten times what it takes
 _GIVE_UP: Final = 60.0  # s of trying to reach the device
 _AGAIN: Final = 0.1  # s between two attempts
+_BLOCKED: Final = 1.0  # s of trying, before a process that hangs and holds the device is killed
 _FAREWELL: Final = 5.0  # s
 
 _WATCH, _REST, _BEAT, _BYE = "watch", "rest", "beat", "bye"
@@ -141,7 +142,7 @@ class _Ring:
 
     def turn_off_at_last(self, hanging: int | None) -> int:
         """Try until it is dark; a process that hangs and blocks the device is killed."""
-        end = time.monotonic() + _GIVE_UP
+        begin = time.monotonic()
         while True:
             try:
                 self.turn_off()
@@ -149,9 +150,10 @@ class _Ring:
                 last = error
             else:
                 return 0
-            if hanging is not None and os.getppid() == hanging:
+            tried = time.monotonic() - begin
+            if hanging is not None and tried > _BLOCKED and os.getppid() == hanging:
                 os.kill(hanging, signal.SIGKILL)
-            if time.monotonic() > end:
+            if tried > _GIVE_UP:
                 print(f"radwrap: the guardian could not turn the LEDs off: {last}", file=sys.stderr, flush=True)
                 return EnvironmentFailure.exit_code
             time.sleep(_AGAIN)

@@ -108,6 +108,8 @@ def feature_reports(descriptor: bytes) -> list[FeatureReport]:
                 report.fields += [Field(usage, state.size) for usage in named]
         if item in _MAIN_ITEMS:
             usages = []
+    if collections:
+        raise ValueError("a collection does not end")
     return list(reports.values())
 
 

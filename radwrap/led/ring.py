@@ -234,7 +234,8 @@ class LedRing:
         self._backend.off()
         self._lit_since = None
         if self._guardian is not None:
-            self._guardian.rest()
+            with suppress(RadwrapError):  # in the dark none is needed
+                self._guardian.rest()
 
     def _beat(self) -> None:
         """In a thread of its own: heartbeats while the device obeys, and an end to light that lasts too long."""

@@ -22,6 +22,10 @@ from radwrap.scene.camera import Sensor
 _SAME_DARK: Final = 0.6
 # Pixels that come this near saturation may be clipped [gray level].
 _BELOW_SATURATION: Final = 1.5
+# Below, rounding is no noise: a signal of 0.4 is always 0 [gray level].
+_ABOVE_DARK: Final = 1.0
+# Of what is left to what was captured, rms; more is another scene, another LED or another place.
+_LARGEST_RESIDUAL: Final = 0.25
 # A frame without a pixel this much above dark is no capture of an LED that is on [gray level].
 _LEAST_SIGNAL: Final = 5.0
 _ROUNDS: Final = 4
@@ -93,15 +97,16 @@ def factor(captured: NDArray[np.float64], predicted_exposure: NDArray[np.float64
         raise InputError("is dark", remedy="raise the level or the exposure time")
     # Pixels are left out by what is predicted, not by what was captured: else the errors would choose.
     scale = float(np.sum(shape * signal) / np.sum(shape**2))
-    used = np.ones(shape.shape, dtype=bool)
+    used = shape > 0
     for _ in range(_ROUNDS):
-        used = scale * shape + sensor.dark_gray < sensor.saturation_gray - _BELOW_SATURATION
-        if not (shape[used] > 0).any():
-            raise InputError("is saturated", remedy="lower the level or the exposure time")
+        expected = scale * shape
+        used = (expected > _ABOVE_DARK) & (expected < sensor.saturation_gray - sensor.dark_gray - _BELOW_SATURATION)
+        if not used.any():
+            raise InputError("has no pixel between dark and saturation", remedy="change the level or the exposure time")
         scale = float(np.sum(shape[used] * signal[used]) / np.sum(shape[used] ** 2))
-    if scale <= 0:
-        raise InputError("is dark where light is predicted")
     residual = np.where(used, signal - scale * shape, 0.0)
+    if np.sum(residual**2) > _LARGEST_RESIDUAL**2 * np.sum(signal[used] ** 2):
+        raise InputError("does not look like what the scene predicts", remedy="is it that LED, and the scene's pose?")
     weight = np.where(used, shape, 0.0)
     variance = max(_rounding(weight, scale, sensor), _blocks(weight * residual)) / float(np.sum(weight**2)) ** 2
     value = scale ** (1 / sensor.gamma)

@@ -52,4 +52,4 @@ def drive_by_easymcp2221(serial: str, light: Callable[[], tuple[float, ...]]) ->
         assert light() == (0.0,) * COUNT
     finally:
         type(bridge)._catalog.clear()
-        del bridge
+        bridge.hidhandler.close()
