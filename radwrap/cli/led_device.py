@@ -139,4 +139,5 @@ def device_record(ring: LedRing) -> dict[str, Any]:
         "readback": told.readback,
         "pwm_frequency": told.pwm_frequency,
         "update_interval": told.update_interval,
+        "wavelength": None if ring.drive is None else ring.drive.wavelength,
     }

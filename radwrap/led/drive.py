@@ -109,7 +109,7 @@ class Drive:
             raise InputError(f"the levels' sum, {total:.4g}, is above max_sum, {self.max_sum:g}")
 
 
-def read_drive(path: Path) -> Drive:
+def read_drive(path: str | Path) -> Drive:
     """Read a drive file.
 
     Raises
@@ -117,6 +117,7 @@ def read_drive(path: Path) -> Drive:
     InputError
         What is wrong, with file and key.
     """
+    path = Path(path)
     try:
         if path.stat().st_size > _LARGEST_FILE:
             raise InputError("is too large for a drive file", where=str(path))

@@ -30,6 +30,7 @@ _LARGEST_RESIDUAL: Final = 0.25
 _LEAST_SIGNAL: Final = 5.0
 _ROUNDS: Final = 4
 _HARMONICS: Final = 8  # of the rounding error; the rest, 1/k^2 each, is below 8 % of the variance
+_NEIGHBOURS: Final = np.linspace(0.95, 1.05, 11)
 _BLOCK: Final = 8  # px over which errors of a prediction hang together
 
 
@@ -123,14 +124,19 @@ def _rounding(weight: NDArray[np.float64], scale: float, sensor: Sensor) -> floa
 
     The error of rounding is the saw tooth sum_k (-1)^k sin(2 pi k g)/(pi k), so that two pixels whose gray levels
     differ by d have the covariance sum_k cos(2 pi k d)/(2 pi^2 k^2): even images, whose errors are all the same,
-    are seen as what they are.
+    are seen as what they are. At one scale the sum may vanish by chance: it is averaged over scales nearby.
     """
     if not sensor.rounding:
         return 0.0
     lit = weight[weight > 0]
-    phase = 2j * math.pi * scale * lit
-    harmonics = range(1, _HARMONICS + 1)
-    return sum(float(abs(np.sum(lit * np.exp(k * phase))) ** 2) / (2 * math.pi**2 * k**2) for k in harmonics)
+    total = 0.0
+    for near in scale * _NEIGHBOURS:
+        turn = np.exp(2j * math.pi * near * lit)
+        power = np.ones_like(turn)
+        for k in range(1, _HARMONICS + 1):
+            power *= turn
+            total += float(abs(np.sum(lit * power)) ** 2) / (2 * math.pi**2 * k**2)
+    return total / len(_NEIGHBOURS)
 
 
 def _blocks(errors: NDArray[np.float64]) -> float:

@@ -223,6 +223,21 @@ def test_one_program_drives_a_ring_at_a_time(
     assert shines()
 
 
+def test_a_killed_command_leaves_no_process_and_no_file(tmp_path: Path) -> None:
+    """Guardian and emulator of --emulate end on their own."""
+    (tmp_path / "drive.toml").write_text(DRIVE_FILE)
+    with start(["led", "set", 0.5, "--emulate", "--drive", tmp_path / "drive.toml", "--for", "50 s"]) as process:
+        assert process.stdout is not None and process.stdout.readline()  # it shines
+        family = psutil.Process(process.pid).children()
+        assert len(family) == 2
+        (socket,) = (Path(child.cmdline()[4]) for child in family if "radwrap.led.emulator" in child.cmdline())
+        assert socket.exists()
+        process.kill()
+    psutil.wait_procs(family, timeout=PATIENCE)
+    assert not any(child.is_running() for child in family)
+    assert not socket.parent.exists()
+
+
 def test_a_claim_falls_with_its_holder() -> None:
     first = Claim("nowhere")
     with pytest.raises(EnvironmentFailure):

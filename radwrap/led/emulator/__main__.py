@@ -6,6 +6,7 @@ import argparse
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from radwrap.led.emulator.device import Device, Unit
@@ -39,6 +40,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     server = Server(unit, Path(given.socket))
     print("ready", flush=True)
     server.serve()
+    with suppress(OSError):  # where who started it is gone, nobody else removes them
+        Path(given.socket).unlink()
+        Path(given.socket).parent.rmdir()
     return 0
 
 
