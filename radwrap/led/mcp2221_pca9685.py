@@ -110,7 +110,8 @@ class Mcp2221Pca9685:
         )
         self._port = port
         self._count = count
-        self._blank_bus()
+        self._blank()
+        self._release()
         self._set_up_chip()
         self._expect(self._levels(), (0,) * count)
 
@@ -131,21 +132,27 @@ class Mcp2221Pca9685:
         return levels if enabled and not asleep else (0,) * self._count
 
     def off(self) -> None:
-        """Disable the outputs, which needs no I2C, then turn every channel off."""
-        self._blank_bus()
+        """Disable the outputs, which needs no I2C, and turn every channel off, which needs no GP0."""
+        blind: DeviceFailure | None = None
+        try:
+            self._blank()
+        except DeviceFailure as error:
+            blind = error
+        self._release()
         self._write_registers(bytes((_ALL_LED_OFF_HIGH, _FULL)))
         self._expect(self._levels(), (0,) * self._count)
+        if blind is not None:
+            raise blind
 
     def close(self) -> None:
         """Let the bridge go."""
         self._port.close()
 
-    def _blank_bus(self) -> None:
+    def _blank(self) -> None:
         pins = list(self._command(_GET_SRAM)[22:26])
         # All four are set at once: the other three keep what they are.
         self._command(_SET_SRAM, 0, 0, 0, 0, 0, 0, 0xFF, _OUTPUT_LOW, *pins[1:])
         self._enable(False)
-        self._release()
 
     def _enable(self, on: bool) -> None:
         reply = self._command(_SET_GPIO, 0, 1, int(on), 1, 0)

@@ -256,6 +256,16 @@ def a_chip_that_does_not_answer(bench: Bench) -> None:
     bench.misbehave(FIRST, "ack")
 
 
+def an_enable_pin_that_sticks(bench: Bench) -> None:
+    with opened(bench) as backend:
+        backend.show(ramp(backend))
+        bench.misbehave(FIRST, "stick")
+        assert "GP0" in str(fails(backend.off, DeviceFailure))
+        assert light(bench) == DARK, "the chip turns off without GP0"
+        bench.misbehave(FIRST, "ack")
+        backend.off()
+
+
 def a_transfer_that_another_left(bench: Bench) -> None:
     """A killed driver leaves the engine in the middle of a write, and a reply that nobody read."""
     port = bench.open_port(there(bench))
@@ -300,9 +310,10 @@ CASES: tuple[Callable[[Bench], None], ...] = (
     another_program_can_turn_off,
     a_closed_device_is_an_error,
     a_chip_that_does_not_answer,
+    an_enable_pin_that_sticks,
     a_transfer_that_another_left,
 )
-_OF_THE_CHIPS = (a_chip_that_does_not_answer, a_transfer_that_another_left)
+_OF_THE_CHIPS = (a_chip_that_does_not_answer, an_enable_pin_that_sticks, a_transfer_that_another_left)
 
 
 def cases_for(bench: Bench) -> list[Callable[[Bench], None]]:

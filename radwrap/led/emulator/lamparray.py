@@ -117,13 +117,12 @@ class LampRing:
         return None
 
     def get_feature(self, report_id: int) -> bytes:
-        """Attributes of the array, or of the lamp that was asked for; asking again gives the next one."""
+        """Attributes of the array, or of the lamp that was asked for, and again of that one: some devices go on."""
         if report_id == ATTRIBUTES:
             interval = round(1e6 * self._interval)
             return struct.pack("<BH5I", ATTRIBUTES, len(self._shown), self._box, self._box, 0, 7, interval)
         if report_id == RESPONSE:
             lamp = self._asked
-            self._asked = (lamp + 1) % len(self._shown)
             x, y = self._places[lamp]
             head = struct.pack("<BH5I", RESPONSE, lamp, x, y, 0, 1000, _ILLUMINATION)
             return head + bytes((1, 1, 1, 255, 1, 0))

@@ -56,6 +56,7 @@ class Mcp2221Ring:
         self.chip = Pca9685(address)
         self._count = count
         self._deaf = False
+        self._stuck = False
         self._power_up()
 
     def _power_up(self) -> None:
@@ -70,10 +71,11 @@ class Mcp2221Ring:
         self._data = b""
 
     def misbehave(self, how: str) -> None:
-        """Of "nack": the chip no longer acknowledges; "ack": it does again."""
-        if how not in ("nack", "ack"):
+        """Make "nack", the chip no longer acknowledges, "ack", it does again, or "stick", GP0 stays as it is."""
+        if how not in ("nack", "ack", "stick"):
             raise ValueError(how)
         self._deaf = how == "nack"
+        self._stuck = how == "stick"
 
     def light(self) -> tuple[float, ...]:
         """Mean light of each LED; dark while GP0 is not driven high."""
@@ -97,6 +99,12 @@ class Mcp2221Ring:
     def output(self, report: bytes) -> None:
         """Take a command and reply at once, whatever the bus does."""
         self._advance()
+        gp0 = self._pins[0]
+        self._obey(report)
+        if self._stuck:
+            self._pins[0] = gp0
+
+    def _obey(self, report: bytes) -> None:
         command = report.ljust(_REPORT, b"\0")
         match command[0]:
             case 0x10:
