@@ -321,7 +321,7 @@ class Child:
         assert self._program.stdin is not None  # noqa: S101  (stdin=PIPE in start_child)
         try:
             self._program.stdin.write(f"{line}\n".encode())
-        except OSError:
+        except (OSError, ValueError):  # it has ended, or we closed the pipe
             return False
         return True
 

@@ -191,8 +191,8 @@ def main() -> int:
                 print(f"{name:6} {key:40} {value:.4g}")
     for led in found["twin"]["leds"]:
         error = led["found"] / led["true"] - 1
-        print(f"ring {led['ring']} LED {led['led']:2}: {led['true']:.4f} found {led['found']:.4f}, {100 * error:+.3f} %, "
-              f"stated {100 * led['standard_error']:.3f} %")  # fmt: skip
+        told = f"{led['true']:.4f} found {led['found']:.4f}, {100 * error:+.3f} %"
+        print(f"ring {led['ring']} LED {led['led']:2}: {told}, stated {100 * led['standard_error']:.3f} %")
     good = found["kills"]["within_2_s"] == given.kills and found["study"]["largest_difference_steps"] <= 1
     return 0 if good else 1
 
