@@ -90,7 +90,8 @@ class EmulatedPort:
 
     def read(self, size: int, patience: float) -> bytes:
         """Wait for an input report for `patience` seconds."""
-        report = self._ask(READ, round(1e3 * patience).to_bytes(4, "little"))
+        # An emulator shares the processor with everything else; a real device has its own.
+        report = self._ask(READ, round(1e3 * max(patience, _PATIENCE / 2)).to_bytes(4, "little"))
         if not report:
             raise PortFailure(f"did not answer within {patience:g} s", where=self._where)
         return report[:size]

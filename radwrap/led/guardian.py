@@ -21,7 +21,7 @@ from radwrap.led.connect import choose, open_backend, start_module
 from radwrap.led.ports import Found, found
 
 BEAT: Final = 0.2  # s between heartbeats
-MISSED: Final = 1.0  # s without one: the process hangs
+MISSED: Final = 1.5  # s without one: the process hangs
 _START: Final = 20.0  # s, on a busy machine ten times what it takes
 _GIVE_UP: Final = 60.0  # s of trying to reach the device
 _AGAIN: Final = 0.1  # s between two attempts

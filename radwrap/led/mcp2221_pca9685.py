@@ -73,6 +73,19 @@ def steps_of(registers: bytes) -> tuple[int, ...]:
     return tuple(steps)
 
 
+class _Deadline:
+    """A time limit of which a process that was not given the processor for a while gets one look more."""
+
+    def __init__(self, seconds: float) -> None:
+        self._end = time.monotonic() + seconds
+        self._passed = False
+
+    def passed_before(self) -> bool:
+        """Whether it had passed already when this was asked the last time."""
+        before, self._passed = self._passed, time.monotonic() > self._end
+        return before
+
+
 class Mcp2221Pca9685:
     """The electronics; made, they are set up and every LED is off.
 
@@ -187,30 +200,30 @@ class Mcp2221Pca9685:
     def _read_registers(self, first: int, count: int) -> bytes:
         self._transfer(_WRITE_NO_STOP, bytes((first,)), ends_in=_NO_STOP)
         self._accepted(_READ_RESTART, count, 0, ADDRESS << 1 | 1)
-        end = time.monotonic() + _TRANSFER
+        deadline = _Deadline(_TRANSFER)
         while True:
             reply = self._command(_GET_DATA)
             if reply[1] == 0 and reply[2] == _DATA_READY and reply[3] == count:
                 return reply[4 : 4 + count]
-            self._judge(reply[2], end)
+            self._judge(reply[2], deadline)
 
     def _transfer(self, kind: int, data: bytes, ends_in: int = _IDLE) -> None:
         self._accepted(kind, len(data), 0, ADDRESS << 1, *data)
-        end = time.monotonic() + _TRANSFER
+        deadline = _Deadline(_TRANSFER)
         # The bridge only accepted it so far.
         while (state := self._command(_STATUS)[8]) != ends_in:
-            self._judge(state, end)
+            self._judge(state, deadline)
 
     def _accepted(self, *command: int) -> None:
-        end = time.monotonic() + _TRANSFER
+        deadline = _Deadline(_TRANSFER)
         while (reply := self._command(*command))[1] != 0:
-            self._judge(reply[2], end)
+            self._judge(reply[2], deadline)
 
-    def _judge(self, state: int, end: float) -> None:
+    def _judge(self, state: int, deadline: _Deadline) -> None:
         """Nothing while the engine is at work; an error where it failed or takes too long."""
         if state == _NACK:
             problem = f"nothing answers at the I2C address 0x{ADDRESS:02X}"
-        elif state in _TIMEOUTS or time.monotonic() > end:
+        elif state in _TIMEOUTS or deadline.passed_before():
             problem = f"the I2C bus hangs in state 0x{state:02X}"
         else:
             return

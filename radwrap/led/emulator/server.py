@@ -105,6 +105,8 @@ class Server:
         end = time.monotonic() + patience
         while True:
             with self._guard:
+                if self._unit.frozen:
+                    raise Frozen
                 report = self._unit.input()
             if report is not None:
                 return report
