@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from radwrap.led.emulator.device import Frozen, Stall, Unit, Unplugged
+from radwrap.led.emulator.device import Frozen, Handles, Stall, Unit, Unplugged
 
 FREEZE = 0.05  # s; the real ones take 1 s (libusb) or 5 s (hidraw) to give up
 
@@ -18,6 +18,10 @@ class FakeHid:
 
     def __init__(self) -> None:
         self.units: dict[str, Unit] = {}
+        self.handles: dict[int, Handles] = {}
+
+    def handles_of(self, unit: Unit) -> Handles:
+        return self.handles.setdefault(id(unit), Handles(unit))
 
     def enumerate(self, vendor: int = 0, product: int = 0) -> list[dict[str, Any]]:
         wanted = [
@@ -55,8 +59,11 @@ class FakeDevice:
         if unit is None or not unit.plugged:
             raise OSError("open failed")
         self._unit, self._plug_count = unit, unit.plug_count
+        self._module.handles_of(unit).open(id(self))
 
     def close(self) -> None:
+        if self._unit is not None:
+            self._module.handles_of(self._unit).close(id(self))
         self._unit = None
 
     def error(self) -> str:
@@ -77,7 +84,7 @@ class FakeDevice:
         while True:
             if not self._is_there(unit):
                 raise OSError("read error")
-            report = unit.input()
+            report = self._module.handles_of(unit).input(id(self))
             if report is not None:
                 return list(report[:size])
             if time.monotonic() > end:

@@ -184,7 +184,7 @@ def test_sigkill_leaves_no_light(driver: Any, shines: Callable[[], bool], number
 
 def test_a_driver_that_hangs_is_darkened_and_may_not_go_on(driver: Any, shines: Callable[[], bool]) -> None:
     process = driver()
-    wait(shines, PATIENCE)
+    assert "verified" in process.stdout.readline()  # the frame is shown and read back
     process.send_signal(signal.SIGSTOP)
     wait(lambda: not shines(), OFF_WITHIN)
     process.send_signal(signal.SIGCONT)

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Final, Protocol
+
+_REPORTS_KEPT: Final = 64  # for each handle, as hidraw keeps them
 
 
 class Stall(Exception):
@@ -166,3 +169,33 @@ class Unit:
         if self._stalls:
             self._stalls -= 1
             raise Stall
+
+
+class Handles:
+    """Every handle of a device gets every input report, whoever asked for it, as with hidraw.
+
+    Parameters
+    ----------
+    unit : Unit
+        The device.
+    """
+
+    def __init__(self, unit: Unit) -> None:
+        self._unit = unit
+        self._kept: dict[int, deque[bytes]] = {}
+
+    def open(self, handle: int) -> None:
+        """A handle gets reports from now on."""
+        self._kept[handle] = deque(maxlen=_REPORTS_KEPT)
+
+    def close(self, handle: int) -> None:
+        """It gets no more."""
+        self._kept.pop(handle, None)
+
+    def input(self, handle: int) -> bytes | None:
+        """The oldest report that this handle has not read; None where there is none."""
+        while (report := self._unit.input()) is not None:
+            for kept in self._kept.values():
+                kept.append(report)
+        own = self._kept[handle]
+        return own.popleft() if own else None

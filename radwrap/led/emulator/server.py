@@ -8,16 +8,25 @@ import socket
 import sys
 import threading
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 from radwrap.led import emulated_port as wire
-from radwrap.led.emulator.device import Frozen, Stall, Unit, Unplugged
+from radwrap.led.emulator.device import Frozen, Handles, Stall, Unit, Unplugged
 
 # How long an emulator outlives the one who started it: a guardian must still find it.
 LINGER: Final = 3.0  # s
 _TRAFFIC: Final = (wire.WRITE, wire.READ, wire.SET_FEATURE, wire.GET_FEATURE)
 _TICK: Final = 5e-4  # s between looks for an input report
+
+
+@dataclass(frozen=True, slots=True)
+class _Handle:
+    """A connection: its number, and how often the device had been plugged in when it was made."""
+
+    number: int
+    plug_count: int
 
 
 class Server:
@@ -33,6 +42,7 @@ class Server:
 
     def __init__(self, unit: Unit, path: Path) -> None:
         self._unit = unit
+        self._handles = Handles(unit)
         self._guard = threading.Lock()
         self._connections = 0
         self._last_end = time.monotonic()
@@ -55,24 +65,26 @@ class Server:
     def _talk(self, connection: socket.socket) -> None:
         with self._guard:
             self._connections += 1
-            plugged_in = self._unit.plug_count
+            handle = _Handle(id(connection), self._unit.plug_count)
+            self._handles.open(handle.number)
         try:
             with connection:
                 while (message := wire.receive(connection)) is not None:
-                    wire.send(connection, *self._answer(*message, plugged_in))
+                    wire.send(connection, *self._answer(*message, handle))
         except OSError:
             pass  # the other side is gone
         finally:
             with self._guard:
                 self._connections -= 1
+                self._handles.close(handle.number)
                 self._last_end = time.monotonic()
 
-    def _answer(self, kind: bytes, content: bytes, plugged_in: int) -> tuple[bytes, bytes]:
-        if kind in _TRAFFIC and plugged_in != self._unit.plug_count:
+    def _answer(self, kind: bytes, content: bytes, handle: _Handle) -> tuple[bytes, bytes]:
+        if kind in _TRAFFIC and handle.plug_count != self._unit.plug_count:
             return wire.GONE, b""  # a handle of a device that was unplugged stays dead
         try:
             if kind == wire.READ:
-                return wire.DONE, self._read(int.from_bytes(content, "little") / 1e3)
+                return wire.DONE, self._read(int.from_bytes(content, "little") / 1e3, handle.number)
             with self._guard:
                 return wire.DONE, self._do(kind, content)
         except Unplugged:
@@ -101,13 +113,13 @@ class Server:
                 return json.dumps({**told, "plugged": unit.plugged}).encode()
         return b""
 
-    def _read(self, patience: float) -> bytes:
+    def _read(self, patience: float, handle: int) -> bytes:
         end = time.monotonic() + patience
         while True:
             with self._guard:
                 if self._unit.frozen:
                     raise Frozen
-                report = self._unit.input()
+                report = self._handles.input(handle)
             if report is not None:
                 return report
             if time.monotonic() > end:
