@@ -1,4 +1,4 @@
-"""A ring that is a HID LampArray (usage page 0x59, HUTRR84): 8 bit, and it says where its lamps are.
+"""A ring that is a HID LampArray (usage page 0x59, hutrr84): 8 bit, and it says where its lamps are.
 
 Report ids and the order of fields come from the device's descriptor; a device
 whose reports are not as the standard has them is refused. It does not tell

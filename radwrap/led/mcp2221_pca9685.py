@@ -2,7 +2,7 @@
 
 All LEDs change together, at the end of one write of 49 bytes, which fits into
 one HID report. GP0 of the bridge enables the outputs: low, or without USB
-power, the ring is dark. Sources: Microchip DS20005565, NXP PCA9685 data sheet.
+power, the ring is dark. Sources: mcp2221a, pca9685.
 """
 
 from __future__ import annotations
