@@ -5,11 +5,12 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test lint bench bias povray clean help
+.PHONY: demo test test-hid lint bench bias povray clean help
 
 help:
 	@echo "make demo   set up, render the calibration board, say where the picture lies"
 	@echo "make test   set up (POV-Ray by apt where missing), lint, run all tests"
+	@echo "make test-hid  the LED cases on real HID devices, in two virtual machines (qemu by apt where missing)"
 	@echo "make lint   ruff and mypy --strict"
 	@echo "make bench  speed, overhead, memory, and what a tolerance costs, measured on this machine"
 	@echo "make bias   bias of algorithms on predicted images, with plots"
@@ -20,6 +21,9 @@ demo: $(READY)
 
 test: $(READY) povray lint
 	@$(BIN)/python -m pytest
+
+test-hid: $(READY)
+	@$(BIN)/python scripts/test_hid.py
 
 lint: $(READY)
 	@$(BIN)/ruff check .

@@ -300,6 +300,94 @@ def _limit(program: subprocess.Popen[bytes], limits: Limits) -> None:
         resource.prlimit(program.pid, resource.RLIMIT_CORE, (0, 0))
 
 
+class Child:
+    """A helper program that lives beside this one and talks in lines.
+
+    It has a session of its own, so that Ctrl-C in the terminal is for us
+    alone, and learns that we are gone, however we went, by the end of its
+    stdin.
+    """
+
+    def __init__(self, program: subprocess.Popen[bytes]) -> None:
+        self._program = program
+
+    @property
+    def ended(self) -> bool:
+        """Whether it has ended."""
+        return self._program.poll() is not None
+
+    def tell(self, line: str) -> bool:
+        """Send it a line; False where it no longer listens."""
+        assert self._program.stdin is not None  # noqa: S101  (stdin=PIPE in start_child)
+        try:
+            self._program.stdin.write(f"{line}\n".encode())
+        except (OSError, ValueError):  # it has ended, or we closed the pipe
+            return False
+        return True
+
+    def hear(self, patience: float) -> str | None:
+        """Wait for its next line for `patience` seconds; None where none comes."""
+        pipe = self._program.stdout
+        assert pipe is not None  # noqa: S101  (stdout=PIPE in start_child)
+        end, line = time.monotonic() + patience, b""
+        while select.select([pipe], [], [], max(0.0, end - time.monotonic()))[0]:
+            byte = pipe.read(1)
+            if not byte or byte == b"\n":
+                return line.decode(errors="replace") if byte or line else None
+            line += byte
+        return None
+
+    def close(self, patience: float) -> None:
+        """End its stdin, wait for its end for `patience` seconds, then kill it."""
+        for pipe in (self._program.stdin, self._program.stdout):
+            if pipe is not None:
+                with suppress(OSError):
+                    pipe.close()
+        try:
+            self._program.wait(patience)
+        except subprocess.TimeoutExpired:
+            _kill(self._program)
+            self._program.wait()
+
+
+def start_child(
+    argv: Sequence[str], *, folder: Path, environment: Mapping[str, str], keep_open: Sequence[int] = ()
+) -> Child:
+    """Start a helper program whose stderr is ours.
+
+    Parameters
+    ----------
+    argv : sequence of str
+        Program and arguments.
+    folder : Path
+        Where it works.
+    environment : Mapping[str, str]
+        All of its environment.
+    keep_open : sequence of int
+        File descriptors that it shares with us.
+
+    Raises
+    ------
+    EnvironmentFailure
+        If it cannot be started.
+    """
+    try:
+        return Child(
+            subprocess.Popen(
+                list(argv),
+                cwd=folder,
+                env=dict(environment),
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                bufsize=0,
+                start_new_session=True,
+                pass_fds=tuple(keep_open),
+            )
+        )
+    except OSError as error:
+        raise EnvironmentFailure(f"cannot start: {error.strerror or error}", where=argv[0]) from error
+
+
 def available_cores() -> int:
     """Number of cores this process may use."""
     if sys.platform == "linux":

@@ -63,6 +63,7 @@ RADIANT_INTENSITY: Final = _dimension("radiant intensity", {"W/sr": 1.0, "mW/sr"
 COEFFICIENT_OF_RETROREFLECTION: Final = _dimension(
     "coefficient of retroreflection", {"cd/lx/m^2": 1.0, "1/sr": 1.0, "mcd/lx/m^2": 1e-3}
 )
+CURRENT: Final = _dimension("electric current", {"A": 1.0, "mA": 1e-3, "uA": 1e-6})
 PIXEL: Final = _dimension("position on the sensor", {"px": 1.0})
 
 

@@ -26,6 +26,9 @@ DOORS = {
     "pydantic": {"scene/border.py", "scene/document.py", "scene/load.py"},
     "pydantic_core": {"scene/load.py"},
     "pyradiance": set(),
+    "hid": {"led/ports.py"},
+    "hidraw": {"led/ports.py"},
+    "EasyMCP2221": set(),
     "ctypes": set(),
     "multiprocessing": set(),
 }

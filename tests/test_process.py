@@ -11,9 +11,10 @@ import psutil
 import pytest
 
 from radwrap.errors import EnvironmentFailure, TracerError
-from radwrap.process import Limits, Programs
+from radwrap.process import Limits, Programs, start_child
 
 PYTHON = sys.executable
+PATIENCE = 60.0  # s, on a busy machine
 ECHO = "import sys; sys.stdout.buffer.write(sys.stdin.buffer.read())"
 
 
@@ -114,3 +115,23 @@ def test_leaving_an_unfinished_stream_ends_the_program(tmp_path: Path) -> None:
 def test_a_program_that_does_not_read_its_input_does_not_block(tmp_path: Path) -> None:
     output, _ = run("print('done')", tmp_path, stdin=(bytes(1 << 20) for _ in range(20)))
     assert output.strip() == b"done"
+
+
+def test_a_child_talks_in_lines_and_ends_with_its_stdin(tmp_path: Path) -> None:
+    code = "import sys\nfor line in sys.stdin: print(line.strip()[::-1], flush=True)"
+    child = start_child([PYTHON, "-c", code], folder=tmp_path, environment={})
+    assert child.tell("abc") and child.tell("x y")
+    assert [child.hear(PATIENCE), child.hear(PATIENCE)] == ["cba", "y x"]
+    assert child.hear(0.01) is None
+    assert not child.ended
+    child.close(PATIENCE)
+    assert child.ended and not child.tell("more")
+
+
+def test_a_child_that_does_not_listen_is_killed(tmp_path: Path) -> None:
+    child = start_child([PYTHON, "-c", "import time; time.sleep(1000)"], folder=tmp_path, environment={})
+    begin = time.monotonic()
+    child.close(0.1)
+    assert child.ended and time.monotonic() - begin < PATIENCE
+    with pytest.raises(EnvironmentFailure, match="cannot start"):
+        start_child([str(tmp_path / "none")], folder=tmp_path, environment={})

@@ -33,6 +33,7 @@ _MODULES: Final = {
     "measure": "measure",
     "calibrate": "calibrate",
     "compare": "compare",
+    "led": "led",
     "doctor": "doctor",
 }
 

@@ -38,6 +38,12 @@ class Levels:
     names: tuple[str, ...]
     factors: NDArray[np.float64]
 
+    def over(self, given: Sequence[str], sources: Sequence[str]) -> Levels:
+        """The same for more sources; those that are not given are off."""
+        factors = np.zeros((len(self.names), len(sources)))
+        factors[:, [sources.index(name) for name in given]] = self.factors
+        return Levels(self.names, factors)
+
 
 def read_levels(path: Path, sources: Sequence[str], dark: Sequence[str] = ()) -> Levels:
     """Read a table of levels.

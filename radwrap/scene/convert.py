@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from radwrap.scene.materials import (
     PerturbedNormal,
     Specular,
 )
+from radwrap.scene.ring_calibration import read_calibration
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Beam, Emitter, LedChange, Ring, SingleSource, Source, gaussian_spread
 from radwrap.scene.targets import (
@@ -51,7 +53,8 @@ def scene_from_model(
     """
     names: set[str] = set()
     sources = tuple(
-        _source(table, f"{origin}: sources[{i}]", f"sources[{i}]", assumed) for i, table in enumerate(model.sources)
+        _source(table, f"{origin}: sources[{i}]", f"sources[{i}]", assumed, folder)
+        for i, table in enumerate(model.sources)
     )
     target_names = _target_names(model, assumed)
     targets = tuple(_target(table, name) for table, name in zip(model.targets, target_names, strict=True))
@@ -196,13 +199,47 @@ def _radiance(table: tables.Shining, diameter: float) -> float:
     return (table.radiant_intensity or 0.0) / (math.pi * diameter**2 / 4)
 
 
-def _source(table: tables.SourceModel, where: str, key: str, assumed: dict[str, str]) -> Source:
+def _calibrated_radiances(table: tables.RingModel, where: str, folder: Path) -> tuple[float, ...]:
+    """Radiance of each LED of a ring that was measured [W m^-2 sr^-1]; empty where it was not."""
+    if table.calibration is None or table.drive_levels is None:
+        return ()
+    place = f"{where}.calibration"
+    path = (folder / table.calibration).resolve()
+    if not path.is_relative_to(folder.resolve()):
+        raise InputError("lies outside the scene's folder", where=place, remedy="copy it beside the scene file")
+    levels = table.drive_levels if isinstance(table.drive_levels, tuple) else (table.drive_levels,) * table.count
+    try:
+        intensities = read_calibration(path).intensities(levels)
+    except InputError as error:
+        raise InputError(str(error), where=place) from error
+    return tuple(intensity / (math.pi * table.led_diameter**2 / 4) for intensity in intensities)
+
+
+def _changes(table: tables.RingModel, radiances: tuple[float, ...], radiance: float) -> tuple[LedChange, ...]:
+    """How the LEDs differ: as the file says, and as they were measured."""
+    told = {
+        led.index: LedChange(led.index, led.radiance_factor, led.beam_width_factor, led.axis_tilt, led.axis_azimuth)
+        for led in table.leds
+    }
+    if not radiances:
+        return tuple(told.values())
+    own = [told.get(index, LedChange(index)) for index in range(table.count)]
+    return tuple(
+        replace(led, radiance_factor=led.radiance_factor * measured / radiance)
+        for led, measured in zip(own, radiances, strict=True)
+    )
+
+
+def _source(table: tables.SourceModel, where: str, key: str, assumed: dict[str, str], folder: Path) -> Source:
     if table.position is None:
         raise InputError("is missing", where=f"{where}.position")
     pose = _pose(table, where, key, assumed, has_roll=isinstance(table, tables.RingModel))
     if isinstance(table, tables.RingModel):
         beam = _beam(table.beam, where, key, assumed)
         _check_beam_factors(table, beam, where)
+        measured = _calibrated_radiances(table, where, folder)
+        # Of a measured ring all dark nothing can be a multiple.
+        radiance = max(measured, default=0.0) or _radiance(table, table.led_diameter)
         return Ring(
             name=table.name,
             pose=pose,
@@ -210,14 +247,11 @@ def _source(table: tables.SourceModel, where: str, key: str, assumed: dict[str, 
             diameter=table.diameter,
             first_angle=table.first_angle,
             led_radius=table.led_diameter / 2,
-            radiance=_radiance(table, table.led_diameter),
+            radiance=radiance,
             beam=beam,
             misalignment_y=table.misalignment.about_y,
             misalignment_z=table.misalignment.about_z,
-            changes=tuple(
-                LedChange(led.index, led.radiance_factor, led.beam_width_factor, led.axis_tilt, led.axis_azimuth)
-                for led in table.leds
-            ),
+            changes=_changes(table, measured if any(measured) else (), radiance),
         )
     beam = Beam("lambertian") if isinstance(table, tables.DiscSourceModel) else _beam(table.beam, where, key, assumed)
     emitter = Emitter(

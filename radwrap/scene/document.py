@@ -260,6 +260,17 @@ class RingModel(Shining, Aimed):
     beam: BeamModel
     misalignment: MisalignmentModel = default({})
     leds: tuple[LedChangeModel, ...] = ()
+    calibration: Annotated[str, Field(strict=True, min_length=1, max_length=1000)] | None = None
+    drive_levels: Share | tuple[Share, ...] | None = None
+
+    @model_validator(mode="after")
+    def _one_level(self) -> RingModel:
+        _exactly_one(self, "radiance", "radiant_intensity", "calibration")
+        if (self.calibration is None) != (self.drive_levels is None):
+            raise ValueError("calibration and drive_levels go together")
+        if isinstance(self.drive_levels, tuple) and len(self.drive_levels) != self.count:
+            raise ValueError(f"drive_levels: {len(self.drive_levels)} levels for {self.count} LEDs")
+        return self
 
     @model_validator(mode="after")
     def _leds_exist(self) -> RingModel:

@@ -1,0 +1,212 @@
+"""What a ring may do: its LEDs' data, the limits on light, and what PWM does to an exposure.
+
+A drive file is TOML, flat::
+
+    count = 12
+    wavelength = "850 nm"
+    rated_current = "100 mA"   # the LED's data sheet: continuous, at the temperature it will have
+    drive_current = "50 mA"    # what flows while an LED is on, set by resistors or current sources
+    max_level = 0.5            # of each LED; 1 is on all the time
+    max_sum = 6.0              # of all levels together: the supply's limit
+    max_on_time = "20 s"       # then the ring is turned off
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from radwrap.errors import InputError
+from radwrap.units import CURRENT, LENGTH, TIME, Dimension, parse_quantity
+
+_LARGEST_FILE: Final = 1 << 20  # byte
+_QUANTITIES: Final = {
+    "wavelength": LENGTH,
+    "rated_current": CURRENT,
+    "drive_current": CURRENT,
+    "max_on_time": TIME,
+}
+_NUMBERS: Final = ("max_level", "max_sum")
+# A ripple below one is not seen beside quantisation to 8 bit; above the other a capture says nothing of the light.
+_RIPPLE_TOLD: Final = 0.01
+_RIPPLE_REFUSED: Final = 0.1
+# Sums of levels that were rounded to steps may exceed a limit by as much.
+_ROUNDING: Final = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """The LEDs and what they may do.
+
+    Attributes
+    ----------
+    count : int
+        Number of LEDs.
+    wavelength : float
+        Of their peak [m]; for records and eye safety.
+    rated_current : float
+        Largest continuous current of an LED, by its data sheet [A].
+    drive_current : float
+        What flows while an LED is on, as the hardware sets it [A].
+    max_level : float
+        Largest level of an LED; 1 is on all the time.
+    max_sum : float
+        Largest sum of levels.
+    max_on_time : float
+        Longest time for which any LED is on without an order [s].
+    """
+
+    count: int
+    wavelength: float
+    rated_current: float
+    drive_current: float
+    max_level: float
+    max_sum: float
+    max_on_time: float
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.count <= 4096:
+            raise InputError(f"must lie between 1 and 4096, not {self.count}", where="count")
+        for name in ("wavelength", "rated_current", "drive_current", "max_sum", "max_on_time"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise InputError("must be above zero", where=name)
+        if not 0 < self.max_level <= 1:
+            raise InputError(f"must lie above 0 and not above 1, not {self.max_level}", where="max_level")
+        if self.drive_current > self.rated_current:
+            raise InputError(
+                f"is {self.drive_current:g} A, the LEDs are rated for {self.rated_current:g} A",
+                where="drive_current",
+                remedy="lower the current in the hardware; a smaller level does not protect an LED from its peak",
+            )
+
+    def check(self, levels: Sequence[float]) -> None:
+        """Refuse levels beyond the limits.
+
+        Parameters
+        ----------
+        levels : sequence of float
+            Of each LED, 0 to 1.
+
+        Raises
+        ------
+        InputError
+            If there are too few or too many, one is no share, or a limit is exceeded.
+        """
+        if len(levels) != self.count:
+            raise InputError(f"{len(levels)} levels for {self.count} LEDs")
+        for number, level in enumerate(levels):
+            if not (math.isfinite(level) and 0 <= level <= 1):
+                raise InputError(f"{level:g} is no level: they go from 0 to 1", where=f"LED {number}")
+            if level > self.max_level + _ROUNDING:
+                raise InputError(f"level {level:.4g} is above max_level, {self.max_level:g}", where=f"LED {number}")
+        total = math.fsum(levels)
+        if total > self.max_sum + _ROUNDING:
+            raise InputError(f"the levels' sum, {total:.4g}, is above max_sum, {self.max_sum:g}")
+
+
+def read_drive(path: str | Path) -> Drive:
+    """Read a drive file.
+
+    Raises
+    ------
+    InputError
+        What is wrong, with file and key.
+    """
+    path = Path(path)
+    try:
+        if path.stat().st_size > _LARGEST_FILE:
+            raise InputError("is too large for a drive file", where=str(path))
+        table = tomllib.loads(path.read_text("utf-8"))
+    except OSError as error:
+        raise InputError(
+            f"cannot be read: {error.strerror}",
+            where=str(path),
+            remedy="without the LEDs' rated current there is no light: docs/led.md shows a drive file",
+        ) from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"is not TOML: {error}", where=str(path)) from error
+    return _drive(table, str(path))
+
+
+def _drive(table: Mapping[str, Any], where: str) -> Drive:
+    known = ("count", *_QUANTITIES, *_NUMBERS)
+    for key in table:
+        if key not in known:
+            raise InputError("unknown key", where=f"{where}: {key}", remedy=f"known are {', '.join(known)}")
+    for key in known:
+        if key not in table:
+            raise InputError("is missing", where=f"{where}: {key}", remedy="docs/led.md shows a drive file")
+    count = table["count"]
+    if not isinstance(count, int) or isinstance(count, bool):
+        raise InputError(f"must be an integer, not {count!r}", where=f"{where}: count")
+    try:
+        values = {key: _quantity(table[key], dimension, key) for key, dimension in _QUANTITIES.items()}
+        return Drive(count=count, **values, **{key: _number(table[key], key) for key in _NUMBERS})
+    except InputError as error:
+        raise InputError(error.what, where=f"{where}: {error.where}", remedy=error.remedy) from error
+
+
+def _quantity(text: object, dimension: Dimension, key: str) -> float:
+    try:
+        return parse_quantity(text, dimension)
+    except InputError as error:
+        raise InputError(error.what, where=key, remedy=error.remedy) from error
+
+
+def _number(value: object, key: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(f"must be a number, not {value!r}", where=key)
+    return float(value)
+
+
+def ripple(levels: Sequence[float], pwm_frequency: float, exposure_time: float) -> float:
+    """Largest relative error that PWM can make in an exposure, of the worst LED: (1 - d) P/T.
+
+    Parameters
+    ----------
+    levels : sequence of float
+        Duty cycles d of the LEDs; those off or always on make none.
+    pwm_frequency : float
+        1/P [Hz].
+    exposure_time : float
+        T [s].
+
+    Notes
+    -----
+    An exposure holds a whole number of periods and a rest r < P; in the rest an LED is on for at most
+    min(r, d P) instead of d r, so that the error is at most d (1 - d) P of d T.
+    """
+    pulsed = [level for level in levels if 0 < level < 1]
+    return max((1 - level for level in pulsed), default=0.0) / (pwm_frequency * exposure_time)
+
+
+def check_ripple(levels: Sequence[float], pwm_frequency: float | None, exposure_time: float) -> str | None:
+    """What is to be told of PWM against an exposure time; None where it does not matter.
+
+    Raises
+    ------
+    InputError
+        If the ripple makes captures worthless.
+    """
+    if pwm_frequency is None:
+        if any(0 < level < 1 for level in levels):
+            return "the device does not tell its PWM frequency: how even an exposure is, is not known"
+        return None
+    error = ripple(levels, pwm_frequency, exposure_time)
+    if error > _RIPPLE_REFUSED:
+        raise InputError(
+            f"PWM of {pwm_frequency:.0f} Hz makes an exposure of {exposure_time:g} s uncertain by {100 * error:.2g} %",
+            remedy=f"expose for {_longest(levels, pwm_frequency):.2g} s or longer, or gate the LEDs by the camera",
+        )
+    if error > _RIPPLE_TOLD:
+        return f"PWM of {pwm_frequency:.0f} Hz makes the exposure uncertain by up to {100 * error:.2g} %"
+    return None
+
+
+def _longest(levels: Sequence[float], pwm_frequency: float) -> float:
+    return ripple(levels, pwm_frequency, 1.0) / _RIPPLE_TOLD
