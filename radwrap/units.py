@@ -64,6 +64,15 @@ COEFFICIENT_OF_RETROREFLECTION: Final = _dimension(
     "coefficient of retroreflection", {"cd/lx/m^2": 1.0, "1/sr": 1.0, "mcd/lx/m^2": 1e-3}
 )
 PIXEL: Final = _dimension("position on the sensor", {"px": 1.0})
+DIMENSIONS: Final = (
+    LENGTH,
+    ANGLE,
+    TIME,
+    RADIANCE,
+    RADIANT_INTENSITY,
+    COEFFICIENT_OF_RETROREFLECTION,
+    PIXEL,
+)
 
 
 def _finite(number: str) -> float:
