@@ -21,7 +21,9 @@ def add_to(kinds: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument("results", metavar="RESULTS.csv", type=Path, help="table with a header, a row for each run")
     parser.add_argument("--response", metavar="COLUMN", required=True, help="with or without its unit")
     parser.add_argument("--factors", metavar="A,B,C", default="", help="columns of the factors (default: the study's)")
-    parser.add_argument("--label", metavar="A=TEXT", action="append", default=[], help="what a factor is; may be repeated")
+    parser.add_argument(
+        "--label", metavar="A=TEXT", action="append", default=[], help="what a factor is; may be repeated"
+    )
     parser.add_argument("--alpha", metavar="A", type=float, default=0.05, help="share of false alarms (default 0.05)")
     parser.add_argument("--out", metavar="DIR", help="folder for analysis.json and plots")
     shared.add_json(parser)
@@ -66,8 +68,8 @@ def _lines(analysis: Analysis) -> Iterator[str]:
     if analysis.lenth is not None:
         found = analysis.lenth
         yield (
-            f"PSE {found.pse:.6g}, ME {found.margin_of_error:.4g}, SME {found.simultaneous_margin_of_error:.4g} {unit}; "
-            f"|t| beyond {found.t_limit:.3f} is significant (*) at {found.alpha:g} for one effect"
+            f"PSE {found.pse:.6g}, ME {found.margin_of_error:.4g}, SME {found.simultaneous_margin_of_error:.4g} "
+            f"{unit}; |t| beyond {found.t_limit:.3f} is significant (*) at {found.alpha:g} for one effect"
         )
         yield (
             f"by simulation beyond {found.simulated_limit:.2f} for one effect, "

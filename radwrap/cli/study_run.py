@@ -11,16 +11,18 @@ from radwrap.errors import InputError
 from radwrap.manifest import json_text
 
 _DESCRIPTION = (
-    "Changes a scene by a design, predicts every image, and measures it. Writes results.csv, a row for each run as soon "
-    "as it is finished, study.json and index.html into DIR. A killed study goes on where it was; a run that fails is a "
-    "row with its error."
+    "Changes a scene by a design, predicts every image, and measures it. Writes results.csv, a row for each run as "
+    "soon as it is finished, study.json and index.html into DIR. A killed study goes on where it was; a run that fails "
+    "is a row with its error."
 )
 
 
 def add_to(kinds: argparse._SubParsersAction[Any]) -> None:
     """Add the verb."""
     parser = kinds.add_parser("run", help="render and measure every run of a design", description=_DESCRIPTION)
-    parser.add_argument("design", metavar="DESIGN.toml", type=Path, help="factors, design, responses; see docs/study.md")
+    parser.add_argument(
+        "design", metavar="DESIGN.toml", type=Path, help="factors, design, responses; see docs/study.md"
+    )
     parser.add_argument("--out", metavar="DIR", help="folder for results.csv, study.json, index.html")
     add_workers(parser)
     parser.add_argument("--retry-failed", action="store_true", help="do the runs again that failed before")

@@ -12,15 +12,17 @@ from radwrap.errors import CheckFailed, InputError
 from radwrap.manifest import json_text, write_manifest
 
 _DESCRIPTION = (
-    "Runs the study in DIR, as far as it has not been run, and finds for each factor how far it may be off, or how much "
-    "of its scatter is allowed, so that a response stays within bounds: by the study's own model, confirmed by fresh "
-    "renders. Writes tolerances.json into DIR; exit code 1 where a tolerance was not confirmed."
+    "Runs the study in DIR, as far as it has not been run, and finds for each factor how far it may be off, or how "
+    "much of its scatter is allowed, so that a response stays within bounds: by the study's own model, confirmed by "
+    "fresh renders. Writes tolerances.json into DIR; exit code 1 where a tolerance was not confirmed."
 )
 
 
 def add_to(kinds: argparse._SubParsersAction[Any]) -> None:
     """Add the verb."""
-    parser = kinds.add_parser("tolerate", help="tolerances that keep a response within bounds", description=_DESCRIPTION)
+    parser = kinds.add_parser(
+        "tolerate", help="tolerances that keep a response within bounds", description=_DESCRIPTION
+    )
     parser.add_argument("design", metavar="DESIGN.toml", type=Path, help="the study; see docs/study.md")
     parser.add_argument("--out", metavar="DIR", help="folder of the study (default: study beside DESIGN.toml)")
     parser.add_argument("--response", metavar="NAME", required=True, help="a response of the design")

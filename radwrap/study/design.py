@@ -164,7 +164,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _plan(table: Mapping[str, Any], where: str) -> tuple[Kind, Mapping[str, Any]]:
-    kind = table.get("kind")
+    kind: Any = table.get("kind")
     if kind not in _OF_KIND:
         raise InputError(f"must be one of {', '.join(_OF_KIND)}", where=f"{where}.kind")
     _only(table, ("kind", *_OF_KIND[kind]), where)
@@ -198,7 +198,9 @@ def _with_file(plan: Mapping[str, Any], folder: Path, factors: tuple[Factor, ...
 def _factors(tables: Mapping[str, Any], kind: Kind, where: str) -> tuple[Factor, ...]:
     if not tables:
         raise InputError("there is none", where=where)
-    return tuple(_factor(name, _table(table, f"{where}.{name}"), kind, f"{where}.{name}") for name, table in tables.items())
+    return tuple(
+        _factor(name, _table(table, f"{where}.{name}"), kind, f"{where}.{name}") for name, table in tables.items()
+    )
 
 
 def _factor(name: str, table: Mapping[str, Any], kind: Kind, where: str) -> Factor:
@@ -327,9 +329,11 @@ def render_options(options: Mapping[str, Any], where: str, **more: Any) -> Rende
 def _only(table: Mapping[str, Any], known: tuple[str, ...], where: str) -> None:
     for key in table:
         if key not in known:
-            raise InputError("unknown key", where=f"{where}: {key}" if ":" not in where else f"{where}.{key}", remedy=(
-                f"known are {', '.join(known)}"
-            ))
+            raise InputError(
+                "unknown key",
+                where=f"{where}: {key}" if ":" not in where else f"{where}.{key}",
+                remedy=(f"known are {', '.join(known)}"),
+            )
 
 
 def _table(value: Any, where: str) -> Mapping[str, Any]:

@@ -150,7 +150,7 @@ def _is_balanced(data: Data) -> bool:
     return bool((counts == counts[0]).all())
 
 
-# ----------------------------------------------------------------------------------------------------- two-level designs
+# --------------------------------------------------------------------------------------------------- two-level designs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -209,7 +209,11 @@ def _unreplicated(data: Data, alpha: float, effects: tuple[Effect, ...], notes: 
     if len(effects) < FEWEST_CONTRASTS:
         notes.append(f"{len(effects)} contrasts are too few for Lenth's method, which needs {FEWEST_CONTRASTS}")
         return Analysis(data, "none", alpha, effects, None, None, None, (), tuple(notes))
-    found = lenth([effect.effect for effect in effects], alpha)
+    try:
+        found = lenth([effect.effect for effect in effects], alpha)
+    except InputError as error:
+        notes.append(error.what)
+        return Analysis(data, "none", alpha, effects, None, None, None, (), tuple(notes))
     judged = tuple(
         _judged(effect, t, abs(t) > found.t_limit, simulated=abs(t) > found.simulated_limit)
         for effect, t in zip(effects, found.t, strict=True)
@@ -240,7 +244,7 @@ def _replicated(data: Data, alpha: float, effects: tuple[Effect, ...], notes: li
     return Analysis(data, "replicates", alpha, judged, None, error, limit, anova(data, notes), tuple(notes))
 
 
-# ------------------------------------------------------------------------------------------------------- other designs
+# ----------------------------------------------------------------------------------------------------- other designs
 
 
 def anova(data: Data, notes: list[str]) -> tuple[AnovaRow, ...]:
@@ -274,13 +278,13 @@ def _regression(data: Data, alpha: float, notes: list[str]) -> Analysis:
     from scipy.stats import t as student
 
     names: list[int] = []
-    columns = [np.ones(len(data.values))]
+    columns: list[Array] = [np.ones(len(data.values))]
     for number, factor in enumerate(data.factors):
         if factor.numbers is not None:
             values = np.array(factor.numbers)[data.codes[:, number]]
-            columns.append((values - np.mean([values.min(), values.max()])) / (np.ptp(values) / 2))
+            columns.append((2 * values - values.min() - values.max()) / float(np.ptp(values)))
         elif len(factor.levels) == 2:
-            columns.append(data.codes[:, number] * 2.0 - 1.0)
+            columns.append(data.signs[:, number])
         else:
             notes.append(f"{factor.name} has words as levels: only the analysis of variance tells of it")
             continue
@@ -316,7 +320,7 @@ def _repeats(data: Data) -> bool:
     )
 
 
-# ---------------------------------------------------------------------------------------------------------- what is told
+# -------------------------------------------------------------------------------------------------------- what is told
 
 
 def sentences(analysis: Analysis) -> tuple[str, ...]:

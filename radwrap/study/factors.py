@@ -1,4 +1,4 @@
-"""What a study varies: factors with their levels, and what a level writes into the scene, the render or the measurement.
+"""What a study varies: factors, their levels, and what a level writes into scene, render or measurement.
 
 A level is a value as the scene file would hold it, a list of values where the factor has several keys, or a draw::
 
@@ -176,10 +176,10 @@ def read_draw(table: Mapping[str, Any], where: str) -> Draw:
     ((kind, pair),) = table.items()
     if not isinstance(pair, list) or len(pair) != 2:
         raise InputError(f"{kind} needs two values", where=where)
-    ends = [number_and_unit(value) for value in pair]
-    if ends[0] is None or ends[1] is None or ends[0][1] != ends[1][1]:
+    low, high = map(number_and_unit, pair)
+    if low is None or high is None or low[1] != high[1]:
         raise InputError(f"{kind} needs two numbers, or two quantities of the same unit", where=where)
-    (first, unit), (second, _) = ends
+    (first, unit), (second, _) = low, high
     if kind == "uniform" and not first < second:
         raise InputError("uniform needs the lower value first", where=where)
     if kind == "normal" and second <= 0:

@@ -72,8 +72,10 @@ def half_normal(analysis: Analysis) -> bytes:
     axes = figure.subplots()
     for quantile, effect in zip(quantiles, effects, strict=True):
         axes.plot(quantile, abs(effect.effect), "o", color=_SIGNIFICANT if effect.significant else _OTHER)
-        if effect.significant or len(effects) <= 16:
-            axes.annotate(effect.name, (quantile, abs(effect.effect)), xytext=(-5, 4), textcoords="offset points", ha="right")
+        if effect.significant or abs(effect.effect) > 0.25 * abs(effects[-1].effect):
+            axes.annotate(
+                effect.name, (quantile, abs(effect.effect)), xytext=(-5, 4), textcoords="offset points", ha="right"
+            )
     if analysis.standard_error is not None:
         ends = np.array([0.0, quantiles[-1] * 1.05])
         axes.plot(ends, ends * analysis.standard_error, "-", color="0.6", label="noise alone")
@@ -92,8 +94,11 @@ def pareto(analysis: Analysis) -> bytes:
     axes = figure.subplots()
     colours = [_SIGNIFICANT if effect.significant else _OTHER for effect in effects]
     sizes = [abs(effect.effect) for effect in effects]
-    axes.barh([effect.name for effect in effects], sizes, xerr=[e.image_error for e in effects], color=colours, ecolor="0.3")
+    axes.barh(
+        [effect.name for effect in effects], sizes, xerr=[e.image_error for e in effects], color=colours, ecolor="0.3"
+    )
     axes.invert_yaxis()
+    axes.set_xlim(left=0)
     if analysis.margin is not None:
         axes.axvline(analysis.margin, color="0.2", linestyle="--", label=f"ME {analysis.margin:.3g}")
     if analysis.lenth is not None:
@@ -101,7 +106,9 @@ def pareto(analysis: Analysis) -> bytes:
         axes.axvline(sme, color="0.2", linestyle=":", label=f"SME {sme:.3g}")
     if analysis.margin is not None:
         axes.legend(fontsize="small", loc="lower right")
-    axes.set_xlabel(_axis(analysis, "size of effect on") + ("; bars: images' error" if analysis.data.errors.any() else ""))
+    axes.set_xlabel(
+        _axis(analysis, "size of effect on") + ("; bars: images' error" if analysis.data.errors.any() else "")
+    )
     axes.set_title("Pareto plot")
     return _png(figure)
 
@@ -154,8 +161,13 @@ def interactions(analysis: Analysis) -> bytes:
             here = data.codes[:, b] == code
             if here.any():
                 _means(
-                    axes, data.codes[here, a], data.values[here], data.factors[a].levels, None,
-                    label=f"{data.factors[b].name} {level}", color=f"C{code}",
+                    axes,
+                    data.codes[here, a],
+                    data.values[here],
+                    data.factors[a].levels,
+                    None,
+                    label=f"{data.factors[b].name} {level}",
+                    color=f"C{code}",
                 )
         axes.set_title(f"{data.factors[a].name} x {data.factors[b].name}", fontsize="small")
         axes.legend(fontsize="x-small")

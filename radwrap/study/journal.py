@@ -62,7 +62,9 @@ class Journal:
             content = path.read_bytes()
             whole = content[: content.rfind(b"\n") + 1]
             if not whole.startswith(csv_text(columns, ()).encode()):
-                raise EnvironmentFailure("is not the table of this study", where=str(path), remedy="choose another --out")
+                raise EnvironmentFailure(
+                    "is not the table of this study", where=str(path), remedy="choose another --out"
+                )
             if whole != content:
                 write_bytes(path, whole)
 

@@ -76,12 +76,11 @@ class Data:
     @property
     def signs(self) -> NDArray[np.float64]:
         """-1 and 1 for the levels of two-level factors."""
-        return self.codes * 2.0 - 1.0
+        signs: NDArray[np.float64] = (2 * self.codes - 1).astype(np.float64)
+        return signs
 
 
-def read_data(
-    path: Path, response: str, factors: Sequence[str] = (), labels: Mapping[str, str] | None = None
-) -> Data:
+def read_data(path: Path, response: str, factors: Sequence[str] = (), labels: Mapping[str, str] | None = None) -> Data:
     """Read a table of results.
 
     Parameters
@@ -113,7 +112,9 @@ def read_data(
     if not rows or not names:
         what = "holds no response" if not rows else "has no column of a factor"
         raise InputError(what, where=f"{path}: {column}", remedy="name columns with --response and --factors")
-    known = {factor["name"]: factor["label"] for factor in plan.get("design", {}).get("factors", ())} | dict(labels or {})
+    known = {factor["name"]: factor["label"] for factor in plan.get("design", {}).get("factors", ())} | dict(
+        labels or {}
+    )
     found = [_factor(name, [row[name] for row in rows], known.get(bare(name), name), path) for name in names]
     codes = np.array([[factor.levels.index(row[factor.name]) for factor in found] for row in rows], dtype=np.intp)
     return Data(

@@ -57,7 +57,7 @@ def _checked(level: float, name: str) -> float:
 
 
 def reference_levels(all_levels: Iterable[Levels]) -> dict[str, float]:
-    """Light in which a basis is rendered: every source at its share of the highest, all as bright as the brightest run."""
+    """Light of a basis: every source at its share of the highest level, all as bright as the brightest run."""
     runs = list(all_levels)
     highest = {name: max(levels[name] for levels in runs) for name in runs[0]}
     total = sum(highest.values())

@@ -133,7 +133,9 @@ class DaskPool:
         try:
             self._client = Client(address, timeout="10 s", set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
-            raise InputError(f"no scheduler at {address}", where="--dask", remedy="start one: dask scheduler") from error
+            raise InputError(
+                f"no scheduler at {address}", where="--dask", remedy="start one: dask scheduler"
+            ) from error
         self.workers = max(1, sum(self._client.ncores().values()))
         # Equal jobs of another time are not the same jobs.
         self._executor: Executor = self._client.get_executor(pure=False)

@@ -14,10 +14,10 @@ from radwrap.study.design import Design
 from radwrap.study.effects import Analysis, Effect, analyse, sentences
 from radwrap.study.factors import Factor
 from radwrap.study.figures import figures
-from radwrap.study.journal import columns_of
+from radwrap.study.journal import RESULTS, columns_of
 from radwrap.study.levels import read_data
 from radwrap.study.responses import KINDS, Response
-from radwrap.study.study import RESULTS, Study
+from radwrap.study.study import Study
 from radwrap.study.worker import thumbnail_path
 
 REPORT: Final = "index.html"
@@ -40,17 +40,20 @@ def report(study: Study) -> str:
     template = (files("radwrap") / "data" / "study" / "report.html").read_text("utf-8")
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     design = study.design
-    return environment.from_string(template).render(
-        title=design.title,
-        summary=study.summary,
-        responses=[_response(study, response) for response in design.responses],
-        columns=[*columns_of(design)],
-        rows=[_row(study, row) for row in study.rows],
-        factors=[_factor(factor) for factor in design.factors],
-        scene_origin=design.scene_origin,
-        scene=list(_leaves(design.document, "")),
-        provenance=list(_provenance(study)),
-    ) + "\n"
+    return (
+        environment.from_string(template).render(
+            title=design.title,
+            summary=study.summary,
+            responses=[_response(study, response) for response in design.responses],
+            columns=[*columns_of(design)],
+            rows=[_row(study, row) for row in study.rows],
+            factors=[_factor(factor) for factor in design.factors],
+            scene_origin=design.scene_origin,
+            scene=list(_leaves(design.document, "")),
+            provenance=list(_provenance(study)),
+        )
+        + "\n"
+    )
 
 
 def _response(study: Study, response: Response) -> dict[str, Any]:
@@ -100,7 +103,9 @@ def _limits(analysis: Analysis) -> str:
     if analysis.margin is None:
         return ""
     how = "replicates" if analysis.method == "replicates" else "a fit's residuals"
-    return f"By the scatter of {how}: an effect beyond {analysis.margin:.4g}{unit} is significant at {analysis.alpha:g}."
+    return (
+        f"By the scatter of {how}: an effect beyond {analysis.margin:.4g}{unit} is significant at {analysis.alpha:g}."
+    )
 
 
 def _row(study: Study, row: Mapping[str, str]) -> dict[str, Any]:

@@ -156,10 +156,13 @@ def check_options(kind: str, options: Options, where: str) -> None:
         elif allowed is str:
             if not isinstance(value, str):
                 raise InputError("must be a name", where=f"{where}.{name}")
-        elif allowed is float or value != SENSOR:
-            if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-                also = "" if allowed is float else f' or "{SENSOR}"'
-                raise InputError(f"must be a number{also}, not {value!r}", where=f"{where}.{name}")
+        elif (allowed is float or value != SENSOR) and not _is_number(value):
+            also = "" if allowed is float else f' or "{SENSOR}"'
+            raise InputError(f"must be a number{also}, not {value!r}", where=f"{where}.{name}")
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def check_target(kind: str, scene: Scene, options: Options, where: str) -> None:
@@ -273,7 +276,9 @@ def _focal_length(seen: Seen, options: Options) -> Answer:
             solver=options.get("solver", "tsai"),
         ).focal_length
 
-    return _spread(calibrated(dots.centres), [_tried(calibrated, centres) for centres in _drawn_centres(dots, seen.error)])
+    return _spread(
+        calibrated(dots.centres), [_tried(calibrated, centres) for centres in _drawn_centres(dots, seen.error)]
+    )
 
 
 def _tried(measure: Callable[[Any], float], what: Any) -> float:
@@ -350,9 +355,7 @@ def _part_orientation(seen: Seen, options: Options) -> Answer:
     dark, gamma = _level(seen, options, "dark"), _level(seen, options, "gamma")
 
     def orientation(image: GrayImage) -> float:
-        found = find_parts(
-            image, dark=dark, gamma=1.0 if gamma is None else gamma, pixel_aspect=_aspect(seen), **given
-        )
+        found = find_parts(image, dark=dark, gamma=1.0 if gamma is None else gamma, pixel_aspect=_aspect(seen), **given)
         largest = max(found.parts, key=lambda part: part.area)
         if largest.orientation_ambiguous:
             raise InputError("the largest part has no axis")

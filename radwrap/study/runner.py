@@ -164,4 +164,3 @@ def chunks(items: Sequence[Any], size: int) -> Iterator[Sequence[Any]]:
     """Consecutive parts of at most `size`."""
     for first in range(0, len(items), size):
         yield items[first : first + size]
-

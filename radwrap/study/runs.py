@@ -96,7 +96,7 @@ def run_with(design: Design, levels: tuple[Level, ...], *, index: int, replicate
     return Run(index, replicate + 1, row + 1, levels, design.seed + replicate, document, render, responses)
 
 
-# -------------------------------------------------------------------------------------------------------- combinations
+# ------------------------------------------------------------------------------------------------------ combinations
 
 
 def combinations(design: Design) -> list[tuple[Level, ...]]:
@@ -138,7 +138,9 @@ def _fractional(design: Design) -> list[tuple[Level, ...]]:
     try:
         signs = fracfact(generators)
     except Exception as error:  # the library tells of bad generators by errors of many kinds
-        raise InputError(f'"{generators}" are no generators: {error}', where=where, remedy='such as "a b c abc"') from error
+        raise InputError(
+            f'"{generators}" are no generators: {error}', where=where, remedy='such as "a b c abc"'
+        ) from error
     if signs.shape[1] != len(design.factors):
         raise InputError(f"{signs.shape[1]} generators for {len(design.factors)} factors", where=where)
     return [_chosen(design, row) for row in (signs > 0).astype(int)]
@@ -149,16 +151,15 @@ def _latin_hypercube(design: Design) -> list[tuple[Level, ...]]:
 
     shares = lhs(len(design.factors), samples=design.plan["runs"], seed=design.seed)
     return [
-        tuple(factor.level_at(float(share)) for factor, share in zip(design.factors, row, strict=True)) for row in shares
+        tuple(factor.level_at(float(share)) for factor, share in zip(design.factors, row, strict=True))
+        for row in shares
     ]
 
 
 def _rows(design: Design) -> list[Any]:
     rows = design.plan["runs"]
     if not isinstance(rows, list) or not rows:
-        raise InputError(
-            "must be an array of runs, or the name of a CSV file", where=f"{design.origin}: design.runs"
-        )
+        raise InputError("must be an array of runs, or the name of a CSV file", where=f"{design.origin}: design.runs")
     return rows
 
 
@@ -176,7 +177,7 @@ def _listed(design: Design, row: Any, number: int) -> tuple[Level, ...]:
     return tuple(found)
 
 
-# -------------------------------------------------------------------------------------------- checks before the first ray
+# ------------------------------------------------------------------------------------------ checks before the first ray
 
 
 def analysis_of(design: Design) -> Analysis:
@@ -189,7 +190,7 @@ def analysis_of(design: Design) -> Analysis:
     return "lenth" if two_levels and design.kind in ("full", "fractional") else "none"
 
 
-def check_design(design: Design, runs: tuple[Run, ...], options: Mapping[str, Any]) -> None:
+def check_design(design: Design, options: Mapping[str, Any]) -> None:
     """Refuse what cannot work, before the first ray: each level of each factor alone, responses, and the analysis.
 
     Raises
@@ -199,7 +200,7 @@ def check_design(design: Design, runs: tuple[Run, ...], options: Mapping[str, An
     """
     if analysis_of(design) == "lenth":
         try:
-            check_contrasts(len({run.row for run in runs}) - 1)
+            check_contrasts(len(combinations(design)) - 1)
         except InputError as error:
             raise InputError(error.what, where=f"{design.origin}: design", remedy=error.remedy) from error
     for factor in design.factors:
@@ -224,12 +225,19 @@ def _check_level(design: Design, factor: Factor, level: Level, options: Mapping[
             elif key.startswith(_RESPONSES):
                 _check_response_key(design, key, value, where)
             else:
-                set_key(document, key, value, f"{where}: {design.scene_origin}")
+                _set(document, key, value, where)
         render_options(render, where, **options)
         try:
             scene_from_document(document, origin=design.scene_origin, folder=design.folder)
         except InputError as error:
             raise InputError(f"{error.where}: {error.what}", where=where, remedy=error.remedy) from error
+
+
+def _set(document: dict[str, Any], key: str, value: Any, where: str) -> None:
+    try:
+        set_key(document, key, value, "scene")
+    except InputError as error:
+        raise InputError(error.what, where=f"{where}: {key}", remedy=error.remedy) from error
 
 
 def _ends(level: Level) -> list[tuple[Any, ...]]:

@@ -100,8 +100,8 @@ def run_study(design: Design, out: Path, options: StudyOptions) -> Study:
         If Radiance, Dask or the disk fails, or the folder holds another study.
     """
     start = time.monotonic()
+    check_design(design, options.of_render)
     runs = runs_of(design)
-    check_design(design, runs, options.of_render)
     make_folder(out)
     with sole_owner(out):
         _take_possession(out, design, runs, options)
@@ -206,13 +206,11 @@ def _render_steps(design: Design, image: str, runs: Sequence[Run], out: Path, op
     """The first run renders, the others look at its image."""
     first = f"run{runs[0].index}"
     for run in runs:
-        job = _job(design, f"run{run.index}", f"{_RENDERS}/{image[:_NAME]}", run, out, options)
+        job = _job(design, run, out, options, name=f"run{run.index}", image=f"{_RENDERS}/{image[:_NAME]}")
         yield Step(replace(job, runs=(Measured(run.index, run.responses),)), None if run is runs[0] else first)
 
 
-def _job(
-    design: Design, name: str, image: str, run: Run, out: Path, options: StudyOptions, **how: Any
-) -> Job:
+def _job(design: Design, run: Run, out: Path, options: StudyOptions, *, name: str, image: str, **how: Any) -> Job:
     render = render_options(
         run.render, f"{design.origin}: render", seed=run.seed, workers=1, **options.of_render, **how
     )
@@ -271,7 +269,7 @@ def _basis_steps(design: Design, group: _LightGroup, name: str, out: Path, optio
     reference = reference_levels(group.levels)
     lit = replace(group.runs[0], document=with_levels(group.bare, reference))
     folder = f"{_BASES}/{sha256_of_value({'image': lit.image})[:_NAME]}"
-    maker = _job(design, name, folder, lit, out, options, basis=True)
+    maker = _job(design, lit, out, options, name=name, image=folder, basis=True)
     yield Step(maker)
     pairs = list(zip(group.runs, group.levels, strict=True))
     for number, part in enumerate(chunks(pairs, _CHUNK), 1):
@@ -303,4 +301,3 @@ def _summary(design: Design, rows: Sequence[Mapping[str, str]], made: Made, out:
         "analysis": analysis_of(design),
         "versions": versions(),
     }
-

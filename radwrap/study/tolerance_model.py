@@ -43,7 +43,9 @@ class Deviation:
     @property
     def sides(self) -> tuple[float, ...]:
         """Directions in which it may be off: both, or the one that the study looked at."""
-        return tuple(side for side, reach in ((-1.0, self.nominal - self.low), (1.0, self.high - self.nominal)) if reach > 0)
+        return tuple(
+            side for side, reach in ((-1.0, self.nominal - self.low), (1.0, self.high - self.nominal)) if reach > 0
+        )
 
     @property
     def reach(self) -> float:
@@ -179,9 +181,7 @@ def _power(count: int, *numbers: int) -> tuple[int, ...]:
     return tuple(numbers.count(k) for k in range(count))
 
 
-def fit(
-    design: Design, deviations: tuple[Deviation, ...], rows: Sequence[Mapping[str, str]], column: str
-) -> Model:
+def fit(design: Design, deviations: tuple[Deviation, ...], rows: Sequence[Mapping[str, str]], column: str) -> Model:
     """Fit the model to the rows of a study.
 
     Raises

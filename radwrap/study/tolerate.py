@@ -280,8 +280,8 @@ class _Search:
         noise = max(one.error for one in seen)
         if noise > _HIDDEN * bound:
             self.notes.append(
-                f"{factor.name}: fresh renders scatter by {noise:.2g}, which hides much of the bound {bound:.2g}; lower "
-                "tolerance in [render]"
+                f"{factor.name}: fresh renders scatter by {noise:.2g}, which hides much of the bound {bound:.2g}; "
+                "lower tolerance in [render]"
             )
 
     def scatter(self, factor: Factor, bound: float) -> Tolerance:
@@ -301,7 +301,9 @@ class _Search:
         from scipy.stats import binom
 
         met = bool(binom.cdf(inside, len(seen), self.share) > 0.05)
-        return Tolerance(factor, "scatter", size, "", factor.levels[0].name, "+-", by_model, size == 1.0, tuple(seen), met)
+        return Tolerance(
+            factor, "scatter", size, "", factor.levels[0].name, "+-", by_model, size == 1.0, tuple(seen), met
+        )
 
     def _scattered(self, factor: Factor, size: float, batch: int) -> list[Confirmed]:
         level = scaled_scatter(factor, size)
@@ -387,11 +389,13 @@ def tolerate(
     Parameters
     ----------
     design : Design
+        The study.
     out : Path
-        Folder of the study.
+        Its folder.
     bound : Bound
         See `read_bound`.
     options : StudyOptions
+        How it is carried out.
     repeats : int
         Fresh seeds for each system.
     share : float
@@ -433,23 +437,21 @@ def sentences(result: Tolerances) -> Iterator[str]:
     name = result.response.name
     yield f"{name} is {result.nominal:.6g}{unit} nominally and may change by {result.bound:.3g}{unit}."
     for one in result.found:
+        who = f"{one.factor.label} ({one.factor.name})"
         change = max(one.confirmed, key=lambda seen: abs(seen.change))
         seen = f"fresh renders: {change.change:+.3g} +- {change.error:.1g}{unit}"
         if one.kind == "scatter":
-            yield f"{one.factor.label} ({one.factor.name}): {one.tolerance:.3g} times the scatter of the study; {seen} at most."
+            yield f"{who}: {one.tolerance:.3g} times the scatter of the study; {seen} at most."
         elif not one.met:
-            yield f"{one.factor.label} ({one.factor.name}): no tolerance was found; {seen} at {change.at}."
+            yield f"{who}: no tolerance was found; {seen} at {change.at}."
         else:
             least = "at least " if one.limited else ""
-            yield (
-                f"{one.factor.label} ({one.factor.name}): {least}{one.direction} {one.tolerance:.3g} {one.unit} about "
-                f"{one.nominal}; {seen}."
-            )
+            yield (f"{who}: {least}{one.direction} {one.tolerance:.3g} {one.unit} about {one.nominal}; {seen}.")
     if result.together is not None:
         both = result.together
         yield (
-            f"All together at {both.scale:.2g} times these: {both.share:.1%} of random systems stay within by the model, "
-            f"{both.inside} of {both.systems} fresh ones do."
+            f"All together at {both.scale:.2g} times these: {both.share:.1%} of random systems stay within by the "
+            f"model, {both.inside} of {both.systems} fresh ones do."
         )
     if result.left_out:
         yield f"Without a tolerance, as their levels are words: {', '.join(result.left_out)}."

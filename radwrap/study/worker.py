@@ -115,7 +115,10 @@ def carry_out(job: Job) -> list[Outcome]:
     EnvironmentFailure
         If no run could be done here: no Radiance, no disk.
     """
-    with _ended_by_signal():
+    from threadpoolctl import threadpool_limits
+
+    # Workers share the cores already; threads of linear algebra on top of them only wait for each other.
+    with _ended_by_signal(), threadpool_limits(1):
         _log(job)
         start = time.monotonic()
         try:
