@@ -118,15 +118,12 @@ class ErrorFields:
 
 def error_fields(shape: tuple[int, int], radii: tuple[float, float], copies: int = COPIES) -> ErrorFields:
     """Draw the fields of all copies."""
-    from scipy.signal import fftconvolve
-
-    ru, rv = (max(1, math.ceil(radius)) for radius in radii)
-    v, u = np.mgrid[-rv : rv + 1, -ru : ru + 1]
-    disc = ((u / max(radii[0], 0.5)) ** 2 + (v / max(radii[1], 0.5)) ** 2 <= 1).astype(np.float64)
+    # Round about the borders, so that the variance is 1 everywhere.
+    v, u = (np.minimum(np.arange(size), size - np.arange(size)) for size in shape)
+    disc = ((u / radii[0]) ** 2 + (v[:, np.newaxis] / radii[1]) ** 2 <= 1).astype(np.float64)
     disc /= math.sqrt(float((disc**2).sum()))
-    random = np.random.default_rng((_SEED, *shape))
-    white = random.standard_normal((copies, shape[0] + 2 * rv, shape[1] + 2 * ru))
-    return ErrorFields(np.stack([fftconvolve(one, disc, mode="valid") for one in white]))
+    white = np.random.default_rng((_SEED, *shape)).standard_normal((copies, *shape))
+    return ErrorFields(np.fft.irfft2(np.fft.rfft2(white) * np.fft.rfft2(disc), s=shape))
 
 
 def copies_of(gray: Array, error: ImageError, fields: ErrorFields, sensor: Sensor) -> Iterator[GrayImage]:

@@ -154,5 +154,5 @@ class DaskPool:
 
     def close(self) -> None:
         """Give up what is not begun; a worker ends the run it is at."""
-        self._executor.shutdown(wait=False, cancel_futures=True)
+        self._executor.shutdown(wait=False)
         self._client.close()

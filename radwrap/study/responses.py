@@ -126,6 +126,8 @@ class Kind:
         Name -> what it may be: choices, a type, or "gray" for a number or "sensor".
     answer : callable
         Image and options -> value with error.
+    copies : bool
+        Whether its error is found on copies of the image.
     """
 
     what: str
@@ -133,6 +135,7 @@ class Kind:
     unit: str
     options: Mapping[str, Any]
     answer: Callable[[Seen, Options], Answer]
+    copies: bool = True
 
 
 def check_options(kind: str, options: Options, where: str) -> None:
@@ -397,9 +400,14 @@ _DOTS: Final = {"method": METHODS, "dark": "gray", "board": str}
 _EDGE: Final = {"dark": "gray", "gamma": "gray"}
 KINDS: Final[Mapping[str, Kind]] = {
     "focal_length": Kind(
-        "focal length by calibration on a board of dots", LENGTH, "mm", {**_DOTS, "solver": SOLVERS}, _focal_length
+        "focal length by calibration on a board of dots",
+        LENGTH,
+        "mm",
+        {**_DOTS, "solver": SOLVERS},
+        _focal_length,
+        copies=False,
     ),
-    "dot_error": Kind("rms distance of dot centres from the truth", PIXEL, "px", _DOTS, _dot_error),
+    "dot_error": Kind("rms distance of dot centres from the truth", PIXEL, "px", _DOTS, _dot_error, copies=False),
     "edge_position": Kind("distance of the edge from the first pixel's centre", PIXEL, "px", _EDGE, _edge_position),
     "edge_error": Kind("distance of the measured from the true edge", PIXEL, "px", _EDGE, _edge_error),
     "edge_blur": Kind("radius of the edge's blur", PIXEL, "px", _EDGE, _edge_blur),
@@ -410,7 +418,7 @@ KINDS: Final[Mapping[str, Kind]] = {
         {"dark": "gray", "gamma": "gray", "threshold": float, "min_area": float},
         _part_orientation,
     ),
-    "mean_gray": Kind("mean gray level", None, "", {}, _mean_gray),
+    "mean_gray": Kind("mean gray level", None, "", {}, _mean_gray, copies=False),
     "contrast": Kind("Michelson contrast of 99th and 1st percentile", None, "", {}, _contrast),
     "saturated_share": Kind("share of saturated pixels", None, "", {}, _saturated_share),
 }

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable, Mapping
 from copy import deepcopy
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any, Final
 
 import numpy as np
@@ -112,13 +114,10 @@ def combinations(design: Design) -> list[tuple[Level, ...]]:
 
 
 def _full(design: Design) -> list[tuple[Level, ...]]:
-    from pyDOE3 import fullfact
-
-    counts = [len(factor.levels) for factor in design.factors]
-    if np.prod(counts, dtype=np.float64) > MOST_RUNS:
+    levels = [factor.levels for factor in design.factors]
+    if math.prod(map(len, levels)) > MOST_RUNS:
         raise InputError(f"more than {MOST_RUNS} runs", where=f"{design.origin}: design")
-    table = fullfact(counts[::-1])[:, ::-1].astype(int)
-    return [_chosen(design, row) for row in table]
+    return list(product(*levels))
 
 
 def _chosen(design: Design, numbers: Iterable[int]) -> tuple[Level, ...]:

@@ -29,9 +29,9 @@ from radwrap.imaging.synthesis import MANIFEST, load_result, render
 from radwrap.manifest import read_manifest
 from radwrap.scene.load import scene_from_document
 from radwrap.scene.scene import Scene
-from radwrap.study.image_error import ErrorFields, blur_radii, error_fields, image_error
+from radwrap.study.image_error import COPIES, ErrorFields, blur_radii, error_fields, image_error
 from radwrap.study.light import factors
-from radwrap.study.responses import Answer, Response, Seen, answer
+from radwrap.study.responses import KINDS, Answer, Response, Seen, answer
 
 STARTED: Final = "started.log"
 THUMBNAILS: Final = "thumbnails"
@@ -181,7 +181,7 @@ def _outcomes(job: Job, start: float) -> Iterator[Outcome]:
     result = load_result(scene, out)
     gray = gray_levels(result.radiant_exposure.values, scene.camera.sensor)
     radii = blur_radii(scene)
-    fields = error_fields(gray.shape, radii)
+    fields = _fields(job, scene, radii)
     met = bool(result.manifest.get("plan", {}).get("met", True))
     for run in job.runs:
         bound = float(result.manifest["error"]["rms_gray_upper95"])
@@ -203,13 +203,19 @@ def _relit(job: Job, scene: Scene, out: Path, start: float) -> Iterator[Outcome]
     basis = read_basis(out)
     levels = [factors(run.levels, job.reference, basis.sources) for run in job.runs]
     radii = blur_radii(scene)
-    fields: ErrorFields | None = None
+    fields = _fields(job, scene, radii)
     for run, image in zip(job.runs, relit(basis, levels), strict=True):
         gray = gray_levels(image.radiant_exposure.values, scene.camera.sensor)
-        fields = fields or error_fields(gray.shape, radii)
         seen = Seen(scene, image.gray, gray, image_error(gray, image.certificate.rms_gray_upper95, radii), fields)
         yield _outcome(job, run, seen, met=image.keeps(basis), wall_s=time.monotonic() - start)
         start = time.monotonic()
+
+
+def _fields(job: Job, scene: Scene, radii: tuple[float, float]) -> ErrorFields:
+    """Error fields for the scene's images; none where no response needs them."""
+    needed = any(KINDS[response.kind].copies for run in job.runs for response in run.responses)
+    sensor = scene.camera.sensor
+    return error_fields((sensor.rows, sensor.columns), radii, COPIES if needed else 0)
 
 
 def _outcome(job: Job, run: Measured, seen: Seen, *, met: bool, wall_s: float) -> Outcome:

@@ -34,14 +34,20 @@ def test_table_2_is_sixteen_runs_in_the_order_of_table_3() -> None:
     factors = [led["radiance_factor"] for led in ring["leds"]]
     assert len(set(factors)) == 12 and all(0.85 <= factor <= 1.15 for factor in factors)
     assert all(0.1 <= float(led["axis_tilt"].split()[0]) <= 1.9 for led in ring["leds"])
-    assert all("radiance_factor" in led and led["radiance_factor"] == 1.0 for led in runs[0].document["sources"][0]["leds"])
+    assert all(
+        "radiance_factor" in led and led["radiance_factor"] == 1.0 for led in runs[0].document["sources"][0]["leds"]
+    )
 
 
 def test_draws_are_uniform_and_each_run_has_its_own(design: DesignWriter) -> None:
     text = SMALL.replace("seed = 5", "seed = 5\nreplicates = 100")
     _, runs = expanded(design(text))
     drawn = np.array(
-        [[led["beam_width_factor"] for led in run.document["sources"][0]["leds"]] for run in runs if run.levels[1].name == "H"]
+        [
+            [led["beam_width_factor"] for led in run.document["sources"][0]["leds"]]
+            for run in runs
+            if run.levels[1].name == "H"
+        ]
     )
     assert drawn.shape == (200, 3) and len(np.unique(drawn)) == drawn.size
     # Mean and standard deviation of a uniform draw, 600 of them: within 4 standard errors.
@@ -78,7 +84,12 @@ range = ["50 ms", "100 ms"]
 def test_a_fraction_and_a_list(design: DesignWriter) -> None:
     three = SMALL + '[factors.t]\nkey = "camera.exposure_time"\nlevels = ["50 ms", "100 ms"]\n'
     _, runs = expanded(design(three.replace('kind = "full"', 'kind = "fractional"\ngenerators = "a b ab"')))
-    signs = np.array([[1 if level is factor else -1 for level, factor in zip(run.levels, runs[-1].levels)] for run in runs])
+    signs = np.array(
+        [
+            [1 if level is factor else -1 for level, factor in zip(run.levels, runs[-1].levels, strict=True)]
+            for run in runs
+        ]
+    )
     assert len(runs) == 4 and (signs.prod(axis=1) == 1).all()
     _, runs = expanded(design(SMALL.replace('kind = "full"', 'kind = "list"\nruns = [["2 mm", "L"], ["1 mm", "H"]]')))
     assert [[level.name for level in run.levels] for run in runs] == [["2 mm", "L"], ["1 mm", "H"]]

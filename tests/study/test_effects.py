@@ -41,7 +41,9 @@ def test_replicates_tell_the_noise(tmp_path: Path) -> None:
     """t of an effect is its size over 2 s/sqrt(N), F of the analysis of variance its square."""
     random = np.random.default_rng(3)
     rows: list[dict[str, object]] = [
-        {"A": a, "B": b, "y": 5 + 2 * a + float(random.normal(0, 0.1))} for _ in range(6) for a, b in product((0, 1), (0, 1))
+        {"A": a, "B": b, "y": 5 + 2 * a + float(random.normal(0, 0.1))}
+        for _ in range(6)
+        for a, b in product((0, 1), (0, 1))
     ]
     found = analysed(tmp_path / "t.csv", rows)
     told = as_json(found)

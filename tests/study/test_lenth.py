@@ -41,8 +41,7 @@ ROUNDING = 1e-12  # of sixteen sums in double precision
 def both(tmp_path: Path) -> Path:
     """Table 3 with the errors computed from f: the printed ones are rounded, which changes two entries of Table 4."""
     rows = [
-        {**row, "error_percent": abs(float(row["f [mm]"]) - NOMINAL) / NOMINAL * 100}
-        for row in read_table(TABLE3).rows
+        {**row, "error_percent": abs(float(row["f [mm]"]) - NOMINAL) / NOMINAL * 100} for row in read_table(TABLE3).rows
     ]
     path = tmp_path / "both.csv"
     path.write_text(csv_text(("A", "B", "C", "D", "f [mm]", "error_percent"), rows))

@@ -10,15 +10,19 @@ import time
 from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import psutil
 import pytest
 
 from radwrap.study.table import read_table
-from tests.cli.conftest import PATIENCE, Done, inhabitants, run, start, wait_for
-from tests.study.conftest import SMALL, DesignWriter
+from tests.cli.conftest import PATIENCE, Done, inhabitants, run, scene_text, start, wait_for
+from tests.study.conftest import EDGE, SMALL, DesignWriter
 
-# Twelve runs of a good half second each: long enough to be killed in between.
-TWELVE = SMALL.replace("seed = 5", "seed = 5\nreplicates = 3")
+# Eight runs of a good half second each: long enough to be killed in between.
+EIGHT = SMALL.replace("seed = 5", "seed = 5\nreplicates = 2")
+
+
+GRAY = '[responses.mean]\nmeasure = "mean_gray"\n[responses.contrast]\nmeasure = "contrast"\n'
 
 
 def study(path: Path, out: Path, *options: object) -> Done:
@@ -38,21 +42,18 @@ def started(out: Path) -> Counter[int]:
 
 @pytest.fixture(scope="module")
 def good(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """The table of the twelve runs, by one worker that nobody disturbed."""
+    """The table of the eight runs, by one worker that nobody disturbed."""
     folder = tmp_path_factory.mktemp("good")
     path = write_design(folder)
     done = study(path, folder / "out", "--workers", "1", "--json").success()
-    assert done.json["runs"] == 12 and done.json["failed"] == 0 and done.json["renders"] == 12
+    assert done.json["runs"] == 8 and done.json["failed"] == 0 and done.json["renders"] == 8
     return (folder / "out" / "results.csv").read_bytes()
 
 
-def write_design(folder: Path, text: str = TWELVE) -> Path:
-    from tests.cli.conftest import scene_text
-    from tests.study.conftest import EDGE, RESPONSES
-
+def write_design(folder: Path, text: str = EIGHT) -> Path:
     (folder / "scene.toml").write_text(scene_text(EDGE))
     path = folder / "design.toml"
-    path.write_text(f'scene = "scene.toml"\n{text}\n{RESPONSES}')
+    path.write_text(f'scene = "scene.toml"\n{text}\n{GRAY}')
     return path
 
 
@@ -60,7 +61,7 @@ def test_three_kills_of_the_whole_study_change_nothing(memory_path: Path, good: 
     path, out = write_design(memory_path), memory_path / "out"
     dice = random.Random(7)  # noqa: S311  (no secret)
     finished: set[str] = set()
-    for due in (1, 4, 7):
+    for due in (1, 3, 5):
         before = started(out) if out.exists() else Counter[int]()
         with start(["study", "run", path, "--out", out, "--workers", "2", "--no-report"]) as process:
             assert wait_for(lambda due=due: rows_on_disk(out) >= due, process), "the study was too short for this test"
@@ -106,7 +107,7 @@ def _orphans() -> list[str]:
 def test_a_killed_worker_costs_nothing_that_was_finished(memory_path: Path, good: bytes) -> None:
     path, out = write_design(memory_path), memory_path / "out"
     with start(["study", "run", path, "--out", out, "--workers", "2", "--no-report", "--json"]) as process:
-        assert wait_for(lambda: rows_on_disk(out) >= 4, process), "the study was too short for this test"
+        assert wait_for(lambda: rows_on_disk(out) >= 3, process), "the study was too short for this test"
         finished = {int(row["run"]) for row in read_table(_whole_lines(out)).rows}
         victim = next(child for child in psutil.Process(process.pid).children() if "spawn_main" in str(child.cmdline()))
         os.kill(victim.pid, signal.SIGKILL)
@@ -121,7 +122,9 @@ def test_a_killed_worker_costs_nothing_that_was_finished(memory_path: Path, good
 
 def test_ctrl_c_ends_everything_and_the_study_goes_on(memory_path: Path, good: bytes) -> None:
     path, out = write_design(memory_path), memory_path / "out"
-    with start(["study", "run", path, "--out", out, "--workers", "2", "--no-report"], start_new_session=True) as process:
+    with start(
+        ["study", "run", path, "--out", out, "--workers", "2", "--no-report"], start_new_session=True
+    ) as process:
         assert wait_for(lambda: rows_on_disk(out) >= 2, process), "the study was too short for this test"
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers too
         _, stderr = process.communicate(timeout=PATIENCE)
@@ -160,7 +163,8 @@ levels = ["100 ms", "100 s", "90 ms"]
 def test_many_levels_of_leds_cost_one_render(design: DesignWriter) -> None:
     """64 runs of three LEDs by a light basis, each the very image that a render of its own has, to its error."""
     factors = "".join(
-        f'[factors.L{n}]\nkey = "sources[0].leds[{n}].radiance_factor"\nlevels = [0.2, 0.4, 0.6, 1.0]\n' for n in range(3)
+        f'[factors.L{n}]\nkey = "sources[0].leds[{n}].radiance_factor"\nlevels = [0.2, 0.4, 0.6, 1.0]\n'
+        for n in range(3)
     )
     path = design(f'analysis = "none"\n[design]\nkind = "full"\n{factors}', '[responses.mean]\nmeasure = "mean_gray"\n')
     out = path.parent / "out"
@@ -170,8 +174,6 @@ def test_many_levels_of_leds_cost_one_render(design: DesignWriter) -> None:
     # Gray is linear in the levels here: G = 20 + sum of what each LED alone gives.
     values = [float(row["mean"]) - 20 for row in rows]
     levels = [[float(row[f"L{n}"]) for n in range(3)] for row in rows]
-    import numpy as np
-
     solution, *_ = np.linalg.lstsq(np.array(levels), np.array(values), rcond=None)
     assert np.abs(np.array(levels) @ solution - values).max() < 1e-4  # float32 of basis and image
     # A killed chunk gives the same bytes when it is made again, whatever else it is made with.
@@ -196,7 +198,11 @@ def test_dask_gives_the_same_table(memory_path: Path, good: bytes) -> None:
 
     path, out = write_design(memory_path), memory_path / "out"
     with LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, local_directory=str(memory_path / "d")
+        n_workers=2,
+        threads_per_worker=1,
+        processes=True,
+        dashboard_address=None,
+        local_directory=str(memory_path / "d"),
     ) as cluster:
         with start(
             ["study", "run", path, "--out", out, "--dask", cluster.scheduler_address, "--no-report", "--json"]
