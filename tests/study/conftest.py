@@ -8,7 +8,6 @@ from typing import Any, Final
 
 import pytest
 
-from tests.cli.conftest import memory_path  # noqa: F401  (a fixture)
 from tests.cli.conftest import scene_text
 
 # An edge straight before the camera; gamma 1 and no rounding, so that responses have closed forms.
