@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import Any
 
 from radwrap.cli import options as shared
-from radwrap.errors import InputError
+from radwrap.errors import CheckFailed, InputError, ToleranceNotMet
 from radwrap.manifest import json_text
 
 _DESCRIPTION = (
@@ -60,14 +61,16 @@ def run(arguments: argparse.Namespace) -> int:
         from radwrap.study.report import write_report
 
         write_report(study)
-    if arguments.json:
-        print(json_text(study.summary), end="")
-        return 0
     told = study.summary
+    code = CheckFailed.exit_code if told["failed"] == told["runs"] else 0
+    code = ToleranceNotMet.exit_code if told["not_met"] else code
+    if arguments.json:
+        print(json_text(told), end="")
+        return code
     print(
         f"{study.folder}/results.csv: {told['runs']} runs, {told['failed']} failed, by {told['renders']} renders"
         + (f" ({told['relit']} images from {told['light_bases']} light bases)" if told["relit"] else "")
     )
     if told["not_met"]:
-        print(f"{told['not_met']} images do not keep the tolerance; their error bars hold their own errors")
-    return 0
+        print(f"radwrap: {told['not_met']} images do not keep the tolerance; their error bars say so", file=sys.stderr)
+    return code

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from radwrap.errors import EnvironmentFailure, InputError
+from radwrap.errors import InputError
 from radwrap.files import make_folder, sole_owner
 from radwrap.manifest import SCHEMA_VERSION, read_manifest, sha256_of_value, versions, write_manifest
 from radwrap.process import available_cores
@@ -95,9 +95,9 @@ def run_study(design: Design, out: Path, options: StudyOptions) -> Study:
     Raises
     ------
     InputError
-        If the design cannot work; before the first ray.
+        If the design cannot work, or the folder holds another study; before the first ray.
     EnvironmentFailure
-        If Radiance, Dask or the disk fails, or the folder holds another study.
+        If Radiance, Dask or the disk fails.
     """
     start = time.monotonic()
     check_design(design, options.of_render)
@@ -144,10 +144,10 @@ def _take_possession(out: Path, design: Design, runs: Sequence[Run], options: St
     told["study_sha256"] = sha256_of_value({**told, "images": [run.image for run in runs]})
     if (out / PLAN).exists():
         if read_manifest(out / PLAN).get("study_sha256") != told["study_sha256"]:
-            raise EnvironmentFailure("holds another study", where=str(out), remedy="choose another --out")
+            raise InputError("holds another study", where=str(out), remedy="choose another --out")
         return
     if (out / RESULTS).exists():
-        raise EnvironmentFailure(f"holds a {RESULTS} of something else", where=str(out), remedy="choose another --out")
+        raise InputError(f"holds a {RESULTS} of something else", where=str(out), remedy="choose another --out")
     write_manifest(out / PLAN, told)
 
 

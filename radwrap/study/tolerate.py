@@ -234,9 +234,9 @@ class _Search:
         self._nominal = self.measured([(self.base, _FRESH_ROW)])[0]
         return float(np.mean(self._nominal))
 
-    def changes(self, factor: Factor, levels: Sequence[Level], row: int = _FRESH_ROW) -> list[Confirmed]:
+    def changes(self, factor: Factor, levels: Sequence[Level]) -> list[Confirmed]:
         """Change at each level of a factor, seed by seed: equal seeds draw equal rays, whose noise falls out."""
-        values = self.measured([(self.with_level(factor, level), row) for level in levels])
+        values = self.measured([(self.with_level(factor, level), _FRESH_ROW) for level in levels])
         return [self._change(level.name, one) for level, one in zip(levels, values, strict=True)]
 
     def _change(self, at: str, values: Sequence[float]) -> Confirmed:
@@ -307,10 +307,9 @@ class _Search:
 
     def _scattered(self, factor: Factor, size: float, batch: int) -> list[Confirmed]:
         level = scaled_scatter(factor, size)
-        found = []
-        for system in range(_SYSTEMS):
-            found += self.changes(factor, [level], _FRESH_ROW + 1 + batch * _SYSTEMS + system)
-        return found
+        rows = range(_FRESH_ROW + 1 + batch * _SYSTEMS, _FRESH_ROW + 1 + (batch + 1) * _SYSTEMS)
+        values = self.measured([(self.with_level(factor, level), row) for row in rows])
+        return [self._change(level.name, one) for one in values]
 
     # ----------------------------------------------------------------------------------------------------- all of them
 

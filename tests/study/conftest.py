@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
 import pytest
 
-from tests.cli.conftest import scene_text
+from tests.cli.conftest import Done, scene_text, start
 
 # An edge straight before the camera; gamma 1 and no rounding, so that responses have closed forms.
 EDGE: Final[dict[str, Any]] = {
@@ -67,6 +68,22 @@ gamma = "sensor"
 [responses.mean]
 measure = "mean_gray"
 """
+
+# A study starts processes that load everything anew: on a busy machine that alone takes a while [s].
+PATIENCE: Final = 300.0
+
+
+def command(*argv: object) -> Done:
+    """The command, to its end."""
+    begin = time.monotonic()
+    with start(argv) as process:
+        try:
+            stdout, stderr = process.communicate(timeout=PATIENCE)
+        except BaseException:
+            process.kill()
+            raise
+    return Done(process.returncode, stdout or "", stderr or "", time.monotonic() - begin)
+
 
 DesignWriter = Callable[[str], Path]
 

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.conftest import run
-from tests.study.conftest import SMALL, DesignWriter
+from tests.study.conftest import SMALL, DesignWriter, command
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 # What a reader does: click on a heading, look at the first row. The page's own script does the sorting.
@@ -64,7 +63,7 @@ def browse(page: Path, *words: str) -> str:
 @pytest.fixture
 def report(design: DesignWriter) -> Path:
     path = design(SMALL)
-    run("study", "run", path, "--out", path.parent / "out").success()
+    command("study", "run", path, "--out", path.parent / "out").success()
     return path.parent / "out" / "index.html"
 
 

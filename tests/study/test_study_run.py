@@ -6,8 +6,10 @@ import json
 import os
 import random
 import signal
+import subprocess
 import time
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +17,9 @@ import psutil
 import pytest
 
 from radwrap.study.table import read_table
-from tests.cli.conftest import PATIENCE, Done, inhabitants, run, scene_text, start, wait_for
-from tests.study.conftest import EDGE, SMALL, DesignWriter
+from tests.cli.conftest import Done, inhabitants, scene_text, start
+from tests.cli.conftest import wait_for as wait
+from tests.study.conftest import EDGE, PATIENCE, SMALL, DesignWriter, command
 
 # Eight runs of a good half second each: long enough to be killed in between.
 EIGHT = SMALL.replace("seed = 5", "seed = 5\nreplicates = 2")
@@ -26,7 +29,12 @@ GRAY = '[responses.mean]\nmeasure = "mean_gray"\n[responses.contrast]\nmeasure =
 
 
 def study(path: Path, out: Path, *options: object) -> Done:
-    return run("study", "run", path, "--out", out, "--no-report", *options)
+    return command("study", "run", path, "--out", out, "--no-report", *options)
+
+
+def wait_for(condition: Callable[[], bool], process: subprocess.Popen[str]) -> bool:
+    """Wait until something is so; False if the study ended before."""
+    return wait(condition, process, PATIENCE)
 
 
 def rows_on_disk(out: Path) -> int:
@@ -186,7 +194,7 @@ def test_many_levels_of_leds_cost_one_render(design: DesignWriter) -> None:
 
 def test_the_report_holds_every_run(design: DesignWriter) -> None:
     path = design(SMALL)
-    run("study", "run", path, "--out", path.parent / "out").success()
+    command("study", "run", path, "--out", path.parent / "out").success()
     text = (path.parent / "out" / "index.html").read_text()
     assert text.count('alt="run ') == 4 and "place of the edge" in text and "exposure_time" in text
     assert "http" not in text.replace("http://www.w3.org", ""), "it must need nothing else"

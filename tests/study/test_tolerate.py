@@ -12,8 +12,8 @@ from radwrap.errors import InputError
 from radwrap.study.design import Design, read_design
 from radwrap.study.tolerance_model import Model, deviation_of, fit
 from radwrap.study.tolerate import read_bound, scaled_scatter
-from tests.cli.conftest import Done, run
-from tests.study.conftest import SMALL, DesignWriter
+from tests.cli.conftest import Done
+from tests.study.conftest import SMALL, DesignWriter, command
 
 # The search stops where the change fills 85 to 100 % of the bound.
 LEAST_FILLED = 0.85
@@ -32,7 +32,7 @@ levels = ["80 ms", "100 ms", "120 ms"]
 
 def tolerate(path: Path, response: str, within: str, *options: object) -> Done:
     words = ("--out", path.parent / "out", "--response", response, "--within", within, *options)
-    return run("study", "tolerate", path, *words, "--json")
+    return command("study", "tolerate", path, *words, "--json")
 
 
 def test_gray_is_linear_in_exposure_time(design: DesignWriter) -> None:
@@ -133,3 +133,14 @@ def test_scatter_is_narrowed_about_the_fixed_level(design: DesignWriter) -> None
 def test_bad_bounds_are_refused(design: DesignWriter, response: str, within: str) -> None:
     with pytest.raises(InputError):
         read_bound(study_design(design, SMALL), response, within)
+
+
+def test_scatter_that_is_allowed_follows_from_what_fresh_systems_do(design: DesignWriter) -> None:
+    """Three LEDs, each even in 1 +- 0.3: the mean scatters by c/3 x 0.3 x sqrt(3)/sqrt(3), c the light of all."""
+    text = SMALL.replace("beam_width_factor", "radiance_factor").replace("[0.9, 1.1]", "[0.7, 1.3]")
+    text = text.partition("[factors.x]")[0] + text[text.index("[factors.s]") :]
+    told = tolerate(design(text, MEAN), "mean", "3%", "--repeats", 1).json
+    sigma = (told["nominal"] - 20) * 0.1
+    # The scatter of eight systems is known to 25 %: four of that.
+    assert told["factors"]["s"]["by_model"] == pytest.approx(told["bound"] / (1.96 * sigma), rel=1.0)
+    assert told["factors"]["s"]["kind"] == "scatter" and len(told["factors"]["s"]["confirmed"]) == 8
