@@ -49,7 +49,7 @@ def report(study: Study) -> str:
             rows=[_row(study, row) for row in study.rows],
             factors=[_factor(factor) for factor in design.factors],
             scene_origin=design.scene_origin,
-            scene=list(_leaves(design.document, "")),
+            scene=[(key, value) for key, value in _leaves(design.document, "") if not key.endswith("].index")],
             provenance=list(_provenance(study)),
         )
         + "\n"
@@ -132,7 +132,7 @@ def _factor(factor: Factor) -> dict[str, str]:
     levels = [f"{level.name}: {', '.join(map(str, level.values))}" for level in factor.levels]
     if factor.span is not None:
         levels = [f"{factor.span[0]:g} to {factor.span[1]:g} {factor.unit}".strip()]
-    return {"name": factor.name, "label": factor.label, "keys": ", ".join(factor.keys), "levels": "; ".join(levels)}
+    return {"name": factor.name, "label": factor.label, "sets": ", ".join(factor.keys), "levels": "; ".join(levels)}
 
 
 def _leaves(value: Any, key: str) -> Iterator[tuple[str, str]]:

@@ -197,6 +197,7 @@ def test_the_report_holds_every_run(design: DesignWriter) -> None:
     command("study", "run", path, "--out", path.parent / "out").success()
     text = (path.parent / "out" / "index.html").read_text()
     assert text.count('alt="run ') == 4 and "place of the edge" in text and "exposure_time" in text
+    assert "targets[0].edge_position" in text and "built-in" not in text
     assert "http" not in text.replace("http://www.w3.org", ""), "it must need nothing else"
 
 
