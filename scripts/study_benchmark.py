@@ -31,7 +31,7 @@ COMMAND = str(Path(sys.executable).parent / "radwrap")
 
 GAIN = 1.7  # of two workers over one,
 OF_BARE = 0.9  # or so much of what two bare tracers gain
-RAYS = 1_500_000
+RAYS = 400_000
 ROUNDS = 2
 LONGEST = 60.0  # s, for 4096 levels
 MOST_RENDERS = 5
@@ -78,6 +78,9 @@ def main() -> int:
     """Measure, print, write; the exit code says whether the limits were kept."""
     from distributed import LocalCluster
 
+    def note(what: str, seconds: float) -> None:
+        print(f"{what}: {seconds:.1f} s", file=sys.stderr, flush=True)
+
     ones, twos, dasks, bare_ones, bare_twos, tables, used = [], [], [], [], [], set(), []
     with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
         for _ in range(ROUNDS):
@@ -90,9 +93,12 @@ def main() -> int:
                 times.append(wall)
                 tables.add(table)
                 used.append((words[0] + " " + str(words[1]), cpu_s))
+                note(" ".join(map(str, words)), wall)
                 one, two = bare_tracers()
                 bare_ones.append(one)
                 bare_twos.append(two)
+                note("one bare tracer", one)
+                note("two bare tracers", two)
     bare = sum(bare_ones) / sum(bare_twos)
     gains = {"two workers": sum(ones) / sum(twos), "dask": sum(ones) / sum(dasks)}
     wall, cpu_s, _, told = study(LEDS)

@@ -11,7 +11,7 @@ import pytest
 
 from tests.cli.conftest import Done, scene_text, start
 
-# An edge straight before the camera; gamma 1 and no rounding, so that responses have closed forms.
+# An edge that does not run along the pixels; gamma 1 and no rounding, so that responses have closed forms.
 EDGE: Final[dict[str, Any]] = {
     "camera": {
         "position": ["0 mm", "0 mm", "500 mm"],
@@ -54,6 +54,7 @@ EDGE: Final[dict[str, Any]] = {
             "material": "black",
             "edge_material": "white",
             "size": ["400 mm", "400 mm"],
+            "rotation": ["0 deg", "0 deg", "8 deg"],
             "edge_position": "1 mm",
         }
     ],

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 import radwrap
 from radwrap.images import GrayImage
@@ -67,18 +68,19 @@ def test_a_linear_response_of_white_errors_has_its_closed_form(scene: Scene) -> 
 
 
 def test_stated_errors_are_as_large_as_the_scatter_of_renders(scene: Scene) -> None:
-    """Ten renders with seeds of their own: the scatter of the edge's place against what each image says of itself.
+    """Six renders with seeds of their own: the scatter of the edge's place against what each image says of itself.
 
-    The bound is above the error, so that more may be stated than is seen; less by half would be 4 standard errors.
+    The scatter of six is known to 32 %; the bound is above the error, so that more may be stated than is seen.
     """
     values, stated = [], []
-    for seed in range(10):
+    for seed in range(6):
         made = radwrap.render(scene, seed=seed, workers=1)
         gray = gray_levels(made.radiant_exposure.values, scene.camera.sensor)
         radii = blur_radii(scene)
         error = image_error(gray, made.manifest["error"]["rms_gray_upper95"], radii)
         seen = Seen(scene, made.gray, gray, error, error_fields(gray.shape, radii))
-        found = answer(Response("u", "edge_position", "px", {"dark": "sensor", "gamma": "sensor"}), seen)
+        with threadpool_limits(1):
+            found = answer(Response("u", "edge_position", "px", {"dark": "sensor", "gamma": "sensor"}), seen)
         values.append(found.value)
         stated.append(found.error)
     assert 0.5 * _scatter(values) < _rms(stated) < 4 * _scatter(values)
