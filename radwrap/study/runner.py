@@ -48,7 +48,7 @@ class Scheduler:
     sink : Sink
         Gets the outcomes.
     pool : Pool
-        Does the jobs.
+        Does the jobs; it stays open, and is to be closed also where this fails.
     progress : Progress
         Counts runs.
     """
@@ -77,15 +77,12 @@ class Scheduler:
         EnvironmentFailure
             If a worker says that nothing can be done on its machine.
         """
-        try:
-            while self._ready or self._running:
-                self._submit()
-                done, _ = wait(self._running, return_when=FIRST_COMPLETED)
-                broken = [future for future in done if not self._collect(future)]
-                if broken:
-                    self._after_death(broken)
-        finally:
-            self._pool.close()
+        while self._ready or self._running:
+            self._submit()
+            done, _ = wait(self._running, return_when=FIRST_COMPLETED)
+            broken = [future for future in done if not self._collect(future)]
+            if broken:
+                self._after_death(broken)
 
     def _submit(self) -> None:
         while self._ready and len(self._running) < _AHEAD * self._pool.workers:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -16,7 +17,7 @@ from radwrap.progress import Progress
 from radwrap.study.design import Design, render_options
 from radwrap.study.journal import RESULTS, Journal
 from radwrap.study.light import reference_levels, split_light, with_levels
-from radwrap.study.pool import DaskPool, LocalPool
+from radwrap.study.pool import DaskPool, LocalPool, Pool
 from radwrap.study.runner import Scheduler, Step, chunks
 from radwrap.study.runs import Run, analysis_of, check_design, runs_of
 from radwrap.study.worker import Job, Measured
@@ -123,11 +124,18 @@ def run_study(design: Design, out: Path, options: StudyOptions) -> Study:
 def _carry_out(steps: Sequence[Step], journal: Journal, options: StudyOptions, due: int, total: int) -> None:
     progress = Progress("runs", total, shown=options.progress)
     progress.skip(total - due)
-    pool = LocalPool(options.workers or available_cores()) if options.dask is None else DaskPool(options.dask)
-    try:
-        Scheduler(steps, journal, pool, progress).run()
-    finally:
-        progress.close()
+    with closing(open_pool(options)) as pool:
+        try:
+            Scheduler(steps, journal, pool, progress).run()
+        finally:
+            progress.close()
+
+
+def open_pool(options: StudyOptions) -> Pool:
+    """Workers, to be closed by the caller."""
+    if options.dask is not None:
+        return DaskPool(options.dask)
+    return LocalPool(options.workers or available_cores())
 
 
 def _take_possession(out: Path, design: Design, runs: Sequence[Run], options: StudyOptions) -> None:

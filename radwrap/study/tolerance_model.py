@@ -155,16 +155,17 @@ class Model:
         """Largest deviation of one factor alone, in its unit, up to which the change stays within the bound."""
         deviation = self.deviations[number]
         sizes = np.linspace(0, deviation.reach / deviation.half, _STEPS + 1)
-        inside = np.ones(len(sizes), dtype=bool)
+        worst = np.zeros(len(sizes))
         for side in deviation.sides:
             x = np.zeros((len(sizes), len(self.deviations)))
             x[:, number] = side * sizes
-            inside &= np.abs(self.change(x)) <= bound
-        last = len(sizes) - 1 if inside.all() else int(np.argmin(inside)) - 1
-        if last == 0:  # steeper than the steps: a straight line will do
-            slope = abs(float(self.coefficients[self.powers.index(_power(len(self.deviations), number))]))
-            return bound / slope * deviation.half if slope else 0.0
-        return float(sizes[last] * deviation.half)
+            worst = np.maximum(worst, np.abs(self.change(x)))
+        if (worst <= bound).all():
+            return deviation.reach
+        out = int(np.argmax(worst > bound))
+        # Between two steps it is as good as straight; at size 0 there is no change.
+        share = (bound - worst[out - 1]) / (worst[out] - worst[out - 1])
+        return float((sizes[out - 1] + share * (sizes[out] - sizes[out - 1])) * deviation.half)
 
     def share_inside(self, tolerances: Sequence[float], bound: float) -> float:
         """Share of systems within the bound, each deviation drawn evenly within its tolerance."""

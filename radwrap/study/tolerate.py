@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -17,15 +18,14 @@ import numpy as np
 from radwrap.errors import InputError
 from radwrap.files import sole_owner
 from radwrap.manifest import SCHEMA_VERSION
-from radwrap.process import available_cores
 from radwrap.progress import Progress
 from radwrap.study.design import Design
 from radwrap.study.factors import Draw, Factor, Level, number_and_unit
-from radwrap.study.pool import DaskPool, LocalPool
+from radwrap.study.pool import Pool
 from radwrap.study.responses import KINDS, Response
 from radwrap.study.runner import Scheduler
 from radwrap.study.runs import Run, run_with
-from radwrap.study.study import Study, StudyOptions, plan_steps, run_study
+from radwrap.study.study import Study, StudyOptions, open_pool, plan_steps, run_study
 from radwrap.study.tolerance_model import Deviation, Model, deviation_of, fit
 from radwrap.study.worker import Outcome
 from radwrap.units import parse_quantity
@@ -181,7 +181,10 @@ class _Collected:
 class _Search:
     """Fresh renders of a study, and what they say of a response."""
 
-    def __init__(self, study: Study, bound: Bound, options: StudyOptions, repeats: int, share: float) -> None:
+    def __init__(
+        self, study: Study, bound: Bound, options: StudyOptions, pool: Pool, *, repeats: int, share: float
+    ) -> None:
+        self.pool = pool
         self.design, self.out = study.design, study.folder
         self.bound, self.options, self.repeats, self.share = bound, options, repeats, share
         self.base = tuple(factor.levels[0] if factor.levels else factor.level_at(0.5) for factor in self.design.factors)
@@ -214,11 +217,9 @@ class _Search:
         runs = [replace(run, responses=tuple(r for r in run.responses if r.name in kept)) for run in runs]
         steps, _ = plan_steps(replace(self.design, basis=False), runs, self.out, self.options)
         collected = _Collected()
-        workers = self.options.workers or available_cores()
-        pool = LocalPool(workers) if self.options.dask is None else DaskPool(self.options.dask)
         progress = Progress("fresh renders", len(runs), shown=self.options.progress)
         try:
-            Scheduler(steps, collected, pool, progress).run()
+            Scheduler(steps, collected, self.pool, progress).run()
         finally:
             progress.close()
         values = [self._value(collected.outcomes[run.index]) for run in runs]
@@ -410,8 +411,8 @@ def tolerate(
     if not 0.5 <= share < 1:
         raise InputError("must lie between 0.5 and 1", where="--share")
     study = run_study(design, out, options)
-    with sole_owner(out):
-        search = _Search(study, bound, options, repeats, share)
+    with sole_owner(out), closing(open_pool(options)) as pool:
+        search = _Search(study, bound, options, pool, repeats=repeats, share=share)
         scatters = [factor for factor in design.factors if _is_scatter(factor)]
         if not search.deviations and not scatters:
             raise InputError("no factor has numbers or draws as levels", where=f"{design.origin}: factors")

@@ -17,10 +17,14 @@ from tests.study.conftest import SMALL, DesignWriter, command
 
 # The search stops where the change fills 85 to 100 % of the bound.
 LEAST_FILLED = 0.85
+# Of a change of 1 gray level: the mean of these small images is known to about 0.01 at tolerance 0.2.
+NOISE = 0.03
 
 MEAN = '[responses.mean]\nmeasure = "mean_gray"\n'
 TIME = """
 analysis = "none"
+[render]
+tolerance = 0.2
 [design]
 kind = "full"
 [factors.t]
@@ -32,7 +36,7 @@ levels = ["80 ms", "100 ms", "120 ms"]
 
 def tolerate(path: Path, response: str, within: str, *options: object) -> Done:
     words = ("--out", path.parent / "out", "--response", response, "--within", within, *options)
-    return command("study", "tolerate", path, *words, "--json")
+    return command("study", "tolerate", path, *words, "--json", "--workers", 1)
 
 
 def test_gray_is_linear_in_exposure_time(design: DesignWriter) -> None:
@@ -43,11 +47,11 @@ def test_gray_is_linear_in_exposure_time(design: DesignWriter) -> None:
     slope = (told["nominal"] - 20) / 100  # gray per ms
     exact = told["bound"] / slope
     assert told["bound"] == pytest.approx(0.01 * told["nominal"], rel=1e-12)
-    assert found["by_model"] == pytest.approx(exact, rel=1e-3)
-    assert LEAST_FILLED * exact <= found["tolerance"] <= exact * 1.001
+    assert found["by_model"] == pytest.approx(exact, rel=NOISE)
+    assert LEAST_FILLED * exact <= found["tolerance"] <= exact * (1 + NOISE)
     assert found["nominal"] == "100.0 ms" and found["direction"] == "+-" and found["met"]
     for seen in found["confirmed"]:
-        assert abs(seen["change"]) == pytest.approx(slope * found["tolerance"], rel=2e-3)
+        assert abs(seen["change"]) == pytest.approx(slope * found["tolerance"], rel=NOISE)
     assert json.loads((path.parent / "out" / "tolerances.json").read_text())["factors"]["t"] == found
 
 
@@ -56,10 +60,7 @@ def test_an_edge_moves_by_the_projection_of_its_place(design: DesignWriter) -> N
     text = TIME.replace("camera.exposure_time", "targets[0].edge_position").replace(
         '["80 ms", "100 ms", "120 ms"]', '["0 mm", "1 mm", "2 mm"]'
     )
-    path = design(
-        text + "[render]\ntolerance = 0.05\n",
-        '[responses.u]\nmeasure = "edge_position"\ndark = "sensor"\ngamma = 1.0\n',
-    )
+    path = design(text, '[responses.u]\nmeasure = "edge_position"\ndark = "sensor"\ngamma = 1.0\n')
     told = tolerate(path, "u", "0.2 px", "--repeats", 1).success().json
     found = told["factors"]["t"]
     assert found["by_model"] == pytest.approx(0.4, rel=0.02)  # 0.004 px of 0.2: what the measured places are off by
