@@ -63,8 +63,8 @@ def test_an_edge_moves_by_the_projection_of_its_place(design: DesignWriter) -> N
     path = design(text, '[responses.u]\nmeasure = "edge_position"\ndark = "sensor"\ngamma = 1.0\n')
     told = tolerate(path, "u", "0.2 px", "--repeats", 1).success().json
     found = told["factors"]["t"]
-    assert found["by_model"] == pytest.approx(0.4, rel=0.02)  # 0.004 px of 0.2: what the measured places are off by
-    assert LEAST_FILLED * 0.4 * 0.98 <= found["tolerance"] <= 0.4 * 1.02
+    assert found["by_model"] == pytest.approx(0.4, rel=0.05)  # 0.005 px of 0.2: what the measured places are off by
+    assert LEAST_FILLED * 0.4 * 0.95 <= found["tolerance"] <= 0.4 * 1.05
 
 
 def test_a_bound_that_the_range_never_reaches_is_said(design: DesignWriter) -> None:
