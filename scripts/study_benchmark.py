@@ -32,7 +32,7 @@ COMMAND = str(Path(sys.executable).parent / "radwrap")
 GAIN = 1.7  # of two workers over one,
 OF_BARE = 0.9  # or so much of what two bare tracers gain
 RAYS = 400_000
-ROUNDS = 2
+ROUNDS = int(sys.argv[1]) if len(sys.argv) > 1 else 2
 LONGEST = 60.0  # s, for 4096 levels
 MOST_RENDERS = 5
 

@@ -41,7 +41,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Carry out the verb."""
     from radwrap.study.design import read_design
     from radwrap.study.study import StudyOptions
-    from radwrap.study.tolerate import TOLERANCES, as_json, read_bound, sentences, tolerate
+    from radwrap.study.tolerance_report import as_json, sentences
+    from radwrap.study.tolerate import TOLERANCES, read_bound, tolerate
 
     design = read_design(arguments.design)
     bound = read_bound(design, arguments.response, arguments.within)

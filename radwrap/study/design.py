@@ -100,10 +100,6 @@ class Design:
     responses: tuple[Response, ...]
     analysis: Analysis | None
 
-    def factor(self, name: str) -> Factor:
-        """A factor by its name."""
-        return next(factor for factor in self.factors if factor.name == name)
-
 
 def read_design(path: Path) -> Design:
     """Read a design file and its base scene.

@@ -132,14 +132,11 @@ class Model:
         Of each term: the exponent of each deviation's variable, (value - nominal)/half.
     coefficients : ndarray
         Of each term, in the response's unit.
-    residual : float
-        Standard deviation of what it leaves; 0 where as many runs as terms tell nothing of that.
     """
 
     deviations: tuple[Deviation, ...]
     powers: tuple[tuple[int, ...], ...]
     coefficients: Array
-    residual: float
 
     def change(self, x: Array) -> Array:
         """Change of the response from its nominal value at variables of the shape (n, deviations)."""
@@ -207,10 +204,7 @@ def fit(design: Design, deviations: tuple[Deviation, ...], rows: Sequence[Mappin
     if np.linalg.matrix_rank(design_matrix) < design_matrix.shape[1]:
         raise InputError("the runs of the study cannot tell the factors apart", where=design.origin)
     solution = np.linalg.lstsq(design_matrix, y, rcond=None)[0]
-    freedom = len(y) - design_matrix.shape[1]
-    left = y - design_matrix @ solution
-    residual = float(np.sqrt(left @ left / freedom)) if freedom > 0 else 0.0
-    return Model(deviations, tuple(powers), solution[: len(powers)], residual)
+    return Model(deviations, tuple(powers), solution[: len(powers)])
 
 
 def _terms(x: Array, powers: Sequence[tuple[int, ...]], others: Array) -> Array:

@@ -7,17 +7,16 @@ may be widened or must be narrowed. All factors together: Monte Carlo on the mod
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from radwrap.errors import InputError
 from radwrap.files import sole_owner
-from radwrap.manifest import SCHEMA_VERSION
 from radwrap.progress import Progress
 from radwrap.study.design import Design
 from radwrap.study.factors import Draw, Factor, Level, number_and_unit
@@ -45,7 +44,6 @@ class Bound:
     """What a response may change by, in its unit."""
 
     response: Response
-    text: str
     relative: float | None
     absolute: float | None
 
@@ -164,7 +162,7 @@ def read_bound(design: Design, response: str, within: str) -> Bound:
     size = relative if absolute is None else absolute
     if size is None or not (math.isfinite(size) and size > 0):
         raise InputError("must be above zero", where="--within")
-    return Bound(one, text, relative, absolute)
+    return Bound(one, relative, absolute)
 
 
 @dataclass
@@ -429,69 +427,3 @@ def tolerate(
     done = {one.factor.name for one in found}
     left_out = tuple(factor.name for factor in design.factors if factor.name not in done)
     return Tolerances(bound.response, nominal, largest, share, tuple(found), together, left_out, tuple(search.notes))
-
-
-def sentences(result: Tolerances) -> Iterator[str]:
-    """What was found, a line each."""
-    unit = f" {result.response.unit}" if result.response.unit else ""
-    name = result.response.name
-    yield f"{name} is {result.nominal:.6g}{unit} nominally and may change by {result.bound:.3g}{unit}."
-    for one in result.found:
-        who = f"{one.factor.label} ({one.factor.name})"
-        change = max(one.confirmed, key=lambda seen: abs(seen.change))
-        seen = f"fresh renders: {change.change:+.3g} +- {change.error:.1g}{unit}"
-        if one.kind == "scatter":
-            yield f"{who}: {one.tolerance:.3g} times the scatter of the study; {seen} at most."
-        elif not one.met:
-            yield f"{who}: no tolerance was found; {seen} at {change.at}."
-        else:
-            least = "at least " if one.limited else ""
-            yield (f"{who}: {least}{one.direction} {one.tolerance:.3g} {one.unit} about {one.nominal}; {seen}.")
-    if result.together is not None:
-        both = result.together
-        yield (
-            f"All together at {both.scale:.2g} times these: {both.share:.1%} of random systems stay within by the "
-            f"model, {both.inside} of {both.systems} fresh ones do."
-        )
-    if result.left_out:
-        yield f"Without a tolerance, as their levels are words: {', '.join(result.left_out)}."
-    yield from (f"Note: {note}." for note in result.notes)
-
-
-def as_json(result: Tolerances) -> dict[str, Any]:
-    """All that was found."""
-    return {
-        "schema_version": SCHEMA_VERSION,
-        "response": result.response.name,
-        "unit": result.response.unit,
-        "nominal": result.nominal,
-        "bound": result.bound,
-        "share": result.share,
-        "met": result.met,
-        "factors": {
-            one.factor.name: {
-                "kind": one.kind,
-                "label": one.factor.label,
-                "tolerance": one.tolerance,
-                "unit": one.unit,
-                "nominal": one.nominal,
-                "direction": one.direction,
-                "by_model": one.by_model if math.isfinite(one.by_model) else None,
-                "limited_by_range": one.limited,
-                "met": one.met,
-                "confirmed": [{"at": seen.at, "change": seen.change, "error": seen.error} for seen in one.confirmed],
-            }
-            for one in result.found
-        },
-        "together": None
-        if result.together is None
-        else {
-            "scale": result.together.scale,
-            "share_by_model": result.together.share,
-            "inside": result.together.inside,
-            "systems": result.together.systems,
-        },
-        "left_out": list(result.left_out),
-        "notes": list(result.notes),
-        "sentences": list(sentences(result)),
-    }

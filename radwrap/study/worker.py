@@ -10,7 +10,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -254,8 +254,3 @@ def _reduced(values: NDArray[np.float64], step: int) -> NDArray[np.float64]:
     cut = values[:rows, :columns].reshape(rows // step, step, columns // step, step)
     small: NDArray[np.float64] = cut.mean(axis=(1, 3))
     return small
-
-
-def all_runs(jobs: Sequence[Job]) -> list[int]:
-    """Numbers of the runs that jobs would measure."""
-    return [run.run for job in jobs for run in job.runs]

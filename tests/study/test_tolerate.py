@@ -117,15 +117,15 @@ def test_the_share_of_random_systems_has_its_closed_form(design: DesignWriter) -
     study = study_design(design, TIME)
     deviation = deviation_of(study, study.factors[0])
     assert deviation is not None
-    model = Model((deviation,), ((0,), (1,)), np.array([0.0, 1.0]), 0.0)
+    model = Model((deviation,), ((0,), (1,)), np.array([0.0, 1.0]))
     assert model.share_inside([20.0], 0.6) == pytest.approx(0.6, abs=0.015)  # 20 000 draws: 4 standard errors
 
 
 def test_scatter_is_narrowed_about_the_fixed_level(design: DesignWriter) -> None:
     study = study_design(design, SMALL)
-    level = scaled_scatter(study.factor("s"), 0.5)
+    level = scaled_scatter(study.factors[1], 0.5)
     assert (level.values[0].first, level.values[0].second) == pytest.approx((0.95, 1.05))
-    assert deviation_of(study, study.factor("s")) is None
+    assert deviation_of(study, study.factors[1]) is None
 
 
 @pytest.mark.parametrize(
