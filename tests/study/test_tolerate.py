@@ -74,9 +74,8 @@ def test_a_bound_that_the_range_never_reaches_is_said(design: DesignWriter) -> N
 
 def test_two_factors_together_are_held_to_the_share(design: DesignWriter) -> None:
     """Two factors that act alike, each alone within the bound: together they must be narrower."""
-    text = TIME + (
-        '[factors.r]\nlabel = "radiance"\nkey = "sources[0].radiance"\n'
-        'levels = ["1600 kW/m^2/sr", "2000 kW/m^2/sr", "2400 kW/m^2/sr"]\n'
+    text = TIME.replace('"80 ms", "100 ms", "120 ms"', '"80 ms", "120 ms"') + (
+        '[factors.r]\nlabel = "radiance"\nkey = "sources[0].radiance"\nlevels = ["1600 kW/m^2/sr", "2400 kW/m^2/sr"]\n'
     )
     told = tolerate(design(text, MEAN), "mean", "2%", "--repeats", 1).success().json
     both = told["together"]
