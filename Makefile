@@ -5,12 +5,13 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test test-hid lint bench bias povray clean help
+.PHONY: demo test test-hid test-report lint bench bias povray chromium clean help
 
 help:
 	@echo "make demo   set up, render the calibration board, say where the picture lies"
 	@echo "make test   set up (POV-Ray by apt where missing), lint, run all tests"
 	@echo "make test-hid  the LED cases on real HID devices, in two virtual machines (qemu by apt where missing)"
+	@echo "make test-report  open the report of a study in a real browser (Chromium by apt where missing)"
 	@echo "make lint   ruff and mypy --strict"
 	@echo "make bench  speed, overhead, memory, and what a tolerance costs, measured on this machine"
 	@echo "make bias   bias of algorithms on predicted images, with plots"
@@ -24,6 +25,9 @@ test: $(READY) povray lint
 
 test-hid: $(READY)
 	@$(BIN)/python scripts/test_hid.py
+
+test-report: $(READY) chromium
+	@$(BIN)/python -m pytest tests/study/report_in_browser.py
 
 lint: $(READY)
 	@$(BIN)/ruff check .
@@ -56,6 +60,15 @@ povray:
 		{ $$SUDO apt-get update -qq && $$SUDO env DEBIAN_FRONTEND=noninteractive \
 			apt-get install -qq -y --no-install-recommends povray; } >/dev/null 2>&1 \
 		|| echo "warning: POV-Ray could not be installed; cross-checks will not run" >&2; }
+
+# Opens reports of studies as their readers do.
+chromium:
+	@command -v chromium >/dev/null 2>&1 || ! command -v apt-get >/dev/null 2>&1 || { \
+		SUDO=; [ "$$(id -u)" = 0 ] || SUDO=sudo; \
+		echo "installing Chromium ..."; \
+		{ $$SUDO apt-get update -qq && $$SUDO env DEBIAN_FRONTEND=noninteractive \
+			apt-get install -qq -y --no-install-recommends chromium; } >/dev/null 2>&1 \
+		|| echo "warning: Chromium could not be installed" >&2; }
 
 clean:
 	rm -rf $(VENV) out

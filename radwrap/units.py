@@ -65,6 +65,15 @@ COEFFICIENT_OF_RETROREFLECTION: Final = _dimension(
 )
 CURRENT: Final = _dimension("electric current", {"A": 1.0, "mA": 1e-3, "uA": 1e-6})
 PIXEL: Final = _dimension("position on the sensor", {"px": 1.0})
+DIMENSIONS: Final = (
+    LENGTH,
+    ANGLE,
+    TIME,
+    RADIANCE,
+    RADIANT_INTENSITY,
+    COEFFICIENT_OF_RETROREFLECTION,
+    PIXEL,
+)
 
 
 def _finite(number: str) -> float:

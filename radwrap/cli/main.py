@@ -29,6 +29,7 @@ _MODULES: Final = {
     "relight": "relight",
     "explain": "explain",
     "trade": "trade",
+    "study": "study",
     "convert": "convert",
     "measure": "measure",
     "calibrate": "calibrate",

@@ -73,7 +73,7 @@ def scene_from_document(
     """Make a Scene from the tables of a scene file; arguments, result and errors as `load_scene`."""
     document = json.loads(_checked_json(document, origin))
     for key, value in (overrides or {}).items():
-        _override(document, key, value, origin)
+        set_key(document, key, value, origin)
     text = _checked_json(document, origin)
     try:
         model = SceneModel.model_validate(document)
@@ -134,8 +134,14 @@ def _leaves(value: Any, key: str) -> Iterator[tuple[str, Any]]:
         yield key, value
 
 
-def _override(document: Any, key: str, value: Any, origin: str) -> None:
-    """Set one key path; tables on the way are made, list entries must exist."""
+def set_key(document: Any, key: str, value: Any, origin: str) -> None:
+    """Set one key path in a scene's tables; tables on the way are made, list entries must exist.
+
+    Raises
+    ------
+    InputError
+        If there is no such place.
+    """
     where = f"{origin}: {key}"
     steps: list[str | int] = []
     for part in key.split("."):

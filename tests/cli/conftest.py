@@ -9,9 +9,8 @@ import shlex
 import signal
 import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import deepcopy
 from dataclasses import dataclass
@@ -294,14 +293,3 @@ def radiance() -> Path:
     spec = importlib.util.find_spec("pyradiance")
     assert spec is not None and spec.origin is not None
     return Path(spec.origin).parent
-
-
-@pytest.fixture
-def memory_path(tmp_path: Path) -> Iterator[Path]:
-    """A folder in memory, where there is such a disk: thousands of files that are flushed take long on a real one."""
-    memory = Path("/dev/shm")  # noqa: S108  (made by mkdtemp)
-    if not os.access(memory, os.W_OK):
-        yield tmp_path
-        return
-    with tempfile.TemporaryDirectory(prefix="radwrap-test-", dir=memory) as folder:
-        yield Path(folder)

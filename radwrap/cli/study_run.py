@@ -1,0 +1,76 @@
+"""``radwrap study run``: render and measure every run of a design."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+from radwrap.cli import options as shared
+from radwrap.errors import CheckFailed, InputError, ToleranceNotMet
+from radwrap.manifest import json_text
+
+_DESCRIPTION = (
+    "Changes a scene by a design, predicts every image, and measures it. Writes results.csv, a row for each run as "
+    "soon as it is finished, study.json and index.html into DIR. A killed study goes on where it was; a run that fails "
+    "is a row with its error."
+)
+
+
+def add_to(kinds: argparse._SubParsersAction[Any]) -> None:
+    """Add the verb."""
+    parser = kinds.add_parser("run", help="render and measure every run of a design", description=_DESCRIPTION)
+    parser.add_argument(
+        "design", metavar="DESIGN.toml", type=Path, help="factors, design, responses; see docs/study.md"
+    )
+    parser.add_argument("--out", metavar="DIR", help="folder for results.csv, study.json, index.html")
+    add_workers(parser)
+    parser.add_argument("--retry-failed", action="store_true", help="do the runs again that failed before")
+    parser.add_argument("--no-report", action="store_true", help="leave out index.html")
+    shared.add_radiance(parser)
+    shared.add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def add_workers(parser: argparse.ArgumentParser) -> None:
+    """--workers and --dask."""
+    parser.add_argument("--workers", metavar="N", type=int, help="processes, each with one tracer (default: all cores)")
+    parser.add_argument("--dask", metavar="ADDRESS", help='workers of a Dask cluster, such as "tcp://host:8786"')
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Carry out the verb."""
+    from radwrap.study.design import read_design
+    from radwrap.study.study import StudyOptions, run_study
+
+    if not arguments.out:
+        raise InputError("is missing", where="--out", remedy="name a folder for the results")
+    design = read_design(arguments.design)
+    options = StudyOptions(
+        workers=arguments.workers,
+        dask=arguments.dask,
+        retry_failed=arguments.retry_failed,
+        trust=arguments.trust,
+        radiance=arguments.radiance,
+        tracer_timeout=shared.time_of(arguments.tracer_timeout, "--tracer-timeout"),
+        progress=True,
+    )
+    study = run_study(design, Path(arguments.out), options)
+    if not arguments.no_report:
+        from radwrap.study.report import write_report
+
+        write_report(study)
+    told = study.summary
+    code = CheckFailed.exit_code if told["failed"] == told["runs"] else 0
+    code = ToleranceNotMet.exit_code if told["not_met"] else code
+    if arguments.json:
+        print(json_text(told), end="")
+        return code
+    print(
+        f"{study.folder}/results.csv: {told['runs']} runs, {told['failed']} failed, by {told['renders']} renders"
+        + (f" ({told['relit']} images from {told['light_bases']} light bases)" if told["relit"] else "")
+    )
+    if told["not_met"]:
+        print(f"radwrap: {told['not_met']} images do not keep the tolerance; their error bars say so", file=sys.stderr)
+    return code

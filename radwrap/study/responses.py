@@ -1,0 +1,444 @@
+"""What a study reads from each image: a number with its error bar.
+
+The error bar carries the image's certified error (see image_error.py): by
+measuring copies of the image again, or, where that takes long (dots), by the
+measurement's own covariance, scaled to that error.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.calibrate.tsai import SOLVERS, calibrate_camera
+from radwrap.errors import InputError
+from radwrap.images import GrayImage
+from radwrap.imaging.truth import geometry
+from radwrap.measure.dots import METHODS, Dots, find_dots
+from radwrap.measure.edges import Edge, measure_edge
+from radwrap.measure.parts import find_parts
+from radwrap.scene.scene import Scene
+from radwrap.scene.targets import DotBoard, EdgeTarget
+from radwrap.study.image_error import ErrorFields, ImageError, copies_of
+from radwrap.units import ANGLE, LENGTH, PIXEL, Dimension
+
+Array = NDArray[np.float64]
+_T = TypeVar("_T", DotBoard, EdgeTarget)
+
+_DRAWS: Final = 24  # of dot centres; the scatter of so many is known to 15 %
+_SEED: Final = 43
+_DOT_REACH: Final = 1.3  # of a dot's radius: where the errors lie that move its centre
+SENSOR: Final = "sensor"  # as an option: what the scene's sensor has
+
+
+@dataclass(frozen=True, slots=True)
+class Response:
+    """A number that is read from each image.
+
+    Attributes
+    ----------
+    name : str
+        Column of the table.
+    kind : str
+        One of `KINDS`.
+    unit : str
+        In which it is told; empty for a bare number.
+    options : Mapping
+        Of the measurement.
+    """
+
+    name: str
+    kind: str
+    unit: str = ""
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def column(self) -> str:
+        """Heading of its column."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+    @property
+    def error_column(self) -> str:
+        """Heading of its error's column."""
+        return f"{self.name}_error [{self.unit}]" if self.unit else f"{self.name}_error"
+
+    @property
+    def scale(self) -> float:
+        """Size of its unit in SI."""
+        dimension = KINDS[self.kind].dimension
+        return 1.0 if dimension is None or not self.unit else dimension.units[self.unit]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """An image, and all that a measurement may use.
+
+    Attributes
+    ----------
+    scene : Scene
+        Its truth, and its sensor.
+    image : GrayImage
+        What the camera gives.
+    gray : ndarray
+        The same before rounding.
+    error : ImageError
+        How far it may be off.
+    fields : ErrorFields
+        How that may lie.
+    """
+
+    scene: Scene
+    image: GrayImage
+    gray: Array
+    error: ImageError
+    fields: ErrorFields
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """A value and its standard uncertainty by the image's certified error, in SI."""
+
+    value: float
+    error: float
+
+
+Options = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """A measurement.
+
+    Attributes
+    ----------
+    what : str
+        For people.
+    dimension : Dimension or None
+        Of its value.
+    unit : str
+        In which it is told where nothing else is said.
+    options : Mapping
+        Name -> what it may be: choices, a type, or "gray" for a number or "sensor".
+    answer : callable
+        Image and options -> value with error.
+    copies : bool
+        Whether its error is found on copies of the image.
+    """
+
+    what: str
+    dimension: Dimension | None
+    unit: str
+    options: Mapping[str, Any]
+    answer: Callable[[Seen, Options], Answer]
+    copies: bool = True
+
+
+def check_options(kind: str, options: Options, where: str) -> None:
+    """Refuse options that the measurement does not have.
+
+    Raises
+    ------
+    InputError
+        Naming the option.
+    """
+    known = KINDS[kind].options
+    for name, value in options.items():
+        if name not in known:
+            raise InputError(
+                f"unknown option of {kind}", where=f"{where}.{name}", remedy=f"known are {', '.join(known) or 'none'}"
+            )
+        allowed = known[name]
+        if isinstance(allowed, tuple):
+            if value not in allowed:
+                raise InputError(f"{value!r} is not one of {', '.join(allowed)}", where=f"{where}.{name}")
+        elif allowed is str:
+            if not isinstance(value, str):
+                raise InputError("must be a name", where=f"{where}.{name}")
+        elif (allowed is float or value != SENSOR) and not _is_number(value):
+            also = "" if allowed is float else f' or "{SENSOR}"'
+            raise InputError(f"must be a number{also}, not {value!r}", where=f"{where}.{name}")
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def check_target(kind: str, scene: Scene, options: Options, where: str) -> None:
+    """Refuse a measurement of something that the scene does not hold.
+
+    Raises
+    ------
+    InputError
+        If there is no board or no edge.
+    """
+    try:
+        if "board" in KINDS[kind].options:
+            _target(scene, DotBoard, options.get("board"))
+        elif kind == "edge_error":
+            _target(scene, EdgeTarget, None)
+    except InputError as error:
+        raise InputError(error.what, where=where, remedy=error.remedy) from error
+
+
+def answer(response: Response, seen: Seen) -> Answer:
+    """Measure.
+
+    Raises
+    ------
+    InputError
+        If the image does not show it.
+    """
+    found = KINDS[response.kind].answer(seen, response.options)
+    if not (math.isfinite(found.value) and math.isfinite(found.error)):
+        raise InputError("is not finite", where=response.name)
+    return found
+
+
+# ------------------------------------------------------------------------------------------------------------- options
+
+
+def _level(seen: Seen, options: Options, name: str) -> float | None:
+    value = options.get(name)
+    if value != SENSOR:
+        return None if value is None else float(value)
+    sensor = seen.scene.camera.sensor
+    return {"dark": sensor.dark_gray, "gamma": sensor.gamma, "saturation": sensor.saturation_gray}[name]
+
+
+def _aspect(seen: Seen) -> float:
+    sensor = seen.scene.camera.sensor
+    return sensor.pixel_height / sensor.pixel_width
+
+
+def _target(scene: Scene, kind: type[_T], name: str | None) -> _T:
+    found = [target for target in scene.targets if isinstance(target, kind) and name in (None, target.name)]
+    if not found:
+        what = "board of dots" if issubclass(kind, DotBoard) else "edge"
+        raise InputError(f"the scene has no {what}" + (f' "{name}"' if name else ""), remedy="add it to [[targets]]")
+    return found[0]
+
+
+# ---------------------------------------------------------------------------------------------------------------- dots
+
+
+def _dots(seen: Seen, options: Options) -> tuple[DotBoard, Dots]:
+    board = _target(seen.scene, DotBoard, options.get("board"))
+    found = find_dots(
+        seen.image,
+        board.rows,
+        board.columns,
+        method=options.get("method", "gray"),
+        dark=_level(seen, options, "dark"),
+        pitch=board.pitch,
+        dot_diameter=board.dot_diameter,
+        saturation=seen.scene.camera.sensor.saturation_gray,
+    )
+    return board, found
+
+
+def centre_covariances(dots: Dots, error: ImageError) -> Array:
+    """Covariance of each centre by the image's error, shape (n, 2, 2) [px^2].
+
+    That of the measurement, which white noise of `dots.noise` in every pixel would cause, times the variance of the
+    image's error around the dot over that noise, times the number of pixels whose errors are as one.
+    """
+    covariances = []
+    for dot in dots.dots:
+        reach = _DOT_REACH * math.sqrt(dot.area / math.pi)
+        share = error.near(dot.u, dot.v, reach) / dots.noise**2 * min(error.block, dot.area)
+        covariances.append(dot.covariance * share)
+    return np.array(covariances)
+
+
+def _drawn_centres(dots: Dots, error: ImageError) -> Array:
+    """Centres as they may be, shape (draws, n, 2) [px]."""
+    random = np.random.default_rng((_SEED, len(dots.dots)))
+    roots = np.linalg.cholesky(centre_covariances(dots, error) + 1e-30 * np.eye(2))
+    drawn: Array = dots.centres + np.einsum("nij,dnj->dni", roots, random.standard_normal((_DRAWS, len(roots), 2)))
+    return drawn
+
+
+def _focal_length(seen: Seen, options: Options) -> Answer:
+    board, dots = _dots(seen, options)
+    camera = seen.scene.camera
+    places = {(row, column): centre for row, column, centre in board.dot_centres()}
+    points = np.array([places[dot.row, dot.column] for dot in dots.dots])
+
+    def calibrated(centres: Array) -> float:
+        return calibrate_camera(
+            points,
+            centres,
+            pixel_width=camera.sensor.pixel_width,
+            pixel_height=camera.sensor.pixel_height,
+            centre=camera.principal_point,
+            solver=options.get("solver", "tsai"),
+        ).focal_length
+
+    return _spread(
+        calibrated(dots.centres), [_tried(calibrated, centres) for centres in _drawn_centres(dots, seen.error)]
+    )
+
+
+def _tried(measure: Callable[[Any], float], what: Any) -> float:
+    """The measurement, NaN where it finds nothing."""
+    try:
+        return measure(what)
+    except InputError:
+        return math.nan
+
+
+def _spread(value: float, again: list[float]) -> Answer:
+    """The value with the rms change that the image's error makes; half of the copies at least must still show it."""
+    changes = np.array([other - value for other in again])
+    good = np.isfinite(changes)
+    if 2 * good.sum() < len(changes):
+        raise InputError("is lost in most images that differ by no more than the certified error")
+    return Answer(value, math.sqrt(float(np.mean(changes[good] ** 2))))
+
+
+def _dot_error(seen: Seen, options: Options) -> Answer:
+    board, dots = _dots(seen, options)
+    truth = geometry(seen.scene, ())["targets"][board.name]["dots"]
+    places = {(dot["row"], dot["column"]): (dot["u"], dot["v"]) for dot in truth}
+    true = np.array([places[dot.row, dot.column] for dot in dots.dots])
+
+    def rms(centres: Array) -> float:
+        return math.sqrt(float(((centres - true) ** 2).sum(axis=1).mean()))
+
+    return _spread(rms(dots.centres), [rms(centres) for centres in _drawn_centres(dots, seen.error)])
+
+
+# ------------------------------------------------------------------------------------------------------ edges and parts
+
+
+def _again(seen: Seen, measure: Callable[[GrayImage], float]) -> Answer:
+    """Measure the image, and copies of it with its error."""
+    copies = copies_of(seen.gray, seen.error, seen.fields, seen.scene.camera.sensor)
+    return _spread(measure(seen.image), [_tried(measure, copy) for copy in copies])
+
+
+def _edge(seen: Seen, image: GrayImage, options: Options) -> Edge:
+    return measure_edge(
+        image,
+        dark=_level(seen, options, "dark"),
+        gamma=_level(seen, options, "gamma"),
+        pixel_aspect=_aspect(seen),
+        saturation=seen.scene.camera.sensor.saturation_gray,
+    )
+
+
+def _edge_position(seen: Seen, options: Options) -> Answer:
+    return _again(seen, lambda image: _edge(seen, image, options).offset)
+
+
+def _edge_blur(seen: Seen, options: Options) -> Answer:
+    return _again(seen, lambda image: _edge(seen, image, options).radius)
+
+
+def _edge_error(seen: Seen, options: Options) -> Answer:
+    target = _target(seen.scene, EdgeTarget, None)
+    line = geometry(seen.scene, ())["targets"][target.name]["edge"]
+    if line["angle"] is None:
+        raise InputError("the edge lies behind the camera")
+    normal = np.array([math.cos(line["angle"]), math.sin(line["angle"])])
+
+    def off(image: GrayImage) -> float:
+        return float(normal @ np.asarray(_edge(seen, image, options).centre)) - float(line["offset"])
+
+    return _again(seen, off)
+
+
+def _part_orientation(seen: Seen, options: Options) -> Answer:
+    given = {name: options[name] for name in ("threshold", "min_area") if name in options}
+    dark, gamma = _level(seen, options, "dark"), _level(seen, options, "gamma")
+
+    def orientation(image: GrayImage) -> float:
+        found = find_parts(image, dark=dark, gamma=1.0 if gamma is None else gamma, pixel_aspect=_aspect(seen), **given)
+        largest = max(found.parts, key=lambda part: part.area)
+        if largest.orientation_ambiguous:
+            raise InputError("the largest part has no axis")
+        return largest.orientation
+
+    value = orientation(seen.image)
+    # An axis has no direction: of two answers half a turn apart the nearer one counts.
+    return _again(seen, lambda image: value + (orientation(image) - value + math.pi / 2) % math.pi - math.pi / 2)
+
+
+# ---------------------------------------------------------------------------------------------------------------- gray
+
+
+def _mean_gray(seen: Seen, _: Options) -> Answer:
+    """The mean of an error is at most its rms, whatever it looks like."""
+    return Answer(float(seen.image.values.mean()), seen.error.rms)
+
+
+def contrast(image: GrayImage) -> float:
+    """(bright - dark)/(bright + dark) of the 99th and 1st percentile of the gray levels."""
+    dark, bright = np.percentile(image.values, (1, 99))
+    return float((bright - dark) / (bright + dark)) if bright + dark > 0 else 0.0
+
+
+def _contrast(seen: Seen, _: Options) -> Answer:
+    return _again(seen, contrast)
+
+
+def _saturated_share(seen: Seen, _: Options) -> Answer:
+    saturation = seen.scene.camera.sensor.saturation_gray
+    # Not of rounded gray levels: rounding may reach a saturation that the pixel does not.
+    value = float((seen.gray >= saturation).mean())
+    amplitude = np.sqrt(seen.error.variance)
+    shares = [float((seen.gray + amplitude * field >= saturation).mean()) for field in seen.fields.fields]
+    return _spread(value, shares)
+
+
+_DOTS: Final = {"method": METHODS, "dark": "gray", "board": str}
+_EDGE: Final = {"dark": "gray", "gamma": "gray"}
+KINDS: Final[Mapping[str, Kind]] = {
+    "focal_length": Kind(
+        "focal length by calibration on a board of dots",
+        LENGTH,
+        "mm",
+        {**_DOTS, "solver": SOLVERS},
+        _focal_length,
+        copies=False,
+    ),
+    "dot_error": Kind("rms distance of dot centres from the truth", PIXEL, "px", _DOTS, _dot_error, copies=False),
+    "edge_position": Kind("distance of the edge from the first pixel's centre", PIXEL, "px", _EDGE, _edge_position),
+    "edge_error": Kind("distance of the measured from the true edge", PIXEL, "px", _EDGE, _edge_error),
+    "edge_blur": Kind("radius of the edge's blur", PIXEL, "px", _EDGE, _edge_blur),
+    "part_orientation": Kind(
+        "orientation of the largest part",
+        ANGLE,
+        "deg",
+        {"dark": "gray", "gamma": "gray", "threshold": float, "min_area": float},
+        _part_orientation,
+    ),
+    "mean_gray": Kind("mean gray level", None, "", {}, _mean_gray, copies=False),
+    "contrast": Kind("Michelson contrast of 99th and 1st percentile", None, "", {}, _contrast),
+    "saturated_share": Kind("share of saturated pixels", None, "", {}, _saturated_share),
+}
+
+
+def unit_of(kind: str, unit: str | None, where: str) -> str:
+    """The unit in which a response is told.
+
+    Raises
+    ------
+    InputError
+        If it is none of that quantity.
+    """
+    dimension = KINDS[kind].dimension
+    if unit is None:
+        return KINDS[kind].unit
+    if dimension is None:
+        raise InputError(f"{kind} has no unit", where=where, remedy="leave it out")
+    if unit not in dimension.units:
+        raise InputError(
+            f'"{unit}" is no unit of {dimension.name}', where=where, remedy=f"use one of: {', '.join(dimension.units)}"
+        )
+    return unit

@@ -1,0 +1,311 @@
+"""A study from its design to its table: plan the jobs so that nothing is traced twice, do them, say what came of it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+from radwrap.errors import InputError
+from radwrap.files import make_folder, sole_owner
+from radwrap.manifest import SCHEMA_VERSION, read_manifest, sha256_of_value, versions, write_manifest
+from radwrap.process import available_cores
+from radwrap.progress import Progress
+from radwrap.study.design import Design, render_options
+from radwrap.study.journal import RESULTS, Journal
+from radwrap.study.light import reference_levels, split_light, with_levels
+from radwrap.study.pool import DaskPool, LocalPool, Pool
+from radwrap.study.runner import Scheduler, Step, chunks
+from radwrap.study.runs import Run, analysis_of, check_design, runs_of
+from radwrap.study.worker import Job, Measured
+
+PLAN: Final = "plan.json"
+STUDY: Final = "study.json"
+_RENDERS: Final = "renders"
+_BASES: Final = "bases"
+_NAME: Final = 20  # digits of a hash that name a folder
+# A basis costs a render for each source and one for all together, and its levels are free afterwards.
+_BASIS_OVERHEAD: Final = 2
+_CHUNK: Final = 32  # images that one job makes from a basis
+
+
+@dataclass(frozen=True, slots=True)
+class StudyOptions:
+    """How a study is carried out; nothing of it changes a number.
+
+    Attributes
+    ----------
+    workers : int, optional
+        Processes; default one a core.
+    dask : str, optional
+        Address of a Dask scheduler, in place of own processes.
+    retry_failed : bool
+        Whether runs that failed before are done again.
+    trust, radiance, tracer_timeout
+        As in `RenderOptions`.
+    progress : bool
+        Show progress on stderr.
+    """
+
+    workers: int | None = None
+    dask: str | None = None
+    retry_failed: bool = False
+    trust: bool = False
+    radiance: str | None = None
+    tracer_timeout: float = 600.0
+    progress: bool = False
+
+    def __post_init__(self) -> None:
+        if self.workers is not None and not 1 <= self.workers <= 4096:
+            raise InputError(f"must lie between 1 and 4096, not {self.workers}", where="--workers")
+        if self.workers is not None and self.dask is not None:
+            raise InputError("the cluster has its own workers", where="--workers", remedy="leave it out with --dask")
+
+    @property
+    def of_render(self) -> dict[str, Any]:
+        """What renders need to know."""
+        return {"trust": self.trust, "radiance": self.radiance, "tracer_timeout": self.tracer_timeout}
+
+
+@dataclass(frozen=True, slots=True)
+class Study:
+    """A study that was carried out.
+
+    Attributes
+    ----------
+    design : Design
+    folder : Path
+    rows : tuple of dict
+        The table, in the order of the runs.
+    summary : Mapping
+        What study.json holds.
+    """
+
+    design: Design
+    folder: Path
+    rows: tuple[Mapping[str, str], ...]
+    summary: Mapping[str, Any]
+
+
+def run_study(design: Design, out: Path, options: StudyOptions) -> Study:
+    """Carry out a study; rows and images that an equal study left in the folder are used again.
+
+    Raises
+    ------
+    InputError
+        If the design cannot work, or the folder holds another study; before the first ray.
+    EnvironmentFailure
+        If Radiance, Dask or the disk fails.
+    """
+    start = time.monotonic()
+    check_design(design, options.of_render)
+    runs = runs_of(design)
+    make_folder(out)
+    with sole_owner(out):
+        _take_possession(out, design, runs, options)
+        journal = Journal(out, design, runs)
+        known = journal.finished()
+        if options.retry_failed:
+            journal.forget([number for number, row in known.items() if row["error"]])
+            known = journal.finished()
+        steps, made = plan_steps(design, runs, out, options)
+        if len(known) < len(runs):
+            _carry_out(still_due(steps, known), journal, options, len(runs) - len(known), len(runs))
+        rows = journal.close()
+        summary = _summary(design, rows, made, out)
+        timing = {"wall_s": time.monotonic() - start, "reused_runs": len(known)}
+        write_manifest(out / STUDY, {**summary, "timing": timing})
+    return Study(design, out, tuple(rows), {**summary, "timing": timing})
+
+
+def _carry_out(steps: Sequence[Step], journal: Journal, options: StudyOptions, due: int, total: int) -> None:
+    progress = Progress("runs", total, shown=options.progress)
+    progress.skip(total - due)
+    with closing(open_pool(options)) as pool:
+        try:
+            Scheduler(steps, journal, pool, progress).run()
+        finally:
+            progress.close()
+
+
+def open_pool(options: StudyOptions) -> Pool:
+    """Workers, to be closed by the caller."""
+    if options.dask is not None:
+        return DaskPool(options.dask)
+    return LocalPool(options.workers or available_cores())
+
+
+def _take_possession(out: Path, design: Design, runs: Sequence[Run], options: StudyOptions) -> None:
+    """Write what the study is, or make sure that it is the one that lies there."""
+    told = {
+        "schema_version": SCHEMA_VERSION,
+        "title": design.title,
+        "design": asdict(replace(design, folder=Path(design.folder.name))) | {"folder": design.folder.name},
+        "analysis": analysis_of(design),
+        "runs": len(runs),
+        "versions": versions(),
+        "trust": options.trust,
+    }
+    told["study_sha256"] = sha256_of_value({**told, "images": [run.image for run in runs]})
+    if (out / PLAN).exists():
+        if read_manifest(out / PLAN).get("study_sha256") != told["study_sha256"]:
+            raise InputError("holds another study", where=str(out), remedy="choose another --out")
+        return
+    if (out / RESULTS).exists():
+        raise InputError(f"holds a {RESULTS} of something else", where=str(out), remedy="choose another --out")
+    write_manifest(out / PLAN, told)
+
+
+# ---------------------------------------------------------------------------------------------------------------- plan
+
+
+@dataclass(frozen=True, slots=True)
+class Made:
+    """What a study traces.
+
+    Attributes
+    ----------
+    renders, bases : int
+        Images that are traced for themselves, and light bases.
+    relit : int
+        Images that are made from a basis.
+    """
+
+    renders: int
+    bases: int
+    relit: int
+
+
+def plan_steps(design: Design, runs: Sequence[Run], out: Path, options: StudyOptions) -> tuple[list[Step], Made]:
+    """The jobs for some runs: equal images once, and from a light basis where only levels of sources differ."""
+    images: dict[str, list[Run]] = {}
+    for run in runs:
+        images.setdefault(run.image, []).append(run)
+    groups = _light_groups(design, images, options)
+    steps: list[Step] = []
+    for number, group in enumerate(groups, 1):
+        steps += _basis_steps(design, group, f"basis{number}", out, options)
+    relit = {image for group in groups for image in group.images}
+    for image, sharing in images.items():
+        if image not in relit:
+            steps += _render_steps(design, image, sharing, out, options)
+    return steps, Made(len(images) - len(relit), len(groups), len(relit))
+
+
+def still_due(steps: Sequence[Step], finished: Mapping[int, Any]) -> list[Step]:
+    """The plan without the runs that are finished; it stays the plan of all runs, so that no number depends on them."""
+    left: list[Step] = []
+    first: dict[str, str] = {}
+    needed = {step.after for step in steps if any(run.run not in finished for run in step.job.runs)}
+    for step in steps:
+        job = replace(step.job, runs=tuple(run for run in step.job.runs if run.run not in finished))
+        if not job.runs and not (job.name in needed and not step.job.runs):
+            continue
+        # Where the run that was to render is finished or failed, the next one sees to the image, and the others wait.
+        leader = first.setdefault(job.image, job.name)
+        left.append(Step(job, None if leader == job.name else leader))
+    return left
+
+
+def _render_steps(design: Design, image: str, runs: Sequence[Run], out: Path, options: StudyOptions) -> Iterator[Step]:
+    """The first run renders, the others look at its image."""
+    first = f"run{runs[0].index}"
+    for run in runs:
+        job = _job(design, run, out, options, name=f"run{run.index}", image=f"{_RENDERS}/{image[:_NAME]}")
+        yield Step(replace(job, runs=(Measured(run.index, run.responses),)), None if run is runs[0] else first)
+
+
+def _job(design: Design, run: Run, out: Path, options: StudyOptions, *, name: str, image: str, **how: Any) -> Job:
+    render = render_options(
+        run.render, f"{design.origin}: render", seed=run.seed, workers=1, **options.of_render, **how
+    )
+    return Job(
+        name=name,
+        study=str(out.absolute()),
+        image=image,
+        document=run.document,
+        origin=design.scene_origin,
+        folder=str(design.folder.absolute()),
+        options=render,
+        runs=(),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _LightGroup:
+    """Runs whose images differ only in the levels of sources."""
+
+    bare: Mapping[str, Any]
+    runs: tuple[Run, ...]
+    levels: tuple[Mapping[str, float], ...]
+
+    @property
+    def images(self) -> set[str]:
+        return {run.image for run in self.runs}
+
+
+def _light_groups(design: Design, images: Mapping[str, Sequence[Run]], options: StudyOptions) -> list[_LightGroup]:
+    """Groups for which a basis pays, or that are to have one."""
+    if design.basis is False:
+        return []
+    groups: dict[str, list[tuple[Run, Mapping[str, float], Mapping[str, Any]]]] = {}
+    for sharing in images.values():
+        run = sharing[0]
+        if render_options(run.render, "render", **options.of_render).fixed_method is not None:
+            continue  # a basis is made to a tolerance
+        try:
+            bare, levels = split_light(run.document)
+        except (InputError, KeyError, TypeError):
+            continue  # the run itself will say what is wrong with it
+        key = sha256_of_value({"scene": bare, "render": run.render, "seed": run.seed})
+        groups.setdefault(key, []).append((run, levels, bare))
+    found = []
+    for members in groups.values():
+        sources = sum(level > 0 for level in reference_levels(levels for _, levels, _ in members).values())
+        least = 2 if design.basis else sources + _BASIS_OVERHEAD + 1
+        if sources and len(members) >= least:
+            every = [(run, levels) for first, levels, _ in members for run in images[first.image]]
+            every.sort(key=lambda pair: pair[0].index)
+            found.append(_LightGroup(members[0][2], tuple(r for r, _ in every), tuple(v for _, v in every)))
+    return found
+
+
+def _basis_steps(design: Design, group: _LightGroup, name: str, out: Path, options: StudyOptions) -> Iterator[Step]:
+    reference = reference_levels(group.levels)
+    lit = replace(group.runs[0], document=with_levels(group.bare, reference))
+    folder = f"{_BASES}/{sha256_of_value({'image': lit.image})[:_NAME]}"
+    maker = _job(design, lit, out, options, name=name, image=folder, basis=True)
+    yield Step(maker)
+    pairs = list(zip(group.runs, group.levels, strict=True))
+    for number, part in enumerate(chunks(pairs, _CHUNK), 1):
+        runs = tuple(Measured(run.index, run.responses, levels) for run, levels in part)
+        yield Step(replace(maker, name=f"{name}.{number}", runs=runs, reference=reference), name)
+
+
+# ------------------------------------------------------------------------------------------------------------- summary
+
+
+def _summary(design: Design, rows: Sequence[Mapping[str, str]], made: Made, out: Path) -> dict[str, Any]:
+    failed = [row for row in rows if row["error"]]
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "title": design.title,
+        "study_sha256": read_manifest(out / PLAN)["study_sha256"],
+        "results": RESULTS,
+        "runs": len(rows),
+        "failed": len(failed),
+        "not_met": sum(row["met"] == "0" for row in rows),
+        "renders": made.renders + made.bases,
+        "light_bases": made.bases,
+        "relit": made.relit,
+        "factors": {factor.name: factor.label for factor in design.factors},
+        "responses": {
+            response.name: {"measure": response.kind, "unit": response.unit, **response.options}
+            for response in design.responses
+        },
+        "analysis": analysis_of(design),
+        "versions": versions(),
+    }

@@ -1,0 +1,256 @@
+"""What a worker of a study does: make an image with one tracer at a time, and measure it.
+
+Jobs and what comes back are plain values, so that a worker may be a process
+here or on another machine that sees the study's folder under the same name.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.errors import INTERRUPTED, EnvironmentFailure, InputError, RadwrapError, TracerError, one_line
+from radwrap.files import make_folder, sha256_of
+from radwrap.images import GrayImage, write_png
+from radwrap.imaging.relight import read_basis, relit
+from radwrap.imaging.render_options import RenderOptions
+from radwrap.imaging.sensor import gray_levels
+from radwrap.imaging.synthesis import MANIFEST, load_result, render
+from radwrap.manifest import read_manifest
+from radwrap.scene.load import scene_from_document
+from radwrap.scene.scene import Scene
+from radwrap.study.image_error import COPIES, ErrorFields, blur_radii, error_fields, image_error
+from radwrap.study.light import factors
+from radwrap.study.responses import KINDS, Answer, Response, Seen, answer
+
+STARTED: Final = "started.log"
+THUMBNAILS: Final = "thumbnails"
+_THUMBNAIL: Final = 96  # px wide
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """What is read from an image for one run: its number, and its responses."""
+
+    run: int
+    responses: tuple[Response, ...]
+    levels: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """A piece of a study.
+
+    Attributes
+    ----------
+    name : str
+        Unique in the study.
+    study : str
+        The study's folder.
+    image : str
+        Folder below it for the image or the light basis.
+    document, origin, folder
+        The scene: its tables, its file's name, and where it lies.
+    options : RenderOptions
+        How; with one worker.
+    runs : tuple of Measured
+        What to measure; none where a basis is made.
+    reference : Mapping
+        Where the images come from a light basis: emitter -> level that the basis was rendered with.
+    """
+
+    name: str
+    study: str
+    image: str
+    document: Mapping[str, Any]
+    origin: str
+    folder: str
+    options: RenderOptions
+    runs: tuple[Measured, ...]
+    reference: Mapping[str, float] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a run came to.
+
+    Attributes
+    ----------
+    run : int
+    answers : Mapping of str to Answer
+        Response -> value and error, as far as it was found.
+    image_error : float or None
+        Certified bound of the image's rms error [gray level].
+    met : bool
+        Whether the image keeps the tolerance asked for.
+    error : str
+        Why something is missing; empty where nothing is.
+    wall_s : float
+        How long it took [s].
+    """
+
+    run: int
+    answers: Mapping[str, Answer]
+    image_error: float | None
+    met: bool
+    error: str
+    wall_s: float
+
+
+def carry_out(job: Job) -> list[Outcome]:
+    """Do a job; what goes wrong with a run is its outcome.
+
+    Raises
+    ------
+    EnvironmentFailure
+        If no run could be done here: no Radiance, no disk.
+    """
+    from threadpoolctl import threadpool_limits
+
+    # Workers share the cores already; threads of linear algebra on top of them only wait for each other.
+    with _ended_by_signal(), threadpool_limits(1):
+        _log(job)
+        start = time.monotonic()
+        try:
+            return list(_outcomes(job, start))
+        except (InputError, TracerError) as error:
+            return [failed(run.run, str(error), time.monotonic() - start) for run in job.runs] or _raise(error)
+        except OSError as error:
+            raise EnvironmentFailure(error.strerror or str(error), where=str(error.filename or job.study)) from error
+
+
+def _raise(error: RadwrapError) -> list[Outcome]:
+    raise error
+
+
+def failed(run: int, why: str, wall_s: float = 0.0) -> Outcome:
+    """The outcome of a run that has none."""
+    return Outcome(run, {}, None, False, one_line(why), wall_s)
+
+
+@contextmanager
+def _ended_by_signal() -> Iterator[None]:
+    """SIGTERM ends the tracers first, then this process; a thread of somebody else's process cannot know of it."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        yield
+    except KeyboardInterrupt:
+        os._exit(INTERRUPTED)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _interrupt(*_: object) -> None:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    raise KeyboardInterrupt
+
+
+def _log(job: Job) -> None:
+    """One line for each run that begins, in one write, so that lines of many workers do not mix."""
+    words = [f"{job.name} {run.run} {os.getpid()}" for run in job.runs] or [f"{job.name} 0 {os.getpid()}"]
+    descriptor = os.open(Path(job.study) / STARTED, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
+    try:
+        os.write(descriptor, ("\n".join(words) + "\n").encode())
+    finally:
+        os.close(descriptor)
+
+
+def _outcomes(job: Job, start: float) -> Iterator[Outcome]:
+    scene = scene_from_document(job.document, origin=job.origin, folder=Path(job.folder))
+    out = Path(job.study) / job.image
+    if job.reference is not None:
+        yield from _relit(job, scene, out, start)
+    elif not _is_whole(out):
+        # Its errors are those of this job; the folder is left as far as it came, and goes on there another time.
+        render(scene, out, job.options)
+    if job.reference is not None or not job.runs:
+        return
+    result = load_result(scene, out)
+    gray = gray_levels(result.radiant_exposure.values, scene.camera.sensor)
+    radii = blur_radii(scene)
+    fields = _fields(job, scene, radii)
+    met = bool(result.manifest.get("plan", {}).get("met", True))
+    for run in job.runs:
+        bound = float(result.manifest["error"]["rms_gray_upper95"])
+        seen = Seen(scene, result.gray, gray, image_error(gray, bound, radii), fields)
+        yield _outcome(job, run, seen, met=met, wall_s=time.monotonic() - start)
+
+
+def _is_whole(out: Path) -> bool:
+    """Whether an image lies there, every file of it; its folder's name says of what."""
+    try:
+        files = read_manifest(out / MANIFEST)["files"]
+        return all(sha256_of(out / name) == known for name, known in files.items())
+    except (InputError, OSError, KeyError):
+        return False
+
+
+def _relit(job: Job, scene: Scene, out: Path, start: float) -> Iterator[Outcome]:
+    assert job.reference is not None  # noqa: S101  (asked before)
+    basis = read_basis(out)
+    levels = [factors(run.levels, job.reference, basis.sources) for run in job.runs]
+    radii = blur_radii(scene)
+    fields = _fields(job, scene, radii)
+    for run, image in zip(job.runs, relit(basis, levels), strict=True):
+        gray = gray_levels(image.radiant_exposure.values, scene.camera.sensor)
+        seen = Seen(scene, image.gray, gray, image_error(gray, image.certificate.rms_gray_upper95, radii), fields)
+        yield _outcome(job, run, seen, met=image.keeps(basis), wall_s=time.monotonic() - start)
+        start = time.monotonic()
+
+
+def _fields(job: Job, scene: Scene, radii: tuple[float, float]) -> ErrorFields:
+    """Error fields for the scene's images; none where no response needs them."""
+    needed = any(KINDS[response.kind].copies for run in job.runs for response in run.responses)
+    sensor = scene.camera.sensor
+    return error_fields((sensor.rows, sensor.columns), radii, COPIES if needed else 0)
+
+
+def _outcome(job: Job, run: Measured, seen: Seen, *, met: bool, wall_s: float) -> Outcome:
+    start = time.monotonic()
+    answers: dict[str, Answer] = {}
+    errors = []
+    for response in run.responses:
+        try:
+            answers[response.name] = answer(response, seen)
+        except InputError as error:
+            errors.append(f"{response.name}: {error}")
+        except (ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
+            errors.append(f"{response.name}: {type(error).__name__}: {error}")
+    write_thumbnail(Path(job.study), run.run, seen.image)
+    told = one_line("; ".join(errors))
+    return Outcome(run.run, answers, seen.error.rms, met, told, wall_s + time.monotonic() - start)
+
+
+def thumbnail_path(study: Path, run: int) -> Path:
+    """Where the small picture of a run lies."""
+    return study / THUMBNAILS / f"{run:06d}.png"
+
+
+def write_thumbnail(study: Path, run: int, image: GrayImage) -> None:
+    """Write a small picture of an image: means of blocks of pixels, 8 bits."""
+    path = thumbnail_path(study, run)
+    make_folder(path.parent)
+    values = image.values * (255.0 / (2**image.bit_depth - 1))
+    write_png(path, np.rint(_reduced(values, max(1, -(-values.shape[1] // _THUMBNAIL)))).astype(np.uint8))
+
+
+def _reduced(values: NDArray[np.float64], step: int) -> NDArray[np.float64]:
+    rows, columns = (max(step, size // step * step) for size in values.shape)
+    if min(values.shape) < step:
+        return values
+    cut = values[:rows, :columns].reshape(rows // step, step, columns // step, step)
+    small: NDArray[np.float64] = cut.mean(axis=(1, 3))
+    return small

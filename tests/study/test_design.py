@@ -1,0 +1,199 @@
+"""Designs: what they expand to, and what is refused before the first ray."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from radwrap.errors import InputError
+from radwrap.study.design import Design, read_design
+from radwrap.study.light import reference_levels, split_light, with_levels
+from radwrap.study.runs import Run, check_design, runs_of
+from radwrap.study.study import StudyOptions, plan_steps
+from tests.cli.conftest import here
+from tests.study.conftest import SMALL, DesignWriter
+
+TABLE2 = Path(__file__).parents[2] / "rad_scenes" / "study_table2" / "design.toml"
+
+
+def expanded(path: Path) -> tuple[Design, tuple[Run, ...]]:
+    design = read_design(path)
+    check_design(design, {})
+    return design, runs_of(design)
+
+
+def test_table_2_is_sixteen_runs_in_the_order_of_table_3() -> None:
+    _, runs = expanded(TABLE2)
+    assert ["".join(level.name for level in run.levels) for run in runs] == [
+        a + b + c + d for a in "LH" for b in "LH" for c in "LH" for d in "LH"
+    ]
+    ring = runs[-1].document["sources"][0]
+    assert ring["misalignment"] == {"about_y": "1.2 deg", "about_z": "-85 deg"}
+    factors = [led["radiance_factor"] for led in ring["leds"]]
+    assert len(set(factors)) == 12 and all(0.85 <= factor <= 1.15 for factor in factors)
+    assert all(0.1 <= float(led["axis_tilt"].split()[0]) <= 1.9 for led in ring["leds"])
+    assert all(
+        "radiance_factor" in led and led["radiance_factor"] == 1.0 for led in runs[0].document["sources"][0]["leds"]
+    )
+
+
+def test_draws_are_uniform_and_each_run_has_its_own(design: DesignWriter) -> None:
+    text = SMALL.replace("seed = 5", "seed = 5\nreplicates = 100")
+    _, runs = expanded(design(text))
+    drawn = np.array(
+        [
+            [led["beam_width_factor"] for led in run.document["sources"][0]["leds"]]
+            for run in runs
+            if run.levels[1].name == "H"
+        ]
+    )
+    assert drawn.shape == (200, 3) and len(np.unique(drawn)) == drawn.size
+    # Mean and standard deviation of a uniform draw, 600 of them: within 4 standard errors.
+    sigma = 0.2 / np.sqrt(12)
+    assert drawn.mean() == pytest.approx(1.0, abs=4 * sigma / np.sqrt(600))
+    assert drawn.std() == pytest.approx(sigma, rel=0.1)
+
+
+def test_draws_once_are_shared_by_the_runs_of_a_replicate(design: DesignWriter) -> None:
+    text = SMALL.replace("seed = 5", "seed = 5\nreplicates = 2") + 'draws = "once"\n'
+    _, runs = expanded(design(text))
+    drawn = [run.document["sources"][0]["leds"] for run in runs if run.levels[1].name == "H"]
+    assert drawn[0] == drawn[1] and drawn[2] == drawn[3] and drawn[0] != drawn[2]
+
+
+def test_a_latin_hypercube_has_one_run_in_each_part_of_each_range(design: DesignWriter) -> None:
+    text = """
+[design]
+kind = "latin_hypercube"
+runs = 10
+[factors.x]
+key = "targets[0].edge_position"
+range = ["1 mm", "2 mm"]
+[factors.t]
+key = "camera.exposure_time"
+range = ["50 ms", "100 ms"]
+"""
+    _, runs = expanded(design(text))
+    for factor, (low, size) in enumerate(((1, 1), (50, 50))):
+        shares = [(float(run.levels[factor].name.split()[0]) - low) / size for run in runs]
+        assert sorted(int(10 * share) for share in shares) == list(range(10))
+
+
+def test_a_fraction_and_a_list(design: DesignWriter) -> None:
+    three = SMALL + '[factors.t]\nkey = "camera.exposure_time"\nlevels = ["50 ms", "100 ms"]\n'
+    _, runs = expanded(design(three.replace('kind = "full"', 'kind = "fractional"\ngenerators = "a b ab"')))
+    signs = np.array(
+        [
+            [1 if level is factor else -1 for level, factor in zip(run.levels, runs[-1].levels, strict=True)]
+            for run in runs
+        ]
+    )
+    assert len(runs) == 4 and (signs.prod(axis=1) == 1).all()
+    _, runs = expanded(design(SMALL.replace('kind = "full"', 'kind = "list"\nruns = [["2 mm", "L"], ["1 mm", "H"]]')))
+    assert [[level.name for level in run.levels] for run in runs] == [["2 mm", "L"], ["1 mm", "H"]]
+
+
+def test_runs_that_differ_only_in_the_algorithm_share_one_render(design: DesignWriter, tmp_path: Path) -> None:
+    path = design(
+        """
+analysis = "none"
+[design]
+kind = "full"
+[factors.gamma]
+key = "responses.u.gamma"
+levels = [0.8, 1.0, "sensor"]
+"""
+    )
+    study, runs = expanded(path)
+    steps, made = plan_steps(study, runs, tmp_path, StudyOptions())
+    assert len({run.image for run in runs}) == 1 and made.renders == 1
+    assert [step.after for step in steps] == [None, "run1", "run1"]
+
+
+def test_levels_of_sources_are_split_off_and_put_back(design: DesignWriter) -> None:
+    _, runs = expanded(design(SMALL.replace("beam_width_factor", "radiance_factor")))
+    bare, levels = split_light(runs[1].document)
+    other, _ = split_light(runs[0].document)
+    assert bare == other and list(levels) == ["ring.led00", "ring.led01", "ring.led02"]
+    again = split_light(with_levels(bare, levels))[1]
+    assert again == pytest.approx(levels, rel=1e-15)
+    # The brightest of the runs is as bright as the reference, and no source is dark in it that one run needs.
+    reference = reference_levels([{"a": 1.0, "b": 0.0}, {"a": 0.0, "b": 3.0}])
+    assert reference == {"a": 0.75, "b": 2.25}
+
+
+BAD = [
+    ('key = "targets[0].edge_position"', 'key = "targets[0].place"', "unknown key"),
+    ('key = "targets[0].edge_position"', 'key = "targets[7].edge_position"', "no such place"),
+    ('["1 mm", "2 mm"]', '["1 mm", "2 deg"]', "no unit of length"),
+    ('["1 mm", "2 mm"]', "[1, 2]", "has no unit"),
+    ('["1 mm", "2 mm"]', '["1 mm", "900 mm"]', "outside the target"),
+    ('["1 mm", "2 mm"]', '["1 mm"]', "two or more"),
+    ('["1 mm", "2 mm"]', '["1 mm", "1 mm"]', "two or more different"),
+    ("[0.9, 1.1]", "[-0.5, 1.1]", "must be above 0"),
+    ("[0.9, 1.1]", "[1.1, 0.9]", "lower value first"),
+    ("[0.9, 1.1]", '[0.9, "1.1 mm"]', "same unit"),
+    ("uniform", "cauchy", "no draw"),
+    ('kind = "full"', 'kind = "latin"', "must be one of"),
+    ('kind = "full"', 'kind = "fractional"\ngenerators = "a"', "1 generators for 2 factors"),
+    ('kind = "full"', 'kind = "list"\nruns = [["3 mm", "L"]]', "no level"),
+    ('analysis = "none"', "", "too few for Lenth"),
+    ('analysis = "none"', 'analysis = "magic"', "must be"),
+    ("seed = 5", "seed = -5", "whole number"),
+    ("seed = 5", "sead = 5", "unknown key"),
+    ("seed = 5", "replicates = 0", "whole number"),
+    ("seed = 5", "[render]\ntolerance = 0.0", "must lie between"),
+    ("seed = 5", "[render]\nspeed = 3", "unknown"),
+    ('key = "targets[0].edge_position"', 'key = "responses.z.gamma"', 'no response "z"'),
+    ('key = "targets[0].edge_position"', 'key = "responses.u.gama"', "unknown option"),
+    ('key = "targets[0].edge_position"', 'key = "render.tolerance"', "wrong type"),
+    ("label = ", "lable = ", "unknown key"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "complaint"), BAD)
+def test_bad_designs_are_refused_before_the_first_ray(
+    design: DesignWriter, capsys: pytest.CaptureFixture[str], old: str, new: str, complaint: str
+) -> None:
+    assert old in SMALL
+    path = design(SMALL.replace(old, new, 1))
+    out = path.parent / "out"
+    line = here(["study", "run", path, "--out", out], capsys).refusal(2)
+    assert complaint in line and "design.toml" in line
+    assert not out.exists()
+
+
+BAD_RESPONSES = [
+    ('[responses.u]\nmeasure = "edge"', "must be one of"),
+    ('[responses.u]\nmeasure = "edge_position"\nunit = "mm"', "no unit of position"),
+    ('[responses.u]\nmeasure = "edge_position"\ngamma = "high"', "must be a number"),
+    ('[responses.u]\nmeasure = "mean_gray"\nunit = "mm"', "has no unit"),
+    ('[responses.f]\nmeasure = "focal_length"', "no board of dots"),
+    ('[responses.f]\nmeasure = "focal_length"\nmethod = "best"', "not one of"),
+    ('[responses.x]\nmeasure = "mean_gray"', "cannot name a column"),
+]
+
+
+@pytest.mark.parametrize(("responses", "complaint"), BAD_RESPONSES)
+def test_bad_responses_are_refused(
+    design: DesignWriter, capsys: pytest.CaptureFixture[str], responses: str, complaint: str
+) -> None:
+    path = design(SMALL)
+    path.write_text(path.read_text().partition("[responses.u]")[0] + responses)
+    assert complaint in here(["study", "run", path, "--out", path.parent / "out"], capsys).refusal(2)
+
+
+def test_a_folder_of_another_study_is_refused(design: DesignWriter, capsys: pytest.CaptureFixture[str]) -> None:
+    path = design(SMALL)
+    out = path.parent / "out"
+    out.mkdir()
+    (out / "results.csv").write_text("mine\n1\n")
+    assert "something else" in here(["study", "run", path, "--out", out], capsys).refusal(2)
+    assert (out / "results.csv").read_text() == "mine\n1\n"
+
+
+def test_a_missing_design_is_told(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such design file"):
+        read_design(tmp_path / "none.toml")

@@ -1,0 +1,228 @@
+"""Studies as users run them: rows as they end, killed and gone on, workers that die, sub-work that is done once."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import subprocess
+import time
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+from radwrap.study.table import read_table
+from tests.cli.conftest import Done, inhabitants, scene_text, start
+from tests.cli.conftest import wait_for as wait
+from tests.study.conftest import EDGE, PATIENCE, SMALL, DesignWriter, command
+
+# Eight runs of a good half second each: long enough to be killed in between.
+EIGHT = SMALL.replace("seed = 5", "seed = 5\nreplicates = 2")
+
+
+GRAY = '[responses.mean]\nmeasure = "mean_gray"\n[responses.contrast]\nmeasure = "contrast"\n'
+
+
+def study(path: Path, out: Path, *options: object) -> Done:
+    return command("study", "run", path, "--out", out, "--no-report", *options)
+
+
+def wait_for(condition: Callable[[], bool], process: subprocess.Popen[str]) -> bool:
+    """Wait until something is so; False if the study ended before."""
+    return wait(condition, process, PATIENCE)
+
+
+def rows_on_disk(out: Path) -> int:
+    """Whole lines of the table of results, less its header."""
+    table = out / "results.csv"
+    return max(0, table.read_bytes().count(b"\n") - 1) if table.exists() else 0
+
+
+def started(out: Path) -> Counter[int]:
+    """How often each run was begun."""
+    return Counter(int(line.split()[1]) for line in (out / "started.log").read_text().splitlines())
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """The table of the eight runs, by one worker that nobody disturbed."""
+    folder = tmp_path_factory.mktemp("good")
+    path = write_design(folder)
+    done = study(path, folder / "out", "--workers", "1", "--json").success()
+    assert done.json["runs"] == 8 and done.json["failed"] == 0 and done.json["renders"] == 8
+    return (folder / "out" / "results.csv").read_bytes()
+
+
+def write_design(folder: Path, text: str = EIGHT) -> Path:
+    (folder / "scene.toml").write_text(scene_text(EDGE))
+    path = folder / "design.toml"
+    path.write_text(f'scene = "scene.toml"\n{text}\n{GRAY}')
+    return path
+
+
+def test_three_kills_of_the_whole_study_change_nothing(memory_path: Path, good: bytes) -> None:
+    path, out = write_design(memory_path), memory_path / "out"
+    dice = random.Random(7)  # noqa: S311  (no secret)
+    finished: set[str] = set()
+    for due in (1, 3, 5):
+        before = started(out) if out.exists() else Counter[int]()
+        with start(["study", "run", path, "--out", out, "--workers", "2", "--no-report"]) as process:
+            assert wait_for(lambda due=due: rows_on_disk(out) >= due, process), "the study was too short for this test"
+            time.sleep(dice.uniform(0, 0.3))
+            process.kill()
+        assert _empty(out)
+        again = started(out) - before
+        assert not {str(number) for number in again} & finished, "a finished run was begun again"
+        finished = {row["run"] for row in read_table(_whole_lines(out)).rows}
+    done = study(path, out, "--workers", "2", "--json").success()
+    assert done.json["timing"]["reused_runs"] == len(finished)
+    assert (out / "results.csv").read_bytes() == good
+    assert inhabitants(out) == []
+
+
+def _whole_lines(out: Path) -> Path:
+    """A copy of the table without the line that a killed study did not end."""
+    content = (out / "results.csv").read_bytes()
+    copy = out.parent / "copy.csv"
+    copy.write_bytes(content[: content.rfind(b"\n") + 1])
+    return copy
+
+
+def _empty(out: Path) -> bool:
+    """Whether workers and tracers of a killed study end by themselves."""
+    end = time.monotonic() + PATIENCE
+    while inhabitants(out) or _orphans():
+        if time.monotonic() > end:
+            raise AssertionError([*inhabitants(out), *_orphans()])
+        time.sleep(0.05)
+    return True
+
+
+def _orphans() -> list[str]:
+    """Worker processes of a study that is no more: this test starts one study at a time."""
+    return [
+        " ".join(process.info["cmdline"])
+        for process in psutil.process_iter(["cmdline", "ppid"])
+        if process.info["ppid"] == 1 and any("spawn_main" in word for word in process.info["cmdline"] or [])
+    ]
+
+
+def test_a_killed_worker_costs_nothing_that_was_finished(memory_path: Path, good: bytes) -> None:
+    path, out = write_design(memory_path), memory_path / "out"
+    with start(["study", "run", path, "--out", out, "--workers", "2", "--no-report", "--json"]) as process:
+        assert wait_for(lambda: rows_on_disk(out) >= 3, process), "the study was too short for this test"
+        finished = {int(row["run"]) for row in read_table(_whole_lines(out)).rows}
+        victim = next(child for child in psutil.Process(process.pid).children() if "spawn_main" in str(child.cmdline()))
+        os.kill(victim.pid, signal.SIGKILL)
+        stdout, stderr = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0, stderr
+    assert json.loads(stdout)["failed"] == 0
+    begun = started(out)
+    assert all(begun[number] == 1 for number in finished)
+    assert (out / "results.csv").read_bytes() == good
+    assert inhabitants(out) == []
+
+
+def test_ctrl_c_ends_everything_and_the_study_goes_on(memory_path: Path, good: bytes) -> None:
+    path, out = write_design(memory_path), memory_path / "out"
+    with start(
+        ["study", "run", path, "--out", out, "--workers", "2", "--no-report"], start_new_session=True
+    ) as process:
+        assert wait_for(lambda: rows_on_disk(out) >= 2, process), "the study was too short for this test"
+        os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers too
+        _, stderr = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 130
+    assert "Traceback" not in stderr and stderr.endswith("the same command goes on where it was\n")
+    assert _empty(out)
+    study(path, out).success()
+    assert (out / "results.csv").read_bytes() == good
+
+
+def test_a_run_that_fails_is_a_row_with_its_error(design: DesignWriter) -> None:
+    """At 100 s everything is saturated and shows no edge; the mean is measured all the same, and the study goes on."""
+    path = design(
+        """
+analysis = "none"
+[design]
+kind = "full"
+[factors.t]
+key = "camera.exposure_time"
+levels = ["100 ms", "100 s", "90 ms"]
+"""
+    )
+    done = study(path, path.parent / "out", "--workers", "1", "--json").success()
+    assert done.json["failed"] == 1
+    bad, *others = sorted(read_table(path.parent / "out" / "results.csv").rows, key=lambda row: row["t"] != "100 s")
+    assert bad["u [px]"] == "" and "u: the image" in bad["error"] and float(bad["mean"]) > 200
+    assert all(row["error"] == "" and row["u [px]"] for row in others)
+    # It is not tried again, unless it is asked for.
+    again = started(path.parent / "out")
+    study(path, path.parent / "out").success()
+    assert started(path.parent / "out") == again
+    study(path, path.parent / "out", "--retry-failed").success()
+    assert started(path.parent / "out") - again == Counter({2: 1})
+
+
+def test_many_levels_of_leds_cost_one_render(design: DesignWriter) -> None:
+    """64 runs of three LEDs by a light basis, each the very image that a render of its own has, to its error."""
+    factors = "".join(
+        f'[factors.L{n}]\nkey = "sources[0].leds[{n}].radiance_factor"\nlevels = [0.2, 0.4, 0.6, 1.0]\n'
+        for n in range(3)
+    )
+    path = design(f'analysis = "none"\n[design]\nkind = "full"\n{factors}', '[responses.mean]\nmeasure = "mean_gray"\n')
+    out = path.parent / "out"
+    told = study(path, out, "--json").success().json
+    assert told["renders"] == 1 and told["light_bases"] == 1 and told["relit"] == 64
+    rows = read_table(out / "results.csv").rows
+    # Gray is linear in the levels here: G = 20 + sum of what each LED alone gives.
+    values = [float(row["mean"]) - 20 for row in rows]
+    levels = [[float(row[f"L{n}"]) for n in range(3)] for row in rows]
+    solution, *_ = np.linalg.lstsq(np.array(levels), np.array(values), rcond=None)
+    assert np.abs(np.array(levels) @ solution - values).max() < 1e-4  # float32 of basis and image
+    # A killed chunk gives the same bytes when it is made again, whatever else it is made with.
+    table = (out / "results.csv").read_bytes()
+    lines = table.splitlines(keepends=True)
+    (out / "results.csv").write_bytes(b"".join([lines[0], *lines[5:20], *lines[40:]]))
+    study(path, out).success()
+    assert (out / "results.csv").read_bytes() == table
+
+
+def test_the_report_holds_every_run(design: DesignWriter) -> None:
+    path = design(SMALL)
+    command("study", "run", path, "--out", path.parent / "out").success()
+    text = (path.parent / "out" / "index.html").read_text()
+    assert text.count('alt="run ') == 4 and "place of the edge" in text and "exposure_time" in text
+    assert "targets[0].edge_position" in text and "built-in" not in text
+    assert "http" not in text.replace("http://www.w3.org", ""), "it must need nothing else"
+
+
+def test_dask_gives_the_same_table(memory_path: Path, good: bytes) -> None:
+    """On a LocalCluster of two worker processes, one of which is killed."""
+    from distributed import LocalCluster
+
+    path, out = write_design(memory_path), memory_path / "out"
+    with LocalCluster(
+        n_workers=2,
+        threads_per_worker=1,
+        processes=True,
+        dashboard_address=None,
+        local_directory=str(memory_path / "d"),
+    ) as cluster:
+        with start(
+            ["study", "run", path, "--out", out, "--dask", cluster.scheduler_address, "--no-report", "--json"]
+        ) as process:
+            assert wait_for(lambda: rows_on_disk(out) >= 3, process)
+            finished = {int(row["run"]) for row in read_table(_whole_lines(out)).rows}
+            worker = next(iter(cluster.workers.values()))
+            os.kill(worker.pid, signal.SIGKILL)
+            stdout, stderr = process.communicate(timeout=PATIENCE)
+        assert process.returncode == 0, stderr
+    assert json.loads(stdout)["failed"] == 0
+    begun = started(out)
+    assert all(begun[number] == 1 for number in finished)
+    assert (out / "results.csv").read_bytes() == good
