@@ -5,13 +5,14 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test lint bench bias povray clean help
+.PHONY: demo test lint bench bias crosscheck povray clean help
 
 help:
 	@echo "make demo   set up, render the calibration board, say where the picture lies"
 	@echo "make test   set up (POV-Ray by apt where missing), lint, run all tests"
 	@echo "make lint   ruff and mypy --strict"
 	@echo "make bench  speed, overhead, memory, and what a tolerance costs, measured on this machine"
+	@echo "make crosscheck   Radiance against POV-Ray on rad_scenes/crosscheck"
 	@echo "make bias   bias of algorithms on predicted images, with plots"
 
 demo: $(READY)
@@ -31,6 +32,9 @@ bench: $(READY)
 
 bias: $(READY)
 	@$(BIN)/python scripts/bias_studies.py
+
+crosscheck: $(READY) povray
+	@$(BIN)/python scripts/crosscheck.py
 
 # A changed lock file or project file sets the environment up again; otherwise this is done at once.
 $(READY): requirements.lock pyproject.toml

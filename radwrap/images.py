@@ -268,6 +268,28 @@ def read_gray(path: Path) -> GrayImage:
     InputError
         If it cannot be read whole, is in colour, or holds NaN or infinity.
     """
+    pixels, kind = _read_floats(path)
+    colours = pixels[:, :, :3] if pixels.shape[2] > 2 else pixels[:, :, :1]
+    if not np.isfinite(colours).all():
+        raise InputError("holds NaN or infinity", where=str(path))
+    if (colours != colours[:, :, :1]).any():
+        raise InputError("is in colour", where=str(path), remedy="give the one channel that the camera saw")
+    return GrayImage(np.ascontiguousarray(colours[:, :, 0]), _BITS[kind], {"file": str(path)})
+
+
+def read_channel(path: Path) -> NDArray[np.float64]:
+    """First channel of a picture, shape (rows, columns), as it is stored; NaN and infinity too.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read whole.
+    """
+    return np.ascontiguousarray(_read_floats(path)[0][:, :, 0])
+
+
+def _read_floats(path: Path) -> tuple[NDArray[np.float64], str]:
+    """All channels, shape (rows, columns, channels), and the type in which they are stored."""
     if not path.is_file():
         raise InputError("no such image", where=str(path))
     source = oiio.ImageInput.open(str(path))
@@ -283,13 +305,7 @@ def read_gray(path: Path) -> GrayImage:
             raise InputError(f"is not whole: {source.geterror()}", where=str(path))
     finally:
         source.close()
-    pixels = pixels.reshape(spec.height, spec.width, spec.nchannels).astype(np.float64)
-    colours = pixels[:, :, :3] if spec.nchannels > 2 else pixels[:, :, :1]
-    if not np.isfinite(colours).all():
-        raise InputError("holds NaN or infinity", where=str(path))
-    if (colours != colours[:, :, :1]).any():
-        raise InputError("is in colour", where=str(path), remedy="give the one channel that the camera saw")
-    return GrayImage(np.ascontiguousarray(colours[:, :, 0]), _BITS[kind], {"file": str(path)})
+    return pixels.reshape(spec.height, spec.width, spec.nchannels).astype(np.float64), kind
 
 
 def png_bytes(codes: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:

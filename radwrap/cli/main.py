@@ -30,6 +30,7 @@ _MODULES: Final = {
     "explain": "explain",
     "trade": "trade",
     "convert": "convert",
+    "crosscheck": "crosscheck",
     "measure": "measure",
     "calibrate": "calibrate",
     "compare": "compare",

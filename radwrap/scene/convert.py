@@ -20,7 +20,16 @@ from radwrap.scene.materials import (
     Specular,
 )
 from radwrap.scene.scene import Scene
-from radwrap.scene.sources import Beam, Emitter, LedChange, Ring, SingleSource, Source, gaussian_spread
+from radwrap.scene.sources import (
+    Beam,
+    Emitter,
+    LedChange,
+    Ring,
+    SingleSource,
+    Source,
+    cosine_power_spread,
+    gaussian_spread,
+)
 from radwrap.scene.targets import (
     Box,
     Cylinder,
@@ -175,6 +184,10 @@ def _beam(table: tables.BeamModel, where: str, key: str, assumed: dict[str, str]
     definition = table.width_definition or "fwhm"
     if table.profile == "gaussian":
         return Beam("gaussian", gaussian_spread(table.width, definition))
+    if table.profile == "cosine_power":
+        if definition != "sigma" and table.width / (1 if definition == "half_angle" else 2) >= math.pi / 2:
+            raise InputError("a power of the cosine is dark from 90 degrees on", where=f"{where}.beam.width")
+        return Beam("cosine_power", cosine_power_spread(table.width, definition))
     half = table.width if definition == "half_angle" else table.width / 2
     if half > math.pi / 2:
         raise InputError("a cone cannot be wider than a half space", where=f"{where}.beam.width")

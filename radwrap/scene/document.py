@@ -179,7 +179,7 @@ class CameraModel(Aimed):
 class BeamModel(Model):
     """Angular distribution of a source."""
 
-    profile: Literal["gaussian", "cone", "lambertian"]
+    profile: Literal["gaussian", "cosine_power", "cone", "lambertian"]
     width: PositiveAngle | None = None
     width_definition: WidthDefinition | None = None
 

@@ -286,6 +286,8 @@ def beam_reach(beam: Beam) -> float:
     match beam.profile:
         case "gaussian":
             return min(beam.spread * math.sqrt(-2 * math.log(LIT_SHARE)), math.pi / 2)
+        case "cosine_power":
+            return math.acos(LIT_SHARE ** (beam.spread**2))
         case "cone":
             return min(beam.spread, math.pi / 2)
     return math.acos(LIT_SHARE)
