@@ -19,6 +19,7 @@ from radwrap.scene.materials import (
     PerturbedNormal,
     Specular,
 )
+from radwrap.scene.mesh import mesh_of
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import (
     Beam,
@@ -36,6 +37,7 @@ from radwrap.scene.targets import (
     Disc,
     DotBoard,
     EdgeTarget,
+    MeshPart,
     Polygon,
     RadFile,
     Sheet,
@@ -63,7 +65,12 @@ def scene_from_model(
         _source(table, f"{origin}: sources[{i}]", f"sources[{i}]", assumed) for i, table in enumerate(model.sources)
     )
     target_names = _target_names(model, assumed)
-    targets = tuple(_target(table, name) for table, name in zip(model.targets, target_names, strict=True))
+    targets = tuple(
+        _part(table, name, f"{origin}: targets[{index}]", folder)
+        if isinstance(table, tables.PartModel)
+        else _target(table, name)
+        for index, (table, name) in enumerate(zip(model.targets, target_names, strict=True))
+    )
     for kind, things in (("sources", sources), ("targets", targets)):
         for index, thing in enumerate(things):
             if thing.name in names:
@@ -267,6 +274,19 @@ def _material(table: tables.MaterialModel, key: str, assumed: dict[str, str]) ->
     )
 
 
+def _part(table: tables.PartModel, name: str, where: str, folder: Path) -> MeshPart:
+    """A mesh with equal vertices joined, without triangles of no area."""
+    from radwrap.scene.parts import cleaned, is_closed, joined, read_part_file
+
+    found = read_part_file(folder / table.part, folder=folder, length_unit=table.length_unit, where=f"{where}.part")
+    vertices, faces, _ = cleaned(*joined(found.groups))
+    if not len(faces):
+        raise InputError("its triangles have no area", where=f"{where}.part", remedy="name another file")
+    mesh = mesh_of(vertices, faces)
+    told = f"{found.sha256}:{table.length_unit!r}"
+    return MeshPart(name, _placed(table), table.material, table.part, told, mesh, is_closed(faces))
+
+
 def _target(table: tables.TargetModel, name: str) -> Target:
     pose = _placed(table)
     match table:
@@ -298,3 +318,4 @@ def _target(table: tables.TargetModel, name: str) -> Target:
             return Box(name, pose, table.material, table.size)
         case tables.RadModel():
             return RadFile(name, pose, table.rad, table.length_unit)
+    raise TypeError(f"{type(table).__name__} is read with its file")

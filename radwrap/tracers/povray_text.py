@@ -31,7 +31,17 @@ from radwrap.scene.probes import LIT_SHARE
 from radwrap.scene.scene import Scene
 from radwrap.scene.sight import shared_planes
 from radwrap.scene.sources import Emitter
-from radwrap.scene.targets import DiscShape, DotBoard, EdgeTarget, PolygonShape, SphereShape, Surface, Target, TubeShape
+from radwrap.scene.targets import (
+    DiscShape,
+    DotBoard,
+    EdgeTarget,
+    MeshShape,
+    PolygonShape,
+    SphereShape,
+    Surface,
+    Target,
+    TubeShape,
+)
 from radwrap.scene.targets import surfaces as surfaces_of
 from radwrap.tracers.povray_included import included_text
 from radwrap.tracers.radiance_text import scales_of
@@ -138,6 +148,9 @@ def _corners(surface: Surface) -> tuple[Vector, ...]:
             return vertices
         case TubeShape(start, end, _):
             return start, end
+        case MeshShape(vertices, _):
+            low, high = vertices.min(axis=0), vertices.max(axis=0)
+            return (low[0], low[1], low[2]), (high[0], high[1], high[2])
         case _:
             return (surface.shape.centre,)
 
@@ -260,6 +273,11 @@ def _geometry(surface: Surface, unit: float, lift: np.ndarray) -> str:
         case PolygonShape(vertices):
             corners = ", ".join(map(at, (*vertices, vertices[0])))
             return f"polygon {{ {len(vertices) + 1}, {corners} {texture} }}"
+        case MeshShape(vertices, faces):
+            places = ", ".join(map(_vector, (vertices / unit + lift)))
+            corners = ", ".join(f"<{a}, {b}, {c}>" for a, b, c in faces.tolist())
+            lists = f"vertex_vectors {{ {len(vertices)}, {places} }} face_indices {{ {len(faces)}, {corners} }}"
+            return f"mesh2 {{ {lists} {texture} }}"
         case DiscShape(centre, normal, radius):
             return f"disc {{ {at(centre)}, {_vector(normal)}, {_number(radius / unit)} {texture} }}"
         case SphereShape(centre, radius):
