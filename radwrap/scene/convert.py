@@ -251,6 +251,11 @@ def _source(table: tables.SourceModel, where: str, key: str, assumed: dict[str, 
     return SingleSource(table.type, emitter)
 
 
+def material_from_table(table: tables.MaterialModel) -> Material:
+    """A material on its own."""
+    return _material(table, "materials", {})
+
+
 def _material(table: tables.MaterialModel, key: str, assumed: dict[str, str]) -> Material:
     match table:
         case tables.LambertianModel():
@@ -275,16 +280,18 @@ def _material(table: tables.MaterialModel, key: str, assumed: dict[str, str]) ->
 
 
 def _part(table: tables.PartModel, name: str, where: str, folder: Path) -> MeshPart:
-    """A mesh with equal vertices joined, without triangles of no area."""
-    from radwrap.scene.parts import cleaned, is_closed, joined, read_part_file
+    """A mesh with equal vertices joined, without triangles of no area, its neighbours wound alike."""
+    from radwrap.scene.parts import cleaned, joined, read_part_file
+    from radwrap.scene.winding import wound
 
     found = read_part_file(folder / table.part, folder=folder, length_unit=table.length_unit, where=f"{where}.part")
     vertices, faces, _ = cleaned(*joined(found.groups))
     if not len(faces):
         raise InputError("its triangles have no area", where=f"{where}.part", remedy="name another file")
-    mesh = mesh_of(vertices, faces)
+    order = wound(vertices, faces)
+    mesh = mesh_of(vertices, order.faces)
     told = f"{found.sha256}:{table.length_unit!r}"
-    return MeshPart(name, _placed(table), table.material, table.part, told, mesh, is_closed(faces))
+    return MeshPart(name, _placed(table), table.material, table.part, told, mesh, order.closed)
 
 
 def _target(table: tables.TargetModel, name: str) -> Target:

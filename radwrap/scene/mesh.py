@@ -20,8 +20,11 @@ Index = NDArray[np.intp]
 _LEAF: Final = 8
 _BITS: Final = 10  # of each coordinate in the Morton code
 _RAYS_AT_ONCE: Final = 2048
-# Rays that graze a box or a triangle's side meet it: two triangles with a common side leave no gap.
-_SLACK: Final = 1e-12
+# Rays that graze a box or a triangle's side meet it: two triangles with a common side leave no gap. Relative to the
+# mesh, the triangle, or the distance.
+_SLACK: Final = 1e-9
+# A ray that starts on a triangle does not meet it there [m].
+_START: Final = 1e-12
 # A direction that no modelled face is parallel to.
 _ODD_DIRECTION: Final = np.array([0.5377, 0.2841, 0.7937])
 
@@ -74,8 +77,9 @@ def mesh_of(vertices: Array, faces: Index) -> Mesh:
     padded = np.full(leaves * _LEAF, -1, dtype=np.intp)
     padded[: len(order)] = order
     filled = (padded >= 0)[:, np.newaxis]
-    lows = np.where(filled, corners.min(axis=1)[padded], np.inf).reshape(leaves, _LEAF, 3).min(axis=1)
-    highs = np.where(filled, corners.max(axis=1)[padded], -np.inf).reshape(leaves, _LEAF, 3).max(axis=1)
+    slack = _SLACK * size
+    lows = np.where(filled, corners.min(axis=1)[padded] - slack, np.inf).reshape(leaves, _LEAF, 3).min(axis=1)
+    highs = np.where(filled, corners.max(axis=1)[padded] + slack, -np.inf).reshape(leaves, _LEAF, 3).max(axis=1)
     levels = [(lows, highs)]
     while len(levels[0][0]) > 1:
         lows, highs = levels[0]
@@ -170,7 +174,8 @@ def _meets_box(low: Array, high: Array, origin: Array, inverse: Array) -> NDArra
         first, second = (low - origin) * inverse, (high - origin) * inverse
     near = np.fmax.reduce(np.fmin(first, second), axis=1)
     far = np.fmin.reduce(np.fmax(first, second), axis=1)
-    meets: NDArray[np.bool_] = (near <= far + _SLACK * np.abs(far)) & (far > 0)
+    # An empty box runs from infinity to minus infinity, and would be met by every ray.
+    meets: NDArray[np.bool_] = (near <= far + _SLACK * np.abs(far)) & (far > 0) & (low[:, 0] <= high[:, 0])
     return meets
 
 
@@ -185,7 +190,7 @@ def _crossing(corners: Array, origin: Array, direction: Array) -> Array:
         turned = np.cross(away, first)
         v = (direction * turned).sum(axis=1) / determinant
         t = (second * turned).sum(axis=1) / determinant
-        inside = (u >= -_SLACK) & (v >= -_SLACK) & (u + v <= 1 + _SLACK) & (t > _SLACK)
+        inside = (u >= -_SLACK) & (v >= -_SLACK) & (u + v <= 1 + _SLACK) & (t > _START)
     return np.where(inside, t, np.inf)
 
 

@@ -8,12 +8,15 @@ textures that it names are not read.
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import io
 import math
 import os
 import re
 import stat
 import struct
+import sys
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -21,7 +24,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.errors import EnvironmentFailure, InputError
+from radwrap.errors import EnvironmentFailure, InputError, TracerError
+from radwrap.process import Programs
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -125,14 +129,6 @@ def cleaned(vertices: Array, faces: Index) -> tuple[Array, Index, Cleaned]:
     return unique, kept, Cleaned(int((~solid).sum()), len(whole) - len(kept))
 
 
-def is_closed(faces: Index) -> bool:
-    """Whether each side of each triangle belongs to exactly one other, run through the other way."""
-    sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    code = sides[:, 0] * (int(faces.max()) + 1) + sides[:, 1]
-    back = sides[:, 1] * (int(faces.max()) + 1) + sides[:, 0]
-    return len(np.unique(code)) == len(code) and np.array_equal(np.sort(code), np.sort(back))
-
-
 def _unit(suffix: str, length_unit: float | None, path: Path, where: str) -> float:
     if suffix in _IN_METRES:
         if length_unit is not None:
@@ -140,7 +136,7 @@ def _unit(suffix: str, length_unit: float | None, path: Path, where: str) -> flo
         return 1.0
     if length_unit is None:
         raise InputError(
-            f'"{path.name}" does not say its unit of length', where=where, remedy='give length_unit, such as "1 mm"'
+            f'"{path.name}" does not say its unit of length', where=where, remedy='give the length unit, such as "1 mm"'
         )
     return length_unit
 
@@ -199,23 +195,20 @@ def _loaded(suffix: str, content: bytes, where: str) -> dict[str, list[Any]]:
         return {name: _bodies(text, "obj", where) for name, text in _obj_groups(content, where).items()}
     groups: dict[str, list[Any]] = {}
     for body in _bodies(content, suffix[1:], where):
-        groups.setdefault(_name_of(body), []).append(body)
+        groups.setdefault(_name_of(body) if suffix in _IN_METRES else "part", []).append(body)
     return groups
 
 
 def _bodies(content: bytes, kind: str, where: str) -> list[Any]:
     import trimesh
 
+    if kind in ("step", "stp"):
+        content, kind = _glb_of_step(content, where), "glb"
     try:
-        # Without a resolver no other file is opened.
-        scene = trimesh.load_scene(io.BytesIO(content), file_type=kind, process=False, resolver=None)
-        found = [body for body in scene.dump() if isinstance(body, trimesh.Trimesh)]
-    except ModuleNotFoundError as error:
-        if kind in ("step", "stp"):
-            raise EnvironmentFailure(
-                "STEP files need cascadio", where=where, remedy='pip install "radwrap[step]"'
-            ) from error
-        raise InputError(f"is no {kind.upper()} file", where=where) from error
+        # Without a resolver no other file is opened. NaN and infinity are looked for afterwards.
+        with np.errstate(all="ignore"):
+            scene = trimesh.load_scene(io.BytesIO(content), file_type=kind, process=False, resolver=None)
+            found = [body for body in scene.dump() if isinstance(body, trimesh.Trimesh)]
     except (MemoryError, RecursionError) as error:
         raise InputError("is too large for this machine's memory", where=where) from error
     except Exception as error:  # the library's parsers raise whatever a broken file makes them stumble over
@@ -223,6 +216,23 @@ def _bodies(content: bytes, kind: str, where: str) -> list[Any]:
     if sum(len(body.faces) for body in found) > MOST_FACES:
         raise InputError(f"holds more than {MOST_FACES} triangles", where=where, remedy="simplify it")
     return found
+
+
+def _glb_of_step(content: bytes, where: str) -> bytes:
+    """A STEP file's triangles; in a process of its own, since a large C++ library reads a file nobody vouches for."""
+    if importlib.util.find_spec("cascadio") is None:
+        raise EnvironmentFailure("STEP files need cascadio", where=where, remedy='pip install "radwrap[step]"')
+    with tempfile.TemporaryDirectory(prefix="radwrap-") as folder, Programs() as programs:
+        (Path(folder) / "part.step").write_bytes(content)
+        made = Path(folder) / "part.glb"
+        code = "import cascadio; cascadio.step_to_glb('part.step', 'part.glb')"
+        try:
+            programs.run([sys.executable, "-c", code], folder=Path(folder), environment={"LC_ALL": "C"})
+        except TracerError as error:
+            raise InputError(f"is no whole STEP file: {error.what[-100:]}", where=where) from error
+        if not made.is_file():
+            raise InputError("is no whole STEP file: it holds no shape", where=where)
+        return made.read_bytes()
 
 
 def _name_of(body: Any) -> str:

@@ -162,8 +162,8 @@ def scene_text(
         Text and files; in the text later surfaces lie on top of earlier ones in the same plane.
     """
     scales = scales_of(scene)
-    functions = f"{stem}.{_FUNCTIONS}"
-    beside = {**files_beside, functions: (files("radwrap") / "data" / "cal" / _FUNCTIONS).read_bytes()}
+    functions, own = function_file(stem)
+    beside = {**files_beside, **own}
     parts = [_header(functions, scales)]
     for file in scene.included:
         parts.append(f"# {file.name}: included {file.file}\n\n{included[file.name]}")
@@ -174,6 +174,17 @@ def scene_text(
     for target in scene.targets:
         parts += _target(surfaces(target), scene.materials, stem, scales)
     return RadianceScene("\n".join(parts), beside, scales)
+
+
+def function_file(stem: str) -> tuple[str, dict[str, bytes]]:
+    """Name and content of the file of radwrap's functions, for texts of that stem."""
+    name = f"{stem}.{_FUNCTIONS}"
+    return name, {name: (files("radwrap") / "data" / "cal" / _FUNCTIONS).read_bytes()}
+
+
+def material_text(name: str, data: str, functions: str, material: Material) -> tuple[str, dict[str, bytes]]:
+    """A material of that name, and the data files it needs, whose names begin with `data`."""
+    return _material(name, data, functions, material), _data_files(data, material)
 
 
 def mesh_file(stem: str, surface: str) -> str:
