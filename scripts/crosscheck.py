@@ -17,6 +17,7 @@ OPTIONS = {
     "mirror": ["--pixel-samples", "4"],
     "edge_far": ["--viewpoints", "37", "--pixel-samples", "3"],
     "edge_near": ["--viewpoints", "37", "--pixel-samples", "3"],
+    "everything": ["--viewpoints", "19", "--pixel-samples", "1"],
     "extended_source": ["--area-samples", "9"],
 }
 
