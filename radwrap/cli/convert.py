@@ -18,7 +18,7 @@ from radwrap.units import LENGTH, parse_quantity
 _DESCRIPTION = (
     "A scene becomes OUT.rad with its function and data files beside it, named OUT.* (oconv OUT.rad works in that "
     "folder), OUT.vf (its central view), OUT.pov for POV-Ray 3.7, or OUT.glb, a preview of its shapes. A mesh (.stl, "
-    ".obj, .ply, .off, .glb, .step) becomes OUT.rad, and what was repaired is told."
+    ".obj, .ply, .off, .glb, .step) becomes OUT.rad, and what was repaired is told. So does a luminaire (.ies)."
 )
 _MESHES: Final = (".stl", ".obj", ".ply", ".off", ".glb", ".step", ".stp")
 
@@ -50,13 +50,19 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out the verb."""
-    if Path(arguments.scene).suffix.lower() in _MESHES:
+    suffix = Path(arguments.scene).suffix.lower()
+    if suffix in _MESHES:
         return _convert_mesh(arguments)
     for option in ("length_unit", "materials", "polygons"):
         if getattr(arguments, option):
             raise InputError("goes with a mesh alone", where=f"--{option.replace('_', '-')}", remedy="leave it out")
-    scene = shared.load(arguments)
     out = Path(arguments.out)
+    if suffix == ".ies":
+        from radwrap.convert.ies_files import write_luminaire
+
+        _only_rad(out)
+        return _told(write_luminaire(Path(arguments.scene), out, _radiance(arguments)), arguments)
+    scene = shared.load(arguments)
     # Each writer has its own libraries.
     match out.suffix:
         case ".rad":
@@ -79,11 +85,20 @@ def run(arguments: argparse.Namespace) -> int:
             raise InputError(
                 f'cannot write "{suffix or out.name}"', where=str(out), remedy="end the name in .rad, .vf, .pov or .glb"
             )
+    return _told(written, arguments)
+
+
+def _told(written: tuple[Path, ...], arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json_text({"files": [str(path) for path in written]}), end="")
     else:
         print("\n".join(map(str, written)))
     return 0
+
+
+def _only_rad(out: Path) -> None:
+    if out.suffix != ".rad":
+        raise InputError(f'cannot write "{out.name}" of that', where=str(out), remedy="end the name in .rad")
 
 
 def _radiance(arguments: argparse.Namespace) -> RadianceOptions:
@@ -96,8 +111,7 @@ def _convert_mesh(arguments: argparse.Namespace) -> int:
     from radwrap.scene.load import load_materials
 
     out = Path(arguments.out)
-    if out.suffix != ".rad":
-        raise InputError(f'cannot write "{out.name}" of a mesh', where=str(out), remedy="end the name in .rad")
+    _only_rad(out)
     if arguments.overrides:
         raise InputError("goes with a scene alone", where="--set", remedy="leave it out")
     groups = read_groups(Path(arguments.scene), _unit(arguments.length_unit))

@@ -144,6 +144,8 @@ def explained(result: Crosscheck) -> dict[str, Any]:
         mask = expected != 0
         if "aperture" in result.seen.terms or "edges" in result.seen.terms:
             mask &= ~result.seen.terms.get("aperture", result.seen.terms.get("edges", ~mask))
+        if not mask.any():
+            continue
         difference = (result.povray - result.radiance)[mask]
         found[reason] = {
             "pixels": int(mask.sum()),
