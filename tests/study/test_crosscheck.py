@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import radwrap
+from radwrap.errors import TracerError
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.scene.camera import Camera
 from radwrap.scene.geometry import directions
@@ -223,3 +224,18 @@ def test_every_scene_has_one_term_and_says_which() -> None:
     for path in scenes:
         assert path.read_text().startswith("# ")
         assert tomllib.loads(path.read_text())["title"].startswith("Cross-check: ")
+
+
+def test_a_run_goes_on_with_what_is_finished(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """POV-Ray breaks down; the next run takes Radiance's image from the disk, and says the same in the end."""
+    broken = tmp_path / "povray"
+    broken.write_text('#!/bin/sh\nif [ "$1" = --version ]; then echo "POV-Ray 3.7.0.fake" >&2; exit 0; fi\nexit 1\n')
+    broken.chmod(0o755)
+    scene, out = load("lambertian"), tmp_path / "out"
+    with pytest.raises(TracerError, match="exit code 1"):
+        crosscheck(scene, out, CrosscheckOptions(RenderOptions(), povray=str(broken)))
+    piece = out / ".work" / "radiance" / "viewpoint_00000.exr"
+    written = piece.stat().st_mtime_ns
+    monkeypatch.setattr("radwrap.study.crosscheck.shutil.rmtree", lambda *_, **__: None)
+    assert agrees(run(scene, out))
+    assert piece.stat().st_mtime_ns == written
