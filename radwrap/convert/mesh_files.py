@@ -64,7 +64,8 @@ def read_groups(path: Path, length_unit: float | None) -> tuple[Group, ...]:
     InputError
         See `read_part_file`; or if nothing with an area is left.
     """
-    found = read_part_file(path, folder=path.parent, length_unit=length_unit, where=str(path.parent))
+    # Whoever names a file on the command line may name a link to it.
+    found = read_part_file(path, folder=path.resolve().parent, length_unit=length_unit, where=str(path))
     groups = tuple(_group(name, word, *found.groups[name]) for name, word in _words(found).items())
     groups = tuple(group for group in groups if len(group.faces))
     if not groups:

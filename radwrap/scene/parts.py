@@ -104,7 +104,7 @@ def read_part_file(path: Path, *, folder: Path, length_unit: float | None, where
     groups = {name: _scaled(bodies, unit, where) for name, bodies in _loaded(suffix, content, where).items()}
     groups = {name: arrays for name, arrays in groups.items() if len(arrays[1])}
     if not groups:
-        raise InputError("holds no triangles", where=f"{where}: {path.name}", remedy="name another file")
+        raise InputError(f'"{path.name}" holds no triangles', where=where, remedy="name another file")
     return PartFile(groups, hashlib.sha256(content).hexdigest(), names)
 
 
