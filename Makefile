@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test test-hid test-report lint bench bias povray chromium clean help
+.PHONY: demo test test-hid test-report lint bench bias crosscheck povray chromium clean help
 
 help:
 	@echo "make demo   set up, render the calibration board, say where the picture lies"
@@ -14,6 +14,7 @@ help:
 	@echo "make test-report  open the report of a study in a real browser (Chromium by apt where missing)"
 	@echo "make lint   ruff and mypy --strict"
 	@echo "make bench  speed, overhead, memory, and what a tolerance costs, measured on this machine"
+	@echo "make crosscheck   Radiance against POV-Ray on rad_scenes/crosscheck"
 	@echo "make bias   bias of algorithms on predicted images, with plots"
 
 demo: $(READY)
@@ -39,6 +40,9 @@ bench: $(READY)
 
 bias: $(READY)
 	@$(BIN)/python scripts/bias_studies.py
+
+crosscheck: $(READY) povray
+	@$(BIN)/python scripts/crosscheck.py
 
 # A changed lock file or project file sets the environment up again; otherwise this is done at once.
 $(READY): requirements.lock pyproject.toml

@@ -308,6 +308,28 @@ def read_gray(path: Path) -> GrayImage:
     InputError
         If it cannot be read whole, is in colour, or holds NaN or infinity.
     """
+    pixels, bit_depth = _read_floats(path)
+    colours = pixels[:, :, :3] if pixels.shape[2] > 2 else pixels[:, :, :1]
+    if not np.isfinite(colours).all():
+        raise InputError("holds NaN or infinity", where=str(path))
+    if (colours != colours[:, :, :1]).any():
+        raise InputError("is in colour", where=str(path), remedy="give the one channel that the camera saw")
+    return GrayImage(np.ascontiguousarray(colours[:, :, 0]), bit_depth, {"file": str(path)})
+
+
+def read_channel(path: Path) -> NDArray[np.float64]:
+    """First channel of a picture, shape (rows, columns), as it is stored; NaN and infinity too.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read whole.
+    """
+    return np.ascontiguousarray(_read_floats(path)[0][:, :, 0])
+
+
+def _read_floats(path: Path) -> tuple[NDArray[np.float64], int]:
+    """All channels, shape (rows, columns, channels), and the bit depth."""
     if not path.is_file():
         raise InputError("no such image", where=str(path))
     try:
@@ -331,15 +353,9 @@ def read_gray(path: Path) -> GrayImage:
     finally:
         source.close()
     pixels = pixels.reshape(spec.height, spec.width, spec.nchannels).astype(np.float64)
-    colours = pixels[:, :, :3] if spec.nchannels > 2 else pixels[:, :, :1]
-    if not np.isfinite(colours).all():
-        raise InputError("holds NaN or infinity", where=str(path))
-    if (colours != colours[:, :, :1]).any():
-        raise InputError("is in colour", where=str(path), remedy="give the one channel that the camera saw")
-    gray = np.ascontiguousarray(colours[:, :, 0])
     if full:
-        gray = np.rint(gray * (full / (2 ** _BITS[kind] - 1)))
-    return GrayImage(gray, full.bit_length() if full else _BITS[kind], {"file": str(path)})
+        pixels = np.rint(pixels * (full / (2 ** _BITS[kind] - 1)))
+    return pixels, full.bit_length() if full else _BITS[kind]
 
 
 def png_bytes(codes: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:

@@ -25,6 +25,8 @@ DOORS = {
     },
     "pydantic": {"scene/border.py", "scene/document.py", "scene/load.py"},
     "pydantic_core": {"scene/load.py"},
+    "trimesh": {"scene/parts.py", "convert/preview_files.py"},
+    "cascadio": set(),
     "pyradiance": set(),
     "hid": {"led/ports.py"},
     "hidraw": {"led/ports.py"},

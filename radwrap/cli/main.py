@@ -31,6 +31,7 @@ _MODULES: Final = {
     "trade": "trade",
     "study": "study",
     "convert": "convert",
+    "crosscheck": "crosscheck",
     "measure": "measure",
     "calibrate": "calibrate",
     "compare": "compare",

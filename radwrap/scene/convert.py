@@ -20,15 +20,26 @@ from radwrap.scene.materials import (
     PerturbedNormal,
     Specular,
 )
+from radwrap.scene.mesh import mesh_of
 from radwrap.scene.ring_calibration import read_calibration
 from radwrap.scene.scene import Scene
-from radwrap.scene.sources import Beam, Emitter, LedChange, Ring, SingleSource, Source, gaussian_spread
+from radwrap.scene.sources import (
+    Beam,
+    Emitter,
+    LedChange,
+    Ring,
+    SingleSource,
+    Source,
+    cosine_power_spread,
+    gaussian_spread,
+)
 from radwrap.scene.targets import (
     Box,
     Cylinder,
     Disc,
     DotBoard,
     EdgeTarget,
+    MeshPart,
     Polygon,
     RadFile,
     Sheet,
@@ -57,7 +68,12 @@ def scene_from_model(
         for i, table in enumerate(model.sources)
     )
     target_names = _target_names(model, assumed)
-    targets = tuple(_target(table, name) for table, name in zip(model.targets, target_names, strict=True))
+    targets = tuple(
+        _part(table, name, f"{origin}: targets[{index}]", folder)
+        if isinstance(table, tables.PartModel)
+        else _target(table, name)
+        for index, (table, name) in enumerate(zip(model.targets, target_names, strict=True))
+    )
     for kind, things in (("sources", sources), ("targets", targets)):
         for index, thing in enumerate(things):
             if thing.name in names:
@@ -178,6 +194,10 @@ def _beam(table: tables.BeamModel, where: str, key: str, assumed: dict[str, str]
     definition = table.width_definition or "fwhm"
     if table.profile == "gaussian":
         return Beam("gaussian", gaussian_spread(table.width, definition))
+    if table.profile == "cosine_power":
+        if definition != "sigma" and table.width / (1 if definition == "half_angle" else 2) >= math.pi / 2:
+            raise InputError("a power of the cosine is dark from 90 degrees on", where=f"{where}.beam.width")
+        return Beam("cosine_power", cosine_power_spread(table.width, definition))
     half = table.width if definition == "half_angle" else table.width / 2
     if half > math.pi / 2:
         raise InputError("a cone cannot be wider than a half space", where=f"{where}.beam.width")
@@ -265,6 +285,11 @@ def _source(table: tables.SourceModel, where: str, key: str, assumed: dict[str, 
     return SingleSource(table.type, emitter)
 
 
+def material_from_table(table: tables.MaterialModel) -> Material:
+    """A material on its own."""
+    return _material(table, "materials", {})
+
+
 def _material(table: tables.MaterialModel, key: str, assumed: dict[str, str]) -> Material:
     match table:
         case tables.LambertianModel():
@@ -286,6 +311,21 @@ def _material(table: tables.MaterialModel, key: str, assumed: dict[str, str]) ->
         interpolation=table.interpolation or "log",
         outside=table.outside or "refuse",
     )
+
+
+def _part(table: tables.PartModel, name: str, where: str, folder: Path) -> MeshPart:
+    """A mesh with equal vertices joined, without triangles of no area, its neighbours wound alike."""
+    from radwrap.scene.parts import cleaned, joined, read_part_file
+    from radwrap.scene.winding import wound
+
+    found = read_part_file(folder / table.part, folder=folder, length_unit=table.length_unit, where=f"{where}.part")
+    vertices, faces, _ = cleaned(*joined(found.groups))
+    if not len(faces):
+        raise InputError("its triangles have no area", where=f"{where}.part", remedy="name another file")
+    order = wound(vertices, faces)
+    mesh = mesh_of(vertices, order.faces)
+    told = f"{found.sha256}:{table.length_unit!r}"
+    return MeshPart(name, _placed(table), table.material, table.part, told, mesh, order.closed)
 
 
 def _target(table: tables.TargetModel, name: str) -> Target:
@@ -319,3 +359,4 @@ def _target(table: tables.TargetModel, name: str) -> Target:
             return Box(name, pose, table.material, table.size)
         case tables.RadModel():
             return RadFile(name, pose, table.rad, table.length_unit)
+    raise TypeError(f"{type(table).__name__} is read with its file")

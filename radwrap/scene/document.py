@@ -179,7 +179,7 @@ class CameraModel(Aimed):
 class BeamModel(Model):
     """Angular distribution of a source."""
 
-    profile: Literal["gaussian", "cone", "lambertian"]
+    profile: Literal["gaussian", "cosine_power", "cone", "lambertian"]
     width: PositiveAngle | None = None
     width_definition: WidthDefinition | None = None
 
@@ -456,8 +456,26 @@ class RadModel(TargetBase):
     length_unit: Size = default("1 m")
 
 
+class PartModel(TargetBase):
+    """A triangle mesh from a file."""
+
+    type: Literal["part"] = "part"
+    part: Annotated[str, Field(strict=True, min_length=1, max_length=1000)]
+    material: Name
+    length_unit: Size | None = None
+
+
 TargetModel = Annotated[
-    SheetModel | BoardModel | EdgeModel | PolygonModel | DiscModel | SphereModel | CylinderModel | BoxModel | RadModel,
+    SheetModel
+    | BoardModel
+    | EdgeModel
+    | PolygonModel
+    | DiscModel
+    | SphereModel
+    | CylinderModel
+    | BoxModel
+    | PartModel
+    | RadModel,
     Field(discriminator="type"),
 ]
 
@@ -473,12 +491,15 @@ class SceneModel(Model):
 
     @model_validator(mode="before")
     @classmethod
-    def _rad_names_its_type(cls, table: Any) -> Any:
-        """A target that names a Radiance file needs no type beside it."""
+    def _files_name_their_type(cls, table: Any) -> Any:
+        """A target that names a Radiance file or a mesh needs no type beside it."""
         if not isinstance(table, dict) or not isinstance(table.get("targets"), list):
             return table
         targets = [
-            {"type": "rad", **target} if isinstance(target, dict) and "rad" in target else target
+            next(
+                ({"type": key, **target} for key in ("rad", "part") if isinstance(target, dict) and key in target),
+                target,
+            )
             for target in table["targets"]
         ]
         return {**table, "targets": targets}

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from radwrap.frames import Vector, points_to_local, to_local
 from radwrap.scene.camera import Camera
 from radwrap.scene.intersections import clamped
-from radwrap.scene.targets import Box, Cylinder, RadFile, Sphere, Target
+from radwrap.scene.mesh import contains, nearest_on
+from radwrap.scene.targets import Box, Cylinder, MeshPart, RadFile, Sphere, Target
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +48,10 @@ def signed_distance(target: Target, point: Vector) -> float:
             return _solid(math.hypot(x, y) - target.diameter / 2, abs(z) - target.length / 2)
         case Box():
             return _solid(*(abs(a) - side / 2 for a, side in zip((x, y, z), target.size, strict=True)))
+        case MeshPart():
+            local = np.array([x, y, z])
+            distance = float(np.linalg.norm(nearest_on(target.mesh, local)[0] - local))
+            return -distance if target.closed and contains(target.mesh, local) else distance
     near = clamped(target, np.array([x, y]))
     return math.hypot(x - near[0], y - near[1], z)
 

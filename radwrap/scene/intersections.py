@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.frames import Vector, points_to_local
+from radwrap.scene.mesh import mesh_hit, nearest_on
 from radwrap.scene.targets import (
     Box,
     Cylinder,
     Disc,
     DotBoard,
     EdgeTarget,
+    MeshPart,
     Polygon,
     RadFile,
     Sheet,
@@ -62,6 +64,8 @@ def first_hit(target: Target, origins: Array, directions: Array) -> tuple[Array,
                 distance, normals = _cylinder_hit(target, start, along)
             case Box():
                 distance, normals = _box_hit(target, start, along)
+            case MeshPart():
+                distance, normals = mesh_hit(target.mesh, start, along)
             case _:
                 distance = -start[:, 2] / along[:, 2]
                 met = (distance > _START) & on_face(target, (start + distance[:, np.newaxis] * along)[:, :2])
@@ -187,6 +191,8 @@ def _nearest_local(target: Target, local: Array) -> tuple[Array, Array]:
             place = np.clip(local, -size, size)
             place[face] = normal[face] * size[face]
             return place, normal
+        case MeshPart():
+            return nearest_on(target.mesh, local)
     return np.append(clamped(target, local[:2]), 0.0), np.array([0.0, 0.0, 1.0])
 
 

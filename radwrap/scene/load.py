@@ -16,9 +16,11 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails, PydanticUndefined
 
 from radwrap.errors import InputError
+from radwrap.scene.border import Model
 from radwrap.scene.checks import check_scene
-from radwrap.scene.convert import scene_from_model
-from radwrap.scene.document import SceneModel
+from radwrap.scene.convert import material_from_table, scene_from_model
+from radwrap.scene.document import MaterialModel, SceneModel
+from radwrap.scene.materials import Material
 from radwrap.scene.scene import Scene
 
 _LARGEST_FILE: Final = 16 << 20  # byte; a scene file is written by hand
@@ -61,6 +63,24 @@ def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> 
     path = Path(path)
     document = _read(path)
     return scene_from_document(document, overrides, origin=path.name, folder=path.parent)
+
+
+class _MaterialsModel(Model):
+    """A file of materials: names as a mesh has them -> tables as a scene has them."""
+
+    materials: dict[str, MaterialModel]
+
+
+def load_materials(path: str | Path) -> dict[str, Material]:
+    """Read a file with ``[materials."NAME"]`` tables as a scene has them; errors as `load_scene`."""
+    path = Path(path)
+    document = _read(path)
+    _checked_json(document, path.name)
+    try:
+        model = _MaterialsModel.model_validate(document)
+    except ValidationError as error:
+        raise _translated(error, path.name, document) from error
+    return {name: material_from_table(table) for name, table in model.materials.items()}
 
 
 def scene_from_document(

@@ -25,6 +25,7 @@ from radwrap.scene.targets import (
     Disc,
     DotBoard,
     EdgeTarget,
+    MeshPart,
     Polygon,
     RadFile,
     Sheet,
@@ -37,6 +38,7 @@ Array = NDArray[np.float64]
 _GRID: Final = 9  # points along each side of a surface
 _POLAR: Final = 5
 _MOST_DOTS: Final = 33  # rows and columns of dots whose centres are looked at
+_MOST_TRIANGLES: Final = 512
 _BEAM_CIRCLES: Final = 8
 _BEAM_AZIMUTHS: Final = 16
 _BORDER: Final = 128  # points on each side of a border
@@ -53,6 +55,8 @@ def surface_points(target: Target, viewer: Vector) -> tuple[SurfacePoints, ...]:
     rotation = np.asarray(target.pose.rotation)
     if isinstance(target, Sphere | Cylinder | Box):
         local, normals = _solid_points(target)
+    elif isinstance(target, MeshPart):
+        local, normals = _mesh_points(target)
     else:
         local = _flat_points(target)
         normals = np.tile([0.0, 0.0, 1.0], (len(local), 1))
@@ -124,7 +128,7 @@ def nearest_lit(target: Target, emitter: Emitter) -> float:
 def _border(target: Target) -> Array:
     """Points close together on a flat target's border, shape (n, 3) [m]; none of a solid."""
     match target:
-        case RadFile() | Sphere() | Cylinder() | Box():
+        case RadFile() | Sphere() | Cylinder() | Box() | MeshPart():
             return np.empty((0, 3))
         case Disc():
             angle = np.linspace(0, 2 * np.pi, 4 * _BORDER, endpoint=False)
@@ -147,7 +151,7 @@ def _corners(target: Sheet | DotBoard | EdgeTarget | Polygon) -> Array:
 
 def _near_axis(target: Target, emitter: Emitter) -> tuple[SurfacePoints, ...]:
     """The point of a flat target that is nearest to where the beam's axis meets its plane."""
-    if isinstance(target, Sphere | Cylinder | Box | RadFile):
+    if isinstance(target, Sphere | Cylinder | Box | MeshPart | RadFile):
         return ()
     rotation = np.asarray(target.pose.rotation)
     start = (np.asarray(emitter.position) - target.pose.position) @ rotation
@@ -281,11 +285,21 @@ def _solid_points(target: Sphere | Cylinder | Box) -> tuple[Array, Array]:
     return outwards / reach[:, np.newaxis], normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
+def _mesh_points(target: MeshPart) -> tuple[Array, Array]:
+    """Middles and normals of triangles that are spread over a mesh."""
+    mesh = target.mesh
+    leaves = mesh.order[mesh.order >= 0]
+    chosen = leaves[np.unique(np.linspace(0, len(leaves) - 1, min(len(leaves), _MOST_TRIANGLES)).astype(int))]
+    return mesh.corners[chosen].mean(axis=1), mesh.normals[chosen]
+
+
 def beam_reach(beam: Beam) -> float:
     """Angle to the axis [rad] up to which a beam counts as light."""
     match beam.profile:
         case "gaussian":
             return min(beam.spread * math.sqrt(-2 * math.log(LIT_SHARE)), math.pi / 2)
+        case "cosine_power":
+            return math.acos(LIT_SHARE ** (beam.spread**2))
         case "cone":
             return min(beam.spread, math.pi / 2)
     return math.acos(LIT_SHARE)

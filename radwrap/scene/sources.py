@@ -1,8 +1,8 @@
 """Light sources: discs that shine to their front with a beam.
 
 A beam is a far-field radiant intensity I(theta) = I(0) g(theta), as data
-sheets give it. "gaussian" and "cone" describe g itself; "lambertian" is
-g = cos(theta), the disc of constant radiance.
+sheets give it. "gaussian", "cosine_power" and "cone" describe g itself;
+"lambertian" is g = cos(theta), the disc of constant radiance.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from radwrap.frames import (
     to_world,
 )
 
-Profile = Literal["gaussian", "cone", "lambertian"]
+Profile = Literal["gaussian", "cosine_power", "cone", "lambertian"]
 WidthDefinition = Literal["fwhm", "half_angle", "1/e^2_full", "sigma"]
 
 
@@ -35,9 +35,11 @@ class Beam:
     Attributes
     ----------
     profile : str
-        "gaussian", "cone" or "lambertian".
+        "gaussian", "cosine_power", "cone" or "lambertian".
     spread : float
         "gaussian": standard deviation of exp(-theta^2/(2 spread^2)) [rad];
+        "cosine_power": of cos(theta)^(1/spread^2), the standard deviation of
+        the Gaussian that it meets on the axis [rad];
         "cone": angle from the axis to the rim [rad]; "lambertian": not used.
     """
 
@@ -49,6 +51,8 @@ class Beam:
         match self.profile:
             case "gaussian":
                 relative = np.exp(-((theta / self.spread) ** 2) / 2)
+            case "cosine_power":
+                relative = np.power(np.maximum(np.cos(theta), 0.0), self.spread**-2)
             case "cone":
                 relative = np.where(theta < self.spread, 1.0, 0.0)
             case "lambertian":
@@ -72,6 +76,20 @@ def gaussian_spread(width: float, definition: WidthDefinition) -> float:
     to_half_maximum = math.sqrt(2 * math.log(2))
     divisor = {"fwhm": 2 * to_half_maximum, "half_angle": to_half_maximum, "1/e^2_full": 4.0, "sigma": 1.0}
     return width / divisor[definition]
+
+
+def cosine_power_spread(width: float, definition: WidthDefinition) -> float:
+    """Spread [rad] of a beam cos(theta)^n with n = 1/spread^2; arguments as `gaussian_spread`.
+
+    The angle from the axis to the stated share of the maximum must be below
+    90 degrees, where every such beam is dark.
+    """
+    if definition == "sigma":
+        return width
+    angle, share = {"fwhm": (width / 2, 0.5), "half_angle": (width, 0.5), "1/e^2_full": (width / 2, math.exp(-2))}[
+        definition
+    ]
+    return math.sqrt(math.log(math.cos(angle)) / math.log(share))
 
 
 @dataclass(frozen=True, slots=True)

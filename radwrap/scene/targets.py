@@ -6,9 +6,13 @@ A flat target lies in its own xy plane, centred on its origin, and faces +z.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
 
 from radwrap.frames import Pose, Vector, to_world
+from radwrap.scene.mesh import Mesh
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +168,32 @@ class RadFile:
     length_unit: float
 
 
-Target = Sheet | DotBoard | EdgeTarget | Polygon | Disc | Sphere | Cylinder | Box | RadFile
+@dataclass(frozen=True, slots=True)
+class MeshPart:
+    """A triangle mesh from a file.
+
+    Attributes
+    ----------
+    file : str
+        Name of the file, against the scene's folder.
+    sha256 : str
+        Of the file and its unit of length.
+    mesh : Mesh
+        The triangles in the part's own frame, which is that of the file [m].
+    closed : bool
+        Whether each side belongs to two triangles, so that there is an inside.
+    """
+
+    name: str
+    pose: Pose
+    material: str
+    file: str
+    sha256: str
+    mesh: Mesh = field(compare=False, repr=False)
+    closed: bool = True
+
+
+Target = Sheet | DotBoard | EdgeTarget | Polygon | Disc | Sphere | Cylinder | Box | MeshPart | RadFile
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,7 +229,15 @@ class TubeShape:
     radius: float
 
 
-Shape = PolygonShape | DiscShape | SphereShape | TubeShape
+@dataclass(frozen=True, slots=True, eq=False)
+class MeshShape:
+    """Triangles in the world: vertices, shape (n, 3) [m], and faces, shape (m, 3)."""
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.intp]
+
+
+Shape = PolygonShape | DiscShape | SphereShape | TubeShape | MeshShape
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,6 +306,10 @@ def surfaces(target: Target) -> tuple[Surface, ...]:
             return _cylinder(target)
         case Box():
             return _box(target)
+        case MeshPart():
+            vertices = target.mesh.vertices @ np.asarray(target.pose.rotation).T + target.pose.position
+            shape = MeshShape(vertices, target.mesh.faces)
+            return (Surface(target.name, "surface", target.material, shape),)
 
 
 def _plain(target: Sheet | DotBoard | EdgeTarget | Polygon | Disc | Sphere, shape: Shape) -> Surface:

@@ -17,10 +17,18 @@ from radwrap.files import disk_failure, make_folder
 from radwrap.frames import fixed_axis_angles
 from radwrap.process import Limits, Programs
 from radwrap.scene.scene import Scene
-from radwrap.scene.targets import RadFile
+from radwrap.scene.targets import MeshShape, RadFile
 from radwrap.tracers.included import check_no_cycle, light_in, read_included
 from radwrap.tracers.installation import Installation, judge
-from radwrap.tracers.radiance_text import RadianceScene, identity_text, scales_of, scene_text
+from radwrap.tracers.radiance_text import (
+    RadianceScene,
+    Scales,
+    identity_text,
+    mesh_file,
+    obj_text,
+    scales_of,
+    scene_text,
+)
 
 _OCTREE: Final = "scene.oct"
 # Direct light is exact and repeatable: every source once, at its centre (-ds 0, -dj 0), none left out by a
@@ -130,8 +138,38 @@ def prepare(
             glowing[target.name] = _xform(text, ["-m", target.name, *move], options, programs, folder)
     if not (lit or shining):
         raise InputError("there is no light", where=f"{scene.origin}: sources", remedy="add [[sources]]")
-    identity, parts = identity_text(scene, glowing)
+    for surface in scene.surfaces:
+        if isinstance(surface.shape, MeshShape):
+            where = f'{scene.origin}: target "{surface.name}"'
+            files[mesh_file(stem, surface.name)] = compiled_mesh(
+                surface.shape, scales_of(scene), options, programs, folder, where=where
+            )
+    identity, parts = identity_text(scene, glowing, stem)
     return PreparedScene(scene_text(scene, texts, files, stem), identity, parts, texts, tuple(shining))
+
+
+def compiled_mesh(
+    shape: MeshShape, scales: Scales, options: RadianceOptions, programs: Programs, folder: Path, *, where: str
+) -> bytes:
+    """Triangles as the file that Radiance's ``mesh`` opens.
+
+    Raises
+    ------
+    TracerError
+        If obj2mesh fails or warns.
+    """
+    with _naming(where):
+        made, said = programs.run(
+            [options.installation.program("obj2mesh")],
+            folder=folder,
+            environment=options.installation.environment(),
+            stdin=[obj_text(shape, scales)],
+            limits=options.limits,
+        )
+        judge(said, "obj2mesh")
+        if not made:
+            raise TracerError("wrote nothing", where="obj2mesh")
+    return made
 
 
 @contextmanager

@@ -30,7 +30,7 @@ from radwrap.scene.materials import (
 )
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Emitter, emitters
-from radwrap.scene.targets import DiscShape, PolygonShape, SphereShape, Surface, TubeShape, surfaces
+from radwrap.scene.targets import DiscShape, MeshShape, PolygonShape, SphereShape, Surface, TubeShape, surfaces
 
 _FUNCTIONS: Final = "radwrap.cal"
 
@@ -124,6 +124,9 @@ def _sizes(scene: Scene) -> Iterator[tuple[float, float]]:
                 yield min(math.dist(a, b) for a, b in zip(vertices, following, strict=True)), _SHORTEST_SIDE
             case TubeShape(start, end, radius):
                 yield min(radius, math.dist(start, end)), _SMALLEST_RADIUS
+            case MeshShape(corners, _):
+                # A mesh knows no shortest side: its corners lie on a grid of 2^-32 of its size.
+                yield float((corners.max(axis=0) - corners.min(axis=0)).max()), _SHORTEST_SIDE
             case DiscShape() | SphereShape():
                 yield surface.shape.radius, _SMALLEST_RADIUS
 
@@ -159,8 +162,8 @@ def scene_text(
         Text and files; in the text later surfaces lie on top of earlier ones in the same plane.
     """
     scales = scales_of(scene)
-    functions = f"{stem}.{_FUNCTIONS}"
-    beside = {**files_beside, functions: (files("radwrap") / "data" / "cal" / _FUNCTIONS).read_bytes()}
+    functions, own = function_file(stem)
+    beside = {**files_beside, **own}
     parts = [_header(functions, scales)]
     for file in scene.included:
         parts.append(f"# {file.name}: included {file.file}\n\n{included[file.name]}")
@@ -173,7 +176,31 @@ def scene_text(
     return RadianceScene("\n".join(parts), beside, scales)
 
 
-def identity_text(scene: Scene, included: Mapping[str, str]) -> tuple[str, tuple[str, ...]]:
+def function_file(stem: str) -> tuple[str, dict[str, bytes]]:
+    """Name and content of the file of radwrap's functions, for texts of that stem."""
+    name = f"{stem}.{_FUNCTIONS}"
+    return name, {name: (files("radwrap") / "data" / "cal" / _FUNCTIONS).read_bytes()}
+
+
+def material_text(name: str, data: str, functions: str, material: Material) -> tuple[str, dict[str, bytes]]:
+    """A material of that name, and the data files it needs, whose names begin with `data`."""
+    return _material(name, data, functions, material), _data_files(data, material)
+
+
+def mesh_file(stem: str, surface: str) -> str:
+    """Name of the file that holds a surface's triangles, made by obj2mesh."""
+    return f"{stem}.{surface}.rtm"
+
+
+def obj_text(shape: MeshShape, scales: Scales) -> bytes:
+    """Triangles for obj2mesh, in the text's unit."""
+    unit = round(1 / scales.length)
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in (shape.vertices * unit).tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (shape.faces + 1).tolist()]
+    return ("\n".join(lines) + "\n").encode()
+
+
+def identity_text(scene: Scene, included: Mapping[str, str], stem: str = "scene") -> tuple[str, tuple[str, ...]]:
     """The same geometry, each part of each target glowing with its own number.
 
     Returns
@@ -202,7 +229,7 @@ def identity_text(scene: Scene, included: Mapping[str, str]) -> tuple[str, tuple
             if part not in parts:
                 parts.append(part)
                 texts.append(_glow(part, len(parts)))
-            texts.append(_geometry(surface, part, scales))
+            texts.append(_geometry(surface, part, scales, stem))
     return "\n".join(texts), tuple(parts)
 
 
@@ -276,7 +303,7 @@ def _target(parts: tuple[Surface, ...], materials: Mapping[str, Material], stem:
             yield f"# {modifier}: {surface.material}\n" + _material(
                 modifier, f"{stem}.{surface.material}", f"{stem}.{_FUNCTIONS}", materials[surface.material]
             )
-        yield _geometry(surface, modifier, scales)
+        yield _geometry(surface, modifier, scales, stem)
 
 
 def _material(name: str, data: str, functions: str, material: Material) -> str:
@@ -343,8 +370,10 @@ def _data_files(name: str, material: Material) -> dict[str, bytes]:
     return {_data_name(name): ("\n".join(lines) + "\n").encode()}
 
 
-def _geometry(surface: Surface, modifier: str, scales: Scales) -> str:
+def _geometry(surface: Surface, modifier: str, scales: Scales, stem: str) -> str:
     match surface.shape:
+        case MeshShape():
+            return _primitive(modifier, "mesh", surface.name, (), (mesh_file(stem, surface.name),))
         case PolygonShape(vertices):
             return _primitive(modifier, "polygon", surface.name, _scaled(scales, *vertices))
         case DiscShape(centre, normal, radius):

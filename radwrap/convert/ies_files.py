@@ -1,0 +1,97 @@
+"""Luminaire files (IES LM-63) as Radiance sources, by Radiance's own ies2rad.
+
+A luminaire file may name another file for its tilt, and its header lines end
+up in comments, which Radiance cuts at 2047 bytes and reads on as scene. So
+only TILT=NONE and TILT=INCLUDE pass, and what ies2rad writes is parsed and
+written again without comments.
+"""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from pathlib import Path
+from typing import Final
+
+from radwrap.convert.radiance_files import side_stem
+from radwrap.errors import InputError
+from radwrap.files import make_folder, write_bytes
+from radwrap.process import Programs
+from radwrap.tracers.installation import judge
+from radwrap.tracers.rad_grammar import Source, primitives
+from radwrap.tracers.radiance import RadianceOptions
+
+# Radiance's luminous efficacy of white light [lm/W], by which ies2rad makes watts of lumens.
+LUMENS_PER_WATT: Final = 179.0
+_LARGEST_FILE: Final = 1 << 20
+_TILT: Final = re.compile(rb"(?im)^[ \t]*TILT[ \t]*=[ \t]*([^\r\n]*)")
+_HARMLESS: Final = (r"\S+: warning - no lamp type",)
+
+
+def write_luminaire(path: Path, out: Path, options: RadianceOptions) -> tuple[Path, ...]:
+    """Write a luminaire as a Radiance scene in m, its distribution beside it.
+
+    Parameters
+    ----------
+    path : Path
+        The .ies file.
+    out : Path
+        The .rad file; a scene includes it with ``rad = "lamp.rad"``.
+    options : RadianceOptions
+        Which Radiance.
+
+    Raises
+    ------
+    InputError
+        If it is no luminaire file, or names another file.
+    TracerError
+        If ies2rad fails or warns.
+    """
+    content = _content(path)
+    stem = side_stem(out)
+    with Programs() as programs, tempfile.TemporaryDirectory(prefix="radwrap-") as folder:
+        work = Path(folder)
+        (work / "lamp.ies").write_bytes(content)
+        _, said = programs.run(
+            [options.installation.program("ies2rad"), "-p", ".", "-o", stem, "lamp.ies"],
+            folder=work,
+            environment=options.installation.environment(),
+            limits=options.limits,
+        )
+        judge(said, "ies2rad", _HARMLESS)
+        made = {file.name: file.read_bytes() for file in work.iterdir() if file.name != "lamp.ies"}
+    text = _plain(made.pop(f"{stem}.rad", b""), path)
+    make_folder(out.parent)
+    for name, data in sorted(made.items()):
+        write_bytes(out.parent / name, data)
+    head = f"# Luminaire written by radwrap. Lengths in m, radiances in W/m^2/sr at {LUMENS_PER_WATT:g} lm/W.\n"
+    write_bytes(out, (head + text).encode())
+    return (*(out.parent / name for name in sorted(made)), out)
+
+
+def _content(path: Path) -> bytes:
+    try:
+        if not path.is_file():
+            raise InputError("no such file", where=str(path))
+        content = path.read_bytes()[: _LARGEST_FILE + 1]
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", where=str(path)) from error
+    if len(content) > _LARGEST_FILE or b"\0" in content:
+        raise InputError("is no luminaire file: it is too large, or no text", where=str(path))
+    tilt = _TILT.search(content)
+    if tilt is None:
+        raise InputError("is no luminaire file: it has no TILT", where=str(path), remedy="name an IES LM-63 file")
+    if tilt[1].strip().upper() not in (b"NONE", b"INCLUDE"):
+        raise InputError("names another file for its tilt", where=str(path), remedy="write TILT=NONE or TILT=INCLUDE")
+    return content
+
+
+def _plain(text: bytes, path: Path) -> str:
+    """The scene again from its checked words; ies2rad quotes names, which our grammar does not allow."""
+    lines = [line for line in text.decode("ascii", "replace").splitlines() if not line.startswith("#")]
+    words = re.sub(r"'([^']*)'", r"\1", "\n".join(lines) + "\n")
+    found = primitives(words, Source(str(path), path))
+    pieces = [p.text([word.removeprefix("./") for word in p.words]) for p in found]
+    if not pieces:
+        raise InputError("is no luminaire file: no source came of it", where=str(path))
+    return "\n".join(pieces)

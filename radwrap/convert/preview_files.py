@@ -1,0 +1,151 @@
+"""A scene as a .glb file, to be looked at from all sides: shapes and reflectances, no light."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.errors import InputError
+from radwrap.files import make_folder, write_bytes
+from radwrap.scene.materials import Lambertian, Material, Specular
+from radwrap.scene.scene import Scene
+from radwrap.scene.targets import DiscShape, MeshShape, PolygonShape, Shape, SphereShape, TubeShape
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+_ROUND: Final = 64  # corners of a circle
+_SOURCE: Final = (255, 220, 90, 255)
+# What is later in a plane is drawn this much nearer to its front [m].
+_LIFT: Final = 2e-5
+
+
+def write_preview(scene: Scene, path: Path) -> tuple[Path, ...]:
+    """Write a scene's targets and sources as glTF binary, in metres.
+
+    Raises
+    ------
+    InputError
+        If it includes Radiance files, whose shapes are not known here.
+    """
+    trimesh = _library()
+    if scene.included:
+        raise InputError(
+            f'the shapes of "{scene.included[0].name}", a Radiance file, are not known',
+            where=scene.origin,
+            remedy="a preview shows targets of the scene file alone",
+        )
+    preview = trimesh.Scene()
+    for surface in scene.surfaces:
+        lift = 0.0 if surface.part == "surface" else _LIFT
+        colour = _colour(scene.materials[surface.material])
+        _add(preview, surface.name, surface.shape, colour, lift)
+    for emitter in scene.emitters:
+        _add(preview, emitter.name, DiscShape(emitter.position, emitter.axis, emitter.radius), _SOURCE, 0.0)
+    content: bytes = preview.export(file_type="glb")
+    make_folder(path.parent)
+    write_bytes(path, content)
+    return (path,)
+
+
+def _library() -> Any:
+    """Trimesh, most of which has no types."""
+    import trimesh
+
+    return trimesh
+
+
+def _add(preview: Any, name: str, shape: Shape, colour: tuple[int, int, int, int], lift: float) -> None:
+    trimesh = _library()
+    vertices, faces = _triangles(shape)
+    if lift:
+        first = vertices[faces[0]]
+        across = np.cross(first[1] - first[0], first[2] - first[0])
+        vertices = vertices + lift * across / np.linalg.norm(across)
+    material = trimesh.visual.material.PBRMaterial(
+        name=name, baseColorFactor=colour, doubleSided=True, metallicFactor=0.0, roughnessFactor=1.0
+    )
+    body = trimesh.Trimesh(vertices, faces, process=False, visual=trimesh.visual.TextureVisuals(material=material))
+    preview.add_geometry(body, node_name=name, geom_name=name)
+
+
+def _colour(material: Material) -> tuple[int, int, int, int]:
+    match material:
+        case Lambertian(reflectance):
+            share = reflectance
+        case Specular(diffuse, specular, _):
+            share = diffuse + specular
+        case _:
+            return (140, 190, 255, 255)  # sheeting
+    level = round(255 * min(share, 1.0))
+    return (level, level, level, 255)
+
+
+def _triangles(shape: Shape) -> tuple[Array, Index]:
+    match shape:
+        case MeshShape(vertices, faces):
+            return vertices, faces
+        case PolygonShape(vertices):
+            corners = np.asarray(vertices)
+            return corners, ears(corners)
+        case DiscShape(centre, normal, radius):
+            rim = np.asarray(centre) + radius * _circle(np.asarray(normal))
+            return rim, _fan(len(rim))
+        case SphereShape(centre, radius):
+            return _sphere(np.asarray(centre), radius)
+        case TubeShape(start, end, radius):
+            axis = np.asarray(end) - np.asarray(start)
+            circle = radius * _circle(axis / np.linalg.norm(axis))
+            a = np.arange(_ROUND)
+            b = (a + 1) % _ROUND
+            sides = np.vstack([np.column_stack([a, b, b + _ROUND]), np.column_stack([a, b + _ROUND, a + _ROUND])])
+            return np.vstack([circle + start, circle + end]), sides
+
+
+def _circle(normal: Array) -> Array:
+    first = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
+    first = first / np.linalg.norm(first)
+    angle = 2 * np.pi * np.arange(_ROUND) / _ROUND
+    circle: Array = np.outer(np.cos(angle), first) + np.outer(np.sin(angle), np.cross(normal, first))
+    return circle
+
+
+def _fan(number: int) -> Index:
+    after = np.arange(1, number - 1)
+    return np.column_stack([np.zeros_like(after), after, after + 1])
+
+
+def _sphere(centre: Array, radius: float) -> tuple[Array, Index]:
+    ball = _library().creation.icosphere(subdivisions=3, radius=radius)
+    return np.asarray(ball.vertices) + centre, np.asarray(ball.faces)
+
+
+def ears(corners: Array) -> Index:
+    """Triangles of a flat polygon without crossing sides, shape (n, 3), by cutting off one ear after the other."""
+    following = np.roll(corners, -1, axis=0)
+    normal = np.cross(corners, following).sum(axis=0)
+    first = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
+    flat = corners @ np.stack([first, np.cross(normal, first)]).T
+    left = list(range(len(corners)))
+    found = []
+    while len(left) > 3:
+        place = next((i for i in range(len(left)) if _is_ear(flat, left, i)), 0)
+        found.append((left[place - 1], left[place], left[(place + 1) % len(left)]))
+        del left[place]
+    return np.array([*found, tuple(left)], dtype=np.intp)
+
+
+def _is_ear(flat: Array, left: list[int], place: int) -> bool:
+    a, b, c = (flat[left[(place + step) % len(left)]] for step in (-1, 0, 1))
+
+    def turn(p: Array, q: Array, r: Array) -> float:
+        return float((q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]))
+
+    if turn(a, b, c) <= 0:
+        return False
+    others = (flat[i] for i in left if not any(math.dist(flat[i], p) == 0 for p in (a, b, c)))
+    return not any(turn(a, b, p) >= 0 and turn(b, c, p) >= 0 and turn(c, a, p) >= 0 for p in others)

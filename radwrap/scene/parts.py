@@ -1,0 +1,288 @@
+"""Meshes from files that nobody vouches for; the door to trimesh for scenes.
+
+A mesh file is data: it runs nothing and opens nothing. It must lie in the
+scene's folder, the counts in its header must fit its size, and materials or
+textures that it names are not read.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import io
+import math
+import os
+import re
+import stat
+import struct
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.errors import EnvironmentFailure, InputError, TracerError
+from radwrap.process import Programs
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+SUFFIXES: Final = (".stl", ".obj", ".ply", ".off", ".glb", ".step", ".stp")
+# glTF is in metres by its standard, and STEP files name their unit; the others hold bare numbers.
+_IN_METRES: Final = frozenset({".glb", ".step", ".stp"})
+_LARGEST_FILE: Final = 1 << 30
+MOST_FACES: Final = 10_000_000
+_LARGEST: Final = 1e9  # m
+# Triangles of a smaller area, relative to the square of the mesh's size, show nothing and are left out.
+_NO_AREA: Final = 1e-14
+_OPEN_FLAGS: Final = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOFOLLOW", 0)
+_PLY_COUNT: Final = re.compile(rb"element\s+(\w+)\s+(\d+)")
+_BY_MATERIAL: Final = re.compile(rb"^[ \t]*usemtl[ \t]+(\S[^\r\n]*?)[ \t]*\r?$", re.MULTILINE)
+_MATERIAL_FILE: Final = re.compile(rb"^[ \t]*mtllib[ \t]+(\S[^\r\n]*?)[ \t]*\r?$", re.MULTILINE)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PartFile:
+    """What a mesh file holds.
+
+    Attributes
+    ----------
+    groups : dict
+        Name of the material, or of the body, -> (vertices [m], shape (n, 3); faces, shape (m, 3)).
+    sha256 : str
+        Of the file.
+    material_files : tuple of str
+        Files with materials that it names and that were not read.
+    """
+
+    groups: dict[str, tuple[Array, Index]]
+    sha256: str
+    material_files: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Cleaned:
+    """What was left out of a mesh: numbers of triangles."""
+
+    degenerate: int
+    duplicate: int
+
+
+def read_part_file(path: Path, *, folder: Path, length_unit: float | None, where: str) -> PartFile:
+    """Read a mesh file.
+
+    Parameters
+    ----------
+    path : Path
+        .stl, .obj, .ply, .off, .glb, or .step where cascadio is installed.
+    folder : Path
+        Folder in which it must lie, symbolic links resolved.
+    length_unit : float, optional
+        Length of the file's unit [m]; must be given where the format has none, and only there.
+    where : str
+        What named the file, for messages.
+
+    Raises
+    ------
+    InputError
+        If it lies elsewhere, is not whole, or holds no triangles, NaN, or more than its size allows.
+    EnvironmentFailure
+        If it is STEP and cascadio is not installed.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InputError(f'"{path.name}" is no mesh file', where=where, remedy=f"use {', '.join(SUFFIXES)}")
+    unit = _unit(suffix, length_unit, path, where)
+    content = _content(path, folder, where)
+    _check_counts(suffix, content, where)
+    names = tuple(name.decode(errors="replace") for name in _MATERIAL_FILE.findall(content)) if suffix == ".obj" else ()
+    for name in names:
+        _check_inside(name, path, where)
+    groups = {name: _scaled(bodies, unit, where) for name, bodies in _loaded(suffix, content, where).items()}
+    groups = {name: arrays for name, arrays in groups.items() if len(arrays[1])}
+    if not groups:
+        raise InputError(f'"{path.name}" holds no triangles', where=where, remedy="name another file")
+    return PartFile(groups, hashlib.sha256(content).hexdigest(), names)
+
+
+def joined(groups: dict[str, tuple[Array, Index]]) -> tuple[Array, Index]:
+    """All groups as one mesh."""
+    starts = np.cumsum([0, *(len(vertices) for vertices, _ in groups.values())])
+    faces = [faces + start for (_, faces), start in zip(groups.values(), starts, strict=False)]
+    return np.concatenate([vertices for vertices, _ in groups.values()]), np.concatenate(faces)
+
+
+def cleaned(vertices: Array, faces: Index) -> tuple[Array, Index, Cleaned]:
+    """A mesh with equal vertices joined, without triangles of no area and without repeated ones."""
+    unique, inverse = np.unique(vertices, axis=0, return_inverse=True)
+    faces = inverse.reshape(-1)[faces]
+    corners = unique[faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = float(np.ptp(vertices, axis=0).max())
+    solid = np.linalg.norm(across, axis=1) / 2 > _NO_AREA * size**2
+    whole = faces[solid]
+    _, first = np.unique(np.sort(whole, axis=1), axis=0, return_index=True)
+    kept = whole[np.sort(first)]
+    return unique, kept, Cleaned(int((~solid).sum()), len(whole) - len(kept))
+
+
+def _unit(suffix: str, length_unit: float | None, path: Path, where: str) -> float:
+    if suffix in _IN_METRES:
+        if length_unit is not None:
+            raise InputError(f"{suffix} files have a unit of their own", where=where, remedy="leave length_unit out")
+        return 1.0
+    if length_unit is None:
+        raise InputError(
+            f'"{path.name}" does not say its unit of length', where=where, remedy='give the length unit, such as "1 mm"'
+        )
+    return length_unit
+
+
+def _content(path: Path, folder: Path, where: str) -> bytes:
+    try:
+        real = path.resolve(strict=True)
+    except (OSError, RuntimeError, ValueError) as error:
+        raise InputError(f'no file "{path.name}"', where=where, remedy="name a file beside the scene") from error
+    if not real.is_relative_to(folder.resolve()):
+        raise InputError(f'"{path.name}" lies outside the folder', where=where, remedy="copy it there")
+    try:
+        if not stat.S_ISREG(real.stat().st_mode):
+            raise InputError(f'"{path.name}" is not a regular file', where=where)
+        with os.fdopen(os.open(real, _OPEN_FLAGS), "rb") as stream:
+            content = stream.read(_LARGEST_FILE + 1)
+    except OSError as error:
+        raise InputError(f'cannot read "{path.name}": {error.strerror}', where=where) from error
+    if len(content) > _LARGEST_FILE:
+        raise InputError(f'"{path.name}" is larger than {_LARGEST_FILE >> 20} MiB', where=where)
+    return content
+
+
+def _check_inside(name: str, path: Path, where: str) -> None:
+    inner = (path.parent / name).resolve()
+    if Path(name).is_absolute() or not inner.is_relative_to(path.parent.resolve()):
+        raise InputError(
+            f'"{path.name}" names the material file "{name}" outside its folder', where=where, remedy="correct it"
+        )
+
+
+def _check_counts(suffix: str, content: bytes, where: str) -> None:
+    """Refuse headers that claim more than the file can hold, before anybody makes room for it."""
+    counts: list[int] = []
+    match suffix:
+        case ".stl" if not _is_text_stl(content):
+            claimed = struct.unpack("<I", content[80:84])[0] if len(content) >= 84 else -1
+            if len(content) != 84 + 50 * claimed:
+                raise InputError("is no whole STL file: its size does not fit its number of faces", where=where)
+            counts = [claimed]
+        case ".ply":
+            counts = [int(count) for _, count in _PLY_COUNT.findall(content[: content.find(b"end_header")])]
+        case ".off":
+            counts = [int(word) for word in content[:200].split()[1:4] if word.isdigit()]
+    if any(count > min(len(content), 3 * MOST_FACES) for count in counts):
+        raise InputError(f"claims {max(counts)} elements, more than it can hold", where=where, remedy="correct it")
+
+
+def _is_text_stl(content: bytes) -> bool:
+    return content[:5] == b"solid" and b"facet" in content[:1000]
+
+
+def _loaded(suffix: str, content: bytes, where: str) -> dict[str, list[Any]]:
+    """Bodies by the name of their material."""
+    if suffix == ".obj":
+        return {name: _bodies(text, "obj", where) for name, text in _obj_groups(content, where).items()}
+    groups: dict[str, list[Any]] = {}
+    for body in _bodies(content, suffix[1:], where):
+        groups.setdefault(_name_of(body) if suffix in _IN_METRES else "part", []).append(body)
+    return groups
+
+
+def _bodies(content: bytes, kind: str, where: str) -> list[Any]:
+    import trimesh
+
+    if kind in ("step", "stp"):
+        content, kind = _glb_of_step(content, where), "glb"
+    try:
+        # Without a resolver no other file is opened. NaN and infinity are looked for afterwards.
+        with np.errstate(all="ignore"):
+            scene = trimesh.load_scene(io.BytesIO(content), file_type=kind, process=False, resolver=None)
+            found = [body for body in scene.dump() if isinstance(body, trimesh.Trimesh)]
+    except (MemoryError, RecursionError) as error:
+        raise InputError("is too large for this machine's memory", where=where) from error
+    except Exception as error:  # the library's parsers raise whatever a broken file makes them stumble over
+        raise InputError(f"is no whole {kind.upper()} file: {str(error)[:100]}", where=where) from error
+    if sum(len(body.faces) for body in found) > MOST_FACES:
+        raise InputError(f"holds more than {MOST_FACES} triangles", where=where, remedy="simplify it")
+    return found
+
+
+def _glb_of_step(content: bytes, where: str) -> bytes:
+    """A STEP file's triangles; in a process of its own, since a large C++ library reads a file nobody vouches for."""
+    if importlib.util.find_spec("cascadio") is None:
+        raise EnvironmentFailure("STEP files need cascadio", where=where, remedy='pip install "radwrap[step]"')
+    with tempfile.TemporaryDirectory(prefix="radwrap-") as folder, Programs() as programs:
+        (Path(folder) / "part.step").write_bytes(content)
+        made = Path(folder) / "part.glb"
+        code = "import cascadio; cascadio.step_to_glb('part.step', 'part.glb')"
+        try:
+            programs.run([sys.executable, "-c", code], folder=Path(folder), environment={"LC_ALL": "C"})
+        except TracerError as error:
+            raise InputError(f"is no whole STEP file: {error.what[-100:]}", where=where) from error
+        if not made.is_file():
+            raise InputError("is no whole STEP file: it holds no shape", where=where)
+        return made.read_bytes()
+
+
+def _name_of(body: Any) -> str:
+    material = getattr(getattr(body, "visual", None), "material", None)
+    return str(getattr(material, "name", None) or body.metadata.get("name") or "part")
+
+
+def _obj_groups(content: bytes, where: str) -> dict[str, bytes]:
+    """One OBJ text for each material that is named: all vertices, and the faces between two names."""
+    if not _BY_MATERIAL.search(content):
+        return {"part": content}
+    shared: list[bytes] = []
+    groups: dict[str, list[bytes]] = {}
+    name = "part"
+    for line in content.splitlines():
+        words = line.split(None, 1)
+        if not words:
+            continue
+        match words[0]:
+            case b"v":
+                shared.append(line)
+            case b"usemtl":
+                name = words[1].strip().decode(errors="replace") if len(words) > 1 else "part"
+            case b"f":
+                if b" -" in line:
+                    raise InputError("counts vertices backwards, which goes with one material alone", where=where)
+                # Texture and normal indices point to what is left out.
+                corners = (corner.split(b"/")[0] for corner in words[1].split()) if len(words) > 1 else ()
+                groups.setdefault(name, []).append(b"f " + b" ".join(corners))
+    head = b"\n".join(shared) + b"\n"
+    return {name: head + b"\n".join(faces) + b"\n" for name, faces in groups.items()}
+
+
+def _scaled(bodies: list[Any], unit: float, where: str) -> tuple[Array, Index]:
+    groups = {
+        str(number): (np.asarray(body.vertices, dtype=np.float64), np.asarray(body.faces, dtype=np.intp))
+        for number, body in enumerate(bodies)
+        if len(body.faces)
+    }
+    if not groups:
+        return np.empty((0, 3)), np.empty((0, 3), dtype=np.intp)
+    vertices, faces = joined(groups)
+    used = np.zeros(len(vertices), dtype=bool)
+    used[faces.ravel()] = True
+    if not np.isfinite(vertices[used]).all():
+        raise InputError("holds NaN or infinity", where=where, remedy="correct it")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise InputError("names vertices that it does not hold", where=where, remedy="correct it")
+    number = np.cumsum(used) - 1
+    vertices = vertices[used] * unit
+    if float(np.abs(vertices).max()) > _LARGEST or not math.isfinite(float(np.ptp(vertices))):
+        raise InputError(f"reaches beyond {_LARGEST:g} m", where=where, remedy="look at length_unit")
+    return vertices, number[faces]

@@ -1,0 +1,57 @@
+"""``radwrap crosscheck`` as users run it."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from radwrap.cli.main import main
+
+SCENE = Path(__file__).parents[2] / "rad_scenes" / "crosscheck" / "lambertian" / "scene.toml"
+needs_povray = pytest.mark.skipif(
+    shutil.which("povray") is None, reason="POV-Ray is not installed (apt install povray): no cross-check was made"
+)
+
+
+@needs_povray
+def test_agreement(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "with blanks"
+    assert main(["crosscheck", str(SCENE), "--out", str(out), "--pixel-samples", "1", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["agrees"] and found["terms"]["diffuse"]["pixels"] == 3000
+    written = json.loads((out / "crosscheck.json").read_text())
+    assert written == found
+    assert (out / "crosscheck.png").read_bytes()[:4] == b"\x89PNG"
+
+
+@needs_povray
+def test_disagreement_is_exit_code_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Half floats are good to 5e-4 and 1.4e-4 rms: a tolerance below that is missed, and said so."""
+    argv = ["crosscheck", str(SCENE), "--out", str(tmp_path), "--pixel-samples", "1", "--tolerance", "1e-4"]
+    assert main(argv) == 1
+    told = capsys.readouterr().out
+    assert "differs" in told and "they DIFFER" in told
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "told"),
+    [
+        (["--povray", "no-such-povray"], 4, "no such program"),
+        (["--povray", "true"], 4, "is not POV-Ray 3.7"),
+        (["--area-samples", "1"], 2, "--area-samples: must be 0"),
+        (["--tolerance", "nan"], 2, "--tolerance: must lie between"),
+        (["--pixel-samples", "0"], 2, "--pixel-samples: must lie between"),
+    ],
+)
+def test_bad_options(
+    options: list[str], code: int, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["crosscheck", str(SCENE), "--out", str(tmp_path), *options]) == code
+    assert told in capsys.readouterr().err
+    assert not list(tmp_path.glob("crosscheck.*"))
+
+
+def test_out_is_needed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["crosscheck", str(SCENE)]) == 2
+    assert "--out: is missing" in capsys.readouterr().err
