@@ -215,8 +215,9 @@ def boot(bus: str, linux: Path, image: Path) -> bool:
 def main() -> int:
     """Both machines, or the ones that are named."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("machines", nargs="*", choices=[*MACHINES, []], default=list(MACHINES))
-    wanted = parser.parse_args().machines
+    parser.add_argument("--machine", choices=list(MACHINES), help="only this one")
+    chosen = parser.parse_args().machine
+    wanted = [chosen] if chosen else list(MACHINES)
     provide_programs()
     STORE.mkdir(parents=True, exist_ok=True)
     return 0 if all([boot(bus, *build(bus)) for bus in wanted]) else 1
