@@ -9,6 +9,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import socket
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -17,6 +18,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
 from typing import Any, Final, Protocol
+from urllib.parse import urlsplit
 
 from radwrap.errors import INTERRUPTED, EnvironmentFailure, InputError
 
@@ -119,8 +121,10 @@ class DaskPool:
 
     Raises
     ------
+    InputError
+        If no scheduler answers at the address.
     EnvironmentFailure
-        If Dask is not installed, or its scheduler does not answer.
+        If Dask is not installed.
     """
 
     def __init__(self, address: str) -> None:
@@ -130,6 +134,7 @@ class DaskPool:
             raise EnvironmentFailure(
                 "Dask is not installed", where="--dask", remedy="pip install radwrap[cluster]"
             ) from error
+        _check_scheduler(address)
         try:
             self._client = Client(address, timeout="10 s", set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
@@ -156,3 +161,18 @@ class DaskPool:
         """Give up what is not begun; a worker ends the run it is at."""
         self._executor.shutdown(wait=False)
         self._client.close()
+
+
+def _check_scheduler(address: str) -> None:
+    """Refuse an address where nobody listens, before Dask tries for long and speaks of it in many lines."""
+    try:
+        place = urlsplit(address)
+        host, port = place.hostname, place.port
+    except ValueError:
+        host, port = None, None
+    if host is None or port is None:
+        raise InputError(f'"{address}" is no address', where="--dask", remedy='write "tcp://HOST:8786"')
+    try:
+        socket.create_connection((host, port), _GRACE).close()
+    except OSError as error:
+        raise InputError(f"no scheduler at {address}", where="--dask", remedy="start one: dask scheduler") from error

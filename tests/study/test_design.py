@@ -194,6 +194,14 @@ def test_a_folder_of_another_study_is_refused(design: DesignWriter, capsys: pyte
     assert (out / "results.csv").read_text() == "mine\n1\n"
 
 
+@pytest.mark.parametrize("address", ["nonsense", "tcp://127.0.0.1:1", "tcp://nowhere.invalid:8786", "tcp://[::1"])
+def test_a_scheduler_that_is_not_there_is_told(
+    design: DesignWriter, capsys: pytest.CaptureFixture[str], address: str
+) -> None:
+    path = design(SMALL)
+    assert "--dask" in here(["study", "run", path, "--out", path.parent / "out", "--dask", address], capsys).refusal(2)
+
+
 def test_a_missing_design_is_told(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such design file"):
         read_design(tmp_path / "none.toml")
