@@ -36,8 +36,8 @@ _CHANNELS: Final[tuple[ColourChannel, ...]] = ("red", "green", "blue")
 # of a closed box, 7/8 of all that there is.
 _BOUNCES: Final = 3
 _CONVEX: Final = (Sheet, DotBoard, EdgeTarget, Disc, Polygon, Sphere, Box, Cylinder)
-# The one source that stands for a ring is so small beside its LEDs that it hides nothing.
-_SHRUNK: Final = 1e-3
+# The one source that stands for a ring is so small beside its LEDs that it hides nearly nothing.
+_SHRUNK: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True)

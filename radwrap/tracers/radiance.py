@@ -216,8 +216,9 @@ def _xform(text: str, arguments: list[str], options: RadianceOptions, programs: 
 
 
 def _run_xform(arguments: list[str], stdin: bytes, options: RadianceOptions, programs: Programs, folder: Path) -> str:
+    program = options.installation.program("xform")
     output, said = programs.run(
-        [options.installation.program("xform"), *arguments],
+        [program, *arguments],
         folder=folder,
         environment=options.installation.environment(commands=options.trusted),
         stdin=[stdin],
@@ -225,7 +226,8 @@ def _run_xform(arguments: list[str], stdin: bytes, options: RadianceOptions, pro
     )
     judge(said, "xform")
     lines = output.decode(errors="replace").splitlines(keepends=True)
-    return "".join(line for line in lines if not line.startswith("# xform "))
+    # It tells its own place and arguments, of which a scene's text must not depend.
+    return "".join(line for line in lines if not line.startswith((f"# {program} ", "# xform ")))
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,7 +281,8 @@ class RadianceTracer:
     def _ambient(self) -> list[str]:
         if not self.bounces:
             return []
-        return f"-ab {self.bounces} -aa 0 -ad {_AMBIENT_DIVISIONS} -as 0".split(" ")
+        # With -u+, its default, random numbers would begin from the time of day.
+        return f"-u- -ab {self.bounces} -aa 0 -ad {_AMBIENT_DIVISIONS} -as 0".split(" ")
 
     def _radiance(self, values: NDArray[np.float32]) -> NDArray[np.float64]:
         if values.min() < 0:

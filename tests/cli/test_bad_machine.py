@@ -40,7 +40,8 @@ def test_missing_radiance_is_told(
     entry = next(check for check in doctor.json["checks"] if check["name"] == "Radiance")
     assert not doctor.json["ok"] and not entry["found"] and entry["needed"] and "pip install" in entry["remedy"]
     # What needs no tracer goes on.
-    here(["explain", scene], capsys).success()
+    here(["explain", scene, "--no-rays"], capsys).success()
+    here(["explain", scene], capsys).refusal(4)
     here(["convert", scene, tmp_path / "out.vf"], capsys).success()
     assert not {Path(name).name for name in files_in(out)} & set(FINAL_NAMES)
 
