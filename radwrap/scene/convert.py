@@ -12,6 +12,7 @@ from radwrap.errors import InputError
 from radwrap.frames import Pose, aim, default_up, normalised, rotation_about_fixed_axes
 from radwrap.scene import document as tables
 from radwrap.scene.camera import Aperture, Camera, Sensor
+from radwrap.scene.material_tables import LambertianModel, MaterialModel, SpecularModel
 from radwrap.scene.materials import (
     CoefficientTable,
     GlassBeads,
@@ -285,16 +286,16 @@ def _source(table: tables.SourceModel, where: str, key: str, assumed: dict[str, 
     return SingleSource(table.type, emitter)
 
 
-def material_from_table(table: tables.MaterialModel) -> Material:
+def material_from_table(table: MaterialModel) -> Material:
     """A material on its own."""
     return _material(table, "materials", {})
 
 
-def _material(table: tables.MaterialModel, key: str, assumed: dict[str, str]) -> Material:
+def _material(table: MaterialModel, key: str, assumed: dict[str, str]) -> Material:
     match table:
-        case tables.LambertianModel():
+        case LambertianModel():
             return Lambertian(table.reflectance)
-        case tables.SpecularModel():
+        case SpecularModel():
             return Specular(table.diffuse_reflectance, table.specular_reflectance, table.roughness)
     if table.reflectance is not None and table.roughness is not None:
         return PerturbedNormal(table.reflectance, table.roughness)

@@ -19,7 +19,8 @@ from radwrap.errors import InputError
 from radwrap.scene.border import Model
 from radwrap.scene.checks import check_scene
 from radwrap.scene.convert import material_from_table, scene_from_model
-from radwrap.scene.document import MaterialModel, SceneModel
+from radwrap.scene.document import SceneModel
+from radwrap.scene.material_tables import MaterialModel
 from radwrap.scene.materials import Material
 from radwrap.scene.scene import Scene
 
