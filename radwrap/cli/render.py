@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from dataclasses import asdict
-from typing import Any
+from typing import Any, Final
 
 from radwrap.cli import options as shared
 from radwrap.errors import InputError, ToleranceNotMet
@@ -19,6 +19,9 @@ _DESCRIPTION = (
     "run goes on where it was when it is started again."
 )
 
+# Gray levels rms, where nothing else is asked for.
+_TOLERANCE: Final = 0.5
+
 
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     """Add the verb."""
@@ -31,9 +34,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         help="infinitesimal pinhole; finite pinhole by sub-viewpoints, as in the paper; by one image gathered with the "
         "opening's shape; by rays over pixel and opening (default: the cheapest of the last two)",
     )
-    parser.add_argument(
-        "--tolerance", metavar="G", type=float, default=0.5, help="largest rms error in gray levels (default 0.5)"
-    )
+    parser.add_argument("--tolerance", metavar="G", type=float, help="largest rms error in gray levels (default 0.5)")
     parser.add_argument("--max-error", metavar="G", type=float, help="largest error of 99 %% of the pixels, likewise")
     parser.add_argument(
         "--budget", metavar="B", help='what a tolerance may cost: rays, "1e7", or time, "30 s" (then not reproducible)'
@@ -110,9 +111,9 @@ def _options(arguments: argparse.Namespace) -> RenderOptions:
     # NaN and infinity are no counts either.
     if not 1 <= arguments.max_pixels <= 1e12:
         raise InputError("must lie between 1 and 1e12", where="--max-pixels")
-    return RenderOptions(
+    options = RenderOptions(
         method=arguments.method,
-        tolerance=arguments.tolerance,
+        tolerance=_TOLERANCE if arguments.tolerance is None else arguments.tolerance,
         max_error=arguments.max_error,
         **_budget(arguments.budget),
         viewpoints=arguments.viewpoints,
@@ -130,6 +131,13 @@ def _options(arguments: argparse.Namespace) -> RenderOptions:
         tracer_timeout=shared.time_of(arguments.tracer_timeout, "--tracer-timeout"),
         progress=True,
     )
+    if arguments.tolerance is not None and options.fixed_method is not None:
+        raise InputError(
+            f"{options.fixed_method} has a fixed number of rays and keeps no tolerance",
+            where="--tolerance",
+            remedy="leave it out, or leave out the method and its options",
+        )
+    return options
 
 
 def _budget(text: str | None) -> dict[str, float]:

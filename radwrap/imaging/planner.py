@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -26,7 +26,7 @@ from radwrap.imaging.certificate import (
     root,
 )
 from radwrap.imaging.kernel import KernelPlan, plan_kernel
-from radwrap.imaging.rays import RaysPlan, plan_rays
+from radwrap.imaging.rays import FEWEST, RaysPlan, plan_rays
 from radwrap.imaging.replicates import Replicates, Work, discretisation, replicates_needed, trace_replicates
 from radwrap.imaging.sensor import gray_levels
 from radwrap.imaging.survey import AIM_SHARE, Survey, met_by, middle_of, predicted_rays, steps, survey
@@ -42,6 +42,10 @@ _MODEL_SHARE: Final = 0.85
 # Pixels where that may reach this share of the tolerance are looked at apart.
 _RISK_SHARE: Final = 0.1
 _ATTEMPTS: Final = 8
+# By what the fewest rays of a pixel grow from one attempt by rays to the next, and where that ends.
+_MORE: Final = 4
+_MOST_FEWEST: Final = 1 << 12
+_HALVINGS: Final = 24  # of the accuracy, until a budget suffices
 # Where the size of the grid's cells takes more than this share of the tolerance they are halved, so often at most.
 _GRID_SHARE: Final = 0.5
 _FINEST: Final = 2
@@ -213,20 +217,31 @@ class _Search:
         self.finer = 0 if demand.tolerance >= _COARSE_TOLERANCE else 1
         self.effort = 0 if demand.max_error is None else 1
         self.one_layer = self.choice.one_layer
+        self.fewest = FEWEST
+        self.last_model = NOTHING
 
     def run(self) -> Outcome:
         method, why = self.choice.method, self.choice.why
-        share = self._first_share(method)
+        share = self._affordable(method, self._first_share(method))
         best: Outcome | None = None
         for _ in range(_ATTEMPTS):
             outcome = self._attempt(method, share, why)
-            if best is None or outcome.certificate.rms_gray_upper95 < best.certificate.rms_gray_upper95:
+            if best is None or self._rank(outcome) < self._rank(best):
                 best = outcome
             if outcome.met or self._is_spent(outcome):
                 break
             method, share, why = self._next(outcome, share, why)
         assert best is not None  # noqa: S101  (the loop ran)
-        return best
+        return replace(best, plan={**best.plan, "attempts": self.attempts, "rays": self.spent})
+
+    def _rank(self, outcome: Outcome) -> float:
+        """How many times what is asked for an image is off; the least is the best, and below 1 one that meets it."""
+        demand, found = self.demand, outcome.certificate
+        off = found.rms_gray_upper95 / demand.tolerance
+        if demand.max_error is None:
+            return off
+        quantile = math.inf if found.p99_gray_upper95 is None else found.p99_gray_upper95
+        return max(off, quantile / demand.max_error)
 
     @property
     def model(self) -> Bounded:
@@ -239,9 +254,18 @@ class _Search:
         left = self.demand.tolerance**2 - (model if math.isfinite(model) else 0.0)
         return AIM_SHARE * math.sqrt(max(left, (0.3 * self.demand.tolerance) ** 2))
 
+    def _affordable(self, method: ToleranceMethod, share: float) -> float:
+        """The aim, or a larger one that is expected to stay within the budget of rays."""
+        for _ in range(_HALVINGS):
+            rays, kernel = predicted_rays(self.view, self.found, share / AIM_SHARE)
+            if (rays if method == "rays" else kernel) <= self.demand.budget.rays:
+                break
+            share *= 2
+        return share
+
     def _plan(self, method: ToleranceMethod, aim: float) -> KernelPlan | RaysPlan:
         if method == "rays":
-            return plan_rays(self.view, aim)
+            return plan_rays(self.view, aim, self.fewest)
         met = met_by(self.found.magnification)
         return plan_kernel(self.view, middle_of(met) if self.one_layer else met, aim, self.finer)
 
@@ -259,6 +283,7 @@ class _Search:
                 "replicates": number,
                 "rays": replicates.rays,
                 "rms_gray_upper95": certificate.rms_gray_upper95,
+                "p99_gray_upper95": certificate.p99_gray_upper95,
             }
         )
         met = self.demand.is_met(certificate)
@@ -273,8 +298,6 @@ class _Search:
                 "why": why,
                 **self.choice.as_manifest(),
                 "one_layer_rms_gray": root(self.found.one_layer.mean),
-                "attempts": list(self.attempts),
-                "rays": self.spent,
                 "layers": len(plan.layers) if isinstance(plan, KernelPlan) else None,
                 "base_cell_px": plan.grid.base if isinstance(plan, KernelPlan) else None,
                 "grid_cell_px": plan.grid.cell if isinstance(plan, KernelPlan) else None,
@@ -310,6 +333,7 @@ class _Search:
             if enough or noise.upper > wanted or self.effort == len(_EFFORTS) - 1:
                 break
             self.effort += 1
+        self.last_model = model
         quantile = None
         if self.demand.max_error is not None:
             quantile = noise_quantile(errors, noise) + model_quantile(found, sample)
@@ -327,16 +351,20 @@ class _Search:
         """What to try after an image that does not keep the tolerance."""
         certificate, wanted = outcome.certificate, self.demand.tolerance
         if outcome.method == "rays":
+            # Rays that decide may all have missed what a pixel sees: it then stays at the fewest, whatever the aim.
+            self.fewest = min(_MORE * self.fewest, _MOST_FEWEST)
             return "rays", share / 2, why
         grid = math.sqrt(outcome.replicates.grid_square)
         if grid > _GRID_SHARE * wanted and self.finer < _FINEST:
             self.finer += 1
             return "kernel", share, why
-        rest = math.sqrt(max(certificate.rms_gray_upper95**2 - certificate.discretisation_rms_gray**2, 0.0))
+        rest = root(self.last_model.upper)
         if self.one_layer and rest > NEGLIGIBLE_SHARE * wanted and math.isfinite(self.found.model.mean):
             self.one_layer = False
             return "kernel", share, "depths differ more than the survey saw"
         stuck = certificate.model_rms_gray > _MODEL_SHARE * wanted or rest > wanted or grid > _GRID_SHARE * wanted
+        tried = [attempt["rays"] for attempt in self.attempts[-2:] if attempt["method"] == "kernel"]
+        stuck = stuck or (len(tried) == 2 and tried[0] == tried[1])  # a smaller aim changes nothing
         if self.demand.method is None and (stuck or share < wanted * AIM_SHARE / 4):
             return "rays", self._first_share("rays"), "the kernel's certificate did not hold"
         return "kernel", share / 2, why

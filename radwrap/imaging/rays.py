@@ -20,7 +20,7 @@ from radwrap.imaging.view import View, trace_rays
 from radwrap.scene.camera import Camera
 
 PILOT: Final = 8  # rays of a pixel that decide how many it gets
-_FEWEST: Final = 4
+FEWEST: Final = 4
 _MOST: Final = 1 << 14
 # The error of a mean over n scrambled points falls like n^-0.6 at edges (between n^-0.5 of chance and n^-0.75 of two
 # dimensions); 64 to 256 rays on rad_scenes/bench_board gave 0.57.
@@ -44,12 +44,20 @@ class RaysPlan:
         Rms error of one replicate to aim at [gray level].
     tiles : tuple
         First row, last row + 1, first column, last column + 1 of each tile [px].
+    fewest : int
+        Rays of a pixel at least, a power of 2.
     """
 
     camera: Camera
     exposure_of_radiance: float
     aim: float
     tiles: tuple[tuple[int, int, int, int], ...]
+    fewest: int = FEWEST
+
+    @property
+    def pilot(self) -> int:
+        """Rays of a pixel that decide how many it gets."""
+        return max(PILOT, self.fewest // 2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,12 +79,12 @@ class TracedTile:
     rays: int
 
 
-def plan_rays(view: View, aim: float) -> RaysPlan:
+def plan_rays(view: View, aim: float, fewest: int = FEWEST) -> RaysPlan:
     """Cut the sensor into bands of rows."""
     sensor = view.camera.sensor
     step = max(1, _TILE_PIXELS // sensor.columns)
     tiles = tuple((first, min(first + step, sensor.rows), 0, sensor.columns) for first in range(0, sensor.rows, step))
-    return RaysPlan(view.camera, view.exposure_of_radiance, aim, tiles)
+    return RaysPlan(view.camera, view.exposure_of_radiance, aim, tiles, fewest)
 
 
 def traced_tile(
@@ -113,7 +121,7 @@ def traced_tile(
     random = np.random.default_rng(seed)
     rays = 0
     if numbers is None:
-        pilot = sampled_radiance(view, u, v, PILOT, random)
+        pilot = sampled_radiance(view, u, v, plan.pilot, random)
         progress(pilot.size)
         rays = pilot.size
         numbers = _numbers(plan, pilot, shape)
@@ -175,9 +183,9 @@ def gray_deviation(radiance: NDArray[np.float64], plan: RaysPlan) -> NDArray[np.
 def _numbers(plan: RaysPlan, pilot: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.intp]:
     """Rays of each pixel, so that the rms over the tile meets the aim; all pixels' errors are brought to one level."""
     deviation = _pooled(gray_deviation(pilot, plan).reshape(shape)).ravel()
-    level = _level(_GAIN * deviation * _FEWEST**-ORDER, plan.aim)
+    level = _level(_GAIN * deviation * plan.fewest**-ORDER, plan.aim)
     wanted = (_GAIN * deviation / level) ** (1 / ORDER)
-    powers = 2 ** np.rint(np.log2(np.clip(wanted, _FEWEST, _MOST)))
+    powers = 2 ** np.rint(np.log2(np.clip(wanted, plan.fewest, _MOST)))
     numbers: NDArray[np.intp] = powers.astype(np.intp)
     return numbers
 

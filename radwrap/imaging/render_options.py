@@ -109,6 +109,15 @@ class RenderOptions:
                 f"there are no sub-viewpoints with --method {self.method}", where="--viewpoints", remedy="leave it out"
             )
 
+        if self.fixed_method is not None:
+            asked = {"max-error": self.max_error, "budget": self.budget_rays or self.budget_seconds}
+            for option, wanted in asked.items():
+                if wanted is not None:
+                    raise InputError(
+                        f"{self.fixed_method} has a fixed number of rays and keeps no tolerance",
+                        where=f"--{option}",
+                        remedy="leave it out, or leave out the method and its options",
+                    )
         if self.basis and self.fixed_method is not None:
             raise InputError(
                 f"needs an image to tolerance, not {self.fixed_method}",

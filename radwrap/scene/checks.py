@@ -16,6 +16,7 @@ from radwrap.scene.materials import GLASS_BEAD_OBSERVATION, CoefficientTable, Gl
 from radwrap.scene.probes import LIT_SHARE, lit_points, materials_of, merged, nearest_lit, seen_points, surface_points
 from radwrap.scene.scene import Scene
 from radwrap.scene.sight import shared_planes, sources_in_sight
+from radwrap.scene.smallness import small_parts
 from radwrap.scene.sources import Emitter
 from radwrap.scene.targets import Polygon, Target, signed_area
 
@@ -218,7 +219,7 @@ def warnings_of(scene: Scene) -> tuple[str, ...]:
             found.append(f'"{emitter.name}" is close to what it lights: irradiance off by up to {error:.2%}')
     if not scene.included and not any(_is_seen(scene.camera, target) for target in scene.targets):
         found.append("no target is in the camera's view")
-    return (*found, *sources_in_sight(scene), *shared_planes(scene))
+    return (*found, *small_parts(scene), *sources_in_sight(scene), *shared_planes(scene))
 
 
 def _is_seen(camera: Camera, target: Target) -> bool:

@@ -198,3 +198,37 @@ def test_the_blur_of_a_wide_pinhole_reaches_beyond_the_image(tmp_path: Path) -> 
     assert min(reach_px(seen.camera, 1 + F)) > 60
     outcome = search(seen, tmp_path, Demand(0.5, method="kernel"))
     assert outcome.met and len(outcome.replicates.images) > 4
+
+
+def wires(x: Array, y: Array) -> Array:
+    """Bright lines a twentieth of a pixel wide, one in five pixels."""
+    return np.where(np.abs((x + 0.01) % 5e-3 - 2e-3) < 2.5e-5, 20.0, 0.2)
+
+
+def test_rays_find_what_the_deciding_rays_missed(tmp_path: Path) -> None:
+    """Lines that eight rays of a pixel mostly miss: more rays in each attempt, until the bound is met and true."""
+    seen = view(Aperture("round", 0.0), (1.0, wires))
+    outcome = search(seen, tmp_path / "work", Demand(2.0, method="rays"))
+    assert outcome.met and len(outcome.plan["attempts"]) > 1
+    assert true_rms(seen, outcome.radiance) <= outcome.certificate.rms_gray_upper95
+
+
+@pytest.mark.parametrize("max_error", [3.0, 6.0, 12.0])
+def test_the_image_that_comes_nearest_to_all_demands_is_kept(tmp_path: Path, max_error: float) -> None:
+    seen = view(ROUND, (0.3, disc))
+    demand = Demand(5.0, max_error)
+    outcome = search(seen, tmp_path / "work", demand)
+    attempts = outcome.plan["attempts"]
+    worst = [max(a["rms_gray_upper95"] / 5.0, a["p99_gray_upper95"] / max_error) for a in attempts]
+    found = outcome.certificate
+    assert found.p99_gray_upper95 is not None
+    assert max(found.rms_gray_upper95 / 5.0, found.p99_gray_upper95 / max_error) == min(worst)
+    assert outcome.met == (min(worst) <= 1) and outcome.plan["rays"] > sum(a["rays"] for a in attempts)
+
+
+def test_a_small_budget_is_not_overspent(tmp_path: Path) -> None:
+    """The first attempt aims at what the budget allows, down to the fewest rays of each pixel."""
+    seen = view(Aperture("round", 0.0), (1.0, wires))
+    dear = search(seen, tmp_path / "dear", Demand(0.05, method="rays"))
+    cheap = search(seen, tmp_path / "cheap", Demand(0.05, method="rays", budget=Budget(rays=1e5)))
+    assert not cheap.met and cheap.plan["rays"] < 2e5 < dear.plan["rays"]
