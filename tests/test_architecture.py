@@ -23,7 +23,7 @@ DOORS = {
         "measure/parts/overlay.py",
         "measure/parts/raster.py",
     },
-    "pydantic": {"scene/border.py", "scene/document.py", "scene/load.py"},
+    "pydantic": {"scene/border.py", "scene/document.py", "scene/load.py", "scene/material_tables.py"},
     "pydantic_core": {"scene/load.py"},
     "trimesh": {"scene/parts.py", "convert/preview_files.py"},
     "cascadio": set(),

@@ -45,8 +45,9 @@ def run(arguments: argparse.Namespace) -> int:
     basis = read_basis(Path(arguments.basis))
     levels = read_levels(Path(arguments.levels), basis.sources, basis.dark)
     out = Path(arguments.out)
-    if out.resolve() == Path(arguments.basis).resolve():
-        raise InputError("is the folder of the basis", where="--out", remedy="choose another")
+    basis_folder = Path(arguments.basis).resolve()
+    if basis_folder in (out.resolve(), *out.resolve().parents):
+        raise InputError("is the folder of the basis, or lies in it", where="--out", remedy="choose another")
     make_folder(out)
     with sole_owner(out):
         result = _write(out, basis, levels, with_exposure=arguments.exposure)

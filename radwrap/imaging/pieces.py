@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -66,6 +67,16 @@ def remove_halves(folder: Path) -> None:
     """Remove half-written pieces."""
     for path in folder.iterdir():
         if path.suffix == ".exr" and TEMPORARY_SUFFIX in path.suffixes:
+            path.unlink(missing_ok=True)
+
+
+def remove_pieces(folder: Path) -> None:
+    """Remove all pieces and logs, and the folders where nothing of somebody else is in them."""
+    for path in (*sorted(folder.rglob("*"), reverse=True), folder):
+        if path.is_dir() and not path.is_symlink():
+            with suppress(OSError):  # not empty
+                path.rmdir()
+        elif path.suffix == ".exr" or path.name == CALL_LOG:
             path.unlink(missing_ok=True)
 
 

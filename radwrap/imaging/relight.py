@@ -130,7 +130,7 @@ def read_basis(folder: Path) -> Basis:
     told = read_manifest(folder / BASIS)
     try:
         return _basis(folder, told)
-    except (KeyError, TypeError, ValueError) as error:
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError, ZeroDivisionError) as error:
         raise InputError("is no light basis", where=str(folder / BASIS), remedy="make it again") from error
 
 

@@ -26,6 +26,7 @@ from radwrap.imaging.cost import Cost, check_size, estimate, seconds_per_ray
 from radwrap.imaging.effects import Effect, bounces
 from radwrap.imaging.exposure import radiant_exposure
 from radwrap.imaging.methods import Made, fixed_method, how, make, viewpoint_plan
+from radwrap.imaging.pieces import remove_pieces
 from radwrap.imaging.planner import choose
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.replicates import Work
@@ -269,7 +270,7 @@ class _Run:
     def clean_up(self) -> None:
         """Remove the pieces, unless they are sub-viewpoints and wanted."""
         if not self.options.keep_viewpoints or fixed_method(self.scene, self.options) is None:
-            shutil.rmtree(self.folder, ignore_errors=True)
+            remove_pieces(self.folder)
 
     def _write_images(self, radiance: NDArray[np.float64]) -> tuple[dict[str, Any], list[str]]:
         camera = self.scene.camera
@@ -297,7 +298,7 @@ class _Run:
     def _remove_old(self) -> None:
         """From here on an old manifest no longer fits the files, and what only an older run wrote fits nothing."""
         if (self.out / BASIS).exists():
-            shutil.rmtree(self.out / FOLDER, ignore_errors=True)
+            remove_pieces(self.out / FOLDER)
         for name in (MANIFEST, BASIS, *_OPTIONAL):
             (self.out / name).unlink(missing_ok=True)
 

@@ -145,6 +145,7 @@ def test_what_is_no_basis_is_refused(basis: Path, tmp_path: Path, capsys: pytest
         assert "basis.json: is no light basis" in here(_argv(copy, tmp_path, GOOD), capsys).refusal(2), key
     same = ["relight", basis, "--levels", _table(tmp_path, GOOD), "--out", basis]
     assert "--out: is the folder of the basis" in here(same, capsys).refusal(2)
+    assert "--out: is the folder of the basis" in here([*same[:-1], basis / "basis"], capsys).refusal(2)
     line = here(["relight", basis, "--levels", tmp_path / "no.csv", "--out", tmp_path], capsys).refusal(2)
     assert "no.csv: is no readable text file" in line
 

@@ -81,8 +81,8 @@ def test_ten_kills_at_random_change_nothing(memory_path: Path, capsys: pytest.Ca
 
 # A process that kills itself: the command's own code, forked for each moment, so that libraries are loaded once.
 DRIVER: Final = """
-import json, os, pathlib, shutil, signal, sys
-import radwrap.files, radwrap.imaging.methods, radwrap.imaging.pieces, radwrap.imaging.viewpoints
+import json, os, pathlib, signal, sys
+import radwrap.files, radwrap.imaging.methods, radwrap.imaging.pieces, radwrap.imaging.synthesis
 from radwrap.cli.main import main
 
 argv, moments, cores = json.loads(sys.stdin.read())
@@ -94,7 +94,8 @@ def arm(kind, number):
         nonlocal count
         count += kind in kinds
         return kind in kinds and count == number
-    rename, read, whole = pathlib.Path.replace, radwrap.imaging.pieces.read_image, shutil.rmtree
+    rename, read = pathlib.Path.replace, radwrap.imaging.pieces.read_image
+    whole = radwrap.imaging.synthesis.remove_pieces
     merge, unlink = radwrap.imaging.methods.merge, pathlib.Path.unlink
     def replace(self, target):
         last = at_last("before rename", "half written", "after rename")
@@ -118,13 +119,14 @@ def arm(kind, number):
         unlink(self, missing_ok=missing_ok)
         if kind == "old manifest removed" and self.name == "manifest.json":
             die()
-    def removing(folder, **options):
+    def removing(folder):
         if kind == "clean-up" and os.path.basename(folder) == "viewpoints":
             for name in sorted(os.listdir(folder))[:number]:
                 os.unlink(os.path.join(folder, name))
             die()
-        return whole(folder, **options)
-    pathlib.Path.replace, shutil.rmtree, pathlib.Path.unlink = replace, removing, unlinking
+        return whole(folder)
+    pathlib.Path.replace, pathlib.Path.unlink = replace, unlinking
+    radwrap.imaging.synthesis.remove_pieces = removing
     radwrap.imaging.methods.merge = merging
 
 sys.stdout.flush()

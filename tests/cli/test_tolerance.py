@@ -84,3 +84,17 @@ def test_any_number_of_workers_gives_the_same_bytes(tmp_path: Path, capsys: pyte
         here(["render", scene, "--out", out, "--workers", workers], capsys).success()
         found.append(products(out))
     assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("options", [["--basis"], ["--viewpoints", 3]], ids=str)
+def test_files_of_others_in_the_folder_stay(
+    options: list[object], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    for folder in ("viewpoints", "basis"):
+        (out / folder).mkdir(parents=True)
+        (out / folder / "mine.txt").write_text("mine", "ascii")
+    (out / "basis.json").write_text("{}", "ascii")
+    here(["render", write_scene(tmp_path), "--out", out, *options], capsys).success()
+    assert [(out / folder / "mine.txt").read_text("ascii") for folder in ("viewpoints", "basis")] == ["mine", "mine"]
+    assert [path.name for path in (out / "viewpoints").iterdir()] == ["mine.txt"]
