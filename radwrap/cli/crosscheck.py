@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
 from radwrap.cli import options as shared
-from radwrap.errors import CheckFailed, InputError
+from radwrap.errors import CheckFailed
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.manifest import json_text
 from radwrap.study.crosscheck import CrosscheckOptions, crosscheck
@@ -49,24 +48,21 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Carry out the verb; exit code 1 where the two differ and no closed form says why."""
     scene = shared.load(arguments)
-    if not arguments.out:
-        raise InputError("is missing", where="--out", remedy="name a folder for the result")
+    out = shared.out_folder(arguments, "result")
     options = CrosscheckOptions(
         RenderOptions(
             viewpoints=arguments.viewpoints,
             pixel_samples=arguments.pixel_samples,
             workers=arguments.workers,
-            trust=arguments.trust,
-            radiance=arguments.radiance,
-            tracer_timeout=shared.time_of(arguments.tracer_timeout, "--tracer-timeout"),
+            **shared.tracer_options(arguments),
             progress=True,
         ),
         arguments.area_samples,
         arguments.tolerance,
         arguments.povray,
     )
-    result = crosscheck(scene, Path(arguments.out), options)
-    write_crosscheck(result, Path(arguments.out))
+    result = crosscheck(scene, out, options)
+    write_crosscheck(result, out)
     found = as_json(result)
     print(json_text(found) if arguments.json else "\n".join(_lines(found)) + "\n", end="")
     return 0 if found["agrees"] else CheckFailed.exit_code

@@ -9,7 +9,7 @@ from typing import Any
 from radwrap.cli import options as shared
 from radwrap.imaging.effects import effects
 from radwrap.imaging.explain import explain
-from radwrap.imaging.render_options import RenderOptions
+from radwrap.imaging.render_options import TOLERANCE, RenderOptions
 from radwrap.manifest import json_text
 
 
@@ -23,7 +23,11 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     )
     shared.add_scene(parser)
     parser.add_argument(
-        "--tolerance", metavar="GRAY", type=float, default=0.5, help="gray levels rms that are wanted (default 0.5)"
+        "--tolerance",
+        metavar="GRAY",
+        type=float,
+        default=TOLERANCE,
+        help="gray levels rms that are wanted (default 0.5)",
     )
     parser.add_argument("--seed", metavar="S", type=int, default=0, help="seed of all that is drawn (default 0)")
     parser.add_argument("--no-rays", action="store_true", help="closed forms alone; needs no Radiance")
@@ -40,9 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
         options = RenderOptions(
             tolerance=arguments.tolerance,
             seed=arguments.seed,
-            radiance=arguments.radiance,
-            trust=arguments.trust,
-            tracer_timeout=shared.time_of(arguments.tracer_timeout, "--tracer-timeout"),
+            **shared.tracer_options(arguments),
         )
         found |= effects(scene, options)
     print(json_text(found) if arguments.json else "\n".join(_lines(found)) + "\n", end="")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import tomllib
+from pathlib import Path
 from typing import Any
 
 from radwrap.errors import InputError
@@ -34,6 +35,22 @@ def add_radiance(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--tracer-timeout", metavar="TIME", default="600 s", help='longest silence of a tracer (default "600 s")'
     )
+
+
+def tracer_options(arguments: argparse.Namespace) -> dict[str, Any]:
+    """What the options of `add_radiance` say, by the names of `RenderOptions` and `StudyOptions`."""
+    return {
+        "radiance": arguments.radiance,
+        "trust": arguments.trust,
+        "tracer_timeout": time_of(arguments.tracer_timeout, "--tracer-timeout"),
+    }
+
+
+def out_folder(arguments: argparse.Namespace, what: str) -> Path:
+    """Folder that --out names; `what` goes there."""
+    if not arguments.out:
+        raise InputError("is missing", where="--out", remedy=f"name a folder for the {what}")
+    return Path(arguments.out)
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 import sys
 from dataclasses import asdict
-from typing import Any, Final
+from typing import Any
 
 from radwrap.cli import options as shared
 from radwrap.errors import InputError, ToleranceNotMet
-from radwrap.imaging.render_options import METHODS, RenderOptions
+from radwrap.imaging.render_options import METHODS, TOLERANCE, RenderOptions
 from radwrap.imaging.synthesis import forecast, render
 from radwrap.manifest import json_text
 from radwrap.scene.scene import Scene
@@ -18,9 +18,6 @@ _DESCRIPTION = (
     "Predicts the gray image of a scene. Writes gray.png, radiant_exposure.exr and manifest.json into DIR; a killed "
     "run goes on where it was when it is started again."
 )
-
-# Gray levels rms, where nothing else is asked for.
-_TOLERANCE: Final = 0.5
 
 
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
@@ -84,9 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
     options = _options(arguments)
     if arguments.dry_run:
         return _dry_run(scene, options, as_json=arguments.json)
-    if not arguments.out:
-        raise InputError("is missing", where="--out", remedy="name a folder for the images")
-    result = render(scene, arguments.out, options)
+    result = render(scene, shared.out_folder(arguments, "images"), options)
     manifest = result.manifest
     for warning in manifest["warnings"]:
         print(f"radwrap: warning: {warning}", file=sys.stderr)
@@ -113,7 +108,7 @@ def _options(arguments: argparse.Namespace) -> RenderOptions:
         raise InputError("must lie between 1 and 1e12", where="--max-pixels")
     options = RenderOptions(
         method=arguments.method,
-        tolerance=_TOLERANCE if arguments.tolerance is None else arguments.tolerance,
+        tolerance=TOLERANCE if arguments.tolerance is None else arguments.tolerance,
         max_error=arguments.max_error,
         **_budget(arguments.budget),
         viewpoints=arguments.viewpoints,
@@ -125,10 +120,8 @@ def _options(arguments: argparse.Namespace) -> RenderOptions:
         keep_viewpoints=arguments.keep_viewpoints,
         truth=arguments.truth,
         basis=arguments.basis,
-        trust=arguments.trust,
-        radiance=arguments.radiance,
         max_pixels=int(arguments.max_pixels),
-        tracer_timeout=shared.time_of(arguments.tracer_timeout, "--tracer-timeout"),
+        **shared.tracer_options(arguments),
         progress=True,
     )
     if arguments.tolerance is not None and options.fixed_method is not None:
@@ -140,7 +133,7 @@ def _options(arguments: argparse.Namespace) -> RenderOptions:
     return options
 
 
-def _budget(text: str | None) -> dict[str, float]:
+def _budget(text: str | None) -> dict[str, Any]:
     """Rays, or seconds where a unit says so."""
     if text is None:
         return {}

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from radwrap.cli import options as shared
-from radwrap.errors import CheckFailed, InputError, ToleranceNotMet
+from radwrap.errors import CheckFailed, ToleranceNotMet
 from radwrap.manifest import json_text
 
 _DESCRIPTION = (
@@ -44,19 +44,16 @@ def run(arguments: argparse.Namespace) -> int:
     from radwrap.study.design import read_design
     from radwrap.study.study import StudyOptions, run_study
 
-    if not arguments.out:
-        raise InputError("is missing", where="--out", remedy="name a folder for the results")
+    out = shared.out_folder(arguments, "results")
     design = read_design(arguments.design)
     options = StudyOptions(
         workers=arguments.workers,
         dask=arguments.dask,
         retry_failed=arguments.retry_failed,
-        trust=arguments.trust,
-        radiance=arguments.radiance,
-        tracer_timeout=shared.time_of(arguments.tracer_timeout, "--tracer-timeout"),
+        **shared.tracer_options(arguments),
         progress=True,
     )
-    study = run_study(design, Path(arguments.out), options)
+    study = run_study(design, out, options)
     if not arguments.no_report:
         from radwrap.study.report import write_report
 

@@ -52,9 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
     options = StudyOptions(
         workers=arguments.workers,
         dask=arguments.dask,
-        trust=arguments.trust,
-        radiance=arguments.radiance,
-        tracer_timeout=shared.time_of(arguments.tracer_timeout, "--tracer-timeout"),
+        **shared.tracer_options(arguments),
         progress=True,
     )
     found = tolerate(design, out, bound, options, repeats=arguments.repeats, share=arguments.share)

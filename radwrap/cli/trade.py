@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 from radwrap.cli import options as shared
-from radwrap.errors import InputError
 from radwrap.imaging.cost import duration
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.manifest import json_text
@@ -45,8 +43,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Carry out the verb."""
     scene = shared.load(arguments)
-    if not arguments.out:
-        raise InputError("is missing", where="--out", remedy="name a folder for the results")
+    out = shared.out_folder(arguments, "results")
     options = TradeOptions(
         longest=shared.time_of(arguments.longest, "--longest"),
         reference_pixels=arguments.reference_pixels,
@@ -54,14 +51,12 @@ def run(arguments: argparse.Namespace) -> int:
         render=RenderOptions(
             seed=arguments.seed,
             workers=arguments.workers,
-            trust=arguments.trust,
-            radiance=arguments.radiance,
-            tracer_timeout=shared.time_of(arguments.tracer_timeout, "--tracer-timeout"),
+            **shared.tracer_options(arguments),
             progress=True,
         ),
     )
-    trade = measure_trade(scene, Path(arguments.out), options)
-    write_trade(trade, Path(arguments.out))
+    trade = measure_trade(scene, out, options)
+    write_trade(trade, out)
     print(json_text(as_json(trade)) if arguments.json else "\n".join(_lines(trade)) + "\n", end="")
     return 0
 

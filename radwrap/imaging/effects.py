@@ -84,8 +84,8 @@ class Probe:
         The pixels.
     opening, u, v : ndarray
         Points of the opening [m] and places on the sensor [px] of all rays, set by set.
-    seen : ndarray, shape (2, pixels)
-        Mean of L cos^4(theta) over each pixel's rays of each set [W m^-2 sr^-1].
+    values : ndarray, shape (2 * pixels * rays,)
+        L cos^4(theta) of each ray [W m^-2 sr^-1].
     """
 
     view: View
@@ -94,7 +94,7 @@ class Probe:
     opening: NDArray[np.float64]
     u: NDArray[np.float64]
     v: NDArray[np.float64]
-    seen: NDArray[np.float64]
+    values: NDArray[np.float64]
 
     @classmethod
     def of(cls, view: View, seed: int) -> Probe:
@@ -106,8 +106,13 @@ class Probe:
         paths = [rays_over(view.camera, *places, _RAYS, random) for _ in range(2)]
         opening, u, v = (np.concatenate(parts) for parts in zip(*paths, strict=True))
         sample = PixelSample(pixels, np.zeros(len(pixels), dtype=np.intp), np.ones(1))
-        seen, _ = trace_rays(view, opening, u, v)
-        return cls(view, seed, sample, opening, u, v, _by_set(seen))
+        values, _ = trace_rays(view, opening, u, v)
+        return cls(view, seed, sample, opening, u, v, values)
+
+    @property
+    def seen(self) -> NDArray[np.float64]:
+        """Mean of L cos^4(theta) over each pixel's rays of each set [W m^-2 sr^-1], shape (2, pixels)."""
+        return _by_set(self.values)
 
     def traced(self, view: View) -> NDArray[np.float64]:
         """What the same paths see in another view, shape (2, pixels)."""
@@ -119,14 +124,14 @@ class Probe:
 
     def without_cos4(self) -> NDArray[np.float64]:
         """L in place of L cos^4."""
-        seen, _ = trace_rays(self.view, self.opening, self.u, self.v)
         _, cos4 = rays_through(self.view.camera, self.opening, self.u, self.v)
-        return _by_set(seen / cos4)
+        return _by_set(self.values / cos4)
 
     def mean_square(self, other: NDArray[np.float64]) -> Bounded:
         """Mean square over the image of the gray levels' change to other radiances, shape (2, pixels)."""
         scale, sensor = self.view.exposure_of_radiance, self.view.camera.sensor
-        errors = lacks_in_gray(self.seen.mean(axis=0), other - self.seen, len(self.u), scale, sensor)
+        seen = self.seen
+        errors = lacks_in_gray(seen.mean(axis=0), other - seen, len(self.u), scale, sensor)
         return errors.mean_square(self.sample, (self.seed, 15))
 
 
@@ -166,11 +171,25 @@ def effects(scene: Scene, options: RenderOptions | None = None) -> dict[str, Any
     return {"tolerance": options.tolerance, "effects": each, "planner": planner}
 
 
-def bounces(traced: TracedScene, view: View, seed: int, tolerance: float) -> Effect:
-    """What light that goes from one surface to another adds; no ray is traced where a scene cannot have any."""
+def bounces(scene: Scene, view: View, seed: int, tolerance: float, probe: Probe | None = None) -> Effect:
+    """What light that goes from one surface to another adds; no ray is traced where a scene cannot have any.
+
+    Parameters
+    ----------
+    scene : Scene
+        What the view shows.
+    view : View
+        Whose rays.
+    seed : int
+        Of all that is drawn.
+    tolerance : float
+        That decides what is needed [gray level].
+    probe : Probe, optional
+        Of that view and seed, where it is there already.
+    """
     square, rays = NOTHING, 0
-    if not _is_convex(traced.scene):
-        probe = Probe.of(view, seed)
+    if not _is_convex(scene):
+        probe = probe or Probe.of(view, seed)
         square, rays = probe.mean_square(probe.traced(with_bounces(view, _BOUNCES))), 2 * len(probe.u)
     return _effect("bounces", "surfaces do not light each other", square, rays, tolerance)
 
@@ -195,7 +214,7 @@ def _measured(traced: TracedScene, view: View, found: Survey, tolerance: float, 
         found.rays if finite else 0,
         tolerance,
     )
-    yield bounces(traced, view, seed, tolerance)
+    yield bounces(scene, view, seed, tolerance, probe)
     several = scene.included and scene.camera.sensor.channel != "equal"
     yield _effect(
         "bands",

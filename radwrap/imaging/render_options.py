@@ -19,6 +19,9 @@ _TO_TOLERANCE: Final[dict[Method | None, ToleranceMethod]] = {"kernel": "kernel"
 _VIEWPOINTS: Final = 37
 _FINEST: Final = 1e-3  # gray levels; the float32 of the tracer ends near there
 
+# Gray levels rms, where nothing else is asked for.
+TOLERANCE: Final = 0.5
+
 
 @dataclass(frozen=True, slots=True)
 class RenderOptions:
@@ -69,7 +72,7 @@ class RenderOptions:
     """
 
     method: Method | None = None
-    tolerance: float = 0.5
+    tolerance: float = TOLERANCE
     max_error: float | None = None
     budget_rays: float | None = None
     budget_seconds: float | None = None

@@ -241,7 +241,7 @@ class _Run:
         work = Work(view, self.folder, self.programs, progress, self.traced_sha256, self.options.seed)
         try:
             made = make(self.scene, self.options, work)
-            left_out = bounces(self.traced, view, self.options.seed, self.options.tolerance)
+            left_out = bounces(self.scene, view, self.options.seed, self.options.tolerance)
             self._remove_old()
             basis = self._write_basis(work, made)
         finally:

@@ -113,7 +113,7 @@ def test_a_wall_that_only_the_floor_lights() -> None:
     scene = radwrap.scene_from_document(told)
     with laid_out(scene, RenderOptions()) as traced:
         seen = traced.view()
-        effect = bounces(traced, seen, 0, 0.5)
+        effect = bounces(scene, seen, 0, 0.5)
     lit = 1e6 * math.pi * 0.005**2 / 20**2
     x, y = (0.2 * ((np.arange(800) + 0.5) / 800) for _ in range(2))
     x, y = np.meshgrid(x, y - 0.1)
