@@ -35,6 +35,7 @@ from radwrap.tracers.radiance import PreparedScene
 
 BASIS: Final = "basis.json"
 FOLDER: Final = "basis"
+SEAL: Final = "sha256"
 _WORK: Final = "basis"
 # Pixels that tell what the size of the kernel's cells changes; the sampling error of so many is in the bound.
 _GRID_PIXELS: Final = 4096
@@ -274,8 +275,14 @@ def write_basis(
     make_folder(out / FOLDER)
     files = [name for number, source in enumerate(views) for name in _write_source(out, maker, number, source)]
     hashes = {name: sha256_of(out / name) for name in files}
-    write_manifest(out / BASIS, {**_description(maker), **told, "files": hashes})
+    write_manifest(out / BASIS, sealed({**_description(maker), **told, "files": hashes}))
     return [*files, BASIS]
+
+
+def sealed(description: Mapping[str, Any]) -> dict[str, Any]:
+    """What tells of a basis with its own hash: a number in it that was changed would make certificates wrong."""
+    rest = {key: value for key, value in description.items() if key != SEAL}
+    return {**rest, SEAL: sha256_of_value(rest)}
 
 
 def _maker(work: Work, views: Mapping[str, View], outcome: Outcome) -> _Maker:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from radwrap.errors import InputError
 from radwrap.files import sha256_of
 from radwrap.images import ExposureImage, GrayImage, read_image
-from radwrap.imaging.basis import BASIS, file_name
+from radwrap.imaging.basis import BASIS, SEAL, file_name, sealed
 from radwrap.imaging.bounds import ALONE, NOTHING, Bounded, resampling, stratified_means
 from radwrap.imaging.certificate import Certificate, PixelErrors, PixelSample, lacks_in_gray
 from radwrap.imaging.kernel import grid_squares
@@ -125,9 +125,11 @@ def read_basis(folder: Path) -> Basis:
     Raises
     ------
     InputError
-        If there is no basis, or one of its files is not the one that was written.
+        If there is no basis, or one of its files, `basis.json` too, is not the one that was written.
     """
     told = read_manifest(folder / BASIS)
+    if sealed(told)[SEAL] != told.get(SEAL):
+        raise InputError("is not as it was made", where=str(folder / BASIS), remedy="make the basis again")
     try:
         return _basis(folder, told)
     except (AttributeError, IndexError, KeyError, TypeError, ValueError, ZeroDivisionError) as error:
@@ -215,7 +217,17 @@ def relit(basis: Basis, factors: Sequence[Sequence[float]] | NDArray[np.float64]
         raise InputError(f"have the shape {levels.shape}", where="factors", remedy="give one for each image and source")
     if not (np.isfinite(levels).all() and (levels >= 0).all()):
         raise InputError("must be finite and not negative", where="factors")
+    _check_overflow(basis, levels)
     return _in_batches(basis, levels)
+
+
+def _check_overflow(basis: Basis, levels: NDArray[np.float64]) -> None:
+    """Refuse levels before the first image, if one of them may give what float32 cannot hold."""
+    brightest = basis.images.reshape(len(basis.sources), -1).max(axis=1).astype(np.float64)
+    with np.errstate(over="ignore"):
+        largest = levels @ (brightest * basis.exposure_of_radiance)
+    if (over := np.flatnonzero(~(largest <= _LARGEST_FLOAT32))).size:
+        raise InputError(f"the radiant exposure of image {over[0] + 1} overflows", remedy="lower its factors")
 
 
 def _in_batches(basis: Basis, levels: NDArray[np.float64]) -> Iterator[Relit]:
@@ -225,7 +237,7 @@ def _in_batches(basis: Basis, levels: NDArray[np.float64]) -> Iterator[Relit]:
         part = levels[first : first + together]
         full = np.zeros((together, levels.shape[1]))
         full[: len(part)] = part
-        yield from relighter.images(full, len(part), first)
+        yield from relighter.images(full, len(part))
 
 
 class _Relighter:
@@ -237,8 +249,8 @@ class _Relighter:
             None if basis.sample is None else resampling(basis.sample.stratum, basis.sample.shares, _RESAMPLING_SEED)
         )
 
-    def images(self, levels: NDArray[np.float64], count: int, first: int) -> Iterator[Relit]:
-        """The first `count` images for some levels; the very first of them has the number `first`."""
+    def images(self, levels: NDArray[np.float64], count: int) -> Iterator[Relit]:
+        """The first `count` images for some levels."""
         basis = self._basis
         replicates = _combined(levels, basis.images)
         grid = _combined(levels, basis.grid)
@@ -256,7 +268,7 @@ class _Relighter:
                     quantile += model_quantile(errors[k], basis.sample)
             pixels = 0 if basis.sample is None else len(basis.sample.pixels)
             certificate = certificate_of(models[k], noise, quantile, pixels=pixels, rays=basis.model_rays)
-            yield self._image(mean[k], certificate, first + k)
+            yield self._image(mean[k], certificate)
 
     def _model_errors(self, mean: NDArray[np.float64], levels: NDArray[np.float64]) -> list[PixelErrors]:
         basis = self._basis
@@ -280,11 +292,9 @@ class _Relighter:
         mean = float(squares.mean())
         return noise + Bounded(mean, mean + _SURE * float(squares.std()) / math.sqrt(len(squares))), samples
 
-    def _image(self, mean: NDArray[np.float64], certificate: Certificate, number: int) -> Relit:
+    def _image(self, mean: NDArray[np.float64], certificate: Certificate) -> Relit:
         sensor = self._basis.sensor
         values = mean * self._basis.exposure_of_radiance
-        if values.max() > _LARGEST_FLOAT32:
-            raise InputError(f"the radiant exposure of image {number + 1} overflows", remedy="lower its factors")
         exposure = ExposureImage(values.astype(np.float32).astype(np.float64), {"scene": self._basis.scene_sha256})
         gray = gray_image(exposure, sensor)
         # Not of the rounded gray levels: rounding may reach a saturation that the pixel does not.

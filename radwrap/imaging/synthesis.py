@@ -236,6 +236,8 @@ class _Run:
     def carry_out(self, start: float, cpu: float) -> None:
         """Trace, merge, expose, and write; the manifest last."""
         make_folder(self.folder)
+        if self.sources:
+            make_folder(self.out / FOLDER)  # a file of that name is told before hours of tracing
         progress = Progress("tracing", 1, shown=self.options.progress)
         view = self.traced.view()
         work = Work(view, self.folder, self.programs, progress, self.traced_sha256, self.options.seed)

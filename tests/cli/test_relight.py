@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from radwrap.images import read_image
+from radwrap.imaging.basis import sealed
 from tests.cli.conftest import SLOWER, SMALL, files_in, here, inhabitants, products, run, start, wait_for, write_scene
 
 SECOND: Final = {**SMALL["sources"][0], "name": "second", "position": ["-60 mm", "-90 mm", "450 mm"]}
@@ -83,7 +84,7 @@ def test_levels_too_bright_for_the_tolerance_end_with_three(
 ) -> None:
     shutil.copytree(basis, tmp_path / "basis")
     told = json.loads((basis / "basis.json").read_bytes())
-    (tmp_path / "basis" / "basis.json").write_text(json.dumps({**told, "tolerance": 1e-3}))
+    (tmp_path / "basis" / "basis.json").write_text(json.dumps(sealed({**told, "tolerance": 1e-3})))
     done = here(_argv(tmp_path / "basis", tmp_path, GOOD, "--json"), capsys)
     assert done.code == 3
     assert "both and 1 more: the tolerance of the basis was not met" in done.stderr
@@ -115,7 +116,7 @@ BAD: Final[dict[str, tuple[str, str]]] = {
     "device": ("name,lamp,second\nnul.x,1,1\n", '"nul.x" cannot name a file'),
     "no file name": ("name,lamp,second\n,1,1\n", '"" cannot name a file'),
     "open quote": ('name,lamp,second\n"a,1,1\n', "is no CSV"),
-    "too bright": ("name,lamp,second\na,1,1e300\n", "image 1 overflows"),
+    "too bright": ("name,lamp,second\na,1,1\nb,1,1e300\n", "image 2 overflows"),
 }
 
 
@@ -141,13 +142,26 @@ def test_what_is_no_basis_is_refused(basis: Path, tmp_path: Path, capsys: pytest
     here(_argv(copy, tmp_path, GOOD), capsys).success()
     told: dict[str, Any] = json.loads((copy / "basis.json").read_bytes())
     for key in ("sources", "block", "files", "camera"):
-        (copy / "basis.json").write_text(json.dumps({name: told[name] for name in told if name != key}))
+        (copy / "basis.json").write_text(json.dumps(sealed({name: told[name] for name in told if name != key})))
         assert "basis.json: is no light basis" in here(_argv(copy, tmp_path, GOOD), capsys).refusal(2), key
+    for changed in ({**told, "exposure_of_radiance": 2 * told["exposure_of_radiance"]}, {**told, "replicates": -1}):
+        (copy / "basis.json").write_text(json.dumps(changed))
+        assert "basis.json: is not as it was made" in here(_argv(copy, tmp_path, GOOD), capsys).refusal(2)
     same = ["relight", basis, "--levels", _table(tmp_path, GOOD), "--out", basis]
     assert "--out: is the folder of the basis" in here(same, capsys).refusal(2)
     assert "--out: is the folder of the basis" in here([*same[:-1], basis / "basis"], capsys).refusal(2)
     line = here(["relight", basis, "--levels", tmp_path / "no.csv", "--out", tmp_path], capsys).refusal(2)
     assert "no.csv: is no readable text file" in line
+
+
+def test_a_file_in_the_way_of_the_basis_is_told_before_tracing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "basis").touch()
+    argv = ["render", write_scene(tmp_path, TWO), "--basis", "--tolerance", 5, "--out", tmp_path / "out"]
+    assert "a file stands where a folder is needed" in here(argv, capsys).refusal(2)
+    assert not list((tmp_path / "out").rglob("*.exr"))
 
 
 def test_a_dark_source_has_no_factor(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
