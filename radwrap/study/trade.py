@@ -55,7 +55,8 @@ _NUMBERS: Final = (7, 19, 37, 61, 127, 217)
 _TRIAL_NUMBER: Final = 37  # on which layouts and samplings are compared
 _SMALL_NUMBERS: Final = (7, 19)  # where more rays a pixel may pay
 _TOLERANCES: Final = (2.0, 1.0, 0.5, 0.2, 0.1)
-# A method that misses its tolerance tries again; after so many times the rays that were expected it has shown enough.
+# A method that misses its tolerance tries again; after so many times the rays that were expected, or the longest time,
+# it has shown enough.
 _PATIENCE: Final = 8
 _TIMED_RAYS: Final = 1 << 15
 _LONGEST_LIMITS: Final = (1e-3, 1e9)
@@ -387,10 +388,13 @@ class _Sweep:
         quiet = Progress("", 1, shown=False)
         outcome = render_to_tolerance(
             Work(self.view, folder, self.programs, quiet, self.scene_sha256, self.options.render.seed),
-            Demand(setting.tolerance, method=method, budget=Budget(rays=_PATIENCE * expected)),
+            Demand(setting.tolerance, method=method, budget=Budget(rays=self._patience(expected))),
         )
         shutil.rmtree(folder, ignore_errors=True)
         return outcome.radiance, outcome.plan["rays"], outcome.met, outcome.certificate.rms_gray_upper95
+
+    def _patience(self, expected: float) -> float:
+        return min(_PATIENCE * expected, self.options.longest / self.seconds_per_ray)
 
     def _read(self, name: str) -> dict[str, Any] | None:
         """What an equal run left under a name; None where there is nothing of it."""

@@ -117,10 +117,19 @@ def test_viewpoints_in_memory_are_those_of_the_files(tmp_path: Path) -> None:
     np.testing.assert_array_equal(part, radiance[some])
 
 
-def _row(method: Family, rms: float, wall: float, number: int | None = None, tolerance: float | None = None) -> Row:
+def _row(
+    method: Family,
+    rms: float,
+    wall: float,
+    number: int | None = None,
+    *,
+    tolerance: float | None = None,
+    upper: float | None = None,
+    met: bool | None = None,
+) -> Row:
     layout = "rings" if number else None
     setting = Setting(method, number, layout, tolerance=tolerance)
-    return Row(setting, 1000, None, None, Distance(rms, rms, rms, rms), wall, wall)
+    return Row(setting, 1000, met, None, Distance(rms, rms if upper is None else upper, rms, rms), wall, wall)
 
 
 def test_the_front_holds_what_nothing_beats() -> None:
@@ -134,10 +143,13 @@ def test_the_sentence_names_the_fastest_that_is_good_enough() -> None:
     pinhole, kernel = _row("pinhole", 17.0, 0.1), _row("kernel", 0.4, 1.0, tolerance=0.5)
     finer, paper = _row("kernel", 0.1, 2.0, tolerance=0.1), _row("viewpoints", 0.45, 8.0, 127)
     text = recommendation([pinhole, finer, kernel, paper])
-    assert "use `--method kernel --tolerance 0.5`: 0.4 gray in 1 s" in text
+    assert "use `--method kernel --tolerance 0.5`: 0.4 gray (below 0.4 by 97.5 %) in 1 s" in text
     assert "`--method viewpoints --viewpoints 127 --layout rings`, took 8 times as long" in text
     assert "did not come so far" in recommendation([pinhole, kernel])
     assert "use `--method viewpoints" in recommendation([pinhole, paper])
+    lucky, unmet = _row("kernel", 0.0, 0.3, tolerance=2.0, upper=1.4), _row("rays", 0.4, 0.2, tolerance=0.5, met=False)
+    assert recommendation([pinhole, lucky, unmet, kernel]) == recommendation([pinhole, kernel])
+    assert pareto_front([lucky, kernel]) == (lucky, kernel)
     none = recommendation([pinhole, _row("viewpoints", 1.2, 3.0, 37)])
     assert none.startswith("No setting") and "--viewpoints 37" in none
     for sentence in (text, none, recommendation([])):
