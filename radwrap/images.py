@@ -31,6 +31,8 @@ _BITS: Final = {"uint8": 8, "uint16": 16, "half": 16, "float": 16}
 _WHOLE: Final = {"uint8", "uint16"}
 
 _PNG: Final = b"\x89PNG\r\n\x1a\n"
+_END_OF_JPEG: Final = b"\xff\xd9"
+_JPEG_PADDING: Final = 4096  # bytes that cameras append
 _PNM_HEADER: Final = 4096  # bytes, with comments
 
 # Rows that are compared at a time; EXR packs 16 into a block.
@@ -349,6 +351,9 @@ def _read_floats(path: Path) -> tuple[NDArray[np.float64], int]:
         pixels = source.read_image("float" if kind == "half" else spec.format)
         if pixels is None:
             raise InputError(f"is not whole: {source.geterror()}", where=str(path))
+        # The reader fills up what is missing of a JPEG, and says nothing.
+        if source.format_name() == "jpeg" and _END_OF_JPEG not in path.read_bytes()[-_JPEG_PADDING:]:
+            raise InputError("is not whole: its end is missing", where=str(path))
         full = _full_scale(source, path) if kind in _WHOLE else 0
     finally:
         source.close()

@@ -61,6 +61,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out the verb."""
+    picture = shared.file_to_write(arguments.plot, "--plot", ".png")
     path = Path(arguments.frames)
     kind, values, gray, lines = read_frames(path)
     exposure, unit = _exposure(arguments, kind, values)
@@ -79,8 +80,8 @@ def run(arguments: argparse.Namespace) -> int:
         )
     except InputError as error:
         raise InputError(error.what, where=str(path), remedy=error.remedy) from error
-    if arguments.plot:
-        write_bytes(Path(arguments.plot), plot(response, exposure, gray))
+    if picture is not None:
+        write_bytes(picture, plot(response, exposure, gray))
     found = report(response, exposure, gray, lines, source)
     print(json_text(found) if arguments.json else "\n".join(_lines(found)) + "\n", end="")
     return 0

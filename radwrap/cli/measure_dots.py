@@ -44,6 +44,8 @@ def run(arguments: argparse.Namespace) -> int:
     for name, gray in (("--dark", arguments.dark), ("--saturation", arguments.saturation)):
         if gray is not None and not (math.isfinite(gray) and (gray > 0 or name == "--dark")):
             raise InputError(f"{gray} is no gray level", where=name)
+    overlay = shared.file_to_write(arguments.overlay, "--overlay", ".png")
+    table = shared.file_to_write(arguments.csv, "--csv")
     path = Path(arguments.image)
     image = read_gray(path)
     try:
@@ -58,20 +60,20 @@ def run(arguments: argparse.Namespace) -> int:
             saturation=arguments.saturation,
         )
     except DotsNotFound as error:
-        raise _with_overlay(error, image, path, arguments.overlay) from error
+        raise _with_overlay(error, image, path, overlay) from error
     except InputError as error:
         raise InputError(error.what, where=error.where or str(path), remedy=error.remedy) from error
-    if arguments.overlay is not None:
-        write_bytes(Path(arguments.overlay), overlay_png(image, dots))
-    if arguments.csv is not None:
-        write_bytes(Path(arguments.csv), _csv(dots).encode())
+    if overlay is not None:
+        write_bytes(overlay, overlay_png(image, dots))
+    if table is not None:
+        write_bytes(table, _csv(dots).encode())
     print(json_text(_document(dots, path)) if arguments.json else _table(dots), end="")
     return 0
 
 
-def _with_overlay(error: DotsNotFound, image: GrayImage, path: Path, overlay: str | None) -> InputError:
+def _with_overlay(error: DotsNotFound, image: GrayImage, path: Path, overlay: Path | None) -> InputError:
     """Write the picture of what was found; without --overlay it lies in the working folder."""
-    place = Path(overlay) if overlay is not None else Path(f"{path.stem}.dots.png")
+    place = overlay or Path(f"{path.stem}.dots.png")
     write_bytes(place, overlay_png(image, error.found, error.missing))
     return InputError(error.what, where=str(path), remedy=f"{error.remedy}; see {place}")
 

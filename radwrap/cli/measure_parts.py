@@ -44,8 +44,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out the verb."""
-    if arguments.overlay and arguments.overlay.suffix.lower() != ".png":
-        raise InputError("is no name of a PNG file", where="--overlay", remedy="end it in .png")
+    overlay = shared.file_to_write(arguments.overlay, "--overlay", ".png")
     image = read_gray(arguments.image)
     try:
         found = find_parts(
@@ -58,8 +57,8 @@ def run(arguments: argparse.Namespace) -> int:
         )
     except InputError as error:
         raise _located(error, arguments.image) from error
-    if arguments.overlay:
-        write_bytes(arguments.overlay, overlay_png(image, found))
+    if overlay is not None:
+        write_bytes(overlay, overlay_png(image, found))
     print(json_text(_json(found, arguments)) if arguments.json else "\n".join(_lines(found)) + "\n", end="")
     return 0
 

@@ -53,6 +53,21 @@ def out_folder(arguments: argparse.Namespace, what: str) -> Path:
     return Path(arguments.out)
 
 
+def file_to_write(name: str | Path | None, where: str, suffix: str = "") -> Path | None:
+    """File that an option names, if any; its folder is there, and its name ends as it must."""
+    if name is None:
+        return None
+    path = Path(name)
+    if not path.name or path.is_dir() or (suffix and path.suffix.lower() != suffix):
+        kind = f"{suffix[1:].upper()} file" if suffix else "file"
+        raise InputError(
+            f'"{name}" is no name of a {kind}', where=where, remedy=f"end it in {suffix}" if suffix else ""
+        )
+    if not path.parent.is_dir():
+        raise InputError(f'there is no folder "{path.parent}"', where=where, remedy="make it first")
+    return path
+
+
 def add_json(parser: argparse.ArgumentParser) -> None:
     """--json."""
     parser.add_argument("--json", action="store_true", help="machine-readable result on stdout")

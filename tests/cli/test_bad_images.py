@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from radwrap.cli.main import main
-from radwrap.images import write_exr, write_png
+from radwrap.images import read_gray, write_exr, write_png
 
 EDGE = np.repeat([[20, 20, 60, 140, 180, 180]], 60, axis=0).repeat(10, axis=1).astype(np.uint8)
 
@@ -157,6 +157,40 @@ def test_a_wrong_grid_is_one_clear_error(
     assert main(["measure", "dots", "edge.png", f"--grid={grid}"]) == 2
     out, err = capfd.readouterr()
     assert (out, err.count("\n")) == ("", 1)
+
+
+WRITTEN = [
+    ["measure", "dots", "edge.png", "--grid=5x5", "--overlay"],
+    ["measure", "dots", "edge.png", "--grid=5x5", "--csv"],
+    ["measure", "parts", "edge.png", "--overlay"],
+    ["calibrate", "sensor", "frames.csv", "--plot"],
+]
+
+
+@pytest.mark.parametrize("argv", WRITTEN, ids=" ".join)
+def test_a_file_that_cannot_be_written_is_told_first(
+    argv: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name, told in (("nowhere/x.png", "there is no folder"), (".", "is no name of a")):
+        assert main([*argv, name]) == 2
+        line = capfd.readouterr().err
+        assert line.startswith(f"radwrap: {argv[-1]}: ") and told in line
+
+
+def test_a_cut_jpeg_is_no_image(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    import OpenImageIO as oiio  # noqa: N813
+
+    for name in ("whole.jpg", "cut.jpg"):
+        output = oiio.ImageOutput.create(str(tmp_path / name))
+        assert output.open(str(tmp_path / name), oiio.ImageSpec(60, 60, 1, "uint8"))
+        assert output.write_image(EDGE[:, :, np.newaxis])
+        output.close()
+    whole = (tmp_path / "whole.jpg").read_bytes()
+    (tmp_path / "cut.jpg").write_bytes(whole[: len(whole) * 2 // 3])
+    read_gray(tmp_path / "whole.jpg")
+    assert main(["measure", "edge", str(tmp_path / "cut.jpg")]) == 2
+    assert "cut.jpg: is not whole: its end is missing" in capfd.readouterr().err
 
 
 OPTIONS = {
