@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
@@ -10,10 +11,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from radwrap.errors import InputError
-from radwrap.files import make_folder, sole_owner
+from radwrap.files import make_folder, sha256_of, sole_owner
 from radwrap.manifest import SCHEMA_VERSION, read_manifest, sha256_of_value, versions, write_manifest
 from radwrap.process import available_cores
 from radwrap.progress import Progress
+from radwrap.scene.named_files import named_files
 from radwrap.study.design import Design, render_options
 from radwrap.study.journal import RESULTS, Journal
 from radwrap.study.light import reference_levels, split_light, with_levels
@@ -105,7 +107,7 @@ def run_study(design: Design, out: Path, options: StudyOptions) -> Study:
     runs = runs_of(design)
     make_folder(out)
     with sole_owner(out):
-        _take_possession(out, design, runs, options)
+        take_possession(out, design, runs, options)
         journal = Journal(out, design, runs)
         known = journal.finished()
         if options.retry_failed:
@@ -138,7 +140,7 @@ def open_pool(options: StudyOptions) -> Pool:
     return LocalPool(options.workers or available_cores())
 
 
-def _take_possession(out: Path, design: Design, runs: Sequence[Run], options: StudyOptions) -> None:
+def take_possession(out: Path, design: Design, runs: Sequence[Run], options: StudyOptions) -> None:
     """Write what the study is, or make sure that it is the one that lies there."""
     told = {
         "schema_version": SCHEMA_VERSION,
@@ -148,15 +150,25 @@ def _take_possession(out: Path, design: Design, runs: Sequence[Run], options: St
         "runs": len(runs),
         "versions": versions(),
         "trust": options.trust,
+        "files": _file_hashes(design, runs),
     }
     told["study_sha256"] = sha256_of_value({**told, "images": [run.image for run in runs]})
     if (out / PLAN).exists():
         if read_manifest(out / PLAN).get("study_sha256") != told["study_sha256"]:
-            raise InputError("holds another study", where=str(out), remedy="choose another --out")
+            raise InputError(
+                "holds another study, or one whose files were others", where=str(out), remedy="choose another --out"
+            )
         return
     if (out / RESULTS).exists():
         raise InputError(f"holds a {RESULTS} of something else", where=str(out), remedy="choose another --out")
     write_manifest(out / PLAN, told)
+
+
+def _file_hashes(design: Design, runs: Sequence[Run]) -> dict[str, str]:
+    """Hash of each file that a run's scene names: rows of other meshes, tables and included files are other rows."""
+    folder = design.folder.resolve()
+    strings = {"base": design.document, "runs": [run.document for run in runs]}
+    return {os.path.relpath(path, folder): sha256_of(path) for path in named_files(strings, folder)}
 
 
 # ---------------------------------------------------------------------------------------------------------------- plan

@@ -11,9 +11,9 @@ from radwrap.errors import InputError
 from radwrap.study.design import Design, read_design
 from radwrap.study.light import reference_levels, split_light, with_levels
 from radwrap.study.runs import Run, check_design, runs_of
-from radwrap.study.study import StudyOptions, plan_steps
-from tests.cli.conftest import here
-from tests.study.conftest import SMALL, DesignWriter
+from radwrap.study.study import StudyOptions, plan_steps, take_possession
+from tests.cli.conftest import here, scene_text
+from tests.study.conftest import EDGE, RESPONSES, SMALL, DesignWriter
 
 TABLE2 = Path(__file__).parents[2] / "rad_scenes" / "study_table2" / "design.toml"
 
@@ -205,3 +205,17 @@ def test_a_scheduler_that_is_not_there_is_told(
 def test_a_missing_design_is_told(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such design file"):
         read_design(tmp_path / "none.toml")
+
+
+def test_a_study_does_not_go_on_with_other_files(tmp_path: Path) -> None:
+    (tmp_path / "panel.rad").write_text("void plastic grey\n0\n0\n5 .3 .3 .3 0 0\n")
+    document = dict(EDGE, targets=[*EDGE["targets"], {"name": "panel", "rad": "panel.rad"}])
+    (tmp_path / "scene.toml").write_text(scene_text(document))
+    (tmp_path / "design.toml").write_text(f'scene = "scene.toml"\n{SMALL}\n{RESPONSES}')
+    design, out = read_design(tmp_path / "design.toml"), tmp_path / "out"
+    out.mkdir()
+    for _ in range(2):
+        take_possession(out, design, runs_of(design), StudyOptions())
+    (tmp_path / "panel.rad").write_text("void plastic grey\n0\n0\n5 .4 .4 .4 0 0\n")
+    with pytest.raises(InputError, match="holds another study, or one whose files were others"):
+        take_possession(out, design, runs_of(design), StudyOptions())
