@@ -25,8 +25,9 @@ OPTIONS = RenderOptions(viewpoints=37)
 # An edge is fitted to hundredths of a pixel: the steps of sub-viewpoints would be the picture's bias, not the fit's.
 SMOOTH = RenderOptions(method="kernel", tolerance=0.03)
 
-# The edge's peak near the top of the gray range; rows and columns that the widest blur needs.
-BRIGHT = {"camera.exposure_time": "860 ms", "camera.sensor.rows": 40, "camera.sensor.columns": 100}
+# Far from saturation also under the widest beam; rows and columns that the widest blur needs.
+ROOM = {"camera.exposure_time": "250 ms", "camera.sensor.rows": 40, "camera.sensor.columns": 100}
+BRIGHTEST = 160.0  # gray level to which each edge is exposed: a clipped edge would be a study of saturation
 EDGE_METHODS = {
     "gamma fitted": {"dark": 22.0},
     "gamma 0.85": {"dark": 22.0, "gamma": 0.85},
@@ -39,7 +40,10 @@ def _dots(value: float, scene: Scene, exposure: ExposureImage) -> list[BiasPoint
 
 
 def _edge(value: float, scene: Scene, exposure: ExposureImage) -> list[BiasPoint]:
-    return edge_bias(value, scene, gray_image(exposure, scene.camera.sensor), EDGE_METHODS)
+    sensor = scene.camera.sensor
+    wanted = ((BRIGHTEST - sensor.dark_gray) / sensor.gain) ** (1 / sensor.gamma)
+    image = scaled_gray(exposure, wanted / float(exposure.values.max()), sensor)
+    return edge_bias(value, scene, image, EDGE_METHODS)
 
 
 def dots_against_blur() -> Study:
@@ -84,20 +88,20 @@ def dots_against_tilt() -> Study:
 
 def edge_against_gamma() -> Study:
     """The sensor's gamma changes, its gain keeps the peak gray; what the fit takes for gamma is the method."""
-    scene = radwrap.load_scene(EDGE, BRIGHT)
+    scene = radwrap.load_scene(EDGE, ROOM)
     exposure = radwrap.render(scene, options=SMOOTH).radiant_exposure
     peak = float(exposure.values.max())
     points: list[BiasPoint] = []
     for gamma in (0.45, 0.6, 0.7, 0.8, 0.85, 0.9, 1.0):
         gain = 140 / peak**gamma
-        changes = {**BRIGHT, "camera.sensor.gamma": gamma, "camera.sensor.gain": f"{gain!r} (J/m^2)^-{gamma}"}
+        changes = {**ROOM, "camera.sensor.gamma": gamma, "camera.sensor.gain": f"{gain!r} (J/m^2)^-{gamma}"}
         points += _edge(gamma, radwrap.load_scene(EDGE, changes), exposure)
     return Study("edge_gamma", "Edge position against the sensor's gamma", "gamma", tuple(points))
 
 
 def edge_against_light_gradient() -> Study:
     """Narrower beams make the light fall off faster on both sides of the axis; the edge lies 20 mm beside it."""
-    base = radwrap.load_scene(EDGE, {**BRIGHT, "targets[0].edge_position": "20 mm"})
+    base = radwrap.load_scene(EDGE, {**ROOM, "targets[0].edge_position": "20 mm"})
     values = [(width, f"{width} deg") for width in (4.0, 5.0, 7.0, 10.0, 15.0, 25.0)]
     points = sweep(base, "sources[0].beam.width", values, SMOOTH, _edge)
     return Study("edge_gradient", "Edge position against the light's gradient", "beam width, fwhm [deg]", points)
@@ -108,9 +112,9 @@ def edge_against_pinhole() -> Study:
     points: list[BiasPoint] = []
     for diameter in (0.03, 0.05, 0.1, 0.15, 0.2, 0.3):
         changes = {
-            **BRIGHT,
+            **ROOM,
             "camera.aperture.diameter": f"{diameter} mm",
-            "camera.exposure_time": f"{860 * (0.1 / diameter) ** 2!r} ms",
+            "camera.exposure_time": f"{250 * (0.1 / diameter) ** 2!r} ms",
         }
         scene = radwrap.load_scene(EDGE, changes)
         points += _edge(diameter, scene, radwrap.render(scene, options=SMOOTH).radiant_exposure)
