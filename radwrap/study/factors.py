@@ -52,6 +52,11 @@ class Draw:
         return written(float(drawn(self.first, self.second)), self.unit)
 
     @property
+    def mean(self) -> Any:
+        """Its mean, as the scene file would hold it."""
+        return written((self.first + self.second) / 2 if self.distribution == "uniform" else self.first, self.unit)
+
+    @property
     def ends(self) -> tuple[Any, Any]:
         """Two values it may take, to be checked beforehand: the limits, or one standard deviation off the mean."""
         low, high = self.first, self.second
