@@ -124,6 +124,8 @@ def test_levels_of_sources_are_split_off_and_put_back(design: DesignWriter) -> N
     assert reference == {"a": 0.75, "b": 2.25}
 
 
+ANOVA_OF_TWO = 'analysis = "anova"\n[design]\nkind = "list"\nruns = [["1 mm", "L"], ["2 mm", "H"]]'
+
 BAD = [
     ('key = "targets[0].edge_position"', 'key = "targets[0].place"', "unknown key"),
     ('key = "targets[0].edge_position"', 'key = "targets[7].edge_position"', "no such place"),
@@ -141,6 +143,7 @@ BAD = [
     ('kind = "full"', 'kind = "list"\nruns = [["3 mm", "L"]]', "no level"),
     ('analysis = "none"', "", "too few for Lenth"),
     ('analysis = "none"', 'analysis = "magic"', "must be"),
+    ('analysis = "none"\nseed = 5\n[design]\nkind = "full"', ANOVA_OF_TWO, "too few for an analysis of variance"),
     ("seed = 5", "seed = -5", "whole number"),
     ("seed = 5", "sead = 5", "unknown key"),
     ("seed = 5", "replicates = 0", "whole number"),
