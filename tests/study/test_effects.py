@@ -12,7 +12,9 @@ import pytest
 
 from radwrap.errors import InputError
 from radwrap.study.effects import Analysis, analyse, as_json, sentences
+from radwrap.study.figures import figures
 from radwrap.study.levels import read_data
+from radwrap.study.report import cell
 from radwrap.study.table import csv_text
 
 EXACT = 1e-9  # of sums of a few numbers of order 10
@@ -226,3 +228,15 @@ def test_a_label_of_no_factor_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match='no factor "Z"'):
         read_data(tmp_path / "t.csv", "y", labels={"Z": "foo"})
     assert read_data(tmp_path / "t.csv", "y", labels={"A": "foo"}).factors[0].label == "foo"
+
+
+def test_labels_are_text_and_no_formulas(tmp_path: Path) -> None:
+    r"""Between two dollars matplotlib reads TeX, and stops at what it does not know."""
+    (tmp_path / "t.csv").write_text("A,B,y\n$\\bad$,1,2\n$\\bad$,2,2.5\nb,1,3\nb,2,3.75\n")
+    data = read_data(tmp_path / "t.csv", "y", labels={"A": r"cost $\bad$ x"})
+    assert set(figures(analyse(data))) == {"main_effects", "pareto", "half_normal", "interactions"}
+
+
+def test_a_report_shows_seeds_with_all_digits() -> None:
+    assert cell("seed", "123456789")["shown"] == "123456789"
+    assert cell("mean", "88.123456789")["shown"] == "88.1235"
