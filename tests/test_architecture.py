@@ -36,8 +36,8 @@ DOORS = {
     "distributed": {"study/pool.py"},
     "jinja2": {"study/report.py"},
     "pyDOE3": {"study/runs.py"},
-    "statsmodels": {"study/effects.py"},
-    "pandas": {"study/effects.py"},
+    "statsmodels": {"study/variance.py"},
+    "pandas": {"study/variance.py"},
 }
 LONGEST_MODULE = 500  # lines; a longer one becomes a folder
 

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from radwrap.errors import InputError
+
 # Longer words name no file on any system.
 _LONGEST_NAME: Final = 1024
-# Radiance files name others, and these others again; meshes and pictures are not read for names.
-_NAMING: Final = {".rad", ".mat"}
+# Radiance files name others, whatever their own extension, and these others again. These kinds hold numbers alone, and
+# so many that looking for names among them would take long.
+_NAMELESS: Final = frozenset(
+    ".stl .ply .obj .off .glb .gltf .3mf .dat .csv .ies .hdr .pic .exr .png .jpg .jpeg .tif .tiff .npy .oct".split()
+)
+_LARGEST_TEXT: Final = 64 << 20  # byte; nobody writes a Radiance file of that size for others to include
+_NUMBER: Final = re.compile(r"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?")
 
 
-def named_files(document: Mapping[str, Any], folder: Path) -> tuple[Path, ...]:
+def named_files(document: Mapping[str, Any], folder: Path, *, trust: bool = False) -> tuple[Path, ...]:
     """Files that the strings of a scene's tables name, and those that Radiance files among them name in turn.
 
     A word that happens to be the name of a file counts: one file too many does no harm, one too few would.
@@ -23,22 +31,29 @@ def named_files(document: Mapping[str, Any], folder: Path) -> tuple[Path, ...]:
         Tables of a scene, or of anything that holds one.
     folder : Path
         Where the scene lies; names are relative to it.
+    trust : bool
+        Whether the scene may name files outside of its folder; else these are not so much as opened.
 
     Returns
     -------
     tuple of Path
         Each once, in the order of their names.
+
+    Raises
+    ------
+    InputError
+        If one of them cannot be read.
     """
+    inside = None if trust else folder.resolve()
     found: set[Path] = set()
-    due = [path for word in set(_strings(document)) if (path := _file(folder, word))]
+    due = [path for word in set(_strings(document)) if (path := _file(folder, word, inside))]
     while due:
         path = due.pop()
         if path in found:
             continue
         found.add(path)
-        if path.suffix.lower() in _NAMING:
-            words = set(path.read_text(encoding="latin-1").split())
-            due += [other for word in words for place in (path.parent, folder) if (other := _file(place, word))]
+        words = _words(path) if path.suffix.lower() not in _NAMELESS else ()
+        due += [other for word in words for place in (path.parent, folder) if (other := _file(place, word, inside))]
     return tuple(sorted(found))
 
 
@@ -53,11 +68,27 @@ def _strings(value: Any) -> Iterator[str]:
             yield from _strings(item)
 
 
-def _file(folder: Path, word: str) -> Path | None:
+def _words(path: Path) -> set[str]:
+    """What may be names in a text; nothing where it is none."""
+    try:
+        with path.open("rb") as stream:
+            content = stream.read(_LARGEST_TEXT + 1)
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", where=str(path), remedy="the scene names it") from error
+    if len(content) > _LARGEST_TEXT or b"\0" in content:
+        return set()
+    words = {word.strip("'\"") for word in content.decode("latin-1").split()}
+    return {word for word in words if not _NUMBER.fullmatch(word)}
+
+
+def _file(folder: Path, word: str, inside: Path | None) -> Path | None:
+    """The regular file that a word names, if any; None also where it lies outside of a folder not to be left."""
     if not 0 < len(word) <= _LONGEST_NAME or "\0" in word:
         return None
     try:
         path = (folder / word).resolve()
+        if inside is not None and not path.is_relative_to(inside):
+            return None
         return path if path.is_file() else None
     except (OSError, RuntimeError, UnicodeError):
         return None

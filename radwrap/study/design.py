@@ -16,7 +16,7 @@ from typing import Any, Final, Literal
 from radwrap.errors import InputError
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.scene.load import load_scene
-from radwrap.study.factors import Factor, Level, number_and_unit, read_draw, with_all_leds
+from radwrap.study.factors import Factor, Level, quantity, read_draw, with_all_leds
 from radwrap.study.responses import KINDS, Response, check_options, unit_of
 
 Kind = Literal["full", "fractional", "latin_hypercube", "list"]
@@ -161,7 +161,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 def _plan(table: Mapping[str, Any], where: str) -> tuple[Kind, Mapping[str, Any]]:
     kind: Any = table.get("kind")
-    if kind not in _OF_KIND:
+    if not isinstance(table.get("kind"), str) or kind not in _OF_KIND:
         raise InputError(f"must be one of {', '.join(_OF_KIND)}", where=f"{where}.kind")
     _only(table, ("kind", *_OF_KIND[kind]), where)
     for key in _OF_KIND[kind]:
@@ -224,7 +224,7 @@ def _factor(name: str, table: Mapping[str, Any], kind: Kind, where: str) -> Fact
 
 
 def _range(pair: Any, where: str) -> tuple[tuple[float, float], str]:
-    ends = [number_and_unit(value) for value in pair] if isinstance(pair, list) and len(pair) == 2 else [None]
+    ends = [quantity(value, where) for value in pair] if isinstance(pair, list) and len(pair) == 2 else [None]
     if ends[0] is None or ends[-1] is None or ends[0][1] != ends[-1][1] or not ends[0][0] < ends[-1][0]:
         raise InputError("must be two numbers or quantities of the same unit, the lower first", where=where)
     return (ends[0][0], ends[-1][0]), ends[0][1]
@@ -241,6 +241,10 @@ def _levels(given: Any, keys: int, where: str, *, is_list: bool) -> tuple[Level,
         raise InputError("must be an array, or a table of named levels", where=where)
     if len(named) < 2 or len({name for name, _, _ in named}) < len(named):
         raise InputError("needs two or more different levels", where=where)
+    for name, _, place in named:
+        # A table of results gives names back without blanks around them, and a row is one line.
+        if not name or name != name.strip() or not name.isprintable():
+            raise InputError(f"{name!r} cannot name a level", where=place, remedy="name it by printable text")
     return tuple(Level(name, _values(value, keys, place, is_list=is_list)) for name, value, place in named)
 
 
@@ -269,7 +273,7 @@ def _responses(tables: Mapping[str, Any], where: str) -> tuple[Response, ...]:
         place = f"{where}.{name}"
         table = dict(_table(given, place))
         kind = table.pop("measure", None)
-        if kind not in KINDS:
+        if not isinstance(kind, str) or kind not in KINDS:
             raise InputError(f"must be one of {', '.join(KINDS)}", where=f"{place}.measure")
         unit = table.pop("unit", None)
         check_options(kind, table, place)
@@ -281,17 +285,24 @@ def _check_names(factors: tuple[Factor, ...], responses: tuple[Response, ...], o
     """Names become columns of a table, and letters of interactions."""
     names = [factor.name for factor in factors] + [response.name for response in responses]
     taken = {"run", "replicate", "seed", "error", "met", "image_error"}
+    errors = {f"{response.name}_error": response.name for response in responses}
     for name in names:
         if not name.isidentifier() or name in taken or names.count(name) > 1:
             raise InputError(
                 "cannot name a column", where=f"{origin}: {name}", remedy="use letters, digits and _, each name once"
+            )
+        if name in errors:
+            raise InputError(
+                f"is the name of a column already: the error of {errors[name]}",
+                where=f"{origin}: {name}",
+                remedy="choose another",
             )
 
 
 def _render(table: Mapping[str, Any], where: str) -> tuple[Mapping[str, Any], bool | None]:
     _only(table, (*_RENDER, "basis"), where)
     basis = table.get("basis")
-    if basis not in (None, True, False):
+    if basis is not None and not isinstance(basis, bool):
         raise InputError("must be true or false", where=f"{where}.basis")
     options = {key: value for key, value in table.items() if key != "basis"}
     for key, value in options.items():

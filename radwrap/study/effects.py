@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any, Final
 
@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
-from radwrap.manifest import SCHEMA_VERSION, finite
+from radwrap.manifest import SCHEMA_VERSION
 from radwrap.study.lenth import FEWEST_CONTRASTS, Lenth, lenth
 from radwrap.study.levels import Data
+from radwrap.study.variance import AnovaRow, anova, indicators, name_of, pure_error
 
 Array = NDArray[np.float64]
 
@@ -30,7 +31,8 @@ class Effect:
     Attributes
     ----------
     name : str
-        "A", "AB"; longer names of factors are joined by colons.
+        "A", "AB"; longer names of factors are joined by colons. Words of more than two levels have an effect for each
+        level but the first, "A=level".
     factors : tuple of int
         Numbers of the factors.
     effect : float
@@ -44,6 +46,8 @@ class Effect:
         By the t limit; by the simulated one (Lenth's method alone).
     aliases : tuple of str
         What cannot be told from it.
+    start, end : str or None
+        Levels between which an effect of one factor is told: response at `end` minus response at `start`.
     """
 
     name: str
@@ -54,17 +58,8 @@ class Effect:
     significant: bool | None = None
     significant_simulated: bool | None = None
     aliases: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class AnovaRow:
-    """A line of an analysis of variance."""
-
-    term: str
-    sum_of_squares: float
-    degrees_of_freedom: float
-    f: float | None
-    p: float | None
+    start: str | None = None
+    end: str | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,19 +114,36 @@ def analyse(data: Data, alpha: float = 0.05) -> Analysis:
     if np.ptp(data.values) == 0:
         raise InputError("is the same in all runs", where=data.response, remedy="choose another response")
     notes = list(_notes(data))
-    balanced = data.is_two_level and _is_balanced(data)
-    columns = _orthogonal_columns(data) if balanced else None
-    if columns is None:
-        if data.is_two_level:
-            notes.append("the design is not orthogonal: effects are those of a least-squares fit, and not independent")
+    repeated = len(np.unique(data.codes, axis=0)) < len(data.values)
+    columns = _contrasts(data, notes)
+    if columns is None and data.analysis == "lenth":
+        notes.append("Lenth's method, which the design asks for, needs an orthogonal design of two levels")
+    if columns is None or (data.analysis == "anova" and not repeated):
         return _regression(data, alpha, notes)
     effects = tuple(_contrast(data, column) for column in columns)
     if any(effect.aliases for effect in effects):
         notes.append("the design is a fraction of all combinations: aliased effects cannot be told apart")
-    distinct = len(np.unique(data.codes, axis=0))
-    if len(data.values) > distinct:
+    if repeated and data.analysis != "lenth":
         return _replicated(data, alpha, effects, notes)
     return _unreplicated(data, alpha, effects, notes)
+
+
+def _contrasts(data: Data, notes: list[str]) -> list[_Column] | None:
+    """All contrasts that are judged as such; None where a fit must tell the effects."""
+    if not data.is_two_level:
+        return None
+    columns = _orthogonal_columns(data) if _is_balanced(data) else None
+    if columns is not None:
+        return columns
+    signs = data.signs
+    overlaps = np.abs(signs.T @ signs - len(signs) * np.eye(signs.shape[1]))
+    if overlaps.max() > _EQUAL or np.abs(signs.sum(axis=0)).max() > _EQUAL:
+        notes.append("the design is not orthogonal: effects are those of a least-squares fit, and not independent")
+        return None
+    notes.append("interactions are spread over several main effects, as in Plackett-Burman designs: none is looked at")
+    mains = [_Column((number,), signs[:, number]) for number in range(signs.shape[1])]
+    # Where Lenth's method has too few contrasts, the residuals of a fit tell more.
+    return mains if len(mains) >= FEWEST_CONTRASTS else None
 
 
 def _notes(data: Data) -> Iterator[str]:
@@ -162,11 +174,6 @@ class _Column:
     aliases: tuple[str, ...] = ()
 
 
-def _name(data: Data, factors: tuple[int, ...]) -> str:
-    names = [data.factors[k].name for k in factors]
-    return ("" if all(len(factor.name) == 1 for factor in data.factors) else ":").join(names)
-
-
 def _subsets(data: Data) -> Iterator[tuple[int, ...]]:
     count = len(data.factors)
     for order in range(1, (count if count <= _ALL_INTERACTIONS else 2) + 1):
@@ -189,7 +196,7 @@ def _orthogonal_columns(data: Data) -> list[_Column] | None:
         equal = next((k for k, overlap in enumerate(overlaps) if abs(overlap) > 1 - _EQUAL), None)
         if equal is not None:
             minus = "-" if overlaps[equal] < 0 else ""
-            alias = (*found[equal].aliases, minus + _name(data, factors))
+            alias = (*found[equal].aliases, minus + name_of(data, factors))
             found[equal] = _Column(found[equal].factors, found[equal].signs, alias)
         elif max(map(abs, overlaps)) > _EQUAL:
             return None
@@ -202,7 +209,11 @@ def _contrast(data: Data, column: _Column) -> Effect:
     high = column.signs > 0
     effect = float(data.values[high].mean() - data.values[~high].mean())
     error = 2 * math.sqrt(float((data.errors**2).sum())) / len(data.errors)
-    return Effect(_name(data, column.factors), column.factors, effect, error, aliases=column.aliases)
+    found = Effect(name_of(data, column.factors), column.factors, effect, error, aliases=column.aliases)
+    if len(column.factors) > 1:
+        return found
+    levels = data.factors[column.factors[0]].levels
+    return replace(found, start=levels[0], end=levels[-1])
 
 
 def _unreplicated(data: Data, alpha: float, effects: tuple[Effect, ...], notes: list[str]) -> Analysis:
@@ -222,19 +233,14 @@ def _unreplicated(data: Data, alpha: float, effects: tuple[Effect, ...], notes: 
 
 
 def _judged(effect: Effect, t: float, significant: bool, *, simulated: bool | None = None) -> Effect:
-    return Effect(
-        effect.name, effect.factors, effect.effect, effect.image_error, t, significant, simulated, effect.aliases
-    )
+    return replace(effect, t=t, significant=significant, significant_simulated=simulated)
 
 
 def _replicated(data: Data, alpha: float, effects: tuple[Effect, ...], notes: list[str]) -> Analysis:
     from scipy.stats import t as student
 
-    _, which = np.unique(data.codes, axis=0, return_inverse=True)
-    which = which.ravel()
-    means = np.bincount(which, data.values) / np.bincount(which)
-    freedom = len(data.values) - len(means)
-    variance = float(((data.values - means[which]) ** 2).sum()) / freedom
+    squares, freedom = pure_error(data)
+    variance = squares / freedom
     error = 2 * math.sqrt(variance / len(data.values))
     limit = float(student.ppf(1 - alpha / 2, freedom))
     if error == 0:
@@ -247,74 +253,73 @@ def _replicated(data: Data, alpha: float, effects: tuple[Effect, ...], notes: li
 # ----------------------------------------------------------------------------------------------------- other designs
 
 
-def anova(data: Data, notes: list[str]) -> tuple[AnovaRow, ...]:
-    """Analysis of variance (type II) of main effects and, where the runs allow, interactions of two."""
-    import pandas
-    from statsmodels.formula.api import ols
-    from statsmodels.stats.anova import anova_lm
-
-    names = [f"x{k}" for k in range(len(data.factors))]
-    frame = pandas.DataFrame({name: data.codes[:, k].astype(str) for k, name in enumerate(names)})
-    frame["y"] = data.values
-    levels = [len(factor.levels) for factor in data.factors]
-    main = 1 + sum(count - 1 for count in levels)
-    both = main + sum((a - 1) * (b - 1) for a, b in combinations(levels, 2))
-    terms = names + ([f"{a}:{b}" for a, b in combinations(names, 2)] if both < len(data.values) else [])
-    if main >= len(data.values):
-        notes.append("there are too few runs for an analysis of variance")
-        return ()
-    table = anova_lm(ols(f"y ~ {' + '.join(terms)}", frame).fit(), typ=2)
-    rows = []
-    for term, line in table.iterrows():
-        factors = () if term == "Residual" else tuple(int(part[1:]) for part in str(term).split(":"))
-        f, p = float(line["F"]), float(line["PR(>F)"])
-        name = _name(data, factors) if factors else "residual"
-        rows.append(AnovaRow(name, float(line["sum_sq"]), float(line["df"]), finite(f), finite(p)))
-    return tuple(rows)
-
-
 def _regression(data: Data, alpha: float, notes: list[str]) -> Analysis:
-    """Effects over the range of each factor by least squares; words of more than two levels are left to ANOVA."""
+    """Effects by least squares: a straight line over each factor of numbers, and each level of words for itself."""
     from scipy.stats import t as student
 
-    names: list[int] = []
-    columns: list[Array] = [np.ones(len(data.values))]
-    for number, factor in enumerate(data.factors):
-        if factor.numbers is not None:
-            values = np.array(factor.numbers)[data.codes[:, number]]
-            columns.append((2 * values - values.min() - values.max()) / float(np.ptp(values)))
-        elif len(factor.levels) == 2:
-            columns.append(data.signs[:, number])
-        else:
-            notes.append(f"{factor.name} has words as levels: only the analysis of variance tells of it")
-            continue
-        names.append(number)
-    design = np.column_stack(columns)
-    table = () if not _repeats(data) else anova(data, notes)
+    effects, columns = _fitted_columns(data)
+    design = np.column_stack([np.ones(len(data.values)), *columns])
+    wanted = data.analysis == "anova" or _has_few_levels(data)
+    table = anova(data, notes) if wanted else ()
     if np.linalg.matrix_rank(design) < design.shape[1]:
         notes.append("the runs cannot tell the factors apart")
         return Analysis(data, "none", alpha, (), None, None, None, table, tuple(notes))
     inverse = np.linalg.pinv(design)
-    solution = inverse @ data.values
+    residual = data.values - design @ (inverse @ data.values)
     freedom = len(data.values) - design.shape[1]
-    residual = data.values - design @ solution
-    variance = float(residual @ residual) / freedom if freedom else 0.0
-    errors = np.sqrt(variance * (inverse**2).sum(axis=1))
-    image = np.sqrt((inverse**2 * data.errors**2).sum(axis=1))
+    variance, freedom = _noise(data, float(residual @ residual), freedom, alpha, notes)
+    sizes = (inverse @ data.values)[1:]
+    errors = np.sqrt(variance * (inverse[1:] ** 2).sum(axis=1))
+    image = np.sqrt((inverse[1:] ** 2 * data.errors**2).sum(axis=1))
     limit = float(student.ppf(1 - alpha / 2, freedom)) if freedom else None
-    effects = []
-    for row, number in enumerate(names, 1):
-        t = float(solution[row] / errors[row]) if freedom and errors[row] > 0 else None
-        significant = None if t is None or limit is None else abs(t) > limit
-        effects.append(
-            Effect(_name(data, (number,)), (number,), 2 * float(solution[row]), 2 * float(image[row]), t, significant)
-        )
-    error = 2 * float(errors[1:].mean()) if freedom and len(errors) > 1 else None
-    return Analysis(data, "regression", alpha, tuple(effects), None, error, limit, table, tuple(notes))
+    judged = []
+    for effect, size, error, by_image in zip(effects, sizes, errors, image, strict=True):
+        told = replace(effect, effect=float(size), image_error=float(by_image))
+        if limit is not None and error > 0:
+            told = _judged(told, float(size / error), bool(abs(size) > limit * error))
+        judged.append(told)
+    # The largest error, so that what no effect exceeds is true of each.
+    error = float(errors.max()) if freedom else None
+    return Analysis(data, "regression", alpha, tuple(judged), None, error, limit, table, tuple(notes))
 
 
-def _repeats(data: Data) -> bool:
-    """Whether some factor has few enough levels for a table of means."""
+def _fitted_columns(data: Data) -> tuple[list[Effect], list[Array]]:
+    """Effects to be found, and for each its column: an effect is its column's coefficient."""
+    effects: list[Effect] = []
+    columns: list[Array] = []
+    for number, factor in enumerate(data.factors):
+        name = name_of(data, (number,))
+        if factor.numbers is not None or len(factor.levels) == 2:
+            numbers = np.array(factor.numbers if factor.numbers is not None else (0.0, 1.0))
+            values = numbers[data.codes[:, number]]
+            columns.append((values - (numbers[0] + numbers[-1]) / 2) / (numbers[-1] - numbers[0]))
+            effects.append(Effect(name, (number,), 0.0, 0.0, start=factor.levels[0], end=factor.levels[-1]))
+            continue
+        for level, column in zip(factor.levels[1:], indicators(data, number).T, strict=True):
+            columns.append(column)
+            effects.append(Effect(f"{name}={level}", (number,), 0.0, 0.0, start=factor.levels[0], end=level))
+    return effects, columns
+
+
+def _noise(data: Data, squares: float, freedom: int, alpha: float, notes: list[str]) -> tuple[float, int]:
+    """Variance of a run and its degrees of freedom: by all residuals, unless equal runs scatter significantly less."""
+    from scipy.stats import f
+
+    equal, of_equal = pure_error(data)
+    others = freedom - of_equal
+    if of_equal and others > 0 and equal > 0:
+        p = float(f.sf((squares - equal) / others / (equal / of_equal), others, of_equal))
+        if p < alpha:
+            notes.append(
+                f"straight lines and levels that add up do not describe the response (lack of fit, p = {p:.1g}): it is "
+                "curved, or factors act together"
+            )
+            return equal / of_equal, of_equal
+    return (squares / freedom, freedom) if freedom else (0.0, 0)
+
+
+def _has_few_levels(data: Data) -> bool:
+    """Whether there are equal runs, or words: then a table of means says something."""
     return len(np.unique(data.codes, axis=0)) < len(data.values) or any(
         factor.numbers is None for factor in data.factors
     )
@@ -332,18 +337,41 @@ def sentences(analysis: Analysis) -> tuple[str, ...]:
             continue
         margin = abs(effect.effect / effect.t) * (analysis.t_limit or 0.0)
         size = f"{_rounded(effect.effect, margin)} +- {_rounded(margin, margin)}{unit}"
-        labels = [data.factors[k].label for k in effect.factors]
-        if len(labels) == 1:
-            factor = data.factors[effect.factors[0]]
-            who = _titled(labels[0]) + (f" ({effect.name})" if labels[0] != effect.name else "")
-            told.append(f"{who} moves {data.response} by {size}, from {factor.levels[0]} to {factor.levels[-1]}.")
+        who = _who(data, effect.factors, effect.name)
+        if len(effect.factors) == 1:
+            told.append(f"{who} moves {data.response} by {size}, from {effect.start} to {effect.end}.")
         else:
-            told.append(f"{_titled(' and '.join(labels))} act together ({effect.name}): {size} on {data.response}.")
+            told.append(f"{who}: {size} on {data.response}.")
+    told += _by_variance(analysis)
     if told:
         return tuple(told)
     if analysis.margin is None:
         return (f"Nothing tells how sure the effects on {data.response} are.",)
     return (f"No effect on {data.response} exceeds {analysis.margin:.2g}{unit}, which chance alone would reach.",)
+
+
+def _by_variance(analysis: Analysis) -> Iterator[str]:
+    """What only the analysis of variance shows beside a fit: curves, and factors that act together."""
+    if analysis.method != "regression":
+        return
+    data = analysis.data
+    known = {effect.factors for effect in analysis.effects if effect.significant}
+    for row in analysis.anova:
+        if not row.factors or row.factors in known or row.p is None or row.p >= analysis.alpha:
+            continue
+        who, sure = _who(data, row.factors, row.term), f"(analysis of variance, p = {row.p:.1g})"
+        if len(row.factors) == 1:
+            yield f"{who} moves {data.response}, but not along a straight line {sure}."
+        else:
+            yield f"{who} on {data.response} {sure}."
+
+
+def _who(data: Data, factors: tuple[int, ...], name: str) -> str:
+    labels = [data.factors[k].label for k in factors]
+    if len(labels) > 1:
+        return f"{_titled(' and '.join(labels))} act together ({name})"
+    factor = data.factors[factors[0]]
+    return _titled(factor.label) + (f" ({factor.name})" if factor.label != factor.name else "")
 
 
 def _titled(text: str) -> str:
@@ -383,10 +411,21 @@ def as_json(analysis: Analysis) -> dict[str, Any]:
                 "significant_simulated": effect.significant_simulated,
                 "image_error": effect.image_error,
                 "aliases": list(effect.aliases),
+                "from": effect.start,
+                "to": effect.end,
             }
             for effect in analysis.effects
         },
-        "anova": [asdict(row) for row in analysis.anova],
+        "anova": [
+            {
+                "term": row.term,
+                "sum_of_squares": row.sum_of_squares,
+                "degrees_of_freedom": row.degrees_of_freedom,
+                "f": row.f,
+                "p": row.p,
+            }
+            for row in analysis.anova
+        ],
         "notes": list(analysis.notes),
         "sentences": list(sentences(analysis)),
     }

@@ -10,6 +10,7 @@ A key may hold ``[*]`` for every entry of a list; a draw is then made for each e
 
 from __future__ import annotations
 
+import math
 import re
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -20,10 +21,11 @@ from typing import Any, Final
 import numpy as np
 
 from radwrap.errors import InputError
-from radwrap.units import DIMENSIONS, Dimension, parse_quantity
+from radwrap.units import DIMENSIONS, Dimension, parse_gain, parse_quantity
 
 _DRAWS: Final = ("uniform", "normal")
 _LEDS: Final = re.compile(r"sources\[(\d+|\*)\]\.leds\[(?:\d+|\*)\]\.")
+_GAIN: Final = " (J/m^2)^-"  # in the unit of a sensor's gain, which holds gamma
 _DIGITS: Final = 9  # of drawn and interpolated values, so that a table shows what was rendered
 
 
@@ -50,6 +52,11 @@ class Draw:
         """One value, as the scene file would hold it."""
         drawn = random.uniform if self.distribution == "uniform" else random.normal
         return written(float(drawn(self.first, self.second)), self.unit)
+
+    @property
+    def mean(self) -> Any:
+        """Its mean, as the scene file would hold it."""
+        return written((self.first + self.second) / 2 if self.distribution == "uniform" else self.first, self.unit)
 
     @property
     def ends(self) -> tuple[Any, Any]:
@@ -134,17 +141,44 @@ def written(value: float, unit: str) -> Any:
 
 
 def number_and_unit(value: Any) -> tuple[float, str] | None:
-    """Number and unit of a scene's value, None where it is neither a number nor a quantity."""
+    """Number and unit of a scene's value, None where it is neither a number nor a quantity.
+
+    Raises
+    ------
+    InputError
+        If it is a number beyond those that a computer holds, or not finite.
+    """
     if isinstance(value, bool):
         return None
     if isinstance(value, int | float):
-        return float(value), ""
-    dimension = dimension_of(value)
-    if dimension is None:
-        return None
-    parse_quantity(value, dimension)  # so that "1e999 mm" is none
+        return _number(value), ""
+    if isinstance(value, str) and _GAIN in value:
+        parse_gain(value)
+    else:
+        dimension = dimension_of(value)
+        if dimension is None:
+            return None
+        parse_quantity(value, dimension)  # so that "1e999 mm" is none
     number, _, unit = str(value).partition(" ")
     return float(number), unit
+
+
+def quantity(value: Any, where: str) -> tuple[float, str] | None:
+    """As `number_and_unit`; errors name the place."""
+    try:
+        return number_and_unit(value)
+    except InputError as error:
+        raise InputError(error.what, where=where, remedy=error.remedy) from error
+
+
+def _number(value: float) -> float:
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise InputError("is no number that a computer holds")
+    return number
 
 
 def dimension_of(value: Any) -> Dimension | None:
@@ -158,7 +192,9 @@ def in_si(value: Any) -> float | None:
     if isinstance(value, bool):
         return None
     if isinstance(value, int | float):
-        return float(value)
+        return _number(value)
+    if isinstance(value, str) and _GAIN in value:
+        return parse_gain(value)[0]
     dimension = dimension_of(value)
     return None if dimension is None else parse_quantity(value, dimension)
 
@@ -176,7 +212,7 @@ def read_draw(table: Mapping[str, Any], where: str) -> Draw:
     ((kind, pair),) = table.items()
     if not isinstance(pair, list) or len(pair) != 2:
         raise InputError(f"{kind} needs two values", where=where)
-    low, high = map(number_and_unit, pair)
+    low, high = (quantity(end, where) for end in pair)
     if low is None or high is None or low[1] != high[1]:
         raise InputError(f"{kind} needs two numbers, or two quantities of the same unit", where=where)
     (first, unit), (second, _) = low, high

@@ -26,13 +26,17 @@ _SIGNIFICANT, _OTHER = "C3", "C0"
 
 def figures(analysis: Analysis) -> Mapping[str, bytes]:
     """Name -> PNG of every plot that the analysis allows."""
-    found = {"main_effects": main_effects(analysis)}
-    if analysis.effects:
-        found["pareto"] = pareto(analysis)
-    if len(analysis.effects) > 2:
-        found["half_normal"] = half_normal(analysis)
-    if len(analysis.data.factors) > 1:
-        found["interactions"] = interactions(analysis)
+    import matplotlib
+
+    # What users call their factors and levels is text, also with a dollar in it, and no formula.
+    with matplotlib.rc_context({"text.parse_math": False}):
+        found = {"main_effects": main_effects(analysis)}
+        if analysis.effects:
+            found["pareto"] = pareto(analysis)
+        if len(analysis.effects) > 2:
+            found["half_normal"] = half_normal(analysis)
+        if len(analysis.data.factors) > 1:
+            found["interactions"] = interactions(analysis)
     return found
 
 

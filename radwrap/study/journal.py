@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from radwrap.errors import EnvironmentFailure
+from radwrap.errors import InputError
 from radwrap.files import disk_failure, write_bytes
 from radwrap.study.design import Design
 from radwrap.study.runs import Run
@@ -50,8 +51,46 @@ class Journal:
         return self._folder / RESULTS
 
     def finished(self) -> dict[int, Mapping[str, str]]:
-        """Number -> row of every run that is finished, failed ones too."""
-        return {int(row["run"]): row for row in read_table(self.path).rows}
+        """Number -> row of every run that is finished, failed ones too.
+
+        Raises
+        ------
+        InputError
+            If a row is not one that this study wrote: somebody changed the table.
+        """
+        found: dict[int, Mapping[str, str]] = {}
+        for number, row in enumerate(read_table(self.path).rows, 1):
+            index = int(row["run"]) if row["run"].isascii() and row["run"].isdigit() else 0
+            run = self._runs.get(index)
+            fault = "its run is none of the study's, or stands twice"
+            if run is None or index in found or (fault := self._fault(run, row)):
+                raise InputError(
+                    f"row {number} is not as the study wrote it: {fault}",
+                    where=str(self.path),
+                    remedy="delete the row, and its run is done again, or choose another --out",
+                )
+            found[index] = row
+        return found
+
+    def _fault(self, run: Run, row: Mapping[str, str]) -> str:
+        """What of a row cannot come from its run; empty where nothing is wrong."""
+        for column, known in self._identity(run).items():
+            if row[column] != str(known):
+                return f'{column} is "{row[column]}", not "{known}"'
+        pairs = [(response.column, response.error_column) for response in self._design.responses]
+        for column in (*(column for pair in pairs for column in pair), "image_error"):
+            if row[column] and not _is_finite(row[column]):
+                return f'{column} is "{row[column]}", no finite number'
+        if any(bool(row[value]) != bool(row[error]) for value, error in pairs):
+            return "a value without its error, or an error without its value"
+        if not row["error"] and not all(row[value] for value, _ in pairs):
+            return "a response is missing"
+        return "" if row["met"] in ("", "0", "1") else f'met is "{row["met"]}"'
+
+    def _identity(self, run: Run) -> dict[str, Any]:
+        """The columns that say which run it is."""
+        levels = {factor.name: level.name for factor, level in zip(self._design.factors, run.levels, strict=True)}
+        return {"run": run.index, "replicate": run.replicate, "seed": run.seed, **levels}
 
     def _prepare(self) -> None:
         """Start the files, or cut off the line that a killed study did not end."""
@@ -62,9 +101,7 @@ class Journal:
             content = path.read_bytes()
             whole = content[: content.rfind(b"\n") + 1]
             if not whole.startswith(csv_text(columns, ()).encode()):
-                raise EnvironmentFailure(
-                    "is not the table of this study", where=str(path), remedy="choose another --out"
-                )
+                raise InputError("is not the table of this study", where=str(path), remedy="choose another --out")
             if whole != content:
                 write_bytes(path, whole)
 
@@ -81,8 +118,7 @@ class Journal:
 
     def _row(self, outcome: Outcome) -> dict[str, Any]:
         run = self._runs[outcome.run]
-        row: dict[str, Any] = {"run": run.index, "replicate": run.replicate, "seed": run.seed}
-        row |= {factor.name: level.name for factor, level in zip(self._design.factors, run.levels, strict=True)}
+        row = self._identity(run)
         for response in self._design.responses:
             answer = outcome.answers.get(response.name)
             if answer is not None:
@@ -98,11 +134,20 @@ class Journal:
         return rows
 
 
+def _is_finite(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
+
+
 def _append(path: Path, text: str) -> None:
+    left = memoryview(text.encode())
     try:
         descriptor = os.open(path, os.O_WRONLY | os.O_APPEND)
         try:
-            os.write(descriptor, text.encode())
+            while left:  # a disk that is nearly full takes a part, and refuses the rest
+                left = left[os.write(descriptor, left) :]
             os.fsync(descriptor)
         finally:
             os.close(descriptor)

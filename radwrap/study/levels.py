@@ -32,7 +32,8 @@ class FactorLevels:
     name, label : str
         Heading, and what it is.
     levels : tuple of str
-        The lowest first; words that have no order in that of their appearance.
+        The lowest first; words as the study's design lists them, else by the alphabet: never as the rows happen to lie.
+        Quantities that are equal, such as 100 ms and 0.1 s, are one level.
     numbers : tuple of float, optional
         Their values in SI, where they are numbers or quantities.
     """
@@ -58,6 +59,8 @@ class Data:
         Number of the level.
     dropped : int
         Rows without a response.
+    analysis : str or None
+        How the study's design says that effects are judged; None where it says nothing, or there is no study.
     """
 
     response: str
@@ -67,6 +70,7 @@ class Data:
     factors: tuple[FactorLevels, ...]
     codes: NDArray[np.intp]
     dropped: int
+    analysis: str | None = None
 
     @property
     def is_two_level(self) -> bool:
@@ -97,7 +101,7 @@ def read_data(path: Path, response: str, factors: Sequence[str] = (), labels: Ma
     Raises
     ------
     InputError
-        If a column is not there, a response is no number, or a factor has one level only.
+        If a column is not there, a response is no number, a factor has one level only, or a label is of no factor.
     """
     table = read_table(path)
     try:
@@ -112,20 +116,32 @@ def read_data(path: Path, response: str, factors: Sequence[str] = (), labels: Ma
     if not rows or not names:
         what = "holds no response" if not rows else "has no column of a factor"
         raise InputError(what, where=f"{path}: {column}", remedy="name columns with --response and --factors")
-    known = {factor["name"]: factor["label"] for factor in plan.get("design", {}).get("factors", ())} | dict(
-        labels or {}
-    )
-    found = [_factor(name, [row[name] for row in rows], known.get(bare(name), name), path) for name in names]
-    codes = np.array([[factor.levels.index(row[factor.name]) for factor in found] for row in rows], dtype=np.intp)
+    listed = {str(factor["name"]): factor for factor in plan.get("design", {}).get("factors", ())}
+    _check_labels(labels or {}, names)
+    told = {name: str(factor["label"]) for name, factor in listed.items()} | dict(labels or {})
+    found, codes = [], []
+    for name in names:
+        order = [str(level["name"]) for level in listed.get(bare(name), {}).get("levels", ())]
+        factor, code = _factor(name, [row[name] for row in rows], told.get(bare(name), name), order, path)
+        found.append(factor)
+        codes.append(code)
     return Data(
         response=bare(column),
         unit=unit(column),
         values=np.array([_number(row[column], path, column) for row in rows]),
         errors=np.array([_error(row, column, path) for row in rows]),
         factors=tuple(found),
-        codes=codes,
+        codes=np.array(codes, dtype=np.intp).T,
         dropped=len(table.rows) - len(rows),
+        analysis=plan.get("design", {}).get("analysis"),
     )
+
+
+def _check_labels(labels: Mapping[str, str], names: Sequence[str]) -> None:
+    known = [bare(name) for name in names]
+    for name in labels:
+        if name not in known:
+            raise InputError(f'no factor "{name}"', where="--label", remedy=f"factors are {', '.join(known)}")
 
 
 def _plan(folder: Path) -> Mapping[str, Any]:
@@ -158,20 +174,34 @@ def _error(row: Mapping[str, str], column: str, path: Path) -> float:
     return _number(row[name], path, name) if row.get(name) else 0.0
 
 
-def _factor(name: str, cells: Sequence[str], label: str, path: Path) -> FactorLevels:
-    levels = list(dict.fromkeys(cells))
-    if "" in levels:
+def _factor(
+    name: str, cells: Sequence[str], label: str, design: Sequence[str], path: Path
+) -> tuple[FactorLevels, list[int]]:
+    """The levels of a column in their order, and the number of each cell's."""
+    seen = list(dict.fromkeys(cells))
+    if "" in seen:
         raise InputError("has an empty cell", where=f"{path}: {name}")
-    if len(levels) < 2:
-        raise InputError(f'has one level only, "{levels[0]}"', where=f"{path}: {name}", remedy="leave it out")
-    numbers = [_value(level) for level in levels]
-    known = [number for number in numbers if number is not None]
-    if len(known) == len(levels):
-        order = sorted(range(len(levels)), key=lambda i: known[i])
-        return FactorLevels(name, label, tuple(levels[i] for i in order), tuple(known[i] for i in order))
-    if len(levels) == 2 and levels[0].lower() in _WORDS[1] and levels[1].lower() in _WORDS[0]:
-        levels.reverse()
-    return FactorLevels(name, label, tuple(levels), None)
+    numbers = {level: _value(level) for level in seen}
+    known = sorted({number for number in numbers.values() if number is not None})
+    if None not in numbers.values():
+        first = {number: next(level for level in seen if numbers[level] == number) for number in known}
+        factor = FactorLevels(name, label, tuple(first.values()), tuple(known))
+        codes = [known.index(float(numbers[cell] or 0.0)) for cell in cells]
+    else:
+        order = _ordered(seen, design)
+        factor = FactorLevels(name, label, tuple(order), None)
+        codes = [order.index(cell) for cell in cells]
+    if len(factor.levels) < 2:
+        raise InputError(f'has one level only, "{seen[0]}"', where=f"{path}: {name}", remedy="leave it out")
+    return factor, codes
+
+
+def _ordered(words: Sequence[str], design: Sequence[str]) -> list[str]:
+    """Words for low and high as they say, others as the design lists them, all else by the alphabet."""
+    order = sorted(words, key=lambda word: (design.index(word) if word in design else len(design), word))
+    if len(order) == 2 and order[0].lower() in _WORDS[1] and order[1].lower() in _WORDS[0]:
+        order.reverse()
+    return order
 
 
 def _value(cell: str) -> float | None:

@@ -111,17 +111,20 @@ def _limits(analysis: Analysis) -> str:
 def _row(study: Study, row: Mapping[str, str]) -> dict[str, Any]:
     path = thumbnail_path(study.folder, int(row["run"]))
     thumbnail = base64.b64encode(path.read_bytes()).decode() if path.is_file() else ""
-    return {"run": row["run"], "cells": [_cell(name, row[name]) for name in row], "thumbnail": thumbnail}
+    return {"run": row["run"], "cells": [cell(name, row[name]) for name in row], "thumbnail": thumbnail}
 
 
-def _cell(column: str, text: str) -> dict[str, str]:
+def cell(column: str, text: str) -> dict[str, str]:
+    """A cell of the table of runs: its kind, what it sorts by, and what is shown."""
     if column == "error":
         return {"kind": "error", "value": text, "shown": text}
     try:
         number = float(text)
     except ValueError:
         return {"kind": "", "value": text, "shown": text}
-    return {"kind": "number", "value": text, "shown": _shown(number)}
+    # Whole numbers, such as seeds, are names as much as numbers.
+    whole = text.removeprefix("-").isdigit()
+    return {"kind": "number", "value": text, "shown": text if whole else _shown(number)}
 
 
 def _shown(number: float) -> str:

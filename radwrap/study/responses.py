@@ -8,6 +8,7 @@ measurement's own covariance, scaled to that error.
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, TypeVar
@@ -165,7 +166,8 @@ def check_options(kind: str, options: Options, where: str) -> None:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    # In this order, as an integer may be too large to be asked whether it is finite.
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
 
 def check_target(kind: str, scene: Scene, options: Options, where: str) -> None:
@@ -437,7 +439,7 @@ def unit_of(kind: str, unit: str | None, where: str) -> str:
         return KINDS[kind].unit
     if dimension is None:
         raise InputError(f"{kind} has no unit", where=where, remedy="leave it out")
-    if unit not in dimension.units:
+    if not isinstance(unit, str) or unit not in dimension.units:
         raise InputError(
             f'"{unit}" is no unit of {dimension.name}', where=where, remedy=f"use one of: {', '.join(dimension.units)}"
         )

@@ -202,6 +202,8 @@ def check_design(design: Design, options: Mapping[str, Any]) -> None:
             check_contrasts(len(combinations(design)) - 1)
         except InputError as error:
             raise InputError(error.what, where=f"{design.origin}: design", remedy=error.remedy) from error
+    if design.analysis == "anova":
+        _check_anova(design)
     for factor in design.factors:
         for level in factor.levels or (factor.level_at(0.0), factor.level_at(1.0)):
             _check_level(design, factor, level, options)
@@ -210,6 +212,21 @@ def check_design(design: Design, options: Mapping[str, Any]) -> None:
         check_target(response.kind, scene, response.options, f"{design.origin}: responses.{response.name}")
     if design.basis:
         render_options(design.render, f"{design.origin}: render", basis=True)
+
+
+def _check_anova(design: Design) -> None:
+    """Refuse an analysis of variance that has nothing left for the noise."""
+    where = f"{design.origin}: analysis"
+    if any(factor.span is not None for factor in design.factors):
+        raise InputError("an analysis of variance needs levels, and a Latin hypercube has ranges", where=where)
+    runs = len(combinations(design)) * design.replicates
+    needed = 1 + sum(len(factor.levels) - 1 for factor in design.factors)
+    if runs <= needed:
+        raise InputError(
+            f"{runs} runs are too few for an analysis of variance of {needed - 1} effects",
+            where=where,
+            remedy="repeat them (replicates = 2)",
+        )
 
 
 def _check_level(design: Design, factor: Factor, level: Level, options: Mapping[str, Any]) -> None:

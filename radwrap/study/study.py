@@ -13,7 +13,7 @@ from typing import Any, Final
 from radwrap.errors import InputError
 from radwrap.files import make_folder, sha256_of, sole_owner
 from radwrap.manifest import SCHEMA_VERSION, read_manifest, sha256_of_value, versions, write_manifest
-from radwrap.process import available_cores
+from radwrap.process import Programs, available_cores
 from radwrap.progress import Progress
 from radwrap.scene.named_files import named_files
 from radwrap.study.design import Design, render_options
@@ -23,6 +23,8 @@ from radwrap.study.pool import DaskPool, LocalPool, Pool
 from radwrap.study.runner import Scheduler, Step, chunks
 from radwrap.study.runs import Run, analysis_of, check_design, runs_of
 from radwrap.study.worker import Job, Measured
+from radwrap.tracers.installation import find_radiance
+from radwrap.tracers.installation import version as radiance_version
 
 PLAN: Final = "plan.json"
 STUDY: Final = "study.json"
@@ -114,8 +116,9 @@ def run_study(design: Design, out: Path, options: StudyOptions) -> Study:
             journal.forget([number for number, row in known.items() if row["error"]])
             known = journal.finished()
         steps, made = plan_steps(design, runs, out, options)
-        if len(known) < len(runs):
-            _carry_out(still_due(steps, known), journal, options, len(runs) - len(known), len(runs))
+        due = sum(run.index not in known for run in runs)
+        if due:
+            _carry_out(still_due(steps, known), journal, options, due, len(runs))
         rows = journal.close()
         summary = _summary(design, rows, made, out)
         timing = {"wall_s": time.monotonic() - start, "reused_runs": len(known)}
@@ -148,15 +151,17 @@ def take_possession(out: Path, design: Design, runs: Sequence[Run], options: Stu
         "design": asdict(replace(design, folder=Path(design.folder.name))) | {"folder": design.folder.name},
         "analysis": analysis_of(design),
         "runs": len(runs),
-        "versions": versions(),
+        "versions": versions() | {"radiance": _radiance_version(options)},
         "trust": options.trust,
-        "files": _file_hashes(design, runs),
+        "files": _file_hashes(design, runs, options),
     }
-    told["study_sha256"] = sha256_of_value({**told, "images": [run.image for run in runs]})
+    told["study_sha256"] = _identity(told, runs)
     if (out / PLAN).exists():
         if read_manifest(out / PLAN).get("study_sha256") != told["study_sha256"]:
             raise InputError(
-                "holds another study, or one whose files were others", where=str(out), remedy="choose another --out"
+                "holds another study, or one whose files were others, or its programs",
+                where=str(out),
+                remedy="choose another --out",
             )
         return
     if (out / RESULTS).exists():
@@ -164,11 +169,33 @@ def take_possession(out: Path, design: Design, runs: Sequence[Run], options: Stu
     write_manifest(out / PLAN, told)
 
 
-def _file_hashes(design: Design, runs: Sequence[Run]) -> dict[str, str]:
+def _identity(told: Mapping[str, Any], runs: Sequence[Run]) -> str:
+    """Hash of what decides the table: neither the name of the scene's folder does, nor the machine's kernel."""
+    design = {key: value for key, value in told["design"].items() if key != "folder"}
+    programs = {key: value for key, value in told["versions"].items() if key != "platform"}
+    images = [run.image for run in runs]
+    return sha256_of_value({**told, "design": design, "versions": programs, "images": images})
+
+
+def _radiance_version(options: StudyOptions) -> str:
+    with Programs() as programs:
+        return radiance_version(find_radiance(options.radiance), programs)
+
+
+def _file_hashes(design: Design, runs: Sequence[Run], options: StudyOptions) -> dict[str, str]:
     """Hash of each file that a run's scene names: rows of other meshes, tables and included files are other rows."""
     folder = design.folder.resolve()
     strings = {"base": design.document, "runs": [run.document for run in runs]}
-    return {os.path.relpath(path, folder): sha256_of(path) for path in named_files(strings, folder)}
+    return {
+        os.path.relpath(path, folder): _file_hash(path) for path in named_files(strings, folder, trust=options.trust)
+    }
+
+
+def _file_hash(path: Path) -> str:
+    try:
+        return sha256_of(path)
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", where=str(path), remedy="the scene names it") from error
 
 
 # ---------------------------------------------------------------------------------------------------------------- plan

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
+from radwrap.scene.load import scene_from_document
 from radwrap.study.design import Design
 from radwrap.study.factors import Factor, Level, found, in_si, number_and_unit, written
 
@@ -32,6 +33,8 @@ class Deviation:
         In which its first key is written.
     nominal, low, high : float
         Nominal value, and the range that the study looked at, in `unit`.
+    from_scene : bool
+        Whether the nominal value is the base scene's; else it is the first level's, or the middle of the range.
     """
 
     factor: Factor
@@ -39,6 +42,7 @@ class Deviation:
     nominal: float
     low: float
     high: float
+    from_scene: bool = True
 
     @property
     def sides(self) -> tuple[float, ...]:
@@ -82,7 +86,13 @@ def _between(first: Any, second: Any, share: float) -> Any:
 
 
 def deviation_of(design: Design, factor: Factor) -> Deviation | None:
-    """The factor as something that may be off; None where it has words, draws, or options of a measurement."""
+    """The factor as something that may be off; None where it has words, draws, or options of a measurement.
+
+    Raises
+    ------
+    InputError
+        If the base scene's value lies outside of what the study looks at.
+    """
     if factor.span is not None:
         ends, unit = list(factor.span), factor.unit
     else:
@@ -96,7 +106,18 @@ def deviation_of(design: Design, factor: Factor) -> Deviation | None:
             return None
     if factor.keys[0].startswith(("render.", "responses.")):
         return None
-    return Deviation(factor, unit, _nominal(design, factor, unit, ends[0]), min(ends), max(ends))
+    low, high = min(ends), max(ends)
+    nominal = _nominal(design, factor, unit)
+    if nominal is None:
+        return Deviation(factor, unit, ends[0] if factor.levels else (low + high) / 2, low, high, from_scene=False)
+    if not low <= nominal <= high:
+        written_range = f"{written(low, unit)} to {written(high, unit)}"
+        raise InputError(
+            f"the base scene's {written(nominal, unit)} lies outside of what the study looks at, {written_range}",
+            where=f"{design.origin}: factors.{factor.name}",
+            remedy="tolerances are about the base scene: widen the factor, or set another value in [set]",
+        )
+    return Deviation(factor, unit, nominal, low, high)
 
 
 def _known(value: Any) -> tuple[float, str] | None:
@@ -106,24 +127,30 @@ def _known(value: Any) -> tuple[float, str] | None:
         return None
 
 
-def _nominal(design: Design, factor: Factor, unit: str, otherwise: float) -> float:
-    """The base scene's value, where it lies in the range that the study looked at; else the first level's."""
-    if factor.span is not None:
-        low, high = factor.span
-        otherwise = (low + high) / 2
-    else:
-        known = [_numbers(level.values[0])[0] for level in factor.levels]
-        low, high = min(known), max(known)
-    given = found(design.document, factor.keys[0].replace("[*]", "[0]"))
-    value, size = in_si(given), in_si(f"1 {unit}" if unit else 1.0)
-    if value is None or not size or not low <= value / size <= high:
-        return otherwise
-    return float(f"{value / size:.12g}")
+def _nominal(design: Design, factor: Factor, unit: str) -> float | None:
+    """The base scene's value of the first key, in a unit; None where the scene says nothing."""
+    key = factor.keys[0].replace("[*]", "[0]")
+    given = found(design.document, key)
+    if given is None:
+        scene = scene_from_document(design.document, origin=design.scene_origin, folder=design.folder)
+        given = dict(scene.assumed).get(key)
+    value, size = _si(given), in_si(f"1 {unit}" if unit else 1.0)
+    return None if value is None or not size else float(f"{value / size:.12g}")
+
+
+def _si(given: Any) -> float | None:
+    """A value as the scene holds it, or as its list of what it assumed shows it, in SI."""
+    if isinstance(given, str) and " " not in given:
+        try:
+            return float(given)
+        except ValueError:
+            return None
+    return in_si(given)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Model:
-    """A polynomial of second degree at most in the deviations, the other factors at their first level.
+    """A polynomial of second degree at most in the deviations, the other factors as they are nominally.
 
     Attributes
     ----------

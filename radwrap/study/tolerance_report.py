@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from radwrap.manifest import SCHEMA_VERSION
-from radwrap.study.tolerate import Tolerances
+from radwrap.study.tolerances import Confirmed, Tolerances
 
 
 def sentences(result: Tolerances) -> Iterator[str]:
@@ -18,8 +18,11 @@ def sentences(result: Tolerances) -> Iterator[str]:
     for one in result.found:
         who = f"{one.factor.label} ({one.factor.name})"
         change = max(one.confirmed, key=lambda seen: abs(seen.change))
-        seen = f"fresh renders: {change.change:+.3g} +- {change.error:.1g}{unit}"
-        if one.kind == "scatter":
+        sure = "" if change.error is None else f" +- {change.error:.1g}"
+        seen = f"fresh renders: {change.change:+.3g}{sure}{unit}"
+        if one.kind == "scatter" and not one.met:
+            yield f"{who}: no scatter was confirmed, too few systems stay within; {seen} at most."
+        elif one.kind == "scatter":
             yield f"{who}: {one.tolerance:.3g} times the scatter of the study; {seen} at most."
         elif not one.met:
             yield f"{who}: no tolerance was found; {seen} at {change.at}."
@@ -30,10 +33,13 @@ def sentences(result: Tolerances) -> Iterator[str]:
         both = result.together
         yield (
             f"All together at {both.scale:.2g} times these: {both.share:.1%} of random systems stay within by the "
-            f"model, {both.inside} of {both.systems} fresh ones do."
+            f"model, {both.inside} of {both.systems} fresh ones do"
+            + ("." if both.met else ": too few, the scale is not confirmed.")
         )
     if result.left_out:
-        yield f"Without a tolerance, as their levels are words: {', '.join(result.left_out)}."
+        yield f"Without a tolerance, as their levels are words or draws alone: {', '.join(result.left_out)}."
+    if result.images_not_met:
+        yield f"{result.images_not_met} images do not keep the tolerance of [render], and tell less than was asked."
     yield from (f"Note: {note}." for note in result.notes)
 
 
@@ -58,7 +64,8 @@ def as_json(result: Tolerances) -> dict[str, Any]:
                 "by_model": one.by_model if math.isfinite(one.by_model) else None,
                 "limited_by_range": one.limited,
                 "met": one.met,
-                "confirmed": [{"at": seen.at, "change": seen.change, "error": seen.error} for seen in one.confirmed],
+                "confirmed": [_seen(seen) for seen in one.confirmed],
+                "halfway": [_seen(seen) for seen in one.halfway],
             }
             for one in result.found
         },
@@ -69,8 +76,14 @@ def as_json(result: Tolerances) -> dict[str, Any]:
             "share_by_model": result.together.share,
             "inside": result.together.inside,
             "systems": result.together.systems,
+            "met": result.together.met,
         },
+        "images_not_met": result.images_not_met,
         "left_out": list(result.left_out),
         "notes": list(result.notes),
         "sentences": list(sentences(result)),
     }
+
+
+def _seen(seen: Confirmed) -> dict[str, Any]:
+    return {"at": seen.at, "change": seen.change, "error": seen.error}

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from radwrap.errors import InputError
+from radwrap.manifest import versions
 from radwrap.study.design import Design, read_design
 from radwrap.study.light import reference_levels, split_light, with_levels
 from radwrap.study.runs import Run, check_design, runs_of
@@ -124,6 +126,8 @@ def test_levels_of_sources_are_split_off_and_put_back(design: DesignWriter) -> N
     assert reference == {"a": 0.75, "b": 2.25}
 
 
+ANOVA_OF_TWO = 'analysis = "anova"\n[design]\nkind = "list"\nruns = [["1 mm", "L"], ["2 mm", "H"]]'
+
 BAD = [
     ('key = "targets[0].edge_position"', 'key = "targets[0].place"', "unknown key"),
     ('key = "targets[0].edge_position"', 'key = "targets[7].edge_position"', "no such place"),
@@ -141,6 +145,7 @@ BAD = [
     ('kind = "full"', 'kind = "list"\nruns = [["3 mm", "L"]]', "no level"),
     ('analysis = "none"', "", "too few for Lenth"),
     ('analysis = "none"', 'analysis = "magic"', "must be"),
+    ('analysis = "none"\nseed = 5\n[design]\nkind = "full"', ANOVA_OF_TWO, "too few for an analysis of variance"),
     ("seed = 5", "seed = -5", "whole number"),
     ("seed = 5", "sead = 5", "unknown key"),
     ("seed = 5", "replicates = 0", "whole number"),
@@ -150,6 +155,13 @@ BAD = [
     ('key = "targets[0].edge_position"', 'key = "responses.u.gama"', "unknown option"),
     ('key = "targets[0].edge_position"', 'key = "render.tolerance"', "wrong type"),
     ("label = ", "lable = ", "unknown key"),
+    ('kind = "full"', 'kind = ["full"]', "must be one of"),
+    ("[0.9, 1.1]", f"[0.9, 1{'0' * 400}]", "no number that a computer holds"),
+    ("[0.9, 1.1]", "[0.9, inf]", "no number that a computer holds"),
+    ("{ L = 1.0, H", '{ "" = 1.0, H', "cannot name a level"),
+    ("{ L = 1.0, H", '{ " H" = 1.0, H', "cannot name a level"),
+    ("seed = 5", f"[render]\ntolerance = 1{'0' * 400}", "must lie between"),
+    ('["1 mm", "2 mm"]', f"[1{'0' * 400}, 2]", "has no unit"),
 ]
 
 
@@ -173,6 +185,10 @@ BAD_RESPONSES = [
     ('[responses.f]\nmeasure = "focal_length"', "no board of dots"),
     ('[responses.f]\nmeasure = "focal_length"\nmethod = "best"', "not one of"),
     ('[responses.x]\nmeasure = "mean_gray"', "cannot name a column"),
+    ('[responses.f]\nmeasure = ["mean_gray"]', "must be one of"),
+    ('[responses.u]\nmeasure = "edge_position"\nunit = ["px"]', "no unit of position"),
+    (f'[responses.u]\nmeasure = "edge_position"\ngamma = 1{"0" * 400}', "must be a number"),
+    ('[responses.m]\nmeasure = "mean_gray"\n[responses.m_error]\nmeasure = "contrast"', "column already"),
 ]
 
 
@@ -219,3 +235,54 @@ def test_a_study_does_not_go_on_with_other_files(tmp_path: Path) -> None:
     (tmp_path / "panel.rad").write_text("void plastic grey\n0\n0\n5 .4 .4 .4 0 0\n")
     with pytest.raises(InputError, match="holds another study, or one whose files were others"):
         take_possession(out, design, runs_of(design), StudyOptions())
+
+
+def test_a_gain_may_be_drawn(design: DesignWriter) -> None:
+    """Its unit has brackets and holds gamma; it is a quantity like any other."""
+    gain = '"9e4 (J/m^2)^-1", "1.1e5 (J/m^2)^-1"'
+    text = SMALL.replace("sources[0].leds[*].beam_width_factor", "camera.sensor.gain")
+    text = text.replace("L = 1.0", 'L = "1e5 (J/m^2)^-1"').replace("[0.9, 1.1]", f"[{gain}]")
+    _, runs = expanded(design(text))
+    number, _, unit = runs[1].document["camera"]["sensor"]["gain"].partition(" ")
+    assert 9e4 <= float(number) <= 1.1e5 and unit == "(J/m^2)^-1"
+    other = text.replace("1.1e5 (J/m^2)^-1", "1.1e5 (J/m^2)^-0.9")
+    with pytest.raises(InputError, match="same unit"):
+        read_design(design(other))
+
+
+def test_a_study_is_the_same_in_a_renamed_folder_and_on_another_kernel(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, second, out = tmp_path / "first", tmp_path / "second", tmp_path / "out"
+    first.mkdir()
+    out.mkdir()
+    (first / "scene.toml").write_text(scene_text(EDGE))
+    (first / "design.toml").write_text(f'scene = "scene.toml"\n{SMALL}\n{RESPONSES}')
+    study = read_design(first / "design.toml")
+    take_possession(out, study, runs_of(study), StudyOptions())
+    first.rename(second)
+    study = read_design(second / "design.toml")
+    known = versions()
+    monkeypatch.setattr("radwrap.study.study.versions", lambda: known | {"platform": "another kernel"})
+    take_possession(out, study, runs_of(study), StudyOptions())
+    # Other rays are another study: numpy, Radiance.
+    for change in (
+        ("radwrap.study.study.versions", lambda: known | {"numpy": "0.1"}),
+        ("radwrap.study.study.radiance_version", lambda *_: "RADIANCE 1.0"),
+    ):
+        with monkeypatch.context() as changed:
+            changed.setattr(*change)
+            with pytest.raises(InputError, match="holds another study"):
+                take_possession(out, study, runs_of(study), StudyOptions())
+
+
+def test_a_file_outside_of_the_scene_is_not_read_without_trust(tmp_path: Path) -> None:
+    scene, out = tmp_path / "scene", tmp_path / "out"
+    scene.mkdir()
+    out.mkdir()
+    (tmp_path / "outside.txt").write_text("private")
+    (scene / "scene.toml").write_text(scene_text(dict(EDGE, title=str(tmp_path / "outside.txt"))))
+    (scene / "design.toml").write_text(f'scene = "scene.toml"\n{SMALL}\n{RESPONSES}')
+    study = read_design(scene / "design.toml")
+    take_possession(out, study, runs_of(study), StudyOptions())
+    assert json.loads((out / "plan.json").read_text())["files"] == {}

@@ -3,16 +3,28 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from radwrap.errors import InputError
 from radwrap.study.design import Design, read_design
+from radwrap.study.fresh import FreshRenders, System
+from radwrap.study.pool import LocalPool
+from radwrap.study.responses import Answer
+from radwrap.study.runner import Sink, Step
+from radwrap.study.study import StudyOptions
 from radwrap.study.tolerance_model import Model, deviation_of, fit
-from radwrap.study.tolerate import read_bound, scaled_scatter
-from tests.cli.conftest import Done
+from radwrap.study.tolerance_report import as_json, sentences
+from radwrap.study.tolerances import Confirmed, Tolerance, Tolerances
+from radwrap.study.tolerate import Search, largest_change, read_bound, scaled_scatter
+from radwrap.study.worker import Outcome
+from tests.cli.conftest import Done, here
 from tests.study.conftest import SMALL, DesignWriter, command
 
 # The search stops where the change fills 85 to 100 % of the bound.
@@ -144,3 +156,187 @@ def test_scatter_that_is_allowed_follows_from_what_fresh_systems_do(design: Desi
     # The scatter of eight systems is known to 25 %: four of that.
     assert told["factors"]["s"]["by_model"] == pytest.approx(told["bound"] / (1.96 * sigma), rel=1.0)
     assert told["factors"]["s"]["kind"] == "scatter" and len(told["factors"]["s"]["confirmed"]) == 8
+
+
+class Planted(FreshRenders):
+    """Renders whose response is known: a function of the scene, and noise that the seed decides."""
+
+    def __init__(
+        self, study: Design, response: Callable[[Mapping[str, Any]], float], repeats: int = 1, noise: float = 0.0
+    ) -> None:
+        # Neither a folder nor a pool: nothing is rendered.
+        super().__init__(
+            study, Path(), study.responses[0], StudyOptions(), LocalPool.__new__(LocalPool), repeats=repeats
+        )
+        self.planted, self.noise, self.each = response, noise, repeats
+
+    def measured(self, systems: Sequence[System]) -> list[list[float]]:
+        values = [
+            self.planted(run.document) + self.noise * float(np.random.default_rng(run.seed).normal())
+            for run in self.runs(systems)
+        ]
+        return [values[first : first + self.each] for first in range(0, len(values), self.each)]
+
+
+def exposure(document: Mapping[str, Any]) -> float:
+    """The exposure time [ms]."""
+    return float(document["camera"]["exposure_time"].removesuffix(" ms"))
+
+
+SCATTERED = """
+analysis = "none"
+seed = 5
+[design]
+kind = "full"
+[factors.t]
+key = "camera.exposure_time"
+levels = { L = "100 ms", H = { normal = ["100 ms", "10 ms"] } }
+"""
+
+
+def shares_within(study: Design, repeats: int, bound: float, seeds: int = 60) -> list[float]:
+    """Of each study: the true share of systems within the bound at the scatter that it allows."""
+    shares = []
+    for seed in range(seeds):
+        search = Search(replace(study, seed=seed * 100), share=0.95)
+        search.begin(Planted(search.design, exposure, repeats))
+        size = search.scatter(search.scatters[0], bound).tolerance
+        shares.append(float(2 * norm.cdf(bound / (10 * size)) - 1))
+    return shares
+
+
+@pytest.mark.parametrize("repeats", [1, 3])
+def test_a_scatter_that_is_allowed_keeps_its_share(design: DesignWriter, repeats: int) -> None:
+    """Repeats render one system again, they draw no other: the mean of others would scatter less than each of them."""
+    shares = shares_within(study_design(design, SCATTERED), repeats, bound=5.0)
+    # Student's t keeps 95 % in the mean over studies; of 60, each good to 0.055, the mean is known to 0.007.
+    assert np.mean(shares) == pytest.approx(0.95, abs=4 * 0.007)
+
+
+def test_systems_draw_for_themselves_where_a_study_draws_once(design: DesignWriter) -> None:
+    study = study_design(design, SCATTERED + 'draws = "once"\n')
+    search = Search(study, share=0.95)
+    fresh = Planted(study, exposure, repeats=2)
+    rows = fresh.measured([((study.factors[0].levels[1],), row) for row in range(8)])
+    assert len({values[0] for values in rows}) == 8 and all(a == b for a, b in rows)
+    seeds = [run.seed for run in fresh.runs([(search.base, 0)])]
+    assert seeds == [6, 7]  # the study itself renders with 5
+
+
+def test_the_nominal_system_draws_nothing(design: DesignWriter) -> None:
+    text = SCATTERED.replace(
+        '{ L = "100 ms", H = { normal = ["100 ms", "10 ms"] } }',
+        '{ H = { uniform = ["70 ms", "110 ms"] }, L = "100 ms" }',
+    )
+    study = study_design(design, text)
+    search = Search(study, share=0.95)
+    assert search.begin(Planted(study, exposure)) == 100.0
+    assert search.scatter(search.scatters[0], 1.0).nominal == "L"
+    both = text.replace('L = "100 ms"', 'G = { normal = ["95 ms", "1 ms"] }')
+    assert Search(study_design(design, both), share=0.95).base[0].values == ("90.0 ms",)
+
+
+RANGES = """
+analysis = "none"
+[design]
+kind = "latin_hypercube"
+runs = 5
+[factors.t]
+key = "sources[0].misalignment.about_y"
+range = ["-1 deg", "5 deg"]
+[factors.e]
+key = "camera.exposure_time"
+range = ["90 ms", "160 ms"]
+"""
+
+
+def test_the_nominal_value_is_the_base_scenes(design: DesignWriter) -> None:
+    """Also where the scene leaves it to the format's default: no misalignment."""
+    assert [level.name for level in Search(study_design(design, RANGES), share=0.95).base] == ["0.0 deg", "100.0 ms"]
+    outside = study_design(design, RANGES.replace("90 ms", "120 ms"))
+    with pytest.raises(InputError, match=r"100.0 ms lies outside of what the study looks at, 120.0 ms to 160.0 ms"):
+        Search(outside, share=0.95)
+
+
+def test_a_response_that_leaves_its_bound_and_comes_back_is_seen(design: DesignWriter) -> None:
+    """sin(pi dt/20 ms) is 0 again at 20 ms, the end of the range; it stays within 0.5 only up to 20/6 ms."""
+    study = study_design(design, TIME)
+    search = Search(study, share=0.95)
+    search.begin(Planted(study, lambda document: float(np.sin(np.pi * (exposure(document) - 100) / 20))))
+    found = search.deviation(search.deviations[0], 20.0, 0.5)
+    assert found.met and LEAST_FILLED * 0.5 <= abs(found.confirmed[0].change) <= 0.5
+    assert found.tolerance <= 20 / 6
+    assert all(abs(seen.change) <= 0.5 for seen in found.halfway)
+
+
+TWO = (
+    TIME
+    + """
+[factors.f]
+key = "camera.focal_length"
+levels = ["12 mm", "12.5 mm", "13 mm"]
+"""
+)
+
+
+@pytest.mark.parametrize(("inside", "met"), [(8, True), (7, True), (6, False), (0, False)])
+def test_too_few_systems_within_confirm_nothing(design: DesignWriter, inside: int, met: bool) -> None:
+    study = study_design(design, TWO)
+    search = Search(study, share=0.95)
+    values = iter([0.0, *[0.0] * inside, *[9.0] * (8 - inside)])
+    search.begin(Planted(study, lambda document: next(values)))
+    seen = (Confirmed("", -1.0, None), Confirmed("", 1.0, None))
+    found = [
+        Tolerance(one.factor, "deviation", 1.0, one.unit, "", "+-", 1.0, False, seen, True) for one in search.deviations
+    ]
+    model = Model(search.deviations, ((0, 0), (1, 0), (0, 1)), np.array([0.0, 1.0, 1.0]))
+    both = search.together(model, found, 1.0)
+    assert both is not None and both.inside == inside and both.met is met
+    told = Tolerances(study.responses[0], 0.0, 1.0, 0.95, tuple(found), both, (), ())
+    assert told.met is met and as_json(told)["together"]["met"] is met
+
+
+def test_a_share_of_nothing_is_no_bound(design: DesignWriter) -> None:
+    with pytest.raises(InputError, match="give the change itself"):
+        largest_change(read_bound(study_design(design, TIME), "mean", "1%"), 0.0)
+
+
+def test_one_seed_tells_no_error(design: DesignWriter) -> None:
+    study = study_design(design, TIME)
+    for repeats, known in ((1, False), (3, True)):
+        search = Search(study, share=0.95)
+        search.begin(Planted(study, exposure, repeats, noise=0.1))
+        found = search.deviation(search.deviations[0], 5.0, 5.0)
+        assert all((seen.error is not None) is known for seen in found.confirmed)
+        assert any("one seed" in note for note in search.notes) is not known
+        told = Tolerances(study.responses[0], 100.0, 5.0, 0.95, (found,), None, (), ())
+        assert any("+-" in line.partition("fresh renders")[2] for line in sentences(told)) is known
+
+
+class AtOnce:
+    """In place of a scheduler: every run has an answer, and the even ones an image that misses its tolerance."""
+
+    def __init__(self, steps: Sequence[Step], sink: Sink, *_: object) -> None:
+        self.runs, self.sink = [run.run for step in steps for run in step.job.runs], sink
+
+    def run(self) -> None:
+        answers = {"mean": Answer(1.0, 0.0)}
+        self.sink.save([Outcome(run, answers, 0.1, run % 2 == 1, "", 0.0) for run in self.runs])
+
+
+def test_images_that_miss_their_tolerance_are_counted(
+    design: DesignWriter, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = design(TIME, MEAN)
+    study = read_design(path)
+    fresh = Planted(study, exposure, repeats=4)
+    monkeypatch.setattr("radwrap.study.fresh.Scheduler", AtOnce)
+    FreshRenders.measured(fresh, [(Search(study, share=0.95).base, 0)])
+    assert fresh.not_met == 2
+    (path.parent / "out").mkdir()
+    for missed, code in ((2, 3), (0, 0)):
+        told = Tolerances(study.responses[0], 100.0, 5.0, 0.95, (), None, (), (), missed)
+        monkeypatch.setattr("radwrap.study.tolerate.tolerate", lambda *_, told=told, **__: told)
+        words = ("study", "tolerate", path, "--out", path.parent / "out", "--response", "mean", "--within", "5")
+        done = here([*words, "--json"], capsys)
+        assert done.code == code and done.json["images_not_met"] == missed
