@@ -21,12 +21,11 @@ def make(task: Task) -> Made:
         key: predicted(f"fig09_retro_field/{folder}", f"fig09_{key}", task.out, quick=task.quick)
         for key, (folder, _) in PANELS.items()
     }
-    sensor = images["a"].scene.camera.sensor
-    dark, top = sensor.dark_gray, max(float(image.gray.max()) for image in images.values())
+    dark, top = images["a"].scene.camera.sensor.dark_gray, max(float(image.gray.max()) for image in images.values())
     picture, panels = figure(7.2, 4.3, 2, 4, height_ratios=(1.25, 1))
     for place, (key, (_, title)) in enumerate(PANELS.items()):
         image = images[key]
-        show(panels[0, place], image.gray, title, dark, top, sensor.pixel_height / sensor.pixel_width)
+        show(panels[0, place], image, title, top)
         panels[1, place].plot(image.gray[image.axis_row], lw=0.9)
         panels[1, place].set(ylim=(dark - 2, top + 3), xlabel="column [px]")
     panels[1, 0].set_ylabel("gray, row of the axis")

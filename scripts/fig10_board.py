@@ -19,12 +19,10 @@ def make(task: Task) -> Made:
         dots = find_dots(finite.result.gray, 5, 5).dots
     except DotsNotFound:
         dots = ()
-    sensor = finite.scene.camera.sensor
-    dark, top = sensor.dark_gray, max(float(sharp.gray.max()), float(finite.gray.max()))
+    dark, top = finite.scene.camera.sensor.dark_gray, max(float(sharp.gray.max()), float(finite.gray.max()))
     picture, panels = figure(7.2, 2.6, 1, 3)
-    aspect = sensor.pixel_height / sensor.pixel_width
-    show(panels[0, 0], sharp.gray, "(b) infinitesimal pinhole", dark, top, aspect)
-    show(panels[0, 1], finite.gray, "(c) finite pinhole, dots found", dark, top, aspect)
+    show(panels[0, 0], sharp, "(b) infinitesimal pinhole", top)
+    show(panels[0, 1], finite, "(c) finite pinhole, dots found", top)
     panels[0, 1].plot([dot.u for dot in dots], [dot.v for dot in dots], "+", color="C3", ms=4, mew=0.7)
     panels[0, 2].plot(sharp.gray[sharp.axis_row], lw=0.8, label="(b)")
     panels[0, 2].plot(finite.gray[finite.axis_row], lw=1.2, label="(c)")

@@ -31,7 +31,7 @@ def make(task: Task) -> Made:
     height, width = lit_extent(image)
     picture, panels = figure(6.4, 3.0, 1, 2, width_ratios=(1.2, 1))
     top = float(image.gray.max())
-    show(panels[0, 0], image.gray, f"gray {sensor.dark_gray:g} to {top:.0f}", sensor.dark_gray, top, 16 / 13.75)
+    show(panels[0, 0], image, f"gray {sensor.dark_gray:g} to {top:.0f}", top)
     panels[0, 0].contour(image.above_dark, levels=[0.5 * float(image.above_dark.max())], colors="C3", linewidths=0.6)
     near = np.arange(max(0, round(true) - 14), min(sensor.columns, round(true) + 15))
     panels[0, 1].plot(near, image.result.gray.values[image.axis_row, near], "o-", ms=2.5, lw=0.7)

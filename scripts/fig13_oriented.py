@@ -19,11 +19,10 @@ def make(task: Task) -> Made:
         dots = ()
     found = focal_lengths(image)
     nominal = found.get(NOMINAL_METHOD)
-    sensor = image.scene.camera.sensor
+    dark = image.scene.camera.sensor.dark_gray
     top = float(image.gray.max())
     picture, panels = figure(6.4, 3.0, 1, 2, width_ratios=(1.1, 1))
-    title = f"Fig. 13, gray {sensor.dark_gray:g} to {top:.0f}"
-    show(panels[0, 0], image.gray, title, sensor.dark_gray, top, sensor.pixel_height / sensor.pixel_width)
+    show(panels[0, 0], image, f"Fig. 13, gray {dark:g} to {top:.0f}", top)
     panels[0, 0].plot([dot.u for dot in dots], [dot.v for dot in dots], "+", color="C3", ms=4, mew=0.7)
     names = list(found)
     values, errors = ([getattr(found[name], what) * 1e3 for name in names] for what in ("value", "error"))

@@ -21,9 +21,7 @@ COLUMNS = (*FACTORS, "f [mm]", "error_percent")
 
 def printed_table() -> list[dict[str, object]]:
     """Rows of Table 3 with |% error| of the printed f, not rounded."""
-    return [
-        {**row, "error_percent": abs(float(row["f [mm]"]) - TRUE) / TRUE * 100} for row in read_table(TABLE3).rows
-    ]
+    return [{**row, "error_percent": abs(float(row["f [mm]"]) - TRUE) / TRUE * 100} for row in read_table(TABLE3).rows]
 
 
 def make(task: Task) -> Made:
@@ -35,9 +33,7 @@ def make(task: Task) -> Made:
         found = {name: as_json(analyse(read_data(path, name, FACTORS))) for name in ("f", "error_percent")}
     effects = {name: list(result["effects"]) for name, result in found.items()}
     t = {name: [effect["t"] for effect in result["effects"].values()] for name, result in found.items()}
-    alike = [
-        float(all(result["effects"][name]["significant"] for result in found.values())) for name in effects["f"]
-    ]
+    alike = [float(all(result["effects"][name]["significant"] for result in found.values())) for name in effects["f"]]
     printed = claims("table4")
     picture, panels = figure(7.2, 3.6, 2, 1, sharex=True)
     for axes, name, key, title in zip(

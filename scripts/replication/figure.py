@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -13,12 +14,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radwrap.errors import RadwrapError
 from radwrap.files import make_folder, write_bytes
-from radwrap.manifest import json_text, versions
-from replication.images import Measured
+from radwrap.manifest import finite, json_text, versions
+from replication.images import Image, Measured
 from replication.published import ROOT, claims, judge, published
 
 if TYPE_CHECKING:
@@ -43,13 +43,17 @@ class Task:
         Folder of PNG and JSON files; renders and studies lie below it.
     quick : bool
         Coarse images, few seeds: shows that everything runs, no verdict counts.
-    seeds : int
-        Of Table 3.
+    seeds, variant_seeds : int
+        Of Table 3, and of each of its variants.
+    finished_only : bool
+        Show the seeds of Table 3 that are finished, start none.
     """
 
     out: Path
     quick: bool
     seeds: int = 20
+    variant_seeds: int = 3
+    finished_only: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,9 +73,12 @@ def main(name: str, make: Callable[[Task], Made], about: str | None) -> int:
     parser.add_argument("--out", type=Path, default=FIGURES, help="folder (default out/figures)")
     parser.add_argument("--quick", action="store_true", help="coarse images and few seeds; no verdict counts")
     parser.add_argument("--seeds", type=int, default=20, help="of Table 3 (default 20)")
+    parser.add_argument("--variant-seeds", type=int, default=3, help="of each variant of Table 3 (default 3)")
+    parser.add_argument("--finished", action="store_true", help="show the seeds that are finished, start none")
     given = parser.parse_args()
+    task = Task(given.out, given.quick, given.seeds, given.variant_seeds, given.finished)
     try:
-        for line in carry_out(name, make, Task(given.out, given.quick, given.seeds)):
+        for line in carry_out(name, make, task):
             print(line)
     except RadwrapError as error:
         print(f"error: {error}", file=sys.stderr)
@@ -106,7 +113,9 @@ def carry_out(name: str, make: Callable[[Task], Made], task: Task) -> Iterator[s
 
 def _judged(claim: Any, ours: Ours) -> dict[str, Any]:
     value, error = (ours.value, ours.error) if isinstance(ours, Measured) else (ours, 0.0)
-    verdict, why = judge(claim, value, error)
+    # An error that is not known holds nothing, and is null in the file; so is a value that is none.
+    verdict, why = judge(claim, value, error if math.isfinite(error) else math.inf)
+    value = finite(value) if isinstance(value, float) else value
     return {
         "id": claim.id,
         "place": claim.place,
@@ -116,7 +125,7 @@ def _judged(claim: Any, ours: Ours) -> dict[str, Any]:
         "unit": claim.unit,
         "printed": claim.printed,
         "ours": value,
-        "error": error,
+        "error": finite(error),
         "difference": _difference(value, claim.printed) if _compares(claim) else None,
         "verdict": verdict,
         "why": why,
@@ -164,7 +173,9 @@ def png(picture: Figure) -> bytes:
     return content.getvalue()
 
 
-def show(axes: Axes, gray: NDArray[np.float64], title: str, low: float, high: float, aspect: float) -> None:
-    """A gray image, its gray levels stretched over low to high; aspect is pixel height over width."""
-    axes.imshow(gray, cmap="gray", vmin=low, vmax=high, aspect=aspect, interpolation="nearest")
+def show(axes: Axes, image: Image, title: str, top: float) -> None:
+    """A gray image, its gray levels stretched from dark to `top`."""
+    sensor = image.scene.camera.sensor
+    aspect = sensor.pixel_height / sensor.pixel_width
+    axes.imshow(image.gray, cmap="gray", vmin=sensor.dark_gray, vmax=top, aspect=aspect, interpolation="nearest")
     axes.set(title=title, xticks=[], yticks=[])

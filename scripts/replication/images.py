@@ -74,7 +74,7 @@ def predicted(
 
 
 def focal_length(image: Image, method: str) -> Answer | None:
-    """f by a centre method, and its error by the image's certificate [m]; None where it cannot be calibrated."""
+    """F by a centre method, and its error by the image's certificate [m]; None where it cannot be calibrated."""
     try:
         return answer(Response("f", "focal_length", "mm", {"method": method}), _seen(image))
     except InputError:

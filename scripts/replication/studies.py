@@ -20,7 +20,7 @@ from radwrap.measure.dots import METHODS
 from radwrap.study.design import read_design
 from radwrap.study.effects import analyse, as_json
 from radwrap.study.levels import read_data
-from radwrap.study.study import StudyOptions, run_study
+from radwrap.study.study import STUDY, StudyOptions, run_study
 from radwrap.study.table import read_table
 from replication.images import COARSE
 from replication.published import ROOT
@@ -110,12 +110,22 @@ def _inline(value: Any) -> str:
     return json.dumps(value)
 
 
+def folder_of(variant: Mapping[str, Any], seed: int, out: Path) -> Path:
+    """Where the design of a seed lies, and its study below that."""
+    return out / variant["name"] / f"seed{seed:02d}"
+
+
+def is_finished(variant: Mapping[str, Any], seed: int, out: Path) -> bool:
+    """Whether all its runs are done."""
+    return (folder_of(variant, seed, out) / "study" / STUDY).is_file()
+
+
 def run(variant: Mapping[str, Any], seed: int, out: Path, *, coarse: bool = False, workers: int | None = None) -> Path:
     """Carry out one study of 16 images, as far as its folder does not hold it already; the folder.
 
     The design file in it is what `radwrap study run` takes.
     """
-    folder = out / variant["name"] / f"seed{seed:02d}"
+    folder = folder_of(variant, seed, out)
     make_folder(folder)
     path = folder / "design.toml"
     write_bytes(path, toml_text(design_of(variant, seed, folder, coarse=coarse)).encode())
