@@ -38,7 +38,7 @@ def make(task: Task) -> Made:
     panels[0, 1].axvline(seen, color="C0", lw=0.8, label=f"measured {seen:.2f} px")
     panels[0, 1].axvline(true, color="C3", lw=0.8, ls="--", label=f"beta$_0$: {true:.2f} px (printed 96.7)")
     panels[0, 1].set(xlabel="column [px]", ylabel="gray, row of the axis")
-    panels[0, 1].legend()
+    panels[0, 1].legend(loc="lower right")
     picture.suptitle("Fig. 11(b): edge; red: half the peak above dark")
     return Made(
         title="Edge image",

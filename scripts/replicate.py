@@ -18,6 +18,7 @@ import fig12_transition
 import fig13_oriented
 import table1_ambient
 import table3_focal_length
+import table3_reason
 import table4_lenth
 from radwrap.errors import RadwrapError
 from replication.figure import FIGURES, Task, carry_out
@@ -33,6 +34,7 @@ SCRIPTS = (
     fig13_oriented,
     table1_ambient,
     table3_focal_length,
+    table3_reason,
     table4_lenth,
 )
 
@@ -43,18 +45,20 @@ def main() -> int:
     parser.add_argument("--figures", type=Path, default=FIGURES, help="folder of the figures (default out/figures)")
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "replication", help="folder of the page")
     parser.add_argument("--quick", action="store_true", help="coarse images and one seed; no verdict counts")
-    parser.add_argument("--page-only", action="store_true", help="from the figures that lie there")
+    part = parser.add_mutually_exclusive_group()
+    part.add_argument("--page-only", action="store_true", help="from the figures that lie there")
+    part.add_argument("--figures-only", action="store_true", help="no page")
     parser.add_argument("--seeds", type=int, default=20, help="of Table 3 (default 20)")
     parser.add_argument("--variant-seeds", type=int, default=3, help="of each variant of Table 3 (default 3)")
     parser.add_argument("--finished", action="store_true", help="show the seeds that are finished, start none")
     given = parser.parse_args()
-    task = Task(given.figures, given.quick, given.seeds, given.variant_seeds, given.finished)
     start = time.monotonic()
     try:
+        task = Task(given.figures, given.quick, given.seeds, given.variant_seeds, given.finished)
         for name, script in zip(NAMES, SCRIPTS, strict=True):
             for line in () if given.page_only else carry_out(name, script.make, task):
                 print(line, flush=True)
-        for path in write_page(given.figures, given.out):
+        for path in () if given.figures_only else write_page(given.figures, given.out):
             print(path)
     except RadwrapError as error:
         print(f"error: {error}", file=sys.stderr)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from radwrap.errors import RadwrapError
+from radwrap.errors import InputError, RadwrapError
 from radwrap.files import make_folder, write_bytes
 from radwrap.manifest import finite, json_text, versions
 from replication.images import Image, Measured
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 FIGURES: Final = ROOT / "out" / "figures"
 SCHEMA: Final = 1
+MOST_SEEDS: Final = 1000
 _STYLE: Final = {"font.size": 8, "axes.titlesize": 9, "legend.fontsize": 7, "legend.frameon": False}
 OURS, PAPER, THIRD = "C0", "C3", "C2"
 
@@ -55,6 +56,11 @@ class Task:
     variant_seeds: int = 3
     finished_only: bool = False
 
+    def __post_init__(self) -> None:
+        for name, number in (("--seeds", self.seeds), ("--variant-seeds", self.variant_seeds)):
+            if not 1 <= number <= MOST_SEEDS:
+                raise InputError(f"must lie between 1 and {MOST_SEEDS}, not {number}", where=name)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Made:
@@ -76,8 +82,8 @@ def main(name: str, make: Callable[[Task], Made], about: str | None) -> int:
     parser.add_argument("--variant-seeds", type=int, default=3, help="of each variant of Table 3 (default 3)")
     parser.add_argument("--finished", action="store_true", help="show the seeds that are finished, start none")
     given = parser.parse_args()
-    task = Task(given.out, given.quick, given.seeds, given.variant_seeds, given.finished)
     try:
+        task = Task(given.out, given.quick, given.seeds, given.variant_seeds, given.finished)
         for line in carry_out(name, make, task):
             print(line)
     except RadwrapError as error:

@@ -14,7 +14,7 @@ from radwrap.manifest import read_manifest
 from replication.figure import figure, png
 from replication.published import published
 
-NAMES: Final = ("fig05", "fig08_09", "fig10", "fig11", "fig12", "fig13", "table1", "table3", "table4")
+NAMES: Final = ("fig05", "fig08_09", "fig10", "fig11", "fig12", "fig13", "table1", "table3", "table3_reason", "table4")
 COLOURS: Final = {"reproduced": "#7cc47f", "in_kind": "#f4d35e", "not_reproduced": "#e57368"}
 _ACROSS: Final = 3  # columns of the summary
 _TEMPLATE: Final = Path(__file__).with_name("page.html")
@@ -80,8 +80,9 @@ def summary_picture(parts: Sequence[Mapping[str, Any]]) -> Any:
     """A coloured line for each claim."""
     lines: list[tuple[str, str]] = []
     for part in parts:
-        lines.append((f"{part['name']}: {part['title']}", ""))
-        lines += [(claim["id"].partition(".")[2].replace("_", " "), claim["verdict"]) for claim in part["claims"]]
+        if part["claims"]:
+            lines.append((f"{part['name']}: {part['title']}", ""))
+            lines += [(claim["id"].partition(".")[2].replace("_", " "), claim["verdict"]) for claim in part["claims"]]
     height = -(-len(lines) // _ACROSS)
     picture, panels = figure(7.6, 0.17 * height + 0.45)
     axes = panels[0, 0]
