@@ -18,7 +18,9 @@ def make(task: Task) -> Made:
     """Render the series, fit, draw."""
     scene = radwrap.load_scene(SCENE)
     sensor = scene.camera.sensor
-    times = np.linspace(0, LONGEST, 5 if task.quick else 17)
+    times = np.linspace(0, LONGEST, 17)
+    if task.quick:
+        times = times[[0, 2, 6, 10, 14, 16]]  # the last two saturate
     patches = series(scene, times)
     _, gray = frames(patches, times, scene, noise=0.0, repeats=1, seed=0)
     exposure = exposure_at_distance(times, RADIANT_INTENSITY, DISTANCE)

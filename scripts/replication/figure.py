@@ -19,7 +19,7 @@ from radwrap.errors import InputError, RadwrapError
 from radwrap.files import make_folder, write_bytes
 from radwrap.manifest import finite, json_text, versions
 from replication.images import Image, Measured
-from replication.published import ROOT, claims, judge, published
+from replication.published import ROOT, claims, judge, published, reasons
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -135,6 +135,7 @@ def _judged(claim: Any, ours: Ours) -> dict[str, Any]:
         "difference": _difference(value, claim.printed) if _compares(claim) else None,
         "verdict": verdict,
         "why": why,
+        "reason": reasons().get(claim.id, "") if verdict == "not_reproduced" else "",
         "doubt": claim.doubt,
     }
 

@@ -12,6 +12,7 @@ from typing import Any, Final, Literal
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 PUBLISHED: Final = ROOT / "rad_scenes" / "published.toml"
+REASONS: Final = Path(__file__).with_name("reasons.toml")
 
 Verdict = Literal["reproduced", "in_kind", "not_reproduced"]
 Interval = tuple[float, float]
@@ -55,6 +56,13 @@ class Claim:
 def published() -> Mapping[str, Any]:
     """The file's tables."""
     return tomllib.loads(PUBLISHED.read_text("utf-8"))
+
+
+@cache
+def reasons() -> Mapping[str, str]:
+    """What experiments told of claims that are not reproduced: id -> text."""
+    tables = tomllib.loads(REASONS.read_text("utf-8"))["reasons"]
+    return {claim: table["found"] for table in tables for claim in table["claims"]}
 
 
 def claims(figure: str) -> dict[str, Claim]:
