@@ -5,7 +5,12 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test test-hid test-report lint bench bias crosscheck povray chromium clean help
+# Scripts of the paper's figures and tables; what is finished is taken as it is. ARGS=--quick is a coarse look at all.
+FIGURES := fig05_response fig08_09_field fig10_board fig11_edge fig12_transition fig13_oriented \
+	table1_ambient table3_focal_length table3_reason table4_lenth
+NUMBERED := fig05 fig08 fig09 fig10 fig11 fig12 fig13 table1 table3 table3_reason table4
+
+.PHONY: demo test test-hid test-report lint bench bias crosscheck figures replication $(NUMBERED) povray chromium clean help
 
 help:
 	@echo "make demo   set up, render the calibration board, say where the picture lies"
@@ -15,6 +20,9 @@ help:
 	@echo "make lint   ruff and mypy --strict"
 	@echo "make bench  speed, overhead, memory, and what a tolerance costs, measured on this machine"
 	@echo "make crosscheck   Radiance against POV-Ray on rad_scenes/crosscheck"
+	@echo "make figures       figures and tables of the paper, ours beside the printed, into out/figures (ARGS=--quick)"
+	@echo "make fig12, make table3, ...   one of them"
+	@echo "make replication   the same, and one page of all verdicts, out/replication/index.html"
 	@echo "make bias   bias of algorithms on predicted images, with plots"
 
 demo: $(READY)
@@ -44,6 +52,16 @@ bias: $(READY)
 
 crosscheck: $(READY) povray
 	@$(BIN)/python scripts/crosscheck.py
+
+figures: $(READY)
+	@$(BIN)/python scripts/replicate.py --figures-only $(ARGS)
+
+replication: $(READY)
+	@$(BIN)/python scripts/replicate.py $(ARGS)
+
+fig08 fig09: NAME := fig08_09
+$(NUMBERED): $(READY)
+	@$(BIN)/python scripts/$(firstword $(filter $(or $(NAME),$@)_%,$(FIGURES)) $@).py $(ARGS)
 
 # A changed lock file or project file sets the environment up again; otherwise this is done at once.
 $(READY): requirements.lock pyproject.toml

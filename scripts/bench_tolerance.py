@@ -21,10 +21,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bench import ROOT, SCENE, command, finer, peak_memory
 from numpy.typing import NDArray
 
 import radwrap
+from bench import ROOT, SCENE, command, finer, peak_memory
 from radwrap.images import read_image, write_exr, write_png
 from radwrap.imaging.aperture import LAYOUTS, Layout, sub_viewpoints
 from radwrap.imaging.certificate import draw_pixels, model_errors

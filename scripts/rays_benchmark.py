@@ -15,9 +15,9 @@ import time
 from pathlib import Path
 
 import numpy as np
-from bench import ROOT, SCENE, finer
 
 import radwrap
+from bench import ROOT, SCENE, finer
 from radwrap.imaging.planner import Demand, render_to_tolerance
 from radwrap.imaging.replicates import Work
 from radwrap.imaging.sensor import gray_levels

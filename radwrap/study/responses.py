@@ -20,7 +20,7 @@ from radwrap.calibrate.tsai import SOLVERS, calibrate_camera
 from radwrap.errors import InputError
 from radwrap.images import GrayImage
 from radwrap.imaging.truth import geometry
-from radwrap.measure.dots import METHODS, Dots, find_dots
+from radwrap.measure.dots import METHODS, Dots, Method, find_dots_by
 from radwrap.measure.edges import Edge, measure_edge
 from radwrap.measure.parts import find_parts
 from radwrap.scene.scene import Scene
@@ -32,6 +32,7 @@ Array = NDArray[np.float64]
 _T = TypeVar("_T", DotBoard, EdgeTarget)
 
 _DRAWS: Final = 24  # of dot centres; the scatter of so many is known to 15 %
+_FEWEST_DRAWS: Final = 4
 _SEED: Final = 43
 _DOT_REACH: Final = 1.3  # of a dot's radius: where the errors lie that move its centre
 SENSOR: Final = "sensor"  # as an option: what the scene's sensor has
@@ -91,6 +92,8 @@ class Seen:
         How far it may be off.
     fields : ErrorFields
         How that may lie.
+    found : dict
+        Dots that were found on it, by board and dark level: several responses ask for the same.
     """
 
     scene: Scene
@@ -98,6 +101,7 @@ class Seen:
     gray: Array
     error: ImageError
     fields: ErrorFields
+    found: dict[tuple[str | None, float | None], Mapping[Method, Dots]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,6 +167,8 @@ def check_options(kind: str, options: Options, where: str) -> None:
         elif (allowed is float or value != SENSOR) and not _is_number(value):
             also = "" if allowed is float else f' or "{SENSOR}"'
             raise InputError(f"must be a number{also}, not {value!r}", where=f"{where}.{name}")
+        if name == "draws" and not (isinstance(value, int) and value >= _FEWEST_DRAWS):
+            raise InputError(f"must be a whole number, {_FEWEST_DRAWS} at least", where=f"{where}.{name}")
 
 
 def _is_number(value: Any) -> bool:
@@ -230,17 +236,28 @@ def _target(scene: Scene, kind: type[_T], name: str | None) -> _T:
 
 def _dots(seen: Seen, options: Options) -> tuple[DotBoard, Dots]:
     board = _target(seen.scene, DotBoard, options.get("board"))
-    found = find_dots(
+    method, dark = options.get("method", "gray"), _level(seen, options, "dark")
+    place = (board.name, dark)
+    if method not in seen.found.get(place, {}):
+        try:
+            # Seeking takes ten times as long as the centres do, and another response may want another method.
+            seen.found[place] = _sought(seen, board, dark, METHODS)
+        except (InputError, ArithmeticError, ValueError, np.linalg.LinAlgError):
+            seen.found[place] = {**seen.found.get(place, {}), **_sought(seen, board, dark, (method,))}
+    return board, seen.found[place][method]
+
+
+def _sought(seen: Seen, board: DotBoard, dark: float | None, methods: tuple[Method, ...]) -> dict[Method, Dots]:
+    return find_dots_by(
         seen.image,
         board.rows,
         board.columns,
-        method=options.get("method", "gray"),
-        dark=_level(seen, options, "dark"),
+        methods=methods,
+        dark=dark,
         pitch=board.pitch,
         dot_diameter=board.dot_diameter,
         saturation=seen.scene.camera.sensor.saturation_gray,
     )
-    return board, found
 
 
 def centre_covariances(dots: Dots, error: ImageError) -> Array:
@@ -257,11 +274,11 @@ def centre_covariances(dots: Dots, error: ImageError) -> Array:
     return np.array(covariances)
 
 
-def _drawn_centres(dots: Dots, error: ImageError) -> Array:
+def _drawn_centres(dots: Dots, error: ImageError, draws: int) -> Array:
     """Centres as they may be, shape (draws, n, 2) [px]."""
     random = np.random.default_rng((_SEED, len(dots.dots)))
     roots = np.linalg.cholesky(centre_covariances(dots, error) + 1e-30 * np.eye(2))
-    drawn: Array = dots.centres + np.einsum("nij,dnj->dni", roots, random.standard_normal((_DRAWS, len(roots), 2)))
+    drawn: Array = dots.centres + np.einsum("nij,dnj->dni", roots, random.standard_normal((draws, len(roots), 2)))
     return drawn
 
 
@@ -281,9 +298,8 @@ def _focal_length(seen: Seen, options: Options) -> Answer:
             solver=options.get("solver", "tsai"),
         ).focal_length
 
-    return _spread(
-        calibrated(dots.centres), [_tried(calibrated, centres) for centres in _drawn_centres(dots, seen.error)]
-    )
+    drawn = _drawn_centres(dots, seen.error, options.get("draws", _DRAWS))
+    return _spread(calibrated(dots.centres), [_tried(calibrated, centres) for centres in drawn])
 
 
 def _tried(measure: Callable[[Any], float], what: Any) -> float:
@@ -312,7 +328,8 @@ def _dot_error(seen: Seen, options: Options) -> Answer:
     def rms(centres: Array) -> float:
         return math.sqrt(float(((centres - true) ** 2).sum(axis=1).mean()))
 
-    return _spread(rms(dots.centres), [rms(centres) for centres in _drawn_centres(dots, seen.error)])
+    drawn = _drawn_centres(dots, seen.error, options.get("draws", _DRAWS))
+    return _spread(rms(dots.centres), [rms(centres) for centres in drawn])
 
 
 # ------------------------------------------------------------------------------------------------------ edges and parts
@@ -398,7 +415,7 @@ def _saturated_share(seen: Seen, _: Options) -> Answer:
     return _spread(value, shares)
 
 
-_DOTS: Final = {"method": METHODS, "dark": "gray", "board": str}
+_DOTS: Final = {"method": METHODS, "dark": "gray", "board": str, "draws": float}
 _EDGE: Final = {"dark": "gray", "gamma": "gray"}
 KINDS: Final[Mapping[str, Kind]] = {
     "focal_length": Kind(

@@ -1,0 +1,95 @@
+"""Why A moves f in the paper: the effect of the ring's misalignment alone against the width of the beam.
+
+Looked at after Table 3's sensitivity table was seen, which points here; no verdict hangs on it. Rows LLLL and HLLL
+of the design, no LED differs, equal rays.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from typing import Any
+
+import numpy as np
+
+from replication.figure import PAPER, Made, Task, figure, main
+from replication.images import focal_lengths, predicted
+from replication.studies import NOMINAL_METHOD
+from table4_lenth import printed_table
+
+WIDTHS = {
+    "gaussian": (2.5, 3.0, 3.5, 4.5, 6.0, 7.6, 10.0),
+    "cone": (6.0, 7.6, 9.0, 11.0),
+}
+MISALIGNED = {"sources[0].misalignment": {"about_y": "1.2 deg", "about_z": "-85 deg"}}
+
+
+def make(task: Task) -> Made:
+    """Render both rows at each width, calibrate, draw."""
+    widths = {"gaussian": (7.6,), "cone": (7.6,)} if task.quick else WIDTHS
+    rows = [_row(task, profile, width) for profile, some in widths.items() for width in some]
+    return Made(
+        title="Why A moves f: the light's rim on the board (looked at afterwards)",
+        picture=_picture(rows),
+        ours={},
+        assumed=("lobe", "pinhole", "axes", "tilt_sign", "ring_turn", "solver", "dots", "black"),
+        more={"rows": rows, "printed_pairs_mm": printed_pairs()},
+    )
+
+
+def printed_pairs() -> list[float]:
+    """F of H--L less f of L--L in Table 3, for the four levels of B and C [mm]."""
+    printed = {"".join(str(row[name]) for name in "ABCD"): float(str(row["f [mm]"])) for row in printed_table()}
+    return [printed[f"H{pair}L"] - printed[f"L{pair}L"] for pair in ("LL", "LH", "HL", "HH")]
+
+
+def _row(task: Task, profile: str, width: float) -> dict[str, Any]:
+    beam = {"sources[0].beam": {"profile": profile, "width": f"{width} deg", "width_definition": "fwhm"}}
+    name = f"reason_{profile}_{width:g}"
+    straight, turned = (
+        predicted("fig13_oriented_board", f"{name}_{level}", task.out, quick=task.quick, changes=beam | more)
+        for level, more in (("L", {}), ("H", MISALIGNED))
+    )
+    before, after = focal_lengths(straight), focal_lengths(turned)
+    return {
+        "profile": profile,
+        "width_deg": width,
+        "peak_gray": [float(image.gray.max()) for image in (straight, turned)],
+        "change_mm": {name: (after[name].value - before[name].value) * 1e3 for name in after if name in before},
+        "error_mm": {name: math.hypot(after[name].error, before[name].error) * 1e3 for name in after if name in before},
+        "lost": sorted(set(before) ^ set(after)),
+    }
+
+
+def _picture(rows: list[dict[str, Any]]) -> Any:
+    picture, panels = figure(7.2, 3.2, 1, 2, sharey=True)
+    for axes, profile in zip(panels[0], WIDTHS, strict=True):
+        shown = [row for row in rows if row["profile"] == profile]
+        for method, marker in zip(("gray", "gray_threshold", "binary", "ellipse"), "osv^", strict=True):
+            seen = [row for row in shown if method in row["change_mm"]]
+            strong = method == NOMINAL_METHOD
+            axes.errorbar(
+                [row["width_deg"] for row in seen],
+                [row["change_mm"][method] for row in seen],
+                yerr=[row["error_mm"][method] for row in seen],
+                fmt=f"{marker}-",
+                ms=4 if strong else 3,
+                lw=1.2 if strong else 0.6,
+                alpha=1.0 if strong else 0.5,
+                label=method,
+            )
+        low, high = min(printed_pairs()), max(printed_pairs())
+        axes.axhspan(low, high, color=PAPER, alpha=0.25, lw=0, label="printed, four pairs of rows")
+        axes.axhline(0, color="0.6", lw=0.6)
+        axes.axvline(7.6, color="0.6", lw=0.6, ls=":")
+        axes.set(xlabel="full width [deg]", title=f"{profile} beam")
+        axes.set_yscale("symlog", linthresh=0.3)
+    panels[0, 0].set_ylabel("f of HLLL less f of LLLL [mm]")
+    panels[0, 1].legend()
+    changes = [abs(change) for row in rows for change in row["change_mm"].values()]
+    picture.suptitle(f"misaligned ring, untilted LEDs; largest change {np.max(changes):.2g} mm")
+    return picture
+
+
+if __name__ == "__main__":
+    sys.exit(main("table3_reason", make, __doc__))

@@ -1,0 +1,113 @@
+"""Figures and tables of the paper: what is exact is exact, all scripts run, and a wrong constant turns a verdict."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fig10_board
+import radwrap
+import replicate
+import table3_focal_length
+import table4_lenth
+from radwrap.measure.edges.profile import disc_edge
+from radwrap.study import lenth
+from replication import figure
+from replication.figure import Task, carry_out
+from replication.published import ROOT, claims, judge, published
+
+EDGE = ROOT / "rad_scenes" / "fig11_edge" / "scene.toml"
+
+
+def verdicts(folder: Path, name: str) -> dict[str, str]:
+    content = json.loads((folder / f"{name}.json").read_text())
+    return {claim["id"]: claim["verdict"] for claim in content["claims"]}
+
+
+def test_table_4_is_exact(tmp_path: Path) -> None:
+    list(carry_out("table4", table4_lenth.make, Task(tmp_path, quick=True)))
+    assert set(verdicts(tmp_path, "table4").values()) == {"reproduced"}
+
+
+def test_a_changed_constant_of_lenth_turns_table_4(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lenth, "_TO_SIGMA", 1.4826)  # 1/0.6745, where Lenth rounds to 1.5
+    list(carry_out("table4", table4_lenth.make, Task(tmp_path, quick=True)))
+    found = verdicts(tmp_path, "table4")
+    assert found["table4.f"] == found["table4.error"] == "not_reproduced"
+    assert found["table4.t_limit"] == "reproduced"
+
+
+def test_percent_errors_of_table_3_are_exact_and_a_changed_focal_length_shows() -> None:
+    claim = claims("table3")["percent"]
+    percent = [abs(float(str(row["f [mm]"])) - 12.5) / 12.5 * 100 for row in table4_lenth.printed_table()]
+    assert judge(claim, percent)[0] == "reproduced"
+    assert judge(claim, [percent[0] + 0.01, *percent[1:]])[0] == "not_reproduced"
+
+
+def test_eq_8_and_9_are_exact_and_a_changed_focal_length_turns_eq_8() -> None:
+    edge = claims("fig12")
+
+    def radius(focal_length: str) -> float:
+        scene = radwrap.load_scene(EDGE, {"camera.focal_length": focal_length})
+        return float(radwrap.explain(scene)["targets"][0]["pinhole_projection_radius"]) * 1e3
+
+    assert judge(edge["eq8"], radius("10.59 mm"))[0] == "reproduced"
+    assert judge(edge["eq8"], radius("10.60 mm"))[0] == "not_reproduced"
+    s = np.linspace(-1, 1, 9)
+    plain = [1 - (math.acos(x) - x * math.sqrt(1 - x * x)) / math.pi for x in s]
+    assert judge(edge["eq9"], plain)[0] == judge(edge["eq9"], disc_edge(s, 1.0).tolist())[0] == "reproduced"
+
+
+def test_a_smaller_pinhole_turns_the_verdict_of_fig_10(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    task = Task(tmp_path, quick=True)
+    list(carry_out("fig10", fig10_board.make, task))
+    assert verdicts(tmp_path, "fig10")["fig10.softer"] == "in_kind"
+    predicted = fig10_board.predicted
+
+    def smaller(scene: str, name: str, out: Path, **options: Any) -> Any:
+        tiny = {"camera.aperture.diameter": "0.02 mm", "camera.exposure_time": "3250 ms"}
+        return predicted(scene, name, out, **{"changes": tiny, **options})
+
+    monkeypatch.setattr(fig10_board, "predicted", smaller)
+    list(carry_out("fig10", fig10_board.make, task))
+    assert verdicts(tmp_path, "fig10")["fig10.softer"] == "not_reproduced"
+
+
+def test_the_quick_run_makes_everything_and_the_same_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    figures, out = tmp_path / "figures of the paper", tmp_path / "page"
+    monkeypatch.setattr("sys.argv", ["replicate.py", "--quick", "--figures", str(figures), "--out", str(out)])
+    assert replicate.main() == 0
+    told = capsys.readouterr().out
+    assert all(f"{claim['id']}: " in told for claim in published()["claims"])
+    spent = [json.loads(path.read_text())["timing"]["wall_s"] for path in figures.glob("*.json")]
+    assert len(spent) == len(replicate.SCRIPTS)
+    page = (out / "index.html").read_text()
+    assert page.count("data:image/png;base64,") == len(replicate.SCRIPTS) + 1
+    assert 'src="http' not in page and "quick run" in page
+    first = contents(figures)
+    assert {"fig09_a", "table1_controlled_46"} <= {path.name for path in (figures / "renders").iterdir()}
+    assert replicate.main() == 0
+    assert contents(figures) == first
+
+
+def contents(folder: Path) -> dict[str, Any]:
+    """Pictures byte by byte, JSON files without their times."""
+    found: dict[str, Any] = {path.name: path.read_bytes() for path in folder.glob("*.png")}
+    for path in folder.glob("*.json"):
+        content = json.loads(path.read_text())
+        del content["timing"]
+        found[path.name] = content
+    return found
+
+
+def test_bad_options_are_told_in_one_line(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.argv", ["table3", "--seeds", "0"])
+    assert figure.main("table3", table3_focal_length.make, None) == 2
+    assert capsys.readouterr().err.startswith("error: --seeds: ")

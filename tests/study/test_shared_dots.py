@@ -1,0 +1,77 @@
+"""Dots of an image are sought once for all its responses, and come out as if each had sought them alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import radwrap
+from radwrap.images import GrayImage
+from radwrap.imaging.sensor import gray_levels
+from radwrap.measure.dots import METHODS, find_dots
+from radwrap.scene.targets import DotBoard
+from radwrap.study import responses
+from radwrap.study.image_error import blur_radii, error_fields, image_error
+from radwrap.study.responses import Response, Seen, answer
+
+SCENE = Path(__file__).parents[2] / "rad_scenes" / "bench_board" / "scene.toml"
+
+
+@pytest.fixture(scope="module")
+def seen() -> Seen:
+    scene = radwrap.load_scene(SCENE, {"camera.aperture.diameter": "0.2 mm", "camera.exposure_time": "100 ms"})
+    result = radwrap.render(scene, tolerance=0.5)
+    gray = gray_levels(result.radiant_exposure.values, scene.camera.sensor)
+    radii = blur_radii(scene)
+    fields = error_fields(gray.shape, radii, 0)
+    return Seen(scene, result.gray, gray, image_error(gray, 0.5, radii), fields)
+
+
+def test_every_method_answers_as_alone_and_seeks_once(seen: Seen, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[str, ...]] = []
+    find = responses.find_dots_by
+
+    def counted(*arguments: object, **options: object) -> object:
+        asked.append(tuple(options["methods"]))  # type: ignore[arg-type]
+        return find(*arguments, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(responses, "find_dots_by", counted)
+    seen.found.clear()
+    for method in METHODS:
+        answer(Response("f", "focal_length", "mm", {"method": method, "draws": 4}), seen)
+    assert asked == [METHODS]
+    board = next(target for target in seen.scene.targets if isinstance(target, DotBoard))
+    alone = find_dots(
+        seen.image,
+        5,
+        5,
+        method="conic",
+        pitch=board.pitch,
+        dot_diameter=board.dot_diameter,
+        saturation=seen.scene.camera.sensor.saturation_gray,
+    )
+    assert np.array_equal(seen.found[board.name, None]["conic"].centres, alone.centres)
+
+
+def test_a_failing_method_leaves_the_others(seen: Seen, monkeypatch: pytest.MonkeyPatch) -> None:
+    find = responses.find_dots_by
+
+    def without_conic(image: GrayImage, *arguments: int, **options: object) -> object:
+        if "conic" in options["methods"]:  # type: ignore[operator]
+            raise radwrap.InputError("no conic today")
+        return find(image, *arguments, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(responses, "find_dots_by", without_conic)
+    seen.found.clear()
+    gray = answer(Response("f", "focal_length", "mm", {"method": "gray", "draws": 4}), seen)
+    assert gray.value == pytest.approx(seen.scene.camera.focal_length, rel=0.05)
+    with pytest.raises(radwrap.InputError, match="no conic today"):
+        answer(Response("f", "focal_length", "mm", {"method": "conic", "draws": 4}), seen)
+
+
+@pytest.mark.parametrize("draws", [3, 6.5, -1])
+def test_too_few_draws_are_refused(draws: float) -> None:
+    with pytest.raises(radwrap.InputError, match=r"study\.toml: responses\.f\.draws"):
+        responses.check_options("focal_length", {"draws": draws}, "study.toml: responses.f")
