@@ -112,7 +112,8 @@ def ray_blocks(
             inside = np.random.default_rng([plan.seed, viewpoint, number]).random((len(indices), plan.rays, 2))
         else:
             inside = np.full((1, 1, 2), 0.5)
-        offsets = (strata + inside) / k - 0.5
+        shares = (strata + inside) / k
+        offsets = shares - 0.5 if sensor.window is None else sensor.window.places(shares)
         u = (column[:, np.newaxis] + offsets[..., 0]).ravel()
         v = (row[:, np.newaxis] + offsets[..., 1]).ravel()
         rays, cos4 = rays_through(camera, opening_point, u, v)

@@ -11,7 +11,7 @@ from pathlib import Path
 from radwrap.errors import InputError
 from radwrap.frames import Pose, aim, default_up, normalised, rotation_about_fixed_axes
 from radwrap.scene import document as tables
-from radwrap.scene.camera import Aperture, Camera, Sensor
+from radwrap.scene.camera import Aperture, Camera
 from radwrap.scene.material_tables import LambertianModel, MaterialModel, SpecularModel
 from radwrap.scene.materials import (
     CoefficientTable,
@@ -24,6 +24,7 @@ from radwrap.scene.materials import (
 from radwrap.scene.mesh import mesh_of
 from radwrap.scene.ring_calibration import read_calibration
 from radwrap.scene.scene import Scene
+from radwrap.scene.sensor_values import sensor_from_table
 from radwrap.scene.sources import (
     Beam,
     Emitter,
@@ -47,7 +48,6 @@ from radwrap.scene.targets import (
     Sphere,
     Target,
 )
-from radwrap.units import parse_gain
 
 _DEFAULT_EXPOSURE_DIAMETER = 1e-4
 _ORIGIN = (0.0, 0.0, 0.0)
@@ -171,19 +171,7 @@ def _camera(table: tables.CameraModel, where: str, assumed: dict[str, str]) -> C
             rotation=opening.rotation,
             exposure_diameter=opening.exposure_diameter or _DEFAULT_EXPOSURE_DIAMETER,
         ),
-        sensor=Sensor(
-            rows=sensor.rows,
-            columns=sensor.columns,
-            pixel_width=sensor.pixel_width,
-            pixel_height=sensor.pixel_height,
-            gain=parse_gain(sensor.gain)[0],
-            gamma=sensor.gamma,
-            dark_gray=sensor.dark_gray,
-            saturation_gray=sensor.saturation_gray,
-            bit_depth=sensor.bit_depth,
-            rounding=sensor.rounding,
-            channel=sensor.channel,
-        ),
+        sensor=sensor_from_table(sensor, table.exposure_time, f"{where}.sensor"),
     )
 
 

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import tomllib
-from importlib.resources import files
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
-from radwrap.errors import InputError
 from radwrap.scene.border import (
     Angle,
     AnyLength,
-    Count,
     Direction,
     Duration,
     Factor,
-    Flag,
     Model,
     Name,
     PixelPosition,
@@ -30,8 +25,8 @@ from radwrap.scene.border import (
     default,
 )
 from radwrap.scene.material_tables import MaterialModel
+from radwrap.scene.sensor_tables import AnySensorModel
 from radwrap.scene.sources import WidthDefinition
-from radwrap.units import parse_gain
 
 RotationOrder = Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
 
@@ -91,71 +86,6 @@ class ApertureModel(Model):
         return self
 
 
-def _preset_or_all(schema: dict[str, Any]) -> None:
-    """In the JSON schema: what is required without a preset is not with one."""
-    schema["anyOf"] = [{"required": ["preset"]}, {"required": schema.pop("required", [])}]
-
-
-class SensorModel(Model):
-    """[camera.sensor]: a preset, or all of it; what is given beside a preset replaces its value."""
-
-    model_config: ClassVar[ConfigDict] = ConfigDict(json_schema_extra=_preset_or_all)
-
-    preset: Name | None = None
-    rows: Count
-    columns: Count
-    pixel_width: Size
-    pixel_height: Size
-    gain: str
-    gamma: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.01, le=10)]
-    dark_gray: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
-    saturation_gray: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
-    bit_depth: Annotated[int, Field(strict=True, ge=1, le=16)] = 8
-    rounding: Flag = True
-    channel: Literal["equal", "red", "green", "blue"] = "equal"
-
-    @model_validator(mode="before")
-    @classmethod
-    def _with_preset(cls, table: Any) -> Any:
-        if not isinstance(table, dict) or not isinstance(table.get("preset"), str):
-            return table
-        return {**sensor_preset(table["preset"]), **table}
-
-    @model_validator(mode="after")
-    def _consistent(self) -> SensorModel:
-        try:
-            gain, exponent = parse_gain(self.gain)
-        except InputError as error:
-            raise ValueError(f"gain: {error}") from error
-        if gain <= 0:
-            raise ValueError("gain: must be above zero")
-        if exponent != self.gamma:
-            raise ValueError(f"gain: its unit says gamma {exponent:g}, but gamma is {self.gamma:g}")
-        if not self.dark_gray < self.saturation_gray <= 2**self.bit_depth - 1:
-            raise ValueError(f"needs dark_gray < saturation_gray <= {2**self.bit_depth - 1} ({self.bit_depth} bits)")
-        return self
-
-
-def sensor_presets() -> tuple[str, ...]:
-    """Names of the sensors that radwrap knows."""
-    folder = files("radwrap") / "data" / "sensors"
-    return tuple(sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml")))
-
-
-def sensor_preset(name: str) -> dict[str, Any]:
-    """Table of a sensor that radwrap knows.
-
-    Raises
-    ------
-    ValueError
-        If it knows no such sensor.
-    """
-    known = sensor_presets()
-    if name not in known:
-        raise ValueError(f'preset: no sensor "{name}"; known: {", ".join(known)}')
-    return tomllib.loads((files("radwrap") / "data" / "sensors" / f"{name}.toml").read_text("utf-8"))
-
-
 class CameraModel(Aimed):
     """[camera]."""
 
@@ -164,7 +94,7 @@ class CameraModel(Aimed):
     principal_point: tuple[PixelPosition, PixelPosition] | None = None
     exposure_time: Duration
     aperture: ApertureModel = default({})
-    sensor: SensorModel
+    sensor: AnySensorModel
 
     @model_validator(mode="after")
     def _one_place(self) -> CameraModel:
