@@ -36,12 +36,14 @@ from radwrap.imaging.sensor import gray_image, gray_levels
 from radwrap.imaging.survey import survey
 from radwrap.imaging.tracing import TracedScene, traced_scene
 from radwrap.imaging.truth import central_maps, geometry
+from radwrap.imaging.uncertainty import share_spread, uncertainty
 from radwrap.imaging.viewpoints import missing_viewpoints
 from radwrap.manifest import SCHEMA_VERSION, plain, read_manifest, sha256_of_value, versions, write_manifest
 from radwrap.process import Programs, available_cores, children_cpu_time
 from radwrap.progress import Progress
 from radwrap.scene.checks import warnings_of
 from radwrap.scene.scene import Scene
+from radwrap.scene.tolerances import Tolerances
 from radwrap.tracers.radiance import PreparedScene
 
 MANIFEST: Final = "manifest.json"
@@ -51,7 +53,8 @@ UNROUNDED: Final = "gray.exr"
 DEPTH: Final = "depth.exr"
 PARTS: Final = "mask.png"
 TRUTH: Final = "truth.json"
-_OPTIONAL: Final = (UNROUNDED, DEPTH, PARTS, TRUTH)
+SIGMA: Final = "gray_sigma.exr"
+_OPTIONAL: Final = (UNROUNDED, SIGMA, DEPTH, PARTS, TRUTH)
 _FRAME: Final = re.compile(r"frame_[0-9]{4}\.png")
 _VIEWPOINTS: Final = "viewpoints"
 _WORK: Final = ".work"
@@ -253,13 +256,15 @@ class _Run:
         try:
             made = make(self.scene, self.options, work)
             left_out = bounces(self.scene, view, self.options.seed, self.options.tolerance)
+            spread = self._spread()
             self._remove_old()
             basis = self._write_basis(work, made)
         finally:
             progress.close()
         summary, files = self._write_images(made.radiance)
         files += basis
-        files += self._write_frames()
+        told, more = self._write_uncertainty(made.error["rms_gray"], spread)
+        files += [*more, *self._write_frames()]
         if self.options.truth:
             files += self._write_truth()
         timing = {
@@ -273,6 +278,7 @@ class _Run:
             "warnings": [*warnings_of(self.scene), *_warnings_of(left_out)],
             **summary,
             "error": made.error,
+            **told,
             "left_out": {left_out.name: left_out.as_manifest()},
             "files": {name: sha256_of(self.out / name) for name in files},
             "timing": timing,
@@ -336,6 +342,26 @@ class _Run:
             "versions": self.versions,
         }
         return write_basis(self.out, work, views, made.outcome, told)
+
+    def _spread(self) -> NDArray[np.float64] | None:
+        """How the light of each pixel is shared among the sources, where each has a tolerance of its own."""
+        tolerances = self.scene.tolerances
+        if tolerances is None or not tolerances.each_source_radiance:
+            return None
+        names = self.sources or shining(self.scene, self.traced.prepared, "tolerances.each_source_radiance")
+        return share_spread([self.traced.view_of(name) for name in names])
+
+    def _write_uncertainty(
+        self, ray_error: float, spread: NDArray[np.float64] | None
+    ) -> tuple[dict[str, Any], list[str]]:
+        """Standard deviation of the gray levels, where the scene states tolerances or noise."""
+        camera, tolerances = self.scene.camera, self.scene.tolerances
+        if tolerances is None and camera.sensor.linear is None:
+            return {}, []
+        exposure = ExposureImage(read_image(self.out / EXPOSURE)[0].astype(np.float64))
+        found = uncertainty(exposure, camera, tolerances or Tolerances(), ray_error, spread)
+        write_exr(self.out / SIGMA, found.sigma.astype(np.float32), channel="gray_sigma")
+        return {"uncertainty": found.as_manifest()}, [SIGMA]
 
     def _write_frames(self) -> list[str]:
         """Frames with noise, of the exposure as its file holds it."""

@@ -48,6 +48,7 @@ from radwrap.scene.targets import (
     Sphere,
     Target,
 )
+from radwrap.scene.tolerances import Tolerances
 
 _DEFAULT_EXPOSURE_DIAMETER = 1e-4
 _ORIGIN = (0.0, 0.0, 0.0)
@@ -86,6 +87,7 @@ def scene_from_model(
         sources=sources,
         materials={name: _material(table, f"materials.{name}", assumed) for name, table in model.materials.items()},
         targets=targets,
+        tolerances=Tolerances(**model.tolerances.model_dump()) if model.tolerances else None,
         assumed=assumed,
         origin=origin,
         folder=folder,

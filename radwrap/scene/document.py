@@ -25,7 +25,7 @@ from radwrap.scene.border import (
     default,
 )
 from radwrap.scene.material_tables import MaterialModel
-from radwrap.scene.sensor_tables import AnySensorModel
+from radwrap.scene.sensor_tables import AnySensorModel, GrayLevel
 from radwrap.scene.sources import WidthDefinition
 
 RotationOrder = Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
@@ -333,6 +333,17 @@ TargetModel = Annotated[
 ]
 
 
+class TolerancesModel(Model):
+    """[tolerances]: half-widths of 95 % intervals; shares where they have no unit."""
+
+    source_radiance: Share = 0.0
+    each_source_radiance: Share = 0.0
+    aperture_diameter: SizeOrZero = default("0 mm")
+    exposure_time: Duration = default("0 ms")
+    sensor_gain: Share = 0.0
+    dark_gray: GrayLevel = 0.0
+
+
 class SceneModel(Model):
     """A scene file."""
 
@@ -341,6 +352,7 @@ class SceneModel(Model):
     sources: tuple[SourceModel, ...] = ()
     materials: dict[Name, MaterialModel] = default({})
     targets: tuple[TargetModel, ...] = ()
+    tolerances: TolerancesModel | None = None
 
     @model_validator(mode="before")
     @classmethod
