@@ -22,6 +22,7 @@ DOORS = {
         "measure/compare.py",
         "measure/parts/overlay.py",
         "measure/parts/raster.py",
+        "scene/calibration_file.py",
     },
     "pydantic": {
         "scene/border.py",

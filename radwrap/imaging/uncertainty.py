@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,8 @@ from radwrap.scene.camera import Camera, Sensor
 from radwrap.scene.tolerances import TO_STANDARD, Tolerances
 
 Array = NDArray[np.float64]
+# Of the mean square of the rays' error, what is laid on all pixels alike.
+_EVEN_SHARE: Final = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,13 +67,13 @@ def uncertainty(
     tolerances : Tolerances
         Of what goes in.
     ray_error : float
-        Estimated rms error of the rays, taken as even over the image [gray level].
+        Estimated rms error of the rays over the image [gray level]; it is laid where gray levels change.
     spread : ndarray, shape (rows, columns), optional
         Root of the sum of squares of the sources' shares in each pixel, 1 where one source alone lights it; needed with
         `each_source_radiance`.
     """
     values, sensor = exposure.values, camera.sensor
-    squares: dict[str, Array] = {"rays": np.full(values.shape, ray_error**2)}
+    squares: dict[str, Array] = {"rays": ray_error**2 * _where_rays_err(gray_levels(values, sensor))}
 
     def by_exposure(name: str, factor: Callable[[float], float | Array]) -> None:
         """A cause that multiplies the radiant exposure by factor(z) at z standard deviations."""
@@ -100,6 +102,22 @@ def uncertainty(
         squares["rounding"] = np.full(values.shape, ROUNDING_VARIANCE)
     sigma = np.sqrt(np.sum(list(squares.values()), axis=0))
     return Uncertainty(sigma, {name: math.sqrt(float(square.mean())) for name, square in squares.items()})
+
+
+def _where_rays_err(gray: Array) -> Array:
+    """Square of the rays' error at each pixel, over its mean: it goes with how much gray levels change around.
+
+    The certificate knows the mean alone. Even fields have nearly no error by rays, edges nearly all.
+    """
+    framed = np.pad(gray, 1, mode="edge")
+    places = [slice(start, start + size) for size in gray.shape for start in range(3)]
+    around = [framed[down, right] for down in places[:3] for right in places[3:]]
+    change = (np.max(around, axis=0) - np.min(around, axis=0)) ** 2
+    mean = float(change.mean())
+    if mean == 0.0:
+        return np.ones_like(gray)
+    shares: Array = _EVEN_SHARE + (1 - _EVEN_SHARE) * change / mean
+    return shares
 
 
 def _area_factor(camera: Camera, change: float) -> float:

@@ -62,6 +62,7 @@ class ViewpointPlan:
                 "weights": self.viewpoints.weights.tolist(),
                 "pixel_plan": self.pixel_plan,
                 **({"window": camera.sensor.window} if camera.sensor.window else {}),
+                **({"distortion": camera.distortion} if camera.distortion else {}),
             }
         )
 

@@ -8,6 +8,7 @@ from typing import Final, Literal
 
 from radwrap.frames import Pose
 from radwrap.manifest import ONLY_WHERE_USED
+from radwrap.scene.distortion import Distortion
 from radwrap.scene.linear_sensor import LinearSensor
 from radwrap.scene.pixel_window import PixelWindow
 
@@ -154,6 +155,8 @@ class Camera:
         The opening.
     sensor : Sensor
         The pixels.
+    distortion : Distortion, optional
+        How a place on the sensor is off the one where the pinhole alone would put it.
     """
 
     pose: Pose
@@ -162,3 +165,9 @@ class Camera:
     exposure_time: float
     aperture: Aperture
     sensor: Sensor
+    distortion: Distortion | None = field(default=None, metadata=ONLY_WHERE_USED)
+
+    @property
+    def pitch(self) -> tuple[float, float]:
+        """Width and height of a pixel [f]."""
+        return self.sensor.pixel_width / self.focal_length, self.sensor.pixel_height / self.focal_length

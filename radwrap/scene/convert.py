@@ -12,6 +12,7 @@ from radwrap.errors import InputError
 from radwrap.frames import Pose, aim, default_up, normalised, rotation_about_fixed_axes
 from radwrap.scene import document as tables
 from radwrap.scene.camera import Aperture, Camera
+from radwrap.scene.distortion import Distortion, bounded, opencv_distortion
 from radwrap.scene.material_tables import LambertianModel, MaterialModel, SpecularModel
 from radwrap.scene.materials import (
     CoefficientTable,
@@ -174,7 +175,26 @@ def _camera(table: tables.CameraModel, where: str, assumed: dict[str, str]) -> C
             exposure_diameter=opening.exposure_diameter or _DEFAULT_EXPOSURE_DIAMETER,
         ),
         sensor=sensor_from_table(sensor, table.exposure_time, f"{where}.sensor"),
+        distortion=_distortion(table, centre, where),
     )
+
+
+def _distortion(table: tables.CameraModel, centre: tuple[float, float], where: str) -> Distortion | None:
+    """The lens's distortion, where it has any, and how far it holds."""
+    told, f, sensor = table.distortion, table.focal_length, table.sensor
+    if told is None:
+        return None
+    if told.kappa1 is not None:
+        found = Distortion("tsai", (told.kappa1 * f**2,))
+    else:
+        values = (told.k1, told.k2, told.p1, told.p2, told.k3, told.k4, told.k5, told.k6)
+        found = opencv_distortion(tuple(value or 0.0 for value in values))
+    if not any(found.coefficients):
+        return None
+    cu, cv = table.principal_point or centre
+    across = max(cu + 0.5, sensor.columns - 0.5 - cu, 0.0) * sensor.pixel_width
+    down = max(cv + 0.5, sensor.rows - 0.5 - cv, 0.0) * sensor.pixel_height
+    return bounded(found, math.hypot(across, down) / f, f"{where}.distortion")
 
 
 def _beam(table: tables.BeamModel, where: str, key: str, assumed: dict[str, str]) -> Beam:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
 from radwrap.scene.border import (
     Angle,
     AnyLength,
+    Curvature,
     Direction,
     Duration,
     Factor,
@@ -28,6 +29,7 @@ from radwrap.scene.material_tables import MaterialModel
 from radwrap.scene.sensor_tables import AnySensorModel, GrayLevel
 from radwrap.scene.sources import WidthDefinition
 
+BendNumber = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-1e6, le=1e6)]
 RotationOrder = Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
 
 
@@ -86,9 +88,44 @@ class ApertureModel(Model):
         return self
 
 
+class DistortionModel(Model):
+    """[camera.distortion]: OpenCV's coefficients, or Tsai's."""
+
+    model: Literal["opencv", "tsai"]
+    k1: BendNumber | None = None
+    k2: BendNumber | None = None
+    p1: BendNumber | None = None
+    p2: BendNumber | None = None
+    k3: BendNumber | None = None
+    k4: BendNumber | None = None
+    k5: BendNumber | None = None
+    k6: BendNumber | None = None
+    kappa1: Curvature | None = None
+
+    @model_validator(mode="after")
+    def _one_formula(self) -> DistortionModel:
+        if (self.model == "tsai") != (self.kappa1 is not None):
+            raise ValueError('kappa1 goes with model = "tsai", and that needs it')
+        given = sorted(self.model_fields_set - {"model", "kappa1"})
+        if self.model == "tsai" and given:
+            raise ValueError(f'{given[0]} goes with model = "opencv"')
+        return self
+
+
+def _from_calibration(schema: dict[str, Any]) -> None:
+    """In the JSON schema: what a calibration tells need not stand in the scene."""
+    required = schema.pop("required", [])
+    others = [name for name in required if name != "focal_length"]
+    schema["anyOf"] = [{"required": [*others, "calibration"]}, {"required": required}]
+
+
 class CameraModel(Aimed):
     """[camera]."""
 
+    model_config: ClassVar[ConfigDict] = ConfigDict(json_schema_extra=_from_calibration)
+
+    calibration: Annotated[str, Field(strict=True, min_length=1, max_length=1000)] | None = None
+    distortion: DistortionModel | None = None
     translation: Point | None = None
     focal_length: Size
     principal_point: tuple[PixelPosition, PixelPosition] | None = None

@@ -17,6 +17,7 @@ from pydantic_core import ErrorDetails, PydanticUndefined
 
 from radwrap.errors import InputError
 from radwrap.scene.border import Model
+from radwrap.scene.calibrated import with_calibration
 from radwrap.scene.checks import check_scene
 from radwrap.scene.convert import material_from_table, scene_from_model
 from radwrap.scene.data_sheet import with_data_sheet
@@ -98,7 +99,8 @@ def scene_from_document(
         set_key(document, key, value, origin)
     text = _checked_json(document, origin)
     try:
-        model = SceneModel.model_validate(with_data_sheet(document, origin, folder))
+        whole = with_calibration(with_data_sheet(document, origin, folder), origin, folder)
+        model = SceneModel.model_validate(whole)
     except ValidationError as error:
         raise _translated(error, origin, document) from error
     scene = scene_from_model(model, assumed=dict(_assumed(model)), origin=origin, folder=folder, document=text)

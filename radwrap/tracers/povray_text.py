@@ -128,6 +128,12 @@ def povray_camera(camera: Camera, opening_point: tuple[float, float], unit: floa
 
 
 def _check(scene: Scene) -> None:
+    if scene.camera.distortion is not None:
+        raise InputError(
+            "POV-Ray's camera has no distortion",
+            where=f"{scene.origin}: camera.distortion",
+            remedy="leave it out, and the calibration",
+        )
     if scene.camera.sensor.window is not None:
         raise InputError(
             "POV-Ray's pixels are sensitive all over, this sensor's are not",
