@@ -10,12 +10,16 @@ import platform
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
 from radwrap.errors import InputError
 from radwrap.files import write_bytes
 
 SCHEMA_VERSION: Final = 1
+# Metadata of a dataclass's field that is told only where it is not None: what a scene does not use leaves its manifest
+# and hashes as they are.
+ONLY_WHERE_USED: Final[Mapping[str, bool]] = MappingProxyType({"only_where_used": True})
 _PACKAGES: Final = ("numpy", "OpenImageIO", "pydantic", "pyradiance")
 
 
@@ -37,7 +41,7 @@ def versions() -> dict[str, str]:
 def plain(value: Any) -> Any:
     """Turn frozen dataclasses into what JSON can hold; the type's name goes along."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        fields = {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value) if f.compare}
+        fields = {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value) if _is_told(f, value)}
         return {"is": type(value).__name__, **fields}
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
@@ -46,6 +50,11 @@ def plain(value: Any) -> Any:
     if isinstance(value, Path):
         return str(value)
     return value
+
+
+def _is_told(field: dataclasses.Field[Any], value: Any) -> bool:
+    unused = field.metadata.get("only_where_used", False) and getattr(value, field.name) is None
+    return field.compare and not unused
 
 
 def json_text(value: Any) -> str:

@@ -65,6 +65,13 @@ COEFFICIENT_OF_RETROREFLECTION: Final = _dimension(
 )
 CURRENT: Final = _dimension("electric current", {"A": 1.0, "mA": 1e-3, "uA": 1e-6})
 PIXEL: Final = _dimension("position on the sensor", {"px": 1.0})
+ELECTRONS: Final = _dimension("number of electrons", {"e": 1.0, "ke": 1e3})
+ELECTRON_RATE: Final = _dimension("dark current", {"e/s": 1.0, "e/ms": 1e3, "ke/s": 1e3})
+SYSTEM_GAIN: Final = _dimension("system gain", {"DN/e": 1.0, "DN/ke": 1e-3})
+# Only differences matter, so the zero of the scale does not.
+TEMPERATURE: Final = _dimension("temperature", {"degC": 1.0})
+TEMPERATURE_DIFFERENCE: Final = _dimension("temperature difference", {"K": 1.0})
+CURVATURE: Final = _dimension("radial distortion", {"1/m^2": 1.0, "1/cm^2": 1e4, "1/mm^2": 1e6})
 DIMENSIONS: Final = (
     LENGTH,
     ANGLE,
@@ -73,6 +80,12 @@ DIMENSIONS: Final = (
     RADIANT_INTENSITY,
     COEFFICIENT_OF_RETROREFLECTION,
     PIXEL,
+    ELECTRONS,
+    ELECTRON_RATE,
+    SYSTEM_GAIN,
+    TEMPERATURE,
+    TEMPERATURE_DIFFERENCE,
+    CURVATURE,
 )
 
 

@@ -81,7 +81,8 @@ def run(arguments: argparse.Namespace) -> int:
     except InputError as error:
         where = f"{arguments.points}: {error.where}" if error.where in _OF_POINTS else error.where
         raise InputError(error.what, where=where, remedy=error.remedy) from error
-    print(json_text(as_json(found)) if arguments.json else "\n".join(_lines(found)) + "\n", end="")
+    told = {**as_json(found), "pixel_width": pixel_width, "pixel_height": pixel_height}
+    print(json_text(told) if arguments.json else "\n".join(_lines(found)) + "\n", end="")
     return 0
 
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from radwrap.cli import measure_dots, measure_edge, measure_parts
+from radwrap.cli import measure_dots, measure_edge, measure_emva, measure_parts
 
 
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     """Add the verb."""
-    parser = verbs.add_parser("measure", help="find dots, an edge or parts in a gray image", description=__doc__)
+    parser = verbs.add_parser(
+        "measure", help="find dots, an edge or parts in a gray image, or noise in frames", description=__doc__
+    )
     kinds: argparse._SubParsersAction[Any] = parser.add_subparsers(title="what", required=True, metavar="WHAT")
-    for module in (measure_dots, measure_edge, measure_parts):
+    for module in (measure_dots, measure_edge, measure_emva, measure_parts):
         module.add_to(kinds)

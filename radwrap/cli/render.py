@@ -66,6 +66,13 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         action="store_true",
         help="write an image for each source too; radwrap relight makes any levels of it",
     )
+    parser.add_argument(
+        "--frames",
+        metavar="N",
+        type=int,
+        default=0,
+        help="write N frames with the noise of a linear camera too: frame_0000.png and on",
+    )
     parser.add_argument("--dry-run", action="store_true", help="only say what rays, memory and time it would take")
     parser.add_argument(
         "--max-pixels", metavar="N", type=float, default=64e6, help="largest sensor (default 64e6 pixels)"
@@ -120,6 +127,7 @@ def _options(arguments: argparse.Namespace) -> RenderOptions:
         keep_viewpoints=arguments.keep_viewpoints,
         truth=arguments.truth,
         basis=arguments.basis,
+        frames=arguments.frames,
         max_pixels=int(arguments.max_pixels),
         **shared.tracer_options(arguments),
         progress=True,

@@ -104,7 +104,17 @@ def view_text(camera: Camera, unit: float) -> str:
 
 
 def write_view(scene: Scene, path: Path) -> tuple[Path, ...]:
-    """Write the central view; returns the file."""
+    """Write the central view; returns the file.
+
+    Raises
+    ------
+    InputError
+        If the lens distorts, which no Radiance view can.
+    """
+    if scene.camera.distortion is not None:
+        raise InputError(
+            "Radiance's views have no distortion", where=f"{scene.origin}: camera.distortion", remedy="leave it out"
+        )
     make_folder(path.parent)
     write_bytes(path, view_text(scene.camera, scales_of(scene).length).encode())
     return (path,)

@@ -118,8 +118,8 @@ def _chosen(plan: Plan, tile: int, size: int) -> NDArray[np.intp]:
     return np.sort(np.random.default_rng((tile, 16)).choice(size, count, replace=False))
 
 
-def shining(scene: Scene, prepared: PreparedScene) -> tuple[str, ...]:
-    """Names of the sources of a basis: the emitters that are not dark.
+def shining(scene: Scene, prepared: PreparedScene, asked_by: str = "--basis") -> tuple[str, ...]:
+    """Names of the sources of a basis: the emitters that are not dark; errors name who asked.
 
     Raises
     ------
@@ -129,8 +129,8 @@ def shining(scene: Scene, prepared: PreparedScene) -> tuple[str, ...]:
     if prepared.shining_files:
         raise InputError(
             f'the included file of "{prepared.shining_files[0]}" holds light of its own, which has no name',
-            where="--basis",
-            remedy="describe it in [[sources]], or render without --basis",
+            where=asked_by,
+            remedy=f"describe it in [[sources]], or leave out {asked_by}",
         )
     return tuple(emitter.name for emitter in scene.emitters if emitter.radiance > 0)
 

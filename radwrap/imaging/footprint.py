@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from radwrap.imaging.aperture import place, turn
 from radwrap.scene.camera import Aperture, Camera
+from radwrap.scene.pixel_window import PixelWindow, Profile
 
 # Points that stand for the opening's area lie this share of a cell or pixel apart, whichever is larger: with the box
 # folded over them, the weights across the opening are then right to 2e-3 of the largest.
@@ -99,11 +100,16 @@ def footprint(camera: Camera, magnification: float, cell: float, phase: tuple[in
     sensor = camera.sensor
     spacing = _SPACING * max(cell, 1.0) * min(sensor.pixel_width, sensor.pixel_height) / max(magnification, 1e-9)
     points, weights = opening_points(camera.aperture, spacing)
-    return folded(points * magnification / (sensor.pixel_width, sensor.pixel_height), weights, cell, phase)
+    places = points * magnification / (sensor.pixel_width, sensor.pixel_height)
+    return folded(places, weights, cell, phase, sensor.window)
 
 
 def folded(
-    points: NDArray[np.float64], weights: NDArray[np.float64], cell: float, phase: tuple[int, ...] = (0, 0)
+    points: NDArray[np.float64],
+    weights: NDArray[np.float64],
+    cell: float,
+    phase: tuple[int, ...] = (0, 0),
+    window: PixelWindow | None = None,
 ) -> Footprint:
     """Weights of cells for a pixel's box around each of some points, as `footprint`.
 
@@ -115,16 +121,23 @@ def folded(
         Whatever each stands for; their sum is 1.
     cell, phase
         As in `footprint`.
+    window : PixelWindow, optional
+        Where in its box the pixel is sensitive; default all of it, alike.
     """
-    first_column, across = _overlaps(points[:, 0] + phase[1], cell)
-    first_row, along = _overlaps(points[:, 1] + phase[0], cell)
+    first_column, across = _overlaps(points[:, 0] + phase[1], cell, window.across if window else None)
+    first_row, along = _overlaps(points[:, 1] + phase[0], cell, window.down if window else None)
     return Footprint((first_row, first_column), (along * weights[:, np.newaxis]).T @ across)
 
 
-def _overlaps(starts: NDArray[np.float64], cell: float) -> tuple[int, NDArray[np.float64]]:
+def _overlaps(
+    starts: NDArray[np.float64], cell: float, profile: Profile | None = None
+) -> tuple[int, NDArray[np.float64]]:
     """Shares of pixel boxes, which begin at `starts` [px], that lie in each cell; and the first cell's number."""
     low, high = starts / cell, (starts + 1) / cell
     first, last = math.floor(low.min()), math.ceil(high.max())
+    if profile is not None:
+        borders = np.arange(first, last + 1) * cell - starts[:, np.newaxis] - 0.5
+        return first, np.diff(profile.share_below(borders), axis=1)
     edges = np.arange(first, last)
     inside = np.minimum(high[:, np.newaxis], edges + 1) - np.maximum(low[:, np.newaxis], edges)
     return first, np.maximum(inside, 0.0) * cell

@@ -157,10 +157,12 @@ def rays_over(
     else:
         opening = place(camera.aperture, points[..., 2].ravel(), points[..., 3].ravel())
         opening = opening @ turn(camera.aperture.rotation).T
+    window = camera.sensor.window
+    inside = points if window is None else window.places(points[..., :2]) + 0.5
     return (
         opening,
-        (u[:, np.newaxis] + points[..., 0] - 0.5).ravel(),
-        (v[:, np.newaxis] + points[..., 1] - 0.5).ravel(),
+        (u[:, np.newaxis] + inside[..., 0] - 0.5).ravel(),
+        (v[:, np.newaxis] + inside[..., 1] - 0.5).ravel(),
     )
 
 

@@ -28,6 +28,8 @@ from radwrap.imaging.replicates import looks, noise_of
 from radwrap.imaging.sensor import gray_image, gray_levels
 from radwrap.manifest import read_manifest
 from radwrap.scene.camera import Sensor
+from radwrap.scene.linear_sensor import LinearSensor
+from radwrap.scene.pixel_window import PixelWindow, Profile
 
 # Images that are made together. Always as many, the last ones perhaps in vain: then a product's last bits do not depend
 # on how many images are asked for.
@@ -140,7 +142,7 @@ def _basis(folder: Path, told: dict[str, Any]) -> Basis:
     for name, known in told["files"].items():
         _check_file(folder / name, known)
     sources = tuple(told["sources"])
-    sensor = Sensor(**{key: value for key, value in told["camera"]["sensor"].items() if key != "is"})
+    sensor = _sensor(told["camera"]["sensor"])
     number, model, grid_pixels = int(told["replicates"]), told["model"], np.array(told["grid_pixels"], dtype=np.intp)
     images = np.empty((len(sources), number, sensor.rows, sensor.columns), dtype=np.float32)
     grid = np.zeros((len(sources), number, len(grid_pixels)), dtype=np.float32)
@@ -168,6 +170,16 @@ def _basis(folder: Path, told: dict[str, Any]) -> Basis:
         max_error=told["max_error"],
         scene_sha256=str(told["scene_sha256"]),
     )
+
+
+def _sensor(told: dict[str, Any]) -> Sensor:
+    values = {key: value for key, value in told.items() if key != "is"}
+    if (linear := values.get("linear")) is not None:
+        values["linear"] = LinearSensor(**{key: value for key, value in linear.items() if key != "is"})
+    if (window := values.get("window")) is not None:
+        across, down = (Profile(tuple(window[k]["edges"]), tuple(window[k]["weights"])) for k in ("across", "down"))
+        values["window"] = PixelWindow(across, down)
+    return Sensor(**values)
 
 
 def _check_file(path: Path, known: str) -> None:

@@ -59,6 +59,8 @@ class RenderOptions:
         Write depth, parts and true positions too.
     basis : bool
         Write one image for each source by the same rays too, from which `relit` makes any levels.
+    frames : int
+        Frames of a linear camera, with noise, to write too.
     trust : bool
         Let included Radiance files run commands and name any file.
     radiance : str, optional
@@ -85,6 +87,7 @@ class RenderOptions:
     keep_viewpoints: bool = False
     truth: bool = False
     basis: bool = False
+    frames: int = 0
     trust: bool = False
     radiance: str | None = None
     max_pixels: int = 64_000_000
@@ -101,6 +104,7 @@ class RenderOptions:
             "pixel-samples": (self.pixel_samples, 1, 100),
             "workers": (1 if self.workers is None else self.workers, 1, 4096),
             "seed": (self.seed, 0, 2**63 - 1),
+            "frames": (self.frames, 0, 10_000),
             "max-pixels": (self.max_pixels, 1, 10**12),
             "tracer-timeout": (self.tracer_timeout, 1e-3, 1e9),
         }

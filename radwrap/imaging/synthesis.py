@@ -7,6 +7,7 @@ every file that it names is whole.
 
 from __future__ import annotations
 
+import re
 import shutil
 import tempfile
 import time
@@ -26,6 +27,7 @@ from radwrap.imaging.cost import Cost, check_size, estimate, seconds_per_ray
 from radwrap.imaging.effects import Effect, bounces
 from radwrap.imaging.exposure import radiant_exposure
 from radwrap.imaging.methods import Made, fixed_method, how, make, viewpoint_plan
+from radwrap.imaging.noise import fixed_pattern, linear_of, noisy_frame
 from radwrap.imaging.pieces import remove_pieces
 from radwrap.imaging.planner import choose
 from radwrap.imaging.render_options import RenderOptions
@@ -34,12 +36,14 @@ from radwrap.imaging.sensor import gray_image, gray_levels
 from radwrap.imaging.survey import survey
 from radwrap.imaging.tracing import TracedScene, traced_scene
 from radwrap.imaging.truth import central_maps, geometry
+from radwrap.imaging.uncertainty import share_spread, uncertainty
 from radwrap.imaging.viewpoints import missing_viewpoints
 from radwrap.manifest import SCHEMA_VERSION, plain, read_manifest, sha256_of_value, versions, write_manifest
 from radwrap.process import Programs, available_cores, children_cpu_time
 from radwrap.progress import Progress
 from radwrap.scene.checks import warnings_of
 from radwrap.scene.scene import Scene
+from radwrap.scene.tolerances import Tolerances
 from radwrap.tracers.radiance import PreparedScene
 
 MANIFEST: Final = "manifest.json"
@@ -49,11 +53,18 @@ UNROUNDED: Final = "gray.exr"
 DEPTH: Final = "depth.exr"
 PARTS: Final = "mask.png"
 TRUTH: Final = "truth.json"
-_OPTIONAL: Final = (UNROUNDED, DEPTH, PARTS, TRUTH)
+SIGMA: Final = "gray_sigma.exr"
+_OPTIONAL: Final = (UNROUNDED, SIGMA, DEPTH, PARTS, TRUTH)
+_FRAME: Final = re.compile(r"frame_[0-9]{4}\.png")
 _VIEWPOINTS: Final = "viewpoints"
 _WORK: Final = ".work"
 # Rays a pixel that a tolerance takes, where only a rough number is needed.
 _USUAL_RAYS: Final = 8
+
+
+def frame_file(number: int) -> str:
+    """Name of a frame with noise."""
+    return f"frame_{number:04d}.png"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -199,6 +210,8 @@ class _Run:
         self.traced = TracedScene(scene, options, programs, work)
         self.versions = {**versions(), "radiance": self.traced.version}
         self.traced_sha256 = self.traced.sha256()
+        if options.frames:
+            linear_of(scene.camera.sensor)
         self.sources = shining(scene, self.traced.prepared) if options.basis else ()
         self.sha256 = sha256_of_value(
             {
@@ -207,6 +220,7 @@ class _Run:
                 "how": how(scene, options),
                 "truth": options.truth,
                 "basis": self.sources,
+                **({"frames": options.frames} if options.frames else {}),
                 "document": scene.document,
                 "versions": self.versions,
             }
@@ -244,12 +258,15 @@ class _Run:
         try:
             made = make(self.scene, self.options, work)
             left_out = bounces(self.scene, view, self.options.seed, self.options.tolerance)
+            spread = self._spread()
             self._remove_old()
             basis = self._write_basis(work, made)
         finally:
             progress.close()
         summary, files = self._write_images(made.radiance)
         files += basis
+        told, more = self._write_uncertainty(made.error["rms_gray"], spread)
+        files += [*more, *self._write_frames()]
         if self.options.truth:
             files += self._write_truth()
         timing = {
@@ -263,6 +280,7 @@ class _Run:
             "warnings": [*warnings_of(self.scene), *_warnings_of(left_out)],
             **summary,
             "error": made.error,
+            **told,
             "left_out": {left_out.name: left_out.as_manifest()},
             "files": {name: sha256_of(self.out / name) for name in files},
             "timing": timing,
@@ -301,8 +319,16 @@ class _Run:
         """From here on an old manifest no longer fits the files, and what only an older run wrote fits nothing."""
         if (self.out / BASIS).exists():
             remove_pieces(self.out / FOLDER)
-        for name in (MANIFEST, BASIS, *_OPTIONAL):
+        for name in (MANIFEST, BASIS, *_OPTIONAL, *self._old_frames()):
             (self.out / name).unlink(missing_ok=True)
+
+    def _old_frames(self) -> list[str]:
+        """Frames of an older run, as its manifest names them."""
+        try:
+            files = read_manifest(self.out / MANIFEST)["files"]
+        except (InputError, KeyError):
+            return []
+        return [name for name in files if _FRAME.fullmatch(name)]
 
     def _write_basis(self, work: Work, made: Made) -> list[str]:
         if not self.sources or made.outcome is None:
@@ -318,6 +344,38 @@ class _Run:
             "versions": self.versions,
         }
         return write_basis(self.out, work, views, made.outcome, told)
+
+    def _spread(self) -> NDArray[np.float64] | None:
+        """How the light of each pixel is shared among the sources, where each has a tolerance of its own."""
+        tolerances = self.scene.tolerances
+        if tolerances is None or not tolerances.each_source_radiance:
+            return None
+        names = self.sources or shining(self.scene, self.traced.prepared, "tolerances.each_source_radiance")
+        return share_spread([self.traced.view_of(name) for name in names])
+
+    def _write_uncertainty(
+        self, ray_error: float, spread: NDArray[np.float64] | None
+    ) -> tuple[dict[str, Any], list[str]]:
+        """Standard deviation of the gray levels, where the scene states tolerances or noise."""
+        camera, tolerances = self.scene.camera, self.scene.tolerances
+        if tolerances is None and camera.sensor.linear is None:
+            return {}, []
+        exposure = ExposureImage(read_image(self.out / EXPOSURE)[0].astype(np.float64))
+        found = uncertainty(exposure, camera, tolerances or Tolerances(), ray_error, spread)
+        write_exr(self.out / SIGMA, found.sigma.astype(np.float32), channel="gray_sigma")
+        return {"uncertainty": found.as_manifest()}, [SIGMA]
+
+    def _write_frames(self) -> list[str]:
+        """Frames with noise, of the exposure as its file holds it."""
+        sensor, number = self.scene.camera.sensor, self.options.frames
+        if not number:
+            return []
+        exposure = ExposureImage(read_image(self.out / EXPOSURE)[0].astype(np.float64))
+        pattern = fixed_pattern(sensor)
+        names = [frame_file(k) for k in range(number)]
+        for k, name in enumerate(names):
+            write_png(self.out / name, noisy_frame(exposure, sensor, pattern, self.options.seed, k).codes)
+        return names
 
     def _write_truth(self) -> list[str]:
         depth, parts = central_maps(self.scene.camera, self.traced.identity_tracer())

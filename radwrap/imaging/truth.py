@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,8 @@ from radwrap.scene.geometry import in_view, project
 from radwrap.scene.scene import Scene
 from radwrap.scene.targets import DotBoard, EdgeTarget, Target
 from radwrap.tracers.radiance import RadianceTracer
+
+_EDGE_POINTS: Final = 65
 
 
 def central_maps(camera: Camera, identity: RadianceTracer) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
@@ -53,7 +55,8 @@ def geometry(scene: Scene, part_names: tuple[str, ...]) -> dict[str, Any]:
         ``parts``: name -> number in mask.png; ``targets``: for each target
         its pose ``camera_from_target`` (4 x 4, m), its dots (row, column,
         u, v [px], in_view) or its edge (end points and the line
-        u cos(angle) + v sin(angle) = offset [px]).
+        u cos(angle) + v sin(angle) = offset [px], and where the lens distorts
+        the `bow`, the edge's largest distance from that line [px]).
     """
     return {
         "pixel_convention": "u is the column, v the row; the centre of the first pixel is (0, 0)",
@@ -94,8 +97,14 @@ def _edge(camera: Camera, target: EdgeTarget) -> dict[str, Any]:
     along = uv[1] - uv[0]
     normal = np.array([-along[1], along[0]]) / np.hypot(*along)
     normal = normal if normal[0] > 0 or (normal[0] == 0 and normal[1] > 0) else -normal
-    return {
+    line = {
         "ends": uv.tolist(),
         "angle": float(np.arctan2(normal[1], normal[0])),
         "offset": float(normal @ uv[0]),
     }
+    if camera.distortion is None:
+        return line
+    # A lens that distorts bends the line: how far it lies off its chord.
+    between = np.linspace(-target.height / 2, target.height / 2, _EDGE_POINTS)
+    places = np.array([to_world(target.pose, (target.edge_position, float(y), 0.0)) for y in between])
+    return {**line, "bow": float(np.abs(project(camera, places)[0] @ normal - line["offset"]).max())}

@@ -64,12 +64,16 @@ class RayBlock:
         Origin [m] and direction in the world.
     cos4 : ndarray of float64, shape (n,)
         cos^4 of each ray's angle to the camera's axis.
+    stretch : ndarray of float64, shape (n,), optional
+        Where the lens distorts: the area of the undistorted image that falls on an area of the sensor there, by which
+        its light counts too.
     """
 
     first: int
     pixels: int
     rays: NDArray[np.float64]
     cos4: NDArray[np.float64]
+    stretch: NDArray[np.float64] | None = None
 
 
 def ray_blocks(
@@ -112,11 +116,12 @@ def ray_blocks(
             inside = np.random.default_rng([plan.seed, viewpoint, number]).random((len(indices), plan.rays, 2))
         else:
             inside = np.full((1, 1, 2), 0.5)
-        offsets = (strata + inside) / k - 0.5
+        shares = (strata + inside) / k
+        offsets = shares - 0.5 if sensor.window is None else sensor.window.places(shares)
         u = (column[:, np.newaxis] + offsets[..., 0]).ravel()
         v = (row[:, np.newaxis] + offsets[..., 1]).ravel()
-        rays, cos4 = rays_through(camera, opening_point, u, v)
-        yield RayBlock(first, len(indices), rays, cos4)
+        rays, cos4, stretch = stretched_rays(camera, opening_point, u, v)
+        yield RayBlock(first, len(indices), rays, cos4, stretch)
 
 
 def rays_through(
@@ -143,23 +148,41 @@ def rays_through(
     cos4 : ndarray, shape (n,)
         cos^4 of each ray's angle to the camera's axis.
     """
+    rays, cos4, _ = stretched_rays(camera, opening_point, u, v)
+    return rays, cos4
+
+
+def stretched_rays(
+    camera: Camera,
+    opening_point: tuple[float, float] | NDArray[np.float64],
+    u: NDArray[np.float64],
+    v: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64] | None]:
+    """As `rays_through`, and each ray's `stretch`, see `RayBlock`."""
     rotation = np.asarray(camera.pose.rotation)
     f = camera.focal_length
     opening = np.atleast_2d(opening_point)
     local = np.empty((len(u), 3))
-    local[:, 0] = (u - camera.principal_point[0]) * camera.sensor.pixel_width + opening[:, 0]
-    local[:, 1] = (v - camera.principal_point[1]) * camera.sensor.pixel_height + opening[:, 1]
+    x = (u - camera.principal_point[0]) * camera.sensor.pixel_width
+    y = (v - camera.principal_point[1]) * camera.sensor.pixel_height
+    stretch = None
+    if camera.distortion is not None:
+        bent_x, bent_y, stretch = camera.distortion.undistorted(x / f, y / f)
+        x, y = bent_x * f, bent_y * f
+    local[:, 0] = x + opening[:, 0]
+    local[:, 1] = y + opening[:, 1]
     local[:, 2] = f
     rays = np.empty((len(u), 6))
     rays[:, :3] = np.asarray(camera.pose.position) + opening @ rotation[:, :2].T
     np.matmul(local, rotation.T, out=rays[:, 3:])
     cos4: NDArray[np.float64] = (f**2 / np.einsum("ij,ij->i", local, local)) ** 2
-    return rays, cos4
+    return rays, cos4, stretch
 
 
 def pixel_means(block: RayBlock, radiance: NDArray[np.float64]) -> NDArray[np.float64]:
     """Mean of L cos^4(theta) over each pixel's rays, shape (pixels,)."""
-    means: NDArray[np.float64] = (radiance * block.cos4).reshape(block.pixels, -1).mean(axis=1)
+    weights = block.cos4 if block.stretch is None else block.cos4 * block.stretch
+    means: NDArray[np.float64] = (radiance * weights).reshape(block.pixels, -1).mean(axis=1)
     return means
 
 
@@ -249,20 +272,21 @@ def _trace_part(
     view: View, opening: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.float64], *, with_depth: bool
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     values, magnification = np.empty(len(u)), np.ones(len(u))
-    cosines: deque[NDArray[np.float64]] = deque()
+    cosines: deque[tuple[NDArray[np.float64], NDArray[np.float64] | None]] = deque()
 
     def blocks() -> Iterator[NDArray[np.float64]]:
         for start in range(0, len(u), RAYS_AT_ONCE):
             part = slice(start, start + RAYS_AT_ONCE)
-            rays, cos4 = rays_through(view.camera, opening if len(opening) == 1 else opening[part], u[part], v[part])
-            cosines.append(cos4)
+            some = opening if len(opening) == 1 else opening[part]
+            rays, cos4, stretch = stretched_rays(view.camera, some, u[part], v[part])
+            cosines.append((cos4, stretch))
             yield rays
 
     start = 0
     for radiance, distance in _asked(view.tracer, blocks(), with_depth=with_depth):
-        part, cos4 = slice(start, start + len(radiance)), cosines.popleft()
+        part, (cos4, stretch) = slice(start, start + len(radiance)), cosines.popleft()
         start += len(radiance)
-        values[part] = radiance * cos4
+        values[part] = radiance * cos4 if stretch is None else radiance * cos4 * stretch
         if distance is not None:
             magnification[part] = 1 + view.camera.focal_length / (distance * cos4**0.25)
     return values, magnification

@@ -61,6 +61,8 @@ class ViewpointPlan:
                 "positions": self.viewpoints.positions.tolist(),
                 "weights": self.viewpoints.weights.tolist(),
                 "pixel_plan": self.pixel_plan,
+                **({"window": camera.sensor.window} if camera.sensor.window else {}),
+                **({"distortion": camera.distortion} if camera.distortion else {}),
             }
         )
 

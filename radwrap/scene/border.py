@@ -11,10 +11,16 @@ from radwrap.errors import InputError
 from radwrap.units import (
     ANGLE,
     COEFFICIENT_OF_RETROREFLECTION,
+    CURVATURE,
+    ELECTRON_RATE,
+    ELECTRONS,
     LENGTH,
     PIXEL,
     RADIANCE,
     RADIANT_INTENSITY,
+    SYSTEM_GAIN,
+    TEMPERATURE,
+    TEMPERATURE_DIFFERENCE,
     TIME,
     Dimension,
     parse_quantity,
@@ -59,6 +65,14 @@ Coefficient = Annotated[
     _schema(COEFFICIENT_OF_RETROREFLECTION),
 ]
 PixelPosition = Annotated[float, Field(ge=-1e9, le=1e9), BeforeValidator(_reader(PIXEL)), _schema(PIXEL)]
+Electrons = Annotated[float, Field(ge=0, le=1e12), BeforeValidator(_reader(ELECTRONS)), _schema(ELECTRONS)]
+ElectronRate = Annotated[float, Field(ge=0, le=1e12), BeforeValidator(_reader(ELECTRON_RATE)), _schema(ELECTRON_RATE)]
+SystemGain = Annotated[float, Field(gt=0, le=1e9), BeforeValidator(_reader(SYSTEM_GAIN)), _schema(SYSTEM_GAIN)]
+Temperature = Annotated[float, Field(ge=-273.15, le=1e3), BeforeValidator(_reader(TEMPERATURE)), _schema(TEMPERATURE)]
+TemperatureDifference = Annotated[
+    float, Field(ge=0.1, le=1e3), BeforeValidator(_reader(TEMPERATURE_DIFFERENCE)), _schema(TEMPERATURE_DIFFERENCE)
+]
+Curvature = Annotated[float, Field(ge=-1e12, le=1e12), BeforeValidator(_reader(CURVATURE)), _schema(CURVATURE)]
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Share = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=1)]

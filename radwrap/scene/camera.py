@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, Literal
 
 from radwrap.frames import Pose
+from radwrap.manifest import ONLY_WHERE_USED
+from radwrap.scene.distortion import Distortion
+from radwrap.scene.linear_sensor import LinearSensor
+from radwrap.scene.pixel_window import PixelWindow
 
 ApertureShape = Literal["round", "square", "annular", "half_disc"]
 ColourChannel = Literal["equal", "red", "green", "blue"]
@@ -75,7 +79,7 @@ class Sensor:
     rows, columns : int
         Number of pixels.
     pixel_width, pixel_height : float
-        Pixel pitch along columns and rows [m]; the whole pixel is sensitive.
+        Pixel pitch along columns and rows [m].
     gain : float
         K [gray (J m^-2)^-gamma].
     gamma : float
@@ -91,6 +95,10 @@ class Sensor:
     channel : str
         Which of the tracer's three channels the sensor sees; "equal" demands
         that all three agree.
+    window : PixelWindow, optional
+        Where in its pitch a pixel is sensitive; default all of it, alike.
+    linear : LinearSensor, optional
+        The linear camera whose mean response the values above are; it has noise.
     """
 
     rows: int
@@ -104,11 +112,18 @@ class Sensor:
     bit_depth: int = 8
     rounding: bool = True
     channel: ColourChannel = "equal"
+    window: PixelWindow | None = field(default=None, metadata=ONLY_WHERE_USED)
+    linear: LinearSensor | None = field(default=None, metadata=ONLY_WHERE_USED)
 
     @property
     def pixels(self) -> int:
         """Number of pixels."""
         return self.rows * self.columns
+
+    @property
+    def pixel_area(self) -> float:
+        """Area of a pixel's pitch [m^2]."""
+        return self.pixel_width * self.pixel_height
 
     @property
     def width(self) -> float:
@@ -140,6 +155,8 @@ class Camera:
         The opening.
     sensor : Sensor
         The pixels.
+    distortion : Distortion, optional
+        How a place on the sensor is off the one where the pinhole alone would put it.
     """
 
     pose: Pose
@@ -148,3 +165,9 @@ class Camera:
     exposure_time: float
     aperture: Aperture
     sensor: Sensor
+    distortion: Distortion | None = field(default=None, metadata=ONLY_WHERE_USED)
+
+    @property
+    def pitch(self) -> tuple[float, float]:
+        """Width and height of a pixel [f]."""
+        return self.sensor.pixel_width / self.focal_length, self.sensor.pixel_height / self.focal_length

@@ -11,7 +11,8 @@ from pathlib import Path
 from radwrap.errors import InputError
 from radwrap.frames import Pose, aim, default_up, normalised, rotation_about_fixed_axes
 from radwrap.scene import document as tables
-from radwrap.scene.camera import Aperture, Camera, Sensor
+from radwrap.scene.camera import Aperture, Camera
+from radwrap.scene.distortion import Distortion, bounded, opencv_distortion
 from radwrap.scene.material_tables import LambertianModel, MaterialModel, SpecularModel
 from radwrap.scene.materials import (
     CoefficientTable,
@@ -24,6 +25,7 @@ from radwrap.scene.materials import (
 from radwrap.scene.mesh import mesh_of
 from radwrap.scene.ring_calibration import read_calibration
 from radwrap.scene.scene import Scene
+from radwrap.scene.sensor_values import sensor_from_table
 from radwrap.scene.sources import (
     Beam,
     Emitter,
@@ -47,7 +49,7 @@ from radwrap.scene.targets import (
     Sphere,
     Target,
 )
-from radwrap.units import parse_gain
+from radwrap.scene.tolerances import Tolerances
 
 _DEFAULT_EXPOSURE_DIAMETER = 1e-4
 _ORIGIN = (0.0, 0.0, 0.0)
@@ -86,6 +88,7 @@ def scene_from_model(
         sources=sources,
         materials={name: _material(table, f"materials.{name}", assumed) for name, table in model.materials.items()},
         targets=targets,
+        tolerances=Tolerances(**model.tolerances.model_dump()) if model.tolerances else None,
         assumed=assumed,
         origin=origin,
         folder=folder,
@@ -171,20 +174,27 @@ def _camera(table: tables.CameraModel, where: str, assumed: dict[str, str]) -> C
             rotation=opening.rotation,
             exposure_diameter=opening.exposure_diameter or _DEFAULT_EXPOSURE_DIAMETER,
         ),
-        sensor=Sensor(
-            rows=sensor.rows,
-            columns=sensor.columns,
-            pixel_width=sensor.pixel_width,
-            pixel_height=sensor.pixel_height,
-            gain=parse_gain(sensor.gain)[0],
-            gamma=sensor.gamma,
-            dark_gray=sensor.dark_gray,
-            saturation_gray=sensor.saturation_gray,
-            bit_depth=sensor.bit_depth,
-            rounding=sensor.rounding,
-            channel=sensor.channel,
-        ),
+        sensor=sensor_from_table(sensor, table.exposure_time, f"{where}.sensor"),
+        distortion=_distortion(table, centre, where),
     )
+
+
+def _distortion(table: tables.CameraModel, centre: tuple[float, float], where: str) -> Distortion | None:
+    """The lens's distortion, where it has any, and how far it holds."""
+    told, f, sensor = table.distortion, table.focal_length, table.sensor
+    if told is None:
+        return None
+    if told.kappa1 is not None:
+        found = Distortion("tsai", (told.kappa1 * f**2,))
+    else:
+        values = (told.k1, told.k2, told.p1, told.p2, told.k3, told.k4, told.k5, told.k6)
+        found = opencv_distortion(tuple(value or 0.0 for value in values))
+    if not any(found.coefficients):
+        return None
+    cu, cv = table.principal_point or centre
+    across = max(cu + 0.5, sensor.columns - 0.5 - cu, 0.0) * sensor.pixel_width
+    down = max(cv + 0.5, sensor.rows - 0.5 - cv, 0.0) * sensor.pixel_height
+    return bounded(found, math.hypot(across, down) / f, f"{where}.distortion")
 
 
 def _beam(table: tables.BeamModel, where: str, key: str, assumed: dict[str, str]) -> Beam:

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import tomllib
-from importlib.resources import files
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
-from radwrap.errors import InputError
 from radwrap.scene.border import (
     Angle,
     AnyLength,
-    Count,
+    Curvature,
     Direction,
     Duration,
     Factor,
-    Flag,
     Model,
     Name,
     PixelPosition,
@@ -30,9 +26,10 @@ from radwrap.scene.border import (
     default,
 )
 from radwrap.scene.material_tables import MaterialModel
+from radwrap.scene.sensor_tables import AnySensorModel, GrayLevel
 from radwrap.scene.sources import WidthDefinition
-from radwrap.units import parse_gain
 
+BendNumber = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-1e6, le=1e6)]
 RotationOrder = Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
 
 
@@ -91,80 +88,50 @@ class ApertureModel(Model):
         return self
 
 
-def _preset_or_all(schema: dict[str, Any]) -> None:
-    """In the JSON schema: what is required without a preset is not with one."""
-    schema["anyOf"] = [{"required": ["preset"]}, {"required": schema.pop("required", [])}]
+class DistortionModel(Model):
+    """[camera.distortion]: OpenCV's coefficients, or Tsai's."""
 
-
-class SensorModel(Model):
-    """[camera.sensor]: a preset, or all of it; what is given beside a preset replaces its value."""
-
-    model_config: ClassVar[ConfigDict] = ConfigDict(json_schema_extra=_preset_or_all)
-
-    preset: Name | None = None
-    rows: Count
-    columns: Count
-    pixel_width: Size
-    pixel_height: Size
-    gain: str
-    gamma: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.01, le=10)]
-    dark_gray: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
-    saturation_gray: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
-    bit_depth: Annotated[int, Field(strict=True, ge=1, le=16)] = 8
-    rounding: Flag = True
-    channel: Literal["equal", "red", "green", "blue"] = "equal"
-
-    @model_validator(mode="before")
-    @classmethod
-    def _with_preset(cls, table: Any) -> Any:
-        if not isinstance(table, dict) or not isinstance(table.get("preset"), str):
-            return table
-        return {**sensor_preset(table["preset"]), **table}
+    model: Literal["opencv", "tsai"]
+    k1: BendNumber | None = None
+    k2: BendNumber | None = None
+    p1: BendNumber | None = None
+    p2: BendNumber | None = None
+    k3: BendNumber | None = None
+    k4: BendNumber | None = None
+    k5: BendNumber | None = None
+    k6: BendNumber | None = None
+    kappa1: Curvature | None = None
 
     @model_validator(mode="after")
-    def _consistent(self) -> SensorModel:
-        try:
-            gain, exponent = parse_gain(self.gain)
-        except InputError as error:
-            raise ValueError(f"gain: {error}") from error
-        if gain <= 0:
-            raise ValueError("gain: must be above zero")
-        if exponent != self.gamma:
-            raise ValueError(f"gain: its unit says gamma {exponent:g}, but gamma is {self.gamma:g}")
-        if not self.dark_gray < self.saturation_gray <= 2**self.bit_depth - 1:
-            raise ValueError(f"needs dark_gray < saturation_gray <= {2**self.bit_depth - 1} ({self.bit_depth} bits)")
+    def _one_formula(self) -> DistortionModel:
+        if (self.model == "tsai") != (self.kappa1 is not None):
+            raise ValueError('kappa1 goes with model = "tsai", and that needs it')
+        given = sorted(self.model_fields_set - {"model", "kappa1"})
+        if self.model == "tsai" and given:
+            raise ValueError(f'{given[0]} goes with model = "opencv"')
         return self
 
 
-def sensor_presets() -> tuple[str, ...]:
-    """Names of the sensors that radwrap knows."""
-    folder = files("radwrap") / "data" / "sensors"
-    return tuple(sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml")))
-
-
-def sensor_preset(name: str) -> dict[str, Any]:
-    """Table of a sensor that radwrap knows.
-
-    Raises
-    ------
-    ValueError
-        If it knows no such sensor.
-    """
-    known = sensor_presets()
-    if name not in known:
-        raise ValueError(f'preset: no sensor "{name}"; known: {", ".join(known)}')
-    return tomllib.loads((files("radwrap") / "data" / "sensors" / f"{name}.toml").read_text("utf-8"))
+def _from_calibration(schema: dict[str, Any]) -> None:
+    """In the JSON schema: what a calibration tells need not stand in the scene."""
+    required = schema.pop("required", [])
+    others = [name for name in required if name != "focal_length"]
+    schema["anyOf"] = [{"required": [*others, "calibration"]}, {"required": required}]
 
 
 class CameraModel(Aimed):
     """[camera]."""
 
+    model_config: ClassVar[ConfigDict] = ConfigDict(json_schema_extra=_from_calibration)
+
+    calibration: Annotated[str, Field(strict=True, min_length=1, max_length=1000)] | None = None
+    distortion: DistortionModel | None = None
     translation: Point | None = None
     focal_length: Size
     principal_point: tuple[PixelPosition, PixelPosition] | None = None
     exposure_time: Duration
     aperture: ApertureModel = default({})
-    sensor: SensorModel
+    sensor: AnySensorModel
 
     @model_validator(mode="after")
     def _one_place(self) -> CameraModel:
@@ -403,6 +370,17 @@ TargetModel = Annotated[
 ]
 
 
+class TolerancesModel(Model):
+    """[tolerances]: half-widths of 95 % intervals; shares where they have no unit."""
+
+    source_radiance: Share = 0.0
+    each_source_radiance: Share = 0.0
+    aperture_diameter: SizeOrZero = default("0 mm")
+    exposure_time: Duration = default("0 ms")
+    sensor_gain: Share = 0.0
+    dark_gray: GrayLevel = 0.0
+
+
 class SceneModel(Model):
     """A scene file."""
 
@@ -411,6 +389,7 @@ class SceneModel(Model):
     sources: tuple[SourceModel, ...] = ()
     materials: dict[Name, MaterialModel] = default({})
     targets: tuple[TargetModel, ...] = ()
+    tolerances: TolerancesModel | None = None
 
     @model_validator(mode="before")
     @classmethod

@@ -82,6 +82,10 @@ def project(camera: Camera, points: NDArray[np.float64]) -> tuple[NDArray[np.flo
     depth = local[:, 2]
     safe = np.where(depth > 0, depth, 1.0)
     pitch = np.array([camera.sensor.pixel_width, camera.sensor.pixel_height])
+    if camera.distortion is not None:
+        slopes = local[:, :2] / safe[:, np.newaxis]
+        bent = np.column_stack(camera.distortion.distorted(slopes[:, 0], slopes[:, 1]))
+        return np.asarray(camera.principal_point) + bent / camera.pitch, depth
     uv = np.asarray(camera.principal_point) + camera.focal_length * local[:, :2] / safe[:, np.newaxis] / pitch
     return uv, depth
 
@@ -90,6 +94,10 @@ def directions(camera: Camera, uv: NDArray[np.float64]) -> NDArray[np.float64]:
     """Unit vectors, shape (n, 3), from the pinhole's centre to what is seen at (column, row) uv, shape (n, 2) [px]."""
     pitch = np.array([camera.sensor.pixel_width, camera.sensor.pixel_height])
     local = np.column_stack([(uv - camera.principal_point) * pitch, np.full(len(uv), camera.focal_length)])
+    if camera.distortion is not None:
+        flat = (uv - camera.principal_point) * camera.pitch
+        x, y, _ = camera.distortion.undistorted(flat[:, 0], flat[:, 1])
+        local[:, :2] = np.column_stack([x, y]) * camera.focal_length
     rays = local @ np.asarray(camera.pose.rotation).T
     unit: NDArray[np.float64] = rays / np.linalg.norm(rays, axis=1, keepdims=True)
     return unit

@@ -17,8 +17,10 @@ from pydantic_core import ErrorDetails, PydanticUndefined
 
 from radwrap.errors import InputError
 from radwrap.scene.border import Model
+from radwrap.scene.calibrated import with_calibration
 from radwrap.scene.checks import check_scene
 from radwrap.scene.convert import material_from_table, scene_from_model
+from radwrap.scene.data_sheet import with_data_sheet
 from radwrap.scene.document import SceneModel
 from radwrap.scene.material_tables import MaterialModel
 from radwrap.scene.materials import Material
@@ -97,7 +99,8 @@ def scene_from_document(
         set_key(document, key, value, origin)
     text = _checked_json(document, origin)
     try:
-        model = SceneModel.model_validate(document)
+        whole = with_calibration(with_data_sheet(document, origin, folder), origin, folder)
+        model = SceneModel.model_validate(whole)
     except ValidationError as error:
         raise _translated(error, origin, document) from error
     scene = scene_from_model(model, assumed=dict(_assumed(model)), origin=origin, folder=folder, document=text)
@@ -207,8 +210,10 @@ def _steps(detail: ErrorDetails) -> list[int | str]:
     steps = list(detail["loc"])
     if steps and steps[0] in ("sources", "targets", "materials") and len(steps) > 2:
         del steps[2]
+    if steps[:2] == ["camera", "sensor"] and len(steps) > 2 and steps[2] in ("power_law", "linear"):
+        del steps[2]
     if detail["type"] in ("union_tag_invalid", "union_tag_not_found"):
-        steps.append("type")
+        steps.append("model" if steps == ["camera", "sensor"] else "type")
     return steps
 
 

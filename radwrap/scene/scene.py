@@ -10,6 +10,7 @@ from radwrap.scene.camera import Camera
 from radwrap.scene.materials import Material
 from radwrap.scene.sources import Emitter, Source, emitters
 from radwrap.scene.targets import RadFile, Surface, Target, surfaces
+from radwrap.scene.tolerances import Tolerances
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +27,8 @@ class Scene:
         Name -> material.
     targets : tuple of Target
         What can be seen.
+    tolerances : Tolerances, optional
+        How far what goes in may be off.
     assumed : Mapping[str, str]
         Key of the scene file -> value that was taken because the file is silent.
     origin : str
@@ -40,6 +43,7 @@ class Scene:
     sources: tuple[Source, ...]
     materials: Mapping[str, Material]
     targets: tuple[Target, ...]
+    tolerances: Tolerances | None = None
     assumed: Mapping[str, str] = field(default_factory=dict)
     origin: str = field(default="scene", compare=False)
     folder: Path = field(default=Path(), compare=False)

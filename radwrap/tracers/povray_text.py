@@ -128,6 +128,18 @@ def povray_camera(camera: Camera, opening_point: tuple[float, float], unit: floa
 
 
 def _check(scene: Scene) -> None:
+    if scene.camera.distortion is not None:
+        raise InputError(
+            "POV-Ray's camera has no distortion",
+            where=f"{scene.origin}: camera.distortion",
+            remedy="leave it out, and the calibration",
+        )
+    if scene.camera.sensor.window is not None:
+        raise InputError(
+            "POV-Ray's pixels are sensitive all over, this sensor's are not",
+            where=f"{scene.origin}: camera.sensor",
+            remedy="leave out fill_width, fill_height and sensitivity_across, sensitivity_down",
+        )
     for line in shared_planes(scene):
         raise InputError(
             f"{line.split(': ')[0]}, and of such POV-Ray shows either", where=scene.origin, remedy="move one of them"

@@ -300,6 +300,11 @@ def test_explain_advises(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
 
 # -------------------------------------------------------------------------------------------------- Options of render
 
+# Frames need a camera whose noise is known.
+LINEAR: Final = (
+    'camera.sensor={model="linear", rows=20, columns=24, pixel_width="0.1 mm", pixel_height="0.1 mm", offset=4, '
+    'wavelength="650 nm", quantum_efficiency=0.5, system_gain="0.01 DN/e", full_well="20 ke", read_noise="9 e"}'
+)
 # Each option that takes part, with what its use must change in the manifest.
 OPTIONS: Final[dict[str, tuple[list[object], dict[str, Any]]]] = {
     "--set": (["--set", "camera.exposure_time=100 ms"], {"camera.exposure_time": 0.1}),
@@ -317,6 +322,7 @@ OPTIONS: Final[dict[str, tuple[list[object], dict[str, Any]]]] = {
     "--keep-viewpoints": (["--keep-viewpoints"], {}),
     "--truth": (["--truth"], {}),
     "--basis": (["--method", "kernel", "--basis"], {"method": "kernel"}),
+    "--frames": (["--frames", 2, "--set", LINEAR], {"camera.sensor.linear.read_noise": 9.0}),
     "--dry-run": (["--dry-run"], {}),
     "--max-pixels": (["--max-pixels", "1e3"], {}),
     "--radiance": (["--radiance", "WHEEL"], {}),
@@ -350,6 +356,7 @@ def test_every_option_of_render_works(tmp_path: Path, capsys: pytest.CaptureFixt
         defaults = defaults or json.loads(json.dumps(manifest))
         for key, value in expected.items():
             assert _at(manifest, key) == value != (None if name == "--set" else _at(defaults, key)), name
+        assert len(list(out.glob("frame_*.png"))) == (2 if name == "--frames" else 0)
         assert (out / "viewpoints").is_dir() == (name == "--keep-viewpoints")
         assert (out / "truth.json").exists() == (out / "depth.exr").exists() == (name == "--truth")
         assert done.stdout.startswith("{") == (name == "--json")

@@ -1,0 +1,161 @@
+"""Standard deviation of each gray level: error of the rays, tolerances of what goes in, noise of the sensor.
+
+::
+
+    sigma^2 = rays^2 + sum over inputs (dG/dx sigma_x)^2 + noise^2
+
+about the gray level before rounding that Eq. 5 gives for radiant_exposure.exr.
+An interval of 1 sigma is to hold 68 %, one of 1.96 sigma 95 % of what cameras
+within the tolerances would capture. Slopes are taken over a standard deviation
+to each side, through saturation. Source: key gum2008.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.images import ExposureImage
+from radwrap.imaging.noise import ROUNDING_VARIANCE, noise_variance
+from radwrap.imaging.sensor import gray_levels
+from radwrap.imaging.view import View, trace_rays
+from radwrap.scene.camera import Camera, Sensor
+from radwrap.scene.tolerances import TO_STANDARD, Tolerances
+
+Array = NDArray[np.float64]
+# Of the mean square of the rays' error, what is laid on all pixels alike.
+_EVEN_SHARE: Final = 0.02
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Uncertainty:
+    """How far a captured frame may be off the prediction.
+
+    Attributes
+    ----------
+    sigma : ndarray, shape (rows, columns)
+        Standard deviation [gray level].
+    parts : Mapping[str, float]
+        Root mean square over the image of what each cause adds [gray level].
+    """
+
+    sigma: Array
+    parts: Mapping[str, float]
+
+    def as_manifest(self) -> dict[str, Any]:
+        """What the manifest says."""
+        rms = float(np.sqrt(np.mean(self.sigma**2)))
+        return {"sigma_rms_gray": rms, "parts_rms_gray": dict(self.parts)}
+
+
+def uncertainty(
+    exposure: ExposureImage, camera: Camera, tolerances: Tolerances, ray_error: float, spread: Array | None = None
+) -> Uncertainty:
+    """Combine all causes.
+
+    Parameters
+    ----------
+    exposure : ExposureImage
+        The prediction [J m^-2].
+    camera : Camera
+        Its sensor, opening and exposure time.
+    tolerances : Tolerances
+        Of what goes in.
+    ray_error : float
+        Estimated rms error of the rays over the image [gray level]; it is laid where gray levels change.
+    spread : ndarray, shape (rows, columns), optional
+        Root of the sum of squares of the sources' shares in each pixel, 1 where one source alone lights it; needed with
+        `each_source_radiance`.
+    """
+    values, sensor = exposure.values, camera.sensor
+    squares: dict[str, Array] = {"rays": ray_error**2 * _where_rays_err(gray_levels(values, sensor))}
+
+    def by_exposure(name: str, factor: Callable[[float], float | Array]) -> None:
+        """A cause that multiplies the radiant exposure by factor(z) at z standard deviations."""
+        up, down = (gray_levels(values * np.maximum(factor(z), 0.0), sensor) for z in (1.0, -1.0))
+        squares[name] = ((up - down) / 2) ** 2
+
+    if tolerances.source_radiance:
+        by_exposure("source_radiance", lambda z: 1 + z * tolerances.source_radiance * TO_STANDARD)
+    if tolerances.each_source_radiance:
+        if spread is None:
+            raise ValueError("the sources' shares are needed")
+        by_exposure("each_source_radiance", lambda z: 1 + z * tolerances.each_source_radiance * TO_STANDARD * spread)
+    if tolerances.aperture_diameter:
+        by_exposure("aperture_diameter", lambda z: _area_factor(camera, z * tolerances.aperture_diameter * TO_STANDARD))
+    if tolerances.exposure_time and camera.exposure_time > 0:
+        by_exposure("exposure_time", lambda z: 1 + z * tolerances.exposure_time * TO_STANDARD / camera.exposure_time)
+    for name, key, size in (
+        ("sensor_gain", "gain", sensor.gain * tolerances.sensor_gain),
+        ("dark_gray", "dark_gray", tolerances.dark_gray),
+    ):
+        if size:
+            squares[name] = _by_sensor(values, sensor, key, size * TO_STANDARD)
+    if sensor.linear is not None:
+        squares["noise"] = noise_variance(values, sensor)
+    elif sensor.rounding:
+        squares["rounding"] = np.full(values.shape, ROUNDING_VARIANCE)
+    sigma = np.sqrt(np.sum(list(squares.values()), axis=0))
+    return Uncertainty(sigma, {name: math.sqrt(float(square.mean())) for name, square in squares.items()})
+
+
+def _where_rays_err(gray: Array) -> Array:
+    """Square of the rays' error at each pixel, over its mean: it goes with how much gray levels change around.
+
+    The certificate knows the mean alone. Even fields have nearly no error by rays, edges nearly all.
+    """
+    framed = np.pad(gray, 1, mode="edge")
+    places = [slice(start, start + size) for size in gray.shape for start in range(3)]
+    around = [framed[down, right] for down in places[:3] for right in places[3:]]
+    change = (np.max(around, axis=0) - np.min(around, axis=0)) ** 2
+    mean = float(change.mean())
+    if mean == 0.0:
+        return np.ones_like(gray)
+    shares: Array = _EVEN_SHARE + (1 - _EVEN_SHARE) * change / mean
+    return shares
+
+
+def _area_factor(camera: Camera, change: float) -> float:
+    """By how much a change of the diameter [m] changes the opening's area; what it does to the blur is left out."""
+    opening = camera.aperture
+    key = "exposure_diameter" if opening.is_infinitesimal else "diameter"
+    size = max(getattr(opening, key) + change, opening.inner_diameter)
+    # A diameter of nothing would be taken for the infinitesimal pinhole.
+    return replace(opening, **{key: max(size, math.ulp(1.0))}).area / opening.area
+
+
+def _by_sensor(values: Array, sensor: Sensor, key: str, size: float) -> Array:
+    up, down = (gray_levels(values, replace(sensor, **{key: getattr(sensor, key) + z * size})) for z in (1.0, -1.0))
+    square: Array = ((up - down) / 2) ** 2
+    return square
+
+
+def share_spread(views: Sequence[View]) -> Array:
+    """Root of the sum of squares of the sources' shares in each pixel, by its central ray.
+
+    Parameters
+    ----------
+    views : sequence of View
+        The same camera in the light of each source alone.
+
+    Returns
+    -------
+    ndarray, shape (rows, columns)
+        Between 1/sqrt(sources) and 1; that of the whole image where the central ray sees nothing.
+    """
+    sensor = views[0].camera.sensor
+    v, u = (axis.ravel().astype(np.float64) for axis in np.indices((sensor.rows, sensor.columns)))
+    total, square, sums = np.zeros(len(u)), np.zeros(len(u)), []
+    for view in views:
+        values, _ = trace_rays(view, np.zeros((1, 2)), u, v)
+        total += values
+        square += values**2
+        sums.append(float(values.sum()))
+    whole = math.sqrt(sum(value**2 for value in sums)) / sum(sums) if sum(sums) > 0 else 1.0
+    spread = np.where(total > 0, np.sqrt(square) / np.where(total > 0, total, 1.0), whole)
+    return spread.reshape(sensor.rows, sensor.columns)

@@ -1,0 +1,309 @@
+"""Photon transfer: what the mean and the variance of frames say of gain, noise, saturation and linearity.
+
+::
+
+    sigma_y^2 - sigma_y.dark^2 = K (mu_y - mu_y.dark)      its slope is the gain, whatever the light
+    sigma_d^2 = (sigma_y.dark^2 - 1/12)/K^2                read noise
+    SNR = (mu_y - mu_y.dark)/sigma_y,  SNRmax = sqrt(mu_e.sat)
+
+Source: key emva1288 (release 4.0 linear, chapters 2 to 8). Fits go up to 70 % of
+saturation, which is where the variance is largest; linearity is judged from 5 to
+95 %. Before PRNU a plane and bowl is taken from the light; the standard's filters
+against uneven light are others.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.errors import InputError
+from radwrap.measure.emva.frames import Stack
+
+Array = NDArray[np.float64]
+
+ROUNDING_VARIANCE: Final = 1 / 12  # of whole gray levels
+_FIT_SHARE: Final = 0.7  # of the way from dark to saturation, for gain and responsivity
+_LINEARITY: Final = (0.05, 0.95)  # likewise, for linearity
+_FEWEST: Final = 3  # exposures in a fit
+_LEAST_DARK_VARIANCE: Final = 0.24  # below it rounding hides the noise (the standard's rule) [gray level^2]
+_OUTLIER: Final = 6.0  # robust standard deviations from which on a pixel is called a defect
+_TO_SIGMA: Final = 1.4826  # from the median of absolute deviations of a normal distribution
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One exposure.
+
+    Attributes
+    ----------
+    exposure : float
+        As the table has it.
+    gray, dark_gray : float
+        Mean gray level with light and without.
+    variance, dark_variance : float
+        Temporal variances [gray level^2].
+    """
+
+    exposure: float
+    gray: float
+    dark_gray: float
+    variance: float
+    dark_variance: float
+
+    @property
+    def signal(self) -> float:
+        """Gray levels above dark."""
+        return self.gray - self.dark_gray
+
+    @property
+    def snr(self) -> float:
+        """Signal over its noise."""
+        return self.signal / math.sqrt(self.variance) if self.variance > 0 else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class PhotonTransfer:
+    """A camera's figures; standard errors where they are known, None where the frames cannot tell.
+
+    Attributes
+    ----------
+    steps : tuple of Step
+        Exposures with light, rising.
+    gain, gain_sigma : float
+        K [DN/e].
+    quantum_efficiency : float or None
+        eta, where photons are known.
+    responsivity : float
+        Gray levels for each unit of exposure.
+    read_noise : float
+        sigma_d [e]; an upper limit where `notes` say so.
+    dark_gray : float
+        At the shortest exposure, or at none where dark frames of three exposure times tell.
+    dark_current : float or None
+        [e/s], where dark frames of three exposure times tell.
+    saturation_gray, saturation_electrons : float
+        Where the variance is largest; electrons above dark. Lower limits where saturation is not reached.
+    saturated : bool
+        Whether the frames reach saturation.
+    dsnu : float or None
+        [e], of the pixels that are not called defect.
+    prnu : float or None
+        A share, likewise.
+    dsnu_all_pixels, prnu_all_pixels : float or None
+        The standard's: defect pixels count; None where they hide the others.
+    defects : int
+        Pixels six robust standard deviations or more from the others, in the dark or half-way to saturation.
+    snr_max : float
+    dynamic_range : float
+        mu_p.sat/mu_p.min, of which the quantum efficiency cancels.
+    threshold : float
+        mu_e.min, electrons at which SNR is 1.
+    linearity_error, linearity_error_max : float or None
+        Mean and largest |deviation| from the line of least relative error, as a share.
+    notes : tuple of str
+        What to know before relying on the numbers.
+    """
+
+    steps: tuple[Step, ...]
+    gain: float
+    gain_sigma: float
+    quantum_efficiency: float | None
+    responsivity: float
+    read_noise: float
+    dark_gray: float
+    dark_current: float | None
+    saturation_gray: float
+    saturation_electrons: float
+    saturated: bool
+    dsnu: float | None
+    prnu: float | None
+    dsnu_all_pixels: float | None
+    prnu_all_pixels: float | None
+    defects: int
+    snr_max: float
+    dynamic_range: float
+    threshold: float
+    linearity_error: float | None
+    linearity_error_max: float | None
+    notes: tuple[str, ...]
+
+
+def photon_transfer(kind: str, stacks: Sequence[Stack], photons_of_exposure: float | None = None) -> PhotonTransfer:
+    """Evaluate frames.
+
+    Parameters
+    ----------
+    kind : str
+        "exposure_time", "radiant_exposure" or "photons".
+    stacks : sequence of Stack
+        Of light and dark.
+    photons_of_exposure : float, optional
+        Photons a pixel for each unit of exposure, where known.
+
+    Raises
+    ------
+    InputError
+        If there are too few exposures, none dark, or the signal does not rise with its noise.
+    """
+    dark = sorted((stack for stack in stacks if stack.dark), key=lambda stack: stack.exposure)
+    light = sorted((stack for stack in stacks if not stack.dark), key=lambda stack: stack.exposure)
+    if not dark:
+        raise InputError("no dark frames", remedy="add frames without light: dark = 1, or exposure 0")
+    if len(light) < _FEWEST:
+        raise InputError(f"{len(light)} exposures with light, at least {_FEWEST} are needed")
+    notes: list[str] = []
+    steps = tuple(_step(stack, dark) for stack in light)
+    peak = int(np.argmax([step.variance for step in steps]))
+    saturated = peak < len(steps) - 1 and steps[-1].variance < steps[peak].variance
+    if not saturated:
+        notes.append("saturation is not reached: full well, SNR and dynamic range are lower limits")
+    full = steps[peak]
+    used = [step for step in steps if step.signal <= _FIT_SHARE * full.signal]
+    if len(used) < _FEWEST:
+        raise InputError(
+            f"{len(used)} exposures lie below 70 % of saturation (gray {full.gray:.4g}), at least {_FEWEST} are needed",
+            remedy="add shorter exposures",
+        )
+    signal = np.array([step.signal for step in used])
+    gain, sigma = _slope(signal, np.array([step.variance - step.dark_variance for step in used]))
+    responsivity, _ = _slope(np.array([step.exposure for step in used]), signal)
+    if not (gain > 0 and responsivity > 0):
+        raise InputError("the variance does not rise with the signal", remedy="give raw frames of rising exposure")
+    dark_gray, dark_variance, rate = _dark(dark if kind == "exposure_time" else dark[:1])
+    read_noise = _read_noise(dark_variance, gain, notes)
+    if dark_gray < 3 * math.sqrt(max(dark_variance, ROUNDING_VARIANCE)):
+        notes.append("the dark level lies within three sigma of 0: what is cut there makes the read noise too small")
+    electrons = full.signal / gain
+    threshold = math.sqrt(max(read_noise**2 + ROUNDING_VARIANCE / gain**2, 0.0) + 0.25) + 0.5
+    result = PhotonTransfer(
+        steps=steps,
+        gain=gain,
+        gain_sigma=sigma,
+        quantum_efficiency=None if photons_of_exposure is None else responsivity / gain / photons_of_exposure,
+        responsivity=responsivity,
+        read_noise=read_noise,
+        dark_gray=dark_gray,
+        dark_current=None if rate is None else rate / gain,
+        saturation_gray=full.gray,
+        saturation_electrons=electrons,
+        saturated=saturated,
+        dsnu=None,
+        prnu=None,
+        dsnu_all_pixels=None,
+        prnu_all_pixels=None,
+        defects=0,
+        snr_max=math.sqrt(electrons),
+        dynamic_range=electrons / threshold,
+        threshold=threshold,
+        **_linearity(steps, full, notes),
+        notes=tuple(notes),
+    )
+    half = min(light, key=lambda stack: abs(stack.level - (full.gray + full.dark_gray) / 2))
+    return _with_pattern(result, _nearest(dark, half.exposure), half)
+
+
+def _nearest(dark: Sequence[Stack], exposure: float) -> Stack:
+    return min(dark, key=lambda stack: abs(stack.exposure - exposure))
+
+
+def _step(stack: Stack, dark: Sequence[Stack]) -> Step:
+    beside = _nearest(dark, stack.exposure)
+    return Step(stack.exposure, stack.level, beside.level, stack.temporal_variance, beside.temporal_variance)
+
+
+def _slope(x: Array, y: Array) -> tuple[float, float]:
+    """Slope of the line through the origin, and its standard error from the residuals."""
+    square = float(x @ x)
+    if square == 0:
+        return 0.0, math.inf
+    slope = float(x @ y) / square
+    return slope, math.sqrt(float(np.sum((y - slope * x) ** 2)) / (len(x) - 1) / square)
+
+
+def _dark(dark: Sequence[Stack]) -> tuple[float, float, float | None]:
+    """Gray level and variance without exposure, and gray levels a second; of the shortest one where times are few."""
+    times = np.array([stack.exposure for stack in dark])
+    levels = np.array([stack.level for stack in dark])
+    variances = np.array([stack.temporal_variance for stack in dark])
+    if len(dark) < _FEWEST:
+        return float(levels[0]), float(variances[0]), None
+    rate, level = np.polyfit(times, levels, 1)
+    _, variance = np.polyfit(times, variances, 1)
+    return float(level), float(variance), float(rate)
+
+
+def _read_noise(dark_variance: float, gain: float, notes: list[str]) -> float:
+    if dark_variance < _LEAST_DARK_VARIANCE:
+        notes.append("rounding hides the read noise: it is at most what is told")
+        return math.sqrt(_LEAST_DARK_VARIANCE - ROUNDING_VARIANCE) / gain
+    return math.sqrt(dark_variance - ROUNDING_VARIANCE) / gain
+
+
+def _linearity(steps: Sequence[Step], full: Step, notes: list[str]) -> dict[str, float | None]:
+    """Deviation from the line of least relative error."""
+    low, high = _LINEARITY
+    inside = [step for step in steps if low * full.signal <= step.signal <= high * full.signal]
+    if len(inside) < _FEWEST:
+        notes.append("too few exposures from 5 to 95 % of saturation for a linearity error")
+        return {"linearity_error": None, "linearity_error_max": None}
+    exposure, signal = (np.array([getattr(step, key) for step in inside]) for key in ("exposure", "signal"))
+    design = np.stack([np.ones_like(exposure), exposure], axis=1) / signal[:, np.newaxis]
+    offset, slope = np.linalg.lstsq(design, np.ones_like(signal), rcond=None)[0]
+    deviation = np.abs(signal / (offset + slope * exposure) - 1)
+    return {"linearity_error": float(deviation.mean()), "linearity_error_max": float(deviation.max())}
+
+
+def _with_pattern(result: PhotonTransfer, dark: Stack, half: Stack) -> PhotonTransfer:
+    """With DSNU, PRNU and defects; none where the picture has too few pixels."""
+    if dark.mean.size < 100:
+        return replace(result, notes=(*result.notes, "too few pixels for DSNU and PRNU"))
+    flat = replace(half, mean=_levelled(half.mean))
+    good = ~(_outliers(dark.mean) | _outliers(flat.mean))
+    signal = half.level - dark.level
+    found: list[float | None] = []
+    for used in (good, None):
+        variance, lit = dark.spatial_variance(used), flat.spatial_variance(used)
+        found += [_root(variance, result.gain), _root(lit - variance, signal)]
+    return replace(
+        result,
+        dsnu=found[0],
+        prnu=found[1],
+        dsnu_all_pixels=found[2],
+        prnu_all_pixels=found[3],
+        defects=int((~good).sum()),
+    )
+
+
+def _root(variance: float, unit: float) -> float | None:
+    """Standard deviation in some unit; None where the variance came out below zero."""
+    return math.sqrt(variance) / unit if variance >= 0 else None
+
+
+def _levelled(image: Array) -> Array:
+    """The image without the plane and bowl that fit it best: uneven light is no pattern of the pixels."""
+    rows, columns = (np.linspace(-1, 1, size) if size > 1 else np.zeros(1) for size in image.shape)
+    y, x = np.meshgrid(rows, columns, indexing="ij")
+    terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1).reshape(-1, 6)
+    # Defects must not tilt it: the second fit goes without them.
+    flat = image.ravel()
+    kept = np.ones(flat.size, dtype=bool)
+    for _ in range(2):
+        fit = np.linalg.lstsq(terms[kept], flat[kept], rcond=None)[0]
+        rest = flat - terms @ fit
+        kept = ~_outliers(rest)
+    levelled: Array = (rest + flat.mean()).reshape(image.shape)
+    return levelled
+
+
+def _outliers(values: Array) -> NDArray[np.bool_]:
+    off = np.abs(values - np.median(values))
+    # Whole gray levels of a quiet camera may have a spread of nothing.
+    spread = max(_TO_SIGMA * float(np.median(off)), math.sqrt(ROUNDING_VARIANCE))
+    found: NDArray[np.bool_] = off > _OUTLIER * spread
+    return found

@@ -1,0 +1,170 @@
+"""Calibrations of real cameras: OpenCV's YAML, XML or JSON, and the JSON of ``radwrap calibrate camera``."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from radwrap.errors import InputError
+from radwrap.frames import Rotation, Vector, rotation_about_fixed_axes
+
+if TYPE_CHECKING:
+    import cv2
+
+# Names of camera matrix and coefficients, as OpenCV's samples and others write them.
+_MATRICES: Final = ("camera_matrix", "cameraMatrix", "K")
+_COEFFICIENTS: Final = ("distortion_coefficients", "distCoeffs", "D")
+_KNOWN_MODELS: Final = ("", "plumb_bob", "rational_polynomial", "opencv")
+_MOST_COEFFICIENTS: Final = 8  # of those that OpenCV names in its order, further ones are of thin prisms and tilts
+
+
+@dataclass(frozen=True, slots=True)
+class Intrinsics:
+    """What a calibration says of a camera.
+
+    Attributes
+    ----------
+    focal_lengths : tuple of float
+        Along columns and rows [px].
+    centre : tuple of float
+        Principal point, column and row [px].
+    coefficients : tuple of float
+        OpenCV's k1, k2, p1, p2, k3, k4, k5, k6; empty where kappa1 is given.
+    kappa1 : float or None
+        Tsai's [m^-2].
+    focal_length : float or None
+        [m], where the file tells it.
+    size : tuple of int or None
+        Columns and rows of its pictures.
+    pixel : tuple of float or None
+        Width and height of a pixel with which it was made [m].
+    pose : tuple or None
+        Rotation camera_from_world and the world's origin in the camera frame [m].
+    """
+
+    focal_lengths: tuple[float, float] | None
+    centre: tuple[float, float]
+    coefficients: tuple[float, ...]
+    kappa1: float | None
+    focal_length: float | None
+    sx: float
+    size: tuple[int, int] | None
+    pixel: tuple[float, float] | None
+    pose: tuple[Rotation, Vector] | None
+
+
+def read_intrinsics(path: Path, where: str) -> Intrinsics:
+    """Read a calibration.
+
+    Parameters
+    ----------
+    path : Path
+        A file of at most some MiB.
+    where : str
+        Key, for messages.
+
+    Raises
+    ------
+    InputError
+        If it is none of the known kinds, or holds what no pinhole with distortion can have.
+    """
+    try:
+        text = path.read_bytes().decode("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f'"{path.name}" is no readable text', where=where) from error
+    try:
+        told = json.loads(text)
+    except (ValueError, RecursionError):
+        told = None
+    try:
+        found = _ours(told) if isinstance(told, dict) and "kappa1" in told else _opencv(text)
+    except InputError as error:
+        raise InputError(f'"{path.name}": {error.what}', where=where, remedy=error.remedy) from error
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise InputError(
+            f'"{path.name}" is no whole calibration: {error!r}',
+            where=where,
+            remedy="give OpenCV's YAML or the JSON of `radwrap calibrate camera --json`",
+        ) from error
+    _check(found, path.name, where)
+    return found
+
+
+def _check(found: Intrinsics, name: str, where: str) -> None:
+    numbers = [*found.centre, *found.coefficients, found.kappa1 or 0.0, found.sx, *(found.focal_lengths or ())]
+    sizes = [found.sx, *(found.focal_lengths or ()), *(found.pixel or ())]
+    sizes += [] if found.focal_length is None else [found.focal_length]
+    numbers += sizes if found.pose is None else [*sizes, *found.pose[1], *(x for row in found.pose[0] for x in row)]
+    if not all(map(math.isfinite, numbers)) or min(sizes) <= 0:
+        raise InputError(f'"{name}" holds a number that is not finite, or a size not above zero', where=where)
+
+
+def _ours(told: dict[str, Any]) -> Intrinsics:
+    x, y, z = (math.radians(float(angle)) for angle in told["rotation_deg"])
+    a, b, c = map(float, told["translation"])
+    u, v = map(float, told["centre"])
+    pixel = None
+    if "pixel_width" in told:
+        pixel = float(told["pixel_width"]), float(told["pixel_height"])
+    return Intrinsics(
+        focal_lengths=None,
+        centre=(u, v),
+        coefficients=(),
+        kappa1=float(told["kappa1"]),
+        focal_length=float(told["focal_length"]),
+        sx=float(told["sx"]),
+        size=None,
+        pixel=pixel,
+        pose=(rotation_about_fixed_axes((x, y, z), "xyz"), (a, b, c)),
+    )
+
+
+def _opencv(text: str) -> Intrinsics:
+    import cv2
+
+    kinds = {"<": cv2.FILE_STORAGE_FORMAT_XML, "{": cv2.FILE_STORAGE_FORMAT_JSON}
+    kind = kinds.get(text.lstrip()[:1], cv2.FILE_STORAGE_FORMAT_YAML)
+    try:
+        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY | kind)
+    except (cv2.error, SystemError) as error:
+        raise ValueError("OpenCV cannot read it") from error
+    try:
+        matrix = _numbers(storage, _MATRICES, required=True)
+        bend = _numbers(storage, _COEFFICIENTS, required=False)
+        model = storage.getNode("distortion_model").string()
+        width, height = (storage.getNode(key) for key in ("image_width", "image_height"))
+        size = None if width.isNone() or height.isNone() else (int(width.real()), int(height.real()))
+    finally:
+        storage.release()
+    if model not in _KNOWN_MODELS:
+        raise InputError(f'the distortion model "{model}" is not expressed', remedy="calibrate with OpenCV's k and p")
+    if len(matrix) != 9 or any(matrix[k] for k in (3, 6, 7)) or matrix[8] != 1:
+        raise InputError("its camera matrix is not [fx 0 cx; 0 fy cy; 0 0 1]")
+    if matrix[1]:
+        raise InputError("its camera matrix has a skew, which is not expressed")
+    if any(bend[_MOST_COEFFICIENTS:]):
+        raise InputError("its thin prism or tilt coefficients are not expressed", remedy="calibrate without them")
+    fx, _, cx, _, fy, cy = matrix[:6]
+    return Intrinsics((fx, fy), (cx, cy), tuple(bend[:_MOST_COEFFICIENTS]), None, None, 1.0, size, None, None)
+
+
+def _numbers(storage: cv2.FileStorage, names: tuple[str, ...], *, required: bool) -> list[float]:
+    """Values of the first of some matrices that is there."""
+    import cv2
+
+    for name in names:
+        node = storage.getNode(name)
+        if not node.isNone():
+            values = node.getNode("data") if node.isMap() else node
+            items = [values.at(k) for k in range(values.size())] if values.isSeq() else []
+            if not items or not all(item.isReal() or item.isInt() for item in items):
+                raise InputError(f"its {name} is no matrix of numbers")
+            return [float(np.float64(item.real())) for item in items]
+    if required:
+        raise InputError(f"holds no {' or '.join(names)}", remedy=f"made by OpenCV {cv2.__version__.split('.')[0]}?")
+    return []

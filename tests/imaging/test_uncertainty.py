@@ -1,0 +1,134 @@
+"""Each cause of uncertainty by closed form, what a run writes of it, and how often the intervals hold."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import radwrap
+from radwrap.images import ExposureImage, read_image
+from radwrap.imaging.noise import fixed_pattern, noisy_frame
+from radwrap.imaging.sensor import gray_levels
+from radwrap.imaging.uncertainty import uncertainty
+from radwrap.scene.camera import Camera
+from radwrap.scene.tolerances import Tolerances
+from tests.physics.conftest import Bench
+from tests.physics.test_linear_sensor import MU_P_OF_H, TABLE, scene_with, sensor_of
+
+HALF = 1.959963984540054  # a tolerance in standard deviations
+
+
+def camera_with(**changes: Any) -> Camera:
+    return scene_with({**TABLE, "rows": 20, "columns": 30, **changes}).camera
+
+
+def level(camera: Camera, photons: float) -> ExposureImage:
+    return ExposureImage(np.full((camera.sensor.rows, camera.sensor.columns), photons / MU_P_OF_H))
+
+
+CAUSES = {
+    "source_radiance": (Tolerances(source_radiance=0.05 * HALF), 0.05 * 900),
+    "aperture_diameter": (Tolerances(aperture_diameter=1e-6 * HALF), 2 * 0.01 * 900),  # of 0.1 mm; area goes as d^2
+    "exposure_time": (Tolerances(exposure_time=4e-4 * HALF), 0.02 * 900),  # of 20 ms
+    "sensor_gain": (Tolerances(sensor_gain=0.03 * HALF), 0.03 * 900),
+    "dark_gray": (Tolerances(dark_gray=1.5 * HALF), 1.5),
+    "rays": (Tolerances(), 0.4),
+}
+
+
+@pytest.mark.parametrize("name", CAUSES)
+def test_each_cause_by_closed_form(name: str) -> None:
+    camera = camera_with()
+    tolerances, expected = CAUSES[name]
+    found = uncertainty(level(camera, 6000), camera, tolerances, 0.4)  # 900 gray levels above dark
+    assert found.parts[name] == pytest.approx(expected, rel=1e-9)
+    noise = (0.25 * 8) ** 2 + 1 / 12 + 0.25 * 900
+    rest = 0.0 if name == "rays" else 0.4**2
+    assert found.sigma == pytest.approx(math.sqrt(expected**2 + rest + noise), rel=1e-9)
+
+
+def test_sources_of_their_own_add_as_squares() -> None:
+    camera = camera_with()
+    spread = np.full((20, 30), 1 / math.sqrt(12))  # twelve of equal share
+    found = uncertainty(level(camera, 6000), camera, Tolerances(each_source_radiance=0.1 * HALF), 0.0, spread)
+    assert found.parts["each_source_radiance"] == pytest.approx(0.1 * 900 / math.sqrt(12), rel=1e-9)
+
+
+def test_nothing_is_uncertain_beyond_saturation_but_the_converter() -> None:
+    camera = camera_with()
+    found = uncertainty(level(camera, 1e6), camera, Tolerances(source_radiance=0.1, sensor_gain=0.1), 0.0)
+    assert found.parts["source_radiance"] == found.parts["sensor_gain"] == 0.0
+
+
+def test_intervals_hold_as_often_as_they_say() -> None:
+    """400 cameras within their tolerances, 600 pixels each, at levels from dim to bright; errors of one camera hang
+    together, so that a share over 400 has a standard error of at most 2.3 %: 6 % is 2.6 of them, seed fixed."""
+    camera = camera_with(read_noise="20 e", prnu=0.01, dsnu="10 e")
+    sensor, random = camera.sensor, np.random.default_rng(4)
+    base = np.linspace(500, 12000, 600).reshape(20, 30) / MU_P_OF_H
+    tolerances = Tolerances(source_radiance=0.02, aperture_diameter=1e-6, sensor_gain=0.02, dark_gray=8.0)
+    found = uncertainty(ExposureImage(base), camera, tolerances, 0.0)
+    predicted = gray_levels(base, sensor)
+    held = np.zeros(2)
+    for number in range(400):
+        z = random.standard_normal(4) / HALF
+        factor = (1 + 0.02 * z[0]) * (1 + 0.01 * z[1]) ** 2 * (1 + 0.02 * z[2])
+        specimen = sensor_of(rows=20, columns=30, read_noise="20 e", prnu=0.01, dsnu="10 e", device_seed=number)
+        frame = noisy_frame(ExposureImage(base * factor), specimen, fixed_pattern(specimen), 1, number).values
+        off = np.abs(frame + 8.0 * z[3] - predicted) / found.sigma
+        held += [(off <= 1).mean(), (off <= HALF).mean()]
+    assert held / 400 == pytest.approx([0.6827, 0.95], abs=0.06)
+
+
+def sheet(tolerances: dict[str, Any] | None, sensor: dict[str, Any] | None = None) -> radwrap.Scene:
+    view = Bench.camera(rows=6, columns=8, pitch=(2e-4, 2e-4))
+    if sensor is not None:
+        view = {**view, "sensor": sensor}
+    document: dict[str, Any] = {
+        "camera": view | {"exposure_time": "200 ms"},
+        "sources": [Bench.lamp((x, 0, 0.5), name=name) for name, x in (("left", -0.3), ("right", 0.3))],
+        "materials": {"white": {"type": "lambertian", "reflectance": 0.5}},
+        "targets": [{"type": "sheet", "material": "white", "size": ["1 m", "1 m"]}],
+    }
+    if tolerances is not None:
+        document["tolerances"] = tolerances
+    return radwrap.scene_from_document(document)
+
+
+def test_a_run_writes_it_where_the_scene_states_tolerances(tmp_path: Path) -> None:
+    plain = radwrap.render(sheet(None), tmp_path, method="pinhole")
+    assert "uncertainty" not in plain.manifest and not (tmp_path / "gray_sigma.exr").exists()
+    result = radwrap.render(sheet({"each_source_radiance": 0.1 * HALF}), tmp_path, method="pinhole")
+    sigma = read_image(tmp_path / "gray_sigma.exr")[0]
+    above = result.gray.values
+    # In the middle both lamps light alike, towards a side the nearer one more: between 1/sqrt(2) and 1.
+    share = sigma / (0.1 * above)
+    assert share[3, 4] == pytest.approx(1 / math.sqrt(2), rel=1e-2)
+    assert "gray_sigma.exr" in result.manifest["files"]
+    assert result.manifest["uncertainty"]["parts_rms_gray"].keys() == {"rays", "each_source_radiance"}
+    radwrap.render(sheet(None), tmp_path, method="pinhole")
+    assert not (tmp_path / "gray_sigma.exr").exists()
+
+
+def test_noise_alone_is_enough(tmp_path: Path) -> None:
+    table = TABLE | {"rows": 6, "columns": 8}
+    radwrap.render(sheet(None, table), tmp_path, method="pinhole")
+    assert read_image(tmp_path / "gray_sigma.exr")[0].min() >= math.sqrt((0.25 * 8) ** 2 + 1 / 12) * 0.999
+
+
+BAD: dict[str, tuple[dict[str, Any], str]] = {
+    "percent": ({"source_radiance": "5 %"}, r"tolerances\.source_radiance: must be a number"),
+    "above 1": ({"sensor_gain": 1.5}, r"tolerances\.sensor_gain: must be at most 1"),
+    "no unit": ({"aperture_diameter": 0.001}, r"tolerances\.aperture_diameter: 0.001 has no unit"),
+    "negative": ({"exposure_time": "-1 ms"}, r"tolerances\.exposure_time: must be at least 0"),
+    "unknown": ({"radiance": 0.1}, r"tolerances\.radiance: unknown key"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_tolerances_are_one_clear_error(name: str) -> None:
+    table, message = BAD[name]
+    with pytest.raises(radwrap.InputError, match=message):
+        sheet(table)
