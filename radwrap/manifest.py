@@ -35,9 +35,17 @@ def versions() -> dict[str, str]:
 
 
 def plain(value: Any) -> Any:
-    """Turn frozen dataclasses into what JSON can hold; the type's name goes along."""
+    """Turn frozen dataclasses into what JSON can hold; the type's name goes along.
+
+    Left out are fields that are not compared, and those with the metadata
+    ``only_if_set`` that are None: a new field changes no hash of what has none.
+    """
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        fields = {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value) if f.compare}
+        fields = {
+            f.name: plain(getattr(value, f.name))
+            for f in dataclasses.fields(value)
+            if f.compare and not (f.metadata.get("only_if_set") and getattr(value, f.name) is None)
+        }
         return {"is": type(value).__name__, **fields}
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}

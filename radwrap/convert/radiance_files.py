@@ -94,8 +94,8 @@ def view_text(camera: Camera, unit: float) -> str:
         "-vp": [value / unit for value in camera.pose.position],
         "-vd": camera.pose.z_axis,
         "-vu": up,
-        "-vh": [math.degrees(2 * math.atan(sensor.width / 2 / camera.focal_length))],
-        "-vv": [math.degrees(2 * math.atan(sensor.height / 2 / camera.focal_length))],
+        "-vh": [math.degrees(2 * math.atan(sensor.width / 2 / camera.image_distance))],
+        "-vv": [math.degrees(2 * math.atan(sensor.height / 2 / camera.image_distance))],
         "-vs": [right],
         "-vl": [-down],
     }
@@ -104,7 +104,19 @@ def view_text(camera: Camera, unit: float) -> str:
 
 
 def write_view(scene: Scene, path: Path) -> tuple[Path, ...]:
-    """Write the central view; returns the file."""
+    """Write the central view; returns the file.
+
+    Raises
+    ------
+    InputError
+        If the camera has a lens, which a view file cannot hold.
+    """
+    if scene.camera.lens is not None:
+        raise InputError(
+            "a view file holds no lens",
+            where=f"{scene.origin}: camera.lens",
+            remedy="leave it out for the central view of a pinhole; rpict has -pd for a lens",
+        )
     make_folder(path.parent)
     write_bytes(path, view_text(scene.camera, scales_of(scene).length).encode())
     return (path,)

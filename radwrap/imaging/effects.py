@@ -120,7 +120,7 @@ class Probe:
 
     def through_centre(self) -> NDArray[np.float64]:
         """What rays through the same places on the sensor and the opening's centre see."""
-        return _by_set(trace_rays(self.view, np.zeros((1, 2)), self.u, self.v)[0])
+        return _by_set(trace_rays(self.view, None, self.u, self.v)[0])
 
     def without_cos4(self) -> NDArray[np.float64]:
         """L in place of L cos^4."""

@@ -23,6 +23,7 @@ from radwrap.files import TEMPORARY_SUFFIX, disk_failure, make_folder, sha256_of
 from radwrap.images import ExposureImage, GrayImage, png_bytes, read_image, write_exr, write_png
 from radwrap.imaging.basis import BASIS, FOLDER, shining, write_basis
 from radwrap.imaging.cost import Cost, check_size, estimate, seconds_per_ray
+from radwrap.imaging.diffraction import diffraction, diffraction_warning
 from radwrap.imaging.effects import Effect, bounces
 from radwrap.imaging.exposure import radiant_exposure
 from radwrap.imaging.methods import Made, fixed_method, how, make, viewpoint_plan
@@ -260,7 +261,7 @@ class _Run:
         }
         manifest = {
             **self._description(made),
-            "warnings": [*warnings_of(self.scene), *_warnings_of(left_out)],
+            "warnings": [*warnings_of(self.scene), *_lens_warnings(self.scene), *_warnings_of(left_out)],
             **summary,
             "error": made.error,
             "left_out": {left_out.name: left_out.as_manifest()},
@@ -343,6 +344,10 @@ class _Run:
             "camera": plain(self.scene.camera),
             "scene": self.scene.document,
         }
+
+
+def _lens_warnings(scene: Scene) -> tuple[str, ...]:
+    return tuple(diffraction_warning(diffraction(scene))) if scene.camera.lens else ()
 
 
 def _warnings_of(left_out: Effect) -> tuple[str, ...]:

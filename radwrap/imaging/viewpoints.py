@@ -61,6 +61,7 @@ class ViewpointPlan:
                 "positions": self.viewpoints.positions.tolist(),
                 "weights": self.viewpoints.weights.tolist(),
                 "pixel_plan": self.pixel_plan,
+                **({"lens": camera.lens} if camera.lens else {}),
             }
         )
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from radwrap.errors import InputError
 from radwrap.frames import Pose, aim, default_up, normalised, rotation_about_fixed_axes
 from radwrap.scene import document as tables
-from radwrap.scene.camera import Aperture, Camera, Sensor
+from radwrap.scene.camera import Aperture, Camera, Lens, Sensor
 from radwrap.scene.material_tables import LambertianModel, MaterialModel, SpecularModel
 from radwrap.scene.materials import (
     CoefficientTable,
@@ -152,21 +152,24 @@ def _placed(table: tables.Placed) -> Pose:
 def _camera(table: tables.CameraModel, where: str, assumed: dict[str, str]) -> Camera:
     sensor = table.sensor
     opening = table.aperture
+    if table.lens is not None and table.lens.f_number is not None:
+        assumed.pop("camera.aperture.diameter", None)  # the lens tells it
     if opening.diameter == 0 and opening.exposure_diameter is None:
         assumed["camera.aperture.exposure_diameter"] = "0.1 mm"
     if opening.shape in ("round", "annular"):
         assumed.pop("camera.aperture.rotation", None)  # it changes nothing
     centre = ((sensor.columns - 1) / 2, (sensor.rows - 1) / 2)
+    principal_point = table.principal_point or centre
     if table.principal_point is None:
         assumed["camera.principal_point"] = f"[{centre[0]:g} px, {centre[1]:g} px]"
     return Camera(
         pose=_pose(table, where, "camera", assumed),
         focal_length=table.focal_length,
-        principal_point=table.principal_point or centre,
+        principal_point=principal_point,
         exposure_time=table.exposure_time,
         aperture=Aperture(
             shape=opening.shape,
-            diameter=opening.diameter,
+            diameter=table.opening_diameter,
             inner_diameter=opening.inner_diameter or 0.0,
             rotation=opening.rotation,
             exposure_diameter=opening.exposure_diameter or _DEFAULT_EXPOSURE_DIAMETER,
@@ -184,7 +187,41 @@ def _camera(table: tables.CameraModel, where: str, assumed: dict[str, str]) -> C
             rounding=sensor.rounding,
             channel=sensor.channel,
         ),
+        lens=None if table.lens is None else _lens(table.lens, table, principal_point, f"{where}.lens", assumed),
     )
+
+
+def _lens(
+    table: tables.LensModel,
+    camera: tables.CameraModel,
+    principal_point: tuple[float, float],
+    where: str,
+    assumed: dict[str, str],
+) -> Lens:
+    illumination = table.relative_illumination
+    if illumination is not None:
+        sensor = camera.sensor
+        across, down = (
+            max(centre + 0.5, count - 0.5 - centre) * pitch
+            for centre, count, pitch in zip(
+                principal_point,
+                (sensor.columns, sensor.rows),
+                (sensor.pixel_width, sensor.pixel_height),
+                strict=True,
+            )
+        )
+        corner = math.hypot(across, down)
+        if corner > illumination[-1][0]:
+            raise InputError(
+                f"ends {illumination[-1][0] * 1e3:g} mm from the axis, the sensor at {corner * 1e3:.4g} mm",
+                where=f"{where}.relative_illumination",
+                remedy="add a height as large as that",
+            )
+    elif table.falloff is None:
+        assumed["camera.lens.falloff"] = "cos4"
+    elif table.falloff == "none":
+        illumination = ((0.0, 1.0),)
+    return Lens(table.focus_distance, table.transmission, illumination)
 
 
 def _beam(table: tables.BeamModel, where: str, key: str, assumed: dict[str, str]) -> Beam:

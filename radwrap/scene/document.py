@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from importlib.resources import files
+from itertools import pairwise
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field, model_validator
@@ -22,6 +23,7 @@ from radwrap.scene.border import (
     PixelPosition,
     Point,
     PositiveAngle,
+    PositiveShare,
     RadianceValue,
     RadiantIntensityValue,
     Share,
@@ -82,12 +84,37 @@ class ApertureModel(Model):
     def _consistent(self) -> ApertureModel:
         if (self.shape == "annular") != (self.inner_diameter is not None):
             raise ValueError('inner_diameter goes with shape = "annular", and that needs it')
-        if self.inner_diameter is not None and not self.inner_diameter < self.diameter:
+        told = "diameter" in self.model_fields_set  # else a lens may have it
+        if told and self.inner_diameter is not None and not self.inner_diameter < self.diameter:
             raise ValueError("inner_diameter must be smaller than diameter")
         if self.exposure_diameter is not None and self.diameter != 0:
             raise ValueError('exposure_diameter goes with diameter = "0 mm"')
         if 0 < self.diameter < 1e-9:
             raise ValueError('diameter must be "0 mm" or at least 1 nm')
+        return self
+
+
+class LensModel(Model):
+    """[camera.lens]: a thin lens in the opening's plane."""
+
+    focus_distance: Size
+    f_number: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.1, le=1e6)] | None = None
+    transmission: PositiveShare = 1.0
+    falloff: Literal["cos4", "none"] | None = None
+    relative_illumination: tuple[tuple[SizeOrZero, PositiveShare], ...] | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> LensModel:
+        table = self.relative_illumination
+        if table is None:
+            return self
+        if self.falloff is not None:
+            raise ValueError("relative_illumination takes the place of falloff: give one of them")
+        heights = [height for height, _ in table]
+        if not table or table[0] != (0.0, 1.0):
+            raise ValueError('relative_illumination must begin with ["0 mm", 1.0], the axis')
+        if any(a >= b for a, b in pairwise(heights)):
+            raise ValueError("relative_illumination: heights must increase")
         return self
 
 
@@ -165,11 +192,31 @@ class CameraModel(Aimed):
     exposure_time: Duration
     aperture: ApertureModel = default({})
     sensor: SensorModel
+    lens: LensModel | None = None
 
     @model_validator(mode="after")
     def _one_place(self) -> CameraModel:
         _exactly_one(self, "position", "translation")
         return self
+
+    @model_validator(mode="after")
+    def _one_opening(self) -> CameraModel:
+        told = "diameter" in self.aperture.model_fields_set
+        if self.lens is not None:
+            if not self.lens.focus_distance > self.focal_length:
+                raise ValueError("lens.focus_distance must be larger than focal_length: nothing nearer has an image")
+            if (self.lens.f_number is None) != told:
+                raise ValueError(f"needs {'one' if told else 'either'} of lens.f_number and aperture.diameter")
+        if self.aperture.inner_diameter is not None and not self.aperture.inner_diameter < self.opening_diameter:
+            raise ValueError("aperture.inner_diameter must be smaller than the opening's diameter")
+        return self
+
+    @property
+    def opening_diameter(self) -> float:
+        """Diameter of the opening [m]: the aperture's own, or focal length over f-number."""
+        if self.lens is None or self.lens.f_number is None:
+            return self.aperture.diameter
+        return self.focal_length / self.lens.f_number
 
 
 class BeamModel(Model):

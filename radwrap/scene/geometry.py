@@ -82,14 +82,14 @@ def project(camera: Camera, points: NDArray[np.float64]) -> tuple[NDArray[np.flo
     depth = local[:, 2]
     safe = np.where(depth > 0, depth, 1.0)
     pitch = np.array([camera.sensor.pixel_width, camera.sensor.pixel_height])
-    uv = np.asarray(camera.principal_point) + camera.focal_length * local[:, :2] / safe[:, np.newaxis] / pitch
+    uv = np.asarray(camera.principal_point) + camera.image_distance * local[:, :2] / safe[:, np.newaxis] / pitch
     return uv, depth
 
 
 def directions(camera: Camera, uv: NDArray[np.float64]) -> NDArray[np.float64]:
     """Unit vectors, shape (n, 3), from the pinhole's centre to what is seen at (column, row) uv, shape (n, 2) [px]."""
     pitch = np.array([camera.sensor.pixel_width, camera.sensor.pixel_height])
-    local = np.column_stack([(uv - camera.principal_point) * pitch, np.full(len(uv), camera.focal_length)])
+    local = np.column_stack([(uv - camera.principal_point) * pitch, np.full(len(uv), camera.image_distance)])
     rays = local @ np.asarray(camera.pose.rotation).T
     unit: NDArray[np.float64] = rays / np.linalg.norm(rays, axis=1, keepdims=True)
     return unit
