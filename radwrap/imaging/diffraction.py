@@ -27,11 +27,12 @@ def diffraction(scene: Scene) -> dict[str, Any] | None:
     camera = scene.camera
     if camera.aperture.is_infinitesimal:
         return None
-    radius = _FIRST_ZERO * _ASSUMED_WAVELENGTH * camera.image_distance / camera.aperture.diameter
+    wavelength = scene.spectral.wavelength if scene.spectral else _ASSUMED_WAVELENGTH
+    radius = _FIRST_ZERO * wavelength * camera.image_distance / camera.aperture.diameter
     pixels = [radius / camera.sensor.pixel_width, radius / camera.sensor.pixel_height]
     return {
-        "wavelength": _ASSUMED_WAVELENGTH,
-        "wavelength_assumed": True,
+        "wavelength": wavelength,
+        "wavelength_assumed": scene.spectral is None,
         "airy_radius": radius,
         "airy_radius_px": pixels,
         "matters": max(pixels) > _MATTERS,

@@ -243,7 +243,8 @@ class _Run:
         view = self.traced.view()
         work = Work(view, self.folder, self.programs, progress, self.traced_sha256, self.options.seed)
         try:
-            made = make(self.scene, self.options, work)
+            banding = self.traced.banding
+            made = make(self.scene, banding.left(self.options), work)
             left_out = bounces(self.scene, view, self.options.seed, self.options.tolerance)
             self._remove_old()
             basis = self._write_basis(work, made)
@@ -263,7 +264,8 @@ class _Run:
             **self._description(made),
             "warnings": [*warnings_of(self.scene), *_lens_warnings(self.scene), *_warnings_of(left_out)],
             **summary,
-            "error": made.error,
+            "error": banding.raised(made.error),
+            **banding.as_manifest(),
             "left_out": {left_out.name: left_out.as_manifest()},
             "files": {name: sha256_of(self.out / name) for name in files},
             "timing": timing,
@@ -337,6 +339,7 @@ class _Run:
             "scene_sha256": scene_sha256(self.scene, self.traced.prepared),
             "run_sha256": self.sha256,
             **made.description,
+            **({"tolerance": options.tolerance, "max_error": options.max_error} if "plan" in made.description else {}),
             "seed": options.seed,
             "trust": options.trust,
             "versions": self.versions,
@@ -370,6 +373,7 @@ def scene_sha256(scene: Scene, prepared: PreparedScene) -> str:
             "files": {name: content.hex() for name, content in prepared.scene.files.items()},
             "included": prepared.identity if scene.included else "",
             "text": prepared.scene.text if scene.included else "",
+            **({"spectral": scene.spectral} if scene.spectral else {}),
         }
     )
 

@@ -12,8 +12,12 @@ from radwrap.units import (
     ANGLE,
     COEFFICIENT_OF_RETROREFLECTION,
     LENGTH,
+    LUMINANCE,
+    LUMINOUS_FLUX,
+    LUMINOUS_INTENSITY,
     PIXEL,
     RADIANCE,
+    RADIANT_FLUX,
     RADIANT_INTENSITY,
     TIME,
     Dimension,
@@ -52,6 +56,16 @@ RadianceValue = Annotated[float, Field(ge=0, le=1e30), BeforeValidator(_reader(R
 RadiantIntensityValue = Annotated[
     float, Field(ge=0, le=1e30), BeforeValidator(_reader(RADIANT_INTENSITY)), _schema(RADIANT_INTENSITY)
 ]
+RadiantFluxValue = Annotated[float, Field(ge=0, le=1e30), BeforeValidator(_reader(RADIANT_FLUX)), _schema(RADIANT_FLUX)]
+LuminanceValue = Annotated[float, Field(ge=0, le=1e30), BeforeValidator(_reader(LUMINANCE)), _schema(LUMINANCE)]
+LuminousIntensityValue = Annotated[
+    float, Field(ge=0, le=1e30), BeforeValidator(_reader(LUMINOUS_INTENSITY)), _schema(LUMINOUS_INTENSITY)
+]
+LuminousFluxValue = Annotated[
+    float, Field(ge=0, le=1e30), BeforeValidator(_reader(LUMINOUS_FLUX)), _schema(LUMINOUS_FLUX)
+]
+# From the width of a laser's line to thermal infrared.
+Wavelength = Annotated[float, Field(ge=1e-10, le=1e-4), BeforeValidator(_reader(LENGTH)), _schema(LENGTH)]
 Coefficient = Annotated[
     float,
     Field(gt=0, le=1e9),

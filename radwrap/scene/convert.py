@@ -22,6 +22,7 @@ from radwrap.scene.materials import (
     Specular,
 )
 from radwrap.scene.mesh import mesh_of
+from radwrap.scene.optics_tables import LensModel
 from radwrap.scene.ring_calibration import read_calibration
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import (
@@ -34,6 +35,7 @@ from radwrap.scene.sources import (
     cosine_power_spread,
     gaussian_spread,
 )
+from radwrap.scene.spectral import axial_radiance, with_spectra
 from radwrap.scene.targets import (
     Box,
     Cylinder,
@@ -81,7 +83,7 @@ def scene_from_model(
                 raise InputError(f'the name "{thing.name}" stands there twice', where=f"{origin}: {kind}[{index}].name")
             names.add(thing.name)
     _check_materials(targets, model.materials, origin)
-    return Scene(
+    scene = Scene(
         camera=_camera(model.camera, f"{origin}: camera", assumed),
         sources=sources,
         materials={name: _material(table, f"materials.{name}", assumed) for name, table in model.materials.items()},
@@ -91,6 +93,7 @@ def scene_from_model(
         folder=folder,
         document=document,
     )
+    return with_spectra(scene, model)
 
 
 def _check_materials(targets: tuple[Target, ...], materials: Mapping[str, object], origin: str) -> None:
@@ -192,7 +195,7 @@ def _camera(table: tables.CameraModel, where: str, assumed: dict[str, str]) -> C
 
 
 def _lens(
-    table: tables.LensModel,
+    table: LensModel,
     camera: tables.CameraModel,
     principal_point: tuple[float, float],
     where: str,
@@ -251,12 +254,6 @@ def _check_beam_factors(table: tables.RingModel, beam: Beam, where: str) -> None
             raise InputError("a cone cannot be wider than a half space", where=place, remedy="choose a smaller one")
 
 
-def _radiance(table: tables.Shining, diameter: float) -> float:
-    if table.radiance is not None:
-        return table.radiance
-    return (table.radiant_intensity or 0.0) / (math.pi * diameter**2 / 4)
-
-
 def _calibrated_radiances(table: tables.RingModel, where: str, folder: Path) -> tuple[float, ...]:
     """Radiance of each LED of a ring that was measured [W m^-2 sr^-1]; empty where it was not."""
     if table.calibration is None or table.drive_levels is None:
@@ -297,7 +294,7 @@ def _source(table: tables.SourceModel, where: str, key: str, assumed: dict[str, 
         _check_beam_factors(table, beam, where)
         measured = _calibrated_radiances(table, where, folder)
         # Of a measured ring all dark nothing can be a multiple.
-        radiance = max(measured, default=0.0) or _radiance(table, table.led_diameter)
+        radiance = max(measured, default=0.0) or axial_radiance(table, table.led_diameter, beam, folder, where)
         return Ring(
             name=table.name,
             pose=pose,
@@ -317,14 +314,22 @@ def _source(table: tables.SourceModel, where: str, key: str, assumed: dict[str, 
         pose.position,
         normalised(pose.z_axis),
         table.diameter / 2,
-        _radiance(table, table.diameter),
+        axial_radiance(table, table.diameter, beam, folder, where),
         beam,
     )
     return SingleSource(table.type, emitter)
 
 
 def material_from_table(table: MaterialModel) -> Material:
-    """A material on its own."""
+    """A material on its own.
+
+    Raises
+    ------
+    InputError
+        If it has a spectrum, which alone says nothing.
+    """
+    if table.spectrum is not None:
+        raise InputError("goes with the spectra of a scene's sources", where="spectrum", remedy="leave it out here")
     return _material(table, "materials", {})
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from importlib.resources import files
-from itertools import pairwise
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
@@ -18,13 +17,16 @@ from radwrap.scene.border import (
     Duration,
     Factor,
     Flag,
+    LuminanceValue,
+    LuminousFluxValue,
+    LuminousIntensityValue,
     Model,
     Name,
     PixelPosition,
     Point,
     PositiveAngle,
-    PositiveShare,
     RadianceValue,
+    RadiantFluxValue,
     RadiantIntensityValue,
     Share,
     Size,
@@ -32,10 +34,14 @@ from radwrap.scene.border import (
     default,
 )
 from radwrap.scene.material_tables import MaterialModel
+from radwrap.scene.optics_tables import CurveModel, LensModel, SpectrumModel
 from radwrap.scene.sources import WidthDefinition
 from radwrap.units import parse_gain
 
 RotationOrder = Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
+
+
+PHOTOMETRIC: Final = ("luminance", "luminous_intensity", "luminous_flux")
 
 
 def _exactly_one(model: Model, *keys: str) -> None:
@@ -91,30 +97,6 @@ class ApertureModel(Model):
             raise ValueError('exposure_diameter goes with diameter = "0 mm"')
         if 0 < self.diameter < 1e-9:
             raise ValueError('diameter must be "0 mm" or at least 1 nm')
-        return self
-
-
-class LensModel(Model):
-    """[camera.lens]: a thin lens in the opening's plane."""
-
-    focus_distance: Size
-    f_number: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.1, le=1e6)] | None = None
-    transmission: PositiveShare = 1.0
-    falloff: Literal["cos4", "none"] | None = None
-    relative_illumination: tuple[tuple[SizeOrZero, PositiveShare], ...] | None = None
-
-    @model_validator(mode="after")
-    def _consistent(self) -> LensModel:
-        table = self.relative_illumination
-        if table is None:
-            return self
-        if self.falloff is not None:
-            raise ValueError("relative_illumination takes the place of falloff: give one of them")
-        heights = [height for height, _ in table]
-        if not table or table[0] != (0.0, 1.0):
-            raise ValueError('relative_illumination must begin with ["0 mm", 1.0], the axis')
-        if any(a >= b for a, b in pairwise(heights)):
-            raise ValueError("relative_illumination: heights must increase")
         return self
 
 
@@ -193,6 +175,8 @@ class CameraModel(Aimed):
     aperture: ApertureModel = default({})
     sensor: SensorModel
     lens: LensModel | None = None
+    spectral_response: CurveModel | None = None
+    filter: CurveModel | None = None
 
     @model_validator(mode="after")
     def _one_place(self) -> CameraModel:
@@ -245,11 +229,25 @@ class Shining(Model):
     name: Name
     radiance: RadianceValue | None = None
     radiant_intensity: RadiantIntensityValue | None = None
+    radiant_flux: RadiantFluxValue | None = None
+    luminance: LuminanceValue | None = None
+    luminous_intensity: LuminousIntensityValue | None = None
+    luminous_flux: LuminousFluxValue | None = None
+    spectrum: SpectrumModel | None = None
 
     @model_validator(mode="after")
     def _one_level(self) -> Shining:
-        _exactly_one(self, "radiance", "radiant_intensity")
+        self._check_level()
         return self
+
+    def _check_level(self, *others: str) -> None:
+        """One level; where that is told in lumens or candelas a spectrum says how many watts it is."""
+        rare = [key for key in ("radiant_flux", *PHOTOMETRIC) if getattr(self, key) is not None]
+        _exactly_one(self, "radiance", "radiant_intensity", *rare, *others)
+        if self.spectrum is None:
+            for key in PHOTOMETRIC:
+                if getattr(self, key) is not None:
+                    raise ValueError(f"{key} needs spectrum: only that says how many watts it is")
 
 
 class LedModel(Shining, Aimed):
@@ -308,7 +306,7 @@ class RingModel(Shining, Aimed):
 
     @model_validator(mode="after")
     def _one_level(self) -> RingModel:
-        _exactly_one(self, "radiance", "radiant_intensity", "calibration")
+        self._check_level("calibration")
         if (self.calibration is None) != (self.drive_levels is None):
             raise ValueError("calibration and drive_levels go together")
         if isinstance(self.drive_levels, tuple) and len(self.drive_levels) != self.count:
