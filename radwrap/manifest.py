@@ -39,7 +39,11 @@ def versions() -> dict[str, str]:
 
 
 def plain(value: Any) -> Any:
-    """Turn frozen dataclasses into what JSON can hold; the type's name goes along."""
+    """Turn frozen dataclasses into what JSON can hold; the type's name goes along.
+
+    Left out are fields that are not compared, and those with the metadata
+    ``only_where_used`` that are None: a new field changes no hash of what has none.
+    """
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         fields = {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value) if _is_told(f, value)}
         return {"is": type(value).__name__, **fields}

@@ -60,6 +60,10 @@ RADIANCE: Final = _dimension(
     "radiance", {"W/m^2/sr": 1.0, "mW/m^2/sr": 1e-3, "kW/m^2/sr": 1e3, "W/cm^2/sr": 1e4, "mW/mm^2/sr": 1e3}
 )
 RADIANT_INTENSITY: Final = _dimension("radiant intensity", {"W/sr": 1.0, "mW/sr": 1e-3, "uW/sr": 1e-6})
+RADIANT_FLUX: Final = _dimension("radiant flux", {"W": 1.0, "mW": 1e-3, "uW": 1e-6})
+LUMINANCE: Final = _dimension("luminance", {"cd/m^2": 1.0, "kcd/m^2": 1e3, "cd/cm^2": 1e4})
+LUMINOUS_INTENSITY: Final = _dimension("luminous intensity", {"cd": 1.0, "mcd": 1e-3, "kcd": 1e3})
+LUMINOUS_FLUX: Final = _dimension("luminous flux", {"lm": 1.0, "mlm": 1e-3, "klm": 1e3})
 COEFFICIENT_OF_RETROREFLECTION: Final = _dimension(
     "coefficient of retroreflection", {"cd/lx/m^2": 1.0, "1/sr": 1.0, "mcd/lx/m^2": 1e-3}
 )
@@ -78,6 +82,10 @@ DIMENSIONS: Final = (
     TIME,
     RADIANCE,
     RADIANT_INTENSITY,
+    RADIANT_FLUX,
+    LUMINANCE,
+    LUMINOUS_INTENSITY,
+    LUMINOUS_FLUX,
     COEFFICIENT_OF_RETROREFLECTION,
     PIXEL,
     ELECTRONS,

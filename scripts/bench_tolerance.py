@@ -277,7 +277,7 @@ def profile(overrides: dict[str, object]) -> dict[str, float]:
         passed("survey")
         work = Work(view, Path(place), programs, Progress("", 1, shown=False), "bench", 0)
         # The aim of the planner's first attempt: its share of the tolerance, for the mean of two.
-        plan = plan_kernel(view, middle_of(met_by(found.magnification)), AIM_SHARE * JUDGED * 2**0.5)
+        plan = plan_kernel(view, middle_of(met_by(view, found.magnification)), AIM_SHARE * JUDGED * 2**0.5)
         waited.clear()
         replicates = trace_replicates(work, plan, 2)
         passed("tracer and gathering")

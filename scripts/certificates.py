@@ -134,7 +134,7 @@ def exposed(document: dict[str, Any], gray: float) -> radwrap.Scene | None:
     with traced_scene(scene) as view:
         sensor = scene.camera.sensor
         v, u = np.divmod(np.arange(sensor.pixels, dtype=np.float64), sensor.columns)
-        values, _ = trace_rays(view, np.zeros((1, 2)), u, v)
+        values, _ = trace_rays(view, None, u, v)
         bright = float(np.quantile(values, 0.9)) * view.exposure_of_radiance
     if bright <= 0 or values.std() < 0.1 * values.mean():
         return None

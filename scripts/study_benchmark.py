@@ -68,8 +68,7 @@ def bare_tracers() -> tuple[float, float]:
         sensor = view.camera.sensor
         u, v = random.random((2, RAYS)) * [[sensor.columns], [sensor.rows]] - 0.5
         one, two = (
-            timed(lambda workers=workers: trace_rays(replace(view, workers=workers), np.zeros((1, 2)), u, v))
-            for workers in (1, 2)
+            timed(lambda workers=workers: trace_rays(replace(view, workers=workers), None, u, v)) for workers in (1, 2)
         )
     return one, two
 

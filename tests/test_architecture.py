@@ -29,6 +29,7 @@ DOORS = {
         "scene/document.py",
         "scene/load.py",
         "scene/material_tables.py",
+        "scene/optics_tables.py",
         "scene/sensor_tables.py",
     },
     "pydantic_core": {"scene/load.py"},

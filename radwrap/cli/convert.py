@@ -11,6 +11,7 @@ from radwrap.cli import options as shared
 from radwrap.errors import InputError
 from radwrap.manifest import json_text
 from radwrap.process import Limits
+from radwrap.scene.bands import one_band
 from radwrap.tracers.installation import find_radiance
 from radwrap.tracers.radiance import RadianceOptions
 from radwrap.units import LENGTH, parse_quantity
@@ -62,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
 
         _only_rad(out)
         return _told(write_luminaire(Path(arguments.scene), out, _radiance(arguments)), arguments)
-    scene = shared.load(arguments)
+    scene = one_band(shared.load(arguments), "sources")
     # Each writer has its own libraries.
     match out.suffix:
         case ".rad":

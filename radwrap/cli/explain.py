@@ -57,8 +57,9 @@ def _lines(found: Mapping[str, Any]) -> Iterator[str]:
     width, height = found["field_of_view_deg"]
     opening = "infinitesimal" if found["f_number"] is None else f"{camera['aperture']['diameter'] * 1e3:g} mm"
     number = "" if found["f_number"] is None else f", F number {found['f_number']:.4g}"
+    kind = "pinhole" if found.get("focus") is None else "lens"
     yield (
-        f"camera: f {camera['focal_length'] * 1e3:g} mm, pinhole {opening}{number}, exposure "
+        f"camera: f {camera['focal_length'] * 1e3:g} mm, {kind} {opening}{number}, exposure "
         f"{camera['exposure_time'] * 1e3:g} ms, field of view {width:.2f} x {height:.2f} deg"
     )
     yield (
@@ -66,6 +67,19 @@ def _lines(found: Mapping[str, Any]) -> Iterator[str]:
         f"{sensor['pixel_height'] * 1e6:g} um, G = {sensor['gain']:g} H^{sensor['gamma']:g} + {sensor['dark_gray']:g}, "
         f"saturated at {sensor['saturation_gray']:g}"
     )
+    if focus := found.get("focus"):
+        far = focus["farthest_sharp"]
+        yield (
+            f"lens: focused at {camera['lens']['focus_distance']:.4g} m, image at "
+            f"{focus['image_distance'] * 1e3:.5g} mm; blurred by less than a pixel from "
+            f"{focus['nearest_sharp']:.4g} m to {'infinity' if far is None else f'{far:.4g} m'}"
+        )
+    if airy := found["diffraction"]:
+        u, v = airy["airy_radius_px"]
+        yield (
+            f"diffraction: Airy radius {airy['airy_radius'] * 1e6:.3g} um, {u:.2g} x {v:.2g} px, at "
+            f"{airy['wavelength'] * 1e9:.4g} nm{' (assumed)' if airy['wavelength_assumed'] else ''}; not modelled"
+        )
     for source in found["scene"]["sources"]:
         yield f"source: {_source(source)}"
     for target in found["targets"]:

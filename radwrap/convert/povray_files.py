@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
+from radwrap.errors import InputError
 from radwrap.files import make_folder, write_bytes
 from radwrap.process import Programs
 from radwrap.scene.scene import Scene
@@ -21,8 +22,14 @@ def write_povray(scene: Scene, path: Path, options: RadianceOptions) -> tuple[Pa
     Raises
     ------
     InputError
-        Naming what POV-Ray cannot express.
+        Naming what POV-Ray cannot express, or if the camera has a lens.
     """
+    if scene.camera.lens is not None:
+        raise InputError(
+            "a file of the central view holds no lens",
+            where=f"{scene.origin}: camera.lens",
+            remedy="leave it out; radwrap crosscheck traces a lens by POV-Ray",
+        )
     with Programs() as programs, tempfile.TemporaryDirectory(prefix="radwrap-") as work:
         included = prepare(scene, options, programs, Path(work)).included if scene.included else {}
     camera = povray_camera(scene.camera, (0.0, 0.0), scales_of(scene).length)

@@ -94,8 +94,8 @@ def view_text(camera: Camera, unit: float) -> str:
         "-vp": [value / unit for value in camera.pose.position],
         "-vd": camera.pose.z_axis,
         "-vu": up,
-        "-vh": [math.degrees(2 * math.atan(sensor.width / 2 / camera.focal_length))],
-        "-vv": [math.degrees(2 * math.atan(sensor.height / 2 / camera.focal_length))],
+        "-vh": [math.degrees(2 * math.atan(sensor.width / 2 / camera.image_distance))],
+        "-vv": [math.degrees(2 * math.atan(sensor.height / 2 / camera.image_distance))],
         "-vs": [right],
         "-vl": [-down],
     }
@@ -109,11 +109,16 @@ def write_view(scene: Scene, path: Path) -> tuple[Path, ...]:
     Raises
     ------
     InputError
-        If the lens distorts, which no Radiance view can.
+        If the camera has a lens, or one that distorts, which a view file cannot hold.
     """
-    if scene.camera.distortion is not None:
+    camera, where = scene.camera, f"{scene.origin}: camera"
+    if camera.distortion is not None:
+        raise InputError("Radiance's views have no distortion", where=f"{where}.distortion", remedy="leave it out")
+    if camera.lens is not None:
         raise InputError(
-            "Radiance's views have no distortion", where=f"{scene.origin}: camera.distortion", remedy="leave it out"
+            "a view file holds no lens",
+            where=f"{where}.lens",
+            remedy="leave it out for the central view of a pinhole; rpict has -pd for a lens",
         )
     make_folder(path.parent)
     write_bytes(path, view_text(scene.camera, scales_of(scene).length).encode())

@@ -116,7 +116,7 @@ class CentralImage:
     values : ndarray, shape (rows, columns)
         Mean of L cos^4(theta) over each cell [W m^-2 sr^-1].
     magnification : ndarray, shape (rows, columns), optional
-        m = 1 + f/z of each cell.
+        m of each cell, see `Camera.magnification`.
     rays : int
         How many were traced.
     """
@@ -318,7 +318,7 @@ class _Sampler:
         """L cos^4(theta) and m at places [grid cell]."""
         cell = self._plan.cell
         u, v = (self._first[1] + columns) * cell - 0.5, (self._first[0] + rows) * cell - 0.5
-        answer = trace_rays(self._view, np.zeros((1, 2)), u, v, with_depth=with_depth)
+        answer = trace_rays(self._view, None, u, v, with_depth=with_depth)
         self.rays += len(u)
         self._progress(len(u))
         return answer

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.imaging.bounds import Bounded, stratified_mean
+from radwrap.imaging.falloff import opening_shares
 from radwrap.imaging.kernel import layer_shares
 from radwrap.imaging.rays import rays_over, sampled_radiance
 from radwrap.imaging.sensor import gray_levels
@@ -260,15 +261,16 @@ def _pair_differences(
     u, v = places_of(pixels, view.camera.sensor.columns)
     opening, places_u, places_v = rays_over(view.camera, u, v, pairs, random)
     difference, _ = trace_rays(view, opening, places_u, places_v)
+    shares = opening_shares(view.camera, opening)
     for number, layer in enumerate(layers):
         central, magnification = trace_rays(
             view,
-            np.zeros((1, 2)),
+            None,
             places_u + layer * opening[:, 0] / view.camera.sensor.pixel_width,
             places_v + layer * opening[:, 1] / view.camera.sensor.pixel_height,
             with_depth=len(layers) > 1,
         )
-        difference -= central * layer_shares(layers, magnification)[number]
+        difference -= central * shares * layer_shares(layers, magnification)[number]
     return difference.reshape(len(u), pairs)
 
 

@@ -60,7 +60,7 @@ def seconds_per_ray(view: View) -> float:
     pixels = np.unique(np.linspace(0, sensor.pixels - 1, min(_TIMED_PIXELS, sensor.pixels)).astype(np.intp))
     v, u = np.divmod(pixels.astype(np.float64), sensor.columns)
     start = time.monotonic()
-    trace_rays(replace(view, workers=1), np.zeros((1, 2)), u, v)
+    trace_rays(replace(view, workers=1), None, u, v)
     return (time.monotonic() - start) / len(pixels)
 
 

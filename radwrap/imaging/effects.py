@@ -120,7 +120,7 @@ class Probe:
 
     def through_centre(self) -> NDArray[np.float64]:
         """What rays through the same places on the sensor and the opening's centre see."""
-        return _by_set(trace_rays(self.view, np.zeros((1, 2)), self.u, self.v)[0])
+        return _by_set(trace_rays(self.view, None, self.u, self.v)[0])
 
     def without_cos4(self) -> NDArray[np.float64]:
         """L in place of L cos^4."""
@@ -215,16 +215,7 @@ def _measured(traced: TracedScene, view: View, found: Survey, tolerance: float, 
         tolerance,
     )
     yield bounces(scene, view, seed, tolerance, probe)
-    several = scene.included and scene.camera.sensor.channel != "equal"
-    yield _effect(
-        "bands",
-        "the mean of the three channels",
-        probe.mean_square(np.mean([probe.traced(of_channel(view, one)) for one in _CHANNELS], axis=0))
-        if several
-        else NOTHING,
-        4 * rays if several else 0,
-        tolerance,
-    )
+    yield _bands(traced, probe, tolerance)
     rings = any(isinstance(source, Ring) for source in scene.sources)
     if rings:
         alone = traced.view_lit_by(tuple(map(_one_source, scene.sources)))
@@ -234,6 +225,20 @@ def _measured(traced: TracedScene, view: View, found: Survey, tolerance: float, 
         alike = traced.view_lit_by(tuple(map(_all_alike, scene.sources)))
         square = probe.mean_square(probe.traced(alike))
         yield _effect("led_differences", "each ring with LEDs that are all alike", square, 2 * rays, tolerance)
+
+
+def _bands(traced: TracedScene, probe: Probe, tolerance: float) -> Effect:
+    """What colours are worth: of spectra, one band for all light; of an included file, the mean of its channels."""
+    rays, view = len(probe.u), probe.view
+    left_out = "the mean of the three channels"
+    if traced.banding.bands is not None:
+        several = len(traced.banding.bands.bands) > 1
+        square = probe.mean_square(probe.traced(traced.one_band_view())) if several else NOTHING
+        return _effect("bands", "one band for the light of all sources", square, 2 * rays * several, tolerance)
+    if not (traced.scene.included and traced.scene.camera.sensor.channel != "equal"):
+        return _effect("bands", left_out, NOTHING, 0, tolerance)
+    mean = np.mean([probe.traced(of_channel(view, one)) for one in _CHANNELS], axis=0)
+    return _effect("bands", left_out, probe.mean_square(mean), 4 * rays, tolerance)
 
 
 def _effect(name: str, left_out: str, square: Bounded, rays: int, tolerance: float) -> Effect:

@@ -7,6 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from radwrap.imaging.diffraction import diffraction, diffraction_warning
 from radwrap.imaging.preview import brightest
 from radwrap.imaging.sensor import unclipped_gray
 from radwrap.manifest import SCHEMA_VERSION, finite, plain
@@ -28,6 +29,10 @@ def explain(scene: Scene) -> dict[str, Any]:
     -------
     dict
         ``scene`` in SI; ``f_number`` (null for an infinitesimal pinhole);
+        ``focus`` of a lens: ``image_distance``, and between which depths the
+        circle of confusion is smaller than a pixel, ``nearest_sharp`` and
+        ``farthest_sharp`` (null: infinitely far) [m];
+        ``diffraction``: what the opening's Airy disc is, see `diffraction`;
         ``targets``: for each its depth [m], blur radius [px] and R of Eq. 8
         [m]; ``rings``: observation angle at each target [deg];
         ``expected_peak``: gray, irradiance on the sensor [W m^-2] and radiant
@@ -35,7 +40,7 @@ def explain(scene: Scene) -> dict[str, Any]:
         source that is seen itself) and where; ``advice``; ``warnings``; ``assumed``.
     """
     camera = scene.camera
-    peak = _peak(scene)
+    peak, airy = _peak(scene), diffraction(scene)
     return {
         "schema_version": SCHEMA_VERSION,
         "scene": {
@@ -46,21 +51,39 @@ def explain(scene: Scene) -> dict[str, Any]:
         },
         "f_number": None if camera.aperture.is_infinitesimal else camera.focal_length / camera.aperture.diameter,
         "field_of_view_deg": [
-            math.degrees(2 * math.atan(size / 2 / camera.focal_length))
+            math.degrees(2 * math.atan(size / 2 / camera.image_distance))
             for size in (camera.sensor.width, camera.sensor.height)
         ],
+        **({"focus": _focus(camera)} if camera.lens else {}),
+        "diffraction": airy,
         "targets": [_target(camera, target.name, target.pose.position) for target in scene.targets],
         "rings": [_ring(scene, source) for source in scene.sources if isinstance(source, Ring)],
         "expected_peak": peak,
         "advice": _advice(camera, peak),
-        "warnings": list(warnings_of(scene)),
+        "warnings": [*warnings_of(scene), *diffraction_warning(airy)],
         "assumed": dict(sorted(scene.assumed.items())),
     }
 
 
 def blur_radius(camera: Camera, depth: float) -> float:
-    """Radius of the blur on the sensor [m] of a point at `depth`, (d_p/2)(1 + f/D'); Eq. 8 seen from the sensor."""
-    return camera.aperture.diameter / 2 * (1 + camera.focal_length / depth)
+    """Radius of the blur on the sensor [m] of a point at `depth`, (d_p/2)(1 + f/D'); Eq. 8 seen from the sensor.
+
+    Behind a lens the circle of confusion, (d/2) v |1/D' - 1/s|.
+    """
+    return camera.aperture.diameter / 2 * abs(float(camera.magnification(depth)))
+
+
+def _focus(camera: Camera) -> dict[str, float | None]:
+    """Image distance, and between which depths the circle of confusion is smaller than a pixel [m]."""
+    assert camera.lens is not None  # noqa: S101  (the caller knows)
+    inverse = 1 / camera.lens.focus_distance
+    pitch = min(camera.sensor.pixel_width, camera.sensor.pixel_height)
+    spread = math.inf if camera.aperture.is_infinitesimal else pitch / camera.aperture.diameter / camera.image_distance
+    return {
+        "image_distance": camera.image_distance,
+        "nearest_sharp": 1 / (inverse + spread),
+        "farthest_sharp": 1 / (inverse - spread) if inverse > spread else None,
+    }
 
 
 def _target(camera: Camera, name: str, position: tuple[float, float, float]) -> dict[str, Any]:
@@ -73,7 +96,7 @@ def _target(camera: Camera, name: str, position: tuple[float, float, float]) -> 
         "name": name,
         "depth": depth,
         "blur_radius_px": [blur / camera.sensor.pixel_width, blur / camera.sensor.pixel_height],
-        "pinhole_projection_radius": blur * depth / camera.focal_length,
+        "pinhole_projection_radius": blur * depth / camera.image_distance,
     }
 
 
@@ -95,12 +118,14 @@ def _peak(scene: Scene) -> dict[str, Any] | None:
     found = brightest(scene)
     if found is None:
         return None
-    exposure = found.radiance * camera.exposure_time * camera.aperture.area / camera.focal_length**2
+    irradiance = found.radiance * camera.aperture.area * camera.transmission / camera.image_distance**2
+    through = camera.exposure_time * camera.aperture.area * camera.transmission
+    exposure = found.radiance * through / camera.image_distance**2
     gray = float(unclipped_gray(np.array([exposure]), camera.sensor)[0])
     return {
         "target": found.target,
         "material": found.material,
-        "irradiance": found.radiance * camera.aperture.area / camera.focal_length**2,
+        "irradiance": irradiance,
         "radiant_exposure": exposure,
         "gray": min(gray, camera.sensor.saturation_gray),
         "gray_without_saturation": finite(gray),

@@ -3,7 +3,9 @@
 H(p) = tau / f^2 * integral over the aperture of L cos^4(theta) dA
      = tau A / f^2 * sum_i w_i mean_j(L_ij cos^4(theta_ij)),
 
-with j over the rays of the pixel. cos^4 is each ray's own.
+with j over the rays of the pixel. cos^4 is each ray's own. A lens has its image
+distance v in place of f, its transmission as a factor, and theta is the angle of
+the ray between lens and sensor.
 """
 
 from __future__ import annotations
@@ -45,7 +47,7 @@ def radiant_exposure(
         If it is too large for a float32.
     """
     with np.errstate(over="ignore"):
-        values = mean_radiance * (camera.exposure_time * area / camera.focal_length**2)
+        values = mean_radiance * (camera.exposure_time * area * camera.transmission / camera.image_distance**2)
     if not (values <= _LARGEST_FLOAT32).all():
         raise InputError("the radiant exposure overflows", remedy="lower the radiance or the exposure time")
     return ExposureImage(values, provenance)

@@ -2,7 +2,7 @@
 
 A point at depth z that is seen through the opening's point q appears at
 x' = x_c - m q, with m = 1 + f/z and x_c its place on the central image (that
-of the opening's centre). So a pixel gathers the central image over its own
+of the opening's centre); for a lens see `Camera.magnification`. So a pixel gathers the central image over its own
 box, moved by + m q for all q: a correlation with the magnified opening. To
 convolve instead would turn the opening by half a turn.
 
@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.imaging.aperture import place, turn
+from radwrap.imaging.falloff import opening_shares
 from radwrap.scene.camera import Aperture, Camera
 from radwrap.scene.pixel_window import PixelWindow, Profile
 
@@ -79,7 +80,7 @@ def opening_points(aperture: Aperture, spacing: float) -> tuple[NDArray[np.float
 
 def reach_px(camera: Camera, magnification: float) -> tuple[float, float]:
     """How far, in columns and rows, a pixel's centre gathers light from [px]."""
-    reach = camera.aperture.reach * magnification
+    reach = camera.aperture.reach * abs(magnification)
     return reach / camera.sensor.pixel_width, reach / camera.sensor.pixel_height
 
 
@@ -91,15 +92,18 @@ def footprint(camera: Camera, magnification: float, cell: float, phase: tuple[in
     camera : Camera
         Its opening and pixels.
     magnification : float
-        m = 1 + f/z; 0 where nothing depends on the opening.
+        m; 0 where nothing depends on the opening, below 0 behind the plane of focus.
     cell : float
         Size h of the cells [px]; a power of two.
     phase : tuple of int
         Row and column of the pixel [px]; where cells are smaller than pixels all pixels are alike.
     """
     sensor = camera.sensor
-    spacing = _SPACING * max(cell, 1.0) * min(sensor.pixel_width, sensor.pixel_height) / max(magnification, 1e-9)
+    spacing = _SPACING * max(cell, 1.0) * min(sensor.pixel_width, sensor.pixel_height) / max(abs(magnification), 1e-9)
     points, weights = opening_points(camera.aperture, spacing)
+    if camera.lens is not None:
+        weights = weights * opening_shares(camera, points)
+        weights = weights / weights.sum()
     places = points * magnification / (sensor.pixel_width, sensor.pixel_height)
     return folded(places, weights, cell, phase, sensor.window)
 

@@ -55,7 +55,7 @@ class KernelPlan:
     grid : GridPlan
         The central image.
     layers : tuple of float
-        Magnifications m = 1 + f/z, evenly spaced.
+        Magnifications m, see `Camera.magnification`, evenly spaced.
     tiles : tuple
         First row, last row + 1, first column, last column + 1 of each tile of the sensor [px].
     """
@@ -64,6 +64,11 @@ class KernelPlan:
     grid: GridPlan
     layers: tuple[float, ...]
     tiles: tuple[tuple[int, int, int, int], ...]
+
+    @property
+    def reach_px(self) -> tuple[float, float]:
+        """How far, in columns and rows, a pixel's centre gathers light from at most [px]."""
+        return reach_px(self.camera, max(map(abs, self.layers)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,11 +132,14 @@ def plan_kernel(view: View, magnifications: NDArray[np.float64], aim: float, fin
         If the scene is too deep for as many layers as are allowed.
     """
     camera = view.camera
-    low, high = (float(magnifications.min()), float(magnifications.max())) if magnifications.size else (1.0, 1.0)
+    nothing = camera.shear
+    low, high = (float(magnifications.min()), float(magnifications.max())) if magnifications.size else (nothing,) * 2
     layers = _layers(camera, low, high)
-    blur = min(reach_px(camera, low))
+    # Behind the plane of focus of a lens m is below 0, and in it no opening blurs.
+    least, most = (0.0 if low < 0 < high else min(abs(low), abs(high))), max(abs(low), abs(high))
+    blur = min(reach_px(camera, least))
     sensor = camera.sensor
-    reach = reach_px(camera, high)
+    reach = reach_px(camera, most)
     covered = (sensor.columns + 2 * reach[0]) * (sensor.rows + 2 * reach[1])
     coarsest = min(_BASE_SHARE * blur, math.sqrt(covered / _BASE_CELLS), _COARSEST)
     base = 2 ** math.floor(math.log2(max(1.0, coarsest)))
@@ -139,7 +147,7 @@ def plan_kernel(view: View, magnifications: NDArray[np.float64], aim: float, fin
     grid = GridPlan(
         base=base,
         levels=(_LEVELS if blur >= _SHARP_BLUR else _SHARP_LEVELS) + finer,
-        area=1 + opening * low**2 / (sensor.pixel_width * sensor.pixel_height),
+        area=1 + opening * least**2 / (sensor.pixel_width * sensor.pixel_height),
         aim=aim,
         exposure_of_radiance=view.exposure_of_radiance,
         sensor=sensor,
@@ -187,7 +195,7 @@ def decide_tile(
 ) -> Cells:
     """Find out which cells of the central image a tile needs; parameters as in `gathered_tile`."""
     place, cell = plan.tiles[tile], plan.grid.cell
-    reach = reach_px(plan.camera, plan.layers[-1])
+    reach = plan.reach_px
     # One pair of cells more on each side, for the coarser image.
     spans = [
         (math.floor((begin - far) / cell) - 2, math.ceil((end + far) / cell) + 2)

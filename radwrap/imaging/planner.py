@@ -266,7 +266,7 @@ class _Search:
     def _plan(self, method: ToleranceMethod, aim: float) -> KernelPlan | RaysPlan:
         if method == "rays":
             return plan_rays(self.view, aim, self.fewest)
-        met = met_by(self.found.magnification)
+        met = met_by(self.view, self.found.magnification)
         return plan_kernel(self.view, middle_of(met) if self.one_layer else met, aim, self.finer)
 
     def _attempt(self, method: ToleranceMethod, share: float, why: str) -> Outcome:

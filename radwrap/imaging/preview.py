@@ -161,9 +161,7 @@ def _blurred(scene: Scene, seen: Seen) -> Seen:
     for emitter in scene.emitters:
         away = np.asarray(emitter.position) - camera.pose.position
         depth = float(away @ np.asarray(camera.pose.z_axis))
-        pencil = (
-            0.0 if camera.aperture.is_infinitesimal else camera.aperture.area * (1 + depth / camera.focal_length) ** 2
-        )
+        pencil = 0.0 if camera.aperture.is_infinitesimal else camera.aperture.area * camera.pencil_scale(depth) ** 2
         slant = abs(float(away @ np.asarray(emitter.axis))) / max(float(np.linalg.norm(away)), 1e-300)
         disc = math.pi * emitter.radius**2 * slant
         share[emitter.name] = min(1.0, disc / pencil) if pencil > 0 else 1.0

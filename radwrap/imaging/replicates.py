@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from radwrap.errors import EnvironmentFailure
 from radwrap.imaging.bounds import Bounded, mean_square_of_differences
 from radwrap.imaging.central import Cells
-from radwrap.imaging.footprint import reach_px
 from radwrap.imaging.kernel import KernelPlan, decide_tile, gathered_tile
 from radwrap.imaging.pieces import log_call, read_piece, remove_halves, run_jobs, write_piece
 from radwrap.imaging.rays import RaysPlan, traced_tile
@@ -135,7 +134,7 @@ def _block(plan: Plan) -> tuple[int, int]:
     """
     if isinstance(plan, RaysPlan):
         return (1, 1)
-    reach = reach_px(plan.camera, plan.layers[-1])
+    reach = plan.reach_px
     return (math.ceil(_HANGS_TOGETHER * reach[1]) + 1, math.ceil(_HANGS_TOGETHER * reach[0]) + 1)
 
 

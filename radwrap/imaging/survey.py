@@ -34,7 +34,7 @@ class Survey:
     Attributes
     ----------
     magnification : ndarray, shape (rows, columns)
-        m = 1 + f/z of what a grid of central rays met, 1 where nothing.
+        m of what a grid of central rays met, `Camera.shear` where nothing.
     model : Bounded
         Mean square error of the kernel's model [gray level^2].
     one_layer : Bounded
@@ -79,7 +79,7 @@ def survey(view: View, seed: int) -> Survey:
             rays += errors.rays
             return errors.mean_square(sample, (seed, 9))
 
-        met = met_by(magnification)
+        met = met_by(view, magnification)
         model = one_layer = error_of(plan_kernel(view, middle_of(met), 1.0).layers)
         try:
             layers = plan_kernel(view, met, 1.0).layers
@@ -89,9 +89,9 @@ def survey(view: View, seed: int) -> Survey:
     return Survey(magnification, model, one_layer, deviations, rays)
 
 
-def met_by(magnification: NDArray[np.float64]) -> NDArray[np.float64]:
+def met_by(view: View, magnification: NDArray[np.float64]) -> NDArray[np.float64]:
     """Magnifications of what was met."""
-    return magnification[magnification > 1]
+    return magnification[magnification > view.camera.shear]
 
 
 def middle_of(magnification: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -116,7 +116,7 @@ def steps(view: View, magnification: NDArray[np.float64], gray: NDArray[np.float
     places = [_nearest(size, n) for size, n in zip(gray.shape, magnification.shape, strict=True)]
     seen = gray[np.ix_(*places)]
     # Where a survey's point lies between pixels, a step hides by so much: the reach, and a point more.
-    reach = reach_px(view.camera, float(magnification.max()))[::-1]
+    reach = reach_px(view.camera, float(np.abs(magnification).max()))[::-1]
     far = [
         min(math.ceil(reach[axis] * n / size) + 1, n - 1)
         for axis, (size, n) in enumerate(zip(gray.shape, magnification.shape, strict=True))
@@ -156,9 +156,9 @@ def predicted_rays(view: View, found: Survey, tolerance: float) -> tuple[float, 
     rays = 2 * sensor.pixels * (PILOT + float(numbers.mean()))
     if not math.isfinite(found.model.mean):
         return rays, math.inf
-    plan = plan_kernel(view, met_by(found.magnification), aim)
-    reach = view.camera.aperture.reach * plan.layers[-1]
-    covered = (sensor.columns + 2 * reach / sensor.pixel_width) * (sensor.rows + 2 * reach / sensor.pixel_height)
+    plan = plan_kernel(view, met_by(view, found.magnification), aim)
+    reach = plan.reach_px
+    covered = (sensor.columns + 2 * reach[0]) * (sensor.rows + 2 * reach[1])
     # About as many again where cells are cut.
     kernel = 2 * replicates_needed(plan) * covered / plan.grid.base**2
     return rays, kernel

@@ -24,6 +24,7 @@ from radwrap.files import TEMPORARY_SUFFIX, disk_failure, make_folder, sha256_of
 from radwrap.images import ExposureImage, GrayImage, png_bytes, read_image, write_exr, write_png
 from radwrap.imaging.basis import BASIS, FOLDER, shining, write_basis
 from radwrap.imaging.cost import Cost, check_size, estimate, seconds_per_ray
+from radwrap.imaging.diffraction import diffraction, diffraction_warning
 from radwrap.imaging.effects import Effect, bounces
 from radwrap.imaging.exposure import radiant_exposure
 from radwrap.imaging.methods import Made, fixed_method, how, make, viewpoint_plan
@@ -256,7 +257,8 @@ class _Run:
         view = self.traced.view()
         work = Work(view, self.folder, self.programs, progress, self.traced_sha256, self.options.seed)
         try:
-            made = make(self.scene, self.options, work)
+            banding = self.traced.banding
+            made = make(self.scene, banding.left(self.options), work)
             left_out = bounces(self.scene, view, self.options.seed, self.options.tolerance)
             spread = self._spread()
             self._remove_old()
@@ -277,10 +279,11 @@ class _Run:
         }
         manifest = {
             **self._description(made),
-            "warnings": [*warnings_of(self.scene), *_warnings_of(left_out)],
+            "warnings": [*warnings_of(self.scene), *_lens_warnings(self.scene), *_warnings_of(left_out)],
             **summary,
-            "error": made.error,
+            "error": banding.raised(made.error),
             **told,
+            **banding.as_manifest(),
             "left_out": {left_out.name: left_out.as_manifest()},
             "files": {name: sha256_of(self.out / name) for name in files},
             "timing": timing,
@@ -394,6 +397,7 @@ class _Run:
             "scene_sha256": scene_sha256(self.scene, self.traced.prepared),
             "run_sha256": self.sha256,
             **made.description,
+            **({"tolerance": options.tolerance, "max_error": options.max_error} if "plan" in made.description else {}),
             "seed": options.seed,
             "trust": options.trust,
             "versions": self.versions,
@@ -401,6 +405,10 @@ class _Run:
             "camera": plain(self.scene.camera),
             "scene": self.scene.document,
         }
+
+
+def _lens_warnings(scene: Scene) -> tuple[str, ...]:
+    return tuple(diffraction_warning(diffraction(scene))) if scene.camera.lens else ()
 
 
 def _warnings_of(left_out: Effect) -> tuple[str, ...]:
@@ -423,6 +431,7 @@ def scene_sha256(scene: Scene, prepared: PreparedScene) -> str:
             "files": {name: content.hex() for name, content in prepared.scene.files.items()},
             "included": prepared.identity if scene.included else "",
             "text": prepared.scene.text if scene.included else "",
+            **({"spectral": scene.spectral} if scene.spectral else {}),
         }
     )
 

@@ -9,16 +9,19 @@ from dataclasses import replace
 from pathlib import Path
 
 from radwrap.files import make_folder
+from radwrap.imaging.banding import banding
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.view import View
 from radwrap.manifest import sha256_of_value
 from radwrap.process import Limits, Programs, available_cores
 from radwrap.scene.camera import ColourChannel
 from radwrap.scene.scene import Scene
-from radwrap.scene.sources import Source
+from radwrap.scene.sources import Source, emitters
 from radwrap.tracers.installation import find_radiance, version
-from radwrap.tracers.radiance import NO_LIGHT, RadianceOptions, RadianceTracer, build, prepare
-from radwrap.tracers.radiance_text import RadianceScene
+from radwrap.tracers.radiance import NO_LIGHT, PreparedScene, RadianceOptions, RadianceTracer, build, prepare
+from radwrap.tracers.radiance_text import RadianceScene, scene_text
+from radwrap.tracers.summed import SummedTracer
+from radwrap.tracers.tracer import Tracer
 
 
 class TracedScene:
@@ -41,21 +44,28 @@ class TracedScene:
         self._radiance = RadianceOptions(find_radiance(options.radiance), options.trust, limits)
         self.prepared = prepare(scene, self._radiance, programs, work)
         self.version = version(self._radiance.installation, programs)
+        self.banding = banding(scene, options)
 
     def sha256(self) -> str:
         """Hash of the scene as the tracer gets it, and of the tracer."""
         text = self.prepared.scene
         files = {name: content.hex() for name, content in text.files.items()}
-        return sha256_of_value({"text": text.text, "files": files, "radiance": self.version})
+        told = {"text": text.text, "files": files, "radiance": self.version}
+        return sha256_of_value(told if self.banding.bands is None else {**told, "bands": self.banding.bands})
 
     def view(self) -> View:
         """The camera, with a tracer for the scene."""
-        tracer = self._tracer(self.prepared.scene, self._work / "scene")
+        tracer = self._lit(self.scene, self.prepared, self._work)
+        return View(self.scene.camera, tracer, self._options.workers or available_cores())
+
+    def one_band_view(self) -> View:
+        """The camera, with a tracer for the scene in one band, whatever its spectra need."""
+        tracer = self._tracer(self.prepared.scene, self._work / "one_band")
         return View(self.scene.camera, tracer, self._options.workers or available_cores())
 
     def view_of(self, emitter: str) -> View:
         """The camera, with a tracer for the scene in the light of one emitter; the discs of the others are black."""
-        text = self.prepared.lit_by(self.scene, emitter)
+        text = self.prepared.lit_by(self._in_band_of(emitter), emitter)
         tracer = self._tracer(text, self._work / "sources" / emitter)
         return View(self.scene.camera, tracer, self._options.workers or available_cores())
 
@@ -65,7 +75,31 @@ class TracedScene:
         folder = self._work / "other"
         make_folder(folder)
         prepared = prepare(scene, self._radiance, self._programs, folder)
-        return View(scene.camera, self._tracer(prepared.scene, folder), self._options.workers or available_cores())
+        return View(scene.camera, self._lit(scene, prepared, folder), self._options.workers or available_cores())
+
+    def _lit(self, scene: Scene, prepared: PreparedScene, folder: Path) -> Tracer:
+        """A tracer for a scene, or one for each band of its light: their sum."""
+        if self.banding.bands is None:
+            return self._tracer(prepared.scene, folder / "scene")
+        tracers = []
+        for number, band in enumerate(self.banding.bands.bands):
+            coloured = replace(scene, materials={**scene.materials, **band.materials})
+            lit = {disc.name for source in scene.sources if source.name in band.sources for disc in emitters(source)}
+            text = scene_text(coloured, prepared.included, prepared.scene.files, only=lit)
+            tracers.append(self._tracer(text, folder / f"band{number}"))
+        return tracers[0] if len(tracers) == 1 else SummedTracer(tuple(tracers))
+
+    def _in_band_of(self, emitter: str) -> Scene:
+        """The scene with the materials as they look in the band of an emitter."""
+        for band in self.banding.bands.bands if self.banding.bands else ():
+            if any(
+                emitter == disc.name
+                for source in self.scene.sources
+                if source.name in band.sources
+                for disc in emitters(source)
+            ):
+                return replace(self.scene, materials={**self.scene.materials, **band.materials})
+        return self.scene
 
     def identity_tracer(self) -> RadianceTracer:
         """A tracer for the same geometry, in which each part glows with its number."""
@@ -99,6 +133,9 @@ def traced_scene(scene: Scene, options: RenderOptions | None = None) -> Iterator
 
 def with_bounces(view: View, bounces: int) -> View:
     """The view with surfaces that light each other; one process, so that its random draws come in one order."""
+    if isinstance(view.tracer, SummedTracer):
+        parts = [with_bounces(replace(view, tracer=part), bounces).tracer for part in view.tracer.parts]
+        return replace(view, tracer=SummedTracer(tuple(parts)), workers=1)
     return replace(view, tracer=replace(_radiance(view), bounces=bounces), workers=1)
 
 

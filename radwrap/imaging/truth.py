@@ -35,6 +35,7 @@ def central_maps(camera: Camera, identity: RadianceTracer) -> tuple[NDArray[np.f
     parts : ndarray of uint16, shape (rows, columns)
         Number of the part; 0 where nothing is seen.
     """
+    camera = camera.without_lens  # the same rays, with their own cosines
     parts = np.empty(camera.sensor.pixels, dtype=np.uint16)
     depth = np.empty(camera.sensor.pixels, dtype=np.float32)
     for block, number in traced(identity.trace, ray_blocks(camera, (0.0, 0.0), PixelPlan())):

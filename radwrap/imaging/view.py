@@ -1,9 +1,11 @@
-"""The rays of a view: from a point in the pinhole through every pixel.
+"""The rays of a view: from a point in the pinhole, or lens, through every pixel.
 
 In camera coordinates (x right, y down, z forward) the ray from the opening's
 point q = (u, v) to the pixel whose erect image point is x' = (column - cu)
 pitch has the direction (x' + u, y' + v, f): a shifted viewpoint and a sheared
 window at once. Moving the viewpoint alone would be a lens focused at infinity.
+Behind a lens light has that direction too, with the image's distance in place
+of f; before it, all rays of a pixel meet in the plane of focus.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from radwrap.imaging.falloff import falloff, whole_falloff
 from radwrap.scene.camera import Camera
 from radwrap.tracers.tracer import Tracer
 
@@ -63,7 +66,7 @@ class RayBlock:
     rays : ndarray of float64, shape (n, 6)
         Origin [m] and direction in the world.
     cos4 : ndarray of float64, shape (n,)
-        cos^4 of each ray's angle to the camera's axis.
+        cos^4 of each ray's angle to the camera's axis; of a lens, see `falloff`.
     stretch : ndarray of float64, shape (n,), optional
         Where the lens distorts: the area of the undistorted image that falls on an area of the sensor there, by which
         its light counts too.
@@ -146,7 +149,7 @@ def rays_through(
     rays : ndarray, shape (n, 6)
         Origin [m] and direction in the world.
     cos4 : ndarray, shape (n,)
-        cos^4 of each ray's angle to the camera's axis.
+        cos^4 of each ray's angle to the camera's axis; of a lens, see `falloff`.
     """
     rays, cos4, _ = stretched_rays(camera, opening_point, u, v)
     return rays, cos4
@@ -160,23 +163,32 @@ def stretched_rays(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64] | None]:
     """As `rays_through`, and each ray's `stretch`, see `RayBlock`."""
     rotation = np.asarray(camera.pose.rotation)
-    f = camera.focal_length
     opening = np.atleast_2d(opening_point)
-    local = np.empty((len(u), 3))
-    x = (u - camera.principal_point[0]) * camera.sensor.pixel_width
-    y = (v - camera.principal_point[1]) * camera.sensor.pixel_height
-    stretch = None
-    if camera.distortion is not None:
-        bent_x, bent_y, stretch = camera.distortion.undistorted(x / f, y / f)
-        x, y = bent_x * f, bent_y * f
-    local[:, 0] = x + opening[:, 0]
-    local[:, 1] = y + opening[:, 1]
-    local[:, 2] = f
+    local, stretch = _image_side(camera, opening, u, v)
+    cos4 = falloff(camera, local, opening)
+    if camera.lens is not None:
+        local[:, :2] += (camera.shear - 1) * opening
     rays = np.empty((len(u), 6))
     rays[:, :3] = np.asarray(camera.pose.position) + opening @ rotation[:, :2].T
     np.matmul(local, rotation.T, out=rays[:, 3:])
-    cos4: NDArray[np.float64] = (f**2 / np.einsum("ij,ij->i", local, local)) ** 2
     return rays, cos4, stretch
+
+
+def _image_side(
+    camera: Camera, opening: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    """Directions (x' + q, image distance) between opening and sensor, erect, shape (n, 3) [m], and their stretch."""
+    local = np.empty((len(u), 3))
+    x = (u - camera.principal_point[0]) * camera.sensor.pixel_width
+    y = (v - camera.principal_point[1]) * camera.sensor.pixel_height
+    distance, stretch = camera.image_distance, None
+    if camera.distortion is not None:
+        bent_x, bent_y, stretch = camera.distortion.undistorted(x / distance, y / distance)
+        x, y = bent_x * distance, bent_y * distance
+    local[:, 0] = x + opening[:, 0]
+    local[:, 1] = y + opening[:, 1]
+    local[:, 2] = distance
+    return local, stretch
 
 
 def pixel_means(block: RayBlock, radiance: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -222,31 +234,31 @@ class View:
 
     @property
     def exposure_of_radiance(self) -> float:
-        """Radiant exposure of an even field of radiance 1, but for cos^4: tau A/f^2 [s sr] (Eq. 3)."""
+        """Radiant exposure of an even field of radiance 1, but for cos^4: tau A/f^2 [s sr] (Eq. 3), of a lens T/v^2."""
         camera = self.camera
-        return camera.exposure_time * camera.aperture.area / camera.focal_length**2
+        return camera.exposure_time * camera.aperture.area * camera.transmission / camera.image_distance**2
 
 
 def trace_rays(
     view: View,
-    opening: NDArray[np.float64],
+    opening: NDArray[np.float64] | None,
     u: NDArray[np.float64],
     v: NDArray[np.float64],
     *,
     with_depth: bool = False,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """L cos^4(theta) along any rays, and m = 1 + f/z of what they meet.
+    """L cos^4(theta) along any rays, and m of what they meet, see `Camera.magnification`.
 
     Parameters
     ----------
     view : View
         Whose rays.
-    opening : ndarray, shape (1, 2) or (n, 2)
-        Points of the opening [m].
+    opening : ndarray, shape (1, 2) or (n, 2), optional
+        Points of the opening [m]; default its centre, which stands for all of it: with `whole_falloff`.
     u, v : ndarray, shape (n,)
         Sensor positions [px].
     with_depth : bool
-        Whether m is needed; else it is 1.
+        Whether m is needed, which central rays alone tell; else it is 1.
     """
     parts = min(view.workers, -(-len(u) // RAYS_AT_ONCE))
     if parts <= 1:
@@ -257,7 +269,7 @@ def trace_rays(
             pool.submit(
                 _trace_part,
                 view,
-                opening if len(opening) == 1 else opening[cut],
+                opening if opening is None or len(opening) == 1 else opening[cut],
                 u[cut],
                 v[cut],
                 with_depth=with_depth,
@@ -269,27 +281,47 @@ def trace_rays(
 
 
 def _trace_part(
-    view: View, opening: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.float64], *, with_depth: bool
+    view: View,
+    opening: NDArray[np.float64] | None,
+    u: NDArray[np.float64],
+    v: NDArray[np.float64],
+    *,
+    with_depth: bool,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     values, magnification = np.empty(len(u)), np.ones(len(u))
-    cosines: deque[tuple[NDArray[np.float64], NDArray[np.float64] | None]] = deque()
+    weights: deque[tuple[NDArray[np.float64], NDArray[np.float64]]] = deque()
 
     def blocks() -> Iterator[NDArray[np.float64]]:
         for start in range(0, len(u), RAYS_AT_ONCE):
             part = slice(start, start + RAYS_AT_ONCE)
-            some = opening if len(opening) == 1 else opening[part]
-            rays, cos4, stretch = stretched_rays(view.camera, some, u[part], v[part])
-            cosines.append((cos4, stretch))
+            if opening is None:
+                rays, weight, cos4 = _central(view.camera, u[part], v[part])
+            else:
+                some = opening if len(opening) == 1 else opening[part]
+                rays, cos4, stretch = stretched_rays(view.camera, some, u[part], v[part])
+                weight = cos4 if stretch is None else cos4 * stretch
+            weights.append((weight, cos4))
             yield rays
 
     start = 0
     for radiance, distance in _asked(view.tracer, blocks(), with_depth=with_depth):
-        part, (cos4, stretch) = slice(start, start + len(radiance)), cosines.popleft()
+        part, (weight, cos4) = slice(start, start + len(radiance)), weights.popleft()
         start += len(radiance)
-        values[part] = radiance * cos4 if stretch is None else radiance * cos4 * stretch
+        values[part] = radiance * weight
         if distance is not None:
-            magnification[part] = 1 + view.camera.focal_length / (distance * cos4**0.25)
+            magnification[part] = view.camera.magnification(distance * cos4**0.25)
     return values, magnification
+
+
+def _central(
+    camera: Camera, u: NDArray[np.float64], v: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Rays through the opening's centre, what counts of their radiance for the whole opening, and their own cos^4."""
+    rays, cos4, stretch = stretched_rays(camera.without_lens, (0.0, 0.0), u, v)
+    weight = cos4
+    if camera.lens is not None:
+        weight = whole_falloff(camera, _image_side(camera, np.zeros((1, 2)), u, v)[0])
+    return rays, weight if stretch is None else weight * stretch, cos4
 
 
 def _asked(
@@ -304,9 +336,9 @@ def _asked(
 
 
 def magnifications_at(view: View, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
-    """M = 1 + f/z of what central rays through sensor positions (u, v) [px] meet; 1 where nothing."""
-    rays, cos4 = rays_through(view.camera, (0.0, 0.0), u, v)
+    """M of what central rays through sensor positions (u, v) [px] meet; `Camera.shear` where nothing."""
+    rays, cos4 = rays_through(view.camera.without_lens, (0.0, 0.0), u, v)
     with closing(view.tracer.distances(np.array_split(rays, -(-len(u) // RAYS_AT_ONCE)))) as answers:
         distance = np.concatenate(list(answers))
-    magnification: NDArray[np.float64] = 1 + view.camera.focal_length / (distance * cos4**0.25)
+    magnification: NDArray[np.float64] = view.camera.magnification(distance * cos4**0.25)
     return magnification

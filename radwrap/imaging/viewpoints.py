@@ -63,6 +63,7 @@ class ViewpointPlan:
                 "pixel_plan": self.pixel_plan,
                 **({"window": camera.sensor.window} if camera.sensor.window else {}),
                 **({"distortion": camera.distortion} if camera.distortion else {}),
+                **({"lens": camera.lens} if camera.lens else {}),
             }
         )
 

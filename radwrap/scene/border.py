@@ -15,8 +15,12 @@ from radwrap.units import (
     ELECTRON_RATE,
     ELECTRONS,
     LENGTH,
+    LUMINANCE,
+    LUMINOUS_FLUX,
+    LUMINOUS_INTENSITY,
     PIXEL,
     RADIANCE,
+    RADIANT_FLUX,
     RADIANT_INTENSITY,
     SYSTEM_GAIN,
     TEMPERATURE,
@@ -58,6 +62,16 @@ RadianceValue = Annotated[float, Field(ge=0, le=1e30), BeforeValidator(_reader(R
 RadiantIntensityValue = Annotated[
     float, Field(ge=0, le=1e30), BeforeValidator(_reader(RADIANT_INTENSITY)), _schema(RADIANT_INTENSITY)
 ]
+RadiantFluxValue = Annotated[float, Field(ge=0, le=1e30), BeforeValidator(_reader(RADIANT_FLUX)), _schema(RADIANT_FLUX)]
+LuminanceValue = Annotated[float, Field(ge=0, le=1e30), BeforeValidator(_reader(LUMINANCE)), _schema(LUMINANCE)]
+LuminousIntensityValue = Annotated[
+    float, Field(ge=0, le=1e30), BeforeValidator(_reader(LUMINOUS_INTENSITY)), _schema(LUMINOUS_INTENSITY)
+]
+LuminousFluxValue = Annotated[
+    float, Field(ge=0, le=1e30), BeforeValidator(_reader(LUMINOUS_FLUX)), _schema(LUMINOUS_FLUX)
+]
+# From the width of a laser's line to thermal infrared.
+Wavelength = Annotated[float, Field(ge=1e-10, le=1e-4), BeforeValidator(_reader(LENGTH)), _schema(LENGTH)]
 Coefficient = Annotated[
     float,
     Field(gt=0, le=1e9),
@@ -76,6 +90,7 @@ Curvature = Annotated[float, Field(ge=-1e12, le=1e12), BeforeValidator(_reader(C
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Share = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=1)]
+PositiveShare = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=1)]
 Factor = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=1e6)]
 Count = Annotated[int, Field(strict=True, ge=1, le=1_000_000)]
 Flag = Annotated[bool, Field(strict=True)]

@@ -6,6 +6,7 @@ becomes f/fx, so that both focal lengths in pixels are the file's.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -47,7 +48,7 @@ def with_calibration(document: Mapping[str, Any], origin: str, folder: Path) -> 
             )
     found = read_intrinsics(named_file(folder, camera[KEY], where), where)
     sensor = _with_preset(camera.get("sensor"), f"{origin}: camera.sensor")
-    changes = {**_image(found, sensor, where), **_pose(found, camera)}
+    changes = {**_image(found, sensor, where, _focus(camera)), **_pose(found, camera)}
     return {**document, "camera": {**camera, **changes}}
 
 
@@ -61,7 +62,16 @@ def _with_preset(sensor: Any, where: str) -> dict[str, Any]:
     return {**preset, **sensor}
 
 
-def _image(found: Intrinsics, sensor: dict[str, Any], where: str) -> dict[str, Any]:
+def _focus(camera: Mapping[str, Any]) -> float:
+    """Distance at which the camera's lens is focused [m]; infinite where it has none, or none that can be read."""
+    lens = camera.get("lens")
+    try:
+        return parse_quantity(lens["focus_distance"], LENGTH) if isinstance(lens, Mapping) else math.inf
+    except (InputError, KeyError):
+        return math.inf  # the lens's own check says what is wrong
+
+
+def _image(found: Intrinsics, sensor: dict[str, Any], where: str, focus: float) -> dict[str, Any]:
     """Focal length, principal point, distortion, and the sensor with the pitch that both focal lengths need."""
     width, height = (_pitch(sensor, key, where) for key in ("pixel_width", "pixel_height"))
     if found.size is not None and found.size != (sensor.get("columns"), sensor.get("rows")):
@@ -93,8 +103,9 @@ def _image(found: Intrinsics, sensor: dict[str, Any], where: str) -> dict[str, A
         bend: dict[str, Any] = {"model": "tsai", "kappa1": f"{found.kappa1!r} 1/m^2"}
     else:
         bend = {"model": "opencv", **dict(zip(_OPENCV, found.coefficients, strict=False))}
+    # A calibration sees how far the image lies behind the lens: 1/f = 1/v + 1/s.
     return {
-        "focal_length": f"{f!r} m",
+        "focal_length": f"{f / (1 + f / focus)!r} m",
         "principal_point": [f"{value!r} px" for value in found.centre],
         "distortion": bend,
         "sensor": {**sensor, "pixel_width": f"{across!r} m"},

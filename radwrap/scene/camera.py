@@ -1,10 +1,10 @@
-"""Camera: pose, pinhole, sensor."""
+"""Camera: pose, pinhole or lens, sensor."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import Final, Literal
+from dataclasses import dataclass, field, replace
+from typing import Any, Final, Literal
 
 from radwrap.frames import Pose
 from radwrap.manifest import ONLY_WHERE_USED
@@ -137,15 +137,35 @@ class Sensor:
 
 
 @dataclass(frozen=True, slots=True)
+class Lens:
+    """A thin lens in the plane of the opening, without aberrations.
+
+    Attributes
+    ----------
+    focus_distance : float
+        Distance s from the lens to the plane of sharp focus [m]; larger than the focal length.
+    transmission : float
+        Share of the light that the glass lets through.
+    relative_illumination : tuple of tuple of float, optional
+        (height on the sensor [m], illumination as a share of the axis'), as measured: vignetting and cos^4 together,
+        in place of cos^4; straight between the heights, held beyond them.
+    """
+
+    focus_distance: float
+    transmission: float = 1.0
+    relative_illumination: tuple[tuple[float, float], ...] | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Camera:
-    """A pinhole in front of a sensor.
+    """A pinhole, or a thin lens, in front of a sensor.
 
     Attributes
     ----------
     pose : Pose
         world_from_camera: x right, y down, z forward; origin in the pinhole's centre.
     focal_length : float
-        Distance f from the pinhole to the sensor [m].
+        Focal length of the lens; without one the distance f from the pinhole to the sensor [m].
     principal_point : tuple of float
         Where the axis meets the sensor, (u, v) = (column, row) [px]; the
         centre of the first pixel is (0, 0).
@@ -157,6 +177,8 @@ class Camera:
         The pixels.
     distortion : Distortion, optional
         How a place on the sensor is off the one where the pinhole alone would put it.
+    lens : Lens, optional
+        Without it the opening is a pinhole.
     """
 
     pose: Pose
@@ -166,8 +188,51 @@ class Camera:
     aperture: Aperture
     sensor: Sensor
     distortion: Distortion | None = field(default=None, metadata=ONLY_WHERE_USED)
+    lens: Lens | None = field(default=None, metadata=ONLY_WHERE_USED)
 
     @property
     def pitch(self) -> tuple[float, float]:
-        """Width and height of a pixel [f]."""
-        return self.sensor.pixel_width / self.focal_length, self.sensor.pixel_height / self.focal_length
+        """Width and height of a pixel [image distance]."""
+        return self.sensor.pixel_width / self.image_distance, self.sensor.pixel_height / self.image_distance
+
+    @property
+    def image_distance(self) -> float:
+        """Distance from the opening to the sensor [m]: f of a pinhole, f s/(s - f) of a lens focused at s."""
+        if self.lens is None:
+            return self.focal_length
+        return image_distance(self.focal_length, self.lens.focus_distance)
+
+    @property
+    def shear(self) -> float:
+        """k: the ray through the opening's point q to the erect image point x' has the direction (x' + k q, v).
+
+        1 for a pinhole, whose rays meet in the pixel. Rays of a lens meet in
+        the plane of focus s: k = -v/s.
+        """
+        return 1.0 if self.lens is None else -self.image_distance / self.lens.focus_distance
+
+    @property
+    def transmission(self) -> float:
+        """Share of the light that passes the opening."""
+        return 1.0 if self.lens is None else self.lens.transmission
+
+    def magnification(self, depth: Any) -> Any:
+        """M = k + v/z of what lies at a depth z [m], or depths: a point that is seen through q appears at x' - m q.
+
+        1 + f/z for a pinhole; v (1/z - 1/s) for a lens: 0 in the plane of focus, below 0 behind it.
+        """
+        return self.shear + self.image_distance / depth
+
+    def pencil_scale(self, depth: float) -> float:
+        """Size of a pixel's pencil of rays at a depth [m], in terms of the opening: 1 + z/f, |1 - z/s| for a lens."""
+        return abs(1 + self.shear * depth / self.image_distance)
+
+    @property
+    def without_lens(self) -> Camera:
+        """The pinhole camera whose central rays are the same."""
+        return self if self.lens is None else replace(self, focal_length=self.image_distance, lens=None)
+
+
+def image_distance(focal_length: float, focus_distance: float) -> float:
+    """Distance from a thin lens to its sensor [m]: f s/(s - f)."""
+    return focal_length * focus_distance / (focus_distance - focal_length)

@@ -11,7 +11,7 @@ from pathlib import Path
 from radwrap.errors import InputError
 from radwrap.frames import Pose, aim, default_up, normalised, rotation_about_fixed_axes
 from radwrap.scene import document as tables
-from radwrap.scene.camera import Aperture, Camera
+from radwrap.scene.camera import Aperture, Camera, Lens, image_distance
 from radwrap.scene.distortion import Distortion, bounded, opencv_distortion
 from radwrap.scene.material_tables import LambertianModel, MaterialModel, SpecularModel
 from radwrap.scene.materials import (
@@ -23,6 +23,7 @@ from radwrap.scene.materials import (
     Specular,
 )
 from radwrap.scene.mesh import mesh_of
+from radwrap.scene.optics_tables import LensModel
 from radwrap.scene.ring_calibration import read_calibration
 from radwrap.scene.scene import Scene
 from radwrap.scene.sensor_values import sensor_from_table
@@ -36,6 +37,7 @@ from radwrap.scene.sources import (
     cosine_power_spread,
     gaussian_spread,
 )
+from radwrap.scene.spectral import axial_radiance, with_spectra
 from radwrap.scene.targets import (
     Box,
     Cylinder,
@@ -83,7 +85,7 @@ def scene_from_model(
                 raise InputError(f'the name "{thing.name}" stands there twice', where=f"{origin}: {kind}[{index}].name")
             names.add(thing.name)
     _check_materials(targets, model.materials, origin)
-    return Scene(
+    scene = Scene(
         camera=_camera(model.camera, f"{origin}: camera", assumed),
         sources=sources,
         materials={name: _material(table, f"materials.{name}", assumed) for name, table in model.materials.items()},
@@ -94,6 +96,7 @@ def scene_from_model(
         folder=folder,
         document=document,
     )
+    return with_spectra(scene, model)
 
 
 def _check_materials(targets: tuple[Target, ...], materials: Mapping[str, object], origin: str) -> None:
@@ -155,35 +158,47 @@ def _placed(table: tables.Placed) -> Pose:
 def _camera(table: tables.CameraModel, where: str, assumed: dict[str, str]) -> Camera:
     sensor = table.sensor
     opening = table.aperture
+    if table.lens is not None and table.lens.f_number is not None:
+        assumed.pop("camera.aperture.diameter", None)  # the lens tells it
     if opening.diameter == 0 and opening.exposure_diameter is None:
         assumed["camera.aperture.exposure_diameter"] = "0.1 mm"
     if opening.shape in ("round", "annular"):
         assumed.pop("camera.aperture.rotation", None)  # it changes nothing
     centre = ((sensor.columns - 1) / 2, (sensor.rows - 1) / 2)
+    principal_point = table.principal_point or centre
     if table.principal_point is None:
         assumed["camera.principal_point"] = f"[{centre[0]:g} px, {centre[1]:g} px]"
     return Camera(
         pose=_pose(table, where, "camera", assumed),
         focal_length=table.focal_length,
-        principal_point=table.principal_point or centre,
+        principal_point=principal_point,
         exposure_time=table.exposure_time,
         aperture=Aperture(
             shape=opening.shape,
-            diameter=opening.diameter,
+            diameter=table.opening_diameter,
             inner_diameter=opening.inner_diameter or 0.0,
             rotation=opening.rotation,
             exposure_diameter=opening.exposure_diameter or _DEFAULT_EXPOSURE_DIAMETER,
         ),
         sensor=sensor_from_table(sensor, table.exposure_time, f"{where}.sensor"),
         distortion=_distortion(table, centre, where),
+        lens=None if table.lens is None else _lens(table.lens, table, principal_point, f"{where}.lens", assumed),
     )
 
 
 def _distortion(table: tables.CameraModel, centre: tuple[float, float], where: str) -> Distortion | None:
     """The lens's distortion, where it has any, and how far it holds."""
-    told, f, sensor = table.distortion, table.focal_length, table.sensor
+    told, sensor = table.distortion, table.sensor
     if told is None:
         return None
+    lens = table.lens
+    f = table.focal_length if lens is None else image_distance(table.focal_length, lens.focus_distance)
+    if lens is not None and (lens.relative_illumination is not None or lens.falloff == "none"):
+        raise InputError(
+            "a measured or missing falloff holds what the distortion does to the light too",
+            where=f"{where}.distortion",
+            remedy='leave out one of them, or set falloff = "cos4"',
+        )
     if told.kappa1 is not None:
         found = Distortion("tsai", (told.kappa1 * f**2,))
     else:
@@ -195,6 +210,39 @@ def _distortion(table: tables.CameraModel, centre: tuple[float, float], where: s
     across = max(cu + 0.5, sensor.columns - 0.5 - cu, 0.0) * sensor.pixel_width
     down = max(cv + 0.5, sensor.rows - 0.5 - cv, 0.0) * sensor.pixel_height
     return bounded(found, math.hypot(across, down) / f, f"{where}.distortion")
+
+
+def _lens(
+    table: LensModel,
+    camera: tables.CameraModel,
+    principal_point: tuple[float, float],
+    where: str,
+    assumed: dict[str, str],
+) -> Lens:
+    illumination = table.relative_illumination
+    if illumination is not None:
+        sensor = camera.sensor
+        across, down = (
+            max(centre + 0.5, count - 0.5 - centre) * pitch
+            for centre, count, pitch in zip(
+                principal_point,
+                (sensor.columns, sensor.rows),
+                (sensor.pixel_width, sensor.pixel_height),
+                strict=True,
+            )
+        )
+        corner = math.hypot(across, down)
+        if corner > illumination[-1][0]:
+            raise InputError(
+                f"ends {illumination[-1][0] * 1e3:g} mm from the axis, the sensor at {corner * 1e3:.4g} mm",
+                where=f"{where}.relative_illumination",
+                remedy="add a height as large as that",
+            )
+    elif table.falloff is None:
+        assumed["camera.lens.falloff"] = "cos4"
+    elif table.falloff == "none":
+        illumination = ((0.0, 1.0),)
+    return Lens(table.focus_distance, table.transmission, illumination)
 
 
 def _beam(table: tables.BeamModel, where: str, key: str, assumed: dict[str, str]) -> Beam:
@@ -222,12 +270,6 @@ def _check_beam_factors(table: tables.RingModel, beam: Beam, where: str) -> None
             raise InputError("a lambertian beam has no width", where=place, remedy="leave it out")
         if beam.profile == "cone" and beam.spread * led.beam_width_factor > math.pi / 2:
             raise InputError("a cone cannot be wider than a half space", where=place, remedy="choose a smaller one")
-
-
-def _radiance(table: tables.Shining, diameter: float) -> float:
-    if table.radiance is not None:
-        return table.radiance
-    return (table.radiant_intensity or 0.0) / (math.pi * diameter**2 / 4)
 
 
 def _calibrated_radiances(table: tables.RingModel, where: str, folder: Path) -> tuple[float, ...]:
@@ -270,7 +312,7 @@ def _source(table: tables.SourceModel, where: str, key: str, assumed: dict[str, 
         _check_beam_factors(table, beam, where)
         measured = _calibrated_radiances(table, where, folder)
         # Of a measured ring all dark nothing can be a multiple.
-        radiance = max(measured, default=0.0) or _radiance(table, table.led_diameter)
+        radiance = max(measured, default=0.0) or axial_radiance(table, table.led_diameter, beam, folder, where)
         return Ring(
             name=table.name,
             pose=pose,
@@ -290,14 +332,22 @@ def _source(table: tables.SourceModel, where: str, key: str, assumed: dict[str, 
         pose.position,
         normalised(pose.z_axis),
         table.diameter / 2,
-        _radiance(table, table.diameter),
+        axial_radiance(table, table.diameter, beam, folder, where),
         beam,
     )
     return SingleSource(table.type, emitter)
 
 
 def material_from_table(table: MaterialModel) -> Material:
-    """A material on its own."""
+    """A material on its own.
+
+    Raises
+    ------
+    InputError
+        If it has a spectrum, which alone says nothing.
+    """
+    if table.spectrum is not None:
+        raise InputError("goes with the spectra of a scene's sources", where="spectrum", remedy="leave it out here")
     return _material(table, "materials", {})
 
 

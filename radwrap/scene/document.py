@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
@@ -13,12 +13,16 @@ from radwrap.scene.border import (
     Direction,
     Duration,
     Factor,
+    LuminanceValue,
+    LuminousFluxValue,
+    LuminousIntensityValue,
     Model,
     Name,
     PixelPosition,
     Point,
     PositiveAngle,
     RadianceValue,
+    RadiantFluxValue,
     RadiantIntensityValue,
     Share,
     Size,
@@ -26,11 +30,15 @@ from radwrap.scene.border import (
     default,
 )
 from radwrap.scene.material_tables import MaterialModel
+from radwrap.scene.optics_tables import CurveModel, LensModel, SpectrumModel
 from radwrap.scene.sensor_tables import AnySensorModel, GrayLevel
 from radwrap.scene.sources import WidthDefinition
 
 BendNumber = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-1e6, le=1e6)]
 RotationOrder = Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
+
+
+PHOTOMETRIC: Final = ("luminance", "luminous_intensity", "luminous_flux")
 
 
 def _exactly_one(model: Model, *keys: str) -> None:
@@ -79,7 +87,8 @@ class ApertureModel(Model):
     def _consistent(self) -> ApertureModel:
         if (self.shape == "annular") != (self.inner_diameter is not None):
             raise ValueError('inner_diameter goes with shape = "annular", and that needs it')
-        if self.inner_diameter is not None and not self.inner_diameter < self.diameter:
+        told = "diameter" in self.model_fields_set  # else a lens may have it
+        if told and self.inner_diameter is not None and not self.inner_diameter < self.diameter:
             raise ValueError("inner_diameter must be smaller than diameter")
         if self.exposure_diameter is not None and self.diameter != 0:
             raise ValueError('exposure_diameter goes with diameter = "0 mm"')
@@ -132,11 +141,33 @@ class CameraModel(Aimed):
     exposure_time: Duration
     aperture: ApertureModel = default({})
     sensor: AnySensorModel
+    lens: LensModel | None = None
+    spectral_response: CurveModel | None = None
+    filter: CurveModel | None = None
 
     @model_validator(mode="after")
     def _one_place(self) -> CameraModel:
         _exactly_one(self, "position", "translation")
         return self
+
+    @model_validator(mode="after")
+    def _one_opening(self) -> CameraModel:
+        told = "diameter" in self.aperture.model_fields_set
+        if self.lens is not None:
+            if not self.lens.focus_distance > self.focal_length:
+                raise ValueError("lens.focus_distance must be larger than focal_length: nothing nearer has an image")
+            if (self.lens.f_number is None) != told:
+                raise ValueError(f"needs {'one' if told else 'either'} of lens.f_number and aperture.diameter")
+        if self.aperture.inner_diameter is not None and not self.aperture.inner_diameter < self.opening_diameter:
+            raise ValueError("aperture.inner_diameter must be smaller than the opening's diameter")
+        return self
+
+    @property
+    def opening_diameter(self) -> float:
+        """Diameter of the opening [m]: the aperture's own, or focal length over f-number."""
+        if self.lens is None or self.lens.f_number is None:
+            return self.aperture.diameter
+        return self.focal_length / self.lens.f_number
 
 
 class BeamModel(Model):
@@ -165,11 +196,25 @@ class Shining(Model):
     name: Name
     radiance: RadianceValue | None = None
     radiant_intensity: RadiantIntensityValue | None = None
+    radiant_flux: RadiantFluxValue | None = None
+    luminance: LuminanceValue | None = None
+    luminous_intensity: LuminousIntensityValue | None = None
+    luminous_flux: LuminousFluxValue | None = None
+    spectrum: SpectrumModel | None = None
 
     @model_validator(mode="after")
     def _one_level(self) -> Shining:
-        _exactly_one(self, "radiance", "radiant_intensity")
+        self._check_level()
         return self
+
+    def _check_level(self, *others: str) -> None:
+        """One level; where that is told in lumens or candelas a spectrum says how many watts it is."""
+        rare = [key for key in ("radiant_flux", *PHOTOMETRIC) if getattr(self, key) is not None]
+        _exactly_one(self, "radiance", "radiant_intensity", *rare, *others)
+        if self.spectrum is None:
+            for key in PHOTOMETRIC:
+                if getattr(self, key) is not None:
+                    raise ValueError(f"{key} needs spectrum: only that says how many watts it is")
 
 
 class LedModel(Shining, Aimed):
@@ -228,7 +273,7 @@ class RingModel(Shining, Aimed):
 
     @model_validator(mode="after")
     def _one_level(self) -> RingModel:
-        _exactly_one(self, "radiance", "radiant_intensity", "calibration")
+        self._check_level("calibration")
         if (self.calibration is None) != (self.drive_levels is None):
             raise ValueError("calibration and drive_levels go together")
         if isinstance(self.drive_levels, tuple) and len(self.drive_levels) != self.count:

@@ -86,18 +86,18 @@ def project(camera: Camera, points: NDArray[np.float64]) -> tuple[NDArray[np.flo
         slopes = local[:, :2] / safe[:, np.newaxis]
         bent = np.column_stack(camera.distortion.distorted(slopes[:, 0], slopes[:, 1]))
         return np.asarray(camera.principal_point) + bent / camera.pitch, depth
-    uv = np.asarray(camera.principal_point) + camera.focal_length * local[:, :2] / safe[:, np.newaxis] / pitch
+    uv = np.asarray(camera.principal_point) + camera.image_distance * local[:, :2] / safe[:, np.newaxis] / pitch
     return uv, depth
 
 
 def directions(camera: Camera, uv: NDArray[np.float64]) -> NDArray[np.float64]:
     """Unit vectors, shape (n, 3), from the pinhole's centre to what is seen at (column, row) uv, shape (n, 2) [px]."""
     pitch = np.array([camera.sensor.pixel_width, camera.sensor.pixel_height])
-    local = np.column_stack([(uv - camera.principal_point) * pitch, np.full(len(uv), camera.focal_length)])
+    local = np.column_stack([(uv - camera.principal_point) * pitch, np.full(len(uv), camera.image_distance)])
     if camera.distortion is not None:
         flat = (uv - camera.principal_point) * camera.pitch
         x, y, _ = camera.distortion.undistorted(flat[:, 0], flat[:, 1])
-        local[:, :2] = np.column_stack([x, y]) * camera.focal_length
+        local[:, :2] = np.column_stack([x, y]) * camera.image_distance
     rays = local @ np.asarray(camera.pose.rotation).T
     unit: NDArray[np.float64] = rays / np.linalg.norm(rays, axis=1, keepdims=True)
     return unit

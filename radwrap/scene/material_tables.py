@@ -8,20 +8,27 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from radwrap.scene.border import Angle, Coefficient, Model, Share
+from radwrap.scene.optics_tables import CurveModel
 
 _PERTURBED = ("reflectance", "roughness")
 _TABLE = ("observation_angles", "entrance_angles", "coefficients", "interpolation")
 _FUNCTION = ("function", "anchor")
 
 
-class LambertianModel(Model):
+class Coloured(Model):
+    """What all materials have in common: a factor on their reflectance over wavelength."""
+
+    spectrum: CurveModel | None = None
+
+
+class LambertianModel(Coloured):
     """Diffuse material."""
 
     type: Literal["lambertian"]
     reflectance: Share
 
 
-class SpecularModel(Model):
+class SpecularModel(Coloured):
     """Gaussian lobe over a diffuse part."""
 
     type: Literal["specular"]
@@ -36,7 +43,7 @@ class SpecularModel(Model):
         return self
 
 
-class RetroreflectiveModel(Model):
+class RetroreflectiveModel(Coloured):
     """Retroreflector: the paper's perturbed normal, or measured R_A by function or table."""
 
     type: Literal["retroreflective"]

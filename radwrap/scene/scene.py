@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from radwrap.scene.bands import Spectral
 from radwrap.scene.camera import Camera
 from radwrap.scene.materials import Material
 from radwrap.scene.sources import Emitter, Source, emitters
@@ -37,6 +38,8 @@ class Scene:
         Folder against which file names in the scene are resolved.
     document : str
         The scene file's content as JSON, with overrides, as the user wrote it.
+    spectral : Spectral, optional
+        Where spectra are told: what they come to. Radiances of sources are then what counts of them.
     """
 
     camera: Camera
@@ -48,6 +51,7 @@ class Scene:
     origin: str = field(default="scene", compare=False)
     folder: Path = field(default=Path(), compare=False)
     document: str = field(default="{}", compare=False, repr=False)
+    spectral: Spectral | None = None
 
     @property
     def emitters(self) -> tuple[Emitter, ...]:

@@ -86,7 +86,7 @@ def _in_sight(scene: Scene, emitter: Emitter) -> Array:
     uv, depth = project(camera, points)
     before = depth > _NEAREST
     uv, depth, points = uv[before], depth[before], points[before]
-    blur = camera.aperture.reach * (1 + camera.focal_length / depth)
+    blur = camera.aperture.reach * np.abs(camera.magnification(depth))
     off = np.maximum(-0.5 - uv, uv - [sensor.columns - 0.5, sensor.rows - 0.5])
     beside = np.maximum(off, 0.0) * [sensor.pixel_width, sensor.pixel_height]
     seen: Array = points[np.hypot(*beside.T) <= blur]

@@ -29,7 +29,7 @@ def small_parts(scene: Scene) -> Iterator[str]:
         if width is None or depth <= 0:
             continue
         pitch = max(camera.sensor.pixel_width, camera.sensor.pixel_height)
-        pixels = width * camera.focal_length / depth / pitch
+        pixels = width * camera.image_distance / depth / pitch
         if pixels < _SMALL:
             yield (
                 f'parts of "{target.name}" are {pixels:.2g} pixels wide in the image: rays may miss them, and the '

@@ -140,8 +140,9 @@ def _near_edges(camera: Camera, values: Array, depth: NDArray[np.float32], parts
         before = padded[1 - i : 1 - i + rows, 1 - j : 1 - j + columns]
         after = padded[1 + i : 1 + i + rows, 1 + j : 1 + j + columns]
         edge |= np.abs(before + after - 2 * values) > _EDGE * brightest
-    near = float(depth[depth > 0].min(initial=np.inf))
-    blur = blur_radius(camera, near) / min(camera.sensor.pixel_width, camera.sensor.pixel_height)
+    seen = depth[depth > 0]
+    ends = (float(seen.min(initial=np.inf)), float(seen.max(initial=0.0)) or np.inf)  # behind a lens either may blur
+    blur = max(blur_radius(camera, end) for end in ends) / min(camera.sensor.pixel_width, camera.sensor.pixel_height)
     wide: Mask = ndimage.binary_dilation(edge, np.ones((3, 3), dtype=bool), iterations=1 + math.ceil(blur))
     return wide
 

@@ -187,7 +187,7 @@ class PovrayTracer:
         # Rounded: the same point for every block of a sub-viewpoint.
         opening = (round(float(start[0, 0]), 15), round(float(start[0, 1]), 15))
         local = block[:, 3:] @ rotation
-        on_sensor = local[:, :2] * (camera.focal_length / local[:, 2:]) - opening
+        on_sensor = local[:, :2] * (camera.image_distance / local[:, 2:]) - camera.shear * np.asarray(opening)
         pitch = np.array([camera.sensor.pixel_width, camera.sensor.pixel_height])
         exact = (on_sensor / pitch + camera.principal_point + 0.5) * k - 0.5
         places = np.rint(exact)

@@ -118,12 +118,12 @@ def povray_camera(camera: Camera, opening_point: tuple[float, float], unit: floa
     x, y, z = (np.asarray(axis) for axis in (pose.x_axis, pose.y_axis, pose.z_axis))
     place = np.asarray(pose.position) + u * x + v * y
     # The middle of the sensor, which need not be the principal point.
-    across = ((sensor.columns - 1) / 2 - camera.principal_point[0]) * sensor.pixel_width + u
-    down = ((sensor.rows - 1) / 2 - camera.principal_point[1]) * sensor.pixel_height + v
-    middle = camera.focal_length * z + across * x + down * y
-    # Lengths of the window do not matter; in units of the focal length they are of the order of 1.
+    across = ((sensor.columns - 1) / 2 - camera.principal_point[0]) * sensor.pixel_width + camera.shear * u
+    down = ((sensor.rows - 1) / 2 - camera.principal_point[1]) * sensor.pixel_height + camera.shear * v
+    middle = camera.image_distance * z + across * x + down * y
+    # Lengths of the window do not matter; in units of the image's distance they are of the order of 1.
     window = {"direction": middle, "right": sensor.width * x, "up": -sensor.height * y}
-    words = [f"{key} {_vector(value / camera.focal_length)}" for key, value in window.items()]
+    words = [f"{key} {_vector(value / camera.image_distance)}" for key, value in window.items()]
     return f"camera {{ perspective location {_vector(place / unit)} {' '.join(words)} }}\n"
 
 

@@ -93,7 +93,7 @@ class PreparedScene:
 
     def lit_by(self, scene: Scene, emitter: str) -> RadianceScene:
         """The same text and files with one emitter alone; the discs of the others are black."""
-        return scene_text(scene, self.included, self.scene.files, only=emitter)
+        return scene_text(scene, self.included, self.scene.files, only={emitter})
 
 
 def prepare(

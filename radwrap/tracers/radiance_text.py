@@ -10,7 +10,7 @@ It also loses radii below 1e-6 units, and light below 1e-6.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import Final
@@ -137,7 +137,7 @@ def scene_text(
     files_beside: Mapping[str, bytes],
     stem: str = "scene",
     *,
-    only: str | None = None,
+    only: Collection[str] | None = None,
 ) -> RadianceScene:
     """Write a scene for Radiance.
 
@@ -153,8 +153,8 @@ def scene_text(
     stem : str
         What the names of function and data files begin with, so that texts of
         different stems can lie in one folder.
-    only : str, optional
-        Name of the one emitter that shines; the discs of the others are black then. Default all.
+    only : collection of str, optional
+        Names of the emitters that shine; the discs of the others are black then. Default all.
 
     Returns
     -------
@@ -168,7 +168,7 @@ def scene_text(
     for file in scene.included:
         parts.append(f"# {file.name}: included {file.file}\n\n{included[file.name]}")
     for emitter in scene.emitters:
-        parts.append(_emitter(emitter, functions, scales, shines=only in {None, emitter.name}))
+        parts.append(_emitter(emitter, functions, scales, shines=only is None or emitter.name in only))
     for name, material in scene.materials.items():
         beside.update(_data_files(f"{stem}.{name}", material))
     for target in scene.targets:

@@ -1,0 +1,65 @@
+"""Bands of a scene's light: how many a tolerance needs, and what they add to an image's error."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+from radwrap.imaging.render_options import RenderOptions
+from radwrap.scene.bands import Bands, allowed_error, bands_of, gray_error
+from radwrap.scene.scene import Scene
+
+# Share of the tolerance that bands may take, at every pixel alike.
+_SHARE: Final = 0.1
+# Where sources are to be relit one by one bands must be exact: rounding apart.
+_EXACT: Final = 1e-9
+_BOUNDS: Final = ("rms_gray_upper95", "p99_gray_upper95")
+
+
+@dataclass(frozen=True, slots=True)
+class Banding:
+    """The bands of a run.
+
+    Attributes
+    ----------
+    bands : Bands or None
+        None where the scene tells no spectra.
+    gray : float
+        What bands change of any pixel at most [gray level].
+    """
+
+    bands: Bands | None
+    gray: float = 0.0
+
+    def left(self, options: RenderOptions) -> RenderOptions:
+        """The options with what bands leave of the tolerance."""
+        if self.gray == 0.0:
+            return options
+        largest = None if options.max_error is None else options.max_error - self.gray
+        return replace(options, tolerance=options.tolerance - self.gray, max_error=largest)
+
+    def raised(self, error: Mapping[str, Any]) -> dict[str, Any]:
+        """A certificate that holds with the error of bands."""
+        if self.bands is None:
+            return dict(error)
+        bounds = {key: error[key] + self.gray for key in _BOUNDS if error.get(key) is not None}
+        return {**error, **bounds, "bands_gray": self.gray}
+
+    def as_manifest(self) -> dict[str, Any]:
+        """The manifest's ``bands``; nothing where the scene tells no spectra."""
+        if self.bands is None:
+            return {}
+        groups = [list(band.sources) for band in self.bands.bands]
+        return {"bands": {"sources": groups, "relative_error": self.bands.error, "gray": self.gray}}
+
+
+def banding(scene: Scene, options: RenderOptions) -> Banding:
+    """The fewest bands that a run's tolerance allows."""
+    if scene.spectral is None:
+        return Banding(None)
+    sensor = scene.camera.sensor
+    asked = options.tolerance if options.max_error is None else min(options.tolerance, options.max_error)
+    allowed = _EXACT if options.basis else allowed_error(sensor, _SHARE * asked)
+    found = bands_of(scene.spectral, allowed)
+    return Banding(found, gray_error(sensor, found.error))
