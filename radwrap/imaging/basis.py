@@ -118,7 +118,7 @@ def _chosen(plan: Plan, tile: int, size: int) -> NDArray[np.intp]:
 
 
 def shining(scene: Scene, prepared: PreparedScene) -> tuple[str, ...]:
-    """Names of the sources of a basis: the emitters that are not dark.
+    """Names of the sources of a basis: LEDs and wide sources that are not dark.
 
     Raises
     ------
@@ -131,7 +131,7 @@ def shining(scene: Scene, prepared: PreparedScene) -> tuple[str, ...]:
             where="--basis",
             remedy="describe it in [[sources]], or render without --basis",
         )
-    return tuple(emitter.name for emitter in scene.emitters if emitter.radiance > 0)
+    return tuple(dict.fromkeys(emitter.source for emitter in scene.emitters if emitter.radiance > 0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

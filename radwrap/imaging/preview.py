@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from radwrap.imaging.closed_form import radiance
 from radwrap.scene.geometry import SurfacePoints, directions, in_view, project
-from radwrap.scene.intersections import first_hit
+from radwrap.scene.intersections import first_hit, in_polygon
 from radwrap.scene.materials import Specular
 from radwrap.scene.probes import lit_points, material_number, materials_of, surface_points
 from radwrap.scene.scene import Scene
-from radwrap.scene.sources import Emitter
+from radwrap.scene.sources import Emitter, Patch
 from radwrap.scene.targets import Target
 
 Array = NDArray[np.float64]
@@ -124,11 +124,22 @@ def _disc(emitter: Emitter, eye: Array, rays: Array) -> tuple[Array, Array]:
     axis, centre = np.asarray(emitter.axis), np.asarray(emitter.position)
     with np.errstate(divide="ignore", invalid="ignore"):
         distance = ((centre - eye) @ axis) / (rays @ axis)
-        off = np.linalg.norm(eye + distance[:, np.newaxis] * rays - centre, axis=1)
-    distance = np.where((distance > 0) & (off <= emitter.radius), distance, math.inf)
+        points = eye + distance[:, np.newaxis] * rays
+        off = np.linalg.norm(points - centre, axis=1)
+        inside = _in_patch(emitter, points) if isinstance(emitter, Patch) else off <= emitter.radius
+    distance = np.where((distance > 0) & inside, distance, math.inf)
     cosine = -rays @ axis
     towards = emitter.beam.relative_intensity(np.arccos(np.clip(cosine, -1.0, 1.0)))
     return distance, emitter.radiance * towards / np.maximum(cosine, 1e-12)
+
+
+def _in_patch(patch: Patch, points: Array) -> NDArray[np.bool_]:
+    """Which points of a patch's plane lie in it."""
+    corners = np.asarray(patch.corners) - patch.position
+    first = corners[0] / np.linalg.norm(corners[0])
+    across = np.stack([first, np.cross(patch.axis, first)], axis=1)
+    away = np.where(np.isfinite(points), points - np.asarray(patch.position), math.inf)
+    return in_polygon(corners @ across, away @ across)
 
 
 def brightest(scene: Scene) -> Brightest | None:

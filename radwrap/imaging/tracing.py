@@ -53,10 +53,10 @@ class TracedScene:
         tracer = self._tracer(self.prepared.scene, self._work / "scene")
         return View(self.scene.camera, tracer, self._options.workers or available_cores())
 
-    def view_of(self, emitter: str) -> View:
-        """The camera, with a tracer for the scene in the light of one emitter; the discs of the others are black."""
-        text = self.prepared.lit_by(self.scene, emitter)
-        tracer = self._tracer(text, self._work / "sources" / emitter)
+    def view_of(self, source: str) -> View:
+        """The camera, with a tracer for the scene in the light of one source or LED; the others are black."""
+        text = self.prepared.lit_by(self.scene, source)
+        tracer = self._tracer(text, self._work / "sources" / source)
         return View(self.scene.camera, tracer, self._options.workers or available_cores())
 
     def view_lit_by(self, sources: tuple[Source, ...]) -> View:

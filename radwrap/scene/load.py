@@ -17,12 +17,13 @@ from pydantic_core import ErrorDetails, PydanticUndefined
 
 from radwrap.errors import InputError
 from radwrap.scene.border import Model
-from radwrap.scene.checks import check_scene
+from radwrap.scene.checks import check_scene, check_shapes
 from radwrap.scene.convert import material_from_table, scene_from_model
 from radwrap.scene.document import SceneModel
 from radwrap.scene.material_tables import MaterialModel
 from radwrap.scene.materials import Material
 from radwrap.scene.scene import Scene
+from radwrap.scene.wide_sources import divided
 
 _LARGEST_FILE: Final = 16 << 20  # byte; a scene file is written by hand
 # What pydantic calls a wrong kind of value, and what the file must hold there instead.
@@ -101,6 +102,8 @@ def scene_from_document(
     except ValidationError as error:
         raise _translated(error, origin, document) from error
     scene = scene_from_model(model, assumed=dict(_assumed(model)), origin=origin, folder=folder, document=text)
+    check_shapes(scene)
+    scene = divided(scene)
     check_scene(scene)
     return scene
 

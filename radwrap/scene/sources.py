@@ -8,7 +8,7 @@ sheets give it. "gaussian", "cosine_power" and "cone" describe g itself;
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -23,6 +23,7 @@ from radwrap.frames import (
     rotation_about,
     to_world,
 )
+from radwrap.scene.wide_shapes import WideShape
 
 Profile = Literal["gaussian", "cosine_power", "cone", "lambertian"]
 WidthDefinition = Literal["fwhm", "half_angle", "1/e^2_full", "sigma"]
@@ -120,6 +121,11 @@ class Emitter:
     beam: Beam
 
     @property
+    def source(self) -> str:
+        """Name of the light that is switched and dimmed as one."""
+        return self.name
+
+    @property
     def radiant_intensity(self) -> float:
         """Radiant intensity along the axis, I(0) = radiance x area [W sr^-1]."""
         return self.radiance * math.pi * self.radius**2
@@ -129,6 +135,29 @@ class Emitter:
         away = points - np.asarray(self.position)
         distance = np.maximum(np.linalg.norm(away, axis=1), 1e-300)
         return self.beam.relative_intensity(np.arccos(np.clip(away @ np.asarray(self.axis) / distance, -1.0, 1.0)))
+
+
+@dataclass(frozen=True, slots=True)
+class Patch(Emitter):
+    """A flat piece of a wide source, which shines from the mean of its corners.
+
+    Its `radius` is that of a disc of the same area.
+
+    Attributes
+    ----------
+    corners : tuple of tuple of float
+        In the world [m], counter-clockwise seen from where it shines to.
+    whole : str
+        Name of the wide source.
+    """
+
+    corners: tuple[Vector, ...]
+    whole: str
+
+    @property
+    def source(self) -> str:
+        """Name of the wide source."""
+        return self.whole
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,11 +254,56 @@ class Ring:
         return replace(self.pose, rotation=multiply(misalignment, self.pose.rotation))
 
 
-Source = SingleSource | Ring
+@dataclass(frozen=True, slots=True)
+class WideSource:
+    """A source too wide to shine from one point: a surface of even radiance, cut into patches.
+
+    Attributes
+    ----------
+    name : str
+        Unique in the scene.
+    kind : str
+        "rectangle", "disc", "area_ring", "dome" or "surround".
+    pose : Pose
+        world_from_source; see `wide_shapes` for how it lies and shines.
+    shape : WideShape
+        The surface.
+    radiance : float
+        Along the surface's normal [W m^-2 sr^-1].
+    beam : Beam
+        Angular distribution of each piece of it.
+    irradiance_error : float
+        Largest relative error of what a visible point gets of it, as asked for.
+    least_patches : int
+        So many patches at least, for finer half shadows.
+    patches : tuple of Patch
+        What stands for it; made for the scene by `wide_sources.divided`.
+    reached : float
+        Largest error that was found.
+    step : float
+        Largest share that one patch has of what a point gets.
+    """
+
+    name: str
+    kind: Literal["rectangle", "disc", "area_ring", "dome", "surround"]
+    pose: Pose
+    shape: WideShape
+    radiance: float
+    beam: Beam
+    irradiance_error: float
+    least_patches: int
+    patches: tuple[Patch, ...] = field(default=(), compare=False, repr=False)
+    reached: float = field(default=0.0, compare=False)
+    step: float = field(default=0.0, compare=False)
+
+
+Source = SingleSource | Ring | WideSource
 
 
 def emitters(source: Source) -> tuple[Emitter, ...]:
-    """The discs that a source consists of, dark ones included."""
+    """The discs or patches that a source consists of, dark ones included."""
+    if isinstance(source, WideSource):
+        return source.patches
     if isinstance(source, SingleSource):
         return (source.emitter,)
     return tuple(_led(source, index) for index in range(source.count))

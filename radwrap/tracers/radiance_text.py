@@ -29,7 +29,7 @@ from radwrap.scene.materials import (
     Specular,
 )
 from radwrap.scene.scene import Scene
-from radwrap.scene.sources import Emitter, emitters
+from radwrap.scene.sources import Emitter, Patch, emitters
 from radwrap.scene.targets import DiscShape, MeshShape, PolygonShape, SphereShape, Surface, TubeShape, surfaces
 
 _FUNCTIONS: Final = "radwrap.cal"
@@ -116,6 +116,7 @@ def _radiance_scale(scene: Scene) -> float:
 def _sizes(scene: Scene) -> Iterator[tuple[float, float]]:
     """Sizes in the scene [m], and how many units of length each must have."""
     for emitter in scene.emitters:
+        # A patch's border may be off by more than a target's: its area does not come from where rays end.
         yield emitter.radius, _SMALLEST_RADIUS
     for surface in scene.surfaces:
         match surface.shape:
@@ -154,7 +155,7 @@ def scene_text(
         What the names of function and data files begin with, so that texts of
         different stems can lie in one folder.
     only : str, optional
-        Name of the one emitter that shines; the discs of the others are black then. Default all.
+        Name of the one source or LED that shines; the others are black then. Default all.
 
     Returns
     -------
@@ -168,7 +169,7 @@ def scene_text(
     for file in scene.included:
         parts.append(f"# {file.name}: included {file.file}\n\n{included[file.name]}")
     for emitter in scene.emitters:
-        parts.append(_emitter(emitter, functions, scales, shines=only in {None, emitter.name}))
+        parts.append(_emitter(emitter, functions, scales, shines=only in {None, emitter.source}))
     for name, material in scene.materials.items():
         beside.update(_data_files(f"{stem}.{name}", material))
     for target in scene.targets:
@@ -219,10 +220,7 @@ def identity_text(scene: Scene, included: Mapping[str, str], stem: str = "scene"
     for source in scene.sources:
         parts.append(source.name)
         texts.append(_glow(source.name, len(parts)))
-        texts += [
-            _primitive(source.name, "ring", emitter.name, _ring(emitter.position, emitter.axis, emitter.radius, scales))
-            for emitter in emitters(source)
-        ]
+        texts += [_shining_surface(source.name, emitter, scales) for emitter in emitters(source)]
     for target in scene.targets:
         for surface in surfaces(target):
             part = f"{target.name}.{surface.part}"
@@ -276,11 +274,10 @@ def _emitter(emitter: Emitter, functions: str, scales: Scales, *, shines: bool =
     intensity = f"{emitter.radiant_intensity:g} W/sr on its axis"
     if emitter.radiance == 0:
         return f"# {emitter.name}: dark, left out\n"
-    disc = _ring(emitter.position, emitter.axis, emitter.radius, scales)
     if not shines:
         # Not a light of radiance 0, which Radiance leaves out with a warning; the disc still hides what is behind it.
         black = _primitive("void", "plastic", f"{emitter.name}.dark", (0, 0, 0, 0, 0))
-        return f"# {emitter.name}: off\n{black}" + _primitive(f"{emitter.name}.dark", "ring", emitter.name, disc)
+        return f"# {emitter.name}: off\n{black}" + _shining_surface(f"{emitter.name}.dark", emitter, scales)
     text = f"# {emitter.name}: {intensity}, {emitter.beam.profile}\n"
     modifier = "void"
     if emitter.beam.profile != "lambertian":
@@ -289,7 +286,14 @@ def _emitter(emitter: Emitter, functions: str, scales: Scales, *, shines: bool =
         text += _primitive("void", "brightfunc", modifier, (emitter.beam.spread,), words)
     radiance = emitter.radiance / scales.radiance
     text += _primitive(modifier, "light", f"{emitter.name}.light", (radiance, radiance, radiance))
-    return text + _primitive(f"{emitter.name}.light", "ring", emitter.name, disc)
+    return text + _shining_surface(f"{emitter.name}.light", emitter, scales)
+
+
+def _shining_surface(modifier: str, emitter: Emitter, scales: Scales) -> str:
+    if isinstance(emitter, Patch):
+        return _primitive(modifier, "polygon", emitter.name, _scaled(scales, *emitter.corners))
+    disc = _ring(emitter.position, emitter.axis, emitter.radius, scales)
+    return _primitive(modifier, "ring", emitter.name, disc)
 
 
 def _target(parts: tuple[Surface, ...], materials: Mapping[str, Material], stem: str, scales: Scales) -> Iterator[str]:

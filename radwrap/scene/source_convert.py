@@ -1,0 +1,177 @@
+"""From the tables of light sources to frozen values in SI."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+from radwrap.errors import InputError
+from radwrap.frames import Pose, normalised, rotation_about
+from radwrap.scene import source_tables as tables
+from radwrap.scene.poses import pose_of
+from radwrap.scene.ring_calibration import read_calibration
+from radwrap.scene.sources import (
+    Beam,
+    Emitter,
+    LedChange,
+    Ring,
+    SingleSource,
+    Source,
+    WideSource,
+    cosine_power_spread,
+    gaussian_spread,
+)
+from radwrap.scene.wide_shapes import Annulus, Rectangle, WideShape, Zone, area
+
+
+def _beam(table: tables.BeamModel, where: str, key: str, assumed: dict[str, str]) -> Beam:
+    if table.profile == "lambertian" or table.width is None:
+        return Beam("lambertian")
+    if table.width_definition is None:
+        assumed[f"{key}.beam.width_definition"] = "fwhm"
+    definition = table.width_definition or "fwhm"
+    if table.profile == "gaussian":
+        return Beam("gaussian", gaussian_spread(table.width, definition))
+    if table.profile == "cosine_power":
+        if definition != "sigma" and table.width / (1 if definition == "half_angle" else 2) >= math.pi / 2:
+            raise InputError("a power of the cosine is dark from 90 degrees on", where=f"{where}.beam.width")
+        return Beam("cosine_power", cosine_power_spread(table.width, definition))
+    half = table.width if definition == "half_angle" else table.width / 2
+    if half > math.pi / 2:
+        raise InputError("a cone cannot be wider than a half space", where=f"{where}.beam.width")
+    return Beam("cone", half)
+
+
+def _check_beam_factors(table: tables.RingModel, beam: Beam, where: str) -> None:
+    for index, led in enumerate(table.leds):
+        place = f"{where}.leds[{index}].beam_width_factor"
+        if beam.profile == "lambertian" and led.beam_width_factor != 1:
+            raise InputError("a lambertian beam has no width", where=place, remedy="leave it out")
+        if beam.profile == "cone" and beam.spread * led.beam_width_factor > math.pi / 2:
+            raise InputError("a cone cannot be wider than a half space", where=place, remedy="choose a smaller one")
+
+
+def _radiance(table: tables.Shining, diameter: float) -> float:
+    if table.radiance is not None:
+        return table.radiance
+    return (table.radiant_intensity or 0.0) / (math.pi * diameter**2 / 4)
+
+
+def _calibrated_radiances(table: tables.RingModel, where: str, folder: Path) -> tuple[float, ...]:
+    """Radiance of each LED of a ring that was measured [W m^-2 sr^-1]; empty where it was not."""
+    if table.calibration is None or table.drive_levels is None:
+        return ()
+    place = f"{where}.calibration"
+    path = (folder / table.calibration).resolve()
+    if not path.is_relative_to(folder.resolve()):
+        raise InputError("lies outside the scene's folder", where=place, remedy="copy it beside the scene file")
+    levels = table.drive_levels if isinstance(table.drive_levels, tuple) else (table.drive_levels,) * table.count
+    try:
+        intensities = read_calibration(path).intensities(levels)
+    except InputError as error:
+        raise InputError(str(error), where=place) from error
+    return tuple(intensity / (math.pi * table.led_diameter**2 / 4) for intensity in intensities)
+
+
+def _changes(table: tables.RingModel, radiances: tuple[float, ...], radiance: float) -> tuple[LedChange, ...]:
+    """How the LEDs differ: as the file says, and as they were measured."""
+    told = {
+        led.index: LedChange(led.index, led.radiance_factor, led.beam_width_factor, led.axis_tilt, led.axis_azimuth)
+        for led in table.leds
+    }
+    if not radiances:
+        return tuple(told.values())
+    own = [told.get(index, LedChange(index)) for index in range(table.count)]
+    return tuple(
+        replace(led, radiance_factor=led.radiance_factor * measured / radiance)
+        for led, measured in zip(own, radiances, strict=True)
+    )
+
+
+def source_from_table(table: tables.SourceModel, where: str, key: str, assumed: dict[str, str], folder: Path) -> Source:
+    """Convert a source; one that is wide has no patches yet, see `wide_sources.divided`."""
+    if isinstance(table, tables.SurroundModel):
+        return _surround(table)
+    if table.position is None:
+        raise InputError("is missing", where=f"{where}.position")
+    if isinstance(table, tables.RectangleSourceModel | tables.AreaRingModel | tables.DomeModel):
+        return _wide(table, where, key, assumed)
+    pose = pose_of(table, where, key, assumed, has_roll=isinstance(table, tables.RingModel))
+    if isinstance(table, tables.RingModel):
+        beam = _beam(table.beam, where, key, assumed)
+        _check_beam_factors(table, beam, where)
+        measured = _calibrated_radiances(table, where, folder)
+        # Of a measured ring all dark nothing can be a multiple.
+        radiance = max(measured, default=0.0) or _radiance(table, table.led_diameter)
+        return Ring(
+            name=table.name,
+            pose=pose,
+            count=table.count,
+            diameter=table.diameter,
+            first_angle=table.first_angle,
+            led_radius=table.led_diameter / 2,
+            radiance=radiance,
+            beam=beam,
+            misalignment_y=table.misalignment.about_y,
+            misalignment_z=table.misalignment.about_z,
+            changes=_changes(table, measured if any(measured) else (), radiance),
+        )
+    if isinstance(table, tables.DiscSourceModel) and table.irradiance_error is not None:
+        return _wide_disc(table, pose)
+    beam = Beam("lambertian") if isinstance(table, tables.DiscSourceModel) else _beam(table.beam, where, key, assumed)
+    emitter = Emitter(
+        table.name,
+        pose.position,
+        normalised(pose.z_axis),
+        table.diameter / 2,
+        _radiance(table, table.diameter),
+        beam,
+    )
+    return SingleSource(table.type, emitter)
+
+
+def _wide(
+    table: tables.RectangleSourceModel | tables.AreaRingModel | tables.DomeModel,
+    where: str,
+    key: str,
+    assumed: dict[str, str],
+) -> WideSource:
+    pose = pose_of(table, where, key, assumed, has_roll=isinstance(table, tables.RectangleSourceModel))
+    shape: WideShape
+    beam = Beam("lambertian")
+    match table:
+        case tables.RectangleSourceModel():
+            shape = Rectangle(*table.size)
+        case tables.AreaRingModel():
+            shape = Annulus(table.inner_diameter / 2, table.diameter / 2)
+        case tables.DomeModel():
+            shape = Zone(table.diameter / 2, math.asin(table.opening_diameter / table.diameter), math.pi / 2)
+    if not isinstance(table, tables.DomeModel):
+        beam = _beam(table.beam, where, key, assumed)
+    radiance = table.radiance
+    if radiance is None:
+        radiance = (getattr(table, "radiant_intensity", None) or 0.0) / area(shape)
+    return WideSource(table.name, table.type, pose, shape, radiance, beam, table.irradiance_error, table.least_patches)
+
+
+def _wide_disc(table: tables.DiscSourceModel, pose: Pose) -> WideSource:
+    shape = Annulus(0.0, table.diameter / 2)
+    level, error = _radiance(table, table.diameter), table.irradiance_error or 0.0
+    return WideSource(table.name, "disc", pose, shape, level, Beam("lambertian"), error, table.least_patches or 1)
+
+
+def _surround(table: tables.SurroundModel) -> WideSource:
+    """A sphere of 1 m, made as large as the scene needs by `wide_sources.divided`."""
+    pose = Pose((0.0, 0.0, 0.0), rotation_about("x", 0.0))
+    shape = Zone(1.0, 0.0, math.pi)
+    return WideSource(
+        table.name,
+        "surround",
+        pose,
+        shape,
+        table.radiance,
+        Beam("lambertian"),
+        table.irradiance_error,
+        table.least_patches,
+    )

@@ -1,0 +1,207 @@
+"""The scene file's tables of light sources as pydantic models."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from radwrap.scene.border import (
+    Aimed,
+    Angle,
+    Factor,
+    Model,
+    Name,
+    PositiveAngle,
+    RadianceValue,
+    RadiantIntensityValue,
+    Share,
+    Size,
+    SizeOrZero,
+    default,
+    exactly_one,
+)
+from radwrap.scene.sources import WidthDefinition
+
+AskedError = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-4, le=0.5)]
+Patches = Annotated[int, Field(strict=True, ge=1, le=4096)]
+
+
+class BeamModel(Model):
+    """Angular distribution of a source."""
+
+    profile: Literal["gaussian", "cosine_power", "cone", "lambertian"]
+    width: PositiveAngle | None = None
+    width_definition: WidthDefinition | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> BeamModel:
+        if self.profile == "lambertian":
+            if self.width is not None or self.width_definition is not None:
+                raise ValueError("a lambertian beam has no width")
+            return self
+        if self.width is None:
+            raise ValueError(f"a {self.profile} beam needs its width")
+        if self.profile == "cone" and self.width_definition in ("1/e^2_full", "sigma"):
+            raise ValueError('the width of a cone is "fwhm" (full angle) or "half_angle"')
+        return self
+
+
+class Shining(Model):
+    """What all sources have in common."""
+
+    name: Name
+    radiance: RadianceValue | None = None
+    radiant_intensity: RadiantIntensityValue | None = None
+
+    @model_validator(mode="after")
+    def _one_level(self) -> Shining:
+        exactly_one(self, "radiance", "radiant_intensity")
+        return self
+
+
+class LedModel(Shining, Aimed):
+    """A single LED."""
+
+    type: Literal["led"]
+    diameter: Size = default("5.08 mm")
+    beam: BeamModel
+
+
+class LampModel(Shining, Aimed):
+    """A lamp: a disc at a position, with a beam."""
+
+    type: Literal["lamp"]
+    diameter: Size
+    beam: BeamModel
+
+
+class DiscSourceModel(Shining, Aimed):
+    """A plain Lambertian disc: one point where that will do, in patches where an error is asked for."""
+
+    type: Literal["disc"]
+    diameter: Size
+    irradiance_error: AskedError | None = None
+    least_patches: Patches | None = None
+
+    @model_validator(mode="after")
+    def _patches_of_a_wide_one(self) -> DiscSourceModel:
+        if self.least_patches is not None and self.irradiance_error is None:
+            raise ValueError("least_patches goes with irradiance_error")
+        return self
+
+
+class WideModel(Model):
+    """What wide sources have in common."""
+
+    name: Name
+    irradiance_error: AskedError = 0.01
+    least_patches: Patches = 1
+
+
+class RectangleSourceModel(WideModel, Shining, Aimed):
+    """A backlight or a bar."""
+
+    type: Literal["rectangle"]
+    size: tuple[Size, Size]
+    beam: BeamModel = default({"profile": "lambertian"})
+
+
+class AreaRingModel(WideModel, Shining, Aimed):
+    """A flat ring that shines all over."""
+
+    type: Literal["area_ring"]
+    diameter: Size
+    inner_diameter: Size
+    beam: BeamModel = default({"profile": "lambertian"})
+
+    @model_validator(mode="after")
+    def _has_area(self) -> AreaRingModel:
+        if not self.inner_diameter < 0.9999 * self.diameter:
+            raise ValueError("inner_diameter must be smaller than diameter")
+        return self
+
+
+class DomeModel(WideModel, Aimed):
+    """A hemisphere that shines to its centre, with a hole for the camera."""
+
+    type: Literal["dome"]
+    radiance: RadianceValue
+    diameter: Size
+    opening_diameter: SizeOrZero = default("0 mm")
+
+    @model_validator(mode="after")
+    def _has_area(self) -> DomeModel:
+        if not self.opening_diameter < 0.9999 * self.diameter:
+            raise ValueError("opening_diameter must be smaller than diameter")
+        return self
+
+
+class SurroundModel(WideModel):
+    """The same radiance from all sides."""
+
+    type: Literal["surround"]
+    radiance: RadianceValue
+
+
+class LedChangeModel(Model):
+    """How one LED of a ring differs."""
+
+    index: Annotated[int, Field(strict=True, ge=0)]
+    radiance_factor: Factor = 1.0
+    beam_width_factor: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=1e6)] = 1.0
+    axis_tilt: Angle = default("0 deg")
+    axis_azimuth: Angle = default("0 deg")
+
+
+class MisalignmentModel(Model):
+    """Turn of a whole ring, about the world's y axis, then about its z axis."""
+
+    about_y: Angle = default("0 deg")
+    about_z: Angle = default("0 deg")
+
+
+class RingModel(Shining, Aimed):
+    """LEDs evenly on a circle."""
+
+    type: Literal["ring"]
+    count: Annotated[int, Field(strict=True, ge=1, le=4096)]
+    diameter: Size
+    first_angle: Angle = default("0 deg")
+    led_diameter: Size = default("5.08 mm")
+    beam: BeamModel
+    misalignment: MisalignmentModel = default({})
+    leds: tuple[LedChangeModel, ...] = ()
+    calibration: Annotated[str, Field(strict=True, min_length=1, max_length=1000)] | None = None
+    drive_levels: Share | tuple[Share, ...] | None = None
+
+    @model_validator(mode="after")
+    def _one_level(self) -> RingModel:
+        exactly_one(self, "radiance", "radiant_intensity", "calibration")
+        if (self.calibration is None) != (self.drive_levels is None):
+            raise ValueError("calibration and drive_levels go together")
+        if isinstance(self.drive_levels, tuple) and len(self.drive_levels) != self.count:
+            raise ValueError(f"drive_levels: {len(self.drive_levels)} levels for {self.count} LEDs")
+        return self
+
+    @model_validator(mode="after")
+    def _leds_exist(self) -> RingModel:
+        indices = [led.index for led in self.leds]
+        if len(set(indices)) < len(indices):
+            raise ValueError("leds: an index stands there twice")
+        if indices and max(indices) >= self.count:
+            raise ValueError(f"leds: index {max(indices)} is too large, the ring has LEDs 0 to {self.count - 1}")
+        return self
+
+
+SourceModel = Annotated[
+    LedModel
+    | LampModel
+    | DiscSourceModel
+    | RingModel
+    | RectangleSourceModel
+    | AreaRingModel
+    | DomeModel
+    | SurroundModel,
+    Field(discriminator="type"),
+]
