@@ -60,6 +60,7 @@ RADIANCE: Final = _dimension(
     "radiance", {"W/m^2/sr": 1.0, "mW/m^2/sr": 1e-3, "kW/m^2/sr": 1e3, "W/cm^2/sr": 1e4, "mW/mm^2/sr": 1e3}
 )
 RADIANT_INTENSITY: Final = _dimension("radiant intensity", {"W/sr": 1.0, "mW/sr": 1e-3, "uW/sr": 1e-6})
+EFFICACY: Final = _dimension("luminous efficacy", {"lm/W": 1.0})
 COEFFICIENT_OF_RETROREFLECTION: Final = _dimension(
     "coefficient of retroreflection", {"cd/lx/m^2": 1.0, "1/sr": 1.0, "mcd/lx/m^2": 1e-3}
 )

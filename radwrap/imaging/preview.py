@@ -21,7 +21,7 @@ from radwrap.scene.intersections import first_hit, in_polygon
 from radwrap.scene.materials import Specular
 from radwrap.scene.probes import lit_points, material_number, materials_of, surface_points
 from radwrap.scene.scene import Scene
-from radwrap.scene.sources import Emitter, Patch
+from radwrap.scene.sources import Emitter, Luminaire, Patch
 from radwrap.scene.targets import Target
 
 Array = NDArray[np.float64]
@@ -122,6 +122,8 @@ def _reflected(scene: Scene, group: SurfacePoints, eye: Array) -> Array:
 def _disc(emitter: Emitter, eye: Array, rays: Array) -> tuple[Array, Array]:
     """Distance to a source's disc, infinite where it is missed, and its radiance towards the eye; its back is black."""
     axis, centre = np.asarray(emitter.axis), np.asarray(emitter.position)
+    if isinstance(emitter, Luminaire):  # a sphere: it looks like a disc that faces the eye
+        axis = (eye - centre) / max(float(np.linalg.norm(eye - centre)), 1e-300)
     with np.errstate(divide="ignore", invalid="ignore"):
         distance = ((centre - eye) @ axis) / (rays @ axis)
         points = eye + distance[:, np.newaxis] * rays
@@ -129,6 +131,8 @@ def _disc(emitter: Emitter, eye: Array, rays: Array) -> tuple[Array, Array]:
         inside = _in_patch(emitter, points) if isinstance(emitter, Patch) else off <= emitter.radius
     distance = np.where((distance > 0) & inside, distance, math.inf)
     cosine = -rays @ axis
+    if isinstance(emitter, Luminaire):
+        return distance, np.full(len(rays), emitter.radiance * emitter.relative_intensity_at(eye[np.newaxis])[0])
     towards = emitter.beam.relative_intensity(np.arccos(np.clip(cosine, -1.0, 1.0)))
     return distance, emitter.radiance * towards / np.maximum(cosine, 1e-12)
 

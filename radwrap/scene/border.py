@@ -11,6 +11,7 @@ from radwrap.errors import InputError
 from radwrap.units import (
     ANGLE,
     COEFFICIENT_OF_RETROREFLECTION,
+    EFFICACY,
     LENGTH,
     PIXEL,
     RADIANCE,
@@ -52,6 +53,7 @@ RadianceValue = Annotated[float, Field(ge=0, le=1e30), BeforeValidator(_reader(R
 RadiantIntensityValue = Annotated[
     float, Field(ge=0, le=1e30), BeforeValidator(_reader(RADIANT_INTENSITY)), _schema(RADIANT_INTENSITY)
 ]
+EfficacyValue = Annotated[float, Field(gt=0, le=1e9), BeforeValidator(_reader(EFFICACY)), _schema(EFFICACY)]
 Coefficient = Annotated[
     float,
     Field(gt=0, le=1e9),

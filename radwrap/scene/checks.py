@@ -18,13 +18,14 @@ from radwrap.scene.probes import LIT_SHARE, lit_points, materials_of, merged, ne
 from radwrap.scene.scene import Scene
 from radwrap.scene.sight import shared_planes, sources_in_sight
 from radwrap.scene.smallness import small_parts
-from radwrap.scene.sources import Emitter, Patch, SingleSource, WideSource
+from radwrap.scene.sources import Emitter, IntensityTable, Luminaire, Patch, SingleSource, TableBeam, WideSource
 from radwrap.scene.targets import Disc, DotBoard, EdgeTarget, Polygon, Sheet, Target, signed_area
 
 # A source is sampled at its centre, which misses the irradiance by about (radius/distance)^2.
 WIDE_SOURCE_LIMIT: Final = 0.01
 # Above this a valid scene is warned of it.
 _WIDTH_WARNING: Final = 1e-3
+_DOUBT: Final = 0.01
 _FLAT: Final = (Sheet, DotBoard, EdgeTarget, Disc, Polygon)
 _ANGLE_TOLERANCE: Final = 1e-9  # rad, rounding of the angles
 
@@ -243,7 +244,22 @@ def warnings_of(scene: Scene) -> tuple[str, ...]:
     if not scene.included and not any(_is_seen(scene.camera, target) for target in scene.targets):
         found.append("no target is in the camera's view")
     found += _half_shadows(scene)
+    found += _doubtful_tables(scene)
     return (*found, *small_parts(scene), *sources_in_sight(scene), *shared_planes(scene))
+
+
+def _doubtful_tables(scene: Scene) -> Iterator[str]:
+    """A line for each measured beam whose angles lie so far apart that its curve is a guess."""
+    doubts = {}
+    for emitter in scene.emitters:
+        measured = emitter.table if isinstance(emitter, Luminaire) else emitter.beam
+        if isinstance(measured, IntensityTable | TableBeam) and measured.doubt > _DOUBT:
+            doubts[emitter.source.split(".")[0]] = measured.doubt
+    for name, doubt in doubts.items():
+        yield (
+            f'the table of "{name}" has few angles: straight lines between them would change its intensity by up to '
+            f"{doubt:.1%} of the peak"
+        )
 
 
 def _half_shadows(scene: Scene) -> Iterator[str]:

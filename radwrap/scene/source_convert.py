@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 from radwrap.errors import InputError
 from radwrap.frames import Pose, normalised, rotation_about
 from radwrap.scene import source_tables as tables
+from radwrap.scene.intensity_files import read_beam, read_luminaire
 from radwrap.scene.poses import pose_of
 from radwrap.scene.ring_calibration import read_calibration
 from radwrap.scene.sources import (
     Beam,
     Emitter,
     LedChange,
+    Luminaire,
     Ring,
     SingleSource,
     Source,
@@ -24,8 +28,12 @@ from radwrap.scene.sources import (
 )
 from radwrap.scene.wide_shapes import Annulus, Rectangle, WideShape, Zone, area
 
+_Read = TypeVar("_Read")
 
-def _beam(table: tables.BeamModel, where: str, key: str, assumed: dict[str, str]) -> Beam:
+
+def _beam(table: tables.BeamModel, where: str, key: str, assumed: dict[str, str], folder: Path) -> Beam:
+    if table.file is not None:
+        return _from_file(table.file, f"{where}.beam.file", folder, read_beam)
     if table.profile == "lambertian" or table.width is None:
         return Beam("lambertian")
     if table.width_definition is None:
@@ -52,6 +60,17 @@ def _check_beam_factors(table: tables.RingModel, beam: Beam, where: str) -> None
             raise InputError("a cone cannot be wider than a half space", where=place, remedy="choose a smaller one")
 
 
+def _from_file(name: str, where: str, folder: Path, read: Callable[[Path], _Read]) -> _Read:
+    """What is read from a file in the scene's folder; what is wrong with it is told with the key that names it."""
+    path = (folder / name).resolve()
+    if not path.is_relative_to(folder.resolve()):
+        raise InputError("lies outside the scene's folder", where=where, remedy="copy it beside the scene file")
+    try:
+        return read(path)
+    except InputError as error:
+        raise InputError(str(error), where=where) from error
+
+
 def _radiance(table: tables.Shining, diameter: float) -> float:
     if table.radiance is not None:
         return table.radiance
@@ -62,15 +81,10 @@ def _calibrated_radiances(table: tables.RingModel, where: str, folder: Path) -> 
     """Radiance of each LED of a ring that was measured [W m^-2 sr^-1]; empty where it was not."""
     if table.calibration is None or table.drive_levels is None:
         return ()
-    place = f"{where}.calibration"
-    path = (folder / table.calibration).resolve()
-    if not path.is_relative_to(folder.resolve()):
-        raise InputError("lies outside the scene's folder", where=place, remedy="copy it beside the scene file")
     levels = table.drive_levels if isinstance(table.drive_levels, tuple) else (table.drive_levels,) * table.count
-    try:
-        intensities = read_calibration(path).intensities(levels)
-    except InputError as error:
-        raise InputError(str(error), where=place) from error
+    intensities = _from_file(
+        table.calibration, f"{where}.calibration", folder, lambda path: read_calibration(path).intensities(levels)
+    )
     return tuple(intensity / (math.pi * table.led_diameter**2 / 4) for intensity in intensities)
 
 
@@ -96,10 +110,10 @@ def source_from_table(table: tables.SourceModel, where: str, key: str, assumed: 
     if table.position is None:
         raise InputError("is missing", where=f"{where}.position")
     if isinstance(table, tables.RectangleSourceModel | tables.AreaRingModel | tables.DomeModel):
-        return _wide(table, where, key, assumed)
-    pose = pose_of(table, where, key, assumed, has_roll=isinstance(table, tables.RingModel))
+        return _wide(table, where, key, assumed, folder)
+    pose = pose_of(table, where, key, assumed, has_roll=isinstance(table, tables.RingModel | tables.IesModel))
     if isinstance(table, tables.RingModel):
-        beam = _beam(table.beam, where, key, assumed)
+        beam = _beam(table.beam, where, key, assumed, folder)
         _check_beam_factors(table, beam, where)
         measured = _calibrated_radiances(table, where, folder)
         # Of a measured ring all dark nothing can be a multiple.
@@ -117,9 +131,15 @@ def source_from_table(table: tables.SourceModel, where: str, key: str, assumed: 
             misalignment_z=table.misalignment.about_z,
             changes=_changes(table, measured if any(measured) else (), radiance),
         )
+    if isinstance(table, tables.IesModel):
+        return SingleSource("ies", _luminaire(table, pose, where, folder))
     if isinstance(table, tables.DiscSourceModel) and table.irradiance_error is not None:
         return _wide_disc(table, pose)
-    beam = Beam("lambertian") if isinstance(table, tables.DiscSourceModel) else _beam(table.beam, where, key, assumed)
+    beam = (
+        Beam("lambertian")
+        if isinstance(table, tables.DiscSourceModel)
+        else _beam(table.beam, where, key, assumed, folder)
+    )
     emitter = Emitter(
         table.name,
         pose.position,
@@ -131,11 +151,28 @@ def source_from_table(table: tables.SourceModel, where: str, key: str, assumed: 
     return SingleSource(table.type, emitter)
 
 
+def _luminaire(table: tables.IesModel, pose: Pose, where: str, folder: Path) -> Luminaire:
+    intensities = _from_file(table.file, f"{where}.file", folder, read_luminaire)
+    radius = table.diameter / 2
+    return Luminaire(
+        table.name,
+        pose.position,
+        normalised(pose.z_axis),
+        radius,
+        intensities.peak / table.luminous_efficacy / (math.pi * radius**2),
+        Beam("lambertian"),
+        pose.x_axis,
+        pose.y_axis,
+        intensities,
+    )
+
+
 def _wide(
     table: tables.RectangleSourceModel | tables.AreaRingModel | tables.DomeModel,
     where: str,
     key: str,
     assumed: dict[str, str],
+    folder: Path,
 ) -> WideSource:
     pose = pose_of(table, where, key, assumed, has_roll=isinstance(table, tables.RectangleSourceModel))
     shape: WideShape
@@ -148,7 +185,7 @@ def _wide(
         case tables.DomeModel():
             shape = Zone(table.diameter / 2, math.asin(table.opening_diameter / table.diameter), math.pi / 2)
     if not isinstance(table, tables.DomeModel):
-        beam = _beam(table.beam, where, key, assumed)
+        beam = _beam(table.beam, where, key, assumed, folder)
     radiance = table.radiance
     if radiance is None:
         radiance = (getattr(table, "radiant_intensity", None) or 0.0) / area(shape)

@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 from radwrap.scene.border import (
     Aimed,
     Angle,
+    EfficacyValue,
     Factor,
     Model,
     Name,
@@ -23,6 +24,7 @@ from radwrap.scene.border import (
 )
 from radwrap.scene.sources import WidthDefinition
 
+FileName = Annotated[str, Field(strict=True, min_length=1, max_length=1000)]
 AskedError = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-4, le=0.5)]
 Patches = Annotated[int, Field(strict=True, ge=1, le=4096)]
 
@@ -30,15 +32,18 @@ Patches = Annotated[int, Field(strict=True, ge=1, le=4096)]
 class BeamModel(Model):
     """Angular distribution of a source."""
 
-    profile: Literal["gaussian", "cosine_power", "cone", "lambertian"]
+    profile: Literal["gaussian", "cosine_power", "cone", "lambertian", "table"]
     width: PositiveAngle | None = None
     width_definition: WidthDefinition | None = None
+    file: FileName | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> BeamModel:
-        if self.profile == "lambertian":
+        if (self.profile == "table") != (self.file is not None):
+            raise ValueError('file goes with profile = "table", and that needs it')
+        if self.profile in ("lambertian", "table"):
             if self.width is not None or self.width_definition is not None:
-                raise ValueError("a lambertian beam has no width")
+                raise ValueError(f"a {self.profile} beam has no width")
             return self
         if self.width is None:
             raise ValueError(f"a {self.profile} beam needs its width")
@@ -74,6 +79,16 @@ class LampModel(Shining, Aimed):
     type: Literal["lamp"]
     diameter: Size
     beam: BeamModel
+
+
+class IesModel(Aimed):
+    """A luminaire of an IES LM-63 file."""
+
+    type: Literal["ies"]
+    name: Name
+    file: FileName
+    diameter: Size = default("10 mm")
+    luminous_efficacy: EfficacyValue = default("179 lm/W")
 
 
 class DiscSourceModel(Shining, Aimed):
@@ -197,6 +212,7 @@ class RingModel(Shining, Aimed):
 SourceModel = Annotated[
     LedModel
     | LampModel
+    | IesModel
     | DiscSourceModel
     | RingModel
     | RectangleSourceModel

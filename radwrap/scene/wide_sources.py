@@ -278,12 +278,14 @@ def _received(
     perpendicular: Array = shining * areas / square
     if isinstance(probe.material, Lambertian):
         falling = (probe.normals @ light.T - (at * probe.normals).sum(axis=1)[:, np.newaxis]) / distance
-        return perpendicular * np.maximum(falling, 0.0)
+        diffuse: Array = perpendicular * np.maximum(falling, 0.0)
+        return diffuse
     to_light = ((light[np.newaxis] - at[:, np.newaxis]) / distance[..., np.newaxis]).reshape(-1, 3)
     normal, eye = (np.repeat(vectors, len(positions), axis=0) for vectors in (probe.normals, probe.to_eye))
     solid_angle = (areas * np.maximum(cosine, 0.0) / square).ravel() if widened else 0.0
     factor = radiance_factor(probe.material, normal, to_light, eye, solid_angle)
-    return perpendicular * factor.reshape(perpendicular.shape)
+    received: Array = perpendicular * factor.reshape(perpendicular.shape)
+    return received
 
 
 def _unresolved(division: _Division) -> NDArray[np.bool_]:

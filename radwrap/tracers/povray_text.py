@@ -30,7 +30,7 @@ from radwrap.scene.materials import Lambertian, Material, Specular
 from radwrap.scene.probes import LIT_SHARE
 from radwrap.scene.scene import Scene
 from radwrap.scene.sight import shared_planes
-from radwrap.scene.sources import Emitter, Patch
+from radwrap.scene.sources import Emitter, Luminaire, Patch
 from radwrap.scene.targets import (
     DiscShape,
     DotBoard,
@@ -188,6 +188,8 @@ def _light(scene: Scene, emitter: Emitter, unit: float, area_samples: int) -> st
 
 def _spot(emitter: Emitter, towards: np.ndarray, where: str) -> str:
     beam = emitter.beam
+    if isinstance(emitter, Luminaire):
+        raise InputError("POV-Ray has no luminaire of a table", where=f"{where}.file", remedy="use a lamp with a beam")
     match beam.profile:
         case "lambertian":
             rim, power = 90.0, 1.0
@@ -195,6 +197,10 @@ def _spot(emitter: Emitter, towards: np.ndarray, where: str) -> str:
             rim, power = 90.0, beam.spread**-2
         case "cone":
             rim, power = math.degrees(beam.spread), 0.0
+        case "table":
+            raise InputError(
+                "POV-Ray has no beam of a table", where=f"{where}.beam", remedy='use profile = "cosine_power"'
+            )
         case "gaussian":
             raise InputError(
                 "POV-Ray has no Gaussian beam",

@@ -29,10 +29,11 @@ from radwrap.scene.materials import (
     Specular,
 )
 from radwrap.scene.scene import Scene
-from radwrap.scene.sources import Emitter, Patch, emitters
+from radwrap.scene.sources import Emitter, Luminaire, Patch, TableBeam, emitters
 from radwrap.scene.targets import DiscShape, MeshShape, PolygonShape, SphereShape, Surface, TubeShape, surfaces
 
 _FUNCTIONS: Final = "radwrap.cal"
+_MEASURED: Final = "measured.cal"  # only beside scenes that need it
 
 _MILLIMETRE: Final = 1e-3
 # Polygon sides of at least 1 unit keep a polygon's border within 1e-6 units, and radii stay far from 1e-6 units.
@@ -169,7 +170,8 @@ def scene_text(
     for file in scene.included:
         parts.append(f"# {file.name}: included {file.file}\n\n{included[file.name]}")
     for emitter in scene.emitters:
-        parts.append(_emitter(emitter, functions, scales, shines=only in {None, emitter.source}))
+        parts.append(_emitter(emitter, stem, scales, shines=only in {None, emitter.source}))
+        beside.update(_beam_files(stem, emitter))
     for name, material in scene.materials.items():
         beside.update(_data_files(f"{stem}.{name}", material))
     for target in scene.targets:
@@ -179,8 +181,11 @@ def scene_text(
 
 def function_file(stem: str) -> tuple[str, dict[str, bytes]]:
     """Name and content of the file of radwrap's functions, for texts of that stem."""
-    name = f"{stem}.{_FUNCTIONS}"
-    return name, {name: (files("radwrap") / "data" / "cal" / _FUNCTIONS).read_bytes()}
+    return f"{stem}.{_FUNCTIONS}", _functions(stem, _FUNCTIONS)
+
+
+def _functions(stem: str, name: str) -> dict[str, bytes]:
+    return {f"{stem}.{name}": (files("radwrap") / "data" / "cal" / name).read_bytes()}
 
 
 def material_text(name: str, data: str, functions: str, material: Material) -> tuple[str, dict[str, bytes]]:
@@ -270,7 +275,8 @@ def _ring(centre: Vector, normal: Vector, radius: float, scales: Scales) -> tupl
     return (*_scaled(scales, centre), *normal, 0.0, _units(radius, scales))
 
 
-def _emitter(emitter: Emitter, functions: str, scales: Scales, *, shines: bool = True) -> str:
+def _emitter(emitter: Emitter, stem: str, scales: Scales, *, shines: bool = True) -> str:
+    functions = f"{stem}.{_FUNCTIONS}"
     intensity = f"{emitter.radiant_intensity:g} W/sr on its axis"
     if emitter.radiance == 0:
         return f"# {emitter.name}: dark, left out\n"
@@ -279,8 +285,18 @@ def _emitter(emitter: Emitter, functions: str, scales: Scales, *, shines: bool =
         black = _primitive("void", "plastic", f"{emitter.name}.dark", (0, 0, 0, 0, 0))
         return f"# {emitter.name}: off\n{black}" + _shining_surface(f"{emitter.name}.dark", emitter, scales)
     text = f"# {emitter.name}: {intensity}, {emitter.beam.profile}\n"
+    words: tuple[str, ...] = ()
     modifier = "void"
-    if emitter.beam.profile != "lambertian":
+    if isinstance(emitter, Luminaire):
+        modifier = f"{emitter.name}.beam"
+        words = ("as_told", _beam_data(stem, emitter), f"{stem}.{_MEASURED}", "lamp_azimuth_deg", "lamp_polar_deg")
+        axes = (*emitter.x_axis, *emitter.y_axis, *emitter.axis)
+        text += _primitive("void", "brightdata", modifier, axes, words)
+    elif isinstance(emitter.beam, TableBeam):
+        modifier = f"{emitter.name}.beam"
+        words = ("table_beam", _beam_data(stem, emitter), f"{stem}.{_MEASURED}", "table_deg")
+        text += _primitive("void", "brightdata", modifier, (emitter.beam.spread,), words)
+    elif emitter.beam.profile != "lambertian":
         modifier = f"{emitter.name}.beam"
         words = (f"{emitter.beam.profile}_beam", functions)
         text += _primitive("void", "brightfunc", modifier, (emitter.beam.spread,), words)
@@ -289,7 +305,30 @@ def _emitter(emitter: Emitter, functions: str, scales: Scales, *, shines: bool =
     return text + _shining_surface(f"{emitter.name}.light", emitter, scales)
 
 
+def _beam_data(stem: str, emitter: Emitter) -> str:
+    return f"{stem}.{emitter.source}.beam.dat"
+
+
+def _beam_files(stem: str, emitter: Emitter) -> dict[str, bytes]:
+    """The data file of a measured beam: even steps, for which Radiance needs no list of angles."""
+    if isinstance(emitter, Luminaire):
+        rows = emitter.table.rows
+        if len(rows) == 1:
+            rows = (rows[0], rows[0])
+        head = f"2\n0 360 {len(rows)}\n0 180 {len(rows[0])}\n"
+    elif isinstance(emitter.beam, TableBeam):
+        rows = (emitter.beam.values,)
+        head = f"1\n0 90 {len(rows[0])}\n"
+    else:
+        return {}
+    lines = "".join(" ".join(map(_number, row)) + "\n" for row in rows)
+    return {_beam_data(stem, emitter): (head + lines).encode(), **_functions(stem, _MEASURED)}
+
+
 def _shining_surface(modifier: str, emitter: Emitter, scales: Scales) -> str:
+    if isinstance(emitter, Luminaire):
+        place = _scaled(scales, emitter.position)
+        return _primitive(modifier, "sphere", emitter.name, (*place, _units(emitter.radius, scales)))
     if isinstance(emitter, Patch):
         return _primitive(modifier, "polygon", emitter.name, _scaled(scales, *emitter.corners))
     disc = _ring(emitter.position, emitter.axis, emitter.radius, scales)
