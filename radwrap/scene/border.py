@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable
+from importlib.resources import files
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema, model_validator
@@ -90,6 +92,31 @@ def exactly_one(model: Model, *keys: str) -> None:
     given = [key for key in keys if getattr(model, key) is not None]
     if len(given) != 1:
         raise ValueError(f"needs exactly one of {' and '.join(keys)}, not {len(given)}")
+
+
+def preset_names(folder: str) -> tuple[str, ...]:
+    """Names of the presets in a folder of radwrap's data."""
+    entries = (files("radwrap") / "data" / folder).iterdir()
+    return tuple(sorted(entry.name.removesuffix(".toml") for entry in entries if entry.name.endswith(".toml")))
+
+
+def read_preset(folder: str, what: str, name: str) -> dict[str, Any]:
+    """Table of a preset.
+
+    Raises
+    ------
+    ValueError
+        If there is none of that name.
+    """
+    known = preset_names(folder)
+    if name not in known:
+        raise ValueError(f'preset: no {what} "{name}"; known: {", ".join(known)}')
+    return tomllib.loads((files("radwrap") / "data" / folder / f"{name}.toml").read_text("utf-8"))
+
+
+def preset_or_all(schema: dict[str, Any]) -> None:
+    """In the JSON schema: what is required without a preset is not with one."""
+    schema["anyOf"] = [{"required": ["preset"]}, {"required": schema.pop("required", [])}]
 
 
 class Placed(Model):

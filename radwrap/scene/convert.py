@@ -21,7 +21,8 @@ from radwrap.scene.materials import (
 from radwrap.scene.mesh import mesh_of
 from radwrap.scene.poses import placed_pose, pose_of
 from radwrap.scene.scene import Scene
-from radwrap.scene.source_convert import source_from_table
+from radwrap.scene.source_convert import sources_from_tables
+from radwrap.scene.sources import Source
 from radwrap.scene.targets import (
     Box,
     Cylinder,
@@ -51,10 +52,8 @@ def scene_from_model(
         Where values that are right one by one do not go together.
     """
     names: set[str] = set()
-    sources = tuple(
-        source_from_table(table, f"{origin}: sources[{i}]", f"sources[{i}]", assumed, folder)
-        for i, table in enumerate(model.sources)
-    )
+    camera = _camera(model.camera, f"{origin}: camera", assumed)
+    sources = sources_from_tables(model.sources, camera.pose, assumed=assumed, origin=origin, folder=folder)
     target_names = _target_names(model, assumed)
     targets = tuple(
         _part(table, name, f"{origin}: targets[{index}]", folder)
@@ -68,8 +67,9 @@ def scene_from_model(
                 raise InputError(f'the name "{thing.name}" stands there twice', where=f"{origin}: {kind}[{index}].name")
             names.add(thing.name)
     _check_materials(targets, model.materials, origin)
+    _check_splitter(sources, targets, origin)
     return Scene(
-        camera=_camera(model.camera, f"{origin}: camera", assumed),
+        camera=camera,
         sources=sources,
         materials={name: _material(table, f"materials.{name}", assumed) for name, table in model.materials.items()},
         targets=targets,
@@ -78,6 +78,16 @@ def scene_from_model(
         folder=folder,
         document=document,
     )
+
+
+def _check_splitter(sources: tuple[Source, ...], targets: tuple[Target, ...], origin: str) -> None:
+    for index, target in enumerate(targets):
+        if isinstance(target, RadFile) and any(getattr(source, "kind", "") == "coaxial" for source in sources):
+            raise InputError(
+                "an included file may hold light, which the beam splitter of a coaxial source would dim",
+                where=f"{origin}: targets[{index}]",
+                remedy="describe it by targets and sources",
+            )
 
 
 def _check_materials(targets: tuple[Target, ...], materials: Mapping[str, object], origin: str) -> None:

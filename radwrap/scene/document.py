@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
-from importlib.resources import files
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field, model_validator
@@ -25,6 +23,9 @@ from radwrap.scene.border import (
     SizeOrZero,
     default,
     exactly_one,
+    preset_names,
+    preset_or_all,
+    read_preset,
 )
 from radwrap.scene.material_tables import MaterialModel
 from radwrap.scene.source_tables import SourceModel
@@ -53,15 +54,10 @@ class ApertureModel(Model):
         return self
 
 
-def _preset_or_all(schema: dict[str, Any]) -> None:
-    """In the JSON schema: what is required without a preset is not with one."""
-    schema["anyOf"] = [{"required": ["preset"]}, {"required": schema.pop("required", [])}]
-
-
 class SensorModel(Model):
     """[camera.sensor]: a preset, or all of it; what is given beside a preset replaces its value."""
 
-    model_config: ClassVar[ConfigDict] = ConfigDict(json_schema_extra=_preset_or_all)
+    model_config: ClassVar[ConfigDict] = ConfigDict(json_schema_extra=preset_or_all)
 
     preset: Name | None = None
     rows: Count
@@ -81,7 +77,7 @@ class SensorModel(Model):
     def _with_preset(cls, table: Any) -> Any:
         if not isinstance(table, dict) or not isinstance(table.get("preset"), str):
             return table
-        return {**sensor_preset(table["preset"]), **table}
+        return {**read_preset("sensors", "sensor", table["preset"]), **table}
 
     @model_validator(mode="after")
     def _consistent(self) -> SensorModel:
@@ -100,22 +96,7 @@ class SensorModel(Model):
 
 def sensor_presets() -> tuple[str, ...]:
     """Names of the sensors that radwrap knows."""
-    folder = files("radwrap") / "data" / "sensors"
-    return tuple(sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml")))
-
-
-def sensor_preset(name: str) -> dict[str, Any]:
-    """Table of a sensor that radwrap knows.
-
-    Raises
-    ------
-    ValueError
-        If it knows no such sensor.
-    """
-    known = sensor_presets()
-    if name not in known:
-        raise ValueError(f'preset: no sensor "{name}"; known: {", ".join(known)}')
-    return tomllib.loads((files("radwrap") / "data" / "sensors" / f"{name}.toml").read_text("utf-8"))
+    return preset_names("sensors")
 
 
 class CameraModel(Aimed):

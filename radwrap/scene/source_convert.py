@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from radwrap.errors import InputError
-from radwrap.frames import Pose, normalised, rotation_about
+from radwrap.frames import Pose, along, normalised, rotation_about
 from radwrap.scene import source_tables as tables
 from radwrap.scene.intensity_files import read_beam, read_luminaire
 from radwrap.scene.poses import pose_of
@@ -24,6 +24,7 @@ from radwrap.scene.sources import (
     Source,
     WideSource,
     cosine_power_spread,
+    dimmed,
     gaussian_spread,
 )
 from radwrap.scene.wide_shapes import Annulus, Rectangle, WideShape, Zone, area
@@ -103,10 +104,53 @@ def _changes(table: tables.RingModel, radiances: tuple[float, ...], radiance: fl
     )
 
 
+def sources_from_tables(
+    model: tuple[tables.SourceModel, ...], camera: Pose, *, assumed: dict[str, str], origin: str, folder: Path
+) -> tuple[Source, ...]:
+    """Convert all sources of a scene.
+
+    Through the beam splitter of a coaxial source the camera sees all light dimmed: that factor is on every source.
+
+    Raises
+    ------
+    InputError
+        If values that are right one by one do not go together.
+    """
+    coaxial = [(i, table) for i, table in enumerate(model) if isinstance(table, tables.CoaxialModel)]
+    if len(coaxial) > 1:
+        raise InputError(
+            "a second beam splitter before the camera",
+            where=f"{origin}: sources[{coaxial[1][0]}]",
+            remedy="describe both lights by one",
+        )
+    sources = [
+        _coaxial(table, camera)
+        if isinstance(table, tables.CoaxialModel)
+        else source_from_table(table, f"{origin}: sources[{i}]", f"sources[{i}]", assumed, folder)
+        for i, table in enumerate(model)
+    ]
+    for _, table in coaxial:
+        sources = [dimmed(source, table.splitter_transmittance) for source in sources]
+    return tuple(sources)
+
+
+def _coaxial(table: tables.CoaxialModel, camera: Pose) -> WideSource:
+    """A disc behind the pinhole, where a mirror in the splitter's place would show it."""
+    back = along(camera.position, camera.z_axis, -table.distance)
+    level, error = table.radiance * table.splitter_reflectance, table.irradiance_error
+    shape = Annulus(0.0, table.diameter / 2)
+    pose = replace(camera, position=back)
+    return WideSource(table.name, "coaxial", pose, shape, level, Beam("lambertian"), error, table.least_patches)
+
+
 def source_from_table(table: tables.SourceModel, where: str, key: str, assumed: dict[str, str], folder: Path) -> Source:
     """Convert a source; one that is wide has no patches yet, see `wide_sources.divided`."""
     if isinstance(table, tables.SurroundModel):
         return _surround(table)
+    if isinstance(table, tables.CoaxialModel):
+        raise TypeError("a coaxial source needs its camera")
+    if isinstance(table, tables.LampModel) and table.preset is not None:
+        assumed[f"{key}.preset"] = f"{table.preset}, whose values are assumptions"
     if table.position is None:
         raise InputError("is missing", where=f"{where}.position")
     if isinstance(table, tables.RectangleSourceModel | tables.AreaRingModel | tables.DomeModel):

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
 from radwrap.scene.border import (
     Aimed,
@@ -21,6 +21,8 @@ from radwrap.scene.border import (
     SizeOrZero,
     default,
     exactly_one,
+    preset_or_all,
+    read_preset,
 )
 from radwrap.scene.sources import WidthDefinition
 
@@ -74,11 +76,24 @@ class LedModel(Shining, Aimed):
 
 
 class LampModel(Shining, Aimed):
-    """A lamp: a disc at a position, with a beam."""
+    """A lamp: a disc at a position, with a beam; what is given beside a preset replaces its value."""
+
+    model_config: ClassVar[ConfigDict] = ConfigDict(json_schema_extra=preset_or_all)
 
     type: Literal["lamp"]
+    preset: Name | None = None
     diameter: Size
     beam: BeamModel
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_preset(cls, table: Any) -> Any:
+        if not isinstance(table, dict) or not isinstance(table.get("preset"), str):
+            return table
+        preset = read_preset("lamps", "lamp", table["preset"])
+        if "radiance" in table:
+            preset.pop("radiant_intensity", None)
+        return {**preset, **table}
 
 
 class IesModel(Aimed):
@@ -152,6 +167,25 @@ class DomeModel(WideModel, Aimed):
         return self
 
 
+class CoaxialModel(WideModel):
+    """Light along the camera's axis by a beam splitter: a disc as far behind the pinhole as its light goes further."""
+
+    type: Literal["coaxial"]
+    radiance: RadianceValue
+    diameter: Size
+    distance: Size
+    splitter_reflectance: Share = 0.5
+    splitter_transmittance: Share = 0.5
+
+    @model_validator(mode="after")
+    def _conserves(self) -> CoaxialModel:
+        if self.splitter_reflectance + self.splitter_transmittance > 1:
+            raise ValueError("splitter_reflectance + splitter_transmittance must not exceed 1")
+        if self.splitter_reflectance == 0 or self.splitter_transmittance == 0:
+            raise ValueError("a splitter of reflectance or transmittance 0 shows nothing")
+        return self
+
+
 class SurroundModel(WideModel):
     """The same radiance from all sides."""
 
@@ -218,6 +252,7 @@ SourceModel = Annotated[
     | RectangleSourceModel
     | AreaRingModel
     | DomeModel
+    | CoaxialModel
     | SurroundModel,
     Field(discriminator="type"),
 ]

@@ -352,7 +352,7 @@ class WideSource:
     name : str
         Unique in the scene.
     kind : str
-        "rectangle", "disc", "area_ring", "dome" or "surround".
+        "rectangle", "disc", "area_ring", "dome", "coaxial" or "surround".
     pose : Pose
         world_from_source; see `wide_shapes` for how it lies and shines.
     shape : WideShape
@@ -374,7 +374,7 @@ class WideSource:
     """
 
     name: str
-    kind: Literal["rectangle", "disc", "area_ring", "dome", "surround"]
+    kind: Literal["rectangle", "disc", "area_ring", "dome", "coaxial", "surround"]
     pose: Pose
     shape: WideShape
     radiance: float
@@ -387,6 +387,13 @@ class WideSource:
 
 
 Source = SingleSource | Ring | WideSource
+
+
+def dimmed(source: Source, factor: float) -> Source:
+    """The source with a factor on its radiance."""
+    if isinstance(source, SingleSource):
+        return replace(source, emitter=replace(source.emitter, radiance=source.emitter.radiance * factor))
+    return replace(source, radiance=source.radiance * factor)
 
 
 def emitters(source: Source) -> tuple[Emitter, ...]:

@@ -89,3 +89,41 @@ def test_a_surround_gives_pi_everywhere_and_is_seen_itself(bench: Any) -> None:
     assert np.abs(got / math.pi - 1).max() < ASKED
     background = bench.radiance(scene, np.zeros((200, 3)) + outwards * 0.2, outwards * 0.3)
     assert np.abs(background - 1).max() < FLOAT32
+
+
+def test_coaxial_light_goes_through_its_splitter_twice(bench: Any) -> None:
+    """Reflected once, transmitted once; a lamp beside the camera is seen through the splitter too."""
+    sheet = {"type": "sheet", "material": "gray", "size": ["20 mm", "20 mm"]}
+    splitter = {"distance": "200 mm", "splitter_reflectance": 0.4, "splitter_transmittance": 0.5}
+    coaxial = {"type": "coaxial", "name": "coax", "radiance": "10 W/m^2/sr", "diameter": "40 mm", **splitter}
+    lamp = bench.lamp((0.3, 0, 0.4))
+    materials = {"gray": {"type": "lambertian", "reflectance": 0.5}}
+    camera = bench.camera(position=(0, 0, 0.3), rows=8, columns=8, pitch=(5e-5, 5e-5))
+    disc = math.pi * 10 * 0.4 * 0.5 * 0.02**2 / (0.02**2 + 0.5**2)
+    beside = 0.5 * 0.4 / 0.5**3
+    for sources, expected in (([coaxial], disc), ([coaxial, lamp], disc + beside), ([lamp], beside / 0.5)):
+        got = float(bench.irradiance(bench.scene(camera, sources, materials, [sheet]), [(0, 0, 0)], 0.5)[0])
+        assert got == pytest.approx(expected, rel=ASKED)
+    for wrong, told in (
+        ({**coaxial, "splitter_reflectance": 0.7}, "must not exceed 1"),
+        ({**coaxial, "splitter_transmittance": 0.0}, "shows nothing"),
+    ):
+        with pytest.raises(radwrap.InputError, match=told):
+            bench.scene(camera, [wrong], materials, [sheet])
+    with pytest.raises(radwrap.InputError, match="second beam splitter"):
+        bench.scene(camera, [coaxial, {**coaxial, "name": "b"}], materials, [sheet])
+
+
+def test_the_papers_halide_lamps(bench: Any) -> None:
+    """I/d^2 in the beam's axis; the preset's level is told as an assumption."""
+    lamp = {"type": "lamp", "preset": "metal_halide_400w", "look_at": bench.metres(0, 0, 0)}
+    places = [(0.06, 0.06, 0.82), (-0.06, 0.06, 0.82)]
+    sources = [{**lamp, "name": f"lamp{k}", "position": bench.metres(*place)} for k, place in enumerate(places)]
+    sheet = {"type": "sheet", "material": "gray", "size": ["200 mm", "200 mm"]}
+    scene = bench.scene(bench.camera(), sources, {"gray": {"type": "lambertian", "reflectance": 0.5}}, [sheet])
+    square = 2 * 0.06**2 + 0.82**2
+    got = float(bench.irradiance(scene, [(0, 0, 0)], 0.5)[0])
+    assert got == pytest.approx(2 * 11.14 * 0.82 / square**1.5, rel=2e-4)  # (10 mm/0.82 m)^2
+    assert "assumptions" in scene.assumed["sources[0].preset"]
+    with pytest.raises(radwrap.InputError, match='no lamp "sun"; known: metal_halide_400w'):
+        bench.scene(bench.camera(), [{**sources[0], "preset": "sun"}], {}, [sheet])
