@@ -122,7 +122,9 @@ def corners(shape: WideShape, cell: Cell) -> Array:
             elif a1 >= math.pi:
                 around = [around[0], around[1], around[3]]
             polar, turn = np.array(around).T
-            return radius * _outwards(polar, turn)
+            # Sides of a polygon of as much area as the circle's, so that its light is not a percent less.
+            wider = math.sqrt((b1 - b0) / math.sin(b1 - b0))
+            return radius * _outwards(polar, turn) * [wider, wider, 1.0]
 
 
 def nodes(shape: WideShape, cells: Array, count: int) -> tuple[Array, Array, Array]:

@@ -54,6 +54,7 @@ _TOGETHER: Final = 0.3
 _LOBE_STEP: Final = 2.0
 _LOBE_REACH: Final = 4.0
 _GRAZING: Final = 1e-6
+_GRAZING_LOBE: Final = 0.17  # cos 80 deg: beyond, a Gaussian lobe grows without bound and no patches will do
 _SOLIDS: Final = (Sphere, Cylinder, Box, MeshPart)
 _ROOM: Final = 2.0  # of a surround about all that is there
 
@@ -159,7 +160,8 @@ def _facing(scene: Scene, group: SurfacePoints, points: Array, normals: Array, t
     material = scene.materials[group.material]
     towards = (to_eye * normals).sum(axis=1)
     flat = any(target.name == group.target and not isinstance(target, _SOLIDS) for target in scene.targets)
-    keep = np.abs(towards) > _GRAZING if flat and isinstance(material, Lambertian | Specular) else towards > _GRAZING
+    least = _GRAZING if isinstance(material, Lambertian) else _GRAZING_LOBE
+    keep = np.abs(towards) > least if flat and isinstance(material, Lambertian | Specular) else towards > least
     normals = normals * np.where(towards < 0, -1.0, 1.0)[:, np.newaxis]
     if keep.any():
         yield _Probe(material, flat, points[keep], normals[keep], to_eye[keep])

@@ -30,7 +30,7 @@ from radwrap.scene.materials import Lambertian, Material, Specular
 from radwrap.scene.probes import LIT_SHARE
 from radwrap.scene.scene import Scene
 from radwrap.scene.sight import shared_planes
-from radwrap.scene.sources import Emitter, Luminaire, Patch
+from radwrap.scene.sources import Emitter, Luminaire, Patch, WideSource
 from radwrap.scene.targets import (
     DiscShape,
     DotBoard,
@@ -87,6 +87,9 @@ def povray_scene(scene: Scene, included: Mapping[str, str], *, area_samples: int
     _check(scene)
     unit = scales_of(scene).length
     parts = [_HEADER.format(unit=unit)]
+    for source in scene.sources:
+        if isinstance(source, WideSource) and source.kind == "surround":
+            parts.append(f"background {{ color rgb {_number(source.radiance)}*Scale }}\n")
     for emitter in scene.emitters:
         if emitter.radiance > 0:
             parts.append(_light(scene, emitter, unit, area_samples))

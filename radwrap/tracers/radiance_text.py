@@ -29,7 +29,7 @@ from radwrap.scene.materials import (
     Specular,
 )
 from radwrap.scene.scene import Scene
-from radwrap.scene.sources import Emitter, Luminaire, Patch, TableBeam, emitters
+from radwrap.scene.sources import Emitter, Luminaire, Patch, Source, TableBeam, WideSource, emitters
 from radwrap.scene.targets import DiscShape, MeshShape, PolygonShape, SphereShape, Surface, TubeShape, surfaces
 
 _FUNCTIONS: Final = "radwrap.cal"
@@ -172,6 +172,7 @@ def scene_text(
     for emitter in scene.emitters:
         parts.append(_emitter(emitter, stem, scales, shines=only in {None, emitter.source}))
         beside.update(_beam_files(stem, emitter))
+    parts += [_background(sky, scales) for sky in scene.sources if _is_sky(sky) and only in {None, sky.name}]
     for name, material in scene.materials.items():
         beside.update(_data_files(f"{stem}.{name}", material))
     for target in scene.targets:
@@ -323,6 +324,18 @@ def _beam_files(stem: str, emitter: Emitter) -> dict[str, bytes]:
         return {}
     lines = "".join(" ".join(map(_number, row)) + "\n" for row in rows)
     return {_beam_data(stem, emitter): (head + lines).encode(), **_functions(stem, _MEASURED)}
+
+
+def _is_sky(source: Source) -> bool:
+    return isinstance(source, WideSource) and source.kind == "surround" and source.radiance > 0
+
+
+def _background(sky: Source, scales: Scales) -> str:
+    """What is seen between a surround's flat patches; a glow of no radius lights nothing."""
+    level = sky.patches[0].radiance / scales.radiance if isinstance(sky, WideSource) else 0.0
+    name = f"{sky.name}.background"
+    glow = _primitive("void", "glow", f"{name}.glow", (level, level, level, 0.0))
+    return f"# {name}\n{glow}" + _primitive(f"{name}.glow", "source", name, (0.0, 0.0, 1.0, 360.0))
 
 
 def _shining_surface(modifier: str, emitter: Emitter, scales: Scales) -> str:

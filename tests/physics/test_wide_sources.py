@@ -87,7 +87,9 @@ def test_a_surround_gives_pi_everywhere_and_is_seen_itself(bench: Any) -> None:
     outwards[:, 2] = np.abs(outwards[:, 2])  # what the camera sees, for which the error was asked
     got = bench.radiance(scene, outwards * 0.2, outwards * 0.05) * math.pi / 0.5
     assert np.abs(got / math.pi - 1).max() < ASKED
-    background = bench.radiance(scene, np.zeros((200, 3)) + outwards * 0.2, outwards * 0.3)
+    around = random.normal(size=(20000, 3))
+    around /= np.linalg.norm(around, axis=1, keepdims=True)
+    background = bench.radiance(scene, around * 0.2, around * 0.3)
     assert np.abs(background - 1).max() < FLOAT32
 
 
