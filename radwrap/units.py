@@ -64,6 +64,7 @@ RADIANT_FLUX: Final = _dimension("radiant flux", {"W": 1.0, "mW": 1e-3, "uW": 1e
 LUMINANCE: Final = _dimension("luminance", {"cd/m^2": 1.0, "kcd/m^2": 1e3, "cd/cm^2": 1e4})
 LUMINOUS_INTENSITY: Final = _dimension("luminous intensity", {"cd": 1.0, "mcd": 1e-3, "kcd": 1e3})
 LUMINOUS_FLUX: Final = _dimension("luminous flux", {"lm": 1.0, "mlm": 1e-3, "klm": 1e3})
+EFFICACY: Final = _dimension("luminous efficacy", {"lm/W": 1.0})
 COEFFICIENT_OF_RETROREFLECTION: Final = _dimension(
     "coefficient of retroreflection", {"cd/lx/m^2": 1.0, "1/sr": 1.0, "mcd/lx/m^2": 1e-3}
 )

@@ -31,6 +31,7 @@ DOORS = {
         "scene/material_tables.py",
         "scene/optics_tables.py",
         "scene/sensor_tables.py",
+        "scene/source_tables.py",
     },
     "pydantic_core": {"scene/load.py"},
     "trimesh": {"scene/parts.py", "convert/preview_files.py"},

@@ -95,6 +95,11 @@ def _lines(found: Mapping[str, Any]) -> Iterator[str]:
         for name, angle in ring["observation_angle_deg"].items():
             if angle is not None:
                 yield f"ring {ring['name']}: seen from {name} at an observation angle of {angle:.3f} deg"
+    for wide in found.get("wide_sources", ()):
+        yield (
+            f"source {wide['name']}: {wide['patches']} patches, off by up to {wide['irradiance_error']:.2%} at what is "
+            f"seen; {wide['irradiance_error_asked']:.2%} was asked for"
+        )
     if peak := found["expected_peak"]:
         yield (
             f"expected peak: gray {peak['gray']:.1f} ({peak['radiant_exposure']:.3g} J/m^2) on {peak['target']} "
@@ -121,5 +126,7 @@ def _source(source: Mapping[str, Any]) -> str:
             f"{source['name']}, ring of {source['count']} discs on {source['diameter'] * 1e3:g} mm, "
             f"{source['radiance']:g} W/m^2/sr each, {source['beam']['profile']}"
         )
+    if source["is"] == "WideSource":
+        return f"{source['name']}, {source['kind']}, {source['radiance']:g} W/m^2/sr, {source['beam']['profile']}"
     emitter = source["emitter"]
     return f"{emitter['name']}, {source['kind']}, {emitter['radiance']:g} W/m^2/sr, {emitter['beam']['profile']}"

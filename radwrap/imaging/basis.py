@@ -119,7 +119,7 @@ def _chosen(plan: Plan, tile: int, size: int) -> NDArray[np.intp]:
 
 
 def shining(scene: Scene, prepared: PreparedScene, asked_by: str = "--basis") -> tuple[str, ...]:
-    """Names of the sources of a basis: the emitters that are not dark; errors name who asked.
+    """Names of the sources of a basis: LEDs and wide sources that are not dark; errors name who asked.
 
     Raises
     ------
@@ -132,7 +132,7 @@ def shining(scene: Scene, prepared: PreparedScene, asked_by: str = "--basis") ->
             where=asked_by,
             remedy=f"describe it in [[sources]], or leave out {asked_by}",
         )
-    return tuple(emitter.name for emitter in scene.emitters if emitter.radiance > 0)
+    return tuple(dict.fromkeys(emitter.source for emitter in scene.emitters if emitter.radiance > 0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,7 +15,7 @@ from radwrap.scene.camera import Camera
 from radwrap.scene.checks import warnings_of
 from radwrap.scene.geometry import project
 from radwrap.scene.scene import Scene
-from radwrap.scene.sources import Ring, emitters
+from radwrap.scene.sources import Ring, WideSource, emitters
 
 # Below this share of the gray range above dark the image is called dim; the advice aims at the other one.
 _DIM_SHARE: Final = 0.25
@@ -35,6 +35,7 @@ def explain(scene: Scene) -> dict[str, Any]:
         ``diffraction``: what the opening's Airy disc is, see `diffraction`;
         ``targets``: for each its depth [m], blur radius [px] and R of Eq. 8
         [m]; ``rings``: observation angle at each target [deg];
+        ``wide_sources``, where there are any: patches, and the error asked for and found;
         ``expected_peak``: gray, irradiance on the sensor [W m^-2] and radiant
         exposure [J m^-2] by closed form (no shadows, no blur but that of a
         source that is seen itself) and where; ``advice``; ``warnings``; ``assumed``.
@@ -58,6 +59,7 @@ def explain(scene: Scene) -> dict[str, Any]:
         "diffraction": airy,
         "targets": [_target(camera, target.name, target.pose.position) for target in scene.targets],
         "rings": [_ring(scene, source) for source in scene.sources if isinstance(source, Ring)],
+        **_wide(scene),
         "expected_peak": peak,
         "advice": _advice(camera, peak),
         "warnings": [*warnings_of(scene), *diffraction_warning(airy)],
@@ -110,6 +112,22 @@ def _ring(scene: Scene, ring: Ring) -> dict[str, Any]:
         cosine = to_led @ to_eye / (np.linalg.norm(to_led, axis=1) * np.linalg.norm(to_eye))
         angles[target.name] = finite(float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))).mean()))
     return {"name": ring.name, "observation_angle_deg": angles}
+
+
+def _wide(scene: Scene) -> dict[str, Any]:
+    """What stands for wide sources; nothing where there is none."""
+    told = [
+        {
+            "name": source.name,
+            "patches": len(source.patches),
+            "irradiance_error_asked": source.irradiance_error,
+            "irradiance_error": source.reached,
+            "largest_share_of_a_patch": source.step,
+        }
+        for source in scene.sources
+        if isinstance(source, WideSource)
+    ]
+    return {"wide_sources": told} if told else {}
 
 
 def _peak(scene: Scene) -> dict[str, Any] | None:

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from radwrap.imaging.closed_form import radiance
 from radwrap.scene.geometry import SurfacePoints, directions, in_view, project
-from radwrap.scene.intersections import first_hit
-from radwrap.scene.materials import Specular
+from radwrap.scene.intersections import first_hit, in_polygon
+from radwrap.scene.materials import Anisotropic, Glass, Specular
 from radwrap.scene.probes import lit_points, material_number, materials_of, surface_points
 from radwrap.scene.scene import Scene
-from radwrap.scene.sources import Emitter
+from radwrap.scene.sources import Emitter, Luminaire, Patch
 from radwrap.scene.targets import Target
 
 Array = NDArray[np.float64]
@@ -94,7 +94,8 @@ def look(scene: Scene, rays: Array) -> Seen:
         for index, material in enumerate(materials_of(target)):
             of = closer & (which == index)
             if of.any():
-                value[of] = _reflected(scene, SurfacePoints(target.name, material, points[of], normals[of]), eye)
+                group = SurfacePoints(target.name, material, points[of], normals[of], target.pose.x_axis)
+                value[of] = _reflected(scene, group, eye)
                 number[of] = len(names)
             names.append((target.name, material))
     for emitter in _lit(scene):
@@ -108,7 +109,10 @@ def look(scene: Scene, rays: Array) -> Seen:
 
 def _hits(scene: Scene, rays: Array) -> list[tuple[Target, Array, Array]]:
     eye = np.asarray(scene.camera.pose.position)
-    return [(target, *first_hit(target, eye, rays)) for target in scene.targets]
+    panes = {name for name, material in scene.materials.items() if isinstance(material, Glass)}
+    return [
+        (target, *first_hit(target, eye, rays)) for target in scene.targets if panes.isdisjoint(materials_of(target))
+    ]
 
 
 def _reflected(scene: Scene, group: SurfacePoints, eye: Array) -> Array:
@@ -122,13 +126,28 @@ def _reflected(scene: Scene, group: SurfacePoints, eye: Array) -> Array:
 def _disc(emitter: Emitter, eye: Array, rays: Array) -> tuple[Array, Array]:
     """Distance to a source's disc, infinite where it is missed, and its radiance towards the eye; its back is black."""
     axis, centre = np.asarray(emitter.axis), np.asarray(emitter.position)
+    if isinstance(emitter, Luminaire):  # a sphere: it looks like a disc that faces the eye
+        axis = (eye - centre) / max(float(np.linalg.norm(eye - centre)), 1e-300)
     with np.errstate(divide="ignore", invalid="ignore"):
         distance = ((centre - eye) @ axis) / (rays @ axis)
-        off = np.linalg.norm(eye + distance[:, np.newaxis] * rays - centre, axis=1)
-    distance = np.where((distance > 0) & (off <= emitter.radius), distance, math.inf)
+        points = eye + distance[:, np.newaxis] * rays
+        off = np.linalg.norm(points - centre, axis=1)
+        inside = _in_patch(emitter, points) if isinstance(emitter, Patch) else off <= emitter.radius
+    distance = np.where((distance > 0) & inside, distance, math.inf)
     cosine = -rays @ axis
+    if isinstance(emitter, Luminaire):
+        return distance, np.full(len(rays), emitter.radiance * emitter.relative_intensity_at(eye[np.newaxis])[0])
     towards = emitter.beam.relative_intensity(np.arccos(np.clip(cosine, -1.0, 1.0)))
     return distance, emitter.radiance * towards / np.maximum(cosine, 1e-12)
+
+
+def _in_patch(patch: Patch, points: Array) -> NDArray[np.bool_]:
+    """Which points of a patch's plane lie in it."""
+    corners = np.asarray(patch.corners) - patch.position
+    first = corners[0] / np.linalg.norm(corners[0])
+    across = np.stack([first, np.cross(patch.axis, first)], axis=1)
+    away = np.where(np.isfinite(points), points - np.asarray(patch.position), math.inf)
+    return in_polygon(corners @ across, away @ across)
 
 
 def brightest(scene: Scene) -> Brightest | None:
@@ -197,7 +216,7 @@ def _special_places(scene: Scene) -> Array:
     for target in scene.targets:
         groups = surface_points(target, camera.pose.position)
         points += [group.points for group in groups]
-        glossy = any(isinstance(scene.materials[name], Specular) for name in materials_of(target))
+        glossy = any(isinstance(scene.materials[name], Specular | Anisotropic) for name in materials_of(target))
         for emitter in beams:
             points += [group.points for group in lit_points(target, emitter)]
             if glossy:

@@ -343,7 +343,7 @@ class _Run:
             "tolerance": self.options.tolerance,
             "max_error": self.options.max_error,
             "seed": self.options.seed,
-            "dark": sorted({emitter.name for emitter in self.scene.emitters} - set(self.sources)),
+            "dark": sorted({emitter.source for emitter in self.scene.emitters} - set(self.sources)),
             "versions": self.versions,
         }
         return write_basis(self.out, work, views, made.outcome, told)

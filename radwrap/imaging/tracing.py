@@ -63,10 +63,10 @@ class TracedScene:
         tracer = self._tracer(self.prepared.scene, self._work / "one_band")
         return View(self.scene.camera, tracer, self._options.workers or available_cores())
 
-    def view_of(self, emitter: str) -> View:
-        """The camera, with a tracer for the scene in the light of one emitter; the discs of the others are black."""
-        text = self.prepared.lit_by(self._in_band_of(emitter), emitter)
-        tracer = self._tracer(text, self._work / "sources" / emitter)
+    def view_of(self, source: str) -> View:
+        """The camera, with a tracer for the scene in the light of one source or LED; the others are black."""
+        text = self.prepared.lit_by(self._in_band_of(source), source)
+        tracer = self._tracer(text, self._work / "sources" / source)
         return View(self.scene.camera, tracer, self._options.workers or available_cores())
 
     def view_lit_by(self, sources: tuple[Source, ...]) -> View:
@@ -84,20 +84,15 @@ class TracedScene:
         tracers = []
         for number, band in enumerate(self.banding.bands.bands):
             coloured = replace(scene, materials={**scene.materials, **band.materials})
-            lit = {disc.name for source in scene.sources if source.name in band.sources for disc in emitters(source)}
+            lit = {name for source in scene.sources if source.name in band.sources for name in _switched(source)}
             text = scene_text(coloured, prepared.included, prepared.scene.files, only=lit)
             tracers.append(self._tracer(text, folder / f"band{number}"))
         return tracers[0] if len(tracers) == 1 else SummedTracer(tuple(tracers))
 
-    def _in_band_of(self, emitter: str) -> Scene:
-        """The scene with the materials as they look in the band of an emitter."""
+    def _in_band_of(self, lit: str) -> Scene:
+        """The scene with the materials as they look in the band of a source or LED."""
         for band in self.banding.bands.bands if self.banding.bands else ():
-            if any(
-                emitter == disc.name
-                for source in self.scene.sources
-                if source.name in band.sources
-                for disc in emitters(source)
-            ):
+            if any(lit in _switched(source) for source in self.scene.sources if source.name in band.sources):
                 return replace(self.scene, materials={**self.scene.materials, **band.materials})
         return self.scene
 
@@ -115,6 +110,11 @@ class TracedScene:
         build(text.text, text.files, folder, self._radiance, self._programs, search=search, harmless=harmless)
         channel = self.scene.camera.sensor.channel
         return RadianceTracer(self._radiance, self._programs, folder, text, search, channel, harmless)
+
+
+def _switched(source: Source) -> set[str]:
+    """Names by which the light of a source is switched: its own and, of a ring, those of the LEDs."""
+    return {source.name, *(emitter.source for emitter in emitters(source))}
 
 
 @contextmanager

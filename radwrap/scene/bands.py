@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Final
 
 from radwrap.errors import InputError
 from radwrap.scene.materials import (
+    Anisotropic,
     CoefficientTable,
     GlassBeads,
     Lambertian,
@@ -159,7 +160,7 @@ def scaled(material: Material, factor: float) -> Material:
     match material:
         case Lambertian() | PerturbedNormal():
             return replace(material, reflectance=material.reflectance * factor)
-        case Specular():
+        case Specular() | Anisotropic():
             return replace(
                 material,
                 diffuse_reflectance=material.diffuse_reflectance * factor,

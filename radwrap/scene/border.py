@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable
-from typing import Annotated, Any, ClassVar
+from importlib.resources import files
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema, model_validator
 
 from radwrap.errors import InputError
 from radwrap.units import (
     ANGLE,
     COEFFICIENT_OF_RETROREFLECTION,
     CURVATURE,
+    EFFICACY,
     ELECTRON_RATE,
     ELECTRONS,
     LENGTH,
@@ -72,6 +75,7 @@ LuminousFluxValue = Annotated[
 ]
 # From the width of a laser's line to thermal infrared.
 Wavelength = Annotated[float, Field(ge=1e-10, le=1e-4), BeforeValidator(_reader(LENGTH)), _schema(LENGTH)]
+EfficacyValue = Annotated[float, Field(gt=0, le=1e9), BeforeValidator(_reader(EFFICACY)), _schema(EFFICACY)]
 Coefficient = Annotated[
     float,
     Field(gt=0, le=1e9),
@@ -98,6 +102,7 @@ Flag = Annotated[bool, Field(strict=True)]
 Name = Annotated[str, Field(strict=True, pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")]
 Point = tuple[AnyLength, AnyLength, AnyLength]
 Direction = tuple[Number, Number, Number]
+RotationOrder = Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
 
 
 class Model(BaseModel):
@@ -109,3 +114,62 @@ class Model(BaseModel):
 def default(value: Any) -> Any:
     """Value that is taken, and listed as assumed, where the file is silent; written as the user would."""
     return Field(default=value)
+
+
+def exactly_one(model: Model, *keys: str) -> None:
+    """Refuse a table that has none of some keys, or more than one."""
+    given = [key for key in keys if getattr(model, key) is not None]
+    if len(given) != 1:
+        raise ValueError(f"needs exactly one of {' and '.join(keys)}, not {len(given)}")
+
+
+def preset_names(folder: str) -> tuple[str, ...]:
+    """Names of the presets in a folder of radwrap's data."""
+    entries = (files("radwrap") / "data" / folder).iterdir()
+    return tuple(sorted(entry.name.removesuffix(".toml") for entry in entries if entry.name.endswith(".toml")))
+
+
+def read_preset(folder: str, what: str, name: str) -> dict[str, Any]:
+    """Table of a preset.
+
+    Raises
+    ------
+    ValueError
+        If there is none of that name.
+    """
+    known = preset_names(folder)
+    if name not in known:
+        raise ValueError(f'preset: no {what} "{name}"; known: {", ".join(known)}')
+    return tomllib.loads((files("radwrap") / "data" / folder / f"{name}.toml").read_text("utf-8"))
+
+
+def preset_or_all(schema: dict[str, Any]) -> None:
+    """In the JSON schema: what is required without a preset is not with one."""
+    schema["anyOf"] = [{"required": ["preset"]}, {"required": schema.pop("required", [])}]
+
+
+class Placed(Model):
+    """Something with a position and a rotation about fixed world axes."""
+
+    position: Point = default(("0 m", "0 m", "0 m"))
+    rotation: tuple[Angle, Angle, Angle] = default(("0 deg", "0 deg", "0 deg"))
+    rotation_order: RotationOrder = "xyz"
+
+
+class Aimed(Model):
+    """Something that looks along its own z axis: by look_at (and up), or by rotation."""
+
+    position: Point | None = None
+    look_at: Point | None = None
+    up: Direction | None = None
+    rotation: tuple[Angle, Angle, Angle] | None = None
+    rotation_order: RotationOrder | None = None
+
+    @model_validator(mode="after")
+    def _one_attitude(self) -> Aimed:
+        exactly_one(self, "look_at", "rotation")
+        if self.up is not None and self.look_at is None:
+            raise ValueError("up goes with look_at")
+        if self.rotation_order is not None and self.rotation is None:
+            raise ValueError("rotation_order goes with rotation")
+        return self

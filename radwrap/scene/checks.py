@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from itertools import combinations
 from typing import Final
 
@@ -12,33 +13,46 @@ from numpy.typing import NDArray
 from radwrap.errors import InputError
 from radwrap.scene.camera import Camera
 from radwrap.scene.geometry import SurfacePoints, in_view, signed_distance
-from radwrap.scene.materials import GLASS_BEAD_OBSERVATION, CoefficientTable, GlassBeads, Material
+from radwrap.scene.materials import GLASS_BEAD_OBSERVATION, CoefficientTable, GlassBeads, Material, PrintedSheeting
 from radwrap.scene.probes import LIT_SHARE, lit_points, materials_of, merged, nearest_lit, seen_points, surface_points
 from radwrap.scene.scene import Scene
 from radwrap.scene.sight import shared_planes, sources_in_sight
 from radwrap.scene.smallness import small_parts
-from radwrap.scene.sources import Emitter
-from radwrap.scene.targets import Polygon, Target, signed_area
+from radwrap.scene.sources import Emitter, IntensityTable, Luminaire, Patch, SingleSource, TableBeam, WideSource
+from radwrap.scene.targets import Disc, DotBoard, EdgeTarget, Polygon, Sheet, Target, signed_area
 
 # A source is sampled at its centre, which misses the irradiance by about (radius/distance)^2.
 WIDE_SOURCE_LIMIT: Final = 0.01
 # Above this a valid scene is warned of it.
 _WIDTH_WARNING: Final = 1e-3
+_DOUBT: Final = 0.01
+_FLAT: Final = (Sheet, DotBoard, EdgeTarget, Disc, Polygon)
 _ANGLE_TOLERANCE: Final = 1e-9  # rad, rounding of the angles
 
 
-def check_scene(scene: Scene) -> None:
-    """Check what a scene needs to be traced.
+def check_shapes(scene: Scene) -> None:
+    """Check the targets alone.
 
     Raises
     ------
     InputError
-        If it is empty or unlit, the camera touches a target, a polygon is
-        flat or crosses itself, a source is too wide for its distance, or
-        sheeting is seen at angles its data do not cover.
+        If there is none, the camera touches one, or a polygon is flat or crosses itself.
     """
     if not scene.targets:
         raise InputError("the scene is empty", where=f"{scene.origin}: targets", remedy="add [[targets]]")
+    _check_polygons(scene)
+    _check_clearance(scene)
+
+
+def check_scene(scene: Scene) -> None:
+    """Check what a scene, whose shapes were checked, needs to be traced.
+
+    Raises
+    ------
+    InputError
+        If it is unlit, a source is too wide for its distance, or sheeting is
+        seen at angles its data do not cover.
+    """
     lit = any(emitter.radiance > 0 for emitter in scene.emitters)
     if not lit and not scene.included:
         raise InputError(
@@ -46,8 +60,6 @@ def check_scene(scene: Scene) -> None:
             where=f"{scene.origin}: sources",
             remedy="add [[sources]] with a radiance above zero",
         )
-    _check_polygons(scene)
-    _check_clearance(scene)
     _check_source_widths(scene)
     _check_sheeting_angles(scene)
 
@@ -113,9 +125,11 @@ def _check_clearance(scene: Scene) -> None:
 def source_width_error(scene: Scene, emitter: Emitter) -> float:
     """Largest (radius/distance)^2 over the points that a source lights: the error of sampling its centre.
 
-    0 where it is nowhere above the limit of the warning.
+    0 where it is nowhere above the limit of the warning, and for a patch, which was made small enough.
     """
     worst = 0.0
+    if isinstance(emitter, Patch):
+        return worst
     for target in scene.targets:
         # What is nearest is no nearer than this, lit or not.
         distance = max(signed_distance(target, emitter.position), 0.0)
@@ -133,8 +147,17 @@ def _check_source_widths(scene: Scene) -> None:
                 f'"{emitter.name}" is too wide for its distance: its irradiance would be off '
                 f"by up to {min(error, 1):.0%}",
                 where=_where(scene, "sources", emitter.name) + ".diameter",
-                remedy="move it away, or describe it by several smaller sources",
+                remedy=_of_a_wide_one(scene, emitter),
             )
+
+
+def _of_a_wide_one(scene: Scene, emitter: Emitter) -> str:
+    if any(
+        isinstance(source, SingleSource) and source.kind == "disc" and source.emitter is emitter
+        for source in scene.sources
+    ):
+        return "move it away, or ask for an irradiance_error, such as 0.01, for which it is cut into patches"
+    return "move it away, or describe it by several smaller sources"
 
 
 def _check_sheeting_angles(scene: Scene) -> None:
@@ -146,13 +169,16 @@ def _check_sheeting_angles(scene: Scene) -> None:
         spread = (*surface_points(target, camera.pose.position), *seen_points(target, camera))
         for emitter in scene.emitters:
             if emitter.radiance > 0:
-                for group in merged([*spread, *lit_points(target, emitter)]):
+                lit = () if isinstance(emitter, Patch) else lit_points(target, emitter)
+                for group in merged([*spread, *lit]):
                     if group.material in limits:
                         _check_angles(scene, group, emitter, limits[group.material])
 
 
 def _sheeting_limits(material: Material) -> tuple[float, float, float] | None:
     """(smallest alpha, largest alpha, largest beta) [rad] that the data cover."""
+    if isinstance(material, PrintedSheeting):
+        return _sheeting_limits(material.sheeting)
     if isinstance(material, CoefficientTable) and material.outside == "refuse":
         return material.observation[0], material.observation[-1], material.entrance[-1]
     if isinstance(material, GlassBeads) and material.outside == "refuse":
@@ -219,7 +245,35 @@ def warnings_of(scene: Scene) -> tuple[str, ...]:
             found.append(f'"{emitter.name}" is close to what it lights: irradiance off by up to {error:.2%}')
     if not scene.included and not any(_is_seen(scene.camera, target) for target in scene.targets):
         found.append("no target is in the camera's view")
+    found += _half_shadows(scene)
+    found += _doubtful_tables(scene)
     return (*found, *small_parts(scene), *sources_in_sight(scene), *shared_planes(scene))
+
+
+def _doubtful_tables(scene: Scene) -> Iterator[str]:
+    """A line for each measured beam whose angles lie so far apart that its curve is a guess."""
+    doubts = {}
+    for emitter in scene.emitters:
+        measured = emitter.table if isinstance(emitter, Luminaire) else emitter.beam
+        if isinstance(measured, IntensityTable | TableBeam) and measured.doubt > _DOUBT:
+            doubts[emitter.source.split(".")[0]] = measured.doubt
+    for name, doubt in doubts.items():
+        yield (
+            f'the table of "{name}" has few angles: straight lines between them would change its intensity by up to '
+            f"{doubt:.1%} of the peak"
+        )
+
+
+def _half_shadows(scene: Scene) -> Iterator[str]:
+    """A line for each wide source whose patches show in half shadows."""
+    if len(scene.targets) == 1 and isinstance(scene.targets[0], _FLAT):
+        return
+    for source in scene.sources:
+        if isinstance(source, WideSource) and source.step > source.irradiance_error:
+            yield (
+                f'half shadows under "{source.name}" come in steps of up to {source.step:.1%} of its light '
+                f"({len(source.patches)} patches): least_patches makes them finer"
+            )
 
 
 def _is_seen(camera: Camera, target: Target) -> bool:

@@ -4,40 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from itertools import count
 from pathlib import Path
 
 from radwrap.errors import InputError
-from radwrap.frames import Pose, aim, default_up, normalised, rotation_about_fixed_axes
 from radwrap.scene import document as tables
 from radwrap.scene.camera import Aperture, Camera, Lens, image_distance
 from radwrap.scene.distortion import Distortion, bounded, opencv_distortion
-from radwrap.scene.material_tables import LambertianModel, MaterialModel, SpecularModel
-from radwrap.scene.materials import (
-    CoefficientTable,
-    GlassBeads,
-    Lambertian,
-    Material,
-    PerturbedNormal,
-    Specular,
-)
+from radwrap.scene.material_convert import check_places, material_from_table
 from radwrap.scene.mesh import mesh_of
 from radwrap.scene.optics_tables import LensModel
-from radwrap.scene.ring_calibration import read_calibration
+from radwrap.scene.poses import placed_pose, pose_of
 from radwrap.scene.scene import Scene
 from radwrap.scene.sensor_values import sensor_from_table
-from radwrap.scene.sources import (
-    Beam,
-    Emitter,
-    LedChange,
-    Ring,
-    SingleSource,
-    Source,
-    cosine_power_spread,
-    gaussian_spread,
-)
-from radwrap.scene.spectral import axial_radiance, with_spectra
+from radwrap.scene.source_convert import sources_from_tables
+from radwrap.scene.sources import Source
+from radwrap.scene.spectral import with_spectra
 from radwrap.scene.targets import (
     Box,
     Cylinder,
@@ -54,7 +36,6 @@ from radwrap.scene.targets import (
 from radwrap.scene.tolerances import Tolerances
 
 _DEFAULT_EXPOSURE_DIAMETER = 1e-4
-_ORIGIN = (0.0, 0.0, 0.0)
 
 
 def scene_from_model(
@@ -68,10 +49,8 @@ def scene_from_model(
         Where values that are right one by one do not go together.
     """
     names: set[str] = set()
-    sources = tuple(
-        _source(table, f"{origin}: sources[{i}]", f"sources[{i}]", assumed, folder)
-        for i, table in enumerate(model.sources)
-    )
+    camera = _camera(model.camera, f"{origin}: camera", assumed)
+    sources = sources_from_tables(model.sources, camera.pose, assumed=assumed, origin=origin, folder=folder)
     target_names = _target_names(model, assumed)
     targets = tuple(
         _part(table, name, f"{origin}: targets[{index}]", folder)
@@ -85,10 +64,16 @@ def scene_from_model(
                 raise InputError(f'the name "{thing.name}" stands there twice', where=f"{origin}: {kind}[{index}].name")
             names.add(thing.name)
     _check_materials(targets, model.materials, origin)
+    materials = {
+        name: material_from_table(table, f"{origin}: materials.{name}", f"materials.{name}", assumed, folder)
+        for name, table in model.materials.items()
+    }
+    check_places(targets, materials, origin)
+    _check_splitter(sources, targets, origin)
     scene = Scene(
-        camera=_camera(model.camera, f"{origin}: camera", assumed),
+        camera=camera,
         sources=sources,
-        materials={name: _material(table, f"materials.{name}", assumed) for name, table in model.materials.items()},
+        materials=materials,
         targets=targets,
         tolerances=Tolerances(**model.tolerances.model_dump()) if model.tolerances else None,
         assumed=assumed,
@@ -97,6 +82,16 @@ def scene_from_model(
         document=document,
     )
     return with_spectra(scene, model)
+
+
+def _check_splitter(sources: tuple[Source, ...], targets: tuple[Target, ...], origin: str) -> None:
+    for index, target in enumerate(targets):
+        if isinstance(target, RadFile) and any(getattr(source, "kind", "") == "coaxial" for source in sources):
+            raise InputError(
+                "an included file may hold light, which the beam splitter of a coaxial source would dim",
+                where=f"{origin}: targets[{index}]",
+                remedy="describe it by targets and sources",
+            )
 
 
 def _check_materials(targets: tuple[Target, ...], materials: Mapping[str, object], origin: str) -> None:
@@ -125,36 +120,6 @@ def _target_names(model: tables.SceneModel, assumed: dict[str, str]) -> list[str
     return names
 
 
-def _pose(table: tables.Aimed, where: str, key: str, assumed: dict[str, str], *, has_roll: bool = True) -> Pose:
-    """Pose of a camera or a source; a single disc has no roll, so nothing is assumed of it."""
-    position = table.position or getattr(table, "translation", None)
-    if position is None:
-        raise InputError("is missing", where=f"{where}.position")
-    if table.rotation is not None:
-        if table.rotation_order is None:
-            assumed[f"{key}.rotation_order"] = "xyz"
-        return Pose(position, rotation_about_fixed_axes(table.rotation, table.rotation_order or "xyz"))
-    look_at = table.look_at or _ORIGIN
-    try:
-        up = default_up(position, look_at)
-    except ValueError as error:
-        raise InputError(
-            "is the position itself: a direction needs a length above zero",
-            where=f"{where}.look_at",
-            remedy="look at another point",
-        ) from error
-    if table.up is None and has_roll:
-        assumed[f"{key}.up"] = f"[{', '.join(f'{value:g}' for value in up)}]"
-    try:
-        return aim(position, look_at, table.up)
-    except ValueError as error:
-        raise InputError(str(error), where=f"{where}.up", remedy="choose another up") from error
-
-
-def _placed(table: tables.Placed) -> Pose:
-    return Pose(table.position, rotation_about_fixed_axes(table.rotation, table.rotation_order))
-
-
 def _camera(table: tables.CameraModel, where: str, assumed: dict[str, str]) -> Camera:
     sensor = table.sensor
     opening = table.aperture
@@ -169,7 +134,7 @@ def _camera(table: tables.CameraModel, where: str, assumed: dict[str, str]) -> C
     if table.principal_point is None:
         assumed["camera.principal_point"] = f"[{centre[0]:g} px, {centre[1]:g} px]"
     return Camera(
-        pose=_pose(table, where, "camera", assumed),
+        pose=pose_of(table, where, "camera", assumed),
         focal_length=table.focal_length,
         principal_point=principal_point,
         exposure_time=table.exposure_time,
@@ -245,135 +210,6 @@ def _lens(
     return Lens(table.focus_distance, table.transmission, illumination)
 
 
-def _beam(table: tables.BeamModel, where: str, key: str, assumed: dict[str, str]) -> Beam:
-    if table.profile == "lambertian" or table.width is None:
-        return Beam("lambertian")
-    if table.width_definition is None:
-        assumed[f"{key}.beam.width_definition"] = "fwhm"
-    definition = table.width_definition or "fwhm"
-    if table.profile == "gaussian":
-        return Beam("gaussian", gaussian_spread(table.width, definition))
-    if table.profile == "cosine_power":
-        if definition != "sigma" and table.width / (1 if definition == "half_angle" else 2) >= math.pi / 2:
-            raise InputError("a power of the cosine is dark from 90 degrees on", where=f"{where}.beam.width")
-        return Beam("cosine_power", cosine_power_spread(table.width, definition))
-    half = table.width if definition == "half_angle" else table.width / 2
-    if half > math.pi / 2:
-        raise InputError("a cone cannot be wider than a half space", where=f"{where}.beam.width")
-    return Beam("cone", half)
-
-
-def _check_beam_factors(table: tables.RingModel, beam: Beam, where: str) -> None:
-    for index, led in enumerate(table.leds):
-        place = f"{where}.leds[{index}].beam_width_factor"
-        if beam.profile == "lambertian" and led.beam_width_factor != 1:
-            raise InputError("a lambertian beam has no width", where=place, remedy="leave it out")
-        if beam.profile == "cone" and beam.spread * led.beam_width_factor > math.pi / 2:
-            raise InputError("a cone cannot be wider than a half space", where=place, remedy="choose a smaller one")
-
-
-def _calibrated_radiances(table: tables.RingModel, where: str, folder: Path) -> tuple[float, ...]:
-    """Radiance of each LED of a ring that was measured [W m^-2 sr^-1]; empty where it was not."""
-    if table.calibration is None or table.drive_levels is None:
-        return ()
-    place = f"{where}.calibration"
-    path = (folder / table.calibration).resolve()
-    if not path.is_relative_to(folder.resolve()):
-        raise InputError("lies outside the scene's folder", where=place, remedy="copy it beside the scene file")
-    levels = table.drive_levels if isinstance(table.drive_levels, tuple) else (table.drive_levels,) * table.count
-    try:
-        intensities = read_calibration(path).intensities(levels)
-    except InputError as error:
-        raise InputError(str(error), where=place) from error
-    return tuple(intensity / (math.pi * table.led_diameter**2 / 4) for intensity in intensities)
-
-
-def _changes(table: tables.RingModel, radiances: tuple[float, ...], radiance: float) -> tuple[LedChange, ...]:
-    """How the LEDs differ: as the file says, and as they were measured."""
-    told = {
-        led.index: LedChange(led.index, led.radiance_factor, led.beam_width_factor, led.axis_tilt, led.axis_azimuth)
-        for led in table.leds
-    }
-    if not radiances:
-        return tuple(told.values())
-    own = [told.get(index, LedChange(index)) for index in range(table.count)]
-    return tuple(
-        replace(led, radiance_factor=led.radiance_factor * measured / radiance)
-        for led, measured in zip(own, radiances, strict=True)
-    )
-
-
-def _source(table: tables.SourceModel, where: str, key: str, assumed: dict[str, str], folder: Path) -> Source:
-    if table.position is None:
-        raise InputError("is missing", where=f"{where}.position")
-    pose = _pose(table, where, key, assumed, has_roll=isinstance(table, tables.RingModel))
-    if isinstance(table, tables.RingModel):
-        beam = _beam(table.beam, where, key, assumed)
-        _check_beam_factors(table, beam, where)
-        measured = _calibrated_radiances(table, where, folder)
-        # Of a measured ring all dark nothing can be a multiple.
-        radiance = max(measured, default=0.0) or axial_radiance(table, table.led_diameter, beam, folder, where)
-        return Ring(
-            name=table.name,
-            pose=pose,
-            count=table.count,
-            diameter=table.diameter,
-            first_angle=table.first_angle,
-            led_radius=table.led_diameter / 2,
-            radiance=radiance,
-            beam=beam,
-            misalignment_y=table.misalignment.about_y,
-            misalignment_z=table.misalignment.about_z,
-            changes=_changes(table, measured if any(measured) else (), radiance),
-        )
-    beam = Beam("lambertian") if isinstance(table, tables.DiscSourceModel) else _beam(table.beam, where, key, assumed)
-    emitter = Emitter(
-        table.name,
-        pose.position,
-        normalised(pose.z_axis),
-        table.diameter / 2,
-        axial_radiance(table, table.diameter, beam, folder, where),
-        beam,
-    )
-    return SingleSource(table.type, emitter)
-
-
-def material_from_table(table: MaterialModel) -> Material:
-    """A material on its own.
-
-    Raises
-    ------
-    InputError
-        If it has a spectrum, which alone says nothing.
-    """
-    if table.spectrum is not None:
-        raise InputError("goes with the spectra of a scene's sources", where="spectrum", remedy="leave it out here")
-    return _material(table, "materials", {})
-
-
-def _material(table: MaterialModel, key: str, assumed: dict[str, str]) -> Material:
-    match table:
-        case LambertianModel():
-            return Lambertian(table.reflectance)
-        case SpecularModel():
-            return Specular(table.diffuse_reflectance, table.specular_reflectance, table.roughness)
-    if table.reflectance is not None and table.roughness is not None:
-        return PerturbedNormal(table.reflectance, table.roughness)
-    if table.outside is None:
-        assumed[f"{key}.outside"] = "refuse"
-    if table.anchor is not None:
-        return GlassBeads(table.anchor, table.outside or "refuse")
-    if table.interpolation is None:
-        assumed[f"{key}.interpolation"] = "log"
-    return CoefficientTable(
-        observation=tuple(abs(angle) for angle in table.observation_angles or ()),
-        entrance=tuple(abs(angle) for angle in table.entrance_angles or ()),
-        coefficient=table.coefficients or (),
-        interpolation=table.interpolation or "log",
-        outside=table.outside or "refuse",
-    )
-
-
 def _part(table: tables.PartModel, name: str, where: str, folder: Path) -> MeshPart:
     """A mesh with equal vertices joined, without triangles of no area, its neighbours wound alike."""
     from radwrap.scene.parts import cleaned, joined, read_part_file
@@ -386,11 +222,11 @@ def _part(table: tables.PartModel, name: str, where: str, folder: Path) -> MeshP
     order = wound(vertices, faces)
     mesh = mesh_of(vertices, order.faces)
     told = f"{found.sha256}:{table.length_unit!r}"
-    return MeshPart(name, _placed(table), table.material, table.part, told, mesh, order.closed)
+    return MeshPart(name, placed_pose(table), table.material, table.part, told, mesh, order.closed)
 
 
 def _target(table: tables.TargetModel, name: str) -> Target:
-    pose = _placed(table)
+    pose = placed_pose(table)
     match table:
         case tables.SheetModel():
             return Sheet(name, pose, table.material, *table.size)

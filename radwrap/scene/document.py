@@ -2,76 +2,33 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Final, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
 from radwrap.scene.border import (
+    Aimed,
     Angle,
     AnyLength,
     Curvature,
-    Direction,
     Duration,
-    Factor,
-    LuminanceValue,
-    LuminousFluxValue,
-    LuminousIntensityValue,
     Model,
     Name,
     PixelPosition,
+    Placed,
     Point,
-    PositiveAngle,
-    RadianceValue,
-    RadiantFluxValue,
-    RadiantIntensityValue,
     Share,
     Size,
     SizeOrZero,
     default,
+    exactly_one,
 )
 from radwrap.scene.material_tables import MaterialModel
-from radwrap.scene.optics_tables import CurveModel, LensModel, SpectrumModel
+from radwrap.scene.optics_tables import CurveModel, LensModel
 from radwrap.scene.sensor_tables import AnySensorModel, GrayLevel
-from radwrap.scene.sources import WidthDefinition
+from radwrap.scene.source_tables import SourceModel
 
 BendNumber = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-1e6, le=1e6)]
-RotationOrder = Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
-
-
-PHOTOMETRIC: Final = ("luminance", "luminous_intensity", "luminous_flux")
-
-
-def _exactly_one(model: Model, *keys: str) -> None:
-    given = [key for key in keys if getattr(model, key) is not None]
-    if len(given) != 1:
-        raise ValueError(f"needs exactly one of {' and '.join(keys)}, not {len(given)}")
-
-
-class Placed(Model):
-    """Something with a position and a rotation about fixed world axes."""
-
-    position: Point = default(("0 m", "0 m", "0 m"))
-    rotation: tuple[Angle, Angle, Angle] = default(("0 deg", "0 deg", "0 deg"))
-    rotation_order: RotationOrder = "xyz"
-
-
-class Aimed(Model):
-    """Something that looks along its own z axis: by look_at (and up), or by rotation."""
-
-    position: Point | None = None
-    look_at: Point | None = None
-    up: Direction | None = None
-    rotation: tuple[Angle, Angle, Angle] | None = None
-    rotation_order: RotationOrder | None = None
-
-    @model_validator(mode="after")
-    def _one_attitude(self) -> Aimed:
-        _exactly_one(self, "look_at", "rotation")
-        if self.up is not None and self.look_at is None:
-            raise ValueError("up goes with look_at")
-        if self.rotation_order is not None and self.rotation is None:
-            raise ValueError("rotation_order goes with rotation")
-        return self
 
 
 class ApertureModel(Model):
@@ -147,7 +104,7 @@ class CameraModel(Aimed):
 
     @model_validator(mode="after")
     def _one_place(self) -> CameraModel:
-        _exactly_one(self, "position", "translation")
+        exactly_one(self, "position", "translation")
         return self
 
     @model_validator(mode="after")
@@ -168,129 +125,6 @@ class CameraModel(Aimed):
         if self.lens is None or self.lens.f_number is None:
             return self.aperture.diameter
         return self.focal_length / self.lens.f_number
-
-
-class BeamModel(Model):
-    """Angular distribution of a source."""
-
-    profile: Literal["gaussian", "cosine_power", "cone", "lambertian"]
-    width: PositiveAngle | None = None
-    width_definition: WidthDefinition | None = None
-
-    @model_validator(mode="after")
-    def _consistent(self) -> BeamModel:
-        if self.profile == "lambertian":
-            if self.width is not None or self.width_definition is not None:
-                raise ValueError("a lambertian beam has no width")
-            return self
-        if self.width is None:
-            raise ValueError(f"a {self.profile} beam needs its width")
-        if self.profile == "cone" and self.width_definition in ("1/e^2_full", "sigma"):
-            raise ValueError('the width of a cone is "fwhm" (full angle) or "half_angle"')
-        return self
-
-
-class Shining(Model):
-    """What all sources have in common."""
-
-    name: Name
-    radiance: RadianceValue | None = None
-    radiant_intensity: RadiantIntensityValue | None = None
-    radiant_flux: RadiantFluxValue | None = None
-    luminance: LuminanceValue | None = None
-    luminous_intensity: LuminousIntensityValue | None = None
-    luminous_flux: LuminousFluxValue | None = None
-    spectrum: SpectrumModel | None = None
-
-    @model_validator(mode="after")
-    def _one_level(self) -> Shining:
-        self._check_level()
-        return self
-
-    def _check_level(self, *others: str) -> None:
-        """One level; where that is told in lumens or candelas a spectrum says how many watts it is."""
-        rare = [key for key in ("radiant_flux", *PHOTOMETRIC) if getattr(self, key) is not None]
-        _exactly_one(self, "radiance", "radiant_intensity", *rare, *others)
-        if self.spectrum is None:
-            for key in PHOTOMETRIC:
-                if getattr(self, key) is not None:
-                    raise ValueError(f"{key} needs spectrum: only that says how many watts it is")
-
-
-class LedModel(Shining, Aimed):
-    """A single LED."""
-
-    type: Literal["led"]
-    diameter: Size = default("5.08 mm")
-    beam: BeamModel
-
-
-class LampModel(Shining, Aimed):
-    """A lamp: a disc at a position, with a beam."""
-
-    type: Literal["lamp"]
-    diameter: Size
-    beam: BeamModel
-
-
-class DiscSourceModel(Shining, Aimed):
-    """A plain Lambertian disc."""
-
-    type: Literal["disc"]
-    diameter: Size
-
-
-class LedChangeModel(Model):
-    """How one LED of a ring differs."""
-
-    index: Annotated[int, Field(strict=True, ge=0)]
-    radiance_factor: Factor = 1.0
-    beam_width_factor: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=1e6)] = 1.0
-    axis_tilt: Angle = default("0 deg")
-    axis_azimuth: Angle = default("0 deg")
-
-
-class MisalignmentModel(Model):
-    """Turn of a whole ring, about the world's y axis, then about its z axis."""
-
-    about_y: Angle = default("0 deg")
-    about_z: Angle = default("0 deg")
-
-
-class RingModel(Shining, Aimed):
-    """LEDs evenly on a circle."""
-
-    type: Literal["ring"]
-    count: Annotated[int, Field(strict=True, ge=1, le=4096)]
-    diameter: Size
-    first_angle: Angle = default("0 deg")
-    led_diameter: Size = default("5.08 mm")
-    beam: BeamModel
-    misalignment: MisalignmentModel = default({})
-    leds: tuple[LedChangeModel, ...] = ()
-    calibration: Annotated[str, Field(strict=True, min_length=1, max_length=1000)] | None = None
-    drive_levels: Share | tuple[Share, ...] | None = None
-
-    @model_validator(mode="after")
-    def _one_level(self) -> RingModel:
-        self._check_level("calibration")
-        if (self.calibration is None) != (self.drive_levels is None):
-            raise ValueError("calibration and drive_levels go together")
-        if isinstance(self.drive_levels, tuple) and len(self.drive_levels) != self.count:
-            raise ValueError(f"drive_levels: {len(self.drive_levels)} levels for {self.count} LEDs")
-        return self
-
-    @model_validator(mode="after")
-    def _leds_exist(self) -> RingModel:
-        indices = [led.index for led in self.leds]
-        if len(set(indices)) < len(indices):
-            raise ValueError("leds: an index stands there twice")
-        if indices and max(indices) >= self.count:
-            raise ValueError(f"leds: index {max(indices)} is too large, the ring has LEDs 0 to {self.count - 1}")
-        return self
-
-
-SourceModel = Annotated[LedModel | LampModel | DiscSourceModel | RingModel, Field(discriminator="type")]
 
 
 class TargetBase(Placed):

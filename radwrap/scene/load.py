@@ -18,13 +18,15 @@ from pydantic_core import ErrorDetails, PydanticUndefined
 from radwrap.errors import InputError
 from radwrap.scene.border import Model
 from radwrap.scene.calibrated import with_calibration
-from radwrap.scene.checks import check_scene
-from radwrap.scene.convert import material_from_table, scene_from_model
+from radwrap.scene.checks import check_scene, check_shapes
+from radwrap.scene.convert import scene_from_model
 from radwrap.scene.data_sheet import with_data_sheet
 from radwrap.scene.document import SceneModel
+from radwrap.scene.material_convert import material_from_table
 from radwrap.scene.material_tables import MaterialModel
-from radwrap.scene.materials import Material
+from radwrap.scene.materials import Glass, Material, Mirror, PrintedImage
 from radwrap.scene.scene import Scene
+from radwrap.scene.wide_sources import divided
 
 _LARGEST_FILE: Final = 16 << 20  # byte; a scene file is written by hand
 # What pydantic calls a wrong kind of value, and what the file must hold there instead.
@@ -83,7 +85,22 @@ def load_materials(path: str | Path) -> dict[str, Material]:
         model = _MaterialsModel.model_validate(document)
     except ValidationError as error:
         raise _translated(error, path.name, document) from error
-    return {name: material_from_table(table) for name, table in model.materials.items()}
+    found = {
+        name: material_from_table(table, f"{path}: materials.{name}", f"materials.{name}", {}, path.parent)
+        for name, table in model.materials.items()
+    }
+    for name, material in found.items():
+        if getattr(model.materials[name], "spectrum", None) is not None:
+            raise InputError(
+                "goes with the spectra of a scene's sources",
+                where=f"{path}: materials.{name}.spectrum",
+                remedy="leave it out here",
+            )
+        if isinstance(material, PrintedImage | Mirror | Glass):
+            raise InputError(
+                "prints, mirrors and glass are for flat targets of a scene", where=f"{path}: materials.{name}"
+            )
+    return found
 
 
 def scene_from_document(
@@ -104,6 +121,8 @@ def scene_from_document(
     except ValidationError as error:
         raise _translated(error, origin, document) from error
     scene = scene_from_model(model, assumed=dict(_assumed(model)), origin=origin, folder=folder, document=text)
+    check_shapes(scene)
+    scene = divided(scene)
     check_scene(scene)
     return scene
 

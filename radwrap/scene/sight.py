@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from radwrap.scene.geometry import directions, project
 from radwrap.scene.intersections import first_hit, in_polygon
 from radwrap.scene.scene import Scene
-from radwrap.scene.sources import Emitter, emitters
+from radwrap.scene.sources import Emitter, Source, WideSource, emitters
 from radwrap.scene.targets import (
     Box,
     Cylinder,
@@ -47,6 +47,8 @@ def sources_in_sight(scene: Scene) -> Iterator[str]:
     """
     for source in scene.sources:
         facing, hiding, hidden = 0, 0, ""
+        if isinstance(source, WideSource) and source.kind == "surround":
+            continue  # nothing lies behind it
         for emitter in emitters(source):
             behind = _behind(scene, emitter) if emitter.radiance > 0 else None
             if behind is None:
@@ -57,13 +59,15 @@ def sources_in_sight(scene: Scene) -> Iterator[str]:
             elif behind:
                 hiding, hidden = hiding + 1, behind
         if facing:
-            yield f"{_discs(source.name, facing)} in view from the front: there the image shows the light itself"
+            yield f"{_discs(source, facing)} in view from the front: there the image shows the light itself"
         if hiding:
-            yield f'{_discs(source.name, hiding)} between the camera and "{hidden}", part of which is hidden'
+            yield f'{_discs(source, hiding)} between the camera and "{hidden}", part of which is hidden'
 
 
-def _discs(name: str, number: int) -> str:
-    return f'the disc of "{name}" is' if number == 1 else f'{number} discs of "{name}" are'
+def _discs(source: Source, number: int) -> str:
+    if isinstance(source, WideSource):
+        return f'a part of "{source.name}" is'
+    return f'the disc of "{source.name}" is' if number == 1 else f'{number} discs of "{source.name}" are'
 
 
 def _behind(scene: Scene, emitter: Emitter) -> str | None:

@@ -8,7 +8,7 @@ sheets give it. "gaussian", "cosine_power" and "cone" describe g itself;
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -23,8 +23,9 @@ from radwrap.frames import (
     rotation_about,
     to_world,
 )
+from radwrap.scene.wide_shapes import WideShape
 
-Profile = Literal["gaussian", "cosine_power", "cone", "lambertian"]
+Profile = Literal["gaussian", "cosine_power", "cone", "lambertian", "table"]
 WidthDefinition = Literal["fwhm", "half_angle", "1/e^2_full", "sigma"]
 
 
@@ -35,7 +36,7 @@ class Beam:
     Attributes
     ----------
     profile : str
-        "gaussian", "cosine_power", "cone" or "lambertian".
+        "gaussian", "cosine_power", "cone", "lambertian" or "table".
     spread : float
         "gaussian": standard deviation of exp(-theta^2/(2 spread^2)) [rad];
         "cosine_power": of cos(theta)^(1/spread^2), the standard deviation of
@@ -55,10 +56,74 @@ class Beam:
                 relative = np.power(np.maximum(np.cos(theta), 0.0), self.spread**-2)
             case "cone":
                 relative = np.where(theta < self.spread, 1.0, 0.0)
-            case "lambertian":
+            case "table":
+                raise TypeError("a table is a TableBeam")
+            case _:
                 relative = np.cos(theta)
         in_front: NDArray[np.float64] = np.where(np.cos(theta) > 0.0, relative, 0.0)
         return in_front
+
+
+@dataclass(frozen=True, slots=True)
+class TableBeam(Beam):
+    """A measured beam; its `spread` is a factor on all angles.
+
+    Attributes
+    ----------
+    sha256 : str
+        Of the file.
+    doubt : float
+        What straight lines between the file's angles would change, as a share of the peak.
+    values : tuple of float
+        I(theta)/I(0) in even steps from 0 to 90 deg.
+    """
+
+    sha256: str = ""
+    doubt: float = 0.0
+    values: tuple[float, ...] = field(default=(), compare=False, repr=False)
+
+    def relative_intensity(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
+        """I(theta)/I(0) at angles theta to the axis [rad]; 0 behind the disc."""
+        nodes = np.linspace(0, math.pi / 2, len(self.values))
+        relative = np.interp(theta / self.spread, nodes, self.values, right=0.0)
+        in_front: NDArray[np.float64] = np.where(np.cos(theta) > 0.0, relative, 0.0)
+        return in_front
+
+
+@dataclass(frozen=True, slots=True)
+class IntensityTable:
+    """Measured intensity in all directions.
+
+    Attributes
+    ----------
+    sha256 : str
+        Of the file.
+    peak : float
+        Largest intensity, in the file's unit [cd].
+    doubt : float
+        What straight lines between the file's angles would change, as a share of the peak.
+    rows : tuple of tuple of float
+        Share of the peak: a row for each azimuth in even steps of a full turn, or one for all; in it even steps of the
+        polar angle from 0 to 180 deg.
+    """
+
+    sha256: str
+    peak: float
+    doubt: float
+    rows: tuple[tuple[float, ...], ...] = field(compare=False, repr=False)
+
+    def share(self, polar: NDArray[np.float64], azimuth: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Share of the peak at angles [rad], straight between the table's steps."""
+        table = np.asarray(self.rows)
+        height = np.clip(polar / math.pi, 0.0, 1.0) * (table.shape[1] - 1)
+        turn = np.mod(azimuth / (2 * math.pi), 1.0) * (table.shape[0] - 1)
+        low, first = np.floor(height).astype(int), np.floor(turn).astype(int)
+        above, after = np.minimum(low + 1, table.shape[1] - 1), np.minimum(first + 1, table.shape[0] - 1)
+        up, on = height - low, turn - first
+        shares: NDArray[np.float64] = (1 - on) * ((1 - up) * table[first, low] + up * table[first, above]) + on * (
+            (1 - up) * table[after, low] + up * table[after, above]
+        )
+        return shares
 
 
 def gaussian_spread(width: float, definition: WidthDefinition) -> float:
@@ -120,6 +185,11 @@ class Emitter:
     beam: Beam
 
     @property
+    def source(self) -> str:
+        """Name of the light that is switched and dimmed as one."""
+        return self.name
+
+    @property
     def radiant_intensity(self) -> float:
         """Radiant intensity along the axis, I(0) = radiance x area [W sr^-1]."""
         return self.radiance * math.pi * self.radius**2
@@ -132,18 +202,66 @@ class Emitter:
 
 
 @dataclass(frozen=True, slots=True)
+class Luminaire(Emitter):
+    """A small sphere that shines in all directions as a table says; its `radiance` is that of the peak.
+
+    Azimuth 0 is the source's x, 90 deg its -y: with z down and "up" along the world's y these are the world's x and y.
+
+    Attributes
+    ----------
+    x_axis, y_axis : tuple of float
+        Of the source, unit vectors in the world.
+    table : IntensityTable
+        The distribution.
+    """
+
+    x_axis: Vector
+    y_axis: Vector
+    table: IntensityTable
+
+    def relative_intensity_at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Share of the peak in the direction of points of the world, shape (n, 3) [m]."""
+        away = points - np.asarray(self.position)
+        x, y, z = (away @ np.asarray(axis) for axis in (self.x_axis, self.y_axis, self.axis))
+        return self.table.share(np.arctan2(np.hypot(x, y), z), np.arctan2(-y, x))
+
+
+@dataclass(frozen=True, slots=True)
+class Patch(Emitter):
+    """A flat piece of a wide source, which shines from the mean of its corners.
+
+    Its `radius` is that of a disc of the same area.
+
+    Attributes
+    ----------
+    corners : tuple of tuple of float
+        In the world [m], counter-clockwise seen from where it shines to.
+    whole : str
+        Name of the wide source.
+    """
+
+    corners: tuple[Vector, ...]
+    whole: str
+
+    @property
+    def source(self) -> str:
+        """Name of the wide source."""
+        return self.whole
+
+
+@dataclass(frozen=True, slots=True)
 class SingleSource:
     """A source of one disc: an LED, a lamp or a plain Lambertian disc.
 
     Attributes
     ----------
     kind : str
-        "led", "lamp" or "disc".
+        "led", "lamp", "disc" or "ies".
     emitter : Emitter
         The disc.
     """
 
-    kind: Literal["led", "lamp", "disc"]
+    kind: Literal["led", "lamp", "disc", "ies"]
     emitter: Emitter
 
     @property
@@ -225,11 +343,63 @@ class Ring:
         return replace(self.pose, rotation=multiply(misalignment, self.pose.rotation))
 
 
-Source = SingleSource | Ring
+@dataclass(frozen=True, slots=True)
+class WideSource:
+    """A source too wide to shine from one point: a surface of even radiance, cut into patches.
+
+    Attributes
+    ----------
+    name : str
+        Unique in the scene.
+    kind : str
+        "rectangle", "disc", "area_ring", "dome", "coaxial" or "surround".
+    pose : Pose
+        world_from_source; see `wide_shapes` for how it lies and shines.
+    shape : WideShape
+        The surface.
+    radiance : float
+        Along the surface's normal [W m^-2 sr^-1].
+    beam : Beam
+        Angular distribution of each piece of it.
+    irradiance_error : float
+        Largest relative error of what a visible point gets of it, as asked for.
+    least_patches : int
+        So many patches at least, for finer half shadows.
+    patches : tuple of Patch
+        What stands for it; made for the scene by `wide_sources.divided`.
+    reached : float
+        Largest error that was found.
+    step : float
+        Largest share that one patch has of what a point gets.
+    """
+
+    name: str
+    kind: Literal["rectangle", "disc", "area_ring", "dome", "coaxial", "surround"]
+    pose: Pose
+    shape: WideShape
+    radiance: float
+    beam: Beam
+    irradiance_error: float
+    least_patches: int
+    patches: tuple[Patch, ...] = field(default=(), compare=False, repr=False)
+    reached: float = field(default=0.0, compare=False)
+    step: float = field(default=0.0, compare=False)
+
+
+Source = SingleSource | Ring | WideSource
+
+
+def dimmed(source: Source, factor: float) -> Source:
+    """The source with a factor on its radiance."""
+    if isinstance(source, SingleSource):
+        return replace(source, emitter=replace(source.emitter, radiance=source.emitter.radiance * factor))
+    return replace(source, radiance=source.radiance * factor)
 
 
 def emitters(source: Source) -> tuple[Emitter, ...]:
-    """The discs that a source consists of, dark ones included."""
+    """The discs or patches that a source consists of, dark ones included."""
+    if isinstance(source, WideSource):
+        return source.patches
     if isinstance(source, SingleSource):
         return (source.emitter,)
     return tuple(_led(source, index) for index in range(source.count))

@@ -12,13 +12,17 @@ import numpy as np
 
 from radwrap.errors import InputError
 from radwrap.scene.bands import Spectral, scaled
-from radwrap.scene.sources import Beam, Ring, Source, emitters
+from radwrap.scene.material_tables import Coloured
+from radwrap.scene.sources import Beam, Source, WideSource, dimmed, emitters
 from radwrap.scene.spectrum import Curve, integral, line, lumens_per_watt, normalised_power, preset, read_curve
+from radwrap.scene.wide_shapes import area
 
 if TYPE_CHECKING:
     from radwrap.scene import document as tables
+    from radwrap.scene.material_tables import MaterialModel
     from radwrap.scene.optics_tables import CurveModel, SpectrumModel
     from radwrap.scene.scene import Scene
+    from radwrap.scene.source_tables import Shining
 
 # Gauss nodes of a beam's flux, from the axis to where it ends: right to 1e-12.
 _BEAM_NODES: Final = 64
@@ -52,15 +56,14 @@ def source_spectrum(table: SpectrumModel, folder: Path, where: str) -> Curve:
     return normalised_power(_file(table.file or "", folder, f"{where}.file"), where)
 
 
-def axial_radiance(table: tables.Shining, diameter: float, beam: Beam, folder: Path, where: str) -> float:
-    """Radiance along a source's axis, however its level is told [W m^-2 sr^-1]."""
+def axial_radiance(table: Shining, area: float, beam: Beam, folder: Path, where: str) -> float:
+    """Radiance along the axis of a source of some area [m^2], however its level is told [W m^-2 sr^-1]."""
     per_watt = 1.0
     photometric = (table.luminance, table.luminous_intensity, table.luminous_flux)
     if table.spectrum is not None and any(level is not None for level in photometric):
         per_watt = lumens_per_watt(source_spectrum(table.spectrum, folder, f"{where}.spectrum"))
         if per_watt <= 0:
             raise InputError("no eye sees this light", where=f"{where}.spectrum", remedy="tell its level in watts")
-    area = math.pi * diameter**2 / 4
     if table.radiance is not None:
         return table.radiance
     if table.luminance is not None:
@@ -79,7 +82,7 @@ def flux_of_beam(beam: Beam) -> float:
     end = math.pi / 2
     if beam.profile == "cone":
         end = beam.spread
-    elif beam.profile != "lambertian":
+    elif beam.profile not in {"lambertian", "table"}:
         end = min(end, _BEAM_REACH * beam.spread)
     places, weights = np.polynomial.legendre.leggauss(_BEAM_NODES)
     theta = end * (places + 1) / 2
@@ -98,7 +101,7 @@ def with_spectra(scene: Scene, model: tables.SceneModel) -> Scene:
         If a source has no spectrum where one is needed, a table ends where there is light, or the sensor sees nothing.
     """
     camera = model.camera
-    told = (camera.spectral_response, camera.filter, *(table.spectrum for table in model.materials.values()))
+    told = (camera.spectral_response, camera.filter, *(_colour(table) for table in model.materials.values()))
     if all(table is None for table in (*told, *(table.spectrum for table in model.sources))):
         return scene
     powers = []
@@ -133,7 +136,7 @@ def _integrals(scene: Scene, model: tables.SceneModel, powers: list[Curve]) -> S
     used = [name for name in scene.materials if name in _used(scene)]
     curves: dict[str, Curve] = {}
     for name in used:
-        if (table := model.materials[name].spectrum) is not None:
+        if (table := _colour(model.materials[name])) is not None:
             curves[name] = _factor(table, scene, f"materials.{name}.spectrum", 1.0)
             _check_cover(curves[name], powers, passed, f"{scene.origin}: materials.{name}.spectrum")
     counts = [integral(power, *passed) for power in powers]
@@ -148,6 +151,11 @@ def _integrals(scene: Scene, model: tables.SceneModel, powers: list[Curve]) -> S
     materials = {name: scene.materials[name] for name in used}
     names = tuple(source.name for source in scene.sources)
     return Spectral(names, tuple(counts), materials, tuple(rows), _mean_wavelength(scene, powers, passed))
+
+
+def _colour(material: MaterialModel) -> CurveModel | None:
+    """The spectrum of a material; of kinds that cannot have one none."""
+    return material.spectrum if isinstance(material, Coloured) else None
 
 
 def _factor(table: CurveModel, scene: Scene, key: str, largest: float) -> Curve:
@@ -182,6 +190,8 @@ def _mean_wavelength(scene: Scene, powers: list[Curve], passed: list[Curve]) -> 
 
 
 def _intensity(source: Source) -> float:
+    if isinstance(source, WideSource):  # its patches come later
+        return source.radiance * area(source.shape)
     return math.fsum(emitter.radiant_intensity for emitter in emitters(source))
 
 
@@ -197,11 +207,5 @@ def _counted(scene: Scene, spectral: Spectral) -> Scene:
         name: material if mean == 1.0 else scaled(material, mean)
         for (name, material), mean in zip(spectral.materials.items(), means, strict=True)
     }
-    sources = tuple(_dimmed(source, counts[source.name]) for source in scene.sources)
+    sources = tuple(dimmed(source, counts[source.name]) for source in scene.sources)
     return replace(scene, sources=sources, materials={**scene.materials, **coloured}, spectral=spectral)
-
-
-def _dimmed(source: Source, share: float) -> Source:
-    if isinstance(source, Ring):
-        return replace(source, radiance=source.radiance * share)
-    return replace(source, emitter=replace(source.emitter, radiance=source.emitter.radiance * share))

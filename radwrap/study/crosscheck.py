@@ -34,7 +34,7 @@ from radwrap.process import Limits, Programs, available_cores
 from radwrap.progress import Progress
 from radwrap.scene.bands import one_band
 from radwrap.scene.scene import Scene
-from radwrap.scene.sources import Beam, Ring, Source
+from radwrap.scene.sources import Beam, Ring, SingleSource, Source, WideSource
 from radwrap.study.crosscheck_terms import Seen, sees
 from radwrap.tracers.povray import PovrayTracer, find_povray
 from radwrap.tracers.povray_text import povray_scene
@@ -203,6 +203,9 @@ def without_gaussian_beams(scene: Scene) -> Scene:
 
 
 def _cosine_source(source: Source) -> Source:
+    if isinstance(source, WideSource):
+        patches = tuple(replace(patch, beam=_cosine(patch.beam)) for patch in source.patches)
+        return replace(source, beam=_cosine(source.beam), patches=patches)
     if isinstance(source, Ring):
         return replace(source, beam=_cosine(source.beam))
     return replace(source, emitter=replace(source.emitter, beam=_cosine(source.emitter.beam)))
@@ -220,7 +223,7 @@ def gaussian_beams(scene: Scene) -> tuple[dict[str, Any], ...]:
     """
     found = []
     for source in scene.sources:
-        beam = source.beam if isinstance(source, Ring) else source.emitter.beam
+        beam = source.emitter.beam if isinstance(source, SingleSource) else source.beam
         if beam.profile == "gaussian":
             theta = np.linspace(0, min(8 * beam.spread, math.pi / 2), 4001)
             apart = np.abs(beam.relative_intensity(theta) - _cosine(beam).relative_intensity(theta))

@@ -24,7 +24,7 @@ from radwrap.scene.intersections import first_hit
 from radwrap.scene.materials import Lambertian, Material, Specular
 from radwrap.scene.probes import material_number, materials_of
 from radwrap.scene.scene import Scene
-from radwrap.scene.sources import Emitter
+from radwrap.scene.sources import Emitter, Patch
 from radwrap.scene.targets import RadFile
 from radwrap.tracers.povray_included import mirrors_in
 from radwrap.tracers.povray_text import highlight
@@ -219,6 +219,8 @@ def _extended(scene: Scene, rays: Array) -> Array:
     side = (np.arange(_DISC_POINTS) + 0.5) / _DISC_POINTS
     share, turn = (grid.ravel() for grid in np.meshgrid(side, side))
     for emitter in scene.emitters:
+        if isinstance(emitter, Patch):
+            continue  # POV-Ray has it as a point too
         axis = np.asarray(emitter.axis)
         first = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
         first = first / np.linalg.norm(first)

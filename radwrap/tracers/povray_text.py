@@ -23,14 +23,14 @@ from typing import Final
 import numpy as np
 
 from radwrap.errors import InputError
-from radwrap.frames import Vector, dot, subtract
+from radwrap.frames import Vector, cross, dot, subtract
 from radwrap.scene.camera import Camera
 from radwrap.scene.geometry import in_view
-from radwrap.scene.materials import Lambertian, Material, Specular
+from radwrap.scene.materials import Lambertian, Material, PrintedSheeting, Sheeting, Specular
 from radwrap.scene.probes import LIT_SHARE
 from radwrap.scene.scene import Scene
 from radwrap.scene.sight import shared_planes
-from radwrap.scene.sources import Emitter
+from radwrap.scene.sources import Emitter, Luminaire, Patch, WideSource
 from radwrap.scene.targets import (
     DiscShape,
     DotBoard,
@@ -87,6 +87,9 @@ def povray_scene(scene: Scene, included: Mapping[str, str], *, area_samples: int
     _check(scene)
     unit = scales_of(scene).length
     parts = [_HEADER.format(unit=unit)]
+    for source in scene.sources:
+        if isinstance(source, WideSource) and source.kind == "surround":
+            parts.append(f"background {{ color rgb {_number(source.radiance)}*Scale }}\n")
     for emitter in scene.emitters:
         if emitter.radiance > 0:
             parts.append(_light(scene, emitter, unit, area_samples))
@@ -188,7 +191,7 @@ def _light(scene: Scene, emitter: Emitter, unit: float, area_samples: int) -> st
     colour = emitter.radiant_intensity / (2 * math.pi * (_FADE * unit) ** 2)
     words = [f"{_vector(position)} color rgb {_number(colour)}*Scale", _spot(emitter, position + 1000 * axis, where)]
     words.append(f"fade_distance {_number(_FADE)} fade_power 2")
-    if area_samples:
+    if area_samples and not isinstance(emitter, Patch):
         first = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
         first = first / np.linalg.norm(first)
         # POV-Ray's grid reaches from rim to rim; as much smaller it has the second moment of the disc.
@@ -200,6 +203,8 @@ def _light(scene: Scene, emitter: Emitter, unit: float, area_samples: int) -> st
 
 def _spot(emitter: Emitter, towards: np.ndarray, where: str) -> str:
     beam = emitter.beam
+    if isinstance(emitter, Luminaire):
+        raise InputError("POV-Ray has no luminaire of a table", where=f"{where}.file", remedy="use a lamp with a beam")
     match beam.profile:
         case "lambertian":
             rim, power = 90.0, 1.0
@@ -207,6 +212,10 @@ def _spot(emitter: Emitter, towards: np.ndarray, where: str) -> str:
             rim, power = 90.0, beam.spread**-2
         case "cone":
             rim, power = math.degrees(beam.spread), 0.0
+        case "table":
+            raise InputError(
+                "POV-Ray has no beam of a table", where=f"{where}.beam", remedy='use profile = "cosine_power"'
+            )
         case "gaussian":
             raise InputError(
                 "POV-Ray has no Gaussian beam",
@@ -232,9 +241,31 @@ def _disc(scene: Scene, emitter: Emitter, unit: float, where: str) -> str:
         )
     front = f"pigment {{ color rgb {_number(emitter.radiance)}*Scale }} finish {{ emission 1 }}"
     black = "pigment { color rgb 0 }"
-    place = f"{_vector(np.asarray(emitter.position) / unit)}, {_vector(emitter.axis)}, {_number(emitter.radius / unit)}"
     outer = f"texture {{ {front if even else black} }} interior_texture {{ {black} }}"
+    if isinstance(emitter, Patch):
+        return _patch(emitter, unit, outer)
+    place = f"{_vector(np.asarray(emitter.position) / unit)}, {_vector(emitter.axis)}, {_number(emitter.radius / unit)}"
     return f"disc {{ {place} {outer} }}\n"
+
+
+def _patch(patch: Patch, unit: float, texture: str) -> str:
+    """Triangles, of which POV-Ray knows front and back; of polygons it does not."""
+    count = len(patch.corners)
+    corners = ", ".join(_vector(np.asarray(corner) / unit) for corner in patch.corners)
+    turns = [cross(subtract(b, a), subtract(c, b)) for a, b, c in _corners_in_turn(patch)]
+    if all(dot(turn, patch.axis) >= 0 for turn in turns):
+        faces = [(count - 1, i, i + 1) for i in range(count - 2)]
+    else:  # a sector about a hole: its outer arc there, its inner one back
+        quads = [(i, i + 1, count - 2 - i, count - 1 - i) for i in range(count // 2 - 1)]
+        faces = [face for a, b, c, d in quads for face in ((a, b, c), (a, c, d))]
+    words = ", ".join(f"<{a}, {c}, {b}>" for a, b, c in faces)
+    return f"mesh2 {{ vertex_vectors {{ {count}, {corners} }} face_indices {{ {len(faces)}, {words} }} {texture} }}\n"
+
+
+def _corners_in_turn(patch: Patch) -> Iterator[tuple[Vector, Vector, Vector]]:
+    first = patch.corners
+    second = first[1:] + first[:1]
+    return zip(first, second, second[1:] + second[:1], strict=True)
 
 
 def _texture(material: Material, where: str) -> str:
@@ -247,6 +278,12 @@ def _texture(material: Material, where: str) -> str:
                 f"texture {{ pigment {{ color rgb 1 }} finish {{ diffuse {_number(diffuse)} "
                 f"specular {_number(height)} roughness {_number(1 / power)} }} }}\n"
             )
+    if not isinstance(material, Sheeting | PrintedSheeting):
+        raise InputError(
+            f"POV-Ray is not asked for a material of this kind ({type(material).__name__})",
+            where=where,
+            remedy="use lambertian, or specular of one roughness",
+        )
     raise InputError(
         "POV-Ray has no retroreflection: sheeting cannot be checked by it",
         where=where,
@@ -288,7 +325,7 @@ def _geometry(surface: Surface, unit: float, lift: np.ndarray) -> str:
             return f"polygon {{ {len(vertices) + 1}, {corners} {texture} }}"
         case MeshShape(vertices, faces):
             places = ", ".join(map(_vector, (vertices / unit + lift)))
-            corners = ", ".join(f"<{a}, {b}, {c}>" for a, b, c in faces.tolist())
+            corners = ", ".join(f"<{a}, {c}, {b}>" for a, b, c in faces.tolist())
             lists = f"vertex_vectors {{ {len(vertices)}, {places} }} face_indices {{ {len(faces)}, {corners} }}"
             return f"mesh2 {{ {lists} {texture} }}"
         case DiscShape(centre, normal, radius):

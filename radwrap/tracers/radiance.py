@@ -91,9 +91,9 @@ class PreparedScene:
     included: Mapping[str, str]
     shining_files: tuple[str, ...]
 
-    def lit_by(self, scene: Scene, emitter: str) -> RadianceScene:
-        """The same text and files with one emitter alone; the discs of the others are black."""
-        return scene_text(scene, self.included, self.scene.files, only={emitter})
+    def lit_by(self, scene: Scene, source: str) -> RadianceScene:
+        """The same text and files with one source or LED alone; the others are black."""
+        return scene_text(scene, self.included, self.scene.files, only={source})
 
 
 def prepare(

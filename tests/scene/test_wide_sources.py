@@ -1,0 +1,150 @@
+"""Wide sources: cut into patches that fill the shape, or refused with one clear error."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import radwrap
+from radwrap.errors import InputError
+from radwrap.scene.checks import warnings_of
+from radwrap.scene.sources import Patch, WideSource
+from radwrap.scene.wide_shapes import Annulus, Rectangle, WideShape, Zone, area, corners, first_cells, halves, nodes
+from radwrap.scene.wide_sources import MOST_PATCHES
+
+SIDES = 1e-4  # arcs are drawn with 384 sides a turn: 4.5e-5 of their area
+FLAT = 0.04  # flat patches of a sphere after five halvings
+QUADRATURE = 1e-6  # 4 x 4 nodes in cells of at most a quarter of a turn
+SHAPES = (
+    Rectangle(0.1, 0.03),
+    Annulus(0.0, 0.05),
+    Annulus(0.045, 0.05),
+    Zone(0.1, 0.2, math.pi / 2),
+    Zone(1, 0, math.pi),
+)
+DOCUMENT: dict[str, Any] = {
+    "camera": {
+        "position": ["0 mm", "0 mm", "500 mm"],
+        "look_at": ["0 mm", "0 mm", "0 mm"],
+        "focal_length": "12.5 mm",
+        "exposure_time": "5 ms",
+        "sensor": {"preset": "fivs"},
+    },
+    "materials": {"white": {"type": "lambertian", "reflectance": 0.5}},
+    "targets": [{"type": "sheet", "name": "sheet", "material": "white", "size": ["40 mm", "30 mm"]}],
+}
+PLACE = {"position": ["0 mm", "0 mm", "100 mm"], "look_at": ["0 mm", "0 mm", "0 mm"], "radiance": "100 W/m^2/sr"}
+RECTANGLE = {"type": "rectangle", "name": "wide", "size": ["100 mm", "50 mm"], **PLACE}
+
+
+def scene(source: dict[str, Any], **changes: Any) -> radwrap.Scene:
+    return radwrap.scene_from_document({**DOCUMENT, "sources": [source]}, changes or None)
+
+
+def newell(vertices: np.ndarray) -> np.ndarray:
+    away = vertices - vertices[0]
+    normal: np.ndarray = np.cross(away, np.roll(away, -1, axis=0)).sum(axis=0) / 2
+    return normal
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=str)
+def test_patches_fill_the_shape_and_shine_from_within(shape: WideShape) -> None:
+    cells = first_cells(shape)
+    for _ in range(5):
+        cells = [half for cell in cells for half in halves(shape, cell)]
+    total = 0.0
+    for cell in cells:
+        patch = corners(shape, cell)
+        normal = newell(patch)
+        total += float(np.linalg.norm(normal))
+        middle = patch.mean(axis=0)
+        towards = -middle if isinstance(shape, Zone) else np.array([0.0, 0.0, 1.0])
+        assert normal @ towards > 0
+        # The middle lies in the patch: all corners turn about it one way.
+        around = np.cross(patch - middle, np.roll(patch, -1, axis=0) - middle)
+        assert (around @ normal > 0).all()
+    assert total == pytest.approx(area(shape), rel=FLAT if isinstance(shape, Zone) else SIDES)
+    assert float(nodes(shape, np.array(cells), 4)[2].sum()) == pytest.approx(area(shape), rel=QUADRATURE)
+
+
+def test_more_is_asked_more_patches_stand_for_it() -> None:
+    counts = []
+    for error in (0.1, 0.01, 0.001):
+        (wide,) = scene({**RECTANGLE, "irradiance_error": error}).sources
+        assert isinstance(wide, WideSource) and wide.reached <= error
+        assert math.fsum(patch.radiant_intensity for patch in wide.patches) == pytest.approx(100 * 0.1 * 0.05)
+        counts.append(len(wide.patches))
+    assert counts == sorted(counts) and counts[0] < counts[-1]
+
+
+def test_least_patches_are_kept_and_make_half_shadows_finer() -> None:
+    ball = {"targets": [*DOCUMENT["targets"], {"type": "sphere", "material": "white", "diameter": "10 mm"}]}
+    told = []
+    for least in (1, 500):
+        made = radwrap.scene_from_document({**DOCUMENT, **ball, "sources": [{**RECTANGLE, "least_patches": least}]})
+        (wide,) = made.sources
+        assert isinstance(wide, WideSource) and len(wide.patches) >= least
+        told.append([line for line in warnings_of(made) if "half shadows" in line])
+    assert told[0] and not told[1]
+
+
+def test_a_disc_asked_for_an_error_is_cut() -> None:
+    disc = {"type": "disc", "name": "disc", "diameter": "100 mm", **PLACE}
+    with pytest.raises(InputError, match=r"too wide for its distance.*irradiance_error"):
+        scene(disc)
+    assert all(isinstance(emitter, Patch) for emitter in scene({**disc, "irradiance_error": 0.01}).emitters)
+
+
+def test_a_surround_holds_everything() -> None:
+    made = scene({"type": "surround", "name": "sky", "radiance": "1 W/m^2/sr"})
+    (sky,) = made.sources
+    assert isinstance(sky, WideSource) and isinstance(sky.shape, Zone)
+    away = np.linalg.norm(np.asarray(made.camera.pose.position) - sky.pose.position)
+    assert away < 0.6 * sky.shape.radius
+
+
+@pytest.mark.parametrize(
+    ("source", "changes", "told"),
+    [
+        ({**RECTANGLE, "irradiance_error": 0}, {}, r"sources\[0\].irradiance_error: must be at least 0.0001"),
+        (
+            {**RECTANGLE, "irradiance_error": 1e-4, "position": ["0 mm", "0 mm", "1 mm"]},
+            {},
+            f"more than {MOST_PATCHES}",
+        ),
+        ({**RECTANGLE, "size": ["10 mm", "nan mm"]}, {}, r"sources\[0\].size\[1\]"),
+        ({**RECTANGLE, "least_patches": 5000}, {}, "least_patches: must be at most 4096"),
+        ({"type": "surround", "name": "sky", "radiance": "1"}, {}, r"sources\[0\].radiance"),
+        (
+            {"type": "dome", "name": "d", "diameter": "80 mm", "opening_diameter": "80 mm", **PLACE},
+            {},
+            "opening_diameter must be smaller",
+        ),
+        (
+            {"type": "area_ring", "name": "a", "diameter": "80 mm", "inner_diameter": "90 mm", **PLACE},
+            {},
+            "inner_diameter must be smaller",
+        ),
+        (
+            {"type": "disc", "name": "d", "diameter": "8 mm", "least_patches": 9, **PLACE},
+            {},
+            "goes with irradiance_error",
+        ),
+        (
+            {"type": "surround", "name": "sky", "radiance": "1 W/m^2/sr"},
+            {
+                "materials.white": {
+                    "type": "retroreflective",
+                    "model": "perturbed_normal",
+                    "reflectance": 0.6,
+                    "roughness": 0.02,
+                }
+            },
+            "light from all sides",
+        ),
+    ],
+)
+def test_bad_input_is_told(source: dict[str, Any], changes: dict[str, Any], told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        scene(source, **changes)
