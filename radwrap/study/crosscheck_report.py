@@ -98,7 +98,7 @@ def _rms(values: Array) -> float:
 
 
 def _difference(result: Crosscheck, mask: Mask) -> dict[str, Any]:
-    """POV-Ray less Radiance, relative to Radiance where that is not dark, and relative to the brightest of the pixels."""
+    """POV-Ray less Radiance, relative to Radiance where that is not dark, and to the brightest of all pixels."""
     ours, theirs = result.radiance[mask], result.povray[mask]
     peak = max(float(ours.max()), float(theirs.max())) or 1.0
     bright = ours > _DARK * peak

@@ -100,9 +100,11 @@ def rims(corners: Sequence[Corner]) -> list[list[Corner]]:
     """
     sides: dict[frozenset[Corner], tuple[Corner, Corner]] = {}
     for side in zip(corners, (*corners[1:], corners[0]), strict=True):
-        if side[0] == side[1] or sides.pop(frozenset(side), None):
-            continue
-        sides[frozenset(side)] = side
+        name = frozenset(side)
+        if name in sides:
+            del sides[name]
+        elif len(name) == 2:
+            sides[name] = side
     at: dict[Corner, list[frozenset[Corner]]] = {}
     for name, side in sides.items():
         for corner in side:
@@ -110,10 +112,10 @@ def rims(corners: Sequence[Corner]) -> list[list[Corner]]:
     found = []
     for start, _ in list(sides.values()):
         loop, corner = [], start
-        while name := next((name for name in at[corner] if name in sides), None):
+        while ways := [name for name in at[corner] if name in sides]:
             loop.append(corner)
-            del sides[name]
-            (corner,) = name - {corner}
+            del sides[ways[0]]
+            (corner,) = ways[0] - {corner}
             if corner == start:
                 break
         if loop:

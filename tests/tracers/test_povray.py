@@ -146,7 +146,9 @@ def test_what_an_included_file_holds_is_refused_by_name(text: str, told: str) ->
 def test_a_polygon_s_hole_is_a_rim_of_its_own() -> None:
     """Radiance hangs it on a seam; POV-Ray would end the polygon where a corner comes again."""
     outer = [(-4.0, -4.0), (4.0, -4.0), (4.0, 4.0), (-4.0, 4.0)]
-    hole, other = ([(x + shift, y) for x, y in ((0.0, 0.0), (0.0, 1.0), (1.0, 1.0), (1.0, 0.0))] for shift in (0.0, 2.0))
+    hole, other = (
+        [(x + shift, y) for x, y in ((0.0, 0.0), (0.0, 1.0), (1.0, 1.0), (1.0, 0.0))] for shift in (0.0, 2.0)
+    )
     seamed = [*outer, outer[0], *hole, hole[0], *other, other[0], hole[0], outer[0]]
     assert rims(seamed) == [outer, hole, other]
     assert rims(outer) == [outer]
@@ -160,7 +162,7 @@ def test_a_polygon_s_hole_is_a_rim_of_its_own() -> None:
 @pytest.mark.parametrize("names", [("a-b", "a_M_b"), ("m" * 50 + "1", "m" * 50 + "2")])
 def test_every_material_has_a_word_of_its_own(names: tuple[str, str]) -> None:
     """POV-Ray's identifiers hold no "-", and 40 characters."""
-    materials = {name: {"type": "lambertian", "reflectance": share} for name, share in zip(names, (0.25, 0.75))}
+    materials = {name: {"type": "lambertian", "reflectance": 0.25 + i / 2} for i, name in enumerate(names)}
     sheet = {"type": "sheet", "size": ["9 mm", "9 mm"]}
     targets = [{**sheet, "material": name, "position": ["0 mm", "0 mm", f"{i} mm"]} for i, name in enumerate(names)]
     text = povray_scene(load(**{"materials": materials, "targets": targets}), {})
