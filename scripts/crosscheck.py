@@ -44,11 +44,11 @@ def main() -> int:
 
 
 def _row(found: dict) -> str:  # type: ignore[type-arg]
-    name, worst = max(found["terms"].items(), key=lambda item: item[1][item[1]["measure"]] or 0.0)
+    name, worst = max(found["terms"].items(), key=lambda item: item[1]["measured"])
     whole, gray = found["radiance"], found["gray"]
     return (
         f"{whole['rms_of_peak']:9.3%} {whole['maximum_of_peak']:9.3%} {gray['rms']:8.4f} {gray['maximum']:8.4f}  "
-        f"{name:10} {worst[worst['measure']] or 0.0:.3%} {worst['verdict']}"
+        f"{name:10} {worst['measured']:.3%} {worst['verdict']}"
     )
 
 

@@ -13,8 +13,9 @@ import tempfile
 from pathlib import Path
 from typing import Final
 
+from radwrap.convert.ies_numbers import fault_of_numbers
 from radwrap.convert.radiance_files import side_stem
-from radwrap.errors import InputError
+from radwrap.errors import InputError, TracerError
 from radwrap.files import make_folder, write_bytes
 from radwrap.process import Programs
 from radwrap.tracers.installation import judge
@@ -25,6 +26,7 @@ from radwrap.tracers.radiance import RadianceOptions
 LUMENS_PER_WATT: Final = 179.0
 _LARGEST_FILE: Final = 1 << 20
 _TILT: Final = re.compile(rb"(?im)^[ \t]*TILT[ \t]*=[ \t]*([^\r\n]*)")
+_TILT_MARK: Final = ".tilt"
 _HARMLESS: Final = (r"\S+: warning - no lamp type",)
 
 
@@ -52,15 +54,22 @@ def write_luminaire(path: Path, out: Path, options: RadianceOptions) -> tuple[Pa
     with Programs() as programs, tempfile.TemporaryDirectory(prefix="radwrap-") as folder:
         work = Path(folder)
         (work / "lamp.ies").write_bytes(content)
-        _, said = programs.run(
-            [options.installation.program("ies2rad"), "-p", ".", "-o", stem, "lamp.ies"],
-            folder=work,
-            environment=options.installation.environment(),
-            limits=options.limits,
-        )
+        try:
+            _, said = programs.run(
+                [options.installation.program("ies2rad"), "-p", ".", "-o", stem, "lamp.ies"],
+                folder=work,
+                environment=options.installation.environment(),
+                limits=options.limits,
+            )
+        except TracerError as error:
+            if not error.what.startswith("ended with exit code"):
+                raise
+            raise _no_luminaire(path, error.what) from error
         judge(said, "ies2rad", _HARMLESS)
         made = {file.name: file.read_bytes() for file in work.iterdir() if file.name != "lamp.ies"}
     text = _plain(made.pop(f"{stem}.rad", b""), path)
+    # A tilt's table, whose name no scene may include.
+    made = {name.replace("%", _TILT_MARK): data for name, data in made.items()}
     make_folder(out.parent)
     for name, data in sorted(made.items()):
         write_bytes(out.parent / name, data)
@@ -83,7 +92,14 @@ def _content(path: Path) -> bytes:
         raise InputError("is no luminaire file: it has no TILT", where=str(path), remedy="name an IES LM-63 file")
     if tilt[1].strip().upper() not in (b"NONE", b"INCLUDE"):
         raise InputError("names another file for its tilt", where=str(path), remedy="write TILT=NONE or TILT=INCLUDE")
+    fault = fault_of_numbers(content[tilt.end() :].decode("latin-1"), tilted=tilt[1].strip().upper() == b"INCLUDE")
+    if fault:
+        raise _no_luminaire(path, fault)
     return content
+
+
+def _no_luminaire(path: Path, why: str) -> InputError:
+    return InputError(f"is no luminaire file: {why}", where=str(path), remedy="correct it")
 
 
 def _plain(text: bytes, path: Path) -> str:
@@ -91,7 +107,7 @@ def _plain(text: bytes, path: Path) -> str:
     lines = [line for line in text.decode("ascii", "replace").splitlines() if not line.startswith("#")]
     words = re.sub(r"'([^']*)'", r"\1", "\n".join(lines) + "\n")
     found = primitives(words, Source(str(path), path))
-    pieces = [p.text([word.removeprefix("./") for word in p.words]) for p in found]
+    pieces = [p.text([word.removeprefix("./").replace("%", _TILT_MARK) for word in p.words]) for p in found]
     if not pieces:
         raise InputError("is no luminaire file: no source came of it", where=str(path))
     return "\n".join(pieces)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,6 +20,7 @@ from radwrap.scene.materials import (
     PrintedImage,
     Specular,
 )
+from radwrap.scene.polygons import ears
 from radwrap.scene.scene import Scene
 from radwrap.scene.targets import DiscShape, MeshShape, PolygonShape, Shape, SphereShape, TubeShape
 
@@ -139,30 +139,3 @@ def _fan(number: int) -> Index:
 def _sphere(centre: Array, radius: float) -> tuple[Array, Index]:
     ball = _library().creation.icosphere(subdivisions=3, radius=radius)
     return np.asarray(ball.vertices) + centre, np.asarray(ball.faces)
-
-
-def ears(corners: Array) -> Index:
-    """Triangles of a flat polygon without crossing sides, shape (n, 3), by cutting off one ear after the other."""
-    following = np.roll(corners, -1, axis=0)
-    normal = np.cross(corners, following).sum(axis=0)
-    first = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
-    flat = corners @ np.stack([first, np.cross(normal, first)]).T
-    left = list(range(len(corners)))
-    found = []
-    while len(left) > 3:
-        place = next((i for i in range(len(left)) if _is_ear(flat, left, i)), 0)
-        found.append((left[place - 1], left[place], left[(place + 1) % len(left)]))
-        del left[place]
-    return np.array([*found, tuple(left)], dtype=np.intp)
-
-
-def _is_ear(flat: Array, left: list[int], place: int) -> bool:
-    a, b, c = (flat[left[(place + step) % len(left)]] for step in (-1, 0, 1))
-
-    def turn(p: Array, q: Array, r: Array) -> float:
-        return float((q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]))
-
-    if turn(a, b, c) <= 0:
-        return False
-    others = (flat[i] for i in left if not any(math.dist(flat[i], p) == 0 for p in (a, b, c)))
-    return not any(turn(a, b, p) >= 0 and turn(b, c, p) >= 0 and turn(c, a, p) >= 0 for p in others)

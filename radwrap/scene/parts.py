@@ -7,6 +7,7 @@ textures that it names are not read.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import importlib.util
 import io
@@ -17,6 +18,7 @@ import stat
 import struct
 import sys
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -26,6 +28,9 @@ from numpy.typing import NDArray
 
 from radwrap.errors import EnvironmentFailure, InputError, TracerError
 from radwrap.process import Programs
+from radwrap.scene.glb_checks import check_glb
+from radwrap.scene.mesh_texts import Polygons, read_obj, read_off
+from radwrap.scene.polygons import checked, triangulated
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -40,7 +45,6 @@ _LARGEST: Final = 1e9  # m
 _NO_AREA: Final = 1e-14
 _OPEN_FLAGS: Final = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOFOLLOW", 0)
 _PLY_COUNT: Final = re.compile(rb"element\s+(\w+)\s+(\d+)")
-_BY_MATERIAL: Final = re.compile(rb"^[ \t]*usemtl[ \t]+(\S[^\r\n]*?)[ \t]*\r?$", re.MULTILINE)
 _MATERIAL_FILE: Final = re.compile(rb"^[ \t]*mtllib[ \t]+(\S[^\r\n]*?)[ \t]*\r?$", re.MULTILINE)
 
 
@@ -101,8 +105,11 @@ def read_part_file(path: Path, *, folder: Path, length_unit: float | None, where
     names = tuple(name.decode(errors="replace") for name in _MATERIAL_FILE.findall(content)) if suffix == ".obj" else ()
     for name in names:
         _check_inside(name, path, where)
-    groups = {name: _scaled(bodies, unit, where) for name, bodies in _loaded(suffix, content, where).items()}
-    groups = {name: arrays for name, arrays in groups.items() if len(arrays[1])}
+    groups = {
+        name: _scaled(vertices, faces, unit, where)
+        for name, (vertices, faces) in _loaded(suffix, content, where).items()
+        if len(faces)
+    }
     if not groups:
         raise InputError(f'"{path.name}" holds no triangles', where=where, remedy="name another file")
     return PartFile(groups, hashlib.sha256(content).hexdigest(), names)
@@ -179,8 +186,6 @@ def _check_counts(suffix: str, content: bytes, where: str) -> None:
             counts = [claimed]
         case ".ply":
             counts = [int(count) for _, count in _PLY_COUNT.findall(content[: content.find(b"end_header")])]
-        case ".off":
-            counts = [int(word) for word in content[:200].split()[1:4] if word.isdigit()]
     if any(count > min(len(content), 3 * MOST_FACES) for count in counts):
         raise InputError(f"claims {max(counts)} elements, more than it can hold", where=where, remedy="correct it")
 
@@ -189,14 +194,35 @@ def _is_text_stl(content: bytes) -> bool:
     return content[:5] == b"solid" and b"facet" in content[:1000]
 
 
-def _loaded(suffix: str, content: bytes, where: str) -> dict[str, list[Any]]:
-    """Bodies by the name of their material."""
-    if suffix == ".obj":
-        return {name: _bodies(text, "obj", where) for name, text in _obj_groups(content, where).items()}
-    groups: dict[str, list[Any]] = {}
-    for body in _bodies(content, suffix[1:], where):
-        groups.setdefault(_name_of(body) if suffix in _IN_METRES else "part", []).append(body)
-    return groups
+def _loaded(suffix: str, content: bytes, where: str) -> dict[str, tuple[Array, Index]]:
+    """Triangles by the name of their material, in the file's unit; vertices that none uses may be anything."""
+    match suffix:
+        case ".obj":
+            vertices, groups = read_obj(content, where)
+            return {name: (vertices, _triangles(vertices, faces, where)) for name, faces in groups.items()}
+        case ".off":
+            vertices, polygons = read_off(content, where)
+            return {"part": (vertices, _triangles(vertices, polygons, where))}
+        case ".ply":
+            vertices, polygons = _ply(content, where)
+            return {"part": (vertices, _triangles(vertices, polygons, where))}
+    bodies: dict[str, dict[str, tuple[Array, Index]]] = {}
+    for number, body in enumerate(_bodies(content, suffix[1:], where)):
+        vertices, faces = np.asarray(body.vertices, dtype=np.float64), np.asarray(body.faces, dtype=np.intp)
+        checked(vertices, faces.ravel(), where)
+        name = _name_of(body) if suffix in _IN_METRES else "part"
+        bodies.setdefault(name, {})[str(number)] = (vertices, faces)
+    return {name: joined(parts) for name, parts in bodies.items()}
+
+
+def _triangles(vertices: Array, faces: Polygons, where: str) -> Index:
+    if faces.triangles > MOST_FACES:
+        raise _too_many(where)
+    return triangulated(vertices, np.array(faces.corners, np.intp), np.array(faces.counts, np.intp), where)
+
+
+def _too_many(where: str) -> InputError:
+    return InputError(f"holds more than {MOST_FACES} triangles", where=where, remedy="simplify it")
 
 
 def _bodies(content: bytes, kind: str, where: str) -> list[Any]:
@@ -204,18 +230,62 @@ def _bodies(content: bytes, kind: str, where: str) -> list[Any]:
 
     if kind in ("step", "stp"):
         content, kind = _glb_of_step(content, where), "glb"
+    if kind == "glb":
+        check_glb(content, where)
+    with _library(kind, where):
+        scene = trimesh.load_scene(io.BytesIO(content), file_type=kind, process=False, resolver=None)
+        # A mesh may stand in many places: they are counted before anybody makes room for them.
+        placed = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
+    if sum(len(body.faces) for body in placed if isinstance(body, trimesh.Trimesh)) > MOST_FACES:
+        raise _too_many(where)
+    with _library(kind, where):
+        return [body for body in scene.dump() if isinstance(body, trimesh.Trimesh)]
+
+
+def _ply(content: bytes, where: str) -> tuple[Array, Polygons]:
+    """Vertices and faces of a PLY file, as they stand in it: the library fans polygons, and does not count them."""
+    from trimesh.exchange.ply import load_ply
+
+    with _library("ply", where):
+        found = load_ply(io.BytesIO(content), skip_materials=True)["metadata"]["_ply_raw"]
+        if found.get("tristrips", {}).get("length"):
+            raise ValueError("strips of triangles are not read here")
+        vertices = np.column_stack([np.ravel(found["vertex"]["data"][axis]) for axis in "xyz"]).astype(np.float64)
+        claims = {name: found[name]["length"] for name in found}
+        faces = _ply_faces(found["face"]["data"]) if claims.get("face") else Polygons()
+        if (claims["vertex"], claims.get("face", 0)) != (len(vertices), len(faces.counts)):
+            raise ValueError("it holds less than it claims")
+        head, _, body = content.partition(b"end_header")
+        rows = sum(map(bool, map(bytes.strip, io.BytesIO(body))))
+        if b"format ascii" in head and rows != sum(claims.values()):
+            raise ValueError(f"it claims {sum(claims.values())} rows, and holds {rows}")
+    return vertices, faces
+
+
+def _ply_faces(data: Any) -> Polygons:
+    names = data.dtype.names if isinstance(data, np.ndarray) else tuple(data)
+    (name,) = [name for name in names if name in ("vertex_index", "vertex_indices")] or names[:1]
+    lists = data[name]
+    if isinstance(data, np.ndarray):
+        lengths, lists = lists["f0"], lists["f1"].reshape(len(lists), -1)
+        if (lengths != lists.shape[1]).any():
+            raise ValueError("faces of different numbers of corners are read from text alone")
+    faces = Polygons()
+    for corners in lists.tolist():
+        faces.add(corners if isinstance(corners, list) else np.ravel(corners).tolist())
+    return faces
+
+
+@contextlib.contextmanager
+def _library(kind: str, where: str) -> Iterator[None]:
+    """Without a resolver no other file is opened. NaN and infinity are looked for afterwards."""
     try:
-        # Without a resolver no other file is opened. NaN and infinity are looked for afterwards.
         with np.errstate(all="ignore"):
-            scene = trimesh.load_scene(io.BytesIO(content), file_type=kind, process=False, resolver=None)
-            found = [body for body in scene.dump() if isinstance(body, trimesh.Trimesh)]
+            yield
     except (MemoryError, RecursionError) as error:
         raise InputError("is too large for this machine's memory", where=where) from error
     except Exception as error:  # the library's parsers raise whatever a broken file makes them stumble over
         raise InputError(f"is no whole {kind.upper()} file: {str(error)[:100]}", where=where) from error
-    if sum(len(body.faces) for body in found) > MOST_FACES:
-        raise InputError(f"holds more than {MOST_FACES} triangles", where=where, remedy="simplify it")
-    return found
 
 
 def _glb_of_step(content: bytes, where: str) -> bytes:
@@ -240,47 +310,10 @@ def _name_of(body: Any) -> str:
     return str(getattr(material, "name", None) or body.metadata.get("name") or "part")
 
 
-def _obj_groups(content: bytes, where: str) -> dict[str, bytes]:
-    """One OBJ text for each material that is named: all vertices, and the faces between two names."""
-    if not _BY_MATERIAL.search(content):
-        return {"part": content}
-    shared: list[bytes] = []
-    groups: dict[str, list[bytes]] = {}
-    name = "part"
-    for line in content.splitlines():
-        words = line.split(None, 1)
-        if not words:
-            continue
-        match words[0]:
-            case b"v":
-                shared.append(line)
-            case b"usemtl":
-                name = words[1].strip().decode(errors="replace") if len(words) > 1 else "part"
-            case b"f":
-                if b" -" in line:
-                    raise InputError("counts vertices backwards, which goes with one material alone", where=where)
-                # Texture and normal indices point to what is left out.
-                corners = (corner.split(b"/")[0] for corner in words[1].split()) if len(words) > 1 else ()
-                groups.setdefault(name, []).append(b"f " + b" ".join(corners))
-    head = b"\n".join(shared) + b"\n"
-    return {name: head + b"\n".join(faces) + b"\n" for name, faces in groups.items()}
-
-
-def _scaled(bodies: list[Any], unit: float, where: str) -> tuple[Array, Index]:
-    groups = {
-        str(number): (np.asarray(body.vertices, dtype=np.float64), np.asarray(body.faces, dtype=np.intp))
-        for number, body in enumerate(bodies)
-        if len(body.faces)
-    }
-    if not groups:
-        return np.empty((0, 3)), np.empty((0, 3), dtype=np.intp)
-    vertices, faces = joined(groups)
+def _scaled(vertices: Array, faces: Index, unit: float, where: str) -> tuple[Array, Index]:
+    """Vertices that are used [m], and faces that name them."""
     used = np.zeros(len(vertices), dtype=bool)
     used[faces.ravel()] = True
-    if not np.isfinite(vertices[used]).all():
-        raise InputError("holds NaN or infinity", where=where, remedy="correct it")
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        raise InputError("names vertices that it does not hold", where=where, remedy="correct it")
     number = np.cumsum(used) - 1
     vertices = vertices[used] * unit
     if float(np.abs(vertices).max()) > _LARGEST or not math.isfinite(float(np.ptp(vertices))):

@@ -131,7 +131,7 @@ def crosscheck(scene: Scene, out: Path, options: CrosscheckOptions) -> Crosschec
     Raises
     ------
     InputError
-        If the scene holds what POV-Ray cannot express.
+        If the scene holds what POV-Ray cannot express, or there is nothing to compare.
     EnvironmentFailure
         If a tracer is missing, of another version, fails, or gives an image that is not whole.
     """
@@ -150,7 +150,9 @@ def crosscheck(scene: Scene, out: Path, options: CrosscheckOptions) -> Crosschec
         progress = Progress("tracing twice", 2 * plan.rays, shown=options.render.progress)
         runs = _Runs(out / _WORK, programs, progress)
         try:
+            depth, parts = central_maps(scene.camera, traced.identity_tracer())
             radiance = runs.image("radiance", plan, traced.view().tracer, workers)
+            _check_seen(scene, bool(parts.any() or radiance.any()), "nothing is in view")
             witness = PovrayTracer(
                 installation,
                 programs,
@@ -162,16 +164,24 @@ def crosscheck(scene: Scene, out: Path, options: CrosscheckOptions) -> Crosschec
                 expected_peak=float(radiance.max()) or 1.0,
                 limits=Limits(silence=options.render.tracer_timeout),
             )
-            told = sha256_of_value({"text": text, "povray": installation.version})
+            told = sha256_of_value({"text": text, "povray": installation.sha256})
             povray = runs.image("povray", replace(plan, scene_sha256=told), witness, _PICTURES_AT_ONCE)
-            depth, parts = central_maps(scene.camera, traced.identity_tracer())
         finally:
             progress.close()
         seen = sees(scene, options.area_samples, radiance, (depth, parts), traced.prepared)
         shutil.rmtree(out / _WORK, ignore_errors=True)
+        _check_seen(scene, bool(radiance.any() or povray.any()), "both images are black")
     versions = {"radiance": traced.version, "povray": installation.version}
     gray = (_gray(scene, radiance), _gray(scene, povray))
     return Crosscheck(scene, options, radiance, povray, gray, seen, beams, number, versions, runs.wall_s)
+
+
+def _check_seen(scene: Scene, seen: bool, what: str) -> None:
+    """Two tracers that see nothing agree on nothing."""
+    if not seen:
+        raise InputError(
+            f"{what}: there is nothing to compare", where=scene.origin, remedy="look at the camera and the sources"
+        )
 
 
 class _Runs:

@@ -20,12 +20,12 @@ Mask = NDArray[np.bool_]
 
 RESULT: Final = "crosscheck.json"
 PICTURE: Final = "crosscheck.png"
-# Below this share of the brightest pixel a relative difference says nothing.
+# Below this share of a term's brightest pixel a relative difference says nothing.
 _DARK: Final = 1e-3
 _GRAY_TOLERANCE: Final = 0.5
 # A closed form explains a difference if it leaves no more than this share of it.
 EXPLAINED: Final = 0.2
-# Where pixels mix bright and dark, a difference counts relative to the brightest pixel.
+# Where pixels mix bright and dark, a single one says nothing relative to itself: there the median of all must be right.
 _MIXED: Final = frozenset({"aperture", "edges", "mirror", "shadow"})
 SHEETING_NOTE: Final = (
     "POV-Ray has no retroreflection: sheeting is not checked here; corner cubes check the geometry alone"
@@ -51,7 +51,7 @@ def as_json(result: Crosscheck) -> dict[str, Any]:
             name: {
                 **_difference(result, mask),
                 "gray": _gray_difference(result, mask),
-                "measure": _measure(name),
+                **dict(zip(("measure", "measured"), measured(result, name), strict=True)),
                 "verdict": verdict(result, name),
             }
             for name, mask in result.seen.terms.items()
@@ -73,7 +73,7 @@ def agrees(result: Crosscheck) -> bool:
 def verdict(result: Crosscheck, term: str) -> str:
     """Whether a term "agrees", is "explained" by closed forms, or "differs"."""
     mask = result.seen.terms[term]
-    if _measured(result, term, result.povray) <= result.options.tolerance:
+    if measured(result, term)[1] <= result.options.tolerance:
         return "agrees"
     expected = sum(result.seen.expected.values(), np.zeros(mask.shape))
     difference = (result.povray - result.radiance)[mask]
@@ -81,14 +81,16 @@ def verdict(result: Crosscheck, term: str) -> str:
     return "explained" if left <= EXPLAINED * _rms(difference) else "differs"
 
 
-def _measure(term: str) -> str:
-    return "rms_of_peak" if term in _MIXED else "relative_rms"
+def measured(result: Crosscheck, term: str) -> tuple[str, float]:
+    """The measure by which both differ most on a term, and how much.
 
-
-def _measured(result: Crosscheck, term: str, povray: Array) -> float:
+    All pixels count, relative to the brightest of the term, and bright ones relative to themselves: by their rms, or
+    where pixels mix bright and dark by their median.
+    """
     found = _difference(result, result.seen.terms[term])
-    value = found[_measure(term)]
-    return float(found["rms_of_peak"] if value is None else value)
+    names = ("rms_of_peak", "relative_median" if term in _MIXED else "relative_rms")
+    values = {name: abs(found[name]) for name in names if found[name] is not None}
+    return max(values.items(), key=lambda item: item[1])
 
 
 def _rms(values: Array) -> float:
@@ -96,9 +98,9 @@ def _rms(values: Array) -> float:
 
 
 def _difference(result: Crosscheck, mask: Mask) -> dict[str, Any]:
-    """POV-Ray less Radiance, relative to Radiance where that is not dark, and relative to its brightest pixel."""
+    """POV-Ray less Radiance, relative to Radiance where that is not dark, and to the brightest of all pixels."""
     ours, theirs = result.radiance[mask], result.povray[mask]
-    peak = max(float(result.radiance.max()), float(result.povray.max())) or 1.0
+    peak = max(float(ours.max()), float(theirs.max())) or 1.0
     bright = ours > _DARK * peak
     relative = (theirs - ours)[bright] / ours[bright]
     some = bool(bright.any())

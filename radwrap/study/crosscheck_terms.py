@@ -4,7 +4,7 @@ Terms: "diffuse", "specular", "mirror" and "included" by what the pixel's
 centre sees; "shadow", diffuse but darker than its closed form without shadows;
 "source", a disc that shines; within the blur of an outline or a shadow's rim
 "aperture", or "edges" where the pinhole is infinitesimal. What a mirror shows
-counts as "mirror" alone.
+counts as "mirror" alone. What sees nothing is "background".
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from radwrap.tracers.radiance import PreparedScene
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-TERMS: Final = ("diffuse", "shadow", "specular", "mirror", "included", "source", "aperture", "edges")
+TERMS: Final = ("diffuse", "shadow", "specular", "mirror", "included", "source", "aperture", "edges", "background")
 # Where a line through three pixels bends by more than this share of the brightest of them there is an edge.
 _EDGE: Final = 0.05
 # A diffuse pixel this much darker than its closed form lies in a shadow, of one LED of many at least.
@@ -48,7 +48,7 @@ class Seen:
     Attributes
     ----------
     terms : dict of ndarray of bool
-        Term -> its pixels; every pixel that sees something has one.
+        Term -> its pixels; every pixel has one.
     closed_form : ndarray
         L cos^4(theta) at the pixel's centre without shadows [W m^-2 sr^-1]; NaN where nothing is known.
     expected : dict of ndarray
@@ -95,6 +95,7 @@ def sees(
     terms["shadow"] = smooth & dark
     terms["mirror"] = kind == "mirror"
     terms[edge] = ~smooth & ~terms["mirror"]
+    terms["background"] = ~np.any(list(terms.values()), axis=0)
     expected = {"highlight": _highlights(scene, rays).reshape(shape)}
     if area_samples:
         expected["extended source"] = _extended(scene, rays).reshape(shape)

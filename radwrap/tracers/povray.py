@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import EnvironmentFailure, InputError, TracerError
-from radwrap.files import disk_failure, make_folder
+from radwrap.files import disk_failure, make_folder, sha256_of
 from radwrap.images import read_channel
 from radwrap.process import Limits, Programs
 from radwrap.scene.camera import Camera
@@ -54,10 +54,13 @@ class PovrayInstallation:
         Full path.
     version : str
         What it says.
+    sha256 : str
+        Of the program.
     """
 
     program: str
     version: str
+    sha256: str
 
 
 def find_povray(programs: Programs, named: str | None = None) -> PovrayInstallation:
@@ -87,7 +90,11 @@ def find_povray(programs: Programs, named: str | None = None) -> PovrayInstallat
             where=place,
             remedy=f"{_REMEDY}, or name it with --povray",
         )
-    return PovrayInstallation(str(Path(place).absolute()), match[1])
+    try:
+        sha256 = sha256_of(Path(place))
+    except OSError as error:
+        raise EnvironmentFailure(f"cannot be read: {error.strerror}", where=place) from error
+    return PovrayInstallation(str(Path(place).absolute()), match[1], sha256)
 
 
 def _environment(folder: Path) -> dict[str, str]:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
 from radwrap.errors import InputError
 from radwrap.tracers.rad_grammar import VOID, Primitive, Source, primitives
+
+Corner = tuple[float, ...]
 
 _PAINT: Final = (
     "texture {{ pigment {{ color rgb {colour} }} finish {{ diffuse {diffuse} reflection {{ {mirror} }} }} }}"
@@ -42,7 +45,7 @@ def included_text(text: str, where: str) -> str:
         if primitive.modifier not in textures:
             raise _refused(where, f'a surface of {primitive.modifier}, "{primitive.name}",')
         lines.append(f"{shape} {textures[primitive.modifier]} }}")
-    return "\n".join([f"// {where}", *lines, ""])
+    return "\n".join([*lines, ""])
 
 
 def mirrors_in(text: str) -> bool:
@@ -75,8 +78,9 @@ def _shape(primitive: Primitive) -> str | None:
     numbers = primitive.reals
     match primitive.kind:
         case "polygon":
-            corners = [_vector(numbers[i : i + 3]) for i in range(0, len(numbers), 3)]
-            return f"polygon {{ {len(corners) + 1}, {', '.join([*corners, corners[0]])}"
+            corners = [numbers[i : i + 3] for i in range(0, len(numbers), 3)]
+            places = [_vector(corner) for loop in rims(corners) for corner in (*loop, loop[0])]
+            return f"polygon {{ {len(places)}, {', '.join(places)}"
         case "sphere":
             return f"sphere {{ {_vector(numbers[:3])}, {numbers[3]!r}"
         case "ring":
@@ -85,6 +89,38 @@ def _shape(primitive: Primitive) -> str | None:
         case "cylinder":
             return f"cylinder {{ {_vector(numbers[:3])}, {_vector(numbers[3:6])}, {numbers[6]!r} open"
     return None
+
+
+def rims(corners: Sequence[Corner]) -> list[list[Corner]]:
+    """Closed rims of a polygon, holes included.
+
+    A hole of Radiance's polygons hangs on a seam, a side that is gone both ways. POV-Ray ends a rim where its first
+    corner comes again. Both count how many sides a ray to infinity crosses, so sides that come twice are left out, and
+    what remains may be joined to rims in any way.
+    """
+    sides: dict[frozenset[Corner], tuple[Corner, Corner]] = {}
+    for side in zip(corners, (*corners[1:], corners[0]), strict=True):
+        name = frozenset(side)
+        if name in sides:
+            del sides[name]
+        elif len(name) == 2:
+            sides[name] = side
+    at: dict[Corner, list[frozenset[Corner]]] = {}
+    for name, side in sides.items():
+        for corner in side:
+            at.setdefault(corner, []).append(name)
+    found = []
+    for start, _ in list(sides.values()):
+        loop, corner = [], start
+        while ways := [name for name in at[corner] if name in sides]:
+            loop.append(corner)
+            del sides[ways[0]]
+            (corner,) = ways[0] - {corner}
+            if corner == start:
+                break
+        if loop:
+            found.append(loop)
+    return found
 
 
 def _vector(numbers: tuple[float, ...]) -> str:

@@ -93,14 +93,17 @@ def povray_scene(scene: Scene, included: Mapping[str, str], *, area_samples: int
     for emitter in scene.emitters:
         if emitter.radiance > 0:
             parts.append(_light(scene, emitter, unit, area_samples))
+    # By numbers: POV-Ray's identifiers hold no "-" and 40 characters, and words of its own may stand among ours.
+    words = {name: f"Material{number}" for number, name in enumerate(scene.materials)}
     for name, material in scene.materials.items():
         if any(surface.material == name for surface in scene.surfaces):
-            parts.append(f"#declare {_identifier(name)} = {_texture(material, f'{scene.origin}: materials.{name}')}")
+            parts.append(f"#declare {words[name]} = {_texture(material, f'{scene.origin}: materials.{name}')}")
     for target in scene.targets:
+        parts.append(f"// {target.name}")
         if target.name in included:
             parts.append(included_text(included[target.name], f'{scene.origin}: target "{target.name}"'))
         else:
-            parts += _target(target, scene.camera, unit)
+            parts += _target(target, scene.camera, unit, words)
     return "\n".join(parts)
 
 
@@ -169,11 +172,6 @@ def _corners(surface: Surface) -> tuple[Vector, ...]:
             return (low[0], low[1], low[2]), (high[0], high[1], high[2])
         case _:
             return (surface.shape.centre,)
-
-
-def _identifier(name: str) -> str:
-    """A POV-Ray identifier; names of scenes may hold "-", and words of POV-Ray's own."""
-    return f"Material_{name.replace('-', '_M_')}"
 
 
 def _number(value: float) -> str:
@@ -301,20 +299,19 @@ def highlight(specular_reflectance: float, roughness: float) -> tuple[float, flo
     return 2 / roughness**2, specular_reflectance / (4 * roughness**2)
 
 
-def _target(target: Target, camera: Camera, unit: float) -> Iterator[str]:
+def _target(target: Target, camera: Camera, unit: float, words: Mapping[str, str]) -> Iterator[str]:
     """Surfaces; what lies on another one of the same target is lifted to the side that the eye is on."""
     lift = np.zeros(3)
     if isinstance(target, DotBoard | EdgeTarget):
         normal = target.pose.z_axis
         side = dot(subtract(camera.pose.position, target.pose.position), normal)
         lift = np.asarray(normal) * math.copysign(_LIFT, side)
-    yield f"// {target.name}"
     for surface in surfaces_of(target):
-        yield _geometry(surface, unit, lift if surface.part != "surface" else np.zeros(3))
+        texture = f"texture {{ {words[surface.material]} }}"
+        yield _geometry(surface, unit, lift if surface.part != "surface" else np.zeros(3), texture)
 
 
-def _geometry(surface: Surface, unit: float, lift: np.ndarray) -> str:
-    texture = f"texture {{ {_identifier(surface.material)} }}"
+def _geometry(surface: Surface, unit: float, lift: np.ndarray, texture: str) -> str:
 
     def at(point: Vector) -> str:
         return _vector(np.asarray(point) / unit + lift)

@@ -23,8 +23,13 @@ TILT={tilt}
 NEAR_AXIS = 1e-3  # the sheet is looked at within 0.3 degrees of the axis
 
 
-def test_irradiance_is_what_the_candelas_say(tmp_path: Path) -> None:
-    (tmp_path / "lamp.ies").write_text(LAMP.format(note="none", tilt="NONE"))
+# Factors for a luminaire that is tilted by so many degrees; here it hangs upright.
+TILTED = "INCLUDE\n1\n3\n0 45 90\n1 0.9 0.8"
+
+
+@pytest.mark.parametrize("tilt", ["NONE", TILTED], ids=["plain", "tilt"])
+def test_irradiance_is_what_the_candelas_say(tilt: str, tmp_path: Path) -> None:
+    (tmp_path / "lamp.ies").write_text(LAMP.format(note="none", tilt=tilt))
     assert main(["convert", str(tmp_path / "lamp.ies"), str(tmp_path / "lamp.rad")]) == 0
     (tmp_path / "scene.toml").write_text(SCENE.read_text())
     # A luminaire shines downwards, along -z of its file.
@@ -40,6 +45,13 @@ def test_irradiance_is_what_the_candelas_say(tmp_path: Path) -> None:
     assert float(np.median(exposure)) / level == pytest.approx(radiance, rel=NEAR_AXIS)
 
 
+def changed(word: str, other: str) -> str:
+    """The lamp with something else in one place."""
+    text = LAMP.format(note="x", tilt="NONE")
+    assert text.count(word) == 1
+    return text.replace(word, other)
+
+
 @pytest.mark.parametrize(
     ("text", "told"),
     [
@@ -47,16 +59,38 @@ def test_irradiance_is_what_the_candelas_say(tmp_path: Path) -> None:
         (LAMP.format(note="x", tilt="tilt.dat"), "names another file for its tilt"),
         ("", "no TILT"),
         ("TILT=NONE\n\0", "no text"),
-        ("TILT=NONE\n1 2 3\n", ""),
-        (LAMP.format(note="x", tilt="NONE").replace("1 -1 100 7 1", "1 -1 100 1000000000 1000000000"), ""),
+        ("TILT=NONE\n1 2 3\n", "ends too early"),
+        (changed("100 7 1 1", "100 1000000000 1000000000 1"), "number of vertical angles must lie between"),
+        (changed("0.9659258", "-0.9659258"), "candela values must lie between 0 and"),
+        (changed("0.9659258", "1e30"), "candela values must lie between 0 and"),
+        (changed("0.9659258", "nan"), '"nan" is no number'),
+        (changed("1 -1 100 7", "1 -1 -100 7"), "a multiplier is not above 0"),
+        (changed("1 1 50", "0 1 50"), "a multiplier is not above 0"),
+        (changed("15 30", "30 15"), "vertical angles must increase"),
+        (changed("75 90", "75 190"), "vertical angles must increase"),
+        (changed("0.2588190 0", "0.2588190 0 0"), "1 numbers stand after its last"),
+        (changed("0.2588190 0", "0.2588190"), "ends too early"),
+        (changed("1 1 2 0", "1 1 3 0"), "unit of length is 3"),
+        (changed("1 1 2 0", "1 2 2 0"), "of type B; type C alone is read"),
+        (changed("1 1 2 0", "1 3 2 0"), "of type A; type C alone is read"),
+        (LAMP.format(note="x", tilt=TILTED.replace("0.9", "-0.9")), "a tilt's factor is negative"),
     ],
 )
 def test_hostile_files_are_refused(text: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "lamp.ies").write_text(text)
-    assert main(["convert", str(tmp_path / "lamp.ies"), str(tmp_path / "lamp.rad")]) in (2, 4)
+    assert main(["convert", str(tmp_path / "lamp.ies"), str(tmp_path / "lamp.rad")]) == 2
     said = capsys.readouterr().err
-    assert told in said and "Traceback" not in said
+    assert told in said and f"{tmp_path / 'lamp.ies'}: " in said and "Traceback" not in said
     assert not (tmp_path / "lamp.rad").exists()
+
+
+def test_what_ies2rad_refuses_is_the_file_s_fault(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("radwrap.convert.ies_files.fault_of_numbers", lambda *_, **__: None)
+    (tmp_path / "lamp.ies").write_text("TILT=NONE\n1 2 3\n")
+    assert main(["convert", str(tmp_path / "lamp.ies"), str(tmp_path / "lamp.rad")]) == 2
+    assert f"{tmp_path / 'lamp.ies'}: is no luminaire file: ended with exit code 1" in capsys.readouterr().err
 
 
 def test_nothing_of_the_header_reaches_the_scene(tmp_path: Path) -> None:

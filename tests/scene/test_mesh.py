@@ -15,6 +15,7 @@ from radwrap.scene.geometry import signed_distance
 from radwrap.scene.intersections import first_hit, nearest_point
 from radwrap.scene.mesh import contains, mesh_hit, mesh_of, nearest_on
 from radwrap.scene.parts import MOST_FACES, cleaned, read_part_file
+from radwrap.scene.polygons import triangulated
 from radwrap.scene.winding import wound
 
 ROUNDING = 1e-9
@@ -118,6 +119,16 @@ PLY_HEAD = (
     "ply\nformat binary_little_endian 1.0\nelement vertex {0}\nproperty float x\nproperty float y\nproperty float z\n"
     "element face {0}\nproperty list uchar int vertex_indices\nend_header\n"
 )
+TEXT_PLY = (
+    "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    "element face {}\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n"
+)
+# A triangle between quadrangles: as long as three faces like the first, were the first of four corners.
+MIXED_PLY = (
+    PLY_HEAD.replace("face {0}", "face 3").format(5).encode()
+    + struct.pack("<15f", *range(15))
+    + struct.pack("<B4iB3iB5i", 4, 0, 1, 2, 3, 3, 0, 1, 2, 5, 0, 1, 2, 3, 4)
+)
 HOSTILE = {
     "empty.stl": (b"", "no whole STL"),
     "claims.stl": (STL[:80] + struct.pack("<I", 10**9) + STL[84:], "no whole STL"),
@@ -131,11 +142,21 @@ HOSTILE = {
     "claims.off": (b"OFF\n1000000000 1000000000 0\n0 0 0\n", "claims 1000000000"),
     "broken.off": (b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n", "no whole OFF|does not hold"),
     "nan.obj": (b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "NaN or infinity"),
-    "index.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "no whole OBJ"),
+    "index.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "does not hold"),
     "empty.obj": (b"# nothing\n", "no triangles|no whole OBJ"),
     "up.obj": (b"mtllib ../../secret.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "outside its folder"),
     "root.obj": (b"mtllib /etc/passwd\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "outside its folder"),
-    "back.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl a\nf -3 -2 -1\n", "counts vertices backwards"),
+    "back.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl a\nf\t-4\t-2\t-1\nv 0 0 1\n", "line 5: there is no vertex -4"),
+    "zero.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\nf 1 2 3\n", "line 4: vertices are counted from 1"),
+    "side.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2\n", "less than three corners"),
+    "surface.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\ncstype bezier\n", "line 5 begins a free-form surface"),
+    "bow.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3 4\n", "sides cross"),
+    "star.off": (b"OFF 5 1 0\n0 3 0\n2 -2 0\n-3 1 0\n3 1 0\n-2 -2 0\n5 0 1 2 3 4\n", "sides cross"),
+    "less.off": (b"OFF\n4 3 0\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 1 2\n3 0 1 3\n", "holds less than it claims"),
+    "more.off": (b"OFF\n4 1 0\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 1 2\n3 0 1 3\n", "holds more than it claims"),
+    "less.ply": (TEXT_PLY.format(5).encode() + b"3 0 1 2\n", "holds less than it claims"),
+    "more.ply": (TEXT_PLY.format(1).encode() + b"3 0 1 2\n3 0 2 1\n", "claims 4 rows, and holds 5"),
+    "mixed.ply": (MIXED_PLY, "read from text alone"),
     "junk.glb": (b"glTF\x02\x00\x00\x00\xff\xff\xff\x7f", "no whole GLB"),
     "name.3ds": (b"x", "no mesh file"),
 }
@@ -151,6 +172,58 @@ def test_hostile_files_are_refused(name: str, tmp_path: Path) -> None:
         # The same through a scene: one line that names the key.
         with pytest.raises(InputError, match=r"targets\[0\]\.part"):
             scene_with(tmp_path, name)
+
+
+def lined(path: Path, *lines: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """What a text holds, in its own unit."""
+    path.write_text("\n".join((*lines, "")))
+    found: dict[str, tuple[np.ndarray, np.ndarray]] = read(path, 1.0).groups
+    return found
+
+
+def size(group: tuple[np.ndarray, np.ndarray]) -> float:
+    return float(trimesh.Trimesh(*group, process=False).area)
+
+
+SQUARE = ("v 0 0 0", "v 10 0 0", "v 10 10 0", "v 0 10 0")
+NOTCHED = [(0, 0), (10, 0), (10, 10), (5, 2), (0, 10)]  # a square less a notch of 40
+
+
+@pytest.mark.parametrize("first", range(5))
+def test_polygons_are_not_fanned_over_a_notch(first: int, tmp_path: Path) -> None:
+    corners = NOTCHED[first:] + NOTCHED[:first]
+    obj = [*(f"v {x} {y} 3" for x, y in corners), "f 1 2 3 4 5"]
+    off = ["OFF", "5 1 0", *(f"{x} {y} 3" for x, y in corners), "5 0 1 2 3 4 200 0 0"]
+    ply = [*TEXT_PLY.replace("vertex 3", "vertex 5").format(1).splitlines()[:-3], *off[2:-1], "5 0 1 2 3 4"]
+    for name, lines in {"a.obj": obj, "a.off": off, "a.ply": ply}.items():
+        (group,) = lined(tmp_path / name, *lines).values()
+        assert size(group) == pytest.approx(60.0)
+        assert len(group[1]) == 3
+
+
+def test_faces_of_one_file_keep_their_order_and_shapes() -> None:
+    """Triangles, squares and notched ones in turn, as one list: areas say which is which."""
+    vertices = np.array([(x, y, 0.0) for x, y in [*NOTCHED, (0, 4)]], dtype=float)
+    faces = [(0, 1, 2), (0, 1, 2, 3, 4), (0, 1, 3, 5), (1, 2, 3), (0, 1, 2, 3)]
+    corners, counts = np.array([c for face in faces for c in face]), np.array(list(map(len, faces)))
+    found = triangulated(vertices, corners, counts, "here")
+    each = np.split(found, np.cumsum(counts - 2)[:-1])
+    assert [size((vertices, part)) for part in each] == pytest.approx([50.0, 60.0, 20.0, 25.0, 35.0])
+    assert (found[0] == faces[0]).all() and set(each[3].ravel()) == {1, 2, 3}
+
+
+def test_obj_counts_backwards_from_each_face(tmp_path: Path) -> None:
+    later = ("v 0 0 50", "v 20 0 50", "v 20 20 50")
+    (group,) = lined(tmp_path / "a.obj", *SQUARE[:3], "f -3 -2 -1", *later, "f -3 -2 -1").values()
+    assert size(group) == pytest.approx(50.0 + 200.0)
+    found = lined(tmp_path / "b.obj", *SQUARE[:3], "usemtl a", "f\t-3\t-2\t-1", *later, "usemtl b # 2", "f 4/1 5 6//3")
+    assert {name: size(group) for name, group in found.items()} == pytest.approx({"a": 50.0, "b # 2": 200.0})
+    assert set(found["a"][0][:, 2]) == {0.0}
+
+
+def test_obj_lines_go_on_after_a_backslash(tmp_path: Path) -> None:
+    found = lined(tmp_path / "a.obj", *SQUARE, "usemtl a", "f 1 2 \\", " 3 4", "usemtl b", "f 1 2 3 # 4")
+    assert {name: size(group) for name, group in found.items()} == pytest.approx({"a": 100.0, "b": 50.0})
 
 
 def test_material_files_beside_a_mesh_are_not_read(tmp_path: Path) -> None:

@@ -46,6 +46,8 @@ def test_direct_light(name: str, tmp_path: Path) -> None:
     result = run(load(name), tmp_path)
     found = as_json(result)
     assert found["agrees"]
+    nothing = found["terms"].pop("background", {"maximum_of_peak": 0.0})
+    assert nothing["maximum_of_peak"] == 0.0
     for term in found["terms"].values():
         assert term["relative_rms"] < DIFFUSE
         assert term["relative_maximum"] < 2 * HALF

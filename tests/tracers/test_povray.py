@@ -1,5 +1,6 @@
 """POV-Ray as a witness: what it is asked, what it cannot express, and that a broken one is noticed."""
 
+import re
 import shutil
 import stat
 from pathlib import Path
@@ -14,7 +15,7 @@ from radwrap.images import write_exr
 from radwrap.imaging.view import PixelPlan, ray_blocks
 from radwrap.process import Limits, Programs
 from radwrap.tracers.povray import PovrayTracer, find_povray
-from radwrap.tracers.povray_included import included_text
+from radwrap.tracers.povray_included import included_text, rims
 from radwrap.tracers.povray_text import povray_camera, povray_scene
 
 SCENES = Path(__file__).parents[2] / "rad_scenes" / "crosscheck"
@@ -140,6 +141,44 @@ def test_what_povray_cannot_express_is_refused_by_name(name: str, changes: dict[
 def test_what_an_included_file_holds_is_refused_by_name(text: str, told: str) -> None:
     with pytest.raises(InputError, match=told):
         included_text(text, "scene.toml: targets[0]")
+
+
+def test_a_polygon_s_hole_is_a_rim_of_its_own() -> None:
+    """Radiance hangs it on a seam; POV-Ray would end the polygon where a corner comes again."""
+    outer = [(-4.0, -4.0), (4.0, -4.0), (4.0, 4.0), (-4.0, 4.0)]
+    hole, other = (
+        [(x + shift, y) for x, y in ((0.0, 0.0), (0.0, 1.0), (1.0, 1.0), (1.0, 0.0))] for shift in (0.0, 2.0)
+    )
+    seamed = [*outer, outer[0], *hole, hole[0], *other, other[0], hole[0], outer[0]]
+    assert rims(seamed) == [outer, hole, other]
+    assert rims(outer) == [outer]
+    touching = [(0.0, 0.0), (1.0, 0.0), (2.0, 1.0), (3.0, 0.0), (3.0, 2.0), (2.0, 1.0), (0.0, 2.0)]
+    assert sum(map(len, rims(touching))) == 7  # two rims that share a corner, whichever way round
+    numbers = " ".join(f"{x} {y} 0" for x, y in seamed)
+    text = f"void plastic p 0 0 5 .5 .5 .5 0 0\np polygon s 0 0 {3 * len(seamed)} {numbers}\n"
+    assert "polygon { 15, <-4.0, -4.0, 0.0>, " in included_text(text, "x")
+
+
+@pytest.mark.parametrize("names", [("a-b", "a_M_b"), ("m" * 50 + "1", "m" * 50 + "2")])
+def test_every_material_has_a_word_of_its_own(names: tuple[str, str]) -> None:
+    """POV-Ray's identifiers hold no "-", and 40 characters."""
+    materials = {name: {"type": "lambertian", "reflectance": 0.25 + i / 2} for i, name in enumerate(names)}
+    sheet = {"type": "sheet", "size": ["9 mm", "9 mm"]}
+    targets = [{**sheet, "material": name, "position": ["0 mm", "0 mm", f"{i} mm"]} for i, name in enumerate(names)]
+    text = povray_scene(load(**{"materials": materials, "targets": targets}), {})
+    words = dict(re.findall(r"#declare (\w+) = .*? diffuse ([\d.]+)", text))
+    used = re.findall(r"texture \{ (\w+) \} \}", text)
+    assert [words[word] for word in used] == ["0.25", "0.75"]
+
+
+def test_a_file_s_name_is_no_part_of_the_text(tmp_path: Path) -> None:
+    """It may hold any letter, and a line break would end the comment; POV-Ray has #include and #fopen."""
+    shutil.copytree(SCENES / "mirror", tmp_path / "s")
+    path = (tmp_path / "s" / "scene.toml").rename(tmp_path / "s" / "sz\u00e9ne\n#error.toml")
+    scene = radwrap.load_scene(path)
+    (name,) = (target.name for target in scene.included)
+    text = povray_scene(scene, {name: "void plastic p 0 0 5 1 1 1 0 0\np sphere s 0 0 4 0 0 0 1\n"})
+    assert text.isascii() and "#error" not in text and f"// {name}\nsphere" in text
 
 
 def test_the_camera_is_sheared() -> None:
