@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test test-hid test-report lint bench bias crosscheck povray chromium clean help
+.PHONY: demo test test-hid test-report lint bench bias crosscheck validate povray chromium clean help
 
 help:
 	@echo "make demo   set up, render the calibration board, say where the picture lies"
@@ -15,6 +15,7 @@ help:
 	@echo "make lint   ruff and mypy --strict"
 	@echo "make bench  speed, overhead, memory, and what a tolerance costs, measured on this machine"
 	@echo "make crosscheck   Radiance against POV-Ray on rad_scenes/crosscheck"
+	@echo "make validate    the score card of closed forms, with plots in out/validate/index.html"
 	@echo "make bias   bias of algorithms on predicted images, with plots"
 
 demo: $(READY)
@@ -44,6 +45,9 @@ bias: $(READY)
 
 crosscheck: $(READY) povray
 	@$(BIN)/python scripts/crosscheck.py
+
+validate: $(READY)
+	@$(BIN)/radwrap validate --out out/validate
 
 # A changed lock file or project file sets the environment up again; otherwise this is done at once.
 $(READY): requirements.lock pyproject.toml
