@@ -19,15 +19,19 @@ Array = NDArray[np.float64]
 
 _FLUX, _SIDE = 10_000.0, 4.0
 _DIRECT: Final = _FLUX / (6 * _SIDE**2)  # mean over a face: 104.17 lx
-# Relative limits of the mean over a face: 1 % to rho .5, 3 % at .8; above that the bound that is stated here.
-_LIMITS: Final = {0.05: 0.01, 0.2: 0.01, 0.5: 0.01, 0.8: 0.03, 0.9: 0.03}
-_PIXELS: Final = 16  # along a side of the face
+# Of the mean over a face: relative limits, 1 % to rho .5, 3 % at .8, and above that the bound that is stated here; and
+# the rms error of a pixel over the mean gray level that is asked for. The mean of 1024 pixels is 32 times better, but
+# what is indirect is rho of all.
+_ASKED: Final = {0.05: (0.01, 0.002), 0.2: (0.01, 0.008), 0.5: (0.01, 0.02), 0.8: (0.03, 0.05), 0.9: (0.03, 0.05)}
+_PIXELS: Final = 32  # along a side of the face
 _EYE: Final = 0.01  # in front of the lamp, which has no size worth naming
-_FINE: Final = 32  # points along a pixel's side for its mean of cos^4
-_ASKED: Final = 0.03  # rms error of a pixel over the mean gray level; the mean of 256 pixels is sixteen times better
+_FINE: Final = 16  # points along a pixel's side for its mean of cos^4
+_ASKED_SHAPE: Final = 0.005
+_BLOCK: Final = 4  # pixels along a side of the corners that are compared
 _MEAN_GRAY: Final = 1000.0
-_BOX: Final = 0.6
-_SHAPE_RHO, _SHAPE_LIMIT = 0.2, 0.02  # printed +11 and -30 %: two digits
+_BOX, _BOX_ASKED = 0.6, 0.03
+# Printed are +11 and -30 % at the very centre and corner, two digits; blocks of pixels lie a little inside.
+_SHAPE_RHO, _SHAPE_LIMIT = 0.2, 0.02
 _PATCHES: Final = 32  # along a side, for the exchange of light between faces
 _ORDERS: Final = 12  # of reflections: 0.2^12 is nothing
 
@@ -74,13 +78,13 @@ def _irradiance(bench: Bench, scene: Scene, reflectance: float, **how: Any) -> t
     return found * math.pi / reflectance, dict(result.manifest)
 
 
-def _lit(bench: Bench, reflectance: float) -> tuple[Array, Array, dict[str, Any]]:
+def _lit(bench: Bench, reflectance: float, asked: float) -> tuple[Array, Array, dict[str, Any]]:
     """Direct and all light on the face."""
     if "bounces" not in RenderOptions.__dataclass_fields__:
         raise Missing("interreflection")
     scene = _cube(reflectance, _DIRECT / (1 - reflectance))
     direct, _ = _irradiance(bench, scene, reflectance, method="pinhole", pixel_samples=8)
-    how: dict[str, Any] = {"bounces": "all", "tolerance": _ASKED * _MEAN_GRAY}
+    how: dict[str, Any] = {"bounces": "all", "tolerance": asked * _MEAN_GRAY}
     whole, manifest = _irradiance(bench, scene, reflectance, **how)
     return direct, whole, manifest
 
@@ -91,11 +95,12 @@ def _name(reflectance: float) -> str:
 
 def _cie(reflectance: float) -> Check:
     def run(bench: Bench) -> Iterator[Finding]:
-        direct, whole, manifest = _lit(bench, reflectance)
+        limit, error = _ASKED[reflectance]
+        direct, whole, manifest = _lit(bench, reflectance, error)
         expected = _DIRECT * reflectance / (1 - reflectance)
-        asked = f"asked {_ASKED:.0%} a pixel, certified {manifest['error']['rms_gray_upper95'] / _MEAN_GRAY:.1%}"
+        asked = f"asked {error:.1%} a pixel, certified {manifest['error']['rms_gray_upper95'] / _MEAN_GRAY:.1%}"
         ours = float((whole - direct).mean())
-        yield Case(_name(reflectance), "CIE 171:2006 5.8", expected, ours, _LIMITS[reflectance], note=asked)
+        yield Case(_name(reflectance), "CIE 171:2006 5.8", expected, ours, limit, note=asked)
 
     return Check(_name(reflectance), (_name(reflectance),), run)
 
@@ -141,29 +146,29 @@ def _exchanged(reflectance: float) -> Array:
 
 def _shape(bench: Bench) -> Iterator[Finding]:
     """Indirect light in the middle of a face and in its corners, over its mean."""
-    direct, whole, _ = _lit(bench, _SHAPE_RHO)
+    direct, whole, _ = _lit(bench, _SHAPE_RHO, _ASKED_SHAPE)
     found = (whole - direct) / (whole - direct).mean()
-    step = _PATCHES // _PIXELS
-    expected = _exchanged(_SHAPE_RHO).reshape(_PIXELS, step, _PIXELS, step).mean(axis=(1, 3))
+    expected = _exchanged(_SHAPE_RHO)
     expected = expected / expected.mean()
-    half, source = _PIXELS // 2, "radiosity of 6 x 32 x 32 patches, mean over the pixels"
-    for name, rows in (("centre", [half - 1, half]), ("corner", [0, -1])):
-        four = np.ix_(rows, rows)
-        ours, reference = float(found[four].mean()), float(expected[four].mean())
+    half, source = _PIXELS // 2, f"radiosity of 6 x {_PATCHES} x {_PATCHES} patches"
+    ends = [*range(_BLOCK), *range(-_BLOCK, 0)]
+    for name, rows in (("centre", [*range(half - _BLOCK, half + _BLOCK)]), ("corner", ends)):
+        block = np.ix_(rows, rows)
+        ours, reference = float(found[block].mean()), float(expected[block].mean())
         yield Case(f"2.cube_{name}", source, reference, ours, _SHAPE_LIMIT, "absolute")
     x = (np.arange(_PIXELS) + 0.5) / _PIXELS * _SIDE
-    curves = {"radwrap": (x, found[half]), "reference: radiosity": (x, expected[half])}
+    curves = {"radwrap": (x, found[half - 1 : half + 1].mean(axis=0)), "reference: radiosity": (x, expected[half])}
     yield Plot("Indirect light across the middle of a face, rho 0.2", "x [m]", "E over its mean", curves)
 
 
 def _closed_box(bench: Bench) -> Iterator[Finding]:
-    direct, whole, _ = _lit(bench, _BOX)
+    direct, whole, _ = _lit(bench, _BOX, _BOX_ASKED)
     ratio = float(whole.mean() / direct.mean())
     yield Case("3.closed_box", "L/(1 - rho), rho .6", 1 / (1 - _BOX), ratio, 0.01)
 
 
 CHECKS: Final = (
-    *map(_cie, _LIMITS),
+    *map(_cie, _ASKED),
     Check("2.cube_shape", ("2.cube_centre", "2.cube_corner"), _shape),
     Check("3.closed_box", ("3.closed_box",), _closed_box),
 )
