@@ -36,6 +36,7 @@ _MODULES: Final = {
     "calibrate": "calibrate",
     "compare": "compare",
     "led": "led",
+    "validate": "validate",
     "doctor": "doctor",
 }
 

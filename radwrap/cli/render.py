@@ -73,6 +73,13 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         default=0,
         help="write N frames with the noise of a linear camera too: frame_0000.png and on",
     )
+    parser.add_argument(
+        "--bounces",
+        metavar="N",
+        default="0",
+        help="how often light may go from surface to surface before it is seen: a number, all, or auto: all where it "
+        "matters at this tolerance (default 0)",
+    )
     parser.add_argument("--dry-run", action="store_true", help="only say what rays, memory and time it would take")
     parser.add_argument(
         "--max-pixels", metavar="N", type=float, default=64e6, help="largest sensor (default 64e6 pixels)"
@@ -126,6 +133,7 @@ def _options(arguments: argparse.Namespace) -> RenderOptions:
         workers=arguments.workers,
         keep_viewpoints=arguments.keep_viewpoints,
         truth=arguments.truth,
+        bounces=_bounces(arguments.bounces),
         basis=arguments.basis,
         frames=arguments.frames,
         max_pixels=int(arguments.max_pixels),
@@ -139,6 +147,11 @@ def _options(arguments: argparse.Namespace) -> RenderOptions:
             remedy="leave it out, or leave out the method and its options",
         )
     return options
+
+
+def _bounces(text: str) -> Any:
+    """A number, or a word that `RenderOptions` knows."""
+    return int(text) if text.isdecimal() and len(text) < 10 else text
 
 
 def _budget(text: str | None) -> dict[str, Any]:

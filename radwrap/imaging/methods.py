@@ -67,7 +67,9 @@ def how(scene: Scene, options: RenderOptions) -> dict[str, Any]:
     method = fixed_method(scene, options)
     if method is None:
         keys = ("method", "tolerance", "max_error", "budget_rays", "budget_seconds", "seed")
-        return {key: getattr(options, key) for key in keys}
+        # Named only where it is asked for: what a run is known by stays as it was for all others.
+        bounces = {"bounces": options.bounces} if options.bounces else {}
+        return {key: getattr(options, key) for key in keys} | bounces
     pixels = {"samples": options.pixel_samples, "sampling": options.pixel_sampling}
     opening = {"viewpoints": options.viewpoint_number, "layout": options.layout} if method == "viewpoints" else {}
     return {"method": method, "seed": options.seed, **pixels, **opening}

@@ -57,6 +57,9 @@ class RenderOptions:
         Keep the sub-viewpoints' files.
     truth : bool
         Write depth, parts and true positions too.
+    bounces : int or str
+        How often light may go from surface to surface: 0, a number, "all", or "auto", which is "all" where leaving it
+        out would cost more than a small share of the tolerance, and 0 elsewhere.
     basis : bool
         Write one image for each source by the same rays too, from which `relit` makes any levels.
     frames : int
@@ -86,6 +89,7 @@ class RenderOptions:
     workers: int | None = None
     keep_viewpoints: bool = False
     truth: bool = False
+    bounces: int | Literal["all", "auto"] = 0
     basis: bool = False
     frames: int = 0
     trust: bool = False
@@ -102,6 +106,7 @@ class RenderOptions:
             "budget": (1.0 if self.budget_rays is None else self.budget_rays, 1, 1e18),
             "budget seconds": (1.0 if self.budget_seconds is None else self.budget_seconds, 1e-3, 1e9),
             "pixel-samples": (self.pixel_samples, 1, 100),
+            "bounces": (self.bounces if isinstance(self.bounces, int) else 0, 0, 1000),
             "workers": (1 if self.workers is None else self.workers, 1, 4096),
             "seed": (self.seed, 0, 2**63 - 1),
             "frames": (self.frames, 0, 10_000),
@@ -125,12 +130,28 @@ class RenderOptions:
                         where=f"--{option}",
                         remedy="leave it out, or leave out the method and its options",
                     )
+        self._check_bounces()
         if self.basis and self.fixed_method is not None:
             raise InputError(
                 f"needs an image to tolerance, not {self.fixed_method}",
                 where="--basis",
                 remedy="leave out the method and its options, or name kernel or rays",
             )
+
+    def _check_bounces(self) -> None:
+        if isinstance(self.bounces, str) and self.bounces not in {"all", "auto"}:
+            raise InputError(f'"{self.bounces}" is no number', where="--bounces", remedy='say 0, 3, "all" or "auto"')
+        if not self.bounces:
+            return
+        method = self.fixed_method or self.method
+        if method not in {None, "rays"}:
+            raise InputError(
+                f"{method} has one ray at each place, which does not average walks of light: bounces need rays",
+                where="--bounces",
+                remedy="leave out the method and its options, or say --method rays",
+            )
+        if self.basis:
+            raise InputError("does not go with bounces yet", where="--basis", remedy="render each light by itself")
 
     @property
     def viewpoint_number(self) -> int:

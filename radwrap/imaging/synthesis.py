@@ -14,7 +14,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,7 @@ from radwrap.imaging.survey import survey
 from radwrap.imaging.tracing import TracedScene, traced_scene
 from radwrap.imaging.truth import central_maps, geometry
 from radwrap.imaging.uncertainty import share_spread, uncertainty
+from radwrap.imaging.view import View
 from radwrap.imaging.viewpoints import missing_viewpoints
 from radwrap.manifest import SCHEMA_VERSION, plain, read_manifest, sha256_of_value, versions, write_manifest
 from radwrap.process import Programs, available_cores, children_cpu_time
@@ -61,6 +62,8 @@ _VIEWPOINTS: Final = "viewpoints"
 _WORK: Final = ".work"
 # Rays a pixel that a tolerance takes, where only a rough number is needed.
 _USUAL_RAYS: Final = 8
+
+Bounces = int | Literal["all"]
 
 
 def frame_file(number: int) -> str:
@@ -255,11 +258,12 @@ class _Run:
             make_folder(self.out / FOLDER)  # a file of that name is told before hours of tracing
         progress = Progress("tracing", 1, shown=self.options.progress)
         view = self.traced.view()
-        work = Work(view, self.folder, self.programs, progress, self.traced_sha256, self.options.seed)
         try:
             banding = self.traced.banding
-            made = make(self.scene, banding.left(self.options), work)
             left_out = bounces(self.scene, view, self.options.seed, self.options.tolerance)
+            orders = _orders(self.options.bounces, left_out)
+            work, options = self._with_bounces(view, orders, progress)
+            made = make(self.scene, banding.left(options), work)
             spread = self._spread()
             self._remove_old()
             basis = self._write_basis(work, made)
@@ -279,16 +283,29 @@ class _Run:
         }
         manifest = {
             **self._description(made),
-            "warnings": [*warnings_of(self.scene), *_lens_warnings(self.scene), *_warnings_of(left_out)],
+            "warnings": [
+                *warnings_of(self.scene),
+                *_lens_warnings(self.scene),
+                *(() if orders else _warnings_of(left_out)),
+            ],
             **summary,
             "error": banding.raised(made.error),
             **told,
             **banding.as_manifest(),
-            "left_out": {left_out.name: left_out.as_manifest()},
+            **_told(orders, left_out),
             "files": {name: sha256_of(self.out / name) for name in files},
             "timing": timing,
         }
         write_manifest(self.out / MANIFEST, manifest)
+
+    def _with_bounces(self, view: View, orders: Bounces, progress: Progress) -> tuple[Work, RenderOptions]:
+        """Who traces what: walks of light from surface to surface where they are asked for."""
+        options, known_by = self.options, self.traced_sha256
+        if orders:
+            view = self.traced.bouncing_view(None if isinstance(orders, str) else orders)
+            options = replace(options, method="rays")
+            known_by = sha256_of_value({"scene": known_by, "bounces": orders})
+        return Work(view, self.folder, self.programs, progress, known_by, self.options.seed), options
 
     def clean_up(self) -> None:
         """Remove the pieces, unless they are sub-viewpoints and wanted."""
@@ -409,6 +426,20 @@ class _Run:
 
 def _lens_warnings(scene: Scene) -> tuple[str, ...]:
     return tuple(diffraction_warning(diffraction(scene))) if scene.camera.lens else ()
+
+
+def _orders(asked: Bounces | Literal["auto"], left_out: Effect) -> Bounces:
+    """How often light may go from surface to surface, once it is known what leaving that out would cost."""
+    if asked == "auto":
+        return "all" if left_out.needed else 0
+    return asked
+
+
+def _told(orders: Bounces, left_out: Effect) -> dict[str, Any]:
+    """What the manifest says of light that goes from surface to surface."""
+    if not orders:
+        return {"left_out": {left_out.name: left_out.as_manifest()}}
+    return {"left_out": {}, "bounces": {"orders": orders, "about_rms_gray": left_out.rms_gray}}
 
 
 def _warnings_of(left_out: Effect) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+from radwrap.errors import InputError
 from radwrap.files import make_folder
 from radwrap.imaging.banding import banding
 from radwrap.imaging.render_options import RenderOptions
@@ -15,8 +16,11 @@ from radwrap.imaging.view import View
 from radwrap.manifest import sha256_of_value
 from radwrap.process import Limits, Programs, available_cores
 from radwrap.scene.camera import ColourChannel
+from radwrap.scene.materials import CoefficientTable, GlassBeads, Lambertian, PerturbedNormal, Specular
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Source, emitters
+from radwrap.scene.targets import surfaces
+from radwrap.tracers.bouncing import BouncingTracer, Reflecting
 from radwrap.tracers.installation import find_radiance, version
 from radwrap.tracers.radiance import NO_LIGHT, PreparedScene, RadianceOptions, RadianceTracer, build, prepare
 from radwrap.tracers.radiance_text import RadianceScene, scene_text
@@ -96,6 +100,29 @@ class TracedScene:
                 return replace(self.scene, materials={**self.scene.materials, **band.materials})
         return self.scene
 
+    def bouncing_view(self, orders: int | None) -> View:
+        """The camera, with a tracer that adds what surfaces reflect to each other.
+
+        Parameters
+        ----------
+        orders : int or None
+            How often light is reflected at most on its way; None for no limit.
+
+        Raises
+        ------
+        InputError
+            If a material reflects light from all sides in a way that nobody knows, or in colours.
+        """
+        if self.scene.spectral is not None:
+            raise InputError(
+                "the scene has spectra, and light that goes from surface to surface changes its colour each time",
+                where="--bounces",
+                remedy="render without bounces, or leave out the spectra",
+            )
+        materials = reflecting_parts(self.scene, self.prepared.parts)
+        lit = self.view()
+        return replace(lit, tracer=BouncingTracer(_radiance(lit), self.identity_tracer(), materials, orders))
+
     def identity_tracer(self) -> RadianceTracer:
         """A tracer for the same geometry, in which each part glows with its number."""
         text = self.prepared.scene
@@ -115,6 +142,37 @@ class TracedScene:
 def _switched(source: Source) -> set[str]:
     """Names by which the light of a source is switched: its own and, of a ring, those of the LEDs."""
     return {source.name, *(emitter.source for emitter in emitters(source))}
+
+
+def reflecting_parts(scene: Scene, parts: tuple[str, ...]) -> tuple[Reflecting | None, ...]:
+    """Material of each part that reflects light from all sides; None of the sources, which do not.
+
+    Raises
+    ------
+    InputError
+        If a part is sheeting or an included file.
+    """
+    if scene.included:
+        raise InputError(
+            "nothing is known of how the surfaces of an included Radiance file reflect light from all sides",
+            where=f"{scene.origin}: targets[{scene.targets.index(scene.included[0])}].rad",
+            remedy="render without bounces, or describe it by targets and parts",
+        )
+    found: dict[str, Reflecting] = {}
+    for target in scene.targets:
+        for surface in surfaces(target):
+            material = scene.materials[surface.material]
+            if not isinstance(material, Lambertian | Specular):
+                raise InputError(
+                    "retroreflective data end a few degrees from the light: nothing is known of how it reflects light "
+                    "from all sides"
+                    if isinstance(material, PerturbedNormal | CoefficientTable | GlassBeads)
+                    else "bounces are known of lambertian and specular materials only",
+                    where=f"{scene.origin}: materials.{surface.material}",
+                    remedy="render without bounces",
+                )
+            found[f"{target.name}.{surface.part}"] = material
+    return tuple(found.get(part) for part in parts)
 
 
 @contextmanager

@@ -38,6 +38,7 @@ VALUE_OPTIONS: Final = tuple("-h -fdf -ov -ab 0 -dt 0 -dc 1 -dj 0 -ds 0 -st 1 -l
 # Interreflection point by point, no cache (-aa 0): so many ambient rays where a ray meets a surface, fewer after that.
 _AMBIENT_DIVISIONS: Final = 16
 _BOTH_OPTIONS: Final = tuple("-ovL" if option == "-ov" else option for option in VALUE_OPTIONS)
+_SURFACE_OPTIONS: Final = tuple("-ovLN" if option == "-ov" else option for option in VALUE_OPTIONS)
 _LENGTH_OPTIONS: Final = tuple("-h -fdf -oL -ab 0 -n 1 -x 0 -y 0".split(" "))
 # The identity scene has no lights on purpose.
 NO_LIGHT: Final = r"(rtrace|oconv): warning - no light sources found"
@@ -276,6 +277,17 @@ class RadianceTracer:
         with closing(self._ask([*_BOTH_OPTIONS, *self._ambient], rays, 4)) as answers:
             for values in answers:
                 yield self._radiance(values[:, :3]), self._distance(values[:, 3])
+
+    def surfaces(
+        self, rays: Iterable[NDArray[np.float64]]
+    ) -> Generator[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]]:
+        """Radiance along rays, distance to the first surface [m], and its normal, shape (n, 3); blocks as in `trace`.
+
+        Where there is no surface the distance is infinite and the normal zero.
+        """
+        with closing(self._ask(_SURFACE_OPTIONS, rays, 7)) as answers:
+            for values in answers:
+                yield self._radiance(values[:, :3]), self._distance(values[:, 3]), values[:, 4:].astype(np.float64)
 
     @property
     def _ambient(self) -> list[str]:

@@ -1,0 +1,1 @@
+"""The score card: the product against closed forms and independent quadrature."""

@@ -1,0 +1,153 @@
+"""Light from surface to surface: closed spaces of known sum, order by order, Ward's albedo, and what is refused."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import radwrap
+from radwrap.errors import InputError
+from radwrap.imaging.render_options import RenderOptions
+from radwrap.imaging.tracing import laid_out
+from radwrap.scene.materials import Specular
+from radwrap.tracers.bouncing import _draws, _keys, _shiny
+from radwrap.validate.bounces import _DIRECT, _cube
+from tests.physics.conftest import Bench
+
+# Walks are drawn from fixed rays; bounds are four standard errors of what was measured: a false alarm in 1.6e4.
+SURE = 4.0
+
+
+def rays_up(count: int) -> np.ndarray:
+    """From the middle of the cube to points of its upper face, evenly spread."""
+    random = np.random.default_rng(1)
+    points = np.column_stack([random.uniform(-2, 2, (count, 2)), np.full(count, 2.0)])
+    eye = np.array([0.0, 0.0, 0.01])
+    return np.hstack([np.broadcast_to(eye, points.shape), points - eye])
+
+
+def walked(reflectance: float, orders: int | None, count: int = 4000) -> np.ndarray:
+    with laid_out(_cube(reflectance, 1.0), RenderOptions()) as traced:
+        view, rays = traced.bouncing_view(orders), rays_up(count)
+        (whole,) = view.tracer.trace([rays])
+        (direct,) = traced.view().tracer.trace([rays])
+    return (whole - direct) * math.pi / reflectance
+
+
+@pytest.mark.parametrize(("orders", "share"), [(1, 0.5), (2, 0.75), (None, 1.0)])
+def test_each_reflection_in_a_closed_cube_brings_rho_of_the_last(orders: int | None, share: float) -> None:
+    found = walked(0.5, orders)
+    assert abs(found.mean() - share * _DIRECT) < SURE * found.std() / math.sqrt(len(found))
+    assert found.std() / math.sqrt(len(found)) < 0.02 * _DIRECT  # the bound above says something
+
+
+def test_a_ray_has_its_own_draws_in_any_order_and_block() -> None:
+    with laid_out(_cube(0.5, 1.0), RenderOptions()) as traced:
+        tracer, rays = traced.bouncing_view(None).tracer, rays_up(300)
+        (whole,) = tracer.trace([rays])
+        pieces = np.concatenate(list(tracer.trace([rays[:7], rays[7:200], rays[200:]])))
+        backwards = np.concatenate(list(tracer.trace([rays[::-1]])))
+    assert (whole == pieces).all() and (whole == backwards[::-1]).all()
+
+
+def test_draws_are_even_and_independent() -> None:
+    draws = _draws(_keys(rays_up(20_000)), 3)
+    assert draws.min() >= 0 and draws.max() < 1
+    assert np.abs(draws.mean(axis=0) - 0.5).max() < SURE / math.sqrt(12 * len(draws))
+    between = np.corrcoef(np.hstack([draws, _draws(_keys(rays_up(20_000)), 4)]).T) - np.eye(8)
+    assert np.abs(between).max() < SURE / math.sqrt(len(draws))
+
+
+@pytest.mark.parametrize(("view", "albedo"), [(0.0, 0.99), (60.0, 0.97396), (80.0, 0.86742)])
+def test_a_shiny_surface_reflects_wards_albedo(view: float, albedo: float) -> None:
+    """The lobe's integral by quadrature on 1e6 directions; roughness 0.1."""
+    count = 40_000
+    tilt = math.radians(view)
+    seen = np.broadcast_to([math.sin(tilt), 0.0, math.cos(tilt)], (count, 3))
+    normal = np.broadcast_to([0.0, 0.0, 1.0], (count, 3))
+    draws = np.random.default_rng(2).random((count, 4))
+    direction, weight = _shiny(Specular(0.0, 1.0, 0.1), normal, seen, draws)
+    assert np.allclose(np.linalg.norm(direction, axis=1), 1.0)
+    assert abs(weight.mean() - albedo) < SURE * weight.std() / math.sqrt(count) + 1e-5
+    whole = _shiny(Specular(0.3, 0.5, 0.1), normal, seen, draws)[1].mean()
+    assert whole == pytest.approx(0.3 + 0.5 * albedo, abs=0.01)
+
+
+def floor_and_wall(material: dict[str, Any], **camera: Any) -> radwrap.Scene:
+    """A lit white wall lights a floor that is seen from above; its own lamp shines past the floor."""
+    wall = {"type": "sheet", "name": "wall", "material": "white", "size": Bench.metres(1, 1)}
+    wall |= {"position": Bench.metres(-0.5, 0, 0.5), "rotation": Bench.degrees(0, 90, 0)}
+    floor = {"type": "sheet", "name": "floor", "material": "it", "size": Bench.metres(1, 1)}
+    lamp = Bench.lamp((1.5, 0, 0.5), (-0.5, 0, 0.5), half_angle=10.0)
+    view = Bench.camera((0, 0, 1), rows=8, columns=8, pitch=(1e-4, 1e-4)) | camera
+    view["sensor"] |= {"gain": "2e7 (J/m^2)^-1"}
+    white = {"type": "lambertian", "reflectance": 0.8}
+    return Bench.scene(view, [lamp], {"white": white, "it": material}, [wall, floor])
+
+
+SHEETING = {"type": "retroreflective", "model": "coefficient", "function": "glass_beads", "anchor": "95 cd/lx/m^2"}
+
+
+def test_sheeting_in_indirect_light_is_refused_by_name() -> None:
+    scene = floor_and_wall(SHEETING | {"outside": "hold"})
+    with pytest.raises(InputError, match=r"materials\.it: retroreflective data end"):
+        radwrap.render(scene, bounces="all", tolerance=1.0)
+
+
+@pytest.mark.parametrize("options", [{"method": "kernel"}, {"viewpoints": 7}, {"method": "pinhole"}, {"basis": True}])
+def test_methods_without_walks_are_refused(options: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match="bounces"):
+        RenderOptions(bounces="all", **options)
+
+
+@pytest.mark.parametrize("bounces", [-1, 1001, "many"])
+def test_numbers_that_are_none_are_refused(bounces: Any) -> None:
+    with pytest.raises(InputError, match="--bounces"):
+        RenderOptions(bounces=bounces)
+
+
+def test_auto_includes_what_matters_and_nothing_else(tmp_path: Path) -> None:
+    gray = {"type": "lambertian", "reflectance": 0.4}
+    scene = floor_and_wall(gray)
+    done = radwrap.render(scene, tmp_path / "wall", bounces="auto", tolerance=1.0)
+    assert done.manifest["bounces"]["orders"] == "all" and done.manifest["left_out"] == {}
+    assert done.manifest["error"]["rms_gray_upper95"] <= 1.0
+    # Without the wall's light the floor is dark: the wall's lamp shines along it.
+    assert done.gray.values.mean() > 10 * radwrap.render(scene, tolerance=1.0).gray.values.mean()
+    alone = Bench.scene(
+        Bench.camera((0, 0, 1), rows=4, columns=4),
+        [Bench.lamp((0.2, 0, 1))],
+        {"it": gray},
+        [{"type": "sheet", "material": "it", "size": Bench.metres(1, 1)}],
+    )
+    for name, options in (("auto", {"bounces": "auto"}), ("none", {})):
+        radwrap.render(alone, tmp_path / name, tolerance=1.0, **options)
+    for file in ("gray.png", "radiant_exposure.exr"):
+        assert (tmp_path / "auto" / file).read_bytes() == (tmp_path / "none" / file).read_bytes()
+
+
+def test_light_of_the_wall_on_the_floor_by_quadrature() -> None:
+    """One reflection: E at a floor point is the integral of the wall's radiance over its area."""
+    scene = floor_and_wall({"type": "lambertian", "reflectance": 0.5})
+    point = np.array([0.1, 0.05, 0.0])
+
+    middles = (np.arange(1000) + 0.5) / 1000
+    y, z = np.meshgrid(middles - 0.5, middles)
+    lamp = np.stack([np.full_like(y, 2.0), -y, 0.5 - z])
+    distance = np.sqrt((lamp**2).sum(axis=0))
+    radiance = np.where(lamp[0] > distance * math.cos(math.radians(10)), 0.8 / math.pi * lamp[0] / distance**3, 0.0)
+    way = np.stack([np.full_like(y, -0.6), y - point[1], z])
+    irradiance = (radiance * way[2] * 0.6 / (way**2).sum(axis=0) ** 2).mean()
+    count = 20_000
+    random = np.random.default_rng(3)
+    eyes = np.array([0, 0, 1.0]) + random.normal(0, 1e-3, (count, 3))
+    with laid_out(scene, RenderOptions()) as traced:
+        (seen,) = traced.bouncing_view(1).tracer.trace([np.hstack([eyes, point - eyes])])
+        (direct,) = traced.view().tracer.trace([np.hstack([eyes, point - eyes])])
+    found = (seen - direct) * math.pi / 0.5
+    assert abs(found.mean() - irradiance) < SURE * found.std() / math.sqrt(count) + 1e-3 * irradiance
+    assert found.std() / math.sqrt(count) < 0.03 * irradiance
