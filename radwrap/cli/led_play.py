@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from radwrap.cli import options as shared
-from radwrap.cli.led_device import add_device, add_light, ring_of, warn_of_ripple
+from radwrap.cli.led_device import add_device, add_light, ring_of, stdin_is_there, warn_of_ripple
 from radwrap.errors import InputError
 from radwrap.files import make_folder, sole_owner
 from radwrap.imaging.levels import read_levels
@@ -68,13 +68,15 @@ def run(arguments: argparse.Namespace) -> int:
     elif not arguments.alone:
         raise InputError("there is nothing to play", remedy="give --rows LEVELS.csv, --alone, or both")
     settle = shared.time_of(arguments.settle, "--settle")
+    if not arguments.camera and not stdin_is_there():
+        raise InputError("is closed, so that nobody can press Enter", where="stdin", remedy="give --camera COMMAND")
     out = Path(arguments.out)
     make_folder(out)
     with sole_owner(out), Programs() as programs, ring_of(arguments, scene) as ring:
         frames = plan(ring, tuple(nominal.values()), rows, alone=arguments.alone)
         for frame in frames:
             warn_of_ripple(ring, frame.levels, scene)
-        trigger = _command(arguments.camera, out, programs) if arguments.camera else _enter(ring, len(frames))
+        trigger = _command(arguments.camera, out, programs, ring) if arguments.camera else _enter(ring, len(frames))
         record = play(ring, frames, out, nominal=nominal, trigger=trigger, settle=settle)
     if arguments.json:
         print(json_text(record), end="")
@@ -84,12 +86,12 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _command(argv: Sequence[str], out: Path, programs: Programs) -> Callable[[int, Planned], None]:
-    """Runs the camera's program, without a shell, in the folder of the records."""
+def _command(argv: Sequence[str], out: Path, programs: Programs, ring: LedRing) -> Callable[[int, Planned], None]:
+    """Runs the camera's program, without a shell, in the folder of the records; looks after the ring meanwhile."""
 
     def trigger(number: int, frame: Planned) -> None:
         words = [word.replace("{name}", frame.name).replace("{number}", str(number)) for word in argv]
-        programs.run(words, folder=out, environment=os.environ)
+        programs.attend(words, folder=out, environment=os.environ, look=ring.check)
 
     return trigger
 
