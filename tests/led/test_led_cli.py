@@ -220,6 +220,20 @@ def test_a_camera_that_takes_too_long_is_ended_with_the_light(bench: Path, tmp_p
     assert inhabitants(tmp_path / "play") == []
 
 
+def test_the_runs_of_a_study_are_played(bench: Path, tmp_path: Path, capsys: Any) -> None:
+    design = tmp_path / "design.toml"
+    design.write_text(
+        f"scene = {str(bench / 'scene.toml')!r}\n[design]\nkind = 'full'\n[responses.mean]\nmeasure = 'mean_gray'\n"
+        "[factors.A]\nkey = 'sources[0].leds[1].radiance_factor'\nlevels = [0.5, 1.1]\n"
+    )
+    argv = led(bench, "play", bench / "scene.toml", "--design", design, "--out", tmp_path / "play")
+    here([*argv, "--camera", "true"], capsys).success()
+    played = table(tmp_path / "play" / "played.csv")
+    assert list(played) == ["dark", "run0001", "run0002"]
+    for name, factor in (("run0001", 0.5), ("run0002", 1.1)):
+        assert played[name] == pytest.approx([1, factor, 1, 1], abs=0.5 * STEP)
+
+
 def test_what_is_wrong_with_a_frame_is_told_without_gaps(bench: Path, tmp_path: Path, capsys: Any) -> None:
     argv = ["led", "play", bench / "scene.toml", "--alone", "--out", tmp_path, "--emulate", "--drive"]
     done = here([*argv, bench / "drive.toml", "--camera", "true"], capsys)

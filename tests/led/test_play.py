@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
@@ -11,11 +12,16 @@ import pytest
 
 from radwrap.errors import InputError
 from radwrap.led.calibration import scaled
+from radwrap.led.from_study import rows_of
 from radwrap.led.play import Planned, plan, play
 from radwrap.led.ring import LedRing
+from radwrap.scene.load import load_scene
 from radwrap.scene.ring_calibration import RingCalibration
+from radwrap.study.design import read_design
+from tests.cli.conftest import scene_text, scene_with
 from tests.led.benches import FakeBench
 from tests.led.conformance import COUNT, FIRST, there
+from tests.led.test_calibration import RING
 from tests.led.test_ring import DRIVE
 
 NOMINAL: Final = {f"led{number}": 0.02 for number in range(COUNT)}
@@ -108,3 +114,47 @@ def test_a_record_of_some_frames_is_gone_on_with(whole: Path, tmp_path: Path) ->
     assert played(tmp_path) == ["led04", "led11"]
     assert (tmp_path / "played.csv").read_bytes() == (whole / "played.csv").read_bytes()
     assert played(whole) == []
+
+
+DESIGN: Final = """
+scene = "scene.toml"
+[design]
+kind = "full"
+[factors.A]
+key = "{key}"
+levels = {levels}
+[factors.B]
+key = "sources[0].leds[3].radiance_factor"
+levels = [1.2, 0.8, 1.0]
+[responses.mean]
+measure = "mean_gray"
+"""
+
+
+def study_rows(folder: Path, key: str, levels: str) -> tuple[tuple[str, ...], list[list[float]]]:
+    (folder / "scene.toml").write_text(scene_text(scene_with({"sources": [RING]})))
+    (folder / "design.toml").write_text(DESIGN.format(key=key, levels=levels))
+    rows = rows_of(read_design(folder / "design.toml"), load_scene(folder / "scene.toml"))
+    return rows.names, rows.factors.tolist()
+
+
+def test_the_runs_of_a_study_are_rows(tmp_path: Path) -> None:
+    names, factors = study_rows(tmp_path, "sources[0].leds[0].radiance_factor", "[0.0, 0.5]")
+    assert names == tuple(f"run{number:04d}" for number in range(1, 7))
+    for row, (first, fourth) in zip(factors, product((0.0, 0.5), (1.2, 0.8, 1.0)), strict=True):
+        assert row == pytest.approx([first, 1, 1, fourth, *[1] * 8], rel=1e-12)
+    _, factors = study_rows(tmp_path, "sources[0].radiant_intensity", '["50 mW/sr", "25 mW/sr"]')
+    assert factors[3] == pytest.approx([0.5, 0.5, 0.5, 0.6, *[0.5] * 8], rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("key", "levels"),
+    [
+        ("camera.exposure_time", '["100 ms", "200 ms"]'),
+        ("targets[0].pitch", '["40 mm", "41 mm"]'),
+        ("sources[0].diameter", '["25 mm", "26 mm"]'),
+    ],
+)
+def test_a_study_that_changes_the_bench_is_not_played(tmp_path: Path, key: str, levels: str) -> None:
+    with pytest.raises(InputError, match=r"design\.toml: run \d: differs from scene\.toml in more than the light"):
+        study_rows(tmp_path, key, levels)
