@@ -12,13 +12,15 @@ import select
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 from radwrap.errors import EnvironmentFailure, TracerError
 
@@ -28,6 +30,7 @@ if sys.platform != "win32":
 _PIPE_BYTES = 1 << 20
 _STDERR_BYTES_KEPT = 1 << 16
 _TICK = 0.5  # s between looks at the clock while a program is silent
+_LOOK = 0.1  # s between looks at what matters beside a program
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,13 +79,18 @@ class Programs:
         """Whether the programs were told to end."""
         return self._cancelled
 
-    def _start(self, argv: Sequence[str], folder: Path, environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
+    def _start(
+        self, argv: Sequence[str], folder: Path, environment: Mapping[str, str], said: IO[bytes] | None = None
+    ) -> subprocess.Popen[bytes]:
         # In a thread: an interrupt is raised in the main thread, and must not come between a program's start and
         # its entry into the list of those that are ended.
         with ThreadPoolExecutor(1) as starter:
-            return starter.submit(self._enter, argv, folder, environment).result()
+            return starter.submit(self._enter, argv, folder, environment, said).result()
 
-    def _enter(self, argv: Sequence[str], folder: Path, environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
+    def _enter(
+        self, argv: Sequence[str], folder: Path, environment: Mapping[str, str], said: IO[bytes] | None
+    ) -> subprocess.Popen[bytes]:
+        quiet = said is not None
         with self._guard:
             if self._cancelled:
                 raise TracerError("cancelled", where=Path(argv[0]).name)
@@ -91,9 +99,9 @@ class Programs:
                     list(argv),
                     cwd=folder,
                     env=dict(environment),
-                    stdin=subprocess.PIPE,
-                    stdout=subprocess.PIPE,
-                    stderr=subprocess.PIPE,
+                    stdin=subprocess.DEVNULL if quiet else subprocess.PIPE,
+                    stdout=subprocess.DEVNULL if quiet else subprocess.PIPE,
+                    stderr=said if quiet else subprocess.PIPE,
                     bufsize=0,
                     # A group of its own: Ctrl-C in the terminal reaches us alone, and we end the whole group.
                     start_new_session=True,
@@ -185,6 +193,55 @@ class Programs:
             with self._guard:
                 self._running.discard(program)
 
+    def attend(
+        self,
+        argv: Sequence[str],
+        *,
+        folder: Path,
+        environment: Mapping[str, str],
+        look: Callable[[], None],
+        longest: float = 600.0,
+    ) -> None:
+        """Run a program whose output nobody needs until it ends, whatever it leaves running behind it.
+
+        Parameters
+        ----------
+        argv, folder, environment
+            As in `run`.
+        look : callable
+            Asked again and again meanwhile; what it raises ends the program.
+        longest : float
+            After that it counts as hung [s].
+
+        Raises
+        ------
+        EnvironmentFailure
+            If it cannot be started.
+        TracerError
+            If it fails, hangs or is cancelled.
+        """
+        name = Path(argv[0]).name
+        # A file and no pipe: a pipe would end only with the last process that inherited it.
+        with tempfile.TemporaryFile() as said:
+            program = self._start(argv, folder, environment, said)
+            end = time.monotonic() + longest
+            try:
+                while not _ended(program):
+                    look()
+                    if time.monotonic() > end:
+                        raise TracerError(f"did not end within {longest:g} s and was ended", where=name)
+            finally:
+                _kill(program)
+                program.wait()
+                with self._guard:
+                    self._running.discard(program)
+            if self._cancelled:
+                raise TracerError("cancelled", where=name)
+            if program.returncode != 0:
+                said.seek(max(said.seek(0, os.SEEK_END) - _STDERR_BYTES_KEPT, 0))
+                told = said.read().decode(errors="replace").strip()
+                raise TracerError(f"ended with exit code {program.returncode}: {told or 'no message'}", where=name)
+
 
 class _Feeder(threading.Thread):
     """Writes the input, so that a program with full pipes cannot block us."""
@@ -267,6 +324,15 @@ def _wait(program: subprocess.Popen[bytes], silence: float, name: str) -> None:
         raise TracerError(f"closed its output but did not end within {silence:g} s", where=name) from error
 
 
+def _ended(program: subprocess.Popen[bytes]) -> bool:
+    """Whether it has ended, after a short wait for that."""
+    try:
+        program.wait(_LOOK)
+    except subprocess.TimeoutExpired:
+        return False
+    return True
+
+
 def _kill(program: subprocess.Popen[bytes]) -> None:
     """End a program and everything in its group."""
     if sys.platform == "win32":
@@ -320,10 +386,10 @@ class Child:
         """Send it a line; False where it no longer listens."""
         assert self._program.stdin is not None  # noqa: S101  (stdin=PIPE in start_child)
         try:
-            self._program.stdin.write(f"{line}\n".encode())
+            # Never waits: a full pipe takes nothing, since a line is shorter than what a pipe takes at once.
+            return self._program.stdin.write(f"{line}\n".encode()) is not None
         except (OSError, ValueError):  # it has ended, or we closed the pipe
             return False
-        return True
 
     def hear(self, patience: float) -> str | None:
         """Wait for its next line for `patience` seconds; None where none comes."""
@@ -372,20 +438,21 @@ def start_child(
         If it cannot be started.
     """
     try:
-        return Child(
-            subprocess.Popen(
-                list(argv),
-                cwd=folder,
-                env=dict(environment),
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                bufsize=0,
-                start_new_session=True,
-                pass_fds=tuple(keep_open),
-            )
+        program = subprocess.Popen(
+            list(argv),
+            cwd=folder,
+            env=dict(environment),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            bufsize=0,
+            start_new_session=True,
+            pass_fds=tuple(keep_open),
         )
     except OSError as error:
         raise EnvironmentFailure(f"cannot start: {error.strerror or error}", where=argv[0]) from error
+    if sys.platform != "win32" and program.stdin is not None:
+        os.set_blocking(program.stdin.fileno(), False)
+    return Child(program)
 
 
 def available_cores() -> int:

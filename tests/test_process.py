@@ -4,7 +4,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import psutil
@@ -135,3 +135,40 @@ def test_a_child_that_does_not_listen_is_killed(tmp_path: Path) -> None:
     assert child.ended and time.monotonic() - begin < PATIENCE
     with pytest.raises(EnvironmentFailure, match="cannot start"):
         start_child([str(tmp_path / "none")], folder=tmp_path, environment={})
+
+
+def test_a_child_that_does_not_listen_blocks_nobody(tmp_path: Path) -> None:
+    child = start_child([PYTHON, "-c", "import time; time.sleep(60)"], folder=tmp_path, environment={})
+    begin = time.monotonic()
+    assert not all(child.tell("a heartbeat") for _ in range(100_000)), "no pipe takes a megabyte"
+    assert time.monotonic() - begin < PATIENCE / 2
+    child.close(0.0)
+
+
+def attend(code: str, folder: Path, look: Callable[[], None] = lambda: None, **more: float) -> None:
+    with Programs() as programs:
+        programs.attend([PYTHON, "-c", code], folder=folder, environment={"A": "b c"}, look=look, **more)
+
+
+def test_a_program_that_is_attended_ends_when_it_ends_itself(tmp_path: Path) -> None:
+    """Not when the last process ends that inherited its output; what stayed in its group is ended."""
+    heir = f"import subprocess, sys; subprocess.Popen([sys.executable, '-c', 'import time; time.sleep({PATIENCE})'])"
+    begin = time.monotonic()
+    attend(f"{heir}; open('done', 'x'); print('x' * 1000000)", tmp_path)
+    assert (tmp_path / "done").exists()
+    assert time.monotonic() - begin < PATIENCE / 2
+    with pytest.raises(TracerError, match="exit code 3: no film"):
+        attend("import sys; sys.stderr.write('no film'); sys.exit(3)", tmp_path)
+    with pytest.raises(TracerError, match=r"did not end within 0\.2 s"):
+        attend(f"import time; time.sleep({PATIENCE})", tmp_path, longest=0.2)
+
+
+def test_what_is_seen_meanwhile_ends_an_attended_program(tmp_path: Path) -> None:
+    def look() -> None:
+        if (tmp_path / "begun").exists():
+            raise EnvironmentFailure("the light is gone")
+
+    begin = time.monotonic()
+    with pytest.raises(EnvironmentFailure, match="the light is gone"):
+        attend(f"import time; open('begun', 'x'); time.sleep({PATIENCE})", tmp_path, look)
+    assert time.monotonic() - begin < PATIENCE / 2

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import shutil
 from collections.abc import Callable
-from pathlib import Path
+from importlib.metadata import PackageNotFoundError
+from importlib.metadata import version as distribution_version
 from typing import Any
 
 from radwrap.errors import EnvironmentFailure, RadwrapError
+from radwrap.led.ports import modules as hidapi_modules
 from radwrap.manifest import json_text, versions
 from radwrap.process import Programs, available_cores
 from radwrap.tracers.installation import find_radiance, version
@@ -31,6 +32,7 @@ def run(arguments: argparse.Namespace) -> int:
     checks = [
         _check("Radiance", True, "pip install pyradiance, or --radiance DIR", lambda: _radiance(arguments.radiance)),
         _check("POV-Ray", False, "apt install povray (only for cross-checks)", _povray),
+        _check("hidapi", False, "pip install hidapi (only for a real LED ring)", _hidapi),
     ]
     whole = all(check["found"] or not check["needed"] for check in checks)
     found = {"ok": whole, "checks": checks, "versions": versions(), "cores": available_cores()}
@@ -62,12 +64,19 @@ def _radiance(folder: str | None) -> tuple[str, str]:
 
 
 def _povray() -> tuple[str, str]:
-    place = shutil.which("povray")
-    if place is None:
-        raise EnvironmentFailure("not on PATH")
+    from radwrap.tracers.povray import find_povray
+
     with Programs() as programs:
-        answer, said = programs.run(
-            [place, "--version"], folder=Path(place).parent, environment={"PATH": "/usr/bin:/bin"}
-        )
-    lines = (answer.decode(errors="replace") or said).splitlines()
-    return next((line.strip() for line in lines if "POV-Ray" in line), "unknown version"), place
+        found = find_povray(programs)
+    return found.version, found.program
+
+
+def _hidapi() -> tuple[str, str]:
+    module = next(hidapi_modules(), None)
+    if module is None:
+        raise EnvironmentFailure("hidapi cannot be loaded")
+    try:
+        told = distribution_version("hidapi")
+    except PackageNotFoundError:  # of the system, or another package by that name
+        told = "unknown version"
+    return told, f"module {module.__name__}"

@@ -10,9 +10,10 @@ from typing import Any, Final
 
 from radwrap.cli import led_calibrate, led_play
 from radwrap.cli import options as shared
-from radwrap.cli.led_device import add_device, add_light, device_record, ring_of, warn_of_ripple
+from radwrap.cli.led_device import add_device, add_light, device_record, ring_of, stdin_is_there, warn_of_ripple
 from radwrap.errors import InputError
 from radwrap.led.connect import kind_of
+from radwrap.led.drive import decimal
 from radwrap.led.from_scene import leds_of
 from radwrap.led.ports import found, udev_rules
 from radwrap.led.ring import Frame, LedRing
@@ -35,7 +36,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     one.set_defaults(run=run_list)
     for name, text, run in (
         ("show", "turn the ring off and tell what it can do", run_show),
-        ("off", "turn the ring off", run_off),
+        ("off", "turn the ring off, and end a program that drives it", run_off),
     ):
         one = what.add_parser(name, help=text)
         add_device(one)
@@ -44,12 +45,12 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     one = what.add_parser("set", help="light the ring, until Enter, Ctrl-C, --for or the drive's max_on_time")
     one.add_argument("levels", metavar="LEVEL", nargs="*", help='one for all LEDs or one each: 0.25, or "12 mW/sr"')
     one.add_argument("--scene", metavar="SCENE.toml", help="as this scene's ring shines")
-    one.add_argument("--factor", metavar="F", type=float, default=1.0, help="on the scene's radiant intensities")
+    one.add_argument("--factor", metavar="F", help="on the scene's radiant intensities (default 1)")
     _add_light(one)
     one.set_defaults(run=run_set)
     one = what.add_parser("frame", help="one LED alone, or none, for a capture")
     one.add_argument("led", metavar="LED", help='number of the LED, from 0, or "dark"')
-    one.add_argument("--level", metavar="L", type=float, default=0.1, help="its level (default 0.1)")
+    one.add_argument("--level", metavar="L", default="0.1", help="its level (default 0.1)")
     _add_light(one)
     one.set_defaults(run=run_frame)
     led_play.add_to(what)
@@ -107,8 +108,8 @@ def run_show(arguments: argparse.Namespace) -> int:
 
 
 def run_off(arguments: argparse.Namespace) -> int:
-    """Turn a ring off: opening it does."""
-    with ring_of(arguments) as ring:
+    """Turn a ring off, whoever drives it: opening it does."""
+    with ring_of(arguments, wrest=True) as ring:
         held = ring.readback()
         told = {"schema_version": SCHEMA_VERSION, "device": device_record(ring), "verified": held is not None}
     if arguments.json:
@@ -122,27 +123,32 @@ def run_set(arguments: argparse.Namespace) -> int:
     """Light a ring as levels, radiant intensities or a scene say."""
     if bool(arguments.levels) == (arguments.scene is not None):
         raise InputError("give levels, or --scene")
+    if arguments.factor is not None and arguments.scene is None:
+        raise InputError("is on the radiant intensities of a scene", where="--factor", remedy="give --scene")
+    factor = 1.0 if arguments.factor is None else decimal(arguments.factor, "--factor")
+    duration = _duration(arguments)
     scene = load_scene(arguments.scene) if arguments.scene else None
     with ring_of(arguments, scene) as ring:
         if scene is not None:
-            wanted = [arguments.factor * led.radiant_intensity for led in leds_of(scene)]
+            wanted = [factor * led.radiant_intensity for led in leds_of(scene)]
             levels = ring.levels_of(wanted)
             warn_of_ripple(ring, levels, scene)
         else:
             levels = _levels(ring, arguments.levels)
-        _hold(ring, ring.set_levels(levels), arguments)
+        _hold(ring, ring.set_levels(levels), duration, as_json=arguments.json)
     return 0
 
 
 def run_frame(arguments: argparse.Namespace) -> int:
     """Light one LED alone."""
+    level, duration = decimal(arguments.level, "--level"), _duration(arguments)
     with ring_of(arguments) as ring:
         levels = [0.0] * ring.capabilities.count
         if arguments.led != _DARK:
-            if not arguments.led.isdecimal() or int(arguments.led) >= len(levels):
+            if not (arguments.led.isascii() and arguments.led.isdecimal()) or int(arguments.led) >= len(levels):
                 raise InputError(f'"{arguments.led}" is neither an LED, 0 to {len(levels) - 1}, nor "dark"')
-            levels[int(arguments.led)] = arguments.level
-        _hold(ring, ring.set_levels(levels), arguments)
+            levels[int(arguments.led)] = level
+        _hold(ring, ring.set_levels(levels), duration, as_json=arguments.json)
     return 0
 
 
@@ -154,14 +160,22 @@ def _levels(ring: LedRing, texts: list[str]) -> tuple[float, ...]:
     if any("/" in text for text in texts):
         return ring.levels_of([parse_quantity(text, RADIANT_INTENSITY) for text in texts])
     try:
-        return tuple(map(float, texts))
-    except ValueError as error:
-        raise InputError(f'{error}: write 0.25, or "12 mW/sr"') from error
+        return tuple(map(decimal, texts))
+    except InputError as error:
+        raise InputError(f'{error.what}, or "12 mW/sr"') from error
 
 
-def _hold(ring: LedRing, frame: Frame, arguments: argparse.Namespace) -> None:
+def _duration(arguments: argparse.Namespace) -> float | None:
+    """How long there is to be light [s]; None is until Enter, which somebody must be able to press."""
+    if arguments.duration is not None:
+        return shared.time_of(arguments.duration, "--for")
+    if not stdin_is_there():
+        raise InputError("is closed, so that no Enter can end the light", where="stdin", remedy="give --for TIME")
+    return None
+
+
+def _hold(ring: LedRing, frame: Frame, duration: float | None, *, as_json: bool) -> None:
     """Tell what shines, and wait."""
-    duration = shared.time_of(arguments.duration, "--for") if arguments.duration else None
     told = {
         "schema_version": SCHEMA_VERSION,
         "device": device_record(ring),
@@ -170,7 +184,7 @@ def _hold(ring: LedRing, frame: Frame, arguments: argparse.Namespace) -> None:
         "held": frame.held,
         "verified": frame.verified,
     }
-    if arguments.json:
+    if as_json:
         print(json_text(told), end="")
     else:
         state = "verified" if frame.verified else "commanded; the device does not tell"

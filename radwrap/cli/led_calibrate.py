@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from radwrap.cli import options as shared
 from radwrap.errors import InputError
@@ -17,6 +18,7 @@ from radwrap.led.play import DARK, RECORD, led_name
 from radwrap.manifest import SCHEMA_VERSION, json_text, read_manifest
 from radwrap.scene.ring_calibration import RingCalibration
 
+_FREEZING: Final = 273.15  # K, of 0 degrees Celsius
 _DESCRIPTION = (
     "Writes a calibration: level to radiant intensity of each LED. From a measured table, or from the captures of "
     "radwrap led play --alone (dark.png, led00.png, ... beside its play.json) against a light basis of the same "
@@ -67,7 +69,12 @@ def _when(arguments: argparse.Namespace) -> tuple[str, float | None]:
         datetime.fromisoformat(date)
     except ValueError as error:
         raise InputError(f'"{date}" is no date of ISO 8601', where="--date") from error
-    return date, None if arguments.temperature is None else arguments.temperature + 273.15
+    if arguments.temperature is None:
+        return date, None
+    kelvin = arguments.temperature + _FREEZING
+    if not (math.isfinite(kelvin) and kelvin > 0):
+        raise InputError(f"{arguments.temperature} is no temperature in degrees Celsius", where="--temperature")
+    return date, kelvin
 
 
 def _told(calibration: RingCalibration) -> list[dict[str, Any]]:

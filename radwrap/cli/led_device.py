@@ -9,10 +9,11 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-from radwrap.errors import InputError
+from radwrap.errors import EnvironmentFailure, InputError
 from radwrap.led.backend import Kind
 from radwrap.led.calibration import scaled
-from radwrap.led.connect import EmulatorProcess, choose
+from radwrap.led.claim import end_drivers
+from radwrap.led.connect import EmulatorProcess, choose, open_backend
 from radwrap.led.drive import Drive, check_ripple, read_drive
 from radwrap.led.from_scene import check_positions, leds_of, the_ring
 from radwrap.led.ports import Found, found
@@ -55,13 +56,15 @@ def add_light(parser: argparse.ArgumentParser) -> None:
 
 
 @contextmanager
-def ring_of(arguments: argparse.Namespace, scene: Scene | None = None) -> Iterator[LedRing]:
-    """The ring that is meant, dark at first and dark afterwards."""
+def ring_of(arguments: argparse.Namespace, scene: Scene | None = None, *, wrest: bool = False) -> Iterator[LedRing]:
+    """The ring that is meant, dark at first and dark afterwards; `wrest` ends a program that drives it."""
     drive = read_drive(Path(arguments.drive)) if getattr(arguments, "drive", None) else None
     count = _count(arguments, drive, scene)
     with ExitStack() as stack:
         device, kind = _device(arguments, count, scene, stack)
         calibration = _calibration(arguments, count, device, drive)
+        if wrest:
+            _wrest(device, kind, count)
         with open_ring(device, kind, count=count, drive=drive, calibration=calibration) as ring:
             positions = ring.capabilities.positions
             if scene is not None and positions is not None:
@@ -69,6 +72,21 @@ def ring_of(arguments: argparse.Namespace, scene: Scene | None = None) -> Iterat
             if ring.capabilities.emulated:
                 print("radwrap: this ring is emulated, no light shines", file=sys.stderr)
             yield ring
+
+
+def _wrest(device: Found, kind: Kind, count: int) -> None:
+    """End who drives the ring; where that is not ours to end, at least turn it off."""
+    try:
+        ended = end_drivers(device.path)
+    except EnvironmentFailure as error:
+        open_backend(device, kind, count).close()  # opening turns off
+        raise EnvironmentFailure(
+            "was turned off, but another user's program drives it, and may light it again",
+            where=device.path,
+            remedy="end that program",
+        ) from error
+    for process in ended:
+        print(f"radwrap: process {process} drove the ring, and was ended", file=sys.stderr)
 
 
 def _count(arguments: argparse.Namespace, drive: Drive | None, scene: Scene | None) -> int:
@@ -125,6 +143,11 @@ def warn_of_ripple(ring: LedRing, levels: tuple[float, ...], scene: Scene) -> No
     told = check_ripple(levels, ring.capabilities.pwm_frequency, scene.camera.exposure_time)
     if told:
         print(f"radwrap: {told}", file=sys.stderr)
+
+
+def stdin_is_there() -> bool:
+    """Whether somebody can press Enter: not where stdin was closed before the start."""
+    return sys.stdin is not None and not sys.stdin.closed
 
 
 def device_record(ring: LedRing) -> dict[str, Any]:

@@ -11,23 +11,24 @@ from pathlib import Path
 from typing import Any, Final
 
 from radwrap.cli import options as shared
-from radwrap.cli.led_device import add_device, add_light, ring_of, warn_of_ripple
+from radwrap.cli.led_device import add_device, add_light, ring_of, stdin_is_there, warn_of_ripple
 from radwrap.errors import InputError
 from radwrap.files import make_folder, sole_owner
-from radwrap.imaging.levels import read_levels
+from radwrap.imaging.levels import Levels, read_levels
 from radwrap.led.from_scene import leds_of
 from radwrap.led.play import PLAYED, RECORD, Planned, plan, play
 from radwrap.led.ring import LedRing
 from radwrap.manifest import json_text
 from radwrap.process import Programs
 from radwrap.scene.load import load_scene
+from radwrap.scene.scene import Scene
 
 _TICK: Final = 0.1  # s between looks at the ring while it shines
 _DESCRIPTION = (
-    "Shows a dark frame, with --alone each LED alone, then each row of the table, and waits each time: for Enter, or "
-    "for the command of --camera, in which {name} and {number} stand for the frame's. The command works in DIR. "
-    "Writes play.json, and played.csv with what the ring showed, which radwrap relight reads. An interrupted play "
-    "goes on where it was."
+    "Shows a dark frame, with --alone each LED alone, then each row of the table or run of the study, and waits each "
+    "time: for Enter, or for the command of --camera, in which {name} and {number} stand for the frame's. The command "
+    "works in DIR. Writes play.json, and played.csv with what the ring showed, which radwrap relight reads. An "
+    "interrupted play goes on where it was."
 )
 
 
@@ -35,10 +36,14 @@ def add_to(what: argparse._SubParsersAction[Any]) -> None:
     """Add the verb."""
     parser = what.add_parser("play", help="show a study's rows, frame by frame", description=_DESCRIPTION)
     parser.add_argument("scene", metavar="SCENE.toml", help="whose ring the factors are on")
-    parser.add_argument(
+    what_is_shown = parser.add_mutually_exclusive_group()
+    what_is_shown.add_argument(
         "--rows",
         metavar="LEVELS.csv",
         help='table with the columns "name" and one for each LED, as radwrap relight reads it',
+    )
+    what_is_shown.add_argument(
+        "--design", metavar="DESIGN.toml", help="the runs of this study, which changes nothing but the LEDs' light"
     )
     parser.add_argument("--alone", action="store_true", help="show each LED alone too, for led calibrate")
     parser.add_argument("--out", metavar="DIR", required=True, help="folder for the record, and for the camera's files")
@@ -65,16 +70,20 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.rows:
         rows = read_levels(Path(arguments.rows), lit, [name for name in nominal if name not in lit])
         rows = rows.over(lit, tuple(nominal))
+    elif arguments.design:
+        rows = _runs(Path(arguments.design), scene)
     elif not arguments.alone:
-        raise InputError("there is nothing to play", remedy="give --rows LEVELS.csv, --alone, or both")
+        raise InputError("there is nothing to play", remedy="give --rows LEVELS.csv, --design or --alone")
     settle = shared.time_of(arguments.settle, "--settle")
+    if not arguments.camera and not stdin_is_there():
+        raise InputError("is closed, so that nobody can press Enter", where="stdin", remedy="give --camera COMMAND")
     out = Path(arguments.out)
     make_folder(out)
     with sole_owner(out), Programs() as programs, ring_of(arguments, scene) as ring:
         frames = plan(ring, tuple(nominal.values()), rows, alone=arguments.alone)
         for frame in frames:
             warn_of_ripple(ring, frame.levels, scene)
-        trigger = _command(arguments.camera, out, programs) if arguments.camera else _enter(ring, len(frames))
+        trigger = _command(arguments.camera, out, programs, ring) if arguments.camera else _enter(ring, len(frames))
         record = play(ring, frames, out, nominal=nominal, trigger=trigger, settle=settle)
     if arguments.json:
         print(json_text(record), end="")
@@ -84,12 +93,19 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _command(argv: Sequence[str], out: Path, programs: Programs) -> Callable[[int, Planned], None]:
-    """Runs the camera's program, without a shell, in the folder of the records."""
+def _runs(path: Path, scene: Scene) -> Levels:
+    from radwrap.led.from_study import rows_of
+    from radwrap.study.design import read_design
+
+    return rows_of(read_design(path), scene)
+
+
+def _command(argv: Sequence[str], out: Path, programs: Programs, ring: LedRing) -> Callable[[int, Planned], None]:
+    """Runs the camera's program, without a shell, in the folder of the records; looks after the ring meanwhile."""
 
     def trigger(number: int, frame: Planned) -> None:
         words = [word.replace("{name}", frame.name).replace("{number}", str(number)) for word in argv]
-        programs.run(words, folder=out, environment=os.environ)
+        programs.attend(words, folder=out, environment=os.environ, look=ring.check)
 
     return trigger
 

@@ -79,11 +79,14 @@ def load(arguments: argparse.Namespace) -> Scene:
 
 
 def time_of(text: str, where: str) -> float:
-    """Time that an option gives [s]."""
+    """Time that an option gives [s]; none is negative."""
     try:
-        return parse_quantity(text, TIME)
+        value = parse_quantity(text, TIME)
     except InputError as error:
         raise InputError(str(error), where=where) from error
+    if value < 0:
+        raise InputError(f'"{text}" is negative', where=where)
+    return value
 
 
 def _override(text: str) -> tuple[str, Any]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import re
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -12,13 +11,13 @@ from typing import Final
 
 from radwrap.errors import InputError
 from radwrap.files import write_bytes
+from radwrap.led.drive import decimal
 from radwrap.manifest import json_text
 from radwrap.scene.ring_calibration import IS, SCHEMA_VERSION, LedTable, RingCalibration, read_calibration
 from radwrap.units import RADIANT_INTENSITY, parse_quantity
 
 _COLUMNS: Final = ("led", "level", "radiant_intensity")
 _ERROR: Final = "standard_error"
-_DECIMAL: Final = re.compile(r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 
 
 def levels_for(calibration: RingCalibration, radiant_intensity: Sequence[float]) -> tuple[float, ...]:
@@ -87,7 +86,7 @@ def _table(led: int, rows: Sequence[tuple[int, float, float, float]], where: str
     try:
         return LedTable(*(tuple(column) for column in zip(*own, strict=True)) if own else ((), (), ()))
     except InputError as error:
-        raise InputError(error.what, where=where, remedy="measure it again") from error
+        raise InputError(error.what, where=where, remedy=error.remedy or "measure it again") from error
 
 
 def _row(row: dict[str, str | None], where: str) -> tuple[int, float, float, float]:
@@ -96,14 +95,13 @@ def _row(row: dict[str, str | None], where: str) -> tuple[int, float, float, flo
     cells = {name: (value or "").strip() for name, value in row.items()}
     if not (cells["led"].isascii() and cells["led"].isdecimal()) or int(cells["led"]) >= 4096:
         raise InputError(f'"{cells["led"]}" is no number of an LED', where=f'{where}, column "led"')
-    if not _DECIMAL.fullmatch(cells["level"]):
-        raise InputError(f'"{cells["level"]}" is no level from 0 to 1', where=f'{where}, column "level"')
+    level = decimal(cells["level"], f'{where}, column "level"')
     try:
         intensity = parse_quantity(cells["radiant_intensity"], RADIANT_INTENSITY)
         error = parse_quantity(cells[_ERROR], RADIANT_INTENSITY) if cells.get(_ERROR) else 0.0
     except InputError as wrong:
         raise InputError(wrong.what, where=where, remedy=wrong.remedy) from wrong
-    return int(cells["led"]), float(cells["level"]), intensity, error
+    return int(cells["led"]), level, intensity, error
 
 
 def scaled(

@@ -14,6 +14,7 @@ A drive file is TOML, flat::
 from __future__ import annotations
 
 import math
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -31,6 +32,9 @@ _QUANTITIES: Final = {
     "max_on_time": TIME,
 }
 _NUMBERS: Final = ("max_level", "max_sum")
+_DECIMAL: Final = re.compile(r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
+# From the shortest ultraviolet to the longest infrared of LEDs: beyond, a unit is wrong.
+_SHORTEST, _LONGEST_WAVE = 200e-9, 20e-6  # m
 # A ripple below one is not seen beside quantisation to 8 bit; above the other a capture says nothing of the light.
 _RIPPLE_TOLD: Final = 0.01
 _RIPPLE_REFUSED: Final = 0.1
@@ -75,6 +79,10 @@ class Drive:
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
                 raise InputError("must be above zero", where=name)
+        if not _SHORTEST <= self.wavelength <= _LONGEST_WAVE:
+            raise InputError(
+                f"{self.wavelength:g} m is no wavelength of an LED", where="wavelength", remedy='such as "850 nm"'
+            )
         if not 0 < self.max_level <= 1:
             raise InputError(f"must lie above 0 and not above 1, not {self.max_level}", where="max_level")
         if self.drive_current > self.rated_current:
@@ -107,6 +115,52 @@ class Drive:
         total = math.fsum(levels)
         if total > self.max_sum + _ROUNDING:
             raise InputError(f"the levels' sum, {total:.4g}, is above max_sum, {self.max_sum:g}")
+
+    def to_steps(self, levels: Sequence[float], full: int) -> tuple[int, ...]:
+        """Whole steps for levels: the nearest, and lower ones where those would exceed a limit.
+
+        Parameters
+        ----------
+        levels : sequence of float
+            Of each LED, 0 to 1.
+        full : int
+            Steps of the device at level 1.
+
+        Raises
+        ------
+        InputError
+            As `check`, or if an LED that is to shine would be dark.
+        """
+        self.check(levels)
+        most = math.floor(full * (self.max_level + _ROUNDING))
+        steps = [min(round(full * level), most) for level in levels]
+        excess = sum(steps) - math.floor(full * (self.max_sum + _ROUNDING))
+        # Those first that were rounded up most; all of them rounded down are no more than what was asked for.
+        rounded_up = sorted(range(len(steps)), key=lambda led: full * levels[led] - steps[led])
+        for led in rounded_up[: max(excess, 0)]:
+            steps[led] -= 1
+        for led, level in enumerate(levels):
+            if level > 0 and not steps[led]:
+                raise InputError(
+                    f"level {level:.4g} is no whole step of this device, 1/{full}: it would be dark",
+                    where=f"LED {led}",
+                    remedy=f"give 0, or {1 / full:.2g} or more within the limits",
+                )
+        return tuple(steps)
+
+
+def decimal(text: str, where: str = "") -> float:
+    """A level or a factor as one writes it: a decimal number from 0 on, in digits that everybody reads alike.
+
+    Raises
+    ------
+    InputError
+        If it is another text, such as "1_0" or "nan".
+    """
+    value = float(text) if _DECIMAL.fullmatch(text) else math.nan
+    if not math.isfinite(value):
+        raise InputError(f'"{text}" is no number from 0 on: write 0.25', where=where)
+    return value
 
 
 def read_drive(path: str | Path) -> Drive:

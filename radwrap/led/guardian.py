@@ -1,15 +1,19 @@
 """A second process that turns the ring off when the first one no longer can.
 
 It learns of SIGKILL and crashes by the end of its stdin, of hangs by missing
-heartbeats. Run as ``python -m radwrap.led.guardian PATH KIND COUNT SERIAL``.
+heartbeats, and is told how long light may last. It answers each heartbeat, so
+that the first process learns where the guardian itself hangs.
+Run as ``python -m radwrap.led.guardian PATH KIND COUNT SERIAL``.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import select
 import signal
 import sys
+import threading
 import time
 from collections.abc import Sequence
 from contextlib import suppress
@@ -27,8 +31,11 @@ _GIVE_UP: Final = 60.0  # s of trying to reach the device
 _AGAIN: Final = 0.1  # s between two attempts
 _BLOCKED: Final = 1.0  # s of trying, before a process that hangs and holds the device is killed
 _FAREWELL: Final = 5.0  # s
+_ATTENTION: Final = 5.0  # s until it watches: nothing shines yet, and a busy machine may take its time
 
+# The first and the third are answered with the same word; the first has the longest time of light behind it.
 _WATCH, _REST, _BEAT, _BYE = "watch", "rest", "beat", "bye"
+_TROUBLES: Final = {"hangs": "hears no heartbeat", "too long": "sees light that lasts too long"}
 
 
 class Guardian:
@@ -59,27 +66,64 @@ class Guardian:
         if word != "ready":
             self._child.close(0.0)
             raise EnvironmentFailure(word or "the guardian did not start", where="guardian")
+        self._guard = threading.Lock()  # heartbeats come from a thread of their own
+        self._watching = False
+        self._asked: float | None = None
 
-    def watch(self) -> None:
-        """There will be light: from now on heartbeats are due."""
-        self._tell(_WATCH)
+    def watch(self, longest: float) -> None:
+        """There is light to come, for this long at most [s]: from now on heartbeats are due.
+
+        Raises
+        ------
+        EnvironmentFailure
+            If the guardian is gone, or does not say that it watches.
+        """
+        with self._guard:
+            self._tell(f"{_WATCH} {longest!r}")
+            if self._watching:
+                return
+            end = time.monotonic() + _ATTENTION
+            while (word := self._child.hear(max(end - time.monotonic(), 0.0))) != _WATCH:
+                if word is None:
+                    raise _silent()
+            self._watching, self._asked = True, None
 
     def rest(self) -> None:
         """It is dark."""
-        self._tell(_REST)
+        with self._guard:
+            self._watching = False
+            self._tell(_REST)
 
     def beat(self) -> None:
-        """A heartbeat."""
-        self._tell(_BEAT)
+        """A heartbeat, once the one before was answered.
+
+        Raises
+        ------
+        EnvironmentFailure
+            If the guardian is gone, or was not heard for a while though there is light.
+        """
+        with self._guard:
+            while self._child.hear(0.0):
+                self._asked = None
+            if self._asked is None or self._child.ended:
+                self._tell(_BEAT)
+                self._asked = time.monotonic()
+            elif self._watching and time.monotonic() - self._asked > MISSED:
+                raise _silent()
 
     def close(self) -> None:
         """It is dark, and no longer our device."""
-        self._child.tell(_BYE)
-        self._child.close(_FAREWELL)
+        with self._guard:
+            self._child.tell(_BYE)
+            self._child.close(_FAREWELL)
 
     def _tell(self, word: str) -> None:
         if self._child.ended or not self._child.tell(word):
             raise EnvironmentFailure("has ended, so there must be no light", where="guardian")
+
+
+def _silent() -> EnvironmentFailure:
+    return EnvironmentFailure("does not answer, so there must be no light", where="guardian")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -96,33 +140,68 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(error, flush=True)
         return error.exit_code
     print("ready", flush=True)
-    trouble = _await_trouble(watching=False)
-    if trouble == "hangs":
-        print("radwrap: the guardian hears no heartbeat and turns the LEDs off", file=sys.stderr, flush=True)
-    while trouble == "hangs":
+    _wake_with_every_word()
+    watch = _Watch()
+    trouble = watch.await_trouble()
+    if trouble in _TROUBLES:
+        told = f"radwrap: the guardian {_TROUBLES[trouble]} and turns the LEDs off"
+        print(told, file=sys.stderr, flush=True)
+    while trouble in _TROUBLES:
         # Again and again: one that wakes up may carry out what it was about to do.
         code = ring.turn_off_at_last(driver)
         if code:
             return code
-        trouble = _await_trouble(watching=True)
+        trouble = watch.await_trouble()
     return ring.turn_off_at_last(None) if trouble == "gone" else 0
 
 
-def _await_trouble(*, watching: bool) -> Literal["farewell", "gone", "hangs"]:
-    """Listen to the driver."""
-    buffer = b""
-    while True:
-        if not select.select([0], [], [], MISSED if watching else None)[0]:
-            return "hangs"
-        block = os.read(0, 4096)
-        if not block:
-            return "gone" if watching else "farewell"
-        *lines, buffer = (buffer + block).split(b"\n")
-        for line in lines:
-            word = line.decode(errors="replace")
-            if word == _BYE:
-                return "farewell"
-            watching = word != _REST if word in (_WATCH, _REST) else watching
+def _wake_with_every_word() -> None:
+    """Whoever stops this process: each word of the driver, and the end of the driver, lets it go on."""
+    if sys.platform != "linux":
+        return
+    import fcntl
+
+    fcntl.fcntl(0, fcntl.F_SETOWN, os.getpid())
+    fcntl.fcntl(0, fcntl.F_SETSIG, signal.SIGCONT)
+    fcntl.fcntl(0, fcntl.F_SETFL, fcntl.fcntl(0, fcntl.F_GETFL) | os.O_ASYNC)
+
+
+class _Watch:
+    """What the driver says, and how long it has said nothing."""
+
+    def __init__(self) -> None:
+        self._buffer = b""
+        self._watching = False
+        self._dark_by = math.inf
+
+    def await_trouble(self) -> Literal["farewell", "gone", "hangs", "too long"]:
+        """Listen until something is wrong, or nothing more is to be done."""
+        while True:
+            left = min(MISSED, max(self._dark_by - time.monotonic(), 0.0)) if self._watching else None
+            if not select.select([0], [], [], left)[0]:
+                if time.monotonic() < self._dark_by:
+                    return "hangs"
+                self._dark_by = math.inf  # told once: it is turned off now
+                return "too long"
+            block = os.read(0, 4096)
+            if not block:
+                return "gone" if self._watching else "farewell"
+            *lines, self._buffer = (self._buffer + block).split(b"\n")
+            for line in lines:
+                if line.decode(errors="replace") == _BYE:
+                    return "farewell"
+                self._hear(line.decode(errors="replace"))
+
+    def _hear(self, line: str) -> None:
+        word, _, longest = line.partition(" ")
+        if word == _REST:
+            self._watching, self._dark_by = False, math.inf
+        elif word == _WATCH:
+            # The driver ends it at that moment; only where it does not, we do.
+            self._watching, self._dark_by = True, time.monotonic() + float(longest) + MISSED
+        if word in (_WATCH, _BEAT):
+            with suppress(OSError):  # the driver is gone: the end of stdin tells
+                os.write(1, f"{word}\n".encode())
 
 
 class _Ring:

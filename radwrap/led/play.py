@@ -19,7 +19,7 @@ from typing import Any, Final
 from radwrap.errors import CheckFailed, InputError
 from radwrap.files import write_bytes
 from radwrap.imaging.levels import Levels
-from radwrap.led.ring import LedRing
+from radwrap.led.ring import Frame, LedRing
 from radwrap.manifest import SCHEMA_VERSION, plain, read_manifest, sha256_of_value, write_manifest
 
 RECORD: Final = "play.json"
@@ -89,10 +89,10 @@ def plan(ring: LedRing, nominal: Sequence[float], rows: Levels | None, *, alone:
         wanted = tuple(factor * intensity for factor, intensity in zip(factors, nominal, strict=True))
         try:
             levels = ring.levels_of(wanted)
-            if ring.drive is not None:
-                ring.drive.check(levels)
+            ring.frame_of(levels)
         except InputError as error:
-            raise InputError(error.what, where=f'frame "{name}", {error.where}', remedy=error.remedy) from error
+            where = f'frame "{name}"' + (f", {error.where}" if error.where else "")
+            raise InputError(error.what, where=where, remedy=error.remedy) from error
         planned.append(Planned(name, factors, wanted, levels))
     return tuple(planned)
 
@@ -134,7 +134,7 @@ def play(
         If the ring no longer shows the frame after the trigger.
     """
     record = _record(ring, frames)
-    done = _done(out, record)
+    done = _done(out, record, ring, frames)
     for number, frame in enumerate(frames):
         if frame.name in done:
             continue
@@ -146,8 +146,7 @@ def play(
         held = ring.readback()
         if held is not None and held != shown.held:
             raise CheckFailed("the ring no longer showed it after the trigger", where=f'frame "{frame.name}"')
-        done[frame.name] = {**plain(asdict(frame)), "steps": list(shown.steps), "held": list(shown.held)}
-        done[frame.name] |= {"verified": shown.verified, "begin": begin}
+        done[frame.name] = _entry(frame, shown, begin)
         _write(out, record, frames, done)
     ring.off()
     _write(out, record, frames, done)
@@ -166,8 +165,17 @@ def _record(ring: LedRing, frames: Sequence[Planned]) -> dict[str, Any]:
     return {**told, "sequence_sha256": sha256_of_value({**told, "frames": [asdict(frame) for frame in frames]})}
 
 
-def _done(out: Path, record: Mapping[str, Any]) -> dict[str, Any]:
-    """Frames that an interrupted play of the same sequence has shown."""
+def _entry(frame: Planned, shown: Frame, begin: str) -> dict[str, Any]:
+    told = {"steps": list(shown.steps), "held": list(shown.held), "verified": shown.verified, "begin": begin}
+    return {**plain(asdict(frame)), **told}
+
+
+def _done(out: Path, record: Mapping[str, Any], ring: LedRing, frames: Sequence[Planned]) -> dict[str, Any]:
+    """Frames that an interrupted play of the same sequence has shown.
+
+    A frame was done only if the ring held what was sent, so that its entry is known beforehand, but for its time:
+    any other was changed or damaged.
+    """
     if not (out / RECORD).exists():
         return {}
     old = read_manifest(out / RECORD)
@@ -175,12 +183,25 @@ def _done(out: Path, record: Mapping[str, Any]) -> dict[str, Any]:
         raise InputError(
             "holds the play of another sequence, ring or calibration", where=str(out), remedy="choose another --out"
         )
-    begins = old["timing"]["begin"]
-    return {name: {**entry, "begin": begins[name]} for name, entry in old["frames"].items()}
+    shown, timing = old.get("frames"), old.get("timing")
+    begins = timing.get("begin") if isinstance(timing, dict) else None
+    done = {}
+    if isinstance(shown, dict) and isinstance(begins, dict) and shown.keys() == begins.keys():
+        for frame in frames:
+            begin = begins.get(frame.name)
+            if isinstance(begin, str):
+                done[frame.name] = _entry(frame, ring.frame_of(frame.levels), begin)
+        if shown == {name: _without_time(entry) for name, entry in done.items()}:
+            return done
+    raise InputError("is no whole record of this play", where=str(out / RECORD), remedy="remove it, or choose --out")
+
+
+def _without_time(entry: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in entry.items() if key != "begin"}
 
 
 def _write(out: Path, record: Mapping[str, Any], frames: Sequence[Planned], done: Mapping[str, Any]) -> None:
-    entries = {name: {key: value for key, value in entry.items() if key != "begin"} for name, entry in done.items()}
+    entries = {name: _without_time(entry) for name, entry in done.items()}
     timing = {"begin": {name: entry["begin"] for name, entry in done.items()}}
     complete = len(done) == len(frames)
     write_manifest(out / RECORD, {**record, "complete": complete, "frames": entries, "timing": timing})

@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from radwrap.errors import EnvironmentFailure, InputError, RadwrapError
@@ -133,25 +133,16 @@ class LedRing:
             raise InputError("give levels or radiant intensities")
         if levels is None:
             levels = self.levels_of(radiant_intensity or ())
-        wanted = tuple(float(level) for level in levels)
-        capabilities = self._backend.capabilities
-        if self._drive is None:
-            if len(wanted) != capabilities.count or any(wanted):
-                raise InputError(
-                    "the LEDs' rated current is not known, so there must be no light", remedy="give --drive DRIVE.toml"
-                )
-        else:
-            self._drive.check(wanted)
-        steps = tuple(round(level * capabilities.steps) for level in wanted)
+        frame = self.frame_of(levels)
+        lit = any(frame.steps)
         with self._careful():
-            if any(steps) and self._guardian is not None:
-                self._guardian.watch()
-            held = self._backend.show(steps)
-            self._lit_since = time.monotonic() if any(steps) else None
-            if not any(steps) and self._guardian is not None:
+            if lit and self._guardian is not None:
+                self._guardian.watch(self._longest)
+            held = self._backend.show(frame.steps)
+            self._lit_since = time.monotonic() if lit else None
+            if not lit and self._guardian is not None:
                 self._guardian.rest()
-        fractions = tuple(step / capabilities.steps for step in held)
-        return Frame(wanted, steps, fractions, capabilities.readback, capabilities.emulated)
+        return replace(frame, held=tuple(step / self._backend.capabilities.steps for step in held))
 
     def levels_of(self, radiant_intensity: Sequence[float]) -> tuple[float, ...]:
         """Level of each LED that gives a radiant intensity along its axis [W sr^-1], by the calibration.
@@ -166,6 +157,26 @@ class LedRing:
                 "radiant intensities need a calibration", remedy="give --calibration or --full-scale, or levels"
             )
         return levels_for(self._calibration, radiant_intensity)
+
+    def frame_of(self, levels: Sequence[float]) -> Frame:
+        """What the ring will show where everything goes well.
+
+        Raises
+        ------
+        InputError
+            If there must be no light, a limit is exceeded, or an LED that is to shine would be dark.
+        """
+        wanted = tuple(float(level) for level in levels)
+        told = self._backend.capabilities
+        if self._drive is not None:
+            steps = self._drive.to_steps(wanted, told.steps)
+        elif len(wanted) == told.count and not any(wanted):
+            steps = (0,) * told.count
+        else:
+            raise InputError(
+                "the LEDs' rated current is not known, so there must be no light", remedy="give --drive DRIVE.toml"
+            )
+        return Frame(wanted, steps, tuple(step / told.steps for step in steps), told.readback, told.emulated)
 
     def off(self) -> None:
         """Every LED off, whatever happened before."""
@@ -230,6 +241,10 @@ class LedRing:
             finally:
                 self._busy_since = None
 
+    @property
+    def _longest(self) -> float:
+        return math.inf if self._drive is None else self._drive.max_on_time
+
     def _turn_off(self) -> None:
         self._backend.off()
         self._lit_since = None
@@ -249,16 +264,15 @@ class LedRing:
             busy, lit = self._busy_since, self._lit_since
             if busy is not None and now - busy > MISSED:
                 continue  # the device does not answer: that is for the guardian
-            if self._guardian is not None:
+            if lit is not None and now - lit > self._longest:
+                trouble = EnvironmentFailure(
+                    f"was lit for max_on_time, {self._longest:g} s, and was turned off", where="LED ring"
+                )
+            elif self._guardian is not None:
                 try:
                     self._guardian.beat()
                 except RadwrapError as error:
                     trouble = error
-            longest = math.inf if self._drive is None else self._drive.max_on_time
-            if lit is not None and now - lit > longest:
-                trouble = EnvironmentFailure(
-                    f"was lit for max_on_time, {longest:g} s, and was turned off", where="LED ring"
-                )
             if trouble is not None:
                 self._end_with(trouble)
                 return

@@ -44,6 +44,11 @@ class LedTable:
         for name, values in (("levels", self.levels), ("radiant intensities", self.radiant_intensity)):
             if values[0] < 0 or any(a >= b for a, b in pairwise(values)):
                 raise InputError(f"its {name} must start at 0 or above and increase")
+        if self.levels[0] == 0 and self.radiant_intensity[0] > 0:
+            raise InputError(
+                f"its radiant intensity is {self.radiant_intensity[0]:g} W/sr at level 0, where it is dark",
+                remedy="subtract from all what was measured at level 0",
+            )
         if self.levels[-1] > 1 or min(self.standard_error) < 0:
             raise InputError("levels must not exceed 1, and standard errors not be negative")
 
@@ -155,7 +160,8 @@ def read_calibration(path: Path) -> RingCalibration:
     try:
         return _calibration(told)
     except InputError as error:
-        raise InputError(error.what, where=f"{path}: {error.where}" if error.where else str(path)) from error
+        where = f"{path}: {error.where}" if error.where else str(path)
+        raise InputError(error.what, where=where, remedy=error.remedy) from error
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(f"is no whole calibration: {error!r}", where=str(path)) from error
 
@@ -167,11 +173,13 @@ def _calibration(told: dict[str, Any]) -> RingCalibration:
         try:
             tables.append(LedTable(*columns))
         except InputError as error:
-            raise InputError(error.what, where=f"leds[{number}]") from error
+            raise InputError(error.what, where=f"leds[{number}]", remedy=error.remedy) from error
     temperature = told["temperature"]
     current = float(told["current"])
     if not tables or not (math.isfinite(current) and current > 0):
         raise InputError("needs LEDs, and a current above zero")
+    if temperature is not None and not (math.isfinite(float(temperature)) and float(temperature) > 0):
+        raise InputError("must be above zero", where="temperature")
     return RingCalibration(
         leds=tuple(tables),
         serial=str(told["serial"]),

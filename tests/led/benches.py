@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from radwrap.led.backend import Backend, Kind
-from radwrap.led.connect import EmulatorProcess, open_backend
+from radwrap.led.connect import EmulatorProcess
 from radwrap.led.emulated_port import EmulatedPort
 from radwrap.led.emulator.__main__ import maker
 from radwrap.led.emulator.device import Unit
 from radwrap.led.lamparray import LampArray
 from radwrap.led.mcp2221_pca9685 import Mcp2221Pca9685
-from radwrap.led.ports import Found, HidPort, Port, found, open_port
+from radwrap.led.ports import Found, HidPort, Port, found
 from tests.led.conformance import COUNT, FIRST, SECOND
+from tests.led.controlled import ControlledBench
 from tests.led.fake_hid import FakeHid
 
 
@@ -52,35 +53,18 @@ class FakeBench:
         return next(unit for unit in self.module.units.values() if unit.device.identity.serial == serial)
 
 
-class EmulatorBench:
+class EmulatorBench(ControlledBench):
     """Emulators as the user has them."""
 
-    shared = True
-    refuses = True
-
     def __init__(self, kind: Kind) -> None:
-        self.kind = kind
+        super().__init__(kind)
         self._emulators = {serial: EmulatorProcess(kind, COUNT, serial) for serial in (FIRST, SECOND)}
-        self._control = {serial: EmulatedPort(emulator.socket) for serial, emulator in self._emulators.items()}
-        self._unplugged: set[str] = set()
+        self.control = {serial: EmulatedPort(emulator.socket) for serial, emulator in self._emulators.items()}
 
     def found(self) -> list[Found]:
-        plugged = [e.socket for serial, e in self._emulators.items() if self._control[serial].told().plugged]
-        return found(plugged)
-
-    def open_port(self, device: Found) -> Port:
-        return open_port(device.path)
-
-    def open(self, device: Found) -> Backend:
-        return open_backend(device, self.kind, COUNT)
-
-    def misbehave(self, serial: str, how: str) -> None:
-        self._control[serial].misbehave(how)
-
-    def history(self, serial: str) -> list[tuple[float, tuple[float, ...]]]:
-        return [(moment, tuple(light)) for moment, light in self._control[serial].history()]
+        return found([e.socket for serial, e in self._emulators.items() if self.control[serial].told().plugged])
 
     def close(self) -> None:
         for serial, emulator in self._emulators.items():
-            self._control[serial].close()
+            self.control[serial].close()
             emulator.close()

@@ -78,6 +78,16 @@ def test_tables_that_do_not_rise_are_refused() -> None:
             LedTable(tuple(map(float, levels)), tuple(map(float, values)), (0.0,) * len(levels))
 
 
+def test_light_at_level_zero_is_refused(tmp_path: Path) -> None:
+    """Else the level for 5 mW/sr would be 0, which is dark."""
+    with pytest.raises(InputError, match=r"is 0\.005 W/sr at level 0, where it is dark; subtract"):
+        LedTable((0.0, 0.5), (0.005, 0.03), (0.0, 0.0))
+    path = tmp_path / "z.csv"
+    path.write_text("led,level,radiant_intensity\n0,0,5 mW/sr\n0,0.5,30 mW/sr\n")
+    with pytest.raises(InputError, match=r"z\.csv: LED 0: .* subtract"):
+        read_table(path)
+
+
 def test_a_calibration_reads_back_the_same(tmp_path: Path) -> None:
     path = tmp_path / "a ring.json"
     write_calibration(path, calibration())
@@ -86,6 +96,10 @@ def test_a_calibration_reads_back_the_same(tmp_path: Path) -> None:
     for key in ("leds", "serial", "current", "is", "schema_version"):
         path.write_text(json.dumps({name: told[name] for name in told if name != key}))
         with pytest.raises(InputError, match=r"a ring\.json"):
+            read_calibration(path)
+    for temperature in (float("nan"), -500.0):
+        path.write_text(json.dumps({**told, "temperature": temperature}))
+        with pytest.raises(InputError, match=r"a ring\.json: temperature: must be above zero"):
             read_calibration(path)
     for wrong in ("[1]", "{", '{"is": "ring_calibration", "schema_version": 1}'):
         path.write_text(wrong)

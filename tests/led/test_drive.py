@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from radwrap.errors import InputError
-from radwrap.led.drive import Drive, check_ripple, read_drive, ripple
+from radwrap.led.drive import Drive, check_ripple, decimal, read_drive, ripple
 
 GOOD: Final = """
 count = 12
@@ -41,6 +41,7 @@ BAD: Final = {
     '"20 s"': ("20", "max_on_time: 20 has no unit"),
     "count = 12": ("count = 12.0", "count: must be an integer"),
     '"850 nm"': ('"850 nm"\ncolour = 1', "colour: unknown key"),
+    'wavelength = "850 nm"': ('wavelength = "850 mm"', "wavelength: 0.85 m is no wavelength of an LED"),
     "max_level =": ("max_level ==", "is not TOML"),
 }
 
@@ -70,6 +71,25 @@ def test_levels_beyond_the_limits_are_refused() -> None:
         with pytest.raises(InputError) as caught:
             drive.check(levels)
         assert told in str(caught.value)
+
+
+def test_steps_are_the_nearest_that_exceed_no_limit() -> None:
+    drive = Drive(4, 850e-9, 0.1, 0.05, 0.2503, 1.0008, 20.0)
+    # 1024.82 of 4096 each, in sum 4099.28: three may be rounded up.
+    assert sorted(drive.to_steps((0.2502,) * 4, 4096)) == [1024, 1025, 1025, 1025]
+    # 1025.19 and 1024.41; 63.83 of 255 is 63 for max_level's sake.
+    assert drive.to_steps((0.25029, 0.2501, 0, 0), 4096) == (1025, 1024, 0, 0)
+    assert drive.to_steps((0.2503, 0.2, 0, 0), 255) == (63, 51, 0, 0)
+    for level in (1e-5, 0.0019):
+        with pytest.raises(InputError, match=r"LED 3: .* it would be dark; give 0, or"):
+            drive.to_steps((0, 0, 0, level), 255)
+
+
+@pytest.mark.parametrize("text", ["1_0e-2", "\uff10.2", "nan", "inf", "1e999", "-0.1", "", " 0.1", "٣"])
+def test_numbers_that_not_everybody_reads_alike_are_refused(text: str) -> None:
+    assert decimal("2.5e-1") == 0.25
+    with pytest.raises(InputError, match=r"--level: .* is no number from 0 on"):
+        decimal(text, "--level")
 
 
 def exposure(duty: float, exposure_time: float, phase: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ from radwrap.images import read_image
 from radwrap.led.calibration import scaled, write_calibration
 from radwrap.led.from_scene import leds_of
 from radwrap.scene.ring_calibration import RingCalibration, read_calibration
-from tests.cli.conftest import here, inhabitants, run, scene_text, scene_with, start, wait_for
+from tests.cli.conftest import PATIENCE, here, inhabitants, run, scene_text, scene_with, start, wait_for
 from tests.led.test_calibration import RING
 from tests.led.test_ring import DRIVE_FILE
 
@@ -109,6 +109,13 @@ BAD: Final = {
     "no ring": (["set", 0.5, "--device", "none", "--emulator", "/nowhere"], "no emulator answers"),
     "nothing to play": (["play", "SCENE", "--out", "OUT"], "there is nothing to play"),
     "ripple": (["set", "--scene", "BRIEF"], "makes an exposure of 0.001 s uncertain"),
+    "factor of nothing": (["set", 0.25, "--factor", 3], "--factor: is on the radiant intensities of a scene"),
+    "negative factor": (["set", "--scene", "SCENE", "--factor=-1"], '--factor: "-1" is no number from 0 on'),
+    "less than a step": (["set", 1e-5], "LED 0: level 1e-05 is no whole step"),
+    "foreign digits": (["frame", "٣"], "neither an LED, 0 to 3"),
+    "an underscore": (["frame", 1, "--level", "1_0e-2"], '--level: "1_0e-2" is no number from 0 on'),
+    "light backwards": (["set", 0.25, "--for", "-1 s"], '--for: "-1 s" is negative'),
+    "settling backwards": (["play", "SCENE", "--alone", "--out", "OUT", "--settle", "-1 s"], '--settle: "-1 s"'),
 }
 
 
@@ -126,6 +133,17 @@ def test_bad_commands_are_refused(bench: Path, tmp_path: Path, capsys: pytest.Ca
     assert done.code in (2, 4)
     assert expected in done.stderr.splitlines()[-1]
     assert done.stdout == "" and "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("verb", [["set", 0.25], ["play", "SCENE", "--alone", "--out", "OUT"]])
+def test_without_stdin_there_is_no_enter(
+    bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, verb: list[object]
+) -> None:
+    monkeypatch.setattr(sys, "stdin", None)  # as Python has it where the shell closed it: <&-
+    places = {"SCENE": bench / "scene.toml", "OUT": tmp_path / "out"}
+    refused = here(led(bench, *(places.get(str(word), word) for word in verb)), capsys).refusal(2)
+    assert "stdin: is closed" in refused
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_study_is_played_as_it_was_designed(bench: Path, tmp_path: Path) -> None:
@@ -182,6 +200,46 @@ def test_an_interrupted_play_goes_on_where_it_was(bench: Path, tmp_path: Path) -
     assert inhabitants(tmp_path) == []
 
 
+def test_a_camera_may_leave_something_running(bench: Path, tmp_path: Path, capsys: Any) -> None:
+    """A process in the background that holds what it inherited, as the camera's own service may."""
+    argv = led(bench, "play", bench / "scene.toml", "--alone", "--out", tmp_path, "--settle", "0 s", "--camera")
+    command = f"(sleep {PATIENCE:g} & setsid sleep 3 &); true"
+    done = here([*argv, "sh", "-c", command], capsys).success()
+    assert done.wall < PATIENCE / 2
+
+
+def test_a_camera_that_takes_too_long_is_ended_with_the_light(bench: Path, tmp_path: Path, capsys: Any) -> None:
+    text = (bench / "drive.toml").read_text().replace('"60 s"', '"0.3 s"')
+    (tmp_path / "brief.toml").write_text(text)
+    argv = led(bench, "play", bench / "scene.toml", "--alone", "--out", tmp_path / "play", "--settle", "0 s")
+    argv[argv.index(bench / "drive.toml")] = tmp_path / "brief.toml"
+    slow = f"import sys, time; time.sleep({PATIENCE} * (sys.argv[1] != 'dark'))"
+    done = here([*argv, "--camera", sys.executable, "-c", slow, "{name}"], capsys)
+    assert done.code == 4 and "was lit for max_on_time, 0.3 s" in done.stderr
+    assert done.wall < PATIENCE / 2
+    assert inhabitants(tmp_path / "play") == []
+
+
+def test_the_runs_of_a_study_are_played(bench: Path, tmp_path: Path, capsys: Any) -> None:
+    design = tmp_path / "design.toml"
+    design.write_text(
+        f"scene = {str(bench / 'scene.toml')!r}\n[design]\nkind = 'full'\n[responses.mean]\nmeasure = 'mean_gray'\n"
+        "[factors.A]\nkey = 'sources[0].leds[1].radiance_factor'\nlevels = [0.5, 1.1]\n"
+    )
+    argv = led(bench, "play", bench / "scene.toml", "--design", design, "--out", tmp_path / "play")
+    here([*argv, "--camera", "true"], capsys).success()
+    played = table(tmp_path / "play" / "played.csv")
+    assert list(played) == ["dark", "run0001", "run0002"]
+    for name, factor in (("run0001", 0.5), ("run0002", 1.1)):
+        assert played[name] == pytest.approx([1, factor, 1, 1], abs=0.5 * STEP)
+
+
+def test_what_is_wrong_with_a_frame_is_told_without_gaps(bench: Path, tmp_path: Path, capsys: Any) -> None:
+    argv = ["led", "play", bench / "scene.toml", "--alone", "--out", tmp_path, "--emulate", "--drive"]
+    done = here([*argv, bench / "drive.toml", "--camera", "true"], capsys)
+    assert 'frame "dark": radiant intensities need a calibration' in done.stderr
+
+
 def test_a_camera_that_fails_ends_the_play(bench: Path, tmp_path: Path) -> None:
     argv = led(bench, "play", bench / "scene.toml", "--alone", "--out", tmp_path / "play")
     done = run(*argv, "--camera", sys.executable, "-c", "import sys; sys.exit('no film')")
@@ -229,6 +287,10 @@ def test_a_table_becomes_a_calibration(bench: Path, tmp_path: Path, capsys: pyte
     argv = ["led", "calibrate", "--table", tmp_path / "table.csv", "--out", tmp_path / "ring.json"]
     assert "needs the current" in here(argv, capsys).refusal(2)
     argv += ["--drive", bench / "drive.toml", "--serial", "EMULATED01", "--temperature", 23, "--date", "2026-01-01"]
+    for cold in ("nan", "inf", "-273.15", "-500"):
+        words = [cold if word == 23 else word for word in argv]
+        words[words.index("--temperature") : words.index("--date")] = [f"--temperature={cold}"]
+        assert "no temperature in degrees Celsius" in here(words, capsys).refusal(2)
     here(argv, capsys).success()
     expected = RingCalibration(
         leds=scaled([float(f"0.0{50 + n}") for n in range(LEDS)], [0.0] * LEDS, [1.0] * LEDS),

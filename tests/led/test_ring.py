@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Final
@@ -15,14 +17,15 @@ import psutil
 import pytest
 
 from radwrap.errors import EnvironmentFailure, InputError
-from radwrap.led import ports
+from radwrap.led import claim, guardian, ports
 from radwrap.led.claim import Claim
-from radwrap.led.connect import EmulatorProcess, choose
+from radwrap.led.connect import EmulatorProcess, choose, open_backend
 from radwrap.led.drive import Drive
 from radwrap.led.emulated_port import EmulatedPort
-from radwrap.led.ports import HidPort, PortFailure, found, open_port, udev_rules
+from radwrap.led.ports import Found, HidPort, PortFailure, found, open_port, udev_rules
 from radwrap.led.ring import LedRing, open_ring
-from tests.cli.conftest import PATIENCE, run, start
+from radwrap.process import Child, start_child
+from tests.cli.conftest import PATIENCE, here, run, start
 from tests.led.benches import FakeBench
 from tests.led.conformance import COUNT, DARK, FIRST, light, there
 from tests.led.fake_hid import FakeHid
@@ -87,6 +90,18 @@ def test_refused_levels_leave_the_light_as_it_is() -> None:
         assert light(bench) == HALF
 
 
+@pytest.mark.parametrize("kind", ["mcp2221a_pca9685", "lamparray"])
+def test_rounding_to_steps_exceeds_no_limit(kind: Any) -> None:
+    bench = FakeBench(kind)
+    with LedRing(bench.open(there(bench)), replace(DRIVE, max_level=0.006, max_sum=0.03)) as ring:
+        assert max(ring.set_levels((0.006, *DARK[1:])).held) <= 0.006
+        held = ring.set_levels((0.006,) * 4 + (0.0059,) + DARK[5:]).held
+        assert held == light(bench) and sum(held) <= 0.03
+        assert max(abs(one - 0.006) for one in held[:5]) <= 1 / ring.capabilities.steps
+        with pytest.raises(InputError, match=r"LED 2: level 1e-05 .* would be dark"):
+            ring.set_levels((0.0, 0.0, 1e-5, *DARK[3:]))
+
+
 def test_light_that_lasts_too_long_is_ended() -> None:
     bench = FakeBench("mcp2221a_pca9685")
     brief = Drive(COUNT, 850e-9, 0.1, 0.05, 0.8, 6.0, 0.3)
@@ -114,7 +129,7 @@ class LostGuardian(SimpleNamespace):
 
     words = 0
 
-    def _say(self) -> None:
+    def _say(self, *_: object) -> None:
         self.words += 1
         if self.words > 1:
             raise EnvironmentFailure("has ended, so there must be no light", where="guardian")
@@ -132,6 +147,52 @@ def test_without_its_guardian_the_ring_goes_dark() -> None:
     wait(lambda: light(bench) == DARK, 5.0)
     with pytest.raises(EnvironmentFailure, match="guardian"):
         ring.check()
+
+
+# A guardian's words, and where it stops talking.
+DEAF: Final = """
+import sys, time
+print("ready", flush=True)
+for line in sys.stdin:
+    if {answers} and line.startswith("watch"):
+        print("watch", flush=True)
+"""
+
+
+@pytest.fixture
+def deaf(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[bool], guardian.Guardian]]:
+    """Guardians that live and listen, and do not answer heartbeats."""
+    made: list[Child] = []
+
+    def make(answers: bool) -> guardian.Guardian:
+        def child(*_: object, **__: object) -> Child:
+            code = DEAF.format(answers=answers)
+            made.append(start_child([sys.executable, "-c", code], folder=Path("/"), environment=os.environ))
+            return made[-1]
+
+        monkeypatch.setattr(guardian, "start_module", child)
+        return guardian.Guardian(Found("fake:bus/0", 0, 0, FIRST, "", 0, 0), "mcp2221a_pca9685", COUNT, 0)
+
+    yield make
+    for child in made:
+        child.close(0.0)
+
+
+def test_a_guardian_that_no_longer_answers_is_noticed(deaf: Any) -> None:
+    bench = FakeBench("mcp2221a_pca9685")
+    with ring_on(bench, guardian=deaf(True)) as ring:
+        ring.set_levels(HALF)
+        assert wait(lambda: light(bench) == DARK, OFF_WITHIN) >= guardian.MISSED
+        with pytest.raises(EnvironmentFailure, match="guardian: does not answer"):
+            ring.check()
+
+
+def test_there_is_no_light_before_the_guardian_says_that_it_watches(deaf: Any, monkeypatch: Any) -> None:
+    monkeypatch.setattr(guardian, "_ATTENTION", 0.3)
+    bench = FakeBench("mcp2221a_pca9685")
+    with ring_on(bench, guardian=deaf(False)) as ring, pytest.raises(EnvironmentFailure, match="does not answer"):
+        ring.set_levels(HALF)
+    assert bench.history(FIRST) == bench.history(FIRST)[:1]
 
 
 @pytest.fixture(scope="module")
@@ -213,14 +274,69 @@ def test_a_killed_guardian_is_noticed(driver: Any, shines: Callable[[], bool], e
     assert not shines()
 
 
-def test_one_program_drives_a_ring_at_a_time(
+def test_a_stopped_guardian_wakes_up_when_its_driver_is_killed(
     driver: Any, shines: Callable[[], bool], emulator: EmulatorProcess
 ) -> None:
+    process = driver()
+    wait(shines, PATIENCE)
+    (watcher,) = guardians(emulator.socket)
+    process.send_signal(signal.SIGSTOP)  # so that no heartbeat wakes it up before
+    watcher.suspend()
+    process.kill()
+    wait(lambda: not shines(), OFF_WITHIN)
+
+
+def test_a_guardian_knows_how_long_light_may_last(emulator: EmulatorProcess, shines: Callable[[], bool]) -> None:
+    """Where the driver sends heartbeats, and does not keep the limit itself."""
+    device, kind = choose(found([emulator.socket], only_emulators=True))
+    ours = Claim(device.path)
+    watcher = guardian.Guardian(device, kind, COUNT, ours.descriptor)
+    watcher.watch(0.2)
+    backend = open_backend(device, kind, COUNT)
+    backend.show((2048,) * COUNT)
+
+    def dark() -> bool:
+        watcher.beat()
+        return not shines()
+
+    assert wait(dark, OFF_WITHIN) > guardian.MISSED / 2
+    backend.close()
+    watcher.close()
+    ours.release()
+
+
+def test_one_program_drives_a_ring_at_a_time_and_off_ends_it(
+    driver: Any, shines: Callable[[], bool], emulator: EmulatorProcess, tmp_path: Path
+) -> None:
+    process = driver()
+    wait(shines, PATIENCE)
+    relative = os.path.relpath(emulator.socket, tmp_path)
+    refused = run("led", "show", "--emulator", relative, cwd=tmp_path, environment={"TMPDIR": str(tmp_path)})
+    assert "another program drives this ring" in refused.refusal(4)
+    assert shines()
+    done = run("led", "off", "--emulator", emulator.socket).success()
+    assert f"process {process.pid} drove the ring" in done.stderr and "off" in done.stdout
+    assert not shines() and process.wait(PATIENCE) == 130
+
+
+def test_off_ends_even_a_program_that_was_stopped(driver: Any, emulator: EmulatorProcess, monkeypatch: Any) -> None:
+    monkeypatch.setattr(claim, "_CLOSING", 0.1)
+    process = driver()
+    assert "verified" in process.stdout.readline()
+    process.send_signal(signal.SIGSTOP)
+    assert claim.end_drivers(f"emulator:{emulator.socket}") == [process.pid]
+    assert process.wait(PATIENCE) == -signal.SIGKILL
+
+
+def test_what_cannot_be_ended_is_turned_off_and_told(
+    driver: Any, shines: Callable[[], bool], emulator: EmulatorProcess, monkeypatch: Any, capsys: Any
+) -> None:
+    monkeypatch.setattr(claim, "drivers", lambda _: [])  # another user's
     driver()
     wait(shines, PATIENCE)
-    refused = run("led", "off", "--emulator", emulator.socket).refusal(4)
-    assert "another program drives this ring" in refused
-    assert shines()
+    done = here(["led", "off", "--emulator", emulator.socket], capsys)
+    assert done.code == 4 and "was turned off, but another user's program drives it" in done.stderr
+    assert not shines()
 
 
 def test_a_killed_command_leaves_no_process_and_no_file(tmp_path: Path) -> None:
@@ -244,6 +360,21 @@ def test_a_claim_falls_with_its_holder() -> None:
         Claim("nowhere")
     first.release()
     Claim("nowhere").release()
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can become another user")
+def test_a_claim_is_one_for_all_users() -> None:
+    first = Claim("nowhere")
+    child = os.fork()
+    if child == 0:
+        os.setuid(65534)
+        try:
+            Claim("nowhere")
+        except EnvironmentFailure as error:
+            os._exit(0 if "another program" in str(error) else 1)
+        os._exit(2)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    first.release()
 
 
 def test_a_ring_that_fails_to_open_is_let_go(emulator: EmulatorProcess) -> None:

@@ -15,14 +15,15 @@ from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
-from radwrap.led.backend import Backend, Kind
-from radwrap.led.connect import open_backend
+from radwrap.led.backend import Kind
+from radwrap.led.claim import end_drivers
 from radwrap.led.drive import Drive
 from radwrap.led.emulated_port import EmulatedPort
-from radwrap.led.ports import Found, Port, found, open_port
+from radwrap.led.ports import Found, found
 from radwrap.led.ring import open_ring
 from radwrap.process import Child, start_child
 from tests.led.conformance import COUNT, DARK, FIRST, SECOND, cases_for, light, there
+from tests.led.controlled import ControlledBench
 
 _START = 60.0  # s, in software emulation of the processor
 _OFF_WITHIN = 20.0  # s; the time is told
@@ -30,19 +31,16 @@ _OFF_WITHIN = 20.0  # s; the time is told
 _NEED_REPLUG = ("unplugged_is_dark_and_an_error", "unplugged_within_a_frame_shows_no_part_of_it")
 
 
-class MachineBench:
+class MachineBench(ControlledBench):
     """Two units on a bus of this kernel, each in a process of its own."""
 
-    shared = True
-
     def __init__(self, kind: Kind, bus: str, module: ModuleType | None = None) -> None:
-        self.kind = kind
+        super().__init__(kind)
         # Of an output report that a uhid device refuses, the kernel says nothing.
         self.refuses = bus == "vhci" or kind == "lamparray"
         self._module = module
         self._folder = tempfile.TemporaryDirectory()
         self._servers: list[Child] = []
-        self._control: dict[str, EmulatedPort] = {}
         for number, serial in enumerate((FIRST, SECOND)):
             socket = str(Path(self._folder.name) / serial)
             more = [str(number)] if bus == "vhci" else []
@@ -50,26 +48,14 @@ class MachineBench:
             server = start_child(argv, folder=Path(self._folder.name), environment=os.environ)
             assert server.hear(_START) == "ready"
             self._servers.append(server)
-            self._control[serial] = EmulatedPort(socket)
+            self.control[serial] = EmulatedPort(socket)
 
     def found(self) -> list[Found]:
         return found(module=self._module)
 
-    def open_port(self, device: Found) -> Port:
-        return open_port(device.path)
-
-    def open(self, device: Found) -> Backend:
-        return open_backend(device, self.kind, COUNT)
-
-    def misbehave(self, serial: str, how: str) -> None:
-        self._control[serial].misbehave(how)
-
-    def history(self, serial: str) -> list[tuple[float, tuple[float, ...]]]:
-        return [(moment, tuple(levels)) for moment, levels in self._control[serial].history()]
-
     def close(self) -> None:
         for serial, server in zip((FIRST, SECOND), self._servers, strict=True):
-            self._control[serial].close()
+            self.control[serial].close()
             server.close(0.0)
         end = time.monotonic() + 10
         while [device for device in self.found() if device.serial in (FIRST, SECOND)] and time.monotonic() < end:
@@ -96,6 +82,26 @@ def a_killed_driver_leaves_no_light(bench: MachineBench) -> None:
         time.sleep(0.01)
     print(f"      off {time.monotonic() - killed:.2f} s after SIGKILL")
     time.sleep(0.5)  # its guardian ends
+
+
+def off_ends_who_drives(bench: MachineBench) -> None:
+    """By the claim alone, whatever the device is to the kernel."""
+    device = there(bench)
+    child = os.fork()
+    if child == 0:
+        drive = Drive(COUNT, 850e-9, 0.1, 0.05, 1.0, 12.0, 60.0)
+        with open_ring(device, bench.kind, count=COUNT, drive=drive) as ring:
+            ring.set_levels([0.5] * COUNT)
+            signal.pause()
+    end = time.monotonic() + _START
+    while set(light(bench)) != {light(bench)[0]} or not 0.4 < light(bench)[0] < 0.6:
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    ended = end_drivers(device.path)
+    os.waitpid(child, 0)
+    assert ended == [child]
+    with open_ring(device, bench.kind, count=COUNT):
+        assert light(bench) == DARK
 
 
 def an_independent_host_agrees(bench: MachineBench) -> None:
@@ -150,7 +156,7 @@ def main() -> None:
     begin = time.monotonic()
     for kind in ("mcp2221a_pca9685", "lamparray"):
         bench = MachineBench(kind, bus)
-        cases = [*cases_for(bench), a_killed_driver_leaves_no_light]
+        cases = [*cases_for(bench), a_killed_driver_leaves_no_light, off_ends_who_drives]
         if kind == "mcp2221a_pca9685":
             cases.append(an_independent_host_agrees)
         failures += run(bench, cases, f"{bus}, hidraw, {kind}")
