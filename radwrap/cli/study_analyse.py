@@ -63,8 +63,9 @@ def _lines(analysis: Analysis) -> Iterator[str]:
     for effect in analysis.effects:
         t = "" if effect.t is None else f"{effect.t:8.2f}"
         mark = "*" if effect.significant else " "
-        alias = f"  = {' = '.join(effect.aliases)}" if effect.aliases else ""
-        yield f"{effect.name:{max(wide, 6)}} {effect.effect:14.6g} {t:>8} {mark} {effect.image_error:.2g}{alias}"
+        more = f"  {effect.start} to {effect.end}" if effect.start is not None else ""
+        more += f"  = {' = '.join(effect.aliases)}" if effect.aliases else ""
+        yield f"{effect.name:{max(wide, 6)}} {effect.effect:14.6g} {t:>8} {mark} {effect.image_error:.2g}{more}"
     if analysis.lenth is not None:
         found = analysis.lenth
         yield (

@@ -223,6 +223,19 @@ def test_an_analysis_of_variance_that_a_design_asks_for_is_made(tmp_path: Path) 
     assert found.method == "regression" and [row.term for row in found.anova] == ["D", "B", "residual"]
 
 
+def test_lenths_method_that_a_design_asks_for_takes_repeated_runs_too(tmp_path: Path) -> None:
+    factors = [{"name": name, "label": name, "levels": [{"name": "-1"}, {"name": "1"}]} for name in "ABC"]
+    plan = {"schema_version": 1, "design": {"factors": factors, "analysis": "lenth"}}
+    rows: Rows = [
+        {"A": a, "B": b, "C": c, "y": a + e}
+        for (a, b, c), e in zip(list(product((-1, 1), repeat=3)) * 2, noise(16, 0.1), strict=True)
+    ]
+    assert analysed(tmp_path / "t.csv", rows).method == "replicates"
+    (tmp_path / "plan.json").write_text(json.dumps(plan))
+    found = analysed(tmp_path / "t.csv", rows)
+    assert found.method == "lenth" and found.lenth is not None and len(found.lenth.t) == 7
+
+
 def test_a_label_of_no_factor_is_refused(tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text("A,y\n1,2\n2,3\n")
     with pytest.raises(InputError, match='no factor "Z"'):
