@@ -17,7 +17,7 @@ def make(task: Task) -> Made:
         dots = find_dots(image.result.gray, 5, 5, method=NOMINAL_METHOD).dots
     except DotsNotFound:
         dots = ()
-    found = focal_lengths(image)
+    found = focal_lengths(image, quick=task.quick)
     nominal = found.get(NOMINAL_METHOD)
     dark = image.scene.camera.sensor.dark_gray
     top = float(image.gray.max())

@@ -26,7 +26,7 @@ MISALIGNED = {"sources[0].misalignment": {"about_y": "1.2 deg", "about_z": "-85 
 
 def make(task: Task) -> Made:
     """Render both rows at each width, calibrate, draw."""
-    widths = {"gaussian": (7.6,), "cone": (7.6,)} if task.quick else WIDTHS
+    widths = {"gaussian": (7.6,)} if task.quick else WIDTHS
     rows = [_row(task, profile, width) for profile, some in widths.items() for width in some]
     return Made(
         title="Why A moves f: the light's rim on the board (looked at afterwards)",
@@ -50,7 +50,7 @@ def _row(task: Task, profile: str, width: float) -> dict[str, Any]:
         predicted("fig13_oriented_board", f"{name}_{level}", task.out, quick=task.quick, changes=beam | more)
         for level, more in (("L", {}), ("H", MISALIGNED))
     )
-    before, after = focal_lengths(straight), focal_lengths(turned)
+    before, after = focal_lengths(straight, quick=task.quick), focal_lengths(turned, quick=task.quick)
     return {
         "profile": profile,
         "width_deg": width,
