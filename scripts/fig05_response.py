@@ -34,7 +34,7 @@ def make(task: Task) -> Made:
     panels[0, 0].plot(exposure * 1e3, gray, "o", color=OURS, ms=3, label="frames of Fig. 4, traced")
     panels[0, 0].plot(exposure * 1e3, literal, "s", color=THIRD, ms=3, label="Eq. 6 as printed (J)")
     panels[0, 0].set(xlabel="radiant exposure [mJ m$^{-2}$]", ylabel="gray level", title="Fig. 5: response")
-    panels[0, 0].legend()
+    panels[0, 0].legend(loc="lower right", bbox_to_anchor=(1, 0.1))
     used = (exposure > 0) & (gray < fit.saturation_gray)
     log_h, log_g = np.log(exposure[used]), np.log(gray[used] - fit.dark_gray)
     panels[0, 1].plot(log_h, sensor.gamma * log_h + np.log(sensor.gain), color=PAPER, lw=2.5, alpha=0.4)

@@ -17,7 +17,7 @@ def make(task: Task) -> Made:
         dots = find_dots(image.result.gray, 5, 5, method=NOMINAL_METHOD).dots
     except DotsNotFound:
         dots = ()
-    found = focal_lengths(image)
+    found = focal_lengths(image, quick=task.quick)
     nominal = found.get(NOMINAL_METHOD)
     dark = image.scene.camera.sensor.dark_gray
     top = float(image.gray.max())
@@ -30,7 +30,7 @@ def make(task: Task) -> Made:
     panels[0, 1].axvline(12.450, color="C3", lw=1, label="printed (Table 3, LLLL)")
     panels[0, 1].axvline(12.5, color="0.6", lw=1, ls=":", label="true")
     panels[0, 1].set(yticks=range(len(names)), yticklabels=names, xlabel="f [mm]", ylim=(-0.5, len(names) + 0.8))
-    panels[0, 1].legend(loc="upper left", ncols=1)
+    panels[0, 1].legend(loc="upper right")
     return Made(
         title="Oriented board",
         picture=picture,

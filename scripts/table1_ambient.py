@@ -34,12 +34,14 @@ def make(task: Task) -> Made:
     tilts, levels = (TILTS[:1], (127.3,)) if task.quick else (TILTS, tuple(LEVELS))
     frames = ("fixed",) if task.quick else ("fixed", "turned")
     dark = {tilt: _image(task, "fig13_oriented_board", f"controlled_{tilt}", _tilted(tilt)) for tilt in tilts}
-    without = {tilt: focal_lengths(image) for tilt, image in dark.items()}
+    without = {tilt: focal_lengths(image, quick=task.quick) for tilt, image in dark.items()}
     rows = []
     for level, frame, tilt in product(levels, frames, tilts):
         changes = _tilted(tilt) | _lamps(level, frame, tilt)
         image = _image(task, "table1_ambient", f"ambient_{level:g}_{frame}_{tilt}", changes)
-        rows += [_row((level, frame, tilt), method, image, found, without[tilt]) for method, found in _each(image)]
+        rows += [
+            _row((level, frame, tilt), method, image, found, without[tilt]) for method, found in _each(image, task)
+        ]
     fine = None if task.quick else _fine(task)
     longer = [row["longer"] for row in rows if row["difference_mm"] is not None]
     nominal = next((row for row in rows if row["case"] == list(NOMINAL) and row["method"] == NOMINAL_METHOD), None)
@@ -69,12 +71,12 @@ def _fine(task: Task) -> list[dict[str, Any]]:
     level, frame, tilt = NOMINAL
     dark = _image(task, "fig13_oriented_board", "fine_controlled", _tilted(tilt), tolerance=FINE)
     lit = _image(task, "table1_ambient", "fine_ambient", _tilted(tilt) | _lamps(level, frame, tilt), tolerance=FINE)
-    without = focal_lengths(dark)
-    return [_row(NOMINAL, method, lit, found, without) for method, found in _each(lit)]
+    without = focal_lengths(dark, quick=task.quick)
+    return [_row(NOMINAL, method, lit, found, without) for method, found in _each(lit, task)]
 
 
-def _each(image: Image) -> list[tuple[str, Answer | None]]:
-    found = focal_lengths(image)
+def _each(image: Image, task: Task) -> list[tuple[str, Answer | None]]:
+    found = focal_lengths(image, quick=task.quick)
     return [(method, found.get(method)) for method in ("gray", "gray_threshold", "binary", "ellipse", "conic")]
 
 

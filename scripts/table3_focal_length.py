@@ -48,7 +48,7 @@ def make(task: Task) -> Made:
         for (variant, _), method in product(variants, METHODS)
     ]
     return Made(
-        title="Effects on the calibrated focal length",
+        title="Effects on the focal length",
         picture=_picture(nominal, [row for row in table if row["method"] == NOMINAL_METHOD]),
         ours={"percent": percent, **shares(nominal), "worst": _worst(nominal)},
         assumed=tuple(published()["assumptions"]),

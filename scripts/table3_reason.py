@@ -14,7 +14,7 @@ import numpy as np
 
 from replication.figure import PAPER, Made, Task, figure, main
 from replication.images import focal_lengths, predicted
-from replication.studies import NOMINAL_METHOD
+from replication.studies import NOMINAL_METHOD, draws_of, folder_of, is_finished, run
 from table4_lenth import printed_table
 
 WIDTHS = {
@@ -22,19 +22,45 @@ WIDTHS = {
     "cone": (6.0, 7.6, 9.0, 11.0),
 }
 MISALIGNED = {"sources[0].misalignment": {"about_y": "1.2 deg", "about_z": "-85 deg"}}
+# The whole design once where the light's rim lies on the board.
+RIM: dict[str, Any] = {
+    "name": "rim_gaussian",
+    "opens": "beam",
+    "what": "Gaussian of 3.5 degrees: its rim lies on the board (looked at afterwards)",
+    "set": {"sources[0].beam.width": "3.5 deg"},
+}
 
 
 def make(task: Task) -> Made:
     """Render both rows at each width, calibrate, draw."""
-    widths = {"gaussian": (7.6,), "cone": (7.6,)} if task.quick else WIDTHS
+    widths = {"gaussian": (7.6,)} if task.quick else WIDTHS
     rows = [_row(task, profile, width) for profile, some in widths.items() for width in some]
+    whole = [] if task.quick else _whole_design(task)
     return Made(
-        title="Why A moves f: the light's rim on the board (looked at afterwards)",
+        title="Why A moves f (looked at afterwards)",
         picture=_picture(rows),
         ours={},
         assumed=("lobe", "pinhole", "axes", "tilt_sign", "ring_turn", "solver", "dots", "black"),
-        more={"rows": rows, "printed_pairs_mm": printed_pairs()},
+        more={"rows": rows, "rim_design": whole, "printed_pairs_mm": printed_pairs()},
     )
+
+
+def _whole_design(task: Task) -> list[dict[str, Any]]:
+    """Effects of all factors with such light, one seed, each centre method."""
+    out = task.out / "studies"
+    if task.finished_only and not is_finished(RIM, 1, out):
+        return []
+    if not task.finished_only:
+        run(RIM, 1, out)
+    study = folder_of(RIM, 1, out) / "study"
+    return [
+        {
+            "method": draw.method,
+            "pse_mm": draw.pse,
+            "effects": {name: {key: draw.effects[name][key] for key in ("effect", "t")} for name in draw.effects},
+        }
+        for draw in draws_of(RIM["name"], 1, study)
+    ]
 
 
 def printed_pairs() -> list[float]:
@@ -50,7 +76,7 @@ def _row(task: Task, profile: str, width: float) -> dict[str, Any]:
         predicted("fig13_oriented_board", f"{name}_{level}", task.out, quick=task.quick, changes=beam | more)
         for level, more in (("L", {}), ("H", MISALIGNED))
     )
-    before, after = focal_lengths(straight), focal_lengths(turned)
+    before, after = focal_lengths(straight, quick=task.quick), focal_lengths(turned, quick=task.quick)
     return {
         "profile": profile,
         "width_deg": width,

@@ -96,7 +96,7 @@ def carry_out(name: str, make: Callable[[Task], Made], task: Task) -> Iterator[s
     """Make a figure or table, judge its claims, write both files; a line for each claim."""
     start = time.monotonic()
     make_folder(task.out)
-    with _style():
+    with style():
         made = make(task)
         write_bytes(task.out / f"{name}.png", png(made.picture))
     told = [_judged(claim, made.ours[key]) for key, claim in claims(name).items()]
@@ -158,7 +158,8 @@ def _difference(ours: Any, printed: Any) -> float | None:
 
 
 @contextmanager
-def _style() -> Iterator[None]:
+def style() -> Iterator[None]:
+    """Sizes of letters that all pictures share."""
     import matplotlib as mpl
 
     with mpl.rc_context(_STYLE):

@@ -11,7 +11,7 @@ from typing import Any, Final
 from radwrap.errors import InputError
 from radwrap.files import make_folder, write_bytes
 from radwrap.manifest import read_manifest
-from replication.figure import figure, png
+from replication.figure import figure, png, style
 from replication.published import published
 
 NAMES: Final = ("fig05", "fig08_09", "fig10", "fig11", "fig12", "fig13", "table1", "table3", "table3_reason", "table4")
@@ -31,7 +31,8 @@ def write_page(figures: Path, out: Path) -> tuple[Path, Path]:
     from jinja2 import Environment, StrictUndefined
 
     parts = [_part(figures, name) for name in NAMES]
-    summary = png(summary_picture(parts))
+    with style():
+        summary = png(summary_picture(parts))
     environment = Environment(autoescape=True, undefined=StrictUndefined)
     environment.filters["told"] = told
     text = environment.from_string(_TEMPLATE.read_text("utf-8")).render(

@@ -22,7 +22,7 @@ from radwrap.study.effects import analyse, as_json
 from radwrap.study.levels import read_data
 from radwrap.study.study import STUDY, StudyOptions, run_study
 from radwrap.study.table import read_table
-from replication.images import COARSE
+from replication.images import COARSE, FEW_DRAWS
 from replication.published import ROOT
 
 DESIGN: Final = ROOT / "rad_scenes" / "study_table2" / "design.toml"
@@ -83,7 +83,11 @@ def design_of(variant: Mapping[str, Any], seed: int, folder: Path, *, coarse: bo
         first = design["factors"]["A"]
         first["keys"].append(key)
         first["levels"] = {name: [*values, draw] for name, values in first["levels"].items()}
-    design["responses"] = {f"f_{method}": _response(method, variant) for method in METHODS}
+    methods = (NOMINAL_METHOD,) if coarse else METHODS
+    design["responses"] = {f"f_{method}": _response(method, variant) for method in methods}
+    if coarse:
+        design["render"] = {"method": "pinhole"}
+        design["responses"][f"f_{NOMINAL_METHOD}"] |= FEW_DRAWS
     return design
 
 
@@ -139,7 +143,7 @@ def draws_of(variant: str, seed: int, study: Path) -> Iterator[Draw]:
     names = ["".join(row[name] for name in "ABCD") for row in rows]
     for method in METHODS:
         column, error = f"f_{method} [mm]", f"f_{method}_error [mm]"
-        if not all(row[column] for row in rows):
+        if not all(row.get(column) for row in rows):
             continue
         try:
             analysis = as_json(analyse(read_data(study / "results.csv", f"f_{method}", list("ABCD"))))
