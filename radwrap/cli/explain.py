@@ -82,6 +82,14 @@ def _lines(found: Mapping[str, Any]) -> Iterator[str]:
         )
     for source in found["scene"]["sources"]:
         yield f"source: {_source(source)}"
+    if spectrum := found.get("spectrum"):
+        for name, counts in spectrum["counts"].items():
+            factors = ", ".join(
+                f"{factor:.4g} of {material}" for material, factor in spectrum["reflectance"][name].items()
+            )
+            yield f"spectrum of {name}: {counts:.4g} of its radiance counts; reflectance {factors}"
+        needed = ", ".join(f"{len(groups)} to {error}" for error, groups in spectrum["bands"].items())
+        yield f"bands for a relative error: {needed}; mean wavelength {spectrum['wavelength'] * 1e9:.4g} nm"
     for target in found["targets"]:
         if target["blur_radius_px"] is None:
             yield f"target {target['name']}: behind the camera"

@@ -11,6 +11,7 @@ from radwrap.imaging.diffraction import diffraction, diffraction_warning
 from radwrap.imaging.preview import brightest
 from radwrap.imaging.sensor import unclipped_gray
 from radwrap.manifest import SCHEMA_VERSION, finite, plain
+from radwrap.scene.bands import Spectral, bands_of
 from radwrap.scene.camera import Camera
 from radwrap.scene.checks import warnings_of
 from radwrap.scene.geometry import project
@@ -20,6 +21,8 @@ from radwrap.scene.sources import Ring, WideSource, emitters
 # Below this share of the gray range above dark the image is called dim; the advice aims at the other one.
 _DIM_SHARE: Final = 0.25
 _ADVISED_SHARE: Final = 0.85
+# Relative errors of the exposure for which the number of bands is told.
+_BAND_ERRORS: Final = (1e-4, 1e-3, 1e-2, 0.1)
 
 
 def explain(scene: Scene) -> dict[str, Any]:
@@ -32,6 +35,9 @@ def explain(scene: Scene) -> dict[str, Any]:
         ``focus`` of a lens: ``image_distance``, and between which depths the
         circle of confusion is smaller than a pixel, ``nearest_sharp`` and
         ``farthest_sharp`` (null: infinitely far) [m];
+        ``spectrum``, where the scene tells spectra: what counts of each
+        source's radiance, what each material reflects of it, the bands that
+        relative errors need;
         ``diffraction``: what the opening's Airy disc is, see `diffraction`;
         ``targets``: for each its depth [m], blur radius [px] and R of Eq. 8
         [m]; ``rings``: observation angle at each target [deg];
@@ -57,6 +63,7 @@ def explain(scene: Scene) -> dict[str, Any]:
         ],
         **({"focus": _focus(camera)} if camera.lens else {}),
         "diffraction": airy,
+        **({"spectrum": _spectrum(scene.spectral)} if scene.spectral else {}),
         "targets": [_target(camera, target.name, target.pose.position) for target in scene.targets],
         "rings": [_ring(scene, source) for source in scene.sources if isinstance(source, Ring)],
         **_wide(scene),
@@ -73,6 +80,21 @@ def blur_radius(camera: Camera, depth: float) -> float:
     Behind a lens the circle of confusion, (d/2) v |1/D' - 1/s|.
     """
     return camera.aperture.diameter / 2 * abs(float(camera.magnification(depth)))
+
+
+def _spectrum(spectral: Spectral) -> dict[str, Any]:
+    """The integrals over wavelength; radiances of the scene's sources are already what counts."""
+    reflectance = {
+        source: dict(zip(spectral.materials, row, strict=True))
+        for source, row in zip(spectral.sources, spectral.reflectance, strict=True)
+    }
+    needed = {f"{error:g}": bands_of(spectral, error) for error in _BAND_ERRORS}
+    return {
+        "counts": dict(zip(spectral.sources, spectral.counts, strict=True)),
+        "reflectance": reflectance,
+        "wavelength": spectral.wavelength,
+        "bands": {error: [list(band.sources) for band in found.bands] for error, found in needed.items()},
+    }
 
 
 def _focus(camera: Camera) -> dict[str, float | None]:
