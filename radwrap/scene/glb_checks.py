@@ -22,8 +22,8 @@ def check_glb(content: bytes, where: str) -> None:
     Raises
     ------
     InputError
-        If it needs an extension, or holds lines, points, fans, skins, morph targets, or sparse, scaled or packed
-        numbers; or is no glTF 2 file.
+        If it or a node needs an extension, or it holds lines, points, fans, skins, morph targets, or sparse, scaled or
+        packed numbers; or is no glTF 2 file.
     """
     try:
         tree = _tree(content)
@@ -49,6 +49,9 @@ def _faults(tree: dict[str, Any]) -> Iterator[str]:
     for number, node in enumerate(tree.get("nodes", ())):
         if "skin" in node:
             yield f"node {number} has a skin"
+        for name in node.get("extensions", ()):
+            if not name.startswith(_HARMLESS):
+                yield f'node {number} has the extension "{name[:60]}"'
     accessors = tree.get("accessors", ())
     for number, mesh in enumerate(tree.get("meshes", ())):
         for primitive in mesh["primitives"]:

@@ -18,6 +18,8 @@ _MOST_CORNERS: Final = 1000
 _TURNED: Final = 1e-9
 # Lobes that run otherwise cancel: an area vector that is this small beside the triangles' areas is that of a bow.
 _CANCELLED: Final = 1e-6
+# Rounding crosses the sides of slivers. Less than this share of the mesh's square, covered twice, shows nothing.
+_SLIVER: Final = 1e-9
 
 
 def checked(vertices: Array, corners: Index, where: str) -> None:
@@ -30,7 +32,9 @@ def checked(vertices: Array, corners: Index, where: str) -> None:
     """
     if len(corners) and (corners.min() < 0 or corners.max() >= len(vertices)):
         raise InputError("names vertices that it does not hold", where=where, remedy="correct it")
-    if not np.isfinite(vertices[np.unique(corners)]).all():
+    used = np.zeros(len(vertices), dtype=bool)
+    used[corners] = True
+    if not np.isfinite(vertices[used]).all():
         raise InputError("holds NaN or infinity", where=where, remedy="correct it")
 
 
@@ -57,8 +61,11 @@ def triangulated(vertices: Array, corners: Index, counts: Index, where: str) -> 
         If a polygon has less than three corners, or crosses itself.
     """
     checked(vertices, corners, where)
-    if len(counts) and counts.min() < 3:
+    if not len(counts):
+        return np.empty((0, 3), dtype=np.intp)
+    if counts.min() < 3:
         raise InputError("holds a face of less than three corners", where=where, remedy="correct it")
+    negligible = _SLIVER * float(np.ptp(vertices[corners], axis=0).max()) ** 2
     starts = np.cumsum(counts) - counts
     places = np.cumsum(counts - 2) - (counts - 2)
     faces = np.empty((int((counts - 2).sum()), 3), dtype=np.intp)
@@ -66,8 +73,9 @@ def triangulated(vertices: Array, corners: Index, counts: Index, where: str) -> 
         alike = counts == number
         polygons = corners[starts[alike, np.newaxis] + np.arange(number)]
         cut = _fanned(polygons)
-        for place in np.flatnonzero(~_covered(vertices, polygons, cut)):
-            cut[place] = _cut(vertices, polygons[place], where)
+        wrong = np.flatnonzero(~_covered(vertices[cut])) if number > 3 else ()
+        for place in wrong:
+            cut[place] = _cut(vertices, polygons[place], negligible, where)
         faces[places[alike, np.newaxis] + np.arange(number - 2)] = cut
     return faces
 
@@ -106,27 +114,25 @@ def _fanned(polygons: Index) -> Index:
     return np.stack([first, polygons[:, 1:-1], polygons[:, 2:]], axis=2)
 
 
-def _covered(vertices: Array, polygons: Index, cut: Index) -> NDArray[np.bool_]:
-    """Whether all triangles of a polygon run as it does; shape (n,) of polygons (n, k) and triangles (n, k - 2, 3)."""
-    places = vertices[cut]
+def _covered(places: Array, negligible: float = 0.0) -> NDArray[np.bool_]:
+    """Whether all triangles of a polygon run as it does; shape (n,) of corners (n, triangles, 3, 3)."""
     across = np.cross(places[:, :, 1] - places[:, :, 0], places[:, :, 2] - places[:, :, 0])
     whole = across.sum(axis=1)
     square = (whole**2).sum(axis=1)
     along = (across * whole[:, np.newaxis]).sum(axis=2)
-    areas = np.linalg.norm(across, axis=2).sum(axis=1)
-    # A polygon of no area covers nothing, and is left out later.
-    one_way = (along >= -_TURNED * square[:, np.newaxis]).all(axis=1)
-    found: NDArray[np.bool_] = one_way & (np.sqrt(square) >= _CANCELLED * areas)
+    areas, area = np.linalg.norm(across, axis=2).sum(axis=1), np.sqrt(square)
+    one_way = (along >= -_TURNED * square[:, np.newaxis]).all(axis=1) & (area >= _CANCELLED * areas)
+    found: NDArray[np.bool_] = one_way | (areas - area <= negligible)
     return found
 
 
-def _cut(vertices: Array, polygon: Index, where: str) -> Index:
+def _cut(vertices: Array, polygon: Index, negligible: float, where: str) -> Index:
     if len(polygon) > _MOST_CORNERS:
         raise InputError(
             f"holds a face of {len(polygon)} corners that is not convex", where=where, remedy="cut it into triangles"
         )
     corners = vertices[polygon]
     cut = polygon[ears(corners - corners[0])]
-    if not _covered(vertices, polygon[np.newaxis], cut[np.newaxis])[0]:
+    if not _covered(vertices[cut][np.newaxis], negligible)[0]:
         raise InputError("holds a face whose sides cross", where=where, remedy="cut it into triangles")
     return cut

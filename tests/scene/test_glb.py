@@ -72,6 +72,7 @@ REFUSED: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "lines": (lambda t: second(t, mode=1), "mesh 0 holds lines"),
     "fan": (lambda t: second(t, mode=6), "a fan of triangles"),
     "morphs": (lambda t: primitive(t).update(targets=[{"POSITION": 0}]), "morph targets"),
+    "many": (lambda t: t["nodes"][0].update(extensions={"EXT_mesh_gpu_instancing": {}}), "node 0 has the extension"),
     "skin": (lambda t: t["nodes"][0].update(skin=0), "node 0 has a skin"),
     "no tree": (lambda t: t.update(meshes=[{}]), "no whole GLB"),
     "not there": (lambda t: primitive(t).update(indices=7), "no whole GLB"),

@@ -212,6 +212,15 @@ def test_faces_of_one_file_keep_their_order_and_shapes() -> None:
     assert (found[0] == faces[0]).all() and set(each[3].ravel()) == {1, 2, 3}
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-9])
+def test_slivers_are_left_out_and_refuse_no_mesh(noise: float) -> None:
+    """Four corners in a line, whose sides rounding crosses, beside a square."""
+    line = [(0, 0, 0), (3, noise, 0), (1, 0, 0), (2, noise, noise)]
+    vertices = np.array([(0, 0, 1), (10, 0, 1), (10, 10, 1), (0, 10, 1), *line], dtype=float)
+    found = triangulated(vertices, np.arange(8), np.array([4, 4]), "here")
+    assert len(found) == 4 and size((vertices, found)) == pytest.approx(100.0, rel=1e-7)
+
+
 def test_obj_counts_backwards_from_each_face(tmp_path: Path) -> None:
     later = ("v 0 0 50", "v 20 0 50", "v 20 20 50")
     (group,) = lined(tmp_path / "a.obj", *SQUARE[:3], "f -3 -2 -1", *later, "f -3 -2 -1").values()

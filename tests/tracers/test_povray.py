@@ -169,6 +169,7 @@ def test_every_material_has_a_word_of_its_own(names: tuple[str, str]) -> None:
     words = dict(re.findall(r"#declare (\w+) = .*? diffuse ([\d.]+)", text))
     used = re.findall(r"texture \{ (\w+) \} \}", text)
     assert [words[word] for word in used] == ["0.25", "0.75"]
+    assert max(map(len, used)) <= 40
 
 
 def test_a_file_s_name_is_no_part_of_the_text(tmp_path: Path) -> None:
