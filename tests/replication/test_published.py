@@ -11,7 +11,7 @@ import pytest
 from radwrap.study.design import read_design
 from radwrap.study.runs import check_design, runs_of
 from replication.page import NAMES
-from replication.published import Claim, claims, judge, published
+from replication.published import Claim, claims, judge, published, reasons
 from replication.studies import NEGATIVE, NOMINAL, design_of, toml_text
 
 ALL = [claim for name in NAMES for claim in claims(name).values()]
@@ -28,6 +28,11 @@ def test_every_claim_is_whole_and_belongs_to_a_script() -> None:
         assert (claim.kind == "exact") == (claim.holds is None), claim.id
         for interval in (claim.holds, claim.reproduced):
             assert interval is None or interval[0] <= interval[1], claim.id
+
+
+def test_every_reason_is_of_a_claim() -> None:
+    assert set(reasons()) <= {claim.id for claim in ALL}
+    assert all(reasons().values())
 
 
 @pytest.mark.parametrize(
