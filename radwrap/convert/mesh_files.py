@@ -21,7 +21,8 @@ from radwrap.scene.parts import PartFile, cleaned, read_part_file
 from radwrap.scene.targets import MeshShape
 from radwrap.scene.winding import wound
 from radwrap.tracers.radiance import RadianceOptions, compiled_mesh
-from radwrap.tracers.radiance_text import Scales, function_file, material_text
+from radwrap.tracers.radiance_materials import material_text
+from radwrap.tracers.radiance_text import Scales, function_file
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

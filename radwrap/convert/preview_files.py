@@ -11,7 +11,16 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.files import make_folder, write_bytes
-from radwrap.scene.materials import Lambertian, Material, Specular
+from radwrap.scene.materials import (
+    Anisotropic,
+    Glass,
+    Lambertian,
+    Material,
+    MeasuredBrdf,
+    Mirror,
+    PrintedImage,
+    Specular,
+)
 from radwrap.scene.scene import Scene
 from radwrap.scene.targets import DiscShape, MeshShape, PolygonShape, Shape, SphereShape, TubeShape
 
@@ -77,8 +86,16 @@ def _colour(material: Material) -> tuple[int, int, int, int]:
     match material:
         case Lambertian(reflectance):
             share = reflectance
-        case Specular(diffuse, specular, _):
+        case Specular(diffuse, specular, _) | Anisotropic(diffuse, specular, _, _):
             share = diffuse + specular
+        case Mirror(reflectance):
+            share = reflectance
+        case Glass(transmittance, _):
+            return (200, 220, 220, round(255 * (1 - transmittance)))
+        case PrintedImage(_, rows):
+            share = sum(map(sum, rows)) / (len(rows) * len(rows[0]))
+        case MeasuredBrdf():
+            share = 0.5  # only how it looks
         case _:
             return (140, 190, 255, 255)  # sheeting
     level = round(255 * min(share, 1.0))

@@ -47,5 +47,5 @@ def radiance(material: Material, group: SurfacePoints, emitter: Emitter, eye: Ar
     to_eye = to_eye / np.linalg.norm(to_eye, axis=1, keepdims=True)
     to_light = np.asarray(emitter.position) - group.points
     to_light = to_light / np.linalg.norm(to_light, axis=1, keepdims=True)
-    factor = radiance_factor(material, group.normals, to_light, to_eye)
+    factor = radiance_factor(material, group.normals, to_light, to_eye, grain=group.grain)
     return perpendicular_irradiance(emitter, group.points) * factor

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from radwrap.imaging.closed_form import radiance
 from radwrap.scene.geometry import SurfacePoints, directions, in_view, project
 from radwrap.scene.intersections import first_hit, in_polygon
-from radwrap.scene.materials import Specular
+from radwrap.scene.materials import Anisotropic, Glass, Specular
 from radwrap.scene.probes import lit_points, material_number, materials_of, surface_points
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Emitter, Luminaire, Patch
@@ -94,7 +94,8 @@ def look(scene: Scene, rays: Array) -> Seen:
         for index, material in enumerate(materials_of(target)):
             of = closer & (which == index)
             if of.any():
-                value[of] = _reflected(scene, SurfacePoints(target.name, material, points[of], normals[of]), eye)
+                group = SurfacePoints(target.name, material, points[of], normals[of], target.pose.x_axis)
+                value[of] = _reflected(scene, group, eye)
                 number[of] = len(names)
             names.append((target.name, material))
     for emitter in _lit(scene):
@@ -108,7 +109,10 @@ def look(scene: Scene, rays: Array) -> Seen:
 
 def _hits(scene: Scene, rays: Array) -> list[tuple[Target, Array, Array]]:
     eye = np.asarray(scene.camera.pose.position)
-    return [(target, *first_hit(target, eye, rays)) for target in scene.targets]
+    panes = {name for name, material in scene.materials.items() if isinstance(material, Glass)}
+    return [
+        (target, *first_hit(target, eye, rays)) for target in scene.targets if panes.isdisjoint(materials_of(target))
+    ]
 
 
 def _reflected(scene: Scene, group: SurfacePoints, eye: Array) -> Array:
@@ -214,7 +218,7 @@ def _special_places(scene: Scene) -> Array:
     for target in scene.targets:
         groups = surface_points(target, camera.pose.position)
         points += [group.points for group in groups]
-        glossy = any(isinstance(scene.materials[name], Specular) for name in materials_of(target))
+        glossy = any(isinstance(scene.materials[name], Specular | Anisotropic) for name in materials_of(target))
         for emitter in beams:
             points += [group.points for group in lit_points(target, emitter)]
             if glossy:

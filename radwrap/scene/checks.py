@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from radwrap.errors import InputError
 from radwrap.scene.camera import Camera
 from radwrap.scene.geometry import SurfacePoints, in_view, signed_distance
-from radwrap.scene.materials import GLASS_BEAD_OBSERVATION, CoefficientTable, GlassBeads, Material
+from radwrap.scene.materials import GLASS_BEAD_OBSERVATION, CoefficientTable, GlassBeads, Material, PrintedSheeting
 from radwrap.scene.probes import LIT_SHARE, lit_points, materials_of, merged, nearest_lit, seen_points, surface_points
 from radwrap.scene.scene import Scene
 from radwrap.scene.sight import shared_planes, sources_in_sight
@@ -177,6 +177,8 @@ def _check_sheeting_angles(scene: Scene) -> None:
 
 def _sheeting_limits(material: Material) -> tuple[float, float, float] | None:
     """(smallest alpha, largest alpha, largest beta) [rad] that the data cover."""
+    if isinstance(material, PrintedSheeting):
+        return _sheeting_limits(material.sheeting)
     if isinstance(material, CoefficientTable) and material.outside == "refuse":
         return material.observation[0], material.observation[-1], material.entrance[-1]
     if isinstance(material, GlassBeads) and material.outside == "refuse":

@@ -9,15 +9,7 @@ from pathlib import Path
 from radwrap.errors import InputError
 from radwrap.scene import document as tables
 from radwrap.scene.camera import Aperture, Camera, Sensor
-from radwrap.scene.material_tables import LambertianModel, MaterialModel, SpecularModel
-from radwrap.scene.materials import (
-    CoefficientTable,
-    GlassBeads,
-    Lambertian,
-    Material,
-    PerturbedNormal,
-    Specular,
-)
+from radwrap.scene.material_convert import check_places, material_from_table
 from radwrap.scene.mesh import mesh_of
 from radwrap.scene.poses import placed_pose, pose_of
 from radwrap.scene.scene import Scene
@@ -67,11 +59,16 @@ def scene_from_model(
                 raise InputError(f'the name "{thing.name}" stands there twice', where=f"{origin}: {kind}[{index}].name")
             names.add(thing.name)
     _check_materials(targets, model.materials, origin)
+    materials = {
+        name: material_from_table(table, f"{origin}: materials.{name}", f"materials.{name}", assumed, folder)
+        for name, table in model.materials.items()
+    }
+    check_places(targets, materials, origin)
     _check_splitter(sources, targets, origin)
     return Scene(
         camera=camera,
         sources=sources,
-        materials={name: _material(table, f"materials.{name}", assumed) for name, table in model.materials.items()},
+        materials=materials,
         targets=targets,
         assumed=assumed,
         origin=origin,
@@ -151,34 +148,6 @@ def _camera(table: tables.CameraModel, where: str, assumed: dict[str, str]) -> C
             rounding=sensor.rounding,
             channel=sensor.channel,
         ),
-    )
-
-
-def material_from_table(table: MaterialModel) -> Material:
-    """A material on its own."""
-    return _material(table, "materials", {})
-
-
-def _material(table: MaterialModel, key: str, assumed: dict[str, str]) -> Material:
-    match table:
-        case LambertianModel():
-            return Lambertian(table.reflectance)
-        case SpecularModel():
-            return Specular(table.diffuse_reflectance, table.specular_reflectance, table.roughness)
-    if table.reflectance is not None and table.roughness is not None:
-        return PerturbedNormal(table.reflectance, table.roughness)
-    if table.outside is None:
-        assumed[f"{key}.outside"] = "refuse"
-    if table.anchor is not None:
-        return GlassBeads(table.anchor, table.outside or "refuse")
-    if table.interpolation is None:
-        assumed[f"{key}.interpolation"] = "log"
-    return CoefficientTable(
-        observation=tuple(abs(angle) for angle in table.observation_angles or ()),
-        entrance=tuple(abs(angle) for angle in table.entrance_angles or ()),
-        coefficient=table.coefficients or (),
-        interpolation=table.interpolation or "log",
-        outside=table.outside or "refuse",
     )
 
 

@@ -25,12 +25,15 @@ class SurfacePoints:
         Names.
     points, normals : ndarray, shape (n, 3)
         In the world [m]; unit normals of the front.
+    grain : tuple of float
+        The target's x in the world.
     """
 
     target: str
     material: str
     points: NDArray[np.float64]
     normals: NDArray[np.float64]
+    grain: Vector = (1.0, 0.0, 0.0)
 
 
 def signed_distance(target: Target, point: Vector) -> float:

@@ -18,10 +18,11 @@ from pydantic_core import ErrorDetails, PydanticUndefined
 from radwrap.errors import InputError
 from radwrap.scene.border import Model
 from radwrap.scene.checks import check_scene, check_shapes
-from radwrap.scene.convert import material_from_table, scene_from_model
+from radwrap.scene.convert import scene_from_model
 from radwrap.scene.document import SceneModel
+from radwrap.scene.material_convert import material_from_table
 from radwrap.scene.material_tables import MaterialModel
-from radwrap.scene.materials import Material
+from radwrap.scene.materials import Glass, Material, Mirror, PrintedImage
 from radwrap.scene.scene import Scene
 from radwrap.scene.wide_sources import divided
 
@@ -82,7 +83,16 @@ def load_materials(path: str | Path) -> dict[str, Material]:
         model = _MaterialsModel.model_validate(document)
     except ValidationError as error:
         raise _translated(error, path.name, document) from error
-    return {name: material_from_table(table) for name, table in model.materials.items()}
+    found = {
+        name: material_from_table(table, f"{path}: materials.{name}", f"materials.{name}", {}, path.parent)
+        for name, table in model.materials.items()
+    }
+    for name, material in found.items():
+        if isinstance(material, PrintedImage | Mirror | Glass):
+            raise InputError(
+                "prints, mirrors and glass are for flat targets of a scene", where=f"{path}: materials.{name}"
+            )
+    return found
 
 
 def scene_from_document(

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Annotated, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
-from radwrap.scene.border import Angle, Coefficient, Model, Share
+from radwrap.scene.border import Angle, Coefficient, Model, Name, Share, preset_or_all, read_preset
 
 _PERTURBED = ("reflectance", "roughness")
 _TABLE = ("observation_angles", "entrance_angles", "coefficients", "interpolation")
 _FUNCTION = ("function", "anchor")
+_FILE = ("file", "interpolation")
+Roughness = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-3, le=0.5)]
+FileName = Annotated[str, Field(strict=True, min_length=1, max_length=1000)]
 
 
 class LambertianModel(Model):
@@ -22,12 +25,12 @@ class LambertianModel(Model):
 
 
 class SpecularModel(Model):
-    """Gaussian lobe over a diffuse part."""
+    """Gaussian lobe over a diffuse part; two roughnesses are along the target's x and across it."""
 
     type: Literal["specular"]
     diffuse_reflectance: Share = 0.0
     specular_reflectance: Share
-    roughness: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-3, le=0.5)]
+    roughness: Roughness | tuple[Roughness, Roughness]
 
     @model_validator(mode="after")
     def _conserves(self) -> SpecularModel:
@@ -37,9 +40,12 @@ class SpecularModel(Model):
 
 
 class RetroreflectiveModel(Model):
-    """Retroreflector: the paper's perturbed normal, or measured R_A by function or table."""
+    """Retroreflector: the paper's perturbed normal, or measured R_A by function, table or file."""
+
+    model_config: ClassVar[ConfigDict] = ConfigDict(json_schema_extra=preset_or_all)
 
     type: Literal["retroreflective"]
+    preset: Name | None = None
     model: Literal["perturbed_normal", "coefficient"]
     reflectance: Share | None = None
     roughness: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-4, le=0.5)] | None = None
@@ -50,20 +56,34 @@ class RetroreflectiveModel(Model):
     coefficients: tuple[tuple[Coefficient, ...], ...] | None = None
     interpolation: Literal["linear", "log"] | None = None
     outside: Literal["refuse", "hold"] | None = None
+    file: FileName | None = None
+    print_coverage: Share | None = None
+    print_reflectance: Share | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_preset(cls, table: Any) -> Any:
+        if not isinstance(table, dict) or not isinstance(table.get("preset"), str):
+            return table
+        return {**read_preset("sheetings", "sheeting", table["preset"]), **table}
 
     @model_validator(mode="after")
     def _consistent(self) -> RetroreflectiveModel:
         if self.model == "perturbed_normal":
             self._only(_PERTURBED, needed=_PERTURBED)
+        elif self.file is not None:
+            self._only((*_FILE, "outside"), needed=_FILE[:1])
         elif self.function is not None:
             self._only((*_FUNCTION, "outside"), needed=_FUNCTION)
         else:
             self._only((*_TABLE, "outside"), needed=_TABLE[:3])
             self._check_table()
+        if (self.print_coverage is None) != (self.print_reflectance is None):
+            raise ValueError("print_coverage and print_reflectance go together")
         return self
 
     def _only(self, allowed: tuple[str, ...], needed: tuple[str, ...]) -> None:
-        given = [key for key in (*_PERTURBED, *_FUNCTION, *_TABLE, "outside") if getattr(self, key) is not None]
+        given = [key for key in (*_PERTURBED, *_FUNCTION, *_TABLE, "file", "outside") if getattr(self, key) is not None]
         for key in needed:
             if key not in given:
                 raise ValueError(f'model "{self.model}" needs {key}')
@@ -84,4 +104,49 @@ class RetroreflectiveModel(Model):
             raise ValueError(f"coefficients needs {rows} rows (observation) of {columns} values (entrance)")
 
 
-MaterialModel = Annotated[LambertianModel | SpecularModel | RetroreflectiveModel, Field(discriminator="type")]
+class MirrorModel(Model):
+    """Flat mirror."""
+
+    type: Literal["mirror"]
+    reflectance: Share
+
+
+class GlassModel(Model):
+    """Thin pane."""
+
+    type: Literal["glass"]
+    transmittance: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=1)]
+    refractive_index: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1, le=4)] = 1.52
+
+    @model_validator(mode="after")
+    def _reflects_too(self) -> GlassModel:
+        fresnel = ((self.refractive_index - 1) / (self.refractive_index + 1)) ** 2
+        clear = (1 - fresnel) / (1 + fresnel)
+        if self.transmittance > clear:
+            raise ValueError(
+                f"transmittance: clear glass of that refractive_index has {clear:.4f}, the rest is mirrored"
+            )
+        return self
+
+
+class BrdfModel(Model):
+    """Measured table of f, for direct light."""
+
+    type: Literal["measured_brdf"]
+    file: FileName
+
+
+class PrintModel(Model):
+    """Image printed on a sheet."""
+
+    type: Literal["print"]
+    file: FileName
+    encoding: Literal["linear", "srgb"]
+    black_reflectance: Share
+    white_reflectance: Share
+
+
+MaterialModel = Annotated[
+    LambertianModel | SpecularModel | RetroreflectiveModel | MirrorModel | GlassModel | BrdfModel | PrintModel,
+    Field(discriminator="type"),
+]

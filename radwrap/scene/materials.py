@@ -7,7 +7,8 @@ light and viewer.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
 from typing import Final, Literal
 
 # Encapsulated and exposed glass beads, after Ward: R_A against the observation angle [deg], relative to 0.5 deg.
@@ -107,4 +108,132 @@ class GlassBeads:
     outside: Literal["refuse", "hold"] = "refuse"
 
 
-Material = Lambertian | Specular | PerturbedNormal | CoefficientTable | GlassBeads
+Sheeting = PerturbedNormal | CoefficientTable | GlassBeads
+
+
+@dataclass(frozen=True, slots=True)
+class Anisotropic:
+    """A Gaussian lobe as wide along the target's x as brushing leaves it, and otherwise across (Ward 1992).
+
+    Attributes
+    ----------
+    diffuse_reflectance, specular_reflectance : float
+        Shares of the two parts, their sum at most 1.
+    roughness_x, roughness_y : float
+        Root-mean-square slopes along the target's x and across it.
+    """
+
+    diffuse_reflectance: float
+    specular_reflectance: float
+    roughness_x: float
+    roughness_y: float
+
+
+@dataclass(frozen=True, slots=True)
+class Mirror:
+    """A flat mirror: sources are seen and light in it; its back is black.
+
+    Attributes
+    ----------
+    reflectance : float
+        0 to 1, at all angles.
+    """
+
+    reflectance: float
+
+
+@dataclass(frozen=True, slots=True)
+class Glass:
+    """A thin pane: rays go through without bending, and are mirrored as Fresnel says.
+
+    Attributes
+    ----------
+    transmittance : float
+        Of the whole pane at right angles.
+    refractive_index : float
+        Of the glass.
+    """
+
+    transmittance: float
+    refractive_index: float
+
+    @property
+    def transmissivity(self) -> float:
+        """What one way through the glass leaves: T = (1-F)^2 t/(1 - F^2 t^2), F = ((n-1)/(n+1))^2."""
+        fresnel = ((self.refractive_index - 1) / (self.refractive_index + 1)) ** 2
+        through, back = (1 - fresnel) ** 2, self.transmittance * fresnel**2
+        root = math.sqrt(through**2 + 4 * back * self.transmittance)
+        return 2 * self.transmittance / (through + root)
+
+
+@dataclass(frozen=True, slots=True)
+class PrintedSheeting:
+    """Black print over sheeting: a share of it is diffuse, and the rest is seen through.
+
+    Attributes
+    ----------
+    sheeting : Sheeting
+        What lies below.
+    coverage : float
+        What the print takes of the sheeting's light, there and back.
+    reflectance : float
+        Diffuse reflectance of where the print is.
+    """
+
+    sheeting: Sheeting
+    coverage: float
+    reflectance: float
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredBrdf:
+    """A table of f = dL/dE, for direct light; straight between its nodes, held beyond them.
+
+    Attributes
+    ----------
+    sha256 : str
+        Of the file.
+    incidence, viewing, azimuth : tuple of float
+        Nodes [rad], increasing; azimuth between light and viewer about the normal, 0 where they are on one side.
+    values : tuple of float
+        f at the nodes [sr^-1], azimuth fastest.
+    """
+
+    sha256: str
+    incidence: tuple[float, ...]
+    viewing: tuple[float, ...]
+    azimuth: tuple[float, ...]
+    values: tuple[float, ...] = field(compare=False, repr=False)
+
+
+@dataclass(frozen=True, slots=True)
+class PrintedImage:
+    """A diffuse print: an image stretched over a sheet, straight between its pixels' centres.
+
+    Attributes
+    ----------
+    sha256 : str
+        Of the reflectances.
+    rows : tuple of tuple of float
+        Reflectance of each pixel, top row first.
+    """
+
+    sha256: str
+    rows: tuple[tuple[float, ...], ...] = field(compare=False, repr=False)
+
+
+# What a face of it shows is the same from both sides.
+TwoSided = Lambertian | Specular | Anisotropic | PrintedImage
+Material = (
+    Lambertian
+    | Specular
+    | PerturbedNormal
+    | CoefficientTable
+    | GlassBeads
+    | Anisotropic
+    | Mirror
+    | Glass
+    | PrintedSheeting
+    | MeasuredBrdf
+    | PrintedImage
+)

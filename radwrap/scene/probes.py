@@ -207,6 +207,7 @@ def merged(groups: Iterable[SurfacePoints]) -> tuple[SurfacePoints, ...]:
             *names,
             np.concatenate([group.points for group in members]),
             np.concatenate([group.normals for group in members]),
+            members[0].grain,
         )
         for names, members in parts.items()
     )
@@ -218,7 +219,7 @@ def _groups(target: Target, points: Array, normals: Array) -> tuple[SurfacePoint
     def chosen() -> Iterator[SurfacePoints]:
         for index, material in enumerate(materials_of(target)):
             if (of := number == index).any():
-                yield SurfacePoints(target.name, material, points[of], normals[of])
+                yield SurfacePoints(target.name, material, points[of], normals[of], target.pose.x_axis)
 
     return tuple(chosen())
 

@@ -34,7 +34,7 @@ _Read = TypeVar("_Read")
 
 def _beam(table: tables.BeamModel, where: str, key: str, assumed: dict[str, str], folder: Path) -> Beam:
     if table.file is not None:
-        return _from_file(table.file, f"{where}.beam.file", folder, read_beam)
+        return from_file(table.file, f"{where}.beam.file", folder, read_beam)
     if table.profile == "lambertian" or table.width is None:
         return Beam("lambertian")
     if table.width_definition is None:
@@ -61,7 +61,7 @@ def _check_beam_factors(table: tables.RingModel, beam: Beam, where: str) -> None
             raise InputError("a cone cannot be wider than a half space", where=place, remedy="choose a smaller one")
 
 
-def _from_file(name: str, where: str, folder: Path, read: Callable[[Path], _Read]) -> _Read:
+def from_file(name: str, where: str, folder: Path, read: Callable[[Path], _Read]) -> _Read:
     """What is read from a file in the scene's folder; what is wrong with it is told with the key that names it."""
     path = (folder / name).resolve()
     if not path.is_relative_to(folder.resolve()):
@@ -83,7 +83,7 @@ def _calibrated_radiances(table: tables.RingModel, where: str, folder: Path) -> 
     if table.calibration is None or table.drive_levels is None:
         return ()
     levels = table.drive_levels if isinstance(table.drive_levels, tuple) else (table.drive_levels,) * table.count
-    intensities = _from_file(
+    intensities = from_file(
         table.calibration, f"{where}.calibration", folder, lambda path: read_calibration(path).intensities(levels)
     )
     return tuple(intensity / (math.pi * table.led_diameter**2 / 4) for intensity in intensities)
@@ -196,7 +196,7 @@ def source_from_table(table: tables.SourceModel, where: str, key: str, assumed: 
 
 
 def _luminaire(table: tables.IesModel, pose: Pose, where: str, folder: Path) -> Luminaire:
-    intensities = _from_file(table.file, f"{where}.file", folder, read_luminaire)
+    intensities = from_file(table.file, f"{where}.file", folder, read_luminaire)
     radius = table.diameter / 2
     return Luminaire(
         table.name,

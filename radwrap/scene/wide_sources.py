@@ -19,7 +19,21 @@ from numpy.typing import NDArray
 from radwrap.errors import InputError
 from radwrap.frames import Pose, Vector
 from radwrap.scene.geometry import SurfacePoints, in_view
-from radwrap.scene.materials import CoefficientTable, GlassBeads, Lambertian, Material, PerturbedNormal, Specular
+from radwrap.scene.materials import (
+    Anisotropic,
+    CoefficientTable,
+    Glass,
+    Lambertian,
+    Material,
+    MeasuredBrdf,
+    Mirror,
+    PerturbedNormal,
+    PrintedImage,
+    PrintedSheeting,
+    Sheeting,
+    Specular,
+    TwoSided,
+)
 from radwrap.scene.probes import merged, seen_points, surface_points
 from radwrap.scene.reflection import radiance_factor
 from radwrap.scene.scene import Scene
@@ -87,7 +101,7 @@ def _enclosing(scene: Scene, source: WideSource, index: int) -> WideSource:
     if scene.included:
         raise InputError("does not know how large an included file is", where=where, remedy="use a dome")
     for surface in scene.surfaces:
-        if isinstance(scene.materials[surface.material], PerturbedNormal | CoefficientTable | GlassBeads):
+        if isinstance(scene.materials[surface.material], Sheeting | PrintedSheeting):
             raise InputError(
                 f'light from all sides falls on "{surface.material}", sheeting whose data tell of '
                 "small observation angles only",
@@ -130,6 +144,7 @@ class _Probe:
 
     material: Material
     flat: bool
+    grain: Vector
     points: Array
     normals: Array
     to_eye: Array
@@ -160,11 +175,11 @@ def _facing(scene: Scene, group: SurfacePoints, points: Array, normals: Array, t
     material = scene.materials[group.material]
     towards = (to_eye * normals).sum(axis=1)
     flat = any(target.name == group.target and not isinstance(target, _SOLIDS) for target in scene.targets)
-    least = _GRAZING if isinstance(material, Lambertian) else _GRAZING_LOBE
-    keep = np.abs(towards) > least if flat and isinstance(material, Lambertian | Specular) else towards > least
+    least = _GRAZING if isinstance(material, Lambertian | PrintedImage) else _GRAZING_LOBE
+    keep = np.abs(towards) > least if flat and isinstance(material, TwoSided) else towards > least
     normals = normals * np.where(towards < 0, -1.0, 1.0)[:, np.newaxis]
     if keep.any():
-        yield _Probe(material, flat, points[keep], normals[keep], to_eye[keep])
+        yield _Probe(material, flat, group.grain, points[keep], normals[keep], to_eye[keep])
 
 
 class _Division:
@@ -278,14 +293,14 @@ def _received(
     else:
         shining = source.beam.relative_intensity(np.arccos(np.clip(cosine, -1.0, 1.0)))
     perpendicular: Array = shining * areas / square
-    if isinstance(probe.material, Lambertian):
+    if isinstance(probe.material, Lambertian | PrintedImage):
         falling = (probe.normals @ light.T - (at * probe.normals).sum(axis=1)[:, np.newaxis]) / distance
         diffuse: Array = perpendicular * np.maximum(falling, 0.0)
         return diffuse
     to_light = ((light[np.newaxis] - at[:, np.newaxis]) / distance[..., np.newaxis]).reshape(-1, 3)
     normal, eye = (np.repeat(vectors, len(positions), axis=0) for vectors in (probe.normals, probe.to_eye))
     solid_angle = (areas * np.maximum(cosine, 0.0) / square).ravel() if widened else 0.0
-    factor = radiance_factor(probe.material, normal, to_light, eye, solid_angle)
+    factor = radiance_factor(probe.material, normal, to_light, eye, solid_angle=solid_angle, grain=probe.grain)
     received: Array = perpendicular * factor.reshape(perpendicular.shape)
     return received
 
@@ -310,8 +325,12 @@ def _unresolved(division: _Division) -> NDArray[np.bool_]:
 def lobe_of(material: Material, normals: Array, to_eye: Array) -> tuple[Array, float] | None:
     """Where light must come from to be sent to the eye, unit vectors, and the lobe's standard deviation [rad]."""
     match material:
-        case Lambertian():
+        case Lambertian() | PrintedImage() | MeasuredBrdf() | Mirror() | Glass():
             return None
+        case PrintedSheeting():
+            return lobe_of(material.sheeting, normals, to_eye)
+        case Anisotropic(_, specular, x, y):
+            return lobe_of(Specular(0.0, specular, min(x, y)), normals, to_eye)
         case Specular(_, specular, roughness):
             mirrored = 2 * (to_eye * normals).sum(axis=1, keepdims=True) * normals - to_eye
             return (mirrored, math.sqrt(2) * roughness) if specular > 0 else None

@@ -26,7 +26,7 @@ from radwrap.errors import InputError
 from radwrap.frames import Vector, cross, dot, subtract
 from radwrap.scene.camera import Camera
 from radwrap.scene.geometry import in_view
-from radwrap.scene.materials import Lambertian, Material, Specular
+from radwrap.scene.materials import Lambertian, Material, PrintedSheeting, Sheeting, Specular
 from radwrap.scene.probes import LIT_SHARE
 from radwrap.scene.scene import Scene
 from radwrap.scene.sight import shared_planes
@@ -266,6 +266,12 @@ def _texture(material: Material, where: str) -> str:
                 f"texture {{ pigment {{ color rgb 1 }} finish {{ diffuse {_number(diffuse)} "
                 f"specular {_number(height)} roughness {_number(1 / power)} }} }}\n"
             )
+    if not isinstance(material, Sheeting | PrintedSheeting):
+        raise InputError(
+            f"POV-Ray is not asked for a material of this kind ({type(material).__name__})",
+            where=where,
+            remedy="use lambertian, or specular of one roughness",
+        )
     raise InputError(
         "POV-Ray has no retroreflection: sheeting cannot be checked by it",
         where=where,

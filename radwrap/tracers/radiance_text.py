@@ -12,28 +12,34 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from importlib.resources import files
 from typing import Final
 
 from radwrap.errors import InputError
 from radwrap.frames import Vector
-from radwrap.scene.materials import (
-    GLASS_BEAD_ENTRANCE_SCALE,
-    GLASS_BEAD_OBSERVATION,
-    GLASS_BEAD_PROFILE,
-    CoefficientTable,
-    GlassBeads,
-    Lambertian,
-    Material,
-    PerturbedNormal,
-    Specular,
-)
+from radwrap.scene.materials import Material
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Emitter, Luminaire, Patch, Source, TableBeam, WideSource, emitters
-from radwrap.scene.targets import DiscShape, MeshShape, PolygonShape, SphereShape, Surface, TubeShape, surfaces
-
-_FUNCTIONS: Final = "radwrap.cal"
-_MEASURED: Final = "measured.cal"  # only beside scenes that need it
+from radwrap.scene.targets import (
+    DiscShape,
+    MeshShape,
+    PolygonShape,
+    Sheet,
+    SphereShape,
+    Surface,
+    Target,
+    TubeShape,
+    surfaces,
+)
+from radwrap.tracers.radiance_materials import (
+    FUNCTIONS,
+    MEASURED,
+    Placement,
+    data_files,
+    described,
+    functions_beside,
+    number,
+    primitive,
+)
 
 _MILLIMETRE: Final = 1e-3
 # Polygon sides of at least 1 unit keep a polygon's border within 1e-6 units, and radii stay far from 1e-6 units.
@@ -174,24 +180,15 @@ def scene_text(
         beside.update(_beam_files(stem, emitter))
     parts += [_background(sky, scales) for sky in scene.sources if _is_sky(sky) and only in {None, sky.name}]
     for name, material in scene.materials.items():
-        beside.update(_data_files(f"{stem}.{name}", material))
+        beside.update(data_files(f"{stem}.{name}", functions, material))
     for target in scene.targets:
-        parts += _target(surfaces(target), scene.materials, stem, scales)
+        parts += _target(target, scene.materials, stem, scales)
     return RadianceScene("\n".join(parts), beside, scales)
 
 
 def function_file(stem: str) -> tuple[str, dict[str, bytes]]:
     """Name and content of the file of radwrap's functions, for texts of that stem."""
-    return f"{stem}.{_FUNCTIONS}", _functions(stem, _FUNCTIONS)
-
-
-def _functions(stem: str, name: str) -> dict[str, bytes]:
-    return {f"{stem}.{name}": (files("radwrap") / "data" / "cal" / name).read_bytes()}
-
-
-def material_text(name: str, data: str, functions: str, material: Material) -> tuple[str, dict[str, bytes]]:
-    """A material of that name, and the data files it needs, whose names begin with `data`."""
-    return _material(name, data, functions, material), _data_files(data, material)
+    return f"{stem}.{FUNCTIONS}", functions_beside(stem, FUNCTIONS)
 
 
 def mesh_file(stem: str, surface: str) -> str:
@@ -238,7 +235,7 @@ def identity_text(scene: Scene, included: Mapping[str, str], stem: str = "scene"
 
 
 def _glow(name: str, number: int) -> str:
-    return _primitive("void", "glow", name, (number, number, number, 0))
+    return primitive("void", "glow", name, (number, number, number, 0))
 
 
 def _header(functions: str, scales: Scales) -> str:
@@ -249,18 +246,6 @@ def _header(functions: str, scales: Scales) -> str:
     else:
         lines[-1] += f" radiances in {scales.radiance:g} W/m^2/sr: multiply what is rendered by it."
     return "".join(f"# {line}\n" for line in lines)
-
-
-def _number(value: float) -> str:
-    return repr(value + 0.0)  # + 0.0 turns -0.0 into 0.0
-
-
-def _primitive(
-    modifier: str, kind: str, name: str, numbers: tuple[float, ...] = (), words: tuple[str, ...] = ()
-) -> str:
-    strings = " ".join([str(len(words)), *words])
-    reals = " ".join([str(len(numbers)), *map(_number, numbers)])
-    return f"{modifier} {kind} {name}\n{strings}\n0\n{reals}\n"
 
 
 def _scaled(scales: Scales, *points: Vector) -> tuple[float, ...]:
@@ -277,32 +262,32 @@ def _ring(centre: Vector, normal: Vector, radius: float, scales: Scales) -> tupl
 
 
 def _emitter(emitter: Emitter, stem: str, scales: Scales, *, shines: bool = True) -> str:
-    functions = f"{stem}.{_FUNCTIONS}"
+    functions = f"{stem}.{FUNCTIONS}"
     intensity = f"{emitter.radiant_intensity:g} W/sr on its axis"
     if emitter.radiance == 0:
         return f"# {emitter.name}: dark, left out\n"
     if not shines:
         # Not a light of radiance 0, which Radiance leaves out with a warning; the disc still hides what is behind it.
-        black = _primitive("void", "plastic", f"{emitter.name}.dark", (0, 0, 0, 0, 0))
+        black = primitive("void", "plastic", f"{emitter.name}.dark", (0, 0, 0, 0, 0))
         return f"# {emitter.name}: off\n{black}" + _shining_surface(f"{emitter.name}.dark", emitter, scales)
     text = f"# {emitter.name}: {intensity}, {emitter.beam.profile}\n"
     words: tuple[str, ...] = ()
     modifier = "void"
     if isinstance(emitter, Luminaire):
         modifier = f"{emitter.name}.beam"
-        words = ("as_told", _beam_data(stem, emitter), f"{stem}.{_MEASURED}", "lamp_azimuth_deg", "lamp_polar_deg")
+        words = ("as_told", _beam_data(stem, emitter), f"{stem}.{MEASURED}", "lamp_azimuth_deg", "lamp_polar_deg")
         axes = (*emitter.x_axis, *emitter.y_axis, *emitter.axis)
-        text += _primitive("void", "brightdata", modifier, axes, words)
+        text += primitive("void", "brightdata", modifier, axes, words)
     elif isinstance(emitter.beam, TableBeam):
         modifier = f"{emitter.name}.beam"
-        words = ("table_beam", _beam_data(stem, emitter), f"{stem}.{_MEASURED}", "table_deg")
-        text += _primitive("void", "brightdata", modifier, (emitter.beam.spread,), words)
+        words = ("table_beam", _beam_data(stem, emitter), f"{stem}.{MEASURED}", "table_deg")
+        text += primitive("void", "brightdata", modifier, (emitter.beam.spread,), words)
     elif emitter.beam.profile != "lambertian":
         modifier = f"{emitter.name}.beam"
         words = (f"{emitter.beam.profile}_beam", functions)
-        text += _primitive("void", "brightfunc", modifier, (emitter.beam.spread,), words)
+        text += primitive("void", "brightfunc", modifier, (emitter.beam.spread,), words)
     radiance = emitter.radiance / scales.radiance
-    text += _primitive(modifier, "light", f"{emitter.name}.light", (radiance, radiance, radiance))
+    text += primitive(modifier, "light", f"{emitter.name}.light", (radiance, radiance, radiance))
     return text + _shining_surface(f"{emitter.name}.light", emitter, scales)
 
 
@@ -322,8 +307,8 @@ def _beam_files(stem: str, emitter: Emitter) -> dict[str, bytes]:
         head = f"1\n0 90 {len(rows[0])}\n"
     else:
         return {}
-    lines = "".join(" ".join(map(_number, row)) + "\n" for row in rows)
-    return {_beam_data(stem, emitter): (head + lines).encode(), **_functions(stem, _MEASURED)}
+    lines = "".join(" ".join(map(number, row)) + "\n" for row in rows)
+    return {_beam_data(stem, emitter): (head + lines).encode(), **functions_beside(stem, MEASURED)}
 
 
 def _is_sky(source: Source) -> bool:
@@ -334,109 +319,45 @@ def _background(sky: Source, scales: Scales) -> str:
     """What is seen between a surround's flat patches; a glow of no radius lights nothing."""
     level = sky.patches[0].radiance / scales.radiance if isinstance(sky, WideSource) else 0.0
     name = f"{sky.name}.background"
-    glow = _primitive("void", "glow", f"{name}.glow", (level, level, level, 0.0))
-    return f"# {name}\n{glow}" + _primitive(f"{name}.glow", "source", name, (0.0, 0.0, 1.0, 360.0))
+    glow = primitive("void", "glow", f"{name}.glow", (level, level, level, 0.0))
+    return f"# {name}\n{glow}" + primitive(f"{name}.glow", "source", name, (0.0, 0.0, 1.0, 360.0))
 
 
 def _shining_surface(modifier: str, emitter: Emitter, scales: Scales) -> str:
     if isinstance(emitter, Luminaire):
         place = _scaled(scales, emitter.position)
-        return _primitive(modifier, "sphere", emitter.name, (*place, _units(emitter.radius, scales)))
+        return primitive(modifier, "sphere", emitter.name, (*place, _units(emitter.radius, scales)))
     if isinstance(emitter, Patch):
-        return _primitive(modifier, "polygon", emitter.name, _scaled(scales, *emitter.corners))
+        return primitive(modifier, "polygon", emitter.name, _scaled(scales, *emitter.corners))
     disc = _ring(emitter.position, emitter.axis, emitter.radius, scales)
-    return _primitive(modifier, "ring", emitter.name, disc)
+    return primitive(modifier, "ring", emitter.name, disc)
 
 
-def _target(parts: tuple[Surface, ...], materials: Mapping[str, Material], stem: str, scales: Scales) -> Iterator[str]:
+def _target(target: Target, materials: Mapping[str, Material], stem: str, scales: Scales) -> Iterator[str]:
     written: set[str] = set()
-    for surface in parts:
+    size = (target.width, target.height) if isinstance(target, Sheet) else (0.0, 0.0)
+    place = Placement(target.pose, size, scales.length)
+    for surface in surfaces(target):
         # Each part has its own copy of its material, defined just before its first surface: where two surfaces
         # share a plane, Radiance shows the one whose material was defined last.
         modifier = f"{surface.name.split('.')[0]}.{surface.part}"
         if modifier not in written:
             written.add(modifier)
-            yield f"# {modifier}: {surface.material}\n" + _material(
-                modifier, f"{stem}.{surface.material}", f"{stem}.{_FUNCTIONS}", materials[surface.material]
+            yield f"# {modifier}: {surface.material}\n" + described(
+                modifier, f"{stem}.{surface.material}", f"{stem}.{FUNCTIONS}", materials[surface.material], place
             )
         yield _geometry(surface, modifier, scales, stem)
-
-
-def _material(name: str, data: str, functions: str, material: Material) -> str:
-    match material:
-        case Lambertian(reflectance):
-            return _primitive("void", "plastic", name, (reflectance, reflectance, reflectance, 0, 0))
-        case Specular(diffuse, specular, roughness):
-            # Metal keeps the specular share the same at all angles; its colour multiplies both parts.
-            colour = diffuse + specular
-            share = specular / colour if colour else 0.0
-            return _primitive("void", "metal", name, (colour, colour, colour, share, roughness))
-        case PerturbedNormal(reflectance, roughness):
-            words = ("turned_x", "turned_y", "turned_z", functions)
-            return (
-                _primitive("void", "texfunc", f"{name}.turned", (), words)
-                + _primitive(
-                    f"{name}.turned", "metal", f"{name}.front", (reflectance, reflectance, reflectance, 1, roughness)
-                )
-                + _front_only(name, functions)
-            )
-        case CoefficientTable():
-            function = f"{material.interpolation}_table"
-            limits = (material.observation[0], material.observation[-1], material.entrance[0], material.entrance[-1])
-            table = (function, _data_name(data), functions, "observation_deg", "entrance_deg")
-            numbers = (1.0, 1.0, 1.0, 1.0, *map(math.degrees, limits))
-            return _primitive("void", "metdata", f"{name}.front", numbers, table) + _front_only(name, functions)
-        case GlassBeads(anchor):
-            words = ("glass_beads", _data_name(data), functions, "observation_deg")
-            limits_deg = (GLASS_BEAD_OBSERVATION[0], GLASS_BEAD_OBSERVATION[-1], 0.0, 90.0)
-            numbers = (1.0, 1.0, 1.0, 1.0, *limits_deg, anchor, GLASS_BEAD_ENTRANCE_SCALE)
-            return _primitive("void", "metdata", f"{name}.front", numbers, words) + _front_only(name, functions)
-
-
-def _front_only(name: str, functions: str) -> str:
-    """Mix the front's material with a black back, which sheeting has."""
-    black = _primitive("void", "plastic", f"{name}.back", (0, 0, 0, 0, 0))
-    words = (f"{name}.front", f"{name}.back", "front", functions)
-    return black + _primitive("void", "mixfunc", name, (), words)
-
-
-def _data_name(data: str) -> str:
-    return f"{data}.dat"
-
-
-def _data_files(name: str, material: Material) -> dict[str, bytes]:
-    """Radiance data files: the nodes of each dimension, then the values, last dimension fastest."""
-    match material:
-        case CoefficientTable():
-            axes: tuple[tuple[float, ...], ...] = (
-                tuple(map(math.degrees, material.observation)),
-                tuple(map(math.degrees, material.entrance)),
-            )
-            values = [value for row in material.coefficient for value in row]
-            if material.interpolation == "log":
-                values = [math.log(value) for value in values]
-        case GlassBeads():
-            axes = (GLASS_BEAD_OBSERVATION,)
-            values = [math.log(value) for value in GLASS_BEAD_PROFILE]
-        case _:
-            return {}
-    lines = [str(len(axes))]
-    lines += [f"0 0 {len(nodes)} {' '.join(map(_number, nodes))}" for nodes in axes]
-    lines += [_number(value) for value in values]
-    return {_data_name(name): ("\n".join(lines) + "\n").encode()}
 
 
 def _geometry(surface: Surface, modifier: str, scales: Scales, stem: str) -> str:
     match surface.shape:
         case MeshShape():
-            return _primitive(modifier, "mesh", surface.name, (), (mesh_file(stem, surface.name),))
+            return primitive(modifier, "mesh", surface.name, (), (mesh_file(stem, surface.name),))
         case PolygonShape(vertices):
-            return _primitive(modifier, "polygon", surface.name, _scaled(scales, *vertices))
+            return primitive(modifier, "polygon", surface.name, _scaled(scales, *vertices))
         case DiscShape(centre, normal, radius):
-            return _primitive(modifier, "ring", surface.name, _ring(centre, normal, radius, scales))
+            return primitive(modifier, "ring", surface.name, _ring(centre, normal, radius, scales))
         case SphereShape(centre, radius):
-            return _primitive(modifier, "sphere", surface.name, (*_scaled(scales, centre), _units(radius, scales)))
+            return primitive(modifier, "sphere", surface.name, (*_scaled(scales, centre), _units(radius, scales)))
         case TubeShape(start, end, radius):
-            return _primitive(
-                modifier, "cylinder", surface.name, (*_scaled(scales, start, end), _units(radius, scales))
-            )
+            return primitive(modifier, "cylinder", surface.name, (*_scaled(scales, start, end), _units(radius, scales)))

@@ -1,0 +1,196 @@
+"""Materials as Radiance text, and the words that all of it is written in."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Final
+
+from radwrap.frames import Pose
+from radwrap.scene.materials import (
+    GLASS_BEAD_ENTRANCE_SCALE,
+    GLASS_BEAD_OBSERVATION,
+    GLASS_BEAD_PROFILE,
+    Anisotropic,
+    CoefficientTable,
+    Glass,
+    GlassBeads,
+    Lambertian,
+    Material,
+    MeasuredBrdf,
+    Mirror,
+    PerturbedNormal,
+    PrintedImage,
+    PrintedSheeting,
+    Specular,
+)
+
+FUNCTIONS: Final = "radwrap.cal"
+MEASURED: Final = "measured.cal"  # only beside scenes that need it
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """Where a target lies, for materials that have a direction.
+
+    Attributes
+    ----------
+    pose : Pose
+        world_from_target.
+    size : tuple of float
+        Width and height of a sheet, 0 of other targets [m].
+    unit : float
+        Unit of length of the text [m].
+    """
+
+    pose: Pose
+    size: tuple[float, float] = (0.0, 0.0)
+    unit: float = 1e-3
+
+
+_ANYWHERE: Final = Placement(Pose((0.0, 0.0, 0.0), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))))
+
+
+def number(value: float) -> str:
+    """A number that reads back as the same."""
+    return repr(value + 0.0)  # + 0.0 turns -0.0 into 0.0
+
+
+def primitive(modifier: str, kind: str, name: str, numbers: tuple[float, ...] = (), words: tuple[str, ...] = ()) -> str:
+    """A primitive with its words and numbers."""
+    strings = " ".join([str(len(words)), *words])
+    reals = " ".join([str(len(numbers)), *map(number, numbers)])
+    return f"{modifier} {kind} {name}\n{strings}\n0\n{reals}\n"
+
+
+def functions_beside(stem: str, name: str) -> dict[str, bytes]:
+    """A file of functions, for texts of that stem."""
+    return {f"{stem}.{name}": (files("radwrap") / "data" / "cal" / name).read_bytes()}
+
+
+def material_text(name: str, data: str, functions: str, material: Material) -> tuple[str, dict[str, bytes]]:
+    """A material of that name, and the data files it needs, whose names begin with `data`."""
+    return described(name, data, functions, material), data_files(data, functions, material)
+
+
+def described(name: str, data: str, functions: str, material: Material, place: Placement = _ANYWHERE) -> str:
+    """Text of a material of that name; its data file's name begins with `data`."""
+    measured = _measured(functions)
+    words: tuple[str, ...]
+    table: tuple[str, ...]
+    numbers: tuple[float, ...]
+    match material:
+        case Lambertian(reflectance):
+            return primitive("void", "plastic", name, (reflectance, reflectance, reflectance, 0, 0))
+        case Specular(diffuse, specular, roughness):
+            # Metal keeps the specular share the same at all angles; its colour multiplies both parts.
+            colour = diffuse + specular
+            share = specular / colour if colour else 0.0
+            return primitive("void", "metal", name, (colour, colour, colour, share, roughness))
+        case Anisotropic(diffuse, specular, along, across):
+            colour = diffuse + specular
+            share = specular / colour if colour else 0.0
+            x, y, z = map(number, place.pose.x_axis)
+            numbers = (colour, colour, colour, share, along, across)
+            return primitive("void", "metal2", name, numbers, (x, y, z, "."))
+        case Mirror(reflectance):
+            return primitive("void", "mirror", name, (reflectance, reflectance, reflectance))
+        case Glass():
+            through = material.transmissivity
+            return primitive("void", "glass", name, (through, through, through, material.refractive_index))
+        case MeasuredBrdf():
+            ends = (math.degrees(material.incidence[-1]), math.degrees(material.viewing[-1]))
+            table = ("brdf_as_told", _data_name(data), measured, "incidence_deg", "viewing_deg", "azimuth_deg")
+            front = primitive("void", "metdata", f"{name}.front", (1.0, 1.0, 1.0, 1.0, *ends), table)
+            return front + _front_only(name, functions)
+        case PrintedImage():
+            words = ("as_told", _data_name(data), measured, "print_row", "print_column")
+            pattern = primitive("void", "brightdata", f"{name}.print", _print_numbers(material, place), words)
+            return pattern + primitive(f"{name}.print", "plastic", name, (1.0, 1.0, 1.0, 0.0, 0.0))
+        case PrintedSheeting(sheeting, coverage, reflectance):
+            below = described(f"{name}.sheeting", data, functions, sheeting)
+            ink = primitive("void", "plastic", f"{name}.print", (reflectance, reflectance, reflectance, 0, 0))
+            mix = (f"{name}.print", f"{name}.sheeting", "print_share", measured)
+            over = primitive("void", "mixfunc", f"{name}.front", (coverage,), mix)
+            return below + ink + over + _front_only(name, functions)
+        case PerturbedNormal(reflectance, roughness):
+            words = ("turned_x", "turned_y", "turned_z", functions)
+            return (
+                primitive("void", "texfunc", f"{name}.turned", (), words)
+                + primitive(
+                    f"{name}.turned", "metal", f"{name}.front", (reflectance, reflectance, reflectance, 1, roughness)
+                )
+                + _front_only(name, functions)
+            )
+        case CoefficientTable():
+            function = f"{material.interpolation}_table"
+            limits = (material.observation[0], material.observation[-1], material.entrance[0], material.entrance[-1])
+            table = (function, _data_name(data), functions, "observation_deg", "entrance_deg")
+            numbers = (1.0, 1.0, 1.0, 1.0, *map(math.degrees, limits))
+            return primitive("void", "metdata", f"{name}.front", numbers, table) + _front_only(name, functions)
+        case GlassBeads(anchor):
+            words = ("glass_beads", _data_name(data), functions, "observation_deg")
+            limits_deg = (GLASS_BEAD_OBSERVATION[0], GLASS_BEAD_OBSERVATION[-1], 0.0, 90.0)
+            numbers = (1.0, 1.0, 1.0, 1.0, *limits_deg, anchor, GLASS_BEAD_ENTRANCE_SCALE)
+            return primitive("void", "metdata", f"{name}.front", numbers, words) + _front_only(name, functions)
+
+
+def _measured(functions: str) -> str:
+    """Name of the file of functions for measured things, beside the other one."""
+    return functions.removesuffix(FUNCTIONS) + MEASURED
+
+
+def _print_numbers(image: PrintedImage, place: Placement) -> tuple[float, ...]:
+    """Where a sheet lies, for the functions that ask an image of it."""
+    scale = round(1 / place.unit)
+    middle = tuple(value * scale for value in place.pose.position)
+    width, height = (side * scale for side in place.size)
+    x, y = place.pose.x_axis, place.pose.y_axis
+    sides = (*(value / width for value in x), *(value / height for value in y))
+    return (*middle, *sides, float(len(image.rows[0])), float(len(image.rows)))
+
+
+def _front_only(name: str, functions: str) -> str:
+    """Mix the front's material with a black back, which sheeting has."""
+    black = primitive("void", "plastic", f"{name}.back", (0, 0, 0, 0, 0))
+    words = (f"{name}.front", f"{name}.back", "front", functions)
+    return black + primitive("void", "mixfunc", name, (), words)
+
+
+def _data_name(data: str) -> str:
+    return f"{data}.dat"
+
+
+def data_files(name: str, functions: str, material: Material) -> dict[str, bytes]:
+    """Radiance data files: the nodes of each dimension, then the values, last dimension fastest."""
+    beside: dict[str, bytes] = {}
+    if isinstance(material, MeasuredBrdf | PrintedImage | PrintedSheeting):
+        beside = functions_beside(functions.removesuffix(f".{FUNCTIONS}"), MEASURED)
+    if isinstance(material, PrintedSheeting):
+        return {**beside, **data_files(name, functions, material.sheeting)}
+    match material:
+        case CoefficientTable():
+            axes: tuple[tuple[float, ...], ...] = (
+                tuple(map(math.degrees, material.observation)),
+                tuple(map(math.degrees, material.entrance)),
+            )
+            values = [value for row in material.coefficient for value in row]
+            if material.interpolation == "log":
+                values = [math.log(value) for value in values]
+        case GlassBeads():
+            axes = (GLASS_BEAD_OBSERVATION,)
+            values = [math.log(value) for value in GLASS_BEAD_PROFILE]
+        case MeasuredBrdf():
+            angles = (material.incidence, material.viewing, material.azimuth)
+            axes = tuple(tuple(map(math.degrees, nodes)) for nodes in angles)
+            values = list(material.values)
+        case PrintedImage(_, rows):
+            axes = (tuple(map(float, range(len(rows)))), tuple(map(float, range(len(rows[0])))))
+            values = [value for row in rows for value in row]
+        case _:
+            return {}
+    lines = [str(len(axes))]
+    lines += [f"0 0 {len(nodes)} {' '.join(map(number, nodes))}" for nodes in axes]
+    lines += [number(value) for value in values]
+    return {**beside, _data_name(name): ("\n".join(lines) + "\n").encode()}
