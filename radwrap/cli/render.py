@@ -5,10 +5,12 @@ from __future__ import annotations
 import argparse
 import sys
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 from radwrap.cli import options as shared
 from radwrap.errors import InputError, ToleranceNotMet
+from radwrap.imaging.photo_realistic import check_drawable, write_beside
 from radwrap.imaging.render_options import METHODS, TOLERANCE, RenderOptions
 from radwrap.imaging.synthesis import forecast, render
 from radwrap.manifest import json_text
@@ -80,6 +82,15 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         help="how often light may go from surface to surface before it is seen: a number, all, or auto: all where it "
         "matters at this tolerance (default 0)",
     )
+    parser.add_argument(
+        "--photo-realistic",
+        metavar="LIGHT",
+        nargs="?",
+        const="parallel",
+        choices=("parallel", "point"),
+        help="draw the scene the other way of Fig. 3 too (Lambert and Phong, one parallel or point light, no shadows, "
+        "no sensor), and put both side by side with their difference",
+    )
     parser.add_argument("--dry-run", action="store_true", help="only say what rays, memory and time it would take")
     parser.add_argument(
         "--max-pixels", metavar="N", type=float, default=64e6, help="largest sensor (default 64e6 pixels)"
@@ -95,12 +106,19 @@ def run(arguments: argparse.Namespace) -> int:
     options = _options(arguments)
     if arguments.dry_run:
         return _dry_run(scene, options, as_json=arguments.json)
+    if arguments.photo_realistic:
+        check_drawable(scene)
     result = render(scene, shared.out_folder(arguments, "images"), options)
     manifest = result.manifest
     for warning in manifest["warnings"]:
         print(f"radwrap: warning: {warning}", file=sys.stderr)
     met = manifest.get("plan", {}).get("met", True)
     code = 0 if met else ToleranceNotMet.exit_code
+    if arguments.photo_realistic:
+        drawn = write_beside(
+            scene, Path(arguments.out), result.gray.codes, arguments.photo_realistic, manifest["run_sha256"]
+        )
+        manifest = {**manifest, "photo_realistic": drawn}
     if arguments.json:
         print(json_text(manifest), end="")
         return code
@@ -111,6 +129,12 @@ def run(arguments: argparse.Namespace) -> int:
         f"error in gray levels before rounding: {error['rms_gray']:.2g} rms, below {error['rms_gray_upper95']:.2g} "
         f"(95 %), by {error['method']}; method {manifest['method']}, {manifest['rays']:.3g} rays"
     )
+    if arguments.photo_realistic:
+        apart = manifest["photo_realistic"]["gray_difference"]
+        print(
+            f"{arguments.out}/comparison.png: drawn with a {arguments.photo_realistic} light, {apart['rms']:.1f} gray "
+            f"rms from the predicted image (at most {apart['largest']:.0f})"
+        )
     if not met:
         print("radwrap: the tolerance was not met; this is the best image that was found", file=sys.stderr)
     return code

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
-from radwrap.images import read_gray
 from radwrap.manifest import sha256_of_value
 from radwrap.scene.materials import MeasuredBrdf, PrintedImage
 
@@ -106,6 +105,8 @@ def read_print(path: Path, encoding: str, black: float, white: float) -> Printed
     InputError
         If it is no gray image, or too large.
     """
+    from radwrap.images import read_gray
+
     image = read_gray(path)
     if image.values.size > _MOST_PIXELS:
         raise InputError(f"has more than {_MOST_PIXELS} pixels", where=str(path), remedy="make it smaller")
