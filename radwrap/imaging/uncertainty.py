@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.images import ExposureImage
+from radwrap.imaging.footprint import opening_points
 from radwrap.imaging.noise import ROUNDING_VARIANCE, noise_variance
 from radwrap.imaging.sensor import gray_levels
 from radwrap.imaging.view import View, trace_rays
@@ -28,8 +29,10 @@ from radwrap.scene.camera import Camera, Sensor
 from radwrap.scene.tolerances import TO_STANDARD, Tolerances
 
 Array = NDArray[np.float64]
-# Of the mean square of the rays' error, what is laid on all pixels alike.
+# Of the mean square of the rays' error, what is laid on all pixels by their light alone.
 _EVEN_SHARE: Final = 0.02
+_FEWEST_FOR_BLUR: Final = 3  # pixels each way
+_RINGS: Final = 40  # of points that stand for the opening
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +76,7 @@ def uncertainty(
         `each_source_radiance`.
     """
     values, sensor = exposure.values, camera.sensor
-    squares: dict[str, Array] = {"rays": ray_error**2 * _where_rays_err(gray_levels(values, sensor))}
+    squares: dict[str, Array] = {"rays": ray_error**2 * _where_rays_err(gray_levels(values, sensor) - sensor.dark_gray)}
 
     def by_exposure(name: str, factor: Callable[[float], float | Array]) -> None:
         """A cause that multiplies the radiant exposure by factor(z) at z standard deviations."""
@@ -87,7 +90,11 @@ def uncertainty(
             raise ValueError("the sources' shares are needed")
         by_exposure("each_source_radiance", lambda z: 1 + z * tolerances.each_source_radiance * TO_STANDARD * spread)
     if tolerances.aperture_diameter:
-        by_exposure("aperture_diameter", lambda z: _area_factor(camera, z * tolerances.aperture_diameter * TO_STANDARD))
+        blur = _blur_slope(values, camera)
+        by_exposure(
+            "aperture_diameter",
+            lambda z: _aperture_factor(camera, z * tolerances.aperture_diameter * TO_STANDARD, blur),
+        )
     if tolerances.exposure_time and camera.exposure_time > 0:
         by_exposure("exposure_time", lambda z: 1 + z * tolerances.exposure_time * TO_STANDARD / camera.exposure_time)
     for name, key, size in (
@@ -104,29 +111,52 @@ def uncertainty(
     return Uncertainty(sigma, {name: math.sqrt(float(square.mean())) for name, square in squares.items()})
 
 
-def _where_rays_err(gray: Array) -> Array:
+def _where_rays_err(signal: Array) -> Array:
     """Square of the rays' error at each pixel, over its mean: it goes with how much gray levels change around.
 
-    The certificate knows the mean alone. Even fields have nearly no error by rays, edges nearly all.
+    The certificate knows the mean alone. Edges have nearly all of it; of the rest each pixel has its share by its
+    light, for where there is none rays cannot err.
     """
-    framed = np.pad(gray, 1, mode="edge")
-    places = [slice(start, start + size) for size in gray.shape for start in range(3)]
+    framed = np.pad(signal, 1, mode="edge")
+    places = [slice(start, start + size) for size in signal.shape for start in range(3)]
     around = [framed[down, right] for down in places[:3] for right in places[3:]]
     change = (np.max(around, axis=0) - np.min(around, axis=0)) ** 2
-    mean = float(change.mean())
-    if mean == 0.0:
-        return np.ones_like(gray)
-    shares: Array = _EVEN_SHARE + (1 - _EVEN_SHARE) * change / mean
-    return shares
+    light, edges = float((signal**2).mean()), float(change.mean())
+    if light == 0.0:
+        return np.ones_like(signal)
+    even = signal**2 / light
+    return even if edges == 0.0 else _EVEN_SHARE * even + (1 - _EVEN_SHARE) * change / edges
 
 
-def _area_factor(camera: Camera, change: float) -> float:
-    """By how much a change of the diameter [m] changes the opening's area; what it does to the blur is left out."""
+def _aperture_factor(camera: Camera, change: float, blur: Array) -> Array:
+    """By how much a change of the diameter [m] changes the radiant exposure: more light, and more blur."""
     opening = camera.aperture
     key = "exposure_diameter" if opening.is_infinitesimal else "diameter"
-    size = max(getattr(opening, key) + change, opening.inner_diameter)
+    before = getattr(opening, key)
     # A diameter of nothing would be taken for the infinitesimal pinhole.
-    return replace(opening, **{key: max(size, math.ulp(1.0))}).area / opening.area
+    after = max(before + change, opening.inner_diameter, math.ulp(1.0))
+    area = replace(opening, **{key: after}).area / opening.area
+    factor: Array = area * (1 + math.log(after / before) * blur)
+    return factor
+
+
+def _blur_slope(values: Array, camera: Camera) -> Array:
+    """Relative change of the radiant exposure with the logarithm of the opening's size, its area held.
+
+    Blur by a small opening is exp(C:DD/2), with C the second moments of its shape on the sensor; its slope by the
+    logarithm of the size is C:DD, taken on the blurred image itself. The blur's growth at near things is left out.
+    """
+    if camera.aperture.is_infinitesimal or min(values.shape) < _FEWEST_FOR_BLUR:
+        return np.zeros_like(values)
+    points, weights = opening_points(camera.aperture, camera.aperture.reach / _RINGS)
+    places = points / (camera.sensor.pixel_width, camera.sensor.pixel_height)
+    (across, mixed), (_, down) = (places * weights[:, np.newaxis]).T @ places
+    p = np.pad(values, 1, mode="edge")
+    here = p[1:-1, 1:-1]
+    change = across * (p[1:-1, 2:] + p[1:-1, :-2] - 2 * here) + down * (p[2:, 1:-1] + p[:-2, 1:-1] - 2 * here)
+    change += 2 * mixed * (p[2:, 2:] + p[:-2, :-2] - p[2:, :-2] - p[:-2, 2:]) / 4
+    slope: Array = np.where(values > 0, change / np.where(values > 0, values, 1.0), 0.0)
+    return slope
 
 
 def _by_sensor(values: Array, sensor: Sensor, key: str, size: float) -> Array:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 _MATRICES: Final = ("camera_matrix", "cameraMatrix", "K")
 _COEFFICIENTS: Final = ("distortion_coefficients", "distCoeffs", "D")
 _KNOWN_MODELS: Final = ("", "plumb_bob", "rational_polynomial", "opencv")
+_REMEDY: Final = "give OpenCV's YAML or the JSON of `radwrap calibrate camera --json`"
 _MOST_COEFFICIENTS: Final = 8  # of those that OpenCV names in its order, further ones are of thin prisms and tilts
 
 
@@ -86,11 +87,8 @@ def read_intrinsics(path: Path, where: str) -> Intrinsics:
     except InputError as error:
         raise InputError(f'"{path.name}": {error.what}', where=where, remedy=error.remedy) from error
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise InputError(
-            f'"{path.name}" is no whole calibration: {error!r}',
-            where=where,
-            remedy="give OpenCV's YAML or the JSON of `radwrap calibrate camera --json`",
-        ) from error
+        lacking = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
+        raise InputError(f'"{path.name}" is no whole calibration: {lacking}', where=where, remedy=_REMEDY) from error
     _check(found, path.name, where)
     return found
 
@@ -132,7 +130,7 @@ def _opencv(text: str) -> Intrinsics:
     try:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY | kind)
     except (cv2.error, SystemError) as error:
-        raise ValueError("OpenCV cannot read it") from error
+        raise InputError("OpenCV cannot read it", remedy=_REMEDY) from error
     try:
         matrix = _numbers(storage, _MATRICES, required=True)
         bend = _numbers(storage, _COEFFICIENTS, required=False)
@@ -155,8 +153,6 @@ def _opencv(text: str) -> Intrinsics:
 
 def _numbers(storage: cv2.FileStorage, names: tuple[str, ...], *, required: bool) -> list[float]:
     """Values of the first of some matrices that is there."""
-    import cv2
-
     for name in names:
         node = storage.getNode(name)
         if not node.isNone():
@@ -166,5 +162,5 @@ def _numbers(storage: cv2.FileStorage, names: tuple[str, ...], *, required: bool
                 raise InputError(f"its {name} is no matrix of numbers")
             return [float(np.float64(item.real())) for item in items]
     if required:
-        raise InputError(f"holds no {' or '.join(names)}", remedy=f"made by OpenCV {cv2.__version__.split('.')[0]}?")
+        raise InputError(f"holds no {' or '.join(names)}", remedy=_REMEDY)
     return []
