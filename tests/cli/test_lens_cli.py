@@ -158,7 +158,10 @@ def test_crosscheck_traces_a_lens_twice(tmp_path: Path, capsys: pytest.CaptureFi
 
 def test_a_basis_holds_the_lens(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, levels = tmp_path / "run", tmp_path / "levels.csv"
-    assert main([*arguments("render"), "--tolerance", "1", "--basis", "--out", str(out)]) == 0
+    assert (
+        main([*arguments("render"), "--set", "sources[0].count=2", "--tolerance", "1", "--basis", "--out", str(out)])
+        == 0
+    )
     names = json.loads((out / "basis.json").read_text())["sources"]
     levels.write_text(f"name,{','.join(names)}\nsame,{','.join('1' for _ in names)}\n")
     assert main(["relight", str(out), "--levels", str(levels), "--out", str(tmp_path / "relit")]) in (0, 3)
