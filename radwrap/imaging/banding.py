@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from radwrap.imaging.render_options import RenderOptions
-from radwrap.scene.bands import Bands, allowed_error, bands_of, gray_error
+from radwrap.scene.bands import Bands, allowed_error, gray_error, scene_bands
 from radwrap.scene.scene import Scene
 
 # Share of the tolerance that bands may take, at every pixel alike.
@@ -61,5 +61,5 @@ def banding(scene: Scene, options: RenderOptions) -> Banding:
     sensor = scene.camera.sensor
     asked = options.tolerance if options.max_error is None else min(options.tolerance, options.max_error)
     allowed = _EXACT if options.basis else allowed_error(sensor, _SHARE * asked)
-    found = bands_of(scene.spectral, allowed)
+    found = scene_bands(scene, scene.spectral, allowed)
     return Banding(found, gray_error(sensor, found.error))

@@ -11,7 +11,7 @@ from radwrap.imaging.diffraction import diffraction, diffraction_warning
 from radwrap.imaging.preview import brightest
 from radwrap.imaging.sensor import unclipped_gray
 from radwrap.manifest import SCHEMA_VERSION, finite, plain
-from radwrap.scene.bands import Spectral, bands_of
+from radwrap.scene.bands import Spectral, scene_bands
 from radwrap.scene.camera import Camera
 from radwrap.scene.checks import warnings_of
 from radwrap.scene.geometry import project
@@ -63,7 +63,7 @@ def explain(scene: Scene) -> dict[str, Any]:
         ],
         **({"focus": _focus(camera)} if camera.lens else {}),
         "diffraction": airy,
-        **({"spectrum": _spectrum(scene.spectral)} if scene.spectral else {}),
+        **({"spectrum": _spectrum(scene, scene.spectral)} if scene.spectral else {}),
         "targets": [_target(camera, target.name, target.pose.position) for target in scene.targets],
         "rings": [_ring(scene, source) for source in scene.sources if isinstance(source, Ring)],
         **_wide(scene),
@@ -82,13 +82,13 @@ def blur_radius(camera: Camera, depth: float) -> float:
     return camera.aperture.diameter / 2 * abs(float(camera.magnification(depth)))
 
 
-def _spectrum(spectral: Spectral) -> dict[str, Any]:
+def _spectrum(scene: Scene, spectral: Spectral) -> dict[str, Any]:
     """The integrals over wavelength; radiances of the scene's sources are already what counts."""
     reflectance = {
         source: dict(zip(spectral.materials, row, strict=True))
         for source, row in zip(spectral.sources, spectral.reflectance, strict=True)
     }
-    needed = {f"{error:g}": bands_of(spectral, error) for error in _BAND_ERRORS}
+    needed = {f"{error:g}": scene_bands(scene, spectral, error) for error in _BAND_ERRORS}
     return {
         "counts": dict(zip(spectral.sources, spectral.counts, strict=True)),
         "reflectance": reflectance,

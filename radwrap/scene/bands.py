@@ -11,7 +11,7 @@ its sources. Each source belongs to one band, so that bands cost no shadow ray.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
@@ -25,6 +25,7 @@ from radwrap.scene.materials import (
     PerturbedNormal,
     Specular,
 )
+from radwrap.scene.sources import emitters
 
 if TYPE_CHECKING:
     from radwrap.scene.camera import Sensor
@@ -103,10 +104,20 @@ def gray_error(sensor: Sensor, error: float) -> float:
     return float((sensor.saturation_gray - sensor.dark_gray) * ((1 + error) ** sensor.gamma - 1))
 
 
-def bands_of(spectral: Spectral, allowed: float) -> Bands:
-    """Fewest bands whose relative error is no larger than allowed."""
+def scene_bands(scene: Scene, spectral: Spectral, allowed: float) -> Bands:
+    """Bands of a scene's light; sources that are dark in it have none."""
+    lit = {source.name for source in scene.sources if any(disc.radiance > 0 for disc in emitters(source))}
+    return bands_of(spectral, allowed, lit)
+
+
+def bands_of(spectral: Spectral, allowed: float, shining: Collection[str] | None = None) -> Bands:
+    """Fewest bands whose relative error is no larger than allowed, of all sources or of those that are named."""
     rows = spectral.reflectance
-    lit = [i for i, counts in enumerate(spectral.counts) if counts > 0]
+    lit = [
+        i
+        for i, (name, counts) in enumerate(zip(spectral.sources, spectral.counts, strict=True))
+        if counts > 0 and (shining is None or name in shining)
+    ]
     groups = fewest_groups([rows[i] for i in lit], allowed)
     bands, error = [], 0.0
     for group in groups:
@@ -184,7 +195,7 @@ def one_band(scene: Scene, where: str) -> Scene:
     """
     if scene.spectral is None:
         return scene
-    found = bands_of(scene.spectral, ONE_BAND_ERROR)
+    found = scene_bands(scene, scene.spectral, ONE_BAND_ERROR)
     if len(found.bands) > 1:
         raise InputError(
             f"the scene's colours need {len(found.bands)} bands, and this knows one",

@@ -27,6 +27,7 @@ WIDE_SOURCE_LIMIT: Final = 0.01
 _WIDTH_WARNING: Final = 1e-3
 _DOUBT: Final = 0.01
 _FLAT: Final = (Sheet, DotBoard, EdgeTarget, Disc, Polygon)
+_RIM_POINTS: Final = 16
 _ANGLE_TOLERANCE: Final = 1e-9  # rad, rounding of the angles
 
 
@@ -217,7 +218,10 @@ def _check_angles(
     if not counted.any():
         return
     low, high, entrance = limits
-    least, most, steepest = alpha[counted].min(), alpha[counted].max(), beta[counted].max()
+    steepest = beta[counted].max()
+    points, normals, light = group.points[counted], group.normals[counted], np.asarray(emitter.position)
+    through = [alpha[counted], *(sheeting_angles(points, normals, light, rim)[0] for rim in _rim(scene.camera))]
+    least, most = min(part.min() for part in through), max(part.max() for part in through)
     where = f"{scene.origin}: materials.{group.material}"
     remedy = 'give data that cover them, or set outside = "hold"'
     if least < low - _ANGLE_TOLERANCE or most > high + _ANGLE_TOLERANCE:
@@ -234,6 +238,16 @@ def _check_angles(
             where=where,
             remedy=remedy,
         )
+
+
+def _rim(camera: Camera) -> NDArray[np.float64]:
+    """Points around the opening of a lens, which is wide enough to see sheeting at many angles; shape (n, 3) [m]."""
+    if camera.lens is None:
+        return np.empty((0, 3))
+    turn = 2 * math.pi * np.arange(_RIM_POINTS) / _RIM_POINTS
+    across = camera.aperture.reach * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    rim: NDArray[np.float64] = camera.pose.position + across @ np.asarray(camera.pose.rotation)[:, :2].T
+    return rim
 
 
 def warnings_of(scene: Scene) -> tuple[str, ...]:

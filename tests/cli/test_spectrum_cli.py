@@ -148,6 +148,14 @@ def test_a_basis_of_colours_relights_as_a_render_does(folder: Path, capsys: pyte
         assert np.sqrt((off**2).mean()) < 1.0  # two errors of 0.5 at most, and rounding
 
 
+def test_a_dark_source_needs_no_band(folder: Path) -> None:
+    scene = radwrap.load_scene(folder / "scene.toml", {"sources[0].radiant_intensity": "0 W/sr"})
+    found = radwrap.render(scene, method="pinhole")
+    assert found.manifest["bands"]["sources"] == [["bulb"]]
+    with pytest.raises(InputError, match=r"there is no light|the sensor sees nothing"):
+        radwrap.with_value(scene, "sources[1].radiant_intensity", "0 W/sr")
+
+
 def test_same_spectra_same_bytes_whatever_the_workers(folder: Path) -> None:
     scene = radwrap.load_scene(folder / "scene.toml")
     images = [radwrap.render(scene, tolerance=1.0, workers=workers).radiant_exposure.values for workers in (1, 3)]

@@ -21,6 +21,7 @@ from radwrap.tracers.radiance_text import RadianceScene, Scales
 F, FOCUS, DIAMETER = 0.0125, 0.5, 0.00625  # f/2
 ROWS, COLUMNS, PITCH = 20, 30, 60e-6
 SIDE = 20  # rays of each pixel along each side
+RAYS = 512  # of ours, of each pixel
 # Largest |z| of 600 pixels: beyond 5 by chance once in 2800 runs, which a wrong lens passes by far.
 LARGEST_Z = 5.0
 
@@ -58,9 +59,9 @@ def ours(tracer: RadianceTracer, focus: float) -> np.ndarray:
     """Share of each pixel's rays that meet something bright."""
     seen = camera(focus)
     v, u = np.divmod(np.arange(seen.sensor.pixels, dtype=float), COLUMNS)
-    opening, places_u, places_v = rays_over(seen, u, v, 1024, np.random.default_rng(1))
+    opening, places_u, places_v = rays_over(seen, u, v, RAYS, np.random.default_rng(1))
     rays, _ = rays_through(seen, opening, places_u, places_v)
-    values = np.concatenate(list(tracer.trace(np.array_split(rays, 80))))
+    values = np.concatenate(list(tracer.trace(np.array_split(rays, 40))))
     return (values > 0.6).reshape(len(u), -1).mean(axis=1)
 
 
@@ -97,7 +98,7 @@ def test_each_pixel_agrees_with_rpict(tracer: RadianceTracer, tmp_path: Path) ->
     assert 0.2 < other.mean() < 0.8 and ((other > 0.05) & (other < 0.95)).sum() > 100  # much is blurred
     for focus, agrees in ((FOCUS, True), (0.9, False)):
         share = ours(tracer, focus)
-        deviation = np.sqrt(np.maximum(share * (1 - share), 1e-3) * (1 / SIDE**2 + 1 / 1024))
+        deviation = np.sqrt(np.maximum(share * (1 - share), 1e-3) * (1 / SIDE**2 + 1 / RAYS))
         z = (share - other) / deviation
         assert (np.abs(z).max() < LARGEST_Z) == agrees
         print(f"focus {focus}: z rms {z.std():.2f}, largest {np.abs(z).max():.2f}, mean {np.mean(share - other):.1e}")
