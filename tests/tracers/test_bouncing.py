@@ -1,4 +1,4 @@
-"""Light from surface to surface: closed spaces of known sum, one order at a time, Ward's albedo, and what is refused."""
+"""Light from surface to surface: closed spaces of known sum, single orders, Ward's albedo, and what is refused."""
 
 from __future__ import annotations
 
