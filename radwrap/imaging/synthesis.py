@@ -35,7 +35,7 @@ from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.replicates import Work
 from radwrap.imaging.sensor import gray_image, gray_levels
 from radwrap.imaging.survey import survey
-from radwrap.imaging.tracing import TracedScene, traced_scene
+from radwrap.imaging.tracing import TracedScene, laid_out
 from radwrap.imaging.truth import central_maps, geometry
 from radwrap.imaging.uncertainty import share_spread, uncertainty
 from radwrap.imaging.view import View
@@ -156,10 +156,14 @@ def forecast(scene: Scene, options: RenderOptions) -> Cost:
     workers = options.workers or available_cores()
     rays = _usual_rays(scene, options)
     check_size(scene, options.max_pixels, rays, workers)
-    with traced_scene(scene, options) as view:
+    with laid_out(scene, options) as traced:
+        # Whether "auto" means all is not known before rays are traced: what it costs at most is told.
+        orders = options.bounces if isinstance(options.bounces, int) else None
+        view = traced.view() if orders == 0 else traced.bouncing_view(orders)
         expected: float = rays * scene.camera.sensor.pixels
         if fixed_method(scene, options) is None:
-            choice = choose(view, survey(view, options.seed), options.demand)
+            demand = options.demand if orders == 0 else replace(options.demand, method="rays")
+            choice = choose(view, survey(view, options.seed), demand)
             expected = choice.expected_rays[choice.method] or expected
         return estimate(scene, expected, workers, lambda: seconds_per_ray(view))
 

@@ -54,10 +54,10 @@ class Case:
             return None
         match self.measure:
             case "relative":
-                return abs(self.ours - self.reference) / max(abs(self.reference), _TINY)
+                return float(abs(self.ours - self.reference) / max(abs(self.reference), _TINY))
             case "absolute":
-                return abs(self.ours - self.reference)
-        return self.ours
+                return float(abs(self.ours - self.reference))
+        return float(self.ours)
 
     @property
     def passed(self) -> bool:
@@ -65,7 +65,7 @@ class Case:
         error = self.error
         if error is None:
             return False
-        return error >= self.limit if self.measure == "at least" else error <= self.limit
+        return bool(error >= self.limit if self.measure == "at least" else error <= self.limit)
 
     def as_json(self) -> dict[str, Any]:
         """Its values by name."""
@@ -73,7 +73,7 @@ class Case:
             "name": self.name,
             "source": self.source,
             "reference": self.reference,
-            "ours": None if self.ours is None else finite(self.ours),
+            "ours": None if self.ours is None else finite(float(self.ours)),
             "error": self.error,
             "limit": self.limit,
             "pass": self.passed,

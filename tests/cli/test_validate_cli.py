@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from radwrap.errors import InputError
@@ -78,3 +79,8 @@ def test_a_name_that_is_none_is_told() -> None:
     with pytest.raises(InputError, match="nothing is called"):
         chosen(["9"])
     assert [check.name for check in chosen(["4.merge_linear"])] == ["4.merging"]
+
+
+def test_numbers_of_numpy_are_numbers_of_json() -> None:
+    case = Case("1.numpy", "by hand", 1.0, np.float64(1.001), 0.01)
+    assert json.loads(json.dumps(case.as_json()))["pass"] is True

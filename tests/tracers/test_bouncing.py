@@ -1,4 +1,4 @@
-"""Light from surface to surface: closed spaces of known sum, order by order, Ward's albedo, and what is refused."""
+"""Light from surface to surface: closed spaces of known sum, single orders, Ward's albedo, and what is refused."""
 
 from __future__ import annotations
 
@@ -77,16 +77,28 @@ def test_a_shiny_surface_reflects_wards_albedo(view: float, albedo: float) -> No
     assert whole == pytest.approx(0.3 + 0.5 * albedo, abs=0.01)
 
 
-def floor_and_wall(material: dict[str, Any], **camera: Any) -> radwrap.Scene:
+def floor_and_wall(material: dict[str, Any], turn: float = 90.0) -> radwrap.Scene:
     """A lit white wall lights a floor that is seen from above; its own lamp shines past the floor."""
     wall = {"type": "sheet", "name": "wall", "material": "white", "size": Bench.metres(1, 1)}
-    wall |= {"position": Bench.metres(-0.5, 0, 0.5), "rotation": Bench.degrees(0, 90, 0)}
+    wall |= {"position": Bench.metres(-0.5, 0, 0.5), "rotation": Bench.degrees(0, turn, 0)}
     floor = {"type": "sheet", "name": "floor", "material": "it", "size": Bench.metres(1, 1)}
     lamp = Bench.lamp((1.5, 0, 0.5), (-0.5, 0, 0.5), half_angle=10.0)
-    view = Bench.camera((0, 0, 1), rows=8, columns=8, pitch=(1e-4, 1e-4)) | camera
+    view = Bench.camera((0, 0, 1), rows=8, columns=8, pitch=(1e-4, 1e-4))
     view["sensor"] |= {"gain": "2e7 (J/m^2)^-1"}
     white = {"type": "lambertian", "reflectance": 0.8}
     return Bench.scene(view, [lamp], {"white": white, "it": material}, [wall, floor])
+
+
+def test_the_back_of_a_sheet_reflects_as_its_front() -> None:
+    gray = {"type": "lambertian", "reflectance": 0.4}
+    points = np.column_stack([np.linspace(-0.4, 0.4, 200), np.linspace(0.3, -0.3, 200), np.zeros(200)])
+    rays = np.hstack([np.broadcast_to([0.0, 0.0, 1.0], (200, 3)), points - [0.0, 0.0, 1.0]])
+    sides = []
+    for turn in (90.0, -90.0):
+        with laid_out(floor_and_wall(gray, turn), RenderOptions()) as traced:
+            sides.append(np.concatenate(list(traced.bouncing_view(None).tracer.trace([rays]))))
+    assert sides[0].max() > 0
+    assert sides[0] == pytest.approx(sides[1], rel=1e-5, abs=1e-9)
 
 
 SHEETING = {"type": "retroreflective", "model": "coefficient", "function": "glass_beads", "anchor": "95 cd/lx/m^2"}
