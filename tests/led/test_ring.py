@@ -372,7 +372,7 @@ def test_a_claim_falls_with_its_holder() -> None:
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can become another user")
 def test_a_claim_is_one_for_all_users() -> None:
     first = Claim("nowhere")
-    code = "import os; from radwrap.led.claim import Claim; os.setuid(65534); Claim('nowhere')"
+    code = "import fcntl, os; from radwrap.led.claim import Claim; os.setuid(65534); Claim('nowhere')"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert "EnvironmentFailure: nowhere: another program drives this ring" in done.stderr
     first.release()
