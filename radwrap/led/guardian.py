@@ -69,6 +69,7 @@ class Guardian:
         self._guard = threading.Lock()  # heartbeats come from a thread of their own
         self._watching = False
         self._asked: float | None = None
+        self._closed = False
 
     def watch(self, longest: float) -> None:
         """There is light to come, for this long at most [s]: from now on heartbeats are due.
@@ -103,6 +104,8 @@ class Guardian:
             If the guardian is gone, or was not heard for a while though there is light.
         """
         with self._guard:
+            if self._closed:
+                return  # the last heartbeat came while we said farewell
             while self._child.hear(0.0):
                 self._asked = None
             if self._asked is None or self._child.ended:
@@ -114,6 +117,7 @@ class Guardian:
     def close(self) -> None:
         """It is dark, and no longer our device."""
         with self._guard:
+            self._closed = True
             self._child.tell(_BYE)
             self._child.close(_FAREWELL)
 

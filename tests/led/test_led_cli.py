@@ -6,6 +6,7 @@ import csv
 import json
 import signal
 import sys
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
@@ -96,6 +97,18 @@ def test_list_show_and_off(capsys: pytest.CaptureFixture[str]) -> None:
     assert here(["led", "show", "--emulate", "lamparray", "--json"], capsys).json["held"] is None
     done = here(["led", "off", "--emulate", "lamparray"], capsys).success()
     assert "as commanded" in done.stdout and "emulated" in done.stderr
+
+
+def test_doctor_knows_the_way_to_the_ring(capsys: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def row() -> dict[str, Any]:
+        told = here(["doctor", "--json"], capsys).success().json
+        (one,) = (check for check in told["checks"] if check["name"] == "hidapi")
+        return dict(one)
+
+    assert row()["found"] and row()["version"] == version("hidapi") and "hid" in row()["place"]
+    monkeypatch.setitem(sys.modules, "hid", None)
+    monkeypatch.setitem(sys.modules, "hidraw", None)
+    assert not row()["found"] and not row()["needed"] and "pip install hidapi" in row()["remedy"]
 
 
 BAD: Final = {
