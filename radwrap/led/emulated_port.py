@@ -76,6 +76,7 @@ class EmulatedPort:
     def __init__(self, path: str) -> None:
         self._where = f"emulator:{path}"
         self._guard = threading.Lock()
+        self._owed = False
         self._connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._connection.settimeout(_PATIENCE)
         try:
@@ -128,8 +129,12 @@ class EmulatedPort:
     def _ask(self, kind: bytes, content: bytes = b"") -> bytes:
         with self._guard:
             try:
+                if self._owed:
+                    receive(self._connection)  # to a request within which we were interrupted
+                self._owed = True
                 send(self._connection, kind, content)
                 answer = receive(self._connection)
+                self._owed = False
             except OSError as error:
                 raise PortFailure(f"the emulator was lost: {error}", where=self._where) from error
         if answer is None:

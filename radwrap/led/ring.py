@@ -138,6 +138,9 @@ class LedRing:
         with self._careful():
             if lit and self._guardian is not None:
                 self._guardian.watch(self._longest)
+            if lit:
+                # Before it is sent: interrupted within, it may shine, and only `off` knows that it does not.
+                self._lit_since = time.monotonic()
             held = self._backend.show(frame.steps)
             self._lit_since = time.monotonic() if lit else None
             if not lit and self._guardian is not None:

@@ -17,7 +17,7 @@ import psutil
 import pytest
 
 from radwrap.errors import EnvironmentFailure, InputError
-from radwrap.led import claim, guardian, ports
+from radwrap.led import claim, emulated_port, guardian, ports
 from radwrap.led.claim import Claim
 from radwrap.led.connect import EmulatorProcess, choose, open_backend
 from radwrap.led.drive import Drive
@@ -122,6 +122,39 @@ def test_a_failure_of_the_device_turns_off_what_it_can() -> None:
             ring.set_levels(HALF)
         assert light(bench) == DARK
         bench.misbehave(FIRST, "ack")
+
+
+def test_an_interrupt_within_a_frame_does_not_dismiss_the_guardian() -> None:
+    """It may shine by then; where `off` fails, nobody else is left."""
+    bench = FakeBench("mcp2221a_pca9685")
+    watcher = SimpleNamespace(watch=lambda _: None, rest=lambda: None, beat=lambda: None, close=pytest.fail)
+    backend = bench.open(there(bench))
+    show = backend.show
+
+    def interrupted(steps: Any) -> Any:
+        show(steps)
+        bench.misbehave(FIRST, "freeze")
+        raise KeyboardInterrupt
+
+    backend.show = interrupted  # type: ignore[method-assign]
+    with pytest.raises(KeyboardInterrupt), LedRing(backend, DRIVE, None, watcher) as ring:  # type: ignore[arg-type]
+        ring.set_levels(HALF)
+    assert any(light(bench))
+
+
+def test_an_interrupted_request_leaves_no_answer_to_the_next(emulator: EmulatorProcess, monkeypatch: Any) -> None:
+    port = EmulatedPort(emulator.socket)
+    receive = emulated_port.receive
+
+    def interrupted(_: Any) -> Any:
+        monkeypatch.setattr(emulated_port, "receive", receive)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(emulated_port, "receive", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        port.history()
+    assert port.told().identity["serial"] == FIRST
+    port.close()
 
 
 class LostGuardian(SimpleNamespace):
