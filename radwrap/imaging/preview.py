@@ -146,8 +146,10 @@ def _in_patch(patch: Patch, points: Array) -> NDArray[np.bool_]:
     corners = np.asarray(patch.corners) - patch.position
     first = corners[0] / np.linalg.norm(corners[0])
     across = np.stack([first, np.cross(patch.axis, first)], axis=1)
-    away = np.where(np.isfinite(points), points - np.asarray(patch.position), math.inf)
-    return in_polygon(corners @ across, away @ across)
+    away = points - np.asarray(patch.position)
+    inside: NDArray[np.bool_] = np.linalg.norm(away, axis=1) <= np.linalg.norm(corners, axis=1).max()
+    inside[inside] = in_polygon(corners @ across, away[inside] @ across)
+    return inside
 
 
 def brightest(scene: Scene) -> Brightest | None:

@@ -317,6 +317,7 @@ OPTIONS: Final[dict[str, tuple[list[object], dict[str, Any]]]] = {
     "--keep-viewpoints": (["--keep-viewpoints"], {}),
     "--truth": (["--truth"], {}),
     "--basis": (["--method", "kernel", "--basis"], {"method": "kernel"}),
+    "--photo-realistic": (["--photo-realistic", "point"], {}),
     "--dry-run": (["--dry-run"], {}),
     "--max-pixels": (["--max-pixels", "1e3"], {}),
     "--radiance": (["--radiance", "WHEEL"], {}),
@@ -352,6 +353,7 @@ def test_every_option_of_render_works(tmp_path: Path, capsys: pytest.CaptureFixt
             assert _at(manifest, key) == value != (None if name == "--set" else _at(defaults, key)), name
         assert (out / "viewpoints").is_dir() == (name == "--keep-viewpoints")
         assert (out / "truth.json").exists() == (out / "depth.exr").exists() == (name == "--truth")
+        assert (out / "comparison.png").exists() == (name == "--photo-realistic")
         assert done.stdout.startswith("{") == (name == "--json")
     # What was kept is not in the manifest, and goes with the next run that keeps nothing; both are told.
     kept = tmp_path / "--keep-viewpoints"
