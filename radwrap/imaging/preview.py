@@ -179,6 +179,9 @@ def _blurred(scene: Scene, seen: Seen) -> Seen:
     """
     camera = scene.camera
     share = {}
+    areas: dict[str, float] = {}  # of a wide source all patches, which fill the pencil together
+    for emitter in scene.emitters:
+        areas[emitter.source] = areas.get(emitter.source, 0.0) + math.pi * emitter.radius**2
     for emitter in scene.emitters:
         away = np.asarray(emitter.position) - camera.pose.position
         depth = float(away @ np.asarray(camera.pose.z_axis))
@@ -186,7 +189,7 @@ def _blurred(scene: Scene, seen: Seen) -> Seen:
             0.0 if camera.aperture.is_infinitesimal else camera.aperture.area * (1 + depth / camera.focal_length) ** 2
         )
         slant = abs(float(away @ np.asarray(emitter.axis))) / max(float(np.linalg.norm(away)), 1e-300)
-        disc = math.pi * emitter.radius**2 * slant
+        disc = areas[emitter.source] * slant
         share[emitter.name] = min(1.0, disc / pencil) if pencil > 0 else 1.0
     factors = np.array([share.get(name, 1.0) for name, _ in seen.names] + [math.nan])
     return replace(seen, value=seen.value * factors[seen.number])
