@@ -146,8 +146,10 @@ def _in_patch(patch: Patch, points: Array) -> NDArray[np.bool_]:
     corners = np.asarray(patch.corners) - patch.position
     first = corners[0] / np.linalg.norm(corners[0])
     across = np.stack([first, np.cross(patch.axis, first)], axis=1)
-    away = np.where(np.isfinite(points), points - np.asarray(patch.position), math.inf)
-    return in_polygon(corners @ across, away @ across)
+    away = points - np.asarray(patch.position)
+    inside: NDArray[np.bool_] = np.linalg.norm(away, axis=1) <= np.linalg.norm(corners, axis=1).max()
+    inside[inside] = in_polygon(corners @ across, away[inside] @ across)
+    return inside
 
 
 def brightest(scene: Scene) -> Brightest | None:
@@ -177,12 +179,15 @@ def _blurred(scene: Scene, seen: Seen) -> Seen:
     """
     camera = scene.camera
     share = {}
+    areas: dict[str, float] = {}  # of a wide source all patches, which fill the pencil together
+    for emitter in scene.emitters:
+        areas[emitter.source] = areas.get(emitter.source, 0.0) + math.pi * emitter.radius**2
     for emitter in scene.emitters:
         away = np.asarray(emitter.position) - camera.pose.position
         depth = float(away @ np.asarray(camera.pose.z_axis))
         pencil = 0.0 if camera.aperture.is_infinitesimal else camera.aperture.area * camera.pencil_scale(depth) ** 2
         slant = abs(float(away @ np.asarray(emitter.axis))) / max(float(np.linalg.norm(away)), 1e-300)
-        disc = math.pi * emitter.radius**2 * slant
+        disc = areas[emitter.source] * slant
         share[emitter.name] = min(1.0, disc / pencil) if pencil > 0 else 1.0
     factors = np.array([share.get(name, 1.0) for name, _ in seen.names] + [math.nan])
     return replace(seen, value=seen.value * factors[seen.number])

@@ -323,6 +323,7 @@ OPTIONS: Final[dict[str, tuple[list[object], dict[str, Any]]]] = {
     "--truth": (["--truth"], {}),
     "--basis": (["--method", "kernel", "--basis"], {"method": "kernel"}),
     "--frames": (["--frames", 2, "--set", LINEAR], {"camera.sensor.linear.read_noise": 9.0}),
+    "--photo-realistic": (["--photo-realistic", "point"], {}),
     "--dry-run": (["--dry-run"], {}),
     "--max-pixels": (["--max-pixels", "1e3"], {}),
     "--radiance": (["--radiance", "WHEEL"], {}),
@@ -359,6 +360,7 @@ def test_every_option_of_render_works(tmp_path: Path, capsys: pytest.CaptureFixt
         assert len(list(out.glob("frame_*.png"))) == (2 if name == "--frames" else 0)
         assert (out / "viewpoints").is_dir() == (name == "--keep-viewpoints")
         assert (out / "truth.json").exists() == (out / "depth.exr").exists() == (name == "--truth")
+        assert (out / "comparison.png").exists() == (name == "--photo-realistic")
         assert done.stdout.startswith("{") == (name == "--json")
     # What was kept is not in the manifest, and goes with the next run that keeps nothing; both are told.
     kept = tmp_path / "--keep-viewpoints"
