@@ -33,7 +33,7 @@ from tests.cli.conftest import (
 )
 
 REPOSITORY: Final = Path(__file__).parents[2]
-VERBS: Final = ("init", "schema", "render", "explain", "trade", "convert", "doctor")
+VERBS: Final = ("init", "schema", "render", "explain", "trade", "convert", "validate", "doctor")
 EXIT_CODES: Final = (
     "0 done, 1 a check failed, 2 bad input, 3 tolerance not met, 4 environment or tracer, 130 interrupted"
 )
@@ -321,6 +321,7 @@ OPTIONS: Final[dict[str, tuple[list[object], dict[str, Any]]]] = {
     "--workers": (["--workers", 3], {"timing.workers": 3}),
     "--keep-viewpoints": (["--keep-viewpoints"], {}),
     "--truth": (["--truth"], {}),
+    "--bounces": (["--method", "rays", "--bounces", 1, "--tolerance", 5], {"method": "rays", "bounces.orders": 1}),
     "--basis": (["--method", "kernel", "--basis"], {"method": "kernel"}),
     "--frames": (["--frames", 2, "--set", LINEAR], {"camera.sensor.linear.read_noise": 9.0}),
     "--photo-realistic": (["--photo-realistic", "point"], {}),
