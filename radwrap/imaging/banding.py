@@ -54,12 +54,12 @@ class Banding:
         return {"bands": {"sources": groups, "relative_error": self.bands.error, "gray": self.gray}}
 
 
-def banding(scene: Scene, options: RenderOptions) -> Banding:
-    """The fewest bands that a run's tolerance allows."""
+def banding(scene: Scene, options: RenderOptions, *, exact: bool = False) -> Banding:
+    """The fewest bands that a run's tolerance allows, or that leave no error."""
     if scene.spectral is None:
         return Banding(None)
     sensor = scene.camera.sensor
     asked = options.tolerance if options.max_error is None else min(options.tolerance, options.max_error)
-    allowed = _EXACT if options.basis else allowed_error(sensor, _SHARE * asked)
+    allowed = _EXACT if exact or options.basis else allowed_error(sensor, _SHARE * asked)
     found = scene_bands(scene, scene.spectral, allowed)
     return Banding(found, gray_error(sensor, found.error))

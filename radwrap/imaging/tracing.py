@@ -39,7 +39,9 @@ class TracedScene:
         If there is no Radiance, or it does not accept the scene.
     """
 
-    def __init__(self, scene: Scene, options: RenderOptions, programs: Programs, work: Path) -> None:
+    def __init__(
+        self, scene: Scene, options: RenderOptions, programs: Programs, work: Path, *, exact_bands: bool = False
+    ) -> None:
         self.scene = scene
         self._options = options
         self._programs = programs
@@ -48,7 +50,7 @@ class TracedScene:
         self._radiance = RadianceOptions(find_radiance(options.radiance), options.trust, limits)
         self.prepared = prepare(scene, self._radiance, programs, work)
         self.version = version(self._radiance.installation, programs)
-        self.banding = banding(scene, options)
+        self.banding = banding(scene, options, exact=exact_bands)
 
     def sha256(self) -> str:
         """Hash of the scene as the tracer gets it, and of the tracer."""

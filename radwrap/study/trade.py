@@ -242,7 +242,7 @@ class _Sweep:
 
     def __init__(self, scene: Scene, rows: Path, work: Path, options: TradeOptions, programs: Programs) -> None:
         self.scene, self.folder, self.work, self.options, self.programs = scene, rows, work, options, programs
-        traced = TracedScene(scene, options.render, programs, work)
+        traced = TracedScene(scene, options.render, programs, work, exact_bands=True)
         self.view = traced.view()
         self.scene_sha256 = traced.sha256()
         self.sha256 = sha256_of_value(
