@@ -140,7 +140,8 @@ def _exchanged(reflectance: float) -> Array:
     between = RegularGridInterpolator((coarse, coarse), first, bounds_error=False, fill_value=None)
     second = _received(points, fine, reflectance * between(np.stack([y, x], axis=-1)))
     whole: Array = first + second.reshape(_PIXELS, _PIXELS) / (1 - reflectance)
-    return whole / whole.mean()
+    shape: Array = whole / whole.mean()
+    return shape
 
 
 def _shape(bench: Bench) -> Iterator[Finding]:
