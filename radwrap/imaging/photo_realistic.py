@@ -44,6 +44,7 @@ LIGHT_KINDS: Final = ("parallel", "point")
 PICTURE: Final = "photo_realistic.png"
 COMPARISON: Final = "comparison.png"
 TOLD: Final = "photo_realistic.json"
+FILES: Final = (PICTURE, COMPARISON, TOLD)
 # Sheeting looks white in a room; whoever draws such pictures knows nothing else of it.
 _SHEETING: Final = 0.8
 _ROWS_AT_ONCE: Final = 64

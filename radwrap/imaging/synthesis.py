@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from radwrap.errors import InputError
 from radwrap.files import TEMPORARY_SUFFIX, disk_failure, make_folder, sha256_of, sole_owner
 from radwrap.images import ExposureImage, GrayImage, png_bytes, read_image, write_exr, write_png
+from radwrap.imaging import photo_realistic
 from radwrap.imaging.basis import BASIS, FOLDER, shining, write_basis
 from radwrap.imaging.cost import Cost, check_size, estimate, seconds_per_ray
 from radwrap.imaging.diffraction import diffraction, diffraction_warning
@@ -56,7 +57,7 @@ DEPTH: Final = "depth.exr"
 PARTS: Final = "mask.png"
 TRUTH: Final = "truth.json"
 SIGMA: Final = "gray_sigma.exr"
-_OPTIONAL: Final = (UNROUNDED, SIGMA, DEPTH, PARTS, TRUTH)
+_OPTIONAL: Final = (UNROUNDED, SIGMA, DEPTH, PARTS, TRUTH, *photo_realistic.FILES)
 _FRAME: Final = re.compile(r"frame_[0-9]{4}\.png")
 _VIEWPOINTS: Final = "viewpoints"
 _WORK: Final = ".work"

@@ -324,7 +324,6 @@ OPTIONS: Final[dict[str, tuple[list[object], dict[str, Any]]]] = {
     "--bounces": (["--method", "rays", "--bounces", 1, "--tolerance", 5], {"method": "rays", "bounces.orders": 1}),
     "--basis": (["--method", "kernel", "--basis"], {"method": "kernel"}),
     "--frames": (["--frames", 2, "--set", LINEAR], {"camera.sensor.linear.read_noise": 9.0}),
-    "--bounces": (["--method", "rays", "--tolerance", 20, "--bounces", 1], {"bounces.orders": 1}),
     "--photo-realistic": (["--photo-realistic", "point"], {}),
     "--dry-run": (["--dry-run"], {}),
     "--max-pixels": (["--max-pixels", "1e3"], {}),
