@@ -19,7 +19,7 @@ TENT = ROOT / "rad_scenes" / "white_tent" / "scene.toml"
 SMALLER = {"camera.sensor.rows": 25, "camera.sensor.columns": 30} | {
     f"camera.sensor.pixel_{side}": "120 um" for side in ("width", "height")
 }
-TOLERANCES = (8.0, 4.0)
+TOLERANCES = (16.0, 8.0)
 
 
 def main() -> int:

@@ -139,7 +139,7 @@ def _exchanged(reflectance: float) -> Array:
     first = _received(points, fine, reflectance * direct).reshape(_PIXELS, _PIXELS)
     between = RegularGridInterpolator((coarse, coarse), first, bounds_error=False, fill_value=None)
     second = _received(points, fine, reflectance * between(np.stack([y, x], axis=-1)))
-    whole: Array = first + second.reshape(_PIXELS, _PIXELS) / (1 - reflectance)
+    whole = first + second.reshape(_PIXELS, _PIXELS) / (1 - reflectance)
     shape: Array = whole / whole.mean()
     return shape
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from radwrap.errors import InputError, RadwrapError
+from radwrap.errors import EnvironmentFailure, InputError, RadwrapError, TracerError
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.manifest import SCHEMA_VERSION, versions
 from radwrap.progress import Progress
@@ -142,6 +142,8 @@ def _found(check: Check, bench: Bench) -> list[Finding]:
     except Missing as error:
         why = f"missing: {error}"
     except RadwrapError as error:
+        if isinstance(error, EnvironmentFailure) and not isinstance(error, TracerError):
+            raise  # without Radiance or disk space nothing can be said of any case
         why = f"failed: {error}"
     except Exception as error:  # noqa: BLE001  (one broken case must not hide the others)
         why = f"failed: {traceback.format_exception_only(error)[-1].strip()}"

@@ -81,6 +81,10 @@ def test_a_name_that_is_none_is_told() -> None:
     assert [check.name for check in chosen(["4.merge_linear"])] == ["4.merging"]
 
 
+def test_without_radiance_it_is_the_environment(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert here(["validate", "--only", "1.lamps", "--radiance", tmp_path], capsys).code == 4
+
+
 def test_numbers_of_numpy_are_numbers_of_json() -> None:
     case = Case("1.numpy", "by hand", 1.0, np.float64(1.001), 0.01)
     assert json.loads(json.dumps(case.as_json()))["pass"] is True
