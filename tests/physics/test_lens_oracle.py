@@ -52,7 +52,7 @@ def camera(focus: float) -> Camera:
     sensor = Sensor(ROWS, COLUMNS, PITCH, PITCH, 1.0, 1.0, 0.0, 255.0)
     pose = Pose((0.0, 0.0, 0.0), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
     centre = ((COLUMNS - 1) / 2, (ROWS - 1) / 2)
-    return Camera(pose, F, centre, 1.0, Aperture("round", DIAMETER), sensor, Lens(focus))
+    return Camera(pose, F, centre, 1.0, Aperture("round", DIAMETER), sensor, lens=Lens(focus))
 
 
 def ours(tracer: RadianceTracer, focus: float) -> np.ndarray:
