@@ -195,6 +195,29 @@ def test_an_opencv_calibration_gives_opencvs_places(name: str, tmp_path: Path) -
     assert camera.sensor.pixel_height == PITCH
 
 
+def test_a_calibrated_lens_has_the_files_image_distance_and_is_sharp_where_it_is_focused(tmp_path: Path) -> None:
+    opencv_file(tmp_path / "camera.yml")
+    lens = {"focus_distance": "500 mm"}
+    made = document(lens=lens, aperture={"diameter": "4 mm"})
+    camera = radwrap.scene_from_document(made, folder=tmp_path).camera
+    assert camera.image_distance == pytest.approx(200 * PITCH, rel=1e-14)
+    # At the focused distance all points of the opening see one point, where OpenCV puts it.
+    random = np.random.default_rng(2)
+    local = np.column_stack([random.uniform(-0.15, 0.15, (50, 2)), np.full(50, 0.5)])
+    matrix = np.array([[201.0, 0, 77.3], [0, 200.0, 61.9], [0, 0, 1]])
+    expected, _ = cv2.projectPoints(local, np.zeros(3), np.zeros(3), matrix, np.array(SETS["barrel"]))
+    rotation, position = np.asarray(camera.pose.rotation), np.asarray(camera.pose.position)
+    uv, _ = project(camera, position + local @ rotation.T)
+    assert uv == pytest.approx(np.asarray(expected).reshape(-1, 2), abs=ROUND_TRIP)
+    for opening in ((0.0, 0.0), (0.002, 0.0), (-0.001, 0.0015)):
+        rays, _, stretch = stretched_rays(camera, opening, uv[:, 0], uv[:, 1])
+        assert stretch is not None
+        seen = (rays[:, :3] - position) @ rotation
+        direction = rays[:, 3:] @ rotation
+        met = seen + direction * (0.5 / direction[:, 2])[:, np.newaxis]
+        assert met == pytest.approx(local, abs=1e-12)
+
+
 def test_other_names_and_plain_lists_are_read(tmp_path: Path) -> None:
     text = """%YAML:1.0
 ---
