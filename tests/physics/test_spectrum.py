@@ -151,6 +151,37 @@ def test_three_materials_under_two_lamps_are_those_of_quadrature(folder: Path) -
     assert len(whole.bands) == 1 and whole.error > 0.1  # one band would show red as the lamps' mean
 
 
+def test_a_wide_source_has_its_own_colour_on_each_material(folder: Path) -> None:
+    made = document()
+    made["sources"][1] = {
+        "type": "rectangle",
+        "name": "bulb",
+        "position": ["250 mm", "0 m", "600 mm"],
+        "look_at": ["0 m", "0 m", "0 m"],
+        "size": ["60 mm", "200 mm"],
+        "radiance": "100 W/m^2/sr",
+        "irradiance_error": 0.05,
+        "spectrum": {"preset": "A"},
+    }
+    found, bands = seen(radwrap.scene_from_document(made, folder=folder), 0.1)
+    assert bands == 2
+    pairs = expected_pairs()
+    expected = dict.fromkeys(PLACES, 0.0)
+    rays = np.array([[x, 0.0, 0.4, 0.0, 0.0, -1.0] for x in PLACES.values()])
+    for source in made["sources"]:
+        # The same light without colours, on white: what a pair of source and material multiplies.
+        plain = document()
+        for key in ("spectral_response", "filter"):
+            del plain["camera"][key]
+        plain["sources"] = [{key: value for key, value in source.items() if key != "spectrum"}]
+        plain["materials"] = {name: {"type": "lambertian", "reflectance": 1.0} for name in PLACES}
+        with traced_scene(radwrap.scene_from_document(plain)) as view:
+            white = np.concatenate(list(view.tracer.trace([rays])))
+        for name, value in zip(PLACES, white.tolist(), strict=True):
+            expected[name] += value * pairs[source["name"]][name]
+    assert found == pytest.approx(expected, rel=QUADRATURE)
+
+
 def test_bands_against_the_asked_error(folder: Path) -> None:
     """Four lamps, two of nearly the same light: 4, 3, 2, 1 bands as the error grows, each within what it states."""
     given = document()
