@@ -46,6 +46,7 @@ def make(task: Task) -> Made:
     table = [
         _summary(variant, method, [one for one in draws if (one.variant, one.method) == (variant["name"], method)])
         for (variant, _), method in product(variants, METHODS)
+        if method == NOMINAL_METHOD or variant in (NOMINAL, NEGATIVE)
     ]
     return Made(
         title="Effects on the focal length",

@@ -83,7 +83,8 @@ def design_of(variant: Mapping[str, Any], seed: int, folder: Path, *, coarse: bo
         first = design["factors"]["A"]
         first["keys"].append(key)
         first["levels"] = {name: [*values, draw] for name, values in first["levels"].items()}
-    methods = (NOMINAL_METHOD,) if coarse else METHODS
+    # The centre methods are one open assumption, held beside each other at the nominal system and at the other tilt.
+    methods = METHODS if variant in (NOMINAL, NEGATIVE) and not coarse else (NOMINAL_METHOD,)
     design["responses"] = {f"f_{method}": _response(method, variant) for method in methods}
     if coarse:
         design["render"] = {"method": "pinhole"}
