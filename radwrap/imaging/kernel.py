@@ -40,6 +40,9 @@ _MOST_LAYERS: Final = 64
 # The error falls as the cells' size to the power 1.5 where edges of light meet edges of the footprint, as its square
 # elsewhere: the slower one gives 1/(2^1.5 - 1) of what twice the size adds.
 _GRID_SHARE: Final = 1 / (2**1.5 - 1)
+# A blur narrower than so many cells is not resolved by them: light comes from beside an edge, and a cell knows its mean
+# alone. Smaller cells help nothing until they resolve it, so that all of what twice the size changes may be left.
+_RESOLVED: Final = 2.0
 # Grid cells of a tile: what a transform of some 30 MiB holds; wide rather than high, so that small images have two.
 _TILE_ROWS, _TILE_COLUMNS = 400, 1600
 
@@ -242,7 +245,13 @@ def gathered_tile(
     if like:
         coarser = replace(coarser, magnification=like.coarser.magnification)
     some, coarse = gather_some(plan, coarser, 2 * cell, place)
-    return Gathered(values, some, _GRID_SHARE * (coarse - values[some]), central, coarser)
+    return Gathered(values, some, _grid_share(plan) * (coarse - values[some]), central, coarser)
+
+
+def _grid_share(plan: KernelPlan) -> float:
+    """What the cells may be off by, over what twice their size changes."""
+    blurs = [max(reach_px(plan.camera, magnification)) for magnification in plan.layers]
+    return 1.0 if any(0 < blur < _RESOLVED * plan.grid.cell for blur in blurs) else _GRID_SHARE
 
 
 def gather(

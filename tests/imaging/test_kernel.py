@@ -10,7 +10,7 @@ import pytest
 
 from radwrap.errors import InputError
 from radwrap.imaging.footprint import Footprint, folded, footprint, opening_points, reach_px
-from radwrap.imaging.kernel import KernelPlan, decide_tile, gathered_tile, plan_kernel
+from radwrap.imaging.kernel import KernelPlan, decide_tile, gather_some, gathered_tile, plan_kernel
 from radwrap.imaging.rays import plan_rays, sampled_radiance, traced_tile
 from radwrap.imaging.view import View
 from radwrap.scene.camera import Aperture
@@ -157,6 +157,19 @@ def test_a_scene_too_deep_for_layers_is_refused() -> None:
     seen = view(Aperture("round", 5e-3), (1.0, edge(0.0)))
     with pytest.raises(InputError, match="--method rays"):
         plan_kernel(seen, np.array([1.1, 2.0]), 0.5)
+
+
+@pytest.mark.parametrize(("blur", "share"), [(0.1, 1.0), (3.0, 1 / (2**1.5 - 1))])
+def test_smaller_cells_are_no_help_before_they_resolve_the_blur(blur: float, share: float) -> None:
+    """What twice the cells' size changes: all of it may be left, where the blur [px] is below two cells."""
+    seen = view(Aperture("round", 2 * blur * 1e-5 / 1.1), (0.1, edge(0.3)))
+    plan = plan_kernel(seen, np.array([1.1]), aim=5.0)
+    assert 2 * plan.grid.cell > 0.1
+    cells = decide_tile(seen, plan, 0, (1,), ignore)
+    gathered = gathered_tile(seen, plan, 0, cells, seed=(2,), progress=ignore)
+    coarse = gather_some(plan, gathered.coarser, 2 * plan.grid.cell, plan.tiles[0])[1]
+    assert gathered.change == pytest.approx(share * (coarse - gathered.values[gathered.some]), rel=1e-12)
+    assert float(np.abs(gathered.change).max()) > 0
 
 
 def test_footprints_are_exact_shares_of_area() -> None:
