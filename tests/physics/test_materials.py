@@ -257,6 +257,7 @@ def test_a_print_lies_as_its_image(bench: Any, tmp_path: Path) -> None:
         ({"type": "measured_brdf", "file": "no.csv"}, "materials.m.file: .*no such file"),
         ({"type": "measured_brdf", "file": "bright.csv"}, "reflects 3.14 of what falls on it"),
         ({"type": "measured_brdf", "file": "holes.csv"}, "each combination"),
+        ({"type": "measured_brdf", "file": "long.csv"}, "materials.m.file: .*is no table: field larger"),
         ({"type": "measured_brdf", "file": "../x.csv"}, "outside the scene's folder"),
         ({"type": "print", "file": "x.png", "encoding": "gamma"}, "encoding"),
         ({"type": "retroreflective", "preset": "x"}, 'no sheeting "x"; known: astm_d4956_i_white'),
@@ -281,8 +282,27 @@ def test_bad_materials_are_told(bench: Any, tmp_path: Path, material: dict[str, 
     head = "observation_deg,entrance_deg,rotation_deg,coefficient\n"
     (tmp_path / "turned.csv").write_text(head + "0.2,4,0,250\n0.2,4,90,240\n")
     (tmp_path / "nan.csv").write_text("observation_deg,entrance_deg,coefficient\n0.2,4,nan\n")
+    long = "1" * 200_000
+    (tmp_path / "long.csv").write_text(f"incidence_deg,viewing_deg,azimuth_deg,brdf_per_sr\n0,0,0,{long}\n")
     with pytest.raises(InputError, match=told):
         lit(bench, material, tmp_path)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 3), (3, 1)])
+def test_a_print_may_be_one_pixel_wide(bench: Any, tmp_path: Path, shape: tuple[int, int]) -> None:
+    write_png(tmp_path / "p.png", np.full(shape, 255, dtype=np.uint8))
+    material = {"type": "print", "file": "p.png", "encoding": "linear"}
+    scene = lit(bench, {**material, "black_reflectance": 0.04, "white_reflectance": 0.85}, tmp_path)
+    plain = lit(bench, {"type": "lambertian", "reflectance": 0.85})
+    got, due = (bench.radiance(of, EYE, POINTS) for of in (scene, plain))
+    assert got == pytest.approx(due, rel=TABLE)
+
+
+def test_brushing_along_a_face_is_refused(bench: Any) -> None:
+    brushed = {"type": "specular", "specular_reflectance": 0.5, "roughness": [0.05, 0.2]}
+    box = {"type": "box", "name": "block", "material": "m", "size": ["50 mm", "50 mm", "50 mm"]}
+    with pytest.raises(InputError, match=r'targets\[0\].material: a face of "block" looks along'):
+        lit(bench, brushed, targets=[box])
 
 
 def test_curved_mirrors_and_prints_are_refused(bench: Any) -> None:
