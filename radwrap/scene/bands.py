@@ -23,6 +23,8 @@ from radwrap.scene.materials import (
     Lambertian,
     Material,
     PerturbedNormal,
+    PrintedSheeting,
+    Sheeting,
     Specular,
 )
 from radwrap.scene.sources import emitters
@@ -166,6 +168,8 @@ def scaled(material: Material, factor: float) -> Material:
     InputError
         If it cannot.
     """
+    if factor == 1:  # also of kinds that no spectrum can colour
+        return material
     if factor == 0:
         return Lambertian(0.0)
     match material:
@@ -182,6 +186,10 @@ def scaled(material: Material, factor: float) -> Material:
             return replace(material, coefficient=rows)
         case GlassBeads():
             return replace(material, anchor=material.anchor * factor)
+        case PrintedSheeting(sheeting, coverage, reflectance):
+            below = scaled(sheeting, factor)
+            if isinstance(below, Sheeting):
+                return PrintedSheeting(below, coverage, reflectance * factor)
     raise InputError(f"a spectrum cannot colour a {type(material).__name__}")
 
 

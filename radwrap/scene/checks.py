@@ -259,9 +259,20 @@ def warnings_of(scene: Scene) -> tuple[str, ...]:
             found.append(f'"{emitter.name}" is close to what it lights: irradiance off by up to {error:.2%}')
     if not scene.included and not any(_is_seen(scene.camera, target) for target in scene.targets):
         found.append("no target is in the camera's view")
+    found += _unknown_widths(scene)
     found += _half_shadows(scene)
     found += _doubtful_tables(scene)
     return (*found, *small_parts(scene), *sources_in_sight(scene), *shared_planes(scene))
+
+
+def _unknown_widths(scene: Scene) -> Iterator[str]:
+    """A line for each disc beside an included file, of whose surfaces nothing is known here."""
+    for source in scene.sources if scene.included else ():
+        if isinstance(source, SingleSource) and source.kind == "disc":
+            yield (
+                f'"{source.name}" shines from its middle, which is off by about (radius/distance)^2; how far the '
+                f'surfaces of "{scene.included[0].name}" are from it is not known'
+            )
 
 
 def _doubtful_tables(scene: Scene) -> Iterator[str]:

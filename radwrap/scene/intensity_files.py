@@ -31,6 +31,8 @@ _HEADER: Final = ["angle_deg", "relative_intensity"]
 # A table that ends above this share of its peak says nothing of what comes after.
 _DARK: Final = 0.01
 _TYPES: Final = {2: "B", 3: "A"}
+_EDITION: Final = re.compile(r"(?i)\s*IES(?:NA)?:?(?:LM-63-)?(\d+)")
+_CODED: Final = 2019  # from this edition on the number after the ballast factor tells how the file was made
 _TILT: Final = re.compile(r"(?im)^[ \t]*TILT[ \t]*=[ \t]*(.*)$")
 
 
@@ -43,7 +45,7 @@ def read_beam(path: Path) -> TableBeam:
         If it is no such table.
     """
     text, digest = _text(path)
-    rows = [row for row in csv.reader(io.StringIO(text)) if row and not row[0].lstrip().startswith("#")]
+    rows = csv_rows(text, path)
     if not rows or [cell.strip() for cell in rows[0]] != _HEADER:
         raise InputError(f'its first line must be "{",".join(_HEADER)}"', where=str(path))
     if any(len(row) != len(_HEADER) for row in rows):
@@ -89,14 +91,43 @@ def read_luminaire(path: Path) -> IntensityTable:
         known = f"is photometry of Type {_TYPES[form]}" if form in _TYPES else f"is of no known type ({form})"
         raise InputError(f"{known}: Type C alone is read", where=str(path), remedy="convert it to Type C")
     reader.take(4)  # units, width, length, height: light comes from the middle
-    ballast, _, _ = reader.take(3)
+    ballast, photometric, _ = reader.take(3)
     vertical, horizontal = reader.take(vertical_count), reader.take(horizontal_count)
     candela = reader.take(vertical_count * horizontal_count).reshape(horizontal_count, vertical_count)
     reader.end()
-    candela = candela * multiplier * ballast * factor
+    candela = candela * multiplier * ballast * _lamp_factor(text, float(photometric), path) * factor
     if candela.min() < 0 or not 0 < candela.max() < 1e30:
         raise InputError("intensities must be at least 0, and not all 0", where=str(path))
     return _table(vertical, horizontal, candela, path, digest)
+
+
+def _lamp_factor(text: str, told: float, path: Path) -> float:
+    """The ballast-lamp photometric factor, which the editions of 1986 and 1991 have."""
+    edition = _EDITION.match(text)
+    year = int(edition[1]) if edition else 1986
+    if year in (1986, 1991, 91):
+        return told
+    if year < _CODED and told != 1:
+        raise InputError(
+            f"gives {told:g} for a factor that its edition of LM-63 ({year}) does not have",
+            where=str(path),
+            remedy="make it 1, and multiply the intensities if it is meant",
+        )
+    return 1.0
+
+
+def csv_rows(text: str, path: Path) -> list[list[str]]:
+    """Lines of a table, without comments and empty ones.
+
+    Raises
+    ------
+    InputError
+        If it is no CSV.
+    """
+    try:
+        return [row for row in csv.reader(io.StringIO(text)) if row and not row[0].lstrip().startswith("#")]
+    except csv.Error as error:
+        raise InputError(f"is no table: {error}", where=str(path)) from error
 
 
 class _Reader:

@@ -26,6 +26,7 @@ from radwrap.scene.material_convert import material_from_table
 from radwrap.scene.material_tables import MaterialModel
 from radwrap.scene.materials import Glass, Material, Mirror, PrintedImage
 from radwrap.scene.scene import Scene
+from radwrap.scene.wide_checks import check_beside, check_coaxial
 from radwrap.scene.wide_sources import divided
 
 _LARGEST_FILE: Final = 16 << 20  # byte; a scene file is written by hand
@@ -122,7 +123,9 @@ def scene_from_document(
         raise _translated(error, origin, document) from error
     scene = scene_from_model(model, assumed=dict(_assumed(model)), origin=origin, folder=folder, document=text)
     check_shapes(scene)
+    check_beside(scene)
     scene = divided(scene)
+    check_coaxial(scene)
     check_scene(scene)
     return scene
 

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 from radwrap.errors import InputError
 from radwrap.scene import material_tables as tables
 from radwrap.scene.material_files import read_brdf, read_coefficients, read_print
@@ -24,7 +26,7 @@ from radwrap.scene.materials import (
     Specular,
 )
 from radwrap.scene.source_convert import from_file
-from radwrap.scene.targets import Box, Disc, Polygon, Sheet, Target
+from radwrap.scene.targets import Box, Disc, MeshPart, Polygon, Sheet, Target
 
 # Materials that only some targets can have, and why.
 _PLACES: Final[tuple[tuple[type, tuple[type, ...], str], ...]] = (
@@ -32,6 +34,9 @@ _PLACES: Final[tuple[tuple[type, tuple[type, ...], str], ...]] = (
     (Mirror, (Sheet, Polygon, Disc, Box), "sources are followed in flat mirrors alone"),
     (Glass, (Sheet, Polygon, Disc), "glass is a thin flat pane"),
 )
+
+# Normals this near to x (cosine) leave no direction on their face.
+_ALONG: Final = 1 - 1e-9
 
 
 def material_from_table(
@@ -104,3 +109,15 @@ def check_places(targets: tuple[Target, ...], materials: Mapping[str, Material],
                 if isinstance(material, kind) and not isinstance(target, fitting):
                     where = f"{origin}: targets[{index}].{key}"
                     raise InputError(why, where=where, remedy="use another material or target")
+            if isinstance(material, Anisotropic) and _faces_its_grain(target):
+                raise InputError(
+                    f'a face of "{target.name}" looks along the target\'s x, where brushing has no direction',
+                    where=f"{origin}: targets[{index}].{key}",
+                    remedy="describe its sides as sheets with a direction of their own, or give one roughness",
+                )
+
+
+def _faces_its_grain(target: Target) -> bool:
+    if isinstance(target, MeshPart):
+        return bool((np.abs(target.mesh.normals[:, 0]) > _ALONG).any())
+    return isinstance(target, Box)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import math
 from pathlib import Path
 from typing import Final
@@ -14,6 +12,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.manifest import sha256_of_value
+from radwrap.scene.intensity_files import csv_rows
 from radwrap.scene.materials import MeasuredBrdf, PrintedImage
 
 Array = NDArray[np.float64]
@@ -113,6 +112,9 @@ def read_print(path: Path, encoding: str, black: float, white: float) -> Printed
     share = image.values / (2**image.bit_depth - 1)
     if encoding == "srgb":
         share = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    # Radiance takes no data of one row or column: two alike say the same.
+    share = np.repeat(share, [2 if len(share) == 1 else 1] * len(share), axis=0)
+    share = np.repeat(share, [2 if share.shape[1] == 1 else 1] * share.shape[1], axis=1)
     rows = tuple(map(tuple, (black + (white - black) * share).tolist()))
     return PrintedImage(sha256_of_value(rows), rows)
 
@@ -127,7 +129,7 @@ def _columns(path: Path, names: tuple[str, ...], optional: str = "") -> tuple[di
     if len(content) > _LARGEST_FILE or b"\0" in content:
         raise InputError("is too large, or no text", where=str(path))
     text = content.decode("utf-8-sig", "replace")
-    rows = [row for row in csv.reader(io.StringIO(text)) if row and not row[0].lstrip().startswith("#")]
+    rows = csv_rows(text, path)
     head = [cell.strip() for cell in rows[0]] if rows else []
     if sorted(head) not in (sorted(names), sorted((*names, optional))):
         raise InputError(f"its first line must name the columns {', '.join(names)}", where=str(path))

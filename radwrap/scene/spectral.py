@@ -13,7 +13,7 @@ import numpy as np
 from radwrap.errors import InputError
 from radwrap.scene.bands import Spectral, scaled
 from radwrap.scene.material_tables import Coloured
-from radwrap.scene.sources import Beam, Source, WideSource, dimmed, emitters
+from radwrap.scene.sources import Beam, Source, TableBeam, WideSource, dimmed, emitters
 from radwrap.scene.spectrum import Curve, integral, line, lumens_per_watt, normalised_power, preset, read_curve
 from radwrap.scene.wide_shapes import area
 
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 # Gauss nodes of a beam's flux, from the axis to where it ends: right to 1e-12.
 _BEAM_NODES: Final = 64
+_PIECE_NODES: Final = 4  # of a straight piece of a table, 0.05 deg wide
 _BEAM_REACH: Final = 9.0  # standard deviations
 # Wavelengths closer than this share are one: tables begin and end where their writer's numbers say.
 _ROUNDING: Final = 1e-9
@@ -79,14 +80,26 @@ def axial_radiance(table: Shining, area: float, beam: Beam, folder: Path, where:
 
 def flux_of_beam(beam: Beam) -> float:
     """Flux of a beam of axial intensity 1: the integral of I(theta)/I(0) over the half space in front [sr]."""
+    if isinstance(beam, TableBeam):
+        return _flux_of_table(beam)
     end = math.pi / 2
     if beam.profile == "cone":
         end = beam.spread
-    elif beam.profile not in {"lambertian", "table"}:
+    elif beam.profile != "lambertian":
         end = min(end, _BEAM_REACH * beam.spread)
     places, weights = np.polynomial.legendre.leggauss(_BEAM_NODES)
     theta = end * (places + 1) / 2
     return float(math.pi * end * (weights * beam.relative_intensity(theta) * np.sin(theta)).sum())
+
+
+def _flux_of_table(beam: TableBeam) -> float:
+    """As `flux_of_beam`, piece by piece: between the table's angles the intensity is straight."""
+    angles = beam.spread * np.linspace(0, math.pi / 2, len(beam.values))
+    edges = np.append(angles[angles < math.pi / 2], math.pi / 2)
+    places, weights = np.polynomial.legendre.leggauss(_PIECE_NODES)
+    half = np.diff(edges)[:, np.newaxis] / 2
+    theta = edges[:-1, np.newaxis] + half * (places + 1)
+    return float(2 * math.pi * (half * weights * beam.relative_intensity(theta) * np.sin(theta)).sum())
 
 
 def with_spectra(scene: Scene, model: tables.SceneModel) -> Scene:

@@ -32,9 +32,12 @@ from radwrap.tracers.radiance_text import (
 
 _OCTREE: Final = "scene.oct"
 # Direct light is exact and repeatable: every source once, at its centre (-ds 0, -dj 0), none left out by a
-# threshold (-dt 0, -dc 1); no random reflected rays (-st 1), no interreflection (-ab 0). Mirrors of an included
-# file are followed 8 deep, never by Russian roulette.
-VALUE_OPTIONS: Final = tuple("-h -fdf -ov -ab 0 -dt 0 -dc 1 -dj 0 -ds 0 -st 1 -lr 8 -lw 0 -n 1 -x 0 -y 0".split(" "))
+# threshold (-dt 0, -dc 1); no random reflected rays (-st 1), no interreflection (-ab 0). Light of
+# sources is followed through 8 mirrors (-dr 8), also where a first look by a few rays would miss it (-dp 0). What is
+# seen in mirrors is followed 8 deep (-lr 8), never by Russian roulette.
+VALUE_OPTIONS: Final = tuple(
+    "-h -fdf -ov -ab 0 -dt 0 -dc 1 -dj 0 -ds 0 -dr 8 -dp 0 -st 1 -lr 8 -lw 0 -n 1 -x 0 -y 0".split(" ")
+)
 # Interreflection point by point, no cache (-aa 0): so many ambient rays where a ray meets a surface, fewer after that.
 _AMBIENT_DIVISIONS: Final = 16
 _BOTH_OPTIONS: Final = tuple("-ovL" if option == "-ov" else option for option in VALUE_OPTIONS)

@@ -10,6 +10,7 @@ import pytest
 
 import radwrap
 from radwrap.errors import InputError
+from radwrap.scene.intensity_files import read_luminaire
 
 POINT_SOURCE = 2e-6  # float32, and spheres of 1 mm at 1 m: (r/d)^2 = 2.5e-7
 QUARTER_DEGREE = 2e-5  # straight lines over 0.25 deg of a cosine: (step^2)/8 = 2.4e-6, and of its square
@@ -130,6 +131,17 @@ GOOD = lm63(steps(90, 15), [0], cosine)
 
 
 @pytest.mark.parametrize(
+    ("edition", "told", "factor"),
+    [("[TEST] of 1986", 0.8, 0.8), ("IESNA91", 0.8, 0.8), ("IESNA:LM-63-1995", 1, 1), ("IES:LM-63-2019", 1.1, 1)],
+)
+def test_the_lamps_factor_is_that_of_its_edition(tmp_path: Path, edition: str, told: float, factor: float) -> None:
+    """As in ies2rad for the old ones; since 2019 the number tells how the file was made."""
+    text = GOOD.replace("IESNA:LM-63-2002", edition).replace("1 1 50", f"0.5 {told} 50")
+    (tmp_path / "lamp.ies").write_text(text)
+    assert read_luminaire(tmp_path / "lamp.ies").peak == pytest.approx(100 * 0.5 * factor, rel=1e-12)
+
+
+@pytest.mark.parametrize(
     ("text", "told"),
     [
         (lm63(steps(90, 15), [0], cosine, form=2), "photometry of Type B"),
@@ -142,6 +154,7 @@ GOOD = lm63(steps(90, 15), [0], cosine)
         (GOOD.replace("0.0 15.0", "15.0 0.0"), "must be two or more, and increase|vertical angles"),
         (GOOD.replace("1 -1 1 7 1 1", "1 -1 1 1e9 1 1"), "from 1 to 1000"),
         (GOOD.replace("1 -1 1 7", "1 -1 -1 7"), "at least 0"),
+        (GOOD.replace("1 1 50", "1 0.8 50"), r"gives 0.8 for a factor that its edition of LM-63 \(2002\)"),
     ],
 )
 def test_bad_luminaires_are_told_with_the_key(bench: Any, tmp_path: Path, text: str, told: str) -> None:
@@ -158,6 +171,7 @@ def test_bad_luminaires_are_told_with_the_key(bench: Any, tmp_path: Path, text: 
         ("angle_deg,relative_intensity\n0,1\n10,inf\n", "NaN or infinity"),
         ("angle_deg,relative_intensity\n0,1\n10,x\n", "no number"),
         ("angle_deg,relative_intensity\n1,1\n10,0\n", "from 0"),
+        ("angle_deg,relative_intensity\n0," + "1" * 200_000 + "\n", "is no table: field larger"),
     ],
 )
 def test_bad_tables_are_told_with_the_key(bench: Any, tmp_path: Path, text: str, told: str) -> None:

@@ -13,8 +13,9 @@ import radwrap
 from radwrap.imaging.banding import banding
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.tracing import traced_scene
-from radwrap.scene.bands import bands_of, fewest_groups, gray_error
-from radwrap.scene.sources import Beam
+from radwrap.scene.bands import bands_of, fewest_groups, gray_error, scaled
+from radwrap.scene.materials import GlassBeads, Mirror, PrintedSheeting
+from radwrap.scene.sources import Beam, TableBeam
 from radwrap.scene.spectral import flux_of_beam
 from radwrap.scene.spectrum import Curve, integral, line, lumens_per_watt, luminous_efficiency, normalised_power, preset
 
@@ -258,6 +259,32 @@ def test_beams_have_the_flux_of_their_closed_forms() -> None:
     n = 1 / 0.2**2
     assert flux_of_beam(Beam("cosine_power", 0.2)) == pytest.approx(2 * math.pi / (n + 1), rel=1e-9)
     assert flux_of_beam(Beam("gaussian", 0.01)) == pytest.approx(2 * math.pi * 1e-4 * (1 - 1e-4 / 3), rel=1e-7)
+
+
+@pytest.mark.parametrize("end", [0.05, 0.5, 10.0, 89.9])
+def test_a_beam_table_has_the_flux_of_its_straight_pieces(end: float) -> None:
+    """Even light up to an edge, which falls to nothing in one step: the integral by hand."""
+    step = math.radians(0.05)
+    inner = math.radians(end)
+    values = tuple(1.0 if angle <= end + 1e-6 else 0.0 for angle in np.linspace(0, 90, 1801))
+    # 1 to the edge; then (outer - theta)/step.
+    outer = inner + step
+    slope = math.cos(inner) - (math.sin(outer) - math.sin(inner)) / step
+    assert flux_of_beam(TableBeam("table", 1.0, values=values)) == pytest.approx(
+        2 * math.pi * (1 - math.cos(inner) + slope), rel=1e-6
+    )
+
+
+def test_what_no_spectrum_colours_stays_as_it_is(folder: Path) -> None:
+    """Mirrors beside spectra; a print over sheeting is dimmed in both of its parts."""
+    plain = document()
+    plain["materials"]["gray"] = {"type": "mirror", "reflectance": 0.8}
+    scene = radwrap.scene_from_document(plain, folder=folder)
+    assert scene.spectral is not None
+    for band in bands_of(scene.spectral, 0.0).bands:
+        assert band.materials["gray"] == Mirror(0.8)
+    printed = PrintedSheeting(GlassBeads(100.0), 0.9, 0.2)
+    assert scaled(printed, 0.5) == PrintedSheeting(GlassBeads(50.0), 0.9, 0.1)
 
 
 @pytest.mark.parametrize(

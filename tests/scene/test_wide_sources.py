@@ -1,6 +1,7 @@
 """Wide sources: cut into patches that fill the shape, or refused with one clear error."""
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -148,3 +149,60 @@ def test_a_surround_holds_everything() -> None:
 def test_bad_input_is_told(source: dict[str, Any], changes: dict[str, Any], told: str) -> None:
     with pytest.raises(InputError, match=told):
         scene(source, **changes)
+
+
+MIRROR = {"type": "mirror", "reflectance": 0.9}
+
+
+def test_mirrors_that_throw_wide_light_are_refused() -> None:
+    sheet = {**DOCUMENT["targets"][0], "name": "looking_glass", "material": "mirror", "position": PLACE["position"]}
+    both = {"materials": {**DOCUMENT["materials"], "mirror": MIRROR}, "targets": [*DOCUMENT["targets"], sheet]}
+    with pytest.raises(InputError, match=r"sources\[0\]: the light of \"wide\" that mirrors throw on other targets"):
+        scene(RECTANGLE, **both)
+    assert scene({**RECTANGLE, "name": "alone"}, **{"materials.white": MIRROR}).emitters
+
+
+def test_included_files_beside_wide_light(tmp_path: Path) -> None:
+    """A wide source is refused; a small one is told to be unchecked."""
+    (tmp_path / "inc.rad").write_text("void plastic w 0 0 5 .5 .5 .5 0 0\nw sphere s 0 0 4 0 0 0 10\n")
+    included = {"type": "rad", "name": "inc", "rad": "inc.rad", "length_unit": "1 mm"}
+    document = {**DOCUMENT, "targets": [included], "sources": [RECTANGLE]}
+    with pytest.raises(
+        InputError, match=r"sources\[0\]: nobody knows how far \"wide\" is from the surfaces of \"inc\""
+    ):
+        radwrap.scene_from_document(document, folder=tmp_path)
+    disc = {"type": "disc", "name": "disc", "diameter": "80 mm", **PLACE}
+    found = radwrap.scene_from_document({**document, "sources": [disc]}, folder=tmp_path)
+    assert any('surfaces of "inc" are from it is not known' in line for line in warnings_of(found))
+
+
+@pytest.mark.parametrize(
+    ("other", "crosses"),
+    [
+        ({"type": "lamp", "position": ["0 mm", "0 mm", "1500 mm"]}, True),
+        ({"type": "lamp", "position": ["400 mm", "0 mm", "1500 mm"]}, False),
+        ({"type": "lamp", "position": ["0 mm", "0 mm", "600 mm"]}, False),
+        ({"type": "lamp", "position": ["60 mm", "0 mm", "1500 mm"]}, True),
+        ({"type": "lamp", "position": ["90 mm", "0 mm", "1500 mm"]}, False),
+        ({"type": "dome", "position": ["0 mm", "0 mm", "0 mm"]}, True),
+        ({"type": "dome", "position": ["0 mm", "0 mm", "0 mm"], "diameter": "800 mm"}, False),
+        ({"type": "surround"}, True),
+    ],
+)
+def test_light_that_the_coaxial_disc_would_stop_is_refused(other: dict[str, Any], crosses: bool) -> None:
+    """The disc lies at z = 700 mm: from (x, 0, 1500 mm) the sheet, 40 mm wide, is seen through 0.467 x +- 10.7 mm."""
+    coaxial = {"type": "coaxial", "name": "coax", "radiance": "10 W/m^2/sr", "diameter": "50 mm", "distance": "200 mm"}
+    look = {"look_at": ["0 mm", "0 mm", "0 mm"]}
+    level: dict[str, Any] = {"radiance": "1 W/m^2/sr"}
+    match other["type"]:
+        case "lamp":
+            level |= {**look, "diameter": "1 mm", "beam": {"profile": "lambertian"}}
+        case "dome":
+            up = {"look_at": ["0 mm", "0 mm", "-100 mm"], "diameter": "2 m", "opening_diameter": "80 mm"}
+            level |= {**up, "irradiance_error": 0.05}
+    document = {**DOCUMENT, "sources": [coaxial, {"name": "other", **level, **other}]}
+    if not crosses:
+        assert radwrap.scene_from_document(document).emitters
+        return
+    with pytest.raises(InputError, match=r"sources\[1\]: light of \"other\" may cross the place behind the camera"):
+        radwrap.scene_from_document(document)
