@@ -11,6 +11,7 @@ PRNU_i and DSNU_i belong to the specimen (`device_seed`), all else to the frame.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -127,7 +128,8 @@ def noise_variance(radiant_exposure: Array, sensor: Sensor) -> Array:
     """Variance of one frame of an unknown specimen about the mean image [gray level^2].
 
     K^2 (sigma_d^2 + mu_e + mu_d + DSNU^2 + PRNU^2 mu_e^2), through the slope of the response; 1/12 where gray levels
-    are whole; defect pixels are no noise. Where the signal saturates its noise is cut, and only rounding is left.
+    are whole; defect pixels are no noise. Where the signal saturates its noise is cut: of light, dark signal and PRNU
+    by the full well; all of it by the converter, or by the power law behind it.
 
     Parameters
     ----------
@@ -139,6 +141,22 @@ def noise_variance(radiant_exposure: Array, sensor: Sensor) -> Array:
     linear = linear_of(sensor)
     light = radiant_exposure * linear.electrons_of_exposure(sensor.pixel_area)
     square = linear.read_noise**2 + light + linear.dark_signal + linear.dsnu**2 + (linear.prnu * light) ** 2
+    variance, high = _through_response(radiant_exposure, square, sensor)
+    top = 2.0**sensor.bit_depth - 1
+    if sensor.saturation_gray < top and sensor.gamma == 1.0:
+        # The full well is before the read-out: what is added behind it is not cut by it.
+        mean = gray_levels(radiant_exposure, sensor)
+        behind = linear.read_noise**2 + linear.dsnu**2
+        step = linear.system_gain * math.sqrt(behind)
+        added = ((np.minimum(mean + step, top) - (mean - step)) / 2) ** 2
+        cut, _ = _through_response(radiant_exposure, np.maximum(square - behind, 0.0), sensor)
+        variance = np.where(high >= sensor.saturation_gray, cut + added, variance)
+    return variance + (ROUNDING_VARIANCE if sensor.rounding else 0.0)
+
+
+def _through_response(radiant_exposure: Array, square: Array, sensor: Sensor) -> tuple[Array, Array]:
+    """Variance of some electrons^2 as gray levels, and the gray level of a standard deviation more."""
+    linear = linear_of(sensor)
     step = np.sqrt(square) / linear.electrons_of_exposure(sensor.pixel_area)
     high = gray_levels(radiant_exposure + step, sensor)
     low = gray_levels(np.maximum(radiant_exposure - step, 0.0), sensor)
@@ -146,4 +164,4 @@ def noise_variance(radiant_exposure: Array, sensor: Sensor) -> Array:
     mean = gray_levels(radiant_exposure, sensor)
     lower = np.where(radiant_exposure >= step, mean - low, high - mean if sensor.gamma == 1.0 else mean - low)
     variance: Array = ((high - mean + lower) / 2) ** 2
-    return variance + (ROUNDING_VARIANCE if sensor.rounding else 0.0)
+    return variance, high

@@ -38,7 +38,7 @@ from radwrap.imaging.sensor import gray_image, gray_levels
 from radwrap.imaging.survey import survey
 from radwrap.imaging.tracing import TracedScene, laid_out
 from radwrap.imaging.truth import central_maps, geometry
-from radwrap.imaging.uncertainty import share_spread, uncertainty
+from radwrap.imaging.uncertainty import seen_magnifications, share_spread, uncertainty
 from radwrap.imaging.view import View
 from radwrap.imaging.viewpoints import missing_viewpoints
 from radwrap.manifest import SCHEMA_VERSION, plain, read_manifest, sha256_of_value, versions, write_manifest
@@ -269,14 +269,14 @@ class _Run:
             orders = _orders(self.options.bounces, left_out)
             work, options = self._with_bounces(view, orders, progress)
             made = make(self.scene, banding.left(options), work)
-            spread = self._spread()
+            spread, magnification = self._spread(), self._magnification(view)
             self._remove_old()
             basis = self._write_basis(work, made)
         finally:
             progress.close()
         summary, files = self._write_images(made.radiance)
         files += basis
-        told, more = self._write_uncertainty(made.error["rms_gray"], spread)
+        told, more = self._write_uncertainty(made.error["rms_gray"], spread, magnification)
         files += [*more, *self._write_frames()]
         if self.options.truth:
             files += self._write_truth()
@@ -348,12 +348,8 @@ class _Run:
             (self.out / name).unlink(missing_ok=True)
 
     def _old_frames(self) -> list[str]:
-        """Frames of an older run, as its manifest names them."""
-        try:
-            files = read_manifest(self.out / MANIFEST)["files"]
-        except (InputError, KeyError):
-            return []
-        return [name for name in files if _FRAME.fullmatch(name)]
+        """Frames of an older run, whether or not its manifest is still there to name them."""
+        return sorted(file.name for file in self.out.glob("frame_*.png") if _FRAME.fullmatch(file.name))
 
     def _write_basis(self, work: Work, made: Made) -> list[str]:
         if not self.sources or made.outcome is None:
@@ -378,15 +374,24 @@ class _Run:
         names = self.sources or shining(self.scene, self.traced.prepared, "tolerances.each_source_radiance")
         return share_spread([self.traced.view_of(name) for name in names])
 
+    def _magnification(self, view: View) -> NDArray[np.float64] | None:
+        """How much a wider opening blurs each pixel, where a lens has one that is not sure."""
+        camera, tolerances = self.scene.camera, self.scene.tolerances
+        if camera.lens is None or tolerances is None or not tolerances.aperture_diameter:
+            return None
+        return seen_magnifications(view)
+
     def _write_uncertainty(
-        self, ray_error: float, spread: NDArray[np.float64] | None
+        self, ray_error: float, spread: NDArray[np.float64] | None, magnification: NDArray[np.float64] | None
     ) -> tuple[dict[str, Any], list[str]]:
         """Standard deviation of the gray levels, where the scene states tolerances or noise."""
         camera, tolerances = self.scene.camera, self.scene.tolerances
         if tolerances is None and camera.sensor.linear is None:
             return {}, []
         exposure = ExposureImage(read_image(self.out / EXPOSURE)[0].astype(np.float64))
-        found = uncertainty(exposure, camera, tolerances or Tolerances(), ray_error, spread)
+        found = uncertainty(
+            exposure, camera, tolerances or Tolerances(), ray_error, spread, magnification=magnification
+        )
         write_exr(self.out / SIGMA, found.sigma.astype(np.float32), channel="gray_sigma")
         return {"uncertainty": found.as_manifest()}, [SIGMA]
 

@@ -24,7 +24,7 @@ from radwrap.images import ExposureImage
 from radwrap.imaging.footprint import opening_points
 from radwrap.imaging.noise import ROUNDING_VARIANCE, noise_variance
 from radwrap.imaging.sensor import gray_levels
-from radwrap.imaging.view import View, trace_rays
+from radwrap.imaging.view import View, magnifications_at, trace_rays
 from radwrap.scene.camera import Camera, Sensor
 from radwrap.scene.tolerances import TO_STANDARD, Tolerances
 
@@ -57,7 +57,13 @@ class Uncertainty:
 
 
 def uncertainty(
-    exposure: ExposureImage, camera: Camera, tolerances: Tolerances, ray_error: float, spread: Array | None = None
+    exposure: ExposureImage,
+    camera: Camera,
+    tolerances: Tolerances,
+    ray_error: float,
+    spread: Array | None = None,
+    *,
+    magnification: Array | None = None,
 ) -> Uncertainty:
     """Combine all causes.
 
@@ -74,6 +80,9 @@ def uncertainty(
     spread : ndarray, shape (rows, columns), optional
         Root of the sum of squares of the sources' shares in each pixel, 1 where one source alone lights it; needed with
         `each_source_radiance`.
+    magnification : ndarray, shape (rows, columns), optional
+        M of what each pixel sees (`Camera.magnification`); needed with `aperture_diameter` behind a lens, whose blur
+        it scales.
     """
     values, sensor = exposure.values, camera.sensor
     squares: dict[str, Array] = {"rays": ray_error**2 * _where_rays_err(gray_levels(values, sensor) - sensor.dark_gray)}
@@ -90,7 +99,12 @@ def uncertainty(
             raise ValueError("the sources' shares are needed")
         by_exposure("each_source_radiance", lambda z: 1 + z * tolerances.each_source_radiance * TO_STANDARD * spread)
     if tolerances.aperture_diameter:
+        if camera.lens is not None and magnification is None:
+            raise ValueError("the magnifications are needed")
         blur = _blur_slope(values, camera)
+        if camera.lens is not None and magnification is not None:
+            # The opening's second moments on the sensor go with M^2: none in the plane of focus.
+            blur = blur * magnification**2
         by_exposure(
             "aperture_diameter",
             lambda z: _aperture_factor(camera, z * tolerances.aperture_diameter * TO_STANDARD, blur),
@@ -101,7 +115,10 @@ def uncertainty(
         ("sensor_gain", "gain", sensor.gain * tolerances.sensor_gain),
         ("dark_gray", "dark_gray", tolerances.dark_gray),
     ):
-        if size:
+        if name == "sensor_gain" and size and sensor.linear is not None and sensor.gamma != 1.0:
+            # The power law stands behind the converter: it bends what the gain has scaled.
+            by_exposure(name, lambda z: 1 + z * tolerances.sensor_gain * TO_STANDARD)
+        elif size:
             squares[name] = _by_sensor(values, sensor, key, size * TO_STANDARD)
     if sensor.linear is not None:
         squares["noise"] = noise_variance(values, sensor)
@@ -144,7 +161,8 @@ def _blur_slope(values: Array, camera: Camera) -> Array:
     """Relative change of the radiant exposure with the logarithm of the opening's size, its area held.
 
     Blur by a small opening is exp(C:DD/2), with C the second moments of its shape on the sensor; its slope by the
-    logarithm of the size is C:DD, taken on the blurred image itself. The blur's growth at near things is left out.
+    logarithm of the size is C:DD, taken on the blurred image itself. That of a pinhole grows at near things:
+    this is left out. Behind a lens it is the slope of M = 1.
     """
     if camera.aperture.is_infinitesimal or min(values.shape) < _FEWEST_FOR_BLUR:
         return np.zeros_like(values)
@@ -189,3 +207,10 @@ def share_spread(views: Sequence[View]) -> Array:
     whole = math.sqrt(sum(value**2 for value in sums)) / sum(sums) if sum(sums) > 0 else 1.0
     spread = np.where(total > 0, np.sqrt(square) / np.where(total > 0, total, 1.0), whole)
     return spread.reshape(sensor.rows, sensor.columns)
+
+
+def seen_magnifications(view: View) -> Array:
+    """M of what each pixel's central ray meets, shape (rows, columns)."""
+    sensor = view.camera.sensor
+    v, u = (axis.ravel().astype(np.float64) for axis in np.indices((sensor.rows, sensor.columns)))
+    return magnifications_at(view, u, v).reshape(sensor.rows, sensor.columns)

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from radwrap.errors import InputError
 from radwrap.scene.beside import named_file
+from radwrap.units import LENGTH, parse_quantity
 
 KEY = "data_sheet"
+_ONE: Final = "quantum_efficiency"
+_TABLE: Final = "quantum_efficiencies"
+_ROUNDING: Final = 1e-9  # "650 nm" and "0.65 um" are one
 
 
 def with_data_sheet(document: Mapping[str, Any], origin: str, folder: Path) -> Mapping[str, Any]:
@@ -34,4 +39,22 @@ def with_data_sheet(document: Mapping[str, Any], origin: str, folder: Path) -> M
         raise InputError(f'"{name}" is no TOML file: {error}', where=where) from error
     if KEY in sheet or "preset" in sheet:
         raise InputError(f'"{name}" names another sheet', where=where, remedy="spell its values out")
-    return {**document, "camera": {**camera, "sensor": {**sheet, **sensor}}}
+    return {**document, "camera": {**camera, "sensor": {**_without_replaced(sheet, sensor, where), **sensor}}}
+
+
+def _without_replaced(sheet: Mapping[str, Any], sensor: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """The sheet without the efficiency that the scene tells its own way; one number holds at its wavelength alone."""
+    if _ONE in sensor or _TABLE in sensor:
+        return {key: value for key, value in sheet.items() if key not in {_ONE, _TABLE}}
+    if _ONE in sheet and "wavelength" in sheet and "wavelength" in sensor:
+        try:
+            told, asked = (parse_quantity(table["wavelength"], LENGTH) for table in (sheet, sensor))
+        except InputError as error:
+            raise InputError(f"wavelength: {error}", where=where) from error
+        if not math.isclose(told, asked, rel_tol=_ROUNDING):
+            raise InputError(
+                f"its {_ONE} is that of {sheet['wavelength']}, the scene's wavelength is {sensor['wavelength']}",
+                where=where,
+                remedy=f"give {_ONE} beside the wavelength, or {_TABLE} in the sheet",
+            )
+    return dict(sheet)

@@ -149,8 +149,9 @@ class LinearSensorModel(PixelsModel):
     def _consistent(self) -> LinearSensorModel:
         if self.quantum_efficiency is None and self.quantum_efficiencies is None:
             raise ValueError("needs quantum_efficiency, or quantum_efficiencies with wavelengths")
-        if self.quantum_efficiency is None:
-            self.efficiency()
+        if self.quantum_efficiency is not None and self.quantum_efficiencies is not None:
+            raise ValueError("needs one of quantum_efficiency and quantum_efficiencies, not both")
+        self.efficiency()
         heat = (self.dark_current_temperature, self.doubling_temperature, self.temperature)
         if any(value is not None for value in heat) and any(value is None for value in heat):
             raise ValueError("dark_current_temperature, doubling_temperature and temperature go together")

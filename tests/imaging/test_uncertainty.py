@@ -1,6 +1,7 @@
 """Each cause of uncertainty by closed form, what a run writes of it, and how often the intervals hold."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from radwrap.images import ExposureImage, read_image
 from radwrap.imaging.noise import fixed_pattern, noisy_frame
 from radwrap.imaging.sensor import gray_levels
 from radwrap.imaging.uncertainty import uncertainty
-from radwrap.scene.camera import Camera
+from radwrap.scene.camera import Camera, Lens
 from radwrap.scene.tolerances import Tolerances
 from tests.physics.conftest import Bench
 from tests.physics.test_linear_sensor import MU_P_OF_H, TABLE, scene_with, sensor_of
@@ -77,6 +78,34 @@ def test_more_blur_changes_an_edge_as_its_profile_says() -> None:
     assert off(alone) < 0.6 * off(without)
 
 
+def test_a_lens_blurs_by_its_magnification() -> None:
+    """None in the plane of focus; elsewhere the square of M times that of a pinhole."""
+    camera = camera_with(rounding=False)
+    through = replace(camera, lens=Lens(focus_distance=0.2))
+    edge = ExposureImage(np.tile(np.where(np.arange(30) < 14, 3000.0, 6000.0), (20, 1)) / MU_P_OF_H)
+    tolerances = Tolerances(aperture_diameter=1e-7 * HALF)
+
+    def part(seen: Camera, magnification: float) -> np.ndarray:
+        filled = np.full(edge.values.shape, magnification)
+        sigma, least = (uncertainty(edge, seen, t, 0.0, magnification=filled).sigma for t in (tolerances, Tolerances()))
+        return np.sqrt(sigma**2 - least**2)
+
+    light = 2e-3 * (gray_levels(edge.values, camera.sensor) - 100)
+    assert part(through, 0.0) == pytest.approx(light, rel=1e-6)
+    pinhole, half = (part(*case) - light for case in ((camera, 1.0), (through, 0.05)))
+    beside = 13  # the dark side, which blur brightens
+    assert half[:, beside] == pytest.approx(0.05**2 * pinhole[:, beside], rel=1e-2)
+    with pytest.raises(ValueError, match="magnifications"):
+        uncertainty(edge, through, tolerances, 0.0)
+
+
+def test_a_gain_before_a_power_law_counts_by_the_power() -> None:
+    camera = camera_with(gamma=0.5)
+    found = uncertainty(level(camera, 6000), camera, Tolerances(sensor_gain=0.001 * HALF), 0.0)
+    above = gray_levels(level(camera, 6000).values, camera.sensor)[0, 0] - 100
+    assert found.parts["sensor_gain"] == pytest.approx(0.5 * 0.001 * above, rel=1e-6)
+
+
 def test_sources_of_their_own_add_as_squares() -> None:
     camera = camera_with()
     spread = np.full((20, 30), 1 / math.sqrt(12))  # twelve of equal share
@@ -110,10 +139,15 @@ def test_intervals_hold_as_often_as_they_say() -> None:
     assert held / 400 == pytest.approx([0.6827, 0.95], abs=0.06)
 
 
-def sheet(tolerances: dict[str, Any] | None, sensor: dict[str, Any] | None = None) -> radwrap.Scene:
+def sheet(
+    tolerances: dict[str, Any] | None, sensor: dict[str, Any] | None = None, *, lens: bool = False
+) -> radwrap.Scene:
     view = Bench.camera(rows=6, columns=8, pitch=(2e-4, 2e-4))
     if sensor is not None:
         view = {**view, "sensor": sensor}
+    if lens:
+        view = {k: v for k, v in view.items() if k != "aperture"}
+        view["lens"] = {"focus_distance": "1 m", "f_number": 8}
     document: dict[str, Any] = {
         "camera": view | {"exposure_time": "200 ms"},
         "sources": [Bench.lamp((x, 0, 0.5), name=name) for name, x in (("left", -0.3), ("right", 0.3))],
@@ -138,6 +172,22 @@ def test_a_run_writes_it_where_the_scene_states_tolerances(tmp_path: Path) -> No
     assert result.manifest["uncertainty"]["parts_rms_gray"].keys() == {"rays", "each_source_radiance"}
     radwrap.render(sheet(None), tmp_path, method="pinhole")
     assert not (tmp_path / "gray_sigma.exr").exists()
+
+
+def test_frames_of_a_run_without_a_manifest_go(tmp_path: Path) -> None:
+    (tmp_path / "frame_0007.png").write_bytes(b"of a run that was killed")
+    radwrap.render(sheet(None), tmp_path, method="pinhole")
+    assert not list(tmp_path.glob("frame_*"))
+
+
+def test_a_run_with_a_lens_tells_what_its_opening_is_not_sure_of(tmp_path: Path) -> None:
+    """The sheet in the plane of focus: more light of a wider opening, and no blur."""
+    scene = sheet({"aperture_diameter": "10 um"}, lens=True)
+    result = radwrap.render(scene, tmp_path, method="rays", tolerance=20.0)
+    part = result.manifest["uncertainty"]["parts_rms_gray"]["aperture_diameter"]
+    above = float(np.sqrt(np.mean((result.gray.values - scene.camera.sensor.dark_gray) ** 2)))
+    diameter = scene.camera.aperture.diameter
+    assert part == pytest.approx(2 * 10e-6 / HALF / diameter * above, rel=0.01)
 
 
 def test_noise_alone_is_enough(tmp_path: Path) -> None:

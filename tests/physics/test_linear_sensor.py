@@ -18,7 +18,9 @@ from radwrap.imaging.relight import _sensor as sensor_from_manifest
 from radwrap.imaging.sensor import gray_levels
 from radwrap.manifest import plain
 from radwrap.scene.camera import Sensor
+from radwrap.scene.data_sheet import with_data_sheet
 from radwrap.scene.pixel_window import PixelWindow, box, strips
+from radwrap.scene.sensor_tables import LinearSensorModel
 from tests.physics.conftest import Bench
 
 EXACT = 1e-12  # a few roundings of float64
@@ -131,6 +133,21 @@ def test_noise_is_that_of_the_standard(photons: float) -> None:
     assert noise_variance(even(sensor, photons).values, sensor)[0, 0] == pytest.approx(variance, rel=1e-9)
 
 
+@pytest.mark.parametrize("photons", [20_000, 40_000])
+def test_read_noise_and_pattern_go_on_where_the_well_is_full(photons: float) -> None:
+    """Half of the frames' light is cut at the full well itself, all of it beyond; the read-out comes after."""
+    sensor = sensor_of(dsnu="3 e", defects={})
+    exposure = even(sensor, photons)
+    told = noise_variance(exposure.values, sensor)[0, 0]
+    frame = noisy_frame(exposure, sensor, fixed_pattern(sensor), 3, 0).values
+    behind = 0.25**2 * (8**2 + 3**2) + 1 / 12
+    if photons > 20_000:
+        assert told == pytest.approx(behind, rel=EXACT)
+        assert frame.var() == pytest.approx(told, rel=SURE * math.sqrt(2 / frame.size))
+    else:
+        assert told == pytest.approx(behind + 0.25**2 * 12000 / 4, rel=1e-9)
+
+
 def test_highest_signal_to_noise_ratio_is_the_root_of_the_full_well() -> None:
     sensor = sensor_of(read_noise="0 e", full_well="10 ke", rounding=False)
     frame = noisy_frame(even(sensor, 9500 / 0.6), sensor, fixed_pattern(sensor), 1, 0).values
@@ -201,6 +218,10 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "no well": ({"full_well": None}, r"camera\.sensor\.full_well: is missing"),
     "unknown": ({"ful_well": "1 e"}, r"camera\.sensor\.ful_well: unknown key"),
     "half of the heat": ({"temperature": "30 degC"}, r"camera\.sensor: .*go together"),
+    "two efficiencies": (
+        {"quantum_efficiencies": [["600 nm", 0.5], ["700 nm", 0.3]]},
+        r"camera\.sensor: needs one of quantum_efficiency and quantum_efficiencies",
+    ),
     "outside": (
         {"quantum_efficiency": None, "quantum_efficiencies": [["400 nm", 0.1], ["600 nm", 0.2]]},
         r"camera\.sensor: quantum_efficiencies: reach from 400 to 600 nm, the wavelength is 650 nm",
@@ -242,6 +263,24 @@ def test_a_data_sheet_gives_what_the_scene_does_not_say(tmp_path: Path) -> None:
     (tmp_path / "sheet.toml").write_text("rows = ")
     with pytest.raises(radwrap.InputError, match=r'data_sheet: "sheet.toml" is no TOML file'):
         radwrap.scene_from_document(document, folder=tmp_path)
+
+
+def test_a_sheets_efficiency_gives_way_and_holds_at_its_wavelength_alone(tmp_path: Path) -> None:
+    sheet = "\n".join(f"{key} = {value!r}" for key, value in TABLE.items() if key != "model")
+    (tmp_path / "sheet.toml").write_text(sheet.replace("'", '"'))
+
+    def efficiency(**changes: Any) -> float:
+        sensor = {"model": "linear", "data_sheet": "sheet.toml"} | changes
+        found = with_data_sheet({"camera": {"sensor": sensor}}, "scene.toml", tmp_path)["camera"]["sensor"]
+        model = LinearSensorModel.model_validate({k: v for k, v in found.items() if k != "data_sheet"})
+        return model.efficiency()
+
+    assert efficiency() == efficiency(wavelength="0.65 um") == 0.6
+    table = [["400 nm", 0.1], ["500 nm", 0.3]]
+    assert efficiency(wavelength="450 nm", quantum_efficiencies=table) == pytest.approx(0.2, rel=EXACT)
+    assert efficiency(wavelength="450 nm", quantum_efficiency=0.4) == 0.4
+    with pytest.raises(radwrap.InputError, match=r"data_sheet: its quantum_efficiency is that of 650 nm"):
+        efficiency(wavelength="450 nm")
 
 
 def test_a_sensor_comes_back_from_a_manifest() -> None:
