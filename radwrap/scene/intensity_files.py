@@ -30,6 +30,7 @@ _MOST_ANGLES: Final = 1000
 _HEADER: Final = ["angle_deg", "relative_intensity"]
 # A table that ends above this share of its peak says nothing of what comes after.
 _DARK: Final = 0.01
+_MOST_OF_AXIS: Final = 1e6
 _TYPES: Final = {2: "B", 3: "A"}
 _EDITION: Final = re.compile(r"(?i)\s*IES(?:NA)?:?(?:LM-63-)?(\d+)")
 _CODED: Final = 2019  # from this edition on the number after the ballast factor tells how the file was made
@@ -56,6 +57,11 @@ def read_beam(path: Path) -> TableBeam:
         raise InputError("angles must go from 0 to at most 90", where=str(path))
     if value[0] <= 0 or value.min() < 0:
         raise InputError("relative intensities must be at least 0, on the axis above 0", where=str(path))
+    if value.max() > _MOST_OF_AXIS * value[0]:
+        raise InputError(
+            f"is more than {_MOST_OF_AXIS:g} times as bright aside as on the axis, to which it is relative",
+            where=str(path),
+        )
     if angle[-1] < 90 and value[-1] > _DARK * value.max():
         raise InputError(
             f"ends at {angle[-1]:g} deg with {value[-1] / value.max():.0%} of its peak",
@@ -84,7 +90,7 @@ def read_luminaire(path: Path) -> IntensityTable:
         raise InputError("names another file for its tilt", where=str(path), remedy="write TILT=NONE or TILT=INCLUDE")
     values = _numbers(re.split(r"[\s,]+", text[tilt.end() :].strip()), path)
     reader = _Reader(values, path)
-    factor = _tilt(reader) if kind == "INCLUDE" else 1.0
+    factor = _tilt(reader, path) if kind == "INCLUDE" else 1.0
     _, _, multiplier = reader.take(3)
     vertical_count, horizontal_count, form = (reader.count() for _ in range(3))
     if form != 1:
@@ -154,11 +160,13 @@ class _Reader:
             raise InputError("goes on after its last intensity", where=str(self._path))
 
 
-def _tilt(reader: _Reader) -> float:
+def _tilt(reader: _Reader, path: Path) -> float:
     """The factor of a lamp that is not tilted."""
     reader.take(1)
     number = reader.count()
     angles, factors = reader.take(number), reader.take(number)
+    if not (np.diff(angles) > 0).all():
+        raise InputError("the angles of its tilt must increase", where=str(path))
     return float(np.interp(0.0, angles, factors))
 
 

@@ -65,6 +65,8 @@ def read_brdf(path: Path) -> MeasuredBrdf:
         If it is no such table, or reflects more than falls on it.
     """
     columns, digest = _columns(path, _BRDF)
+    if min(float(columns[name].min(initial=0.0)) for name in _BRDF[:-1]) < 0:
+        raise InputError("angles must be at least 0", where=str(path), remedy="tell the side by the azimuth, 0 to 180")
     axes, values = _grid(columns, _BRDF, path)
     incidence, viewing, azimuth = axes
     if incidence[0] != 0 or viewing[0] != 0 or min(incidence[-1], viewing[-1]) < _LEAST_REACH:

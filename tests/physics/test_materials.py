@@ -257,6 +257,7 @@ def test_a_print_lies_as_its_image(bench: Any, tmp_path: Path) -> None:
         ({"type": "measured_brdf", "file": "no.csv"}, "materials.m.file: .*no such file"),
         ({"type": "measured_brdf", "file": "bright.csv"}, "reflects 3.14 of what falls on it"),
         ({"type": "measured_brdf", "file": "holes.csv"}, "each combination"),
+        ({"type": "measured_brdf", "file": "minus.csv"}, "materials.m.file: .*angles must be at least 0"),
         ({"type": "measured_brdf", "file": "long.csv"}, "materials.m.file: .*is no table: field larger"),
         ({"type": "measured_brdf", "file": "../x.csv"}, "outside the scene's folder"),
         ({"type": "print", "file": "x.png", "encoding": "gamma"}, "encoding"),
@@ -282,6 +283,7 @@ def test_bad_materials_are_told(bench: Any, tmp_path: Path, material: dict[str, 
     head = "observation_deg,entrance_deg,rotation_deg,coefficient\n"
     (tmp_path / "turned.csv").write_text(head + "0.2,4,0,250\n0.2,4,90,240\n")
     (tmp_path / "nan.csv").write_text("observation_deg,entrance_deg,coefficient\n0.2,4,nan\n")
+    (tmp_path / "minus.csv").write_text("incidence_deg,viewing_deg,azimuth_deg,brdf_per_sr\n-5,0,0,0.1\n")
     long = "1" * 200_000
     (tmp_path / "long.csv").write_text(f"incidence_deg,viewing_deg,azimuth_deg,brdf_per_sr\n0,0,0,{long}\n")
     with pytest.raises(InputError, match=told):

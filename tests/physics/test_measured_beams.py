@@ -154,6 +154,7 @@ def test_the_lamps_factor_is_that_of_its_edition(tmp_path: Path, edition: str, t
         (GOOD.replace("0.0 15.0", "15.0 0.0"), "must be two or more, and increase|vertical angles"),
         (GOOD.replace("1 -1 1 7 1 1", "1 -1 1 1e9 1 1"), "from 1 to 1000"),
         (GOOD.replace("1 -1 1 7", "1 -1 -1 7"), "at least 0"),
+        (GOOD.replace("TILT=NONE", "TILT=INCLUDE\n1 2\n90 0\n1 1"), "angles of its tilt must increase"),
         (GOOD.replace("1 1 50", "1 0.8 50"), r"gives 0.8 for a factor that its edition of LM-63 \(2002\)"),
     ],
 )
@@ -171,6 +172,7 @@ def test_bad_luminaires_are_told_with_the_key(bench: Any, tmp_path: Path, text: 
         ("angle_deg,relative_intensity\n0,1\n10,inf\n", "NaN or infinity"),
         ("angle_deg,relative_intensity\n0,1\n10,x\n", "no number"),
         ("angle_deg,relative_intensity\n1,1\n10,0\n", "from 0"),
+        ("angle_deg,relative_intensity\n0,1e-320\n10,1e300\n20,0\n", "times as bright aside"),
         ("angle_deg,relative_intensity\n0," + "1" * 200_000 + "\n", "is no table: field larger"),
     ],
 )
