@@ -86,6 +86,6 @@ def dark_current_at(current: float, temperature: float, reference: float, doubli
     if current == 0:
         return 0.0
     try:
-        return current * 2.0 ** ((temperature - reference) / doubling)
+        return current * math.pow(2.0, (temperature - reference) / doubling)
     except OverflowError:
         return math.inf
