@@ -6,7 +6,7 @@
              yd = likewise in y, with p1 (r^2 + 2 y^2) + 2 p2 x y;  r of the undistorted x, y
     tsai     x  = xd (1 + kappa1 rd^2), y likewise;  rd of the distorted xd, yd: it undistorts
 
-Either is given one way and inverted by Newton's method. Where it folds over
+Either is given one way and inverted by Newton's method, and each place found is put in again. Where it folds over
 (light of two directions at one place) it ends: `limit` and beyond it a place
 goes on along its radius in proportion, which no pixel is near. Sources: keys
 tsai1987, opencv_calib3d.
@@ -30,10 +30,14 @@ Model = Literal["opencv", "tsai"]
 
 _DIRECTIONS: Final = 72
 _SCAN: Final = 400  # steps of the radius in which a fold is looked for
+_CHECKED: Final = 10  # steps of the radius between places that are inverted when a scene is read
 _REACH: Final = 4.0  # times the farthest pixel's distance: so far it is looked for
 _FOLDED: Final = 0.02  # area ratio below which the image is as good as folded over
 _STEPS: Final = 60  # of Newton's method, which takes 3 to 8
 _CONVERGED: Final = 1e-15  # of the focal length: 1e-11 px at 10^4 px
+_SOLVED: Final = 1e-13  # likewise, what rounding leaves
+_AT_LIMIT: Final = 1 + 1e-9  # the limit itself is within
+_HALVINGS: Final = 12  # of a step that would lead farther off
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +75,7 @@ class Distortion:
 
     def _forward(self, x: Array, y: Array) -> tuple[Array, Array]:
         if self.model == "tsai":
-            return _solved(x, y, self.tsai)[:2]
+            return _solved(x, y, self.tsai, self.distorted_limit)[:2]
         xd, yd, _ = self.opencv(x, y)
         return xd, yd
 
@@ -79,7 +83,7 @@ class Distortion:
         if self.model == "tsai":
             xu, yu, jacobian = self.tsai(x, y)
             return xu, yu, _determinant(jacobian)
-        xu, yu, jacobian = _solved(x, y, self.opencv)
+        xu, yu, jacobian = _solved(x, y, self.opencv, self.limit)
         return xu, yu, 1 / _determinant(jacobian)
 
     def tsai(self, x: Array, y: Array) -> Bent:
@@ -130,7 +134,7 @@ def bounded(distortion: Distortion, corner: float, where: str) -> Distortion:
     Raises
     ------
     InputError
-        If it folds over before that corner.
+        If it folds over before that corner, or cannot be inverted there.
     """
     angles = np.arange(_DIRECTIONS) * (2 * math.pi / _DIRECTIONS)
     radii = np.arange(_SCAN + 1) / _SCAN * _REACH * corner
@@ -155,7 +159,15 @@ def bounded(distortion: Distortion, corner: float, where: str) -> Distortion:
             where=where,
             remedy="it holds only where it was measured: give coefficients that do so on the whole sensor",
         )
-    return Distortion(distortion.model, distortion.coefficients, undistorted, distorted)
+    found = Distortion(distortion.model, distortion.coefficients, undistorted, distorted)
+    # Either way, to the corner: what fails later would fail in the midst of a run.
+    near = radii[: _SCAN + 1 : _CHECKED] / _REACH
+    places = (np.multiply.outer(near, wave(angles)).ravel() for wave in (np.cos, np.sin))
+    try:
+        found.distorted(*found.undistorted(*places)[:2])
+    except InputError as error:
+        raise InputError(error.what, where=where, remedy=error.remedy) from error
+    return found
 
 
 def _beyond(radius: Array, limit: float) -> Array:
@@ -168,17 +180,81 @@ def _determinant(jacobian: Array) -> Array:
     return determinant
 
 
-def _solved(x: Array, y: Array, formula: Callable[[Array, Array], Bent]) -> Bent:
-    """Places that a formula takes to (x, y), by Newton's method from there, and its derivatives."""
+def _solved(x: Array, y: Array, formula: Callable[[Array, Array], Bent], limit: float) -> Bent:
+    """Places within a limit that a formula takes to (x, y), and its derivatives.
+
+    Newton's method from there finds nearly all; where it went astray it begins anew from the place of that radius.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
+    with np.errstate(all="ignore"):
+        u, v = _newton(x, y, formula)
+        astray = ~_solves((u, v), x, y, formula, limit)
+        if astray.any():
+            u[astray], v[astray] = _careful(x[astray], y[astray], formula, limit)
+            if not _solves((u, v), x, y, formula, limit).all():
+                raise InputError(
+                    "the distortion cannot be inverted on the whole sensor",
+                    where="camera.distortion",
+                    remedy="it holds only where it was measured: give coefficients that do so on the whole sensor",
+                )
+    return u, v, formula(u, v)[2]
+
+
+def _newton(x: Array, y: Array, formula: Callable[[Array, Array], Bent]) -> tuple[Array, Array]:
     u, v = x.copy(), y.copy()
     for _ in range(_STEPS):
-        found_x, found_y, jacobian = formula(u, v)
-        off_x, off_y = found_x - x, found_y - y
-        determinant = _determinant(jacobian)
-        step_u = (jacobian[1, 1] * off_x - jacobian[0, 1] * off_y) / determinant
-        step_v = (jacobian[0, 0] * off_y - jacobian[1, 0] * off_x) / determinant
+        step_u, step_v, _ = _step((u, v), x, y, formula)
         u -= step_u
         v -= step_v
         if max(np.abs(step_u).max(initial=0.0), np.abs(step_v).max(initial=0.0)) <= _CONVERGED:
             break
-    return u, v, formula(u, v)[2]
+    return u, v
+
+
+def _step(
+    at: tuple[Array, Array], x: Array, y: Array, formula: Callable[[Array, Array], Bent]
+) -> tuple[Array, Array, Array]:
+    """What Newton's method takes from some places, and how far off (x, y) they lead."""
+    found_x, found_y, jacobian = formula(*at)
+    off_x, off_y = found_x - x, found_y - y
+    determinant = _determinant(jacobian)
+    step_u = (jacobian[1, 1] * off_x - jacobian[0, 1] * off_y) / determinant
+    step_v = (jacobian[0, 0] * off_y - jacobian[1, 0] * off_x) / determinant
+    return step_u, step_v, np.hypot(off_x, off_y)
+
+
+def _solves(
+    at: tuple[Array, Array], x: Array, y: Array, formula: Callable[[Array, Array], Bent], limit: float
+) -> NDArray[np.bool_]:
+    """Which places lead to (x, y), and are not beyond a fold; of what is nowhere nothing is asked."""
+    found_x, found_y, _ = formula(*at)
+    near = np.hypot(found_x - x, found_y - y) <= _SOLVED * np.maximum(np.hypot(x, y), 1.0)
+    held: NDArray[np.bool_] = near & (np.hypot(*at) <= limit * _AT_LIMIT) | ~np.isfinite(x + y)
+    return held
+
+
+def _careful(x: Array, y: Array, formula: Callable[[Array, Array], Bent], limit: float) -> tuple[Array, Array]:
+    """Newton's method that starts at the right radius and goes no farther than it helps."""
+    radius = np.hypot(x, y)
+    along_x, along_y = x / np.maximum(radius, 1e-300), y / np.maximum(radius, 1e-300)
+    low, high = np.zeros_like(radius), np.minimum(limit * _AT_LIMIT, _REACH * radius)
+    for _ in range(_STEPS):  # within the limit the radius grows along each direction
+        middle = (low + high) / 2
+        found_x, found_y, _ = formula(middle * along_x, middle * along_y)
+        short = np.hypot(found_x, found_y) < radius
+        low, high = np.where(short, middle, low), np.where(short, high, middle)
+    u, v = low * along_x, low * along_y
+    for _ in range(_STEPS):
+        step_u, step_v, off = _step((u, v), x, y, formula)
+        share = np.ones_like(off)
+        for _ in range(_HALVINGS):
+            *_, after = _step((u - share * step_u, v - share * step_v), x, y, formula)
+            share = np.where(after <= off, share, share / 2)
+        u, v = u - share * step_u, v - share * step_v
+        if np.hypot(step_u, step_v).max(initial=0.0) <= _CONVERGED:
+            break
+    return u, v

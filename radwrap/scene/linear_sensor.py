@@ -12,6 +12,7 @@ it; what it adds is noise. Source: key emva1288.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -78,5 +79,13 @@ class LinearSensor:
 
 
 def dark_current_at(current: float, temperature: float, reference: float, doubling: float) -> float:
-    """Dark current [e/s] at a temperature, from that at a reference; it doubles every `doubling` kelvin."""
-    return current * float(2.0 ** ((temperature - reference) / doubling))
+    """Dark current [e/s] at a temperature, from that at a reference; it doubles every `doubling` kelvin.
+
+    Infinite where that overflows.
+    """
+    if current == 0:
+        return 0.0
+    try:
+        return current * math.pow(2.0, (temperature - reference) / doubling)
+    except OverflowError:
+        return math.inf

@@ -12,6 +12,7 @@ import numpy as np
 
 from radwrap.errors import InputError
 from radwrap.scene.bands import Spectral, scaled
+from radwrap.scene.beside import named_file
 from radwrap.scene.material_tables import Coloured
 from radwrap.scene.sources import Beam, Source, TableBeam, WideSource, dimmed, emitters
 from radwrap.scene.spectrum import Curve, integral, line, lumens_per_watt, normalised_power, preset, read_curve
@@ -33,9 +34,7 @@ _ROUNDING: Final = 1e-9
 
 
 def _file(name: str, folder: Path, where: str, largest: float = math.inf) -> Curve:
-    path = (folder / name).resolve()
-    if not path.is_relative_to(folder.resolve()):
-        raise InputError("lies outside the scene's folder", where=where, remedy="copy it beside the scene file")
+    path = named_file(folder, name, where)
     try:
         return read_curve(path, largest=largest)
     except InputError as error:

@@ -157,7 +157,10 @@ def read_curve(path: Path, *, largest: float = math.inf) -> Curve:
 
 
 def _parsed(text: str, where: str) -> Curve:
-    rows = [row for row in csv.reader(text.splitlines()) if row]
+    try:
+        rows = [row for row in csv.reader(text.splitlines()) if row]
+    except csv.Error as error:
+        raise InputError(f"is no CSV: {error}", where=where) from error
     head = rows[0][0].strip() if rows else ""
     if head not in _UNITS:
         raise InputError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from pathlib import Path
 from typing import Any
@@ -59,6 +60,8 @@ def toml(tables: dict[str, Any]) -> str:
         ({"camera.spectral_response.file": "blue.csv"}, "the sensor sees nothing of the light"),
         ({"camera.spectral_response.file": "headless.csv"}, "its first cell"),
         ({"camera.spectral_response.file": "unordered.csv"}, "line 3: wavelengths must increase"),
+        ({"camera.spectral_response.file": "cell.csv"}, "is no CSV: field larger than field limit"),
+        ({"camera.spectral_response.file": "pipe"}, 'camera.spectral_response: no file "pipe" beside the scene'),
         ({"camera.spectral_response.file": "words.csv"}, "line 2: is no pair of numbers"),
         ({"materials.red.spectrum.file": "large.csv"}, "materials.red.spectrum"),
         ({"camera.sensor.channel": "red"}, "camera.sensor.channel"),
@@ -72,9 +75,11 @@ def test_what_cannot_be_is_refused_with_its_key(changes: dict[str, Any], told: s
         "blue": "100,1\n200,1\n",
         "unordered": "500,1\n400,1\n",
         "words": "a,b\n",
+        "cell": "4" * 200_000 + ",1\n",
     }
     for name, rows in tables.items():
         (folder / f"{name}.csv").write_text(f"wavelength [nm],x\n{rows}")
+    os.mkfifo(folder / "pipe")  # nobody writes to it: who opens it waits for ever
     (folder / "headless.csv").write_text("400,1\n700,1\n")
     given = document()
     if "camera.spectral_response.file" in changes and "blue" in str(changes):

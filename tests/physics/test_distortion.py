@@ -50,6 +50,29 @@ def test_places_are_opencvs_and_the_round_trip_is_exact(name: str) -> None:
     assert np.abs(back - np.column_stack([x, y])).max() * FOCAL_PX < ROUND_TRIP
 
 
+@pytest.mark.parametrize(
+    ("values", "corner"),
+    [
+        ((0.3945, 0.0858, 0.0024, -0.0015, -0.3118), 1.079),
+        ((0.3457, 0.0818, 0.0, 0.0, -0.3239), 1.044),
+        ((0.5808, -0.4003, 0.003, -0.0027, -0.0452), 1.087),
+    ],
+)
+def test_where_newton_goes_astray_the_round_trip_is_exact_too(values: tuple[float, ...], corner: float) -> None:
+    """Near a fold Newton's method from the distorted place diverges, or ends on another branch."""
+    distortion = bounded(opencv_distortion(values), corner, "distortion")
+    x, y = places(corner)
+    u, v, ratio = distortion.undistorted(x, y)
+    assert np.hypot(u, v).max() <= distortion.limit * (1 + 1e-9)
+    assert (ratio > 0).all()
+    assert np.abs(by_opencv(u, v, values) - np.column_stack([x, y])).max() * FOCAL_PX < ROUND_TRIP
+
+
+def test_a_place_that_no_direction_has_is_refused_by_name() -> None:
+    with pytest.raises(radwrap.InputError, match=r"camera\.distortion: .*cannot be inverted"):
+        opencv_distortion((0.0, 0.0, 0.0, 0.0, 0.0, 1.0)).undistorted(np.array([5.0]), np.array([0.0]))
+
+
 @pytest.mark.parametrize("kappa", [-0.3, -0.01, 0.4])
 def test_tsai_undistorts_and_the_round_trip_is_exact(kappa: float) -> None:
     distortion = bounded(Distortion("tsai", (kappa,)), 0.5, "distortion")

@@ -227,6 +227,15 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
         r"camera\.sensor: quantum_efficiencies: reach from 400 to 600 nm, the wavelength is 650 nm",
     ),
     "dark fills": ({"dark_current": "1e6 e/s"}, r"camera\.sensor\.dark_current: the dark signal of 2e\+04 electrons"),
+    "heat overflows": (
+        {
+            "dark_current": "1 e/s",
+            "dark_current_temperature": "25 degC",
+            "doubling_temperature": "0.1 K",
+            "temperature": "130 degC",
+        },
+        r"camera\.sensor\.dark_current: the dark signal of inf electrons",
+    ),
     "no pixels": ({"defects": {"hot": 0.5, "dead": 0.5}}, r"camera\.sensor\.defects: no pixel is left"),
     "two windows": ({"fill_width": 0.5, "sensitivity_across": [1.0]}, r"camera\.sensor: needs one of fill_width"),
     "blind": ({"sensitivity_down": [0.0, 0.0]}, r"camera\.sensor: sensitivity_down: all are 0"),
