@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 _MATRICES: Final = ("camera_matrix", "cameraMatrix", "K")
 _COEFFICIENTS: Final = ("distortion_coefficients", "distCoeffs", "D")
 _KNOWN_MODELS: Final = ("", "plumb_bob", "rational_polynomial", "opencv")
+_MODEL: Final = "distortion_model"
 _REMEDY: Final = "give OpenCV's YAML or the JSON of `radwrap calibrate camera --json`"
 _MOST_COEFFICIENTS: Final = 8  # of those that OpenCV names in its order, further ones are of thin prisms and tilts
 
@@ -134,7 +135,11 @@ def _opencv(text: str) -> Intrinsics:
     try:
         matrix = _numbers(storage, _MATRICES, required=True)
         bend = _numbers(storage, _COEFFICIENTS, required=False)
-        model = storage.getNode("distortion_model").string()
+        model = _model(storage)
+        names = storage.root().keys()  # a node is no mapping, and cannot be gone through
+        unknown = [key for key in names if key.lower().startswith("dist") and key != _MODEL]
+        if unknown and not bend:
+            raise InputError(f'"{unknown[0]}" is no known name', remedy=f"call the coefficients {_COEFFICIENTS[0]}")
         width, height = (storage.getNode(key) for key in ("image_width", "image_height"))
         size = None if width.isNone() or height.isNone() else (int(width.real()), int(height.real()))
     finally:
@@ -149,6 +154,14 @@ def _opencv(text: str) -> Intrinsics:
         raise InputError("its thin prism or tilt coefficients are not expressed", remedy="calibrate without them")
     fx, _, cx, _, fy, cy = matrix[:6]
     return Intrinsics((fx, fy), (cx, cy), tuple(bend[:_MOST_COEFFICIENTS]), None, None, 1.0, size, None, None)
+
+
+def _model(storage: cv2.FileStorage) -> str:
+    """Name of the distortion model; OpenCV's sample marks its fisheye model by a flag."""
+    fisheye = storage.getNode("fisheye_model")
+    if not fisheye.isNone() and (not (fisheye.isInt() or fisheye.isReal()) or fisheye.real() != 0):
+        return "fisheye"
+    return str(storage.getNode(_MODEL).string())
 
 
 def _numbers(storage: cv2.FileStorage, names: tuple[str, ...], *, required: bool) -> list[float]:

@@ -295,6 +295,12 @@ BAD_FILES: dict[str, tuple[dict[str, Any], str]] = {
     "negative": ({"camera_matrix": np.array([[-200.0, 0, 80], [0, -200, 60], [0, 0, 1]])}, "not above zero"),
     "prism": ({"distortion_coefficients": np.full((1, 12), 0.01)}, "thin prism or tilt"),
     "fisheye": ({"distortion_model": "equidistant"}, '"equidistant" is not expressed'),
+    "sample's fisheye": ({"fisheye_model": 1}, '"fisheye" is not expressed'),
+    "no fisheye": ({"fisheye_model": 0, "distortion_coefficients": np.array([[-3.0, 0, 0, 0, 0]])}, "folds the image"),
+    "other name": (
+        {"distortion_coefficients": None, "dist_coeffs": np.zeros((1, 5))},
+        '"dist_coeffs" is no known name',
+    ),
     "fold": ({"distortion_coefficients": np.array([[-3.0, 0, 0, 0, 0]])}, "folds the image over"),
 }
 
