@@ -16,7 +16,7 @@ from radwrap.calibrate.response import PARAMETERS, Response, energy_in_cone, exp
 from radwrap.calibrate.response_fits import Array, PowerFit
 from radwrap.cli import options as shared
 from radwrap.errors import InputError
-from radwrap.files import write_bytes
+from radwrap.files import read_table_text, write_bytes
 from radwrap.manifest import SCHEMA_VERSION, json_text
 from radwrap.units import ANGLE, LENGTH, RADIANT_INTENSITY, Dimension, parse_quantity
 
@@ -104,13 +104,7 @@ def read_frames(path: Path) -> tuple[str, Array, Array, tuple[int, ...]]:
     InputError
         If there is no such file, or it is no such table.
     """
-    try:
-        text = path.read_text("utf-8-sig")
-    except OSError as error:
-        what = "no such file" if isinstance(error, FileNotFoundError) else f"cannot be read: {error.strerror}"
-        raise InputError(what, where=str(path), remedy="give a CSV file of frames") from error
-    except UnicodeDecodeError as error:
-        raise InputError("is no text", where=str(path), remedy="give a CSV file in UTF-8") from error
+    text = read_table_text(path, "give a CSV file of frames")
     rows = csv.reader(io.StringIO(text))
     header = [name.strip() for name in next(rows, [])]
     kinds = [kind for kind in (EXPOSURE, TIME) if kind in header]

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
+from radwrap.files import read_table_text
 from radwrap.images import read_gray
 
 Array = NDArray[np.float64]
@@ -111,13 +112,7 @@ def read_stacks(path: Path, read: Callable[[Path], Array] | None = None) -> tupl
 
 def _groups(path: Path) -> tuple[str, dict[tuple[bool, float], list[tuple[str, int]]]]:
     """(light, exposure) -> names of its frames with their lines."""
-    try:
-        text = path.read_text("utf-8-sig")
-    except OSError as error:
-        what = "no such file" if isinstance(error, FileNotFoundError) else f"cannot be read: {error.strerror}"
-        raise InputError(what, where=str(path), remedy="give a CSV file that names the frames") from error
-    except UnicodeDecodeError as error:
-        raise InputError("is no text", where=str(path), remedy="give a CSV file in UTF-8") from error
+    text = read_table_text(path, "give a CSV file that names the frames")
     rows = csv.reader(io.StringIO(text), strict=True)
     groups: dict[tuple[bool, float], list[tuple[str, int]]] = {}
     named: dict[str, int] = {}
