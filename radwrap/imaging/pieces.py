@@ -19,6 +19,7 @@ from radwrap.errors import InputError
 from radwrap.files import TEMPORARY_SUFFIX
 from radwrap.images import digest, read_image, write_exr
 from radwrap.process import Programs
+from radwrap.tracers.timed import OutOfTime
 
 CALL_LOG: Final = "tracer_calls.log"
 _CHANNEL: Final = "radiance_cos4"
@@ -91,6 +92,10 @@ def run_jobs(jobs: Iterable[Callable[[], None]], programs: Programs, workers: in
                 done, waiting = wait(waiting, timeout=_TICK, return_when=FIRST_EXCEPTION)
                 for job in done:
                     job.result()
+        except OutOfTime:  # each job gives up by itself; the programs are needed for what comes next
+            for job in running:
+                job.cancel()
+            raise
         except BaseException:
             # Ctrl-C comes here too: the programs end at once, and so do the threads that wait for them.
             for job in running:

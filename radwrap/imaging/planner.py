@@ -32,6 +32,7 @@ from radwrap.imaging.sensor import gray_levels
 from radwrap.imaging.survey import AIM_SHARE, Survey, met_by, middle_of, predicted_rays, steps, survey
 from radwrap.imaging.view import View
 from radwrap.manifest import finite
+from radwrap.tracers.timed import OutOfTime, TimedTracer
 
 ToleranceMethod = Literal["kernel", "rays"]
 
@@ -46,6 +47,9 @@ _ATTEMPTS: Final = 8
 _MORE: Final = 4
 _MOST_FEWEST: Final = 1 << 12
 _HALVINGS: Final = 24  # of the accuracy, until a budget suffices
+# Of a budget of time so much goes into rays of the first image, the rest into its certificate and what comes next.
+_TRACED_SHARE: Final = 0.5
+_SHORTEST: Final = 1e-3  # s; a clock may stand still
 # Where the size of the grid's cells takes more than this share of the tolerance they are halved, so often at most.
 _GRID_SHARE: Final = 0.5
 _FINEST: Final = 2
@@ -224,15 +228,29 @@ class _Search:
         method, why = self.choice.method, self.choice.why
         share = self._affordable(method, self._first_share(method))
         best: Outcome | None = None
+        in_time = True
         for _ in range(_ATTEMPTS):
-            outcome = self._attempt(method, share, why)
+            try:
+                outcome = self._attempt(method, share, why)
+            except OutOfTime:
+                in_time = False
+                break
+            self._limit_time()
             if best is None or self._rank(outcome) < self._rank(best):
                 best = outcome
             if outcome.met or self._is_spent(outcome):
                 break
             method, share, why = self._next(outcome, share, why)
         assert best is not None  # noqa: S101  (the loop ran)
-        return replace(best, plan={**best.plan, "attempts": self.attempts, "rays": self.spent})
+        found = {"attempts": self.attempts, "rays": self.spent}
+        return replace(best, plan={**best.plan, **found, **({} if in_time else {"given_up": "out of time"})})
+
+    def _limit_time(self) -> None:
+        """Let what comes next be given up at the end of a budget of time: there is an image now."""
+        seconds = self.demand.budget.seconds
+        if math.isfinite(seconds) and not isinstance(self.view.tracer, TimedTracer):
+            self.view = replace(self.view, tracer=TimedTracer(self.view.tracer, self.start + seconds))
+            self.work = replace(self.work, view=self.view)
 
     def _rank(self, outcome: Outcome) -> float:
         """How many times what is asked for an image is off; the least is the best, and below 1 one that meets it."""
@@ -255,13 +273,22 @@ class _Search:
         return AIM_SHARE * math.sqrt(max(left, (0.3 * self.demand.tolerance) ** 2))
 
     def _affordable(self, method: ToleranceMethod, share: float) -> float:
-        """The aim, or a larger one that is expected to stay within the budget of rays."""
+        """The aim, or a larger one that is expected to stay within the budget."""
+        budget = min(self.demand.budget.rays, self._rays_in_time())
         for _ in range(_HALVINGS):
             rays, kernel = predicted_rays(self.view, self.found, share / AIM_SHARE)
-            if (rays if method == "rays" else kernel) <= self.demand.budget.rays:
+            if (rays if method == "rays" else kernel) <= budget:
                 break
             share *= 2
         return share
+
+    def _rays_in_time(self) -> float:
+        """How many rays the time left suffices for, by the survey's; few rather than many, for its programs start."""
+        if math.isinf(self.demand.budget.seconds):
+            return math.inf
+        elapsed = time.monotonic() - self.start
+        left = max(self.demand.budget.seconds - elapsed, 0.0)
+        return _TRACED_SHARE * left * self.found.rays / max(elapsed, _SHORTEST)
 
     def _plan(self, method: ToleranceMethod, aim: float) -> KernelPlan | RaysPlan:
         if method == "rays":

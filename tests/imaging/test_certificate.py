@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+import time
+from collections.abc import Generator, Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -20,13 +23,14 @@ from radwrap.imaging.certificate import (
 from radwrap.imaging.footprint import reach_px
 from radwrap.imaging.kernel import plan_kernel
 from radwrap.imaging.planner import Budget, Demand, Outcome, render_to_tolerance
-from radwrap.imaging.rays import sampled_radiance
-from radwrap.imaging.replicates import Work
-from radwrap.imaging.view import View
+from radwrap.imaging.rays import plan_rays, sampled_radiance
+from radwrap.imaging.replicates import Work, trace_replicates
+from radwrap.imaging.view import RAYS_AT_ONCE, View
 from radwrap.process import Programs
 from radwrap.progress import Progress
 from radwrap.scene.camera import Aperture
-from tests.imaging.planes import Array, gray, view
+from radwrap.tracers.timed import OutOfTime, TimedTracer
+from tests.imaging.planes import Array, Planes, gray, view
 
 F = 0.01
 ROUND = Aperture("round", 2e-4)
@@ -232,3 +236,59 @@ def test_a_small_budget_is_not_overspent(tmp_path: Path) -> None:
     dear = search(seen, tmp_path / "dear", Demand(0.05, method="rays"))
     cheap = search(seen, tmp_path / "cheap", Demand(0.05, method="rays", budget=Budget(rays=1e5)))
     assert not cheap.met and cheap.plan["rays"] < 2e5 < dear.plan["rays"]
+
+
+@dataclass
+class Clock:
+    """Time goes by with rays alone."""
+
+    planes: Planes
+    seconds: float = 0.0
+
+    def monotonic(self) -> float:
+        return self.seconds
+
+    def _each(self, rays: Iterable[Array]) -> Generator[Array]:
+        for block in rays:
+            self.seconds += 1e-5 * len(block)
+            yield block
+
+    def trace(self, rays: Iterable[Array]) -> Generator[Array]:
+        return self.planes.trace(self._each(rays))
+
+    def trace_with_distances(self, rays: Iterable[Array]) -> Generator[tuple[Array, Array]]:
+        return self.planes.trace_with_distances(self._each(rays))
+
+    def distances(self, rays: Iterable[Array]) -> Generator[Array]:
+        return self.planes.distances(self._each(rays))
+
+
+@pytest.mark.parametrize(("method", "seconds", "given_up"), [("rays", 8.0, True), ("kernel", 2.0, False)])
+def test_a_budget_of_time_is_kept_within_an_attempt(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    method: Literal["rays", "kernel"],
+    seconds: float,
+    given_up: bool,
+) -> None:
+    """The best image so far comes back with its own error; the third by rays, not given up, would take 4 s more."""
+    clock = Clock(Planes(((1.0, disc),)))
+    monkeypatch.setattr("radwrap.imaging.planner.time", clock)
+    monkeypatch.setattr("radwrap.tracers.timed.time", clock)
+    seen = replace(view(ROUND, (1.0, disc)), tracer=clock)
+    outcome = search(seen, tmp_path, Demand(1e-4, method=method, budget=Budget(seconds=seconds)))
+    assert clock.seconds < seconds * 1.05 + 1e-5 * RAYS_AT_ONCE
+    assert (outcome.plan.get("given_up") == "out of time") == given_up
+    assert not outcome.met and not outcome.plan["reproducible"]
+    assert outcome.certificate.rms_gray_upper95 in [a["rms_gray_upper95"] for a in outcome.plan["attempts"]]
+
+
+def test_out_of_time_an_attempt_is_given_up_and_programs_stay(tmp_path: Path) -> None:
+    seen = view(ROUND, (1.0, disc))
+    late = replace(seen, tracer=TimedTracer(seen.tracer, time.monotonic() - 1))
+    with Programs() as programs:
+        work = Work(late, tmp_path, programs, Progress("test", 1, shown=False), "none", 0)
+        with pytest.raises(OutOfTime):
+            trace_replicates(work, plan_rays(seen, 1.0), 2)
+        assert not programs.cancelled
+        assert trace_replicates(replace(work, view=seen), plan_rays(seen, 1.0), 2).images.shape[0] == 2
