@@ -82,12 +82,12 @@ def resampling(stratum: NDArray[np.intp], shares: NDArray[np.float64], seed: tup
 def stratified_mean(
     values: NDArray[np.float64], stratum: NDArray[np.intp], shares: NDArray[np.float64], seed: tuple[int, ...]
 ) -> Bounded:
-    """Mean of a population from samples of its strata.
+    """Mean of a population, which is known to be no less than zero, from samples of its strata.
 
     Parameters
     ----------
     values : ndarray, shape (n,)
-        Samples.
+        Samples; products of two unbiased values, say, which noise may take below zero.
     stratum : ndarray of int, shape (n,)
         Stratum of each; each stratum has two samples or more.
     shares : ndarray, shape (strata,)
@@ -121,7 +121,8 @@ def stratified_means(values: NDArray[np.float64], again: Resampling) -> list[Bou
     errors = np.sqrt(variances)
     t = shift / np.where(errors > 0, errors, np.inf)
     quantiles = np.maximum(_NORMAL_QUANTILE, -np.quantile(t, _TAIL, axis=0))
-    upper = mean + quantiles * np.sqrt(variance)
+    # A mean that noise took below zero tells no more than one of zero: what could not be seen stays in the bound.
+    upper = np.maximum(mean, 0.0) + quantiles * np.sqrt(variance)
     return [Bounded(*pair) for pair in zip(mean.tolist(), upper.tolist(), strict=True)]
 
 

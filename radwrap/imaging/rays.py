@@ -26,6 +26,10 @@ _MOST: Final = 1 << 14
 # dimensions); 64 to 256 rays on rad_scenes/bench_board gave 0.57.
 ORDER: Final = 0.6
 _GAIN: Final = 0.8  # that error over the deviation of a ray, extrapolated to n = 1: 0.6 to 1 on random scenes
+# Standard deviations by which a pixel's mean stays above saturation, and the most rays for it: those with which one
+# whose pilot saw it a deviation above saturation is safe.
+_SAFE: Final = 4.0
+_MOST_SATURATED: Final = 256
 _RAYS_HELD: Final = 1 << 18  # 30 MiB
 _TILE_PIXELS: Final = 1 << 14
 
@@ -189,6 +193,26 @@ def _numbers(plan: RaysPlan, pilot: NDArray[np.float64], shape: tuple[int, int])
     wanted = (_GAIN * deviation / level) ** (1 / ORDER)
     powers = 2 ** np.rint(np.log2(np.clip(wanted, plan.fewest, _MOST)))
     numbers: NDArray[np.intp] = powers.astype(np.intp)
+    return np.maximum(numbers, _saturated_numbers(plan, pilot, shape))
+
+
+def _saturated_numbers(plan: RaysPlan, pilot: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.intp]:
+    """Rays with which a pixel that saturates does not fall below saturation by chance; else the fewest.
+
+    Eq. 5 hides the scatter of such pixels' rays, and a mean of too few of them
+    is far off now and then. What lies within the pilot's own deviation of
+    saturation is seen by `gray_deviation`.
+    """
+    sensor, scale = plan.camera.sensor, plan.exposure_of_radiance
+    mean, deviation = pilot.mean(axis=1), _pooled(pilot.std(axis=1, ddof=1).reshape(shape)).ravel()
+    saturates = gray_levels(mean * scale, sensor) >= sensor.saturation_gray
+    numbers = np.full(len(pilot), plan.fewest, dtype=np.intp)
+    number = plan.fewest
+    while number < _MOST_SATURATED and saturates.any():
+        lowest = np.maximum(mean - _SAFE * deviation / number**ORDER, 0.0)
+        saturates &= gray_levels(lowest * scale, sensor) < sensor.saturation_gray
+        number *= 2
+        numbers[saturates] = number
     return numbers
 
 

@@ -309,7 +309,7 @@ def _one_by_one(values: np.ndarray, stratum: np.ndarray, shares: np.ndarray, dra
         again = [np.repeat(part, times[row].astype(int)) for part, times in zip(strata, drawn, strict=True)]
         moved, spread = mean_and_error(again)
         t.append((moved - mean) / spread if spread > 1e-12 else 0.0)
-    return mean + max(1.959963985, -float(np.quantile(t, 0.025))) * error
+    return max(mean, 0.0) + max(1.959963985, -float(np.quantile(t, 0.025))) * error
 
 
 @pytest.mark.parametrize("kind", ["normal", "heavy", "single"])

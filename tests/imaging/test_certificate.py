@@ -74,6 +74,18 @@ def test_a_stratified_mean_is_that_of_the_population_and_its_bound_covers() -> N
     assert held >= 350  # 356: what a tail that few draws see leaves of 97.5 %; a normal bound holds in 82 %
 
 
+def test_what_few_samples_cannot_see_stays_in_the_bound() -> None:
+    """Products of two noisy values of errors too small to be seen: noise below zero makes the bound no smaller."""
+    random = np.random.default_rng(3)
+    truth, noise, number = 0.3, 3.0, 400
+    held = 0
+    for trial in range(300):
+        first, second = (truth + noise * random.normal(size=number) for _ in range(2))
+        found = stratified_mean(first * second, np.zeros(number, dtype=int), np.ones(1), (trial,))
+        held += found.upper >= truth**2
+    assert held == 300  # a bound from the mean alone, negative as it may be, misses in 2 to 3 %
+
+
 def test_noise_is_bounded_by_as_many_degrees_of_freedom_as_it_has() -> None:
     """Noise that hangs together over blocks of 8 x 8: the bound of a mean square holds in 95 % at least."""
     random = np.random.default_rng(2)

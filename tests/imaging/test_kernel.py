@@ -12,6 +12,7 @@ from radwrap.errors import InputError
 from radwrap.imaging.footprint import Footprint, folded, footprint, opening_points, reach_px
 from radwrap.imaging.kernel import KernelPlan, decide_tile, gather_some, gathered_tile, plan_kernel
 from radwrap.imaging.rays import plan_rays, sampled_radiance, traced_tile
+from radwrap.imaging.sensor import gray_levels
 from radwrap.imaging.view import View
 from radwrap.scene.camera import Aperture
 from tests.imaging.planes import Array, Texture, gray, view
@@ -235,3 +236,18 @@ def test_rays_are_unbiased_and_a_planted_bias_is_found(make: Texture) -> None:
     assert abs(z(off)) < 3.9
     assert abs(z(off + 0.01 * reference)) > 3.9
     assert math.sqrt((spread**2).mean() * 8) < 1.0  # the aim of .5, within a factor of two
+
+
+def test_rays_of_pixels_far_above_saturation_are_enough_to_keep_them_there() -> None:
+    """Stripes finer than a pixel, whose mean is twice saturation: every 16th mean of four rays would be dark."""
+
+    def stripes(x: Array, y: Array) -> Array:
+        return np.where(np.sin(2e5 * x) > 0, 1.0, 0.0)
+
+    seen = view(Aperture("round", 2e-4), (1.0, stripes), rows=40, columns=40)
+    sensor = replace(seen.camera.sensor, saturation_gray=25.0)  # of a mean of 50
+    seen = replace(seen, camera=replace(seen.camera, sensor=sensor))
+    plan = plan_rays(seen, 0.3)
+    (values,) = (traced_tile(seen, plan, tile, (5, tile), ignore).values for tile in range(len(plan.tiles)))
+    saturated = gray_levels(values * seen.exposure_of_radiance, sensor)
+    assert float(((saturated - 25.0) ** 2).mean()) < 0.3**2
