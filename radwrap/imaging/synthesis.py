@@ -154,6 +154,8 @@ def forecast(scene: Scene, options: RenderOptions) -> Cost:
     InputError, EnvironmentFailure
         As `render`.
     """
+    if options.frames:
+        linear_of(scene.camera.sensor)
     workers = options.workers or available_cores()
     rays = _usual_rays(scene, options)
     check_size(scene, options.max_pixels, rays, workers)
