@@ -97,6 +97,8 @@ def _lines(found: PhotonTransfer) -> Iterator[str]:
     if found.dark_current is not None:
         yield f"dark current: {found.dark_current:.4g} e/s"
     yield f"saturation: {least}{found.saturation_electrons:.5g} e, gray {found.saturation_gray:.5g}"
+    if found.full_well is not None:
+        yield f"full well, by the plateau: {found.full_well:.5g} e"
     yield f"SNR: up to {least}{found.snr_max:.4g} ({20 * math.log10(found.snr_max):.3g} dB)"
     yield f"dynamic range: {least}{found.dynamic_range:.4g} ({20 * math.log10(found.dynamic_range):.3g} dB)"
     if found.dsnu is not None or found.prnu is not None:

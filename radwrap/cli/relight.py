@@ -15,12 +15,15 @@ from radwrap.files import make_folder, sha256_of, sole_owner
 from radwrap.images import write_exr, write_png
 from radwrap.imaging.levels import Levels, read_levels
 from radwrap.imaging.relight import Basis, Relit, read_basis, relit
+from radwrap.imaging.relit_uncertainty import relit_uncertainty
 from radwrap.manifest import SCHEMA_VERSION, json_text, write_manifest
 
 RESULT: Final = "relight.json"
+SIGMAS: Final = "gray_sigma"  # a folder: no image's name can be that of another's file
 _DESCRIPTION = (
     "Makes images for any levels of the sources from the basis that radwrap render --basis wrote, without a ray. "
-    "Writes NAME.png for each row of the table, and relight.json with each image's certified error, into DIR."
+    "Writes NAME.png for each row of the table, and relight.json with each image's certified error, into DIR; "
+    "gray_sigma/NAME.exr too where the scene states tolerances or its camera is linear."
 )
 
 
@@ -75,9 +78,15 @@ def _write(out: Path, basis: Basis, levels: Levels, *, with_exposure: bool) -> d
             files.append(f"{name}.exr")
             stored = image.radiant_exposure.values.astype(np.float32)
             write_exr(out / files[1], stored, channel="radiant_exposure", metadata={"radwrap:unit": "J m^-2"})
+        unsure = relit_uncertainty(basis, factors, image)
+        if unsure is not None:
+            files.append(f"{SIGMAS}/{name}.exr")
+            make_folder(out / SIGMAS)
+            write_exr(out / files[-1], unsure.sigma.astype(np.float32), channel="gray_sigma")
         images[name] = {
             "levels": dict(zip(basis.sources, factors.tolist(), strict=True)),
             **_summary(image),
+            **({} if unsure is None else {"uncertainty": unsure.as_manifest()}),
             "met": image.keeps(basis),
             "files": {file: sha256_of(out / file) for file in files},
         }

@@ -35,6 +35,7 @@ from radwrap.tracers.radiance import PreparedScene
 
 BASIS: Final = "basis.json"
 FOLDER: Final = "basis"
+MAGNIFICATION: Final = f"{FOLDER}/magnification.exr"  # no part of a source: their files have two dots
 SEAL: Final = "sha256"
 _WORK: Final = "basis"
 # Pixels that tell what the size of the kernel's cells changes; the sampling error of so many is in the bound.
@@ -238,7 +239,13 @@ def _alone(view: View) -> View:
 
 
 def write_basis(
-    out: Path, work: Work, views: Mapping[str, View], outcome: Outcome, told: Mapping[str, Any]
+    out: Path,
+    work: Work,
+    views: Mapping[str, View],
+    outcome: Outcome,
+    told: Mapping[str, Any],
+    *,
+    magnification: NDArray[np.float64] | None = None,
 ) -> list[str]:
     """Trace each source alone by the rays of an image to tolerance, and write its part of the basis.
 
@@ -254,6 +261,8 @@ def write_basis(
         The image in the light of all, which decides the rays.
     told : Mapping
         What else `basis.json` is to tell.
+    magnification : ndarray, shape (rows, columns), optional
+        M of what each pixel sees, where the uncertainty of relit images needs it.
 
     Returns
     -------
@@ -274,6 +283,9 @@ def write_basis(
     run_jobs(list(maker.jobs()), work.programs, work.view.workers)
     make_folder(out / FOLDER)
     files = [name for number, source in enumerate(views) for name in _write_source(out, maker, number, source)]
+    if magnification is not None:
+        write_exr(out / MAGNIFICATION, magnification.astype(np.float32), channel="magnification")
+        files.append(MAGNIFICATION)
     hashes = {name: sha256_of(out / name) for name in files}
     write_manifest(out / BASIS, sealed({**_description(maker), **told, "files": hashes}))
     return [*files, BASIS]

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.imaging.closed_form import radiance
+from radwrap.imaging.view import central_weights
 from radwrap.scene.geometry import SurfacePoints, directions, in_view, project
 from radwrap.scene.intersections import first_hit, in_polygon
 from radwrap.scene.materials import Anisotropic, Glass, Specular
@@ -44,7 +45,8 @@ class Brightest:
     target, material : str
         What it lies on; for a source that is seen itself its name and "light".
     radiance : float
-        L cos^4(theta) [W m^-2 sr^-1], what the sensor's plane receives of it.
+        What the sensor's plane receives of it [W m^-2 sr^-1]: L cos^4(theta); behind a lens L times its falloff's mean
+        over the opening, and times the stretch where it distorts.
     """
 
     target: str
@@ -59,7 +61,7 @@ class Seen:
     Attributes
     ----------
     value : ndarray, shape (n,)
-        L cos^4(theta) [W m^-2 sr^-1]; NaN where a ray meets nothing.
+        L cos^4(theta), or L times the weights [W m^-2 sr^-1]; NaN where a ray meets nothing.
     number : ndarray of int, shape (n,)
         Place of what is seen in `names`; -1 for nothing.
     names : tuple of tuple of str
@@ -71,7 +73,7 @@ class Seen:
     names: tuple[tuple[str, str], ...]
 
 
-def look(scene: Scene, rays: Array) -> Seen:
+def look(scene: Scene, rays: Array, weights: Array | None = None) -> Seen:
     """What is seen along rays from the pinhole's centre.
 
     Parameters
@@ -80,6 +82,8 @@ def look(scene: Scene, rays: Array) -> Seen:
         What is there; of included Radiance files nothing is known.
     rays : ndarray, shape (n, 3)
         Unit vectors.
+    weights : ndarray, shape (n,), optional
+        What counts of each ray's radiance; default cos^4(theta).
     """
     eye = np.asarray(scene.camera.pose.position)
     nearest = np.full(len(rays), math.inf)
@@ -103,8 +107,9 @@ def look(scene: Scene, rays: Array) -> Seen:
         closer = distance < nearest
         nearest[closer], value[closer], number[closer] = distance[closer], shown[closer], len(names)
         names.append((emitter.name, "light"))
-    cosine = rays @ np.asarray(scene.camera.pose.z_axis)
-    return Seen(value * cosine**4, number, tuple(names))
+    if weights is None:
+        weights = (rays @ np.asarray(scene.camera.pose.z_axis)) ** 4
+    return Seen(value * weights, number, tuple(names))
 
 
 def _hits(scene: Scene, rays: Array) -> list[tuple[Target, Array, Array]]:
@@ -155,13 +160,13 @@ def _in_patch(patch: Patch, points: Array) -> NDArray[np.bool_]:
 def brightest(scene: Scene) -> Brightest | None:
     """Brightest point in view; None where no ray meets anything that is known here."""
     uv, step = _first_look(scene)
-    seen = _blurred(scene, look(scene, directions(scene.camera, uv)))
+    seen = _shown(scene, uv)
     best: tuple[float, tuple[str, str]] | None = None
     for start in _brightest_rays(seen, uv, _STARTS if len(_lit(scene)) <= _MOST_BEAMS else 2):
         place, width = start, step
         for _ in range(_LOOKS):
             around = _around(scene, place, width)
-            finer = _blurred(scene, look(scene, directions(scene.camera, around)))
+            finer = _shown(scene, around)
             if (finer.number < 0).all():  # on the very border of what is seen
                 break
             top = int(np.nanargmax(finer.value))
@@ -169,6 +174,14 @@ def brightest(scene: Scene) -> Brightest | None:
                 best = float(finer.value[top]), finer.names[finer.number[top]]
             place, width = around[top], width / 4
     return None if best is None else Brightest(*best[1], best[0])
+
+
+def _shown(scene: Scene, uv: Array) -> Seen:
+    """What the sensor receives at places, (column, row) [px], shape (n, 2)."""
+    camera = scene.camera
+    plain = camera.lens is None and camera.distortion is None
+    weights = None if plain else central_weights(camera, uv[:, 0], uv[:, 1])
+    return _blurred(scene, look(scene, directions(camera, uv), weights))
 
 
 def _blurred(scene: Scene, seen: Seen) -> Seen:

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.files import sha256_of
+from radwrap.frames import Pose
 from radwrap.images import ExposureImage, GrayImage, read_image
-from radwrap.imaging.basis import BASIS, SEAL, file_name, sealed
+from radwrap.imaging.basis import BASIS, MAGNIFICATION, SEAL, file_name, sealed
 from radwrap.imaging.bounds import ALONE, NOTHING, Bounded, resampling, stratified_means
 from radwrap.imaging.certificate import Certificate, PixelErrors, PixelSample, lacks_in_gray
 from radwrap.imaging.kernel import grid_squares
@@ -27,9 +28,10 @@ from radwrap.imaging.planner import certificate_of, model_quantile, noise_quanti
 from radwrap.imaging.replicates import looks, noise_of
 from radwrap.imaging.sensor import gray_image, gray_levels
 from radwrap.manifest import read_manifest
-from radwrap.scene.camera import Sensor
+from radwrap.scene.camera import Aperture, Camera, Lens, Sensor
 from radwrap.scene.linear_sensor import LinearSensor
 from radwrap.scene.pixel_window import PixelWindow, Profile
+from radwrap.scene.tolerances import Tolerances
 
 # Images that are made together. Always as many, the last ones perhaps in vain: then a product's last bits do not depend
 # on how many images are asked for.
@@ -66,14 +68,18 @@ class Basis:
         Rows and columns over which errors hang together [px].
     exposure_of_radiance : float
         tau A/f^2.
-    sensor : Sensor
-        Response.
+    camera : Camera
+        As the scene has it, but for its distortion, which the images hold.
     tolerance : float
         What the image in the light of all sources was to keep [gray level].
     max_error : float or None
         Likewise for 99 % of the pixels.
     scene_sha256 : str
         Hash of the scene.
+    tolerances : Tolerances or None
+        Those that the scene states.
+    magnification : ndarray of float32, shape (rows, columns), optional
+        M of what each pixel sees, where a lens has an opening that is not sure.
     """
 
     sources: tuple[str, ...]
@@ -86,10 +92,17 @@ class Basis:
     model_rays: int
     block: tuple[int, int]
     exposure_of_radiance: float
-    sensor: Sensor
+    camera: Camera
     tolerance: float
     max_error: float | None
     scene_sha256: str
+    tolerances: Tolerances | None
+    magnification: NDArray[np.float32] | None
+
+    @property
+    def sensor(self) -> Sensor:
+        """Response."""
+        return self.camera.sensor
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,17 +178,41 @@ def _basis(folder: Path, told: dict[str, Any]) -> Basis:
         model_rays=int(model["rays"]) if model else 0,
         block=(int(told["block"][0]), int(told["block"][1])),
         exposure_of_radiance=float(told["exposure_of_radiance"]),
-        sensor=sensor,
+        camera=_camera(told["camera"], sensor),
         tolerance=float(told["tolerance"]),
         max_error=told["max_error"],
         scene_sha256=str(told["scene_sha256"]),
+        tolerances=None if told.get("tolerances") is None else Tolerances(**_values(told["tolerances"])),
+        magnification=read_image(folder / MAGNIFICATION)[0] if MAGNIFICATION in told["files"] else None,
+    )
+
+
+def _values(told: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in told.items() if key != "is"}
+
+
+def _camera(told: dict[str, Any], sensor: Sensor) -> Camera:
+    pose, (u, v), lens = told["pose"], told["principal_point"], None
+    if told.get("lens") is not None:
+        table = told["lens"]["relative_illumination"]
+        points = None if table is None else tuple((height, share) for height, share in table)
+        lens = Lens(**{**_values(told["lens"]), "relative_illumination": points})
+    x, y, z = ((float(a), float(b), float(c)) for a, b, c in pose["rotation"])
+    return Camera(
+        pose=Pose(tuple(pose["position"]), (x, y, z)),
+        focal_length=told["focal_length"],
+        principal_point=(u, v),
+        exposure_time=told["exposure_time"],
+        aperture=Aperture(**_values(told["aperture"])),
+        sensor=sensor,
+        lens=lens,
     )
 
 
 def _sensor(told: dict[str, Any]) -> Sensor:
-    values = {key: value for key, value in told.items() if key != "is"}
+    values = _values(told)
     if (linear := values.get("linear")) is not None:
-        values["linear"] = LinearSensor(**{key: value for key, value in linear.items() if key != "is"})
+        values["linear"] = LinearSensor(**_values(linear))
     if (window := values.get("window")) is not None:
         across, down = (Profile(tuple(window[k]["edges"]), tuple(window[k]["weights"])) for k in ("across", "down"))
         values["window"] = PixelWindow(across, down)

@@ -154,6 +154,8 @@ def forecast(scene: Scene, options: RenderOptions) -> Cost:
     InputError, EnvironmentFailure
         As `render`.
     """
+    if options.frames:
+        linear_of(scene.camera.sensor)
     workers = options.workers or available_cores()
     rays = _usual_rays(scene, options)
     check_size(scene, options.max_pixels, rays, workers)
@@ -271,7 +273,7 @@ class _Run:
             made = make(self.scene, banding.left(options), work)
             spread, magnification = self._spread(), self._magnification(view)
             self._remove_old()
-            basis = self._write_basis(work, made)
+            basis = self._write_basis(work, made, magnification)
         finally:
             progress.close()
         summary, files = self._write_images(made.radiance)
@@ -351,7 +353,7 @@ class _Run:
         """Frames of an older run, whether or not its manifest is still there to name them."""
         return sorted(file.name for file in self.out.glob("frame_*.png") if _FRAME.fullmatch(file.name))
 
-    def _write_basis(self, work: Work, made: Made) -> list[str]:
+    def _write_basis(self, work: Work, made: Made, magnification: NDArray[np.float64] | None) -> list[str]:
         if not self.sources or made.outcome is None:
             return []
         views = {name: self.traced.view_of(name) for name in self.sources}
@@ -363,8 +365,9 @@ class _Run:
             "seed": self.options.seed,
             "dark": sorted({emitter.source for emitter in self.scene.emitters} - set(self.sources)),
             "versions": self.versions,
+            **({} if self.scene.tolerances is None else {"tolerances": plain(self.scene.tolerances)}),
         }
-        return write_basis(self.out, work, views, made.outcome, told)
+        return write_basis(self.out, work, views, made.outcome, told, magnification=magnification)
 
     def _spread(self) -> NDArray[np.float64] | None:
         """How the light of each pixel is shared among the sources, where each has a tolerance of its own."""

@@ -13,7 +13,7 @@ to each side, through saturation. Source: key gum2008.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -198,15 +198,21 @@ def share_spread(views: Sequence[View]) -> Array:
     """
     sensor = views[0].camera.sensor
     v, u = (axis.ravel().astype(np.float64) for axis in np.indices((sensor.rows, sensor.columns)))
-    total, square, sums = np.zeros(len(u)), np.zeros(len(u)), []
-    for view in views:
-        values, _ = trace_rays(view, np.zeros((1, 2)), u, v)
-        total += values
-        square += values**2
+    spread = spread_of(trace_rays(view, np.zeros((1, 2)), u, v)[0] for view in views)
+    return spread.reshape(sensor.rows, sensor.columns)
+
+
+def spread_of(parts: Iterable[Array]) -> Array:
+    """Root of the sum of squares of the shares that each part of an image has in its sum; see `share_spread`."""
+    total = square = np.zeros(())
+    sums = []
+    for values in parts:
+        total = total + values
+        square = square + values**2
         sums.append(float(values.sum()))
     whole = math.sqrt(sum(value**2 for value in sums)) / sum(sums) if sum(sums) > 0 else 1.0
-    spread = np.where(total > 0, np.sqrt(square) / np.where(total > 0, total, 1.0), whole)
-    return spread.reshape(sensor.rows, sensor.columns)
+    spread: Array = np.where(total > 0, np.sqrt(square) / np.where(total > 0, total, 1.0), whole)
+    return spread
 
 
 def seen_magnifications(view: View) -> Array:

@@ -313,6 +313,11 @@ def _trace_part(
     return values, magnification
 
 
+def central_weights(camera: Camera, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What counts of the radiance of central rays for the whole opening: falloff and stretch, shape (n,)."""
+    return _central(camera, u, v)[1]
+
+
 def _central(
     camera: Camera, u: NDArray[np.float64], v: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:

@@ -140,8 +140,8 @@ def _opencv(text: str) -> Intrinsics:
         unknown = [key for key in names if key.lower().startswith("dist") and key != _MODEL]
         if unknown and not bend:
             raise InputError(f'"{unknown[0]}" is no known name', remedy=f"call the coefficients {_COEFFICIENTS[0]}")
-        width, height = (storage.getNode(key) for key in ("image_width", "image_height"))
-        size = None if width.isNone() or height.isNone() else (int(width.real()), int(height.real()))
+        width, height = (_size(storage, key) for key in ("image_width", "image_height"))
+        size = None if width is None or height is None else (width, height)
     finally:
         storage.release()
     if model not in _KNOWN_MODELS:
@@ -154,6 +154,17 @@ def _opencv(text: str) -> Intrinsics:
         raise InputError("its thin prism or tilt coefficients are not expressed", remedy="calibrate without them")
     fx, _, cx, _, fy, cy = matrix[:6]
     return Intrinsics((fx, fy), (cx, cy), tuple(bend[:_MOST_COEFFICIENTS]), None, None, 1.0, size, None, None)
+
+
+def _size(storage: cv2.FileStorage, key: str) -> int | None:
+    """Columns or rows of the pictures; None where the file does not tell."""
+    node = storage.getNode(key)
+    if node.isNone():
+        return None
+    # OpenCV gives 2^1023 or so for the number of what is none.
+    if not node.isInt() or node.real() < 1:
+        raise InputError(f"its {key} is no whole number from 1 on", remedy=f"write {key}: 640, without quotes or point")
+    return int(node.real())
 
 
 def _model(storage: cv2.FileStorage) -> str:

@@ -26,6 +26,8 @@ WIDE_SOURCE_LIMIT: Final = 0.01
 # Above this a valid scene is warned of it.
 _WIDTH_WARNING: Final = 1e-3
 _DOUBT: Final = 0.01
+# Photons of a joule, and so electrons, go with the wavelength: a share of it is that share of the signal.
+_WAVELENGTH_SHARE: Final = 0.01
 _FLAT: Final = (Sheet, DotBoard, EdgeTarget, Disc, Polygon)
 _RIM_POINTS: Final = 16
 _ANGLE_TOLERANCE: Final = 1e-9  # rad, rounding of the angles
@@ -262,6 +264,7 @@ def warnings_of(scene: Scene) -> tuple[str, ...]:
     found += _unknown_widths(scene)
     found += _half_shadows(scene)
     found += _doubtful_tables(scene)
+    found += _other_wavelength(scene)
     return (*found, *small_parts(scene), *sources_in_sight(scene), *shared_planes(scene))
 
 
@@ -286,6 +289,23 @@ def _doubtful_tables(scene: Scene) -> Iterator[str]:
         yield (
             f'the table of "{name}" has few angles: straight lines between them would change its intensity by up to '
             f"{doubt:.1%} of the peak"
+        )
+
+
+def _other_wavelength(scene: Scene) -> Iterator[str]:
+    """A line where a linear camera counts the photons of another wavelength than the scene's light has.
+
+    What counts is the mean by energy: mu_p = integral of E lambda/(h c), and that over E is its mean lambda/(h c).
+    """
+    linear = scene.camera.sensor.linear
+    if linear is None or scene.spectral is None or scene.spectral.wavelength <= 0:
+        return
+    share = linear.wavelength / scene.spectral.wavelength - 1
+    if abs(share) > _WAVELENGTH_SHARE:
+        light, told = scene.spectral.wavelength * 1e9, linear.wavelength * 1e9
+        yield (
+            f"the mean wavelength of the light that counts is {light:.4g} nm, camera.sensor.wavelength {told:.4g} nm: "
+            f'photons are off by {share:+.1%}; write wavelength = "{light:.4g} nm" with the quantum efficiency there'
         )
 
 

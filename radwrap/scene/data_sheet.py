@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -40,6 +41,30 @@ def with_data_sheet(document: Mapping[str, Any], origin: str, folder: Path) -> M
     if KEY in sheet or "preset" in sheet:
         raise InputError(f'"{name}" names another sheet', where=where, remedy="spell its values out")
     return {**document, "camera": {**camera, "sensor": {**_without_replaced(sheet, sensor, where), **sensor}}}
+
+
+def in_sheet(error: InputError, document: Mapping[str, Any], whole: Mapping[str, Any], origin: str) -> InputError:
+    """An error of a sensor's key with the data sheet for its place, where the key stands there and not in the scene.
+
+    Parameters
+    ----------
+    error : InputError
+        About some key of the scene.
+    document, whole : Mapping
+        The scene's tables as written, and with the sheet's values.
+    origin : str
+        Name of the scene.
+    """
+    camera = document.get("camera")
+    sensor = camera.get("sensor") if isinstance(camera, dict) else None
+    if not isinstance(sensor, dict) or KEY not in sensor:
+        return error
+    place, told = f"{origin}: camera.sensor", f"{error.where}: {error.what}"
+    for key in whole["camera"]["sensor"]:
+        if key not in sensor and re.match(rf"{re.escape(place)}(\.|: ){re.escape(key)}\b", told):
+            where = f'{place}.{KEY}: "{sensor[KEY]}": {error.where.removeprefix(place).lstrip(".") or key}'
+            return InputError(error.what.removeprefix(f"{key}: "), where=where, remedy=error.remedy)
+    return error
 
 
 def _without_replaced(sheet: Mapping[str, Any], sensor: Mapping[str, Any], where: str) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from radwrap.scene.border import Model
 from radwrap.scene.calibrated import with_calibration
 from radwrap.scene.checks import check_scene, check_shapes
 from radwrap.scene.convert import scene_from_model
-from radwrap.scene.data_sheet import with_data_sheet
+from radwrap.scene.data_sheet import in_sheet, with_data_sheet
 from radwrap.scene.document import SceneModel
 from radwrap.scene.material_convert import material_from_table
 from radwrap.scene.material_tables import MaterialModel
@@ -116,11 +116,11 @@ def scene_from_document(
     for key, value in (overrides or {}).items():
         set_key(document, key, value, origin)
     text = _checked_json(document, origin)
+    whole = with_calibration(with_data_sheet(document, origin, folder), origin, folder)
     try:
-        whole = with_calibration(with_data_sheet(document, origin, folder), origin, folder)
         model = SceneModel.model_validate(whole)
     except ValidationError as error:
-        raise _translated(error, origin, document) from error
+        raise in_sheet(_translated(error, origin, whole), document, whole, origin) from error
     scene = scene_from_model(model, assumed=dict(_assumed(model)), origin=origin, folder=folder, document=text)
     check_shapes(scene)
     check_beside(scene)

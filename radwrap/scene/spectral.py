@@ -142,20 +142,20 @@ def _integrals(scene: Scene, model: tables.SceneModel, powers: list[Curve]) -> S
     }
     path = {key: _factor(table, scene, key, largest) for key, (table, largest) in places.items() if table is not None}
     response, glass = path.get("camera.spectral_response"), path.get("camera.filter")
+    # What a dark source would send need not be told.
+    shining = [power for source, power in zip(scene.sources, powers, strict=True) if _intensity(source) > 0]
     if glass is not None:
-        _check_cover(glass, powers, [response] if response else [], f"{scene.origin}: camera.filter")
+        _check_cover(glass, shining, [response] if response else [], f"{scene.origin}: camera.filter")
     passed = list(path.values())
     used = [name for name in scene.materials if name in _used(scene)]
     curves: dict[str, Curve] = {}
     for name in used:
         if (table := _colour(model.materials[name])) is not None:
             curves[name] = _factor(table, scene, f"materials.{name}.spectrum", 1.0)
-            _check_cover(curves[name], powers, passed, f"{scene.origin}: materials.{name}.spectrum")
+            _check_cover(curves[name], shining, passed, f"{scene.origin}: materials.{name}.spectrum")
     counts = [integral(power, *passed) for power in powers]
     if not any(counts):
-        raise InputError(
-            "the sensor sees nothing of the light", where=f"{scene.origin}: sources", remedy="compare the spectra"
-        )
+        raise _nothing_seen(scene, powers, path)
     rows = [
         tuple(integral(power, *passed, curves[name]) / count if name in curves and count > 0 else 1.0 for name in used)
         for power, count in zip(powers, counts, strict=True)
@@ -163,6 +163,24 @@ def _integrals(scene: Scene, model: tables.SceneModel, powers: list[Curve]) -> S
     materials = {name: scene.materials[name] for name in used}
     names = tuple(source.name for source in scene.sources)
     return Spectral(names, tuple(counts), materials, tuple(rows), _mean_wavelength(scene, powers, passed))
+
+
+def _nothing_seen(scene: Scene, powers: list[Curve], path: Mapping[str, Curve]) -> InputError:
+    """Nothing of the light gets to the sensor: which keys do not go together, and from where to where each reaches."""
+    spectra = {f"sources[{number}].spectrum": power for number, power in enumerate(powers)}
+    reaches = [f"{key} {_reach(curve)}" for key, curve in (spectra | dict(path)).items()]
+    return InputError(
+        f"the sensor sees nothing of the light: {', '.join(reaches)}",
+        where=f"{scene.origin}: {' and '.join(['sources', *path])}",
+        remedy="compare the spectra",
+    )
+
+
+def _reach(curve: Curve) -> str:
+    if curve.support is None:
+        return "is 0 everywhere"
+    low, high = curve.support
+    return f"reaches from {low * 1e9:.5g} to {high * 1e9:.5g} nm"
 
 
 def _colour(material: MaterialModel) -> CurveModel | None:
@@ -181,7 +199,9 @@ def _used(scene: Scene) -> set[str]:
 def _check_cover(curve: Curve, powers: list[Curve], passed: list[Curve], where: str) -> None:
     """What a table does not tell nobody knows: it must reach as far as light does that counts."""
     for power in powers:
-        low, high = (choose(c.ends[i] for c in (power, *passed)) for i, choose in ((0, max), (1, min)))
+        reaches = [c.support for c in (power, *passed)]
+        low = max(math.inf if reach is None else reach[0] for reach in reaches)
+        high = min(-math.inf if reach is None else reach[1] for reach in reaches)
         first, last = curve.ends
         if low < high and (first > low * (1 + _ROUNDING) or last < high * (1 - _ROUNDING)):
             raise InputError(

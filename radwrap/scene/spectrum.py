@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 LUMINOUS_EFFICACY: Final = 683.0
 PRESETS: Final = ("A", "D65", "E")
 _UNITS: Final = {"wavelength [nm]": 1e-9, "wavelength [um]": 1e-6}
+_SANE: Final = (0.1, 20.0)  # um; what lies beyond is a slip of units, not light for a camera
 _LARGEST_FILE: Final = 1 << 24  # byte
 # A line of the standard deviation s has nodes s/50 apart up to 6 s: straight between them it is right to 1e-5.
 _LINE_NODES: Final = 601
@@ -54,6 +55,15 @@ class Curve:
     def ends(self) -> tuple[float, float]:
         """First and last wavelength [m]."""
         return self.wavelengths[0], self.wavelengths[-1]
+
+    @property
+    def support(self) -> tuple[float, float] | None:
+        """Between which wavelengths it is not 0 everywhere [m]; None where it is."""
+        lit = np.flatnonzero(self.values)
+        if not lit.size:
+            return None
+        last = len(self.values) - 1
+        return self.wavelengths[max(int(lit[0]) - 1, 0)], self.wavelengths[min(int(lit[-1]) + 1, last)]
 
     def at(self, wavelengths: Array) -> Array:
         """Values, 0 beyond the nodes."""
@@ -166,7 +176,7 @@ def _parsed(text: str, where: str) -> Curve:
         raise InputError(
             f'its first cell is "{head}"', where=where, remedy='begin with a line "wavelength [nm],reflectance"'
         )
-    nodes: list[float] = []
+    (low, high), nodes = _SANE, list[float]()
     values: list[float] = []
     for number, row in enumerate(rows[1:], start=2):
         place = f"{where}: line {number}"
@@ -178,6 +188,13 @@ def _parsed(text: str, where: str) -> Curve:
             raise InputError("is no pair of numbers", where=place) from error
         if not (math.isfinite(node) and math.isfinite(value) and node > 0 and value >= 0):
             raise InputError("needs a wavelength above 0 and a value from 0 on", where=place)
+        if not low <= round(node * _UNITS[head] * 1e6, 9) <= high:
+            other = next(unit for unit in _UNITS if unit != head)
+            raise InputError(
+                f"{head} {node:g} lies outside {low:g} to {high:g} um",
+                where=place,
+                remedy=f'if that is what was measured, the first cell is to be "{other}"',
+            )
         if nodes and node * _UNITS[head] <= nodes[-1]:
             raise InputError("wavelengths must increase", where=place)
         nodes.append(node * _UNITS[head])

@@ -340,6 +340,15 @@ def _at(manifest: dict[str, Any], key: str) -> Any:
     return manifest
 
 
+def test_a_dry_run_refuses_frames_as_the_run_does(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene, told = write_scene(tmp_path), []
+    for more in ([], ["--dry-run"]):
+        done = here(["render", scene, "--out", tmp_path / "out", "--frames", 1, *more], capsys)
+        assert done.code == 2
+        told.append(done.stderr)
+    assert told[0] == told[1] and "camera.sensor.model: the power law has no noise" in told[0]
+
+
 def test_every_option_of_render_works(tmp_path: Path, capsys: pytest.CaptureFixture[str], radiance: Path) -> None:
     told = here(["render", "--help"], capsys).stdout
     options = set(re.findall(r"^  (?:-\w, )?(--[a-z-]+)", told, re.MULTILINE)) - {"--help"}

@@ -189,3 +189,42 @@ def test_a_killed_basis_goes_on_where_it_was(memory_path: Path, capsys: pytest.C
     assert files_in(memory_path / "out" / "basis") == files_in(memory_path / "good" / "basis")
     assert not (memory_path / "out" / "viewpoints").exists()
     assert inhabitants(memory_path) == []
+
+
+def test_relit_images_have_an_interval_where_the_scene_states_tolerances(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Behind a lens out of focus, so that the opening's tolerance needs what the basis keeps for it."""
+    stated = {"source_radiance": 0.03, "each_source_radiance": 0.1, "aperture_diameter": "10 um", "dark_gray": 1.0}
+    scene = write_scene(tmp_path, TWO | {"camera.lens": {"focus_distance": "300 mm"}, "tolerances": stated})
+    here(["render", scene, "--basis", "--tolerance", 5, "--out", tmp_path / "basis"], capsys).success()
+    told = here(_argv(tmp_path / "basis", tmp_path, GOOD, "--json", "--exposure"), capsys).json["images"]
+    out, rendered = tmp_path / "out", json.loads((tmp_path / "basis" / "manifest.json").read_bytes())["uncertainty"]
+    assert "gray_sigma/half.exr" in told["half"]["files"]
+    # All as it is in the scene: what no share of a source is in is that of the render.
+    both, expected = told["both"]["uncertainty"]["parts_rms_gray"], rendered["parts_rms_gray"]
+    assert set(both) == set(expected)
+    for name, value in expected.items():
+        # Central rays there, the whole opening here; of the rest a basis keeps float32, and few pixels see an edge.
+        assert both[name] == pytest.approx(value, rel=0.05 if name == "each_source_radiance" else 1e-3)
+    assert both["aperture_diameter"] > 0.1
+    # Of one source alone the shares are 1: 0.1 of each is 0.1 of all, but for the bend of the response.
+    half = told["half"]["uncertainty"]["parts_rms_gray"]
+    assert half["each_source_radiance"] == pytest.approx(half["source_radiance"] * 0.1 / 0.03, rel=0.01)
+    assert both["each_source_radiance"] < 0.95 * both["source_radiance"] * 0.1 / 0.03
+    # Without light the dark level, 1 gray in 95 of 100, and rounding are left; of rays there are none.
+    off = read_image(out / "gray_sigma" / "off.exr")[0]
+    assert off == pytest.approx(np.full(off.shape, np.sqrt(1 / 1.959964**2 + 1 / 12)), rel=1e-5)
+
+
+def test_a_linear_cameras_relit_images_have_their_noise(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Read noise of 9 e at 0.5 DN/e, and rounding, where no light is; without tolerances nothing else."""
+    linear = {"model": "linear", "rows": 20, "columns": 24, "pixel_width": "0.1 mm", "pixel_height": "0.1 mm"}
+    linear |= {"offset": 20, "wavelength": "650 nm", "quantum_efficiency": 0.5, "system_gain": "0.5 DN/e"}
+    linear |= {"full_well": "20 ke", "read_noise": "9 e"}
+    scene = write_scene(tmp_path, TWO | {"camera.sensor": linear, "camera.exposure_time": "1 us"})
+    here(["render", scene, "--basis", "--tolerance", 5, "--out", tmp_path / "basis"], capsys).success()
+    here(_argv(tmp_path / "basis", tmp_path, GOOD), capsys).success()
+    sigmas = [read_image(tmp_path / "out" / "gray_sigma" / f"{name}.exr")[0] for name in ("off", "both")]
+    assert sigmas[0] == pytest.approx(np.full((20, 24), np.sqrt(4.5**2 + 1 / 12)), rel=1e-6)
+    assert sigmas[1] == pytest.approx(read_image(tmp_path / "basis" / "gray_sigma.exr")[0], rel=1e-5)

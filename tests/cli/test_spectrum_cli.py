@@ -15,6 +15,8 @@ import radwrap
 from radwrap.cli.main import main
 from radwrap.errors import InputError
 from radwrap.images import read_image
+from radwrap.scene.checks import warnings_of
+from tests.physics.test_linear_sensor import TABLE as LINEAR
 from tests.physics.test_spectrum import document, write_tables
 
 
@@ -62,6 +64,12 @@ def toml(tables: dict[str, Any]) -> str:
         ({"camera.spectral_response.file": "unordered.csv"}, "line 3: wavelengths must increase"),
         ({"camera.spectral_response.file": "cell.csv"}, "is no CSV: field larger than field limit"),
         ({"camera.spectral_response.file": "pipe"}, 'camera.spectral_response: no file "pipe" beside the scene'),
+        ({"camera.spectral_response.file": "microns.csv"}, "line 2: wavelength [um] 600 lies outside 0.1 to 20 um; if"),
+        (
+            {"camera.filter.file": "black.csv"},
+            "camera.filter: the sensor sees nothing of the light: sources[0].spectrum",
+        ),
+        ({"camera.filter.file": "black.csv"}, "camera.filter is 0 everywhere"),
         ({"camera.spectral_response.file": "words.csv"}, "line 2: is no pair of numbers"),
         ({"materials.red.spectrum.file": "large.csv"}, "materials.red.spectrum"),
         ({"camera.sensor.channel": "red"}, "camera.sensor.channel"),
@@ -73,6 +81,7 @@ def test_what_cannot_be_is_refused_with_its_key(changes: dict[str, Any], told: s
         "short": "600,0.5\n700,0.5\n",
         "large": "300,0.5\n1000,1.5\n",
         "blue": "100,1\n200,1\n",
+        "black": "300,0\n1000,0\n",
         "unordered": "500,1\n400,1\n",
         "words": "a,b\n",
         "cell": "4" * 200_000 + ",1\n",
@@ -80,6 +89,7 @@ def test_what_cannot_be_is_refused_with_its_key(changes: dict[str, Any], told: s
     for name, rows in tables.items():
         (folder / f"{name}.csv").write_text(f"wavelength [nm],x\n{rows}")
     os.mkfifo(folder / "pipe")  # nobody writes to it: who opens it waits for ever
+    (folder / "microns.csv").write_text("wavelength [um],x\n600,1\n700,1\n")
     (folder / "headless.csv").write_text("400,1\n700,1\n")
     given = document()
     if "camera.spectral_response.file" in changes and "blue" in str(changes):
@@ -87,6 +97,41 @@ def test_what_cannot_be_is_refused_with_its_key(changes: dict[str, Any], told: s
     with pytest.raises(InputError) as caught:
         radwrap.scene_from_document(given, changes, folder=folder)
     assert told in str(caught.value)
+
+
+def test_a_table_need_not_cover_what_is_no_light(folder: Path) -> None:
+    """Zeros at the ends of a spectrum, and a source that is dark."""
+    for name, rows in {
+        "ends": "300,0\n600,0\n650,1\n700,0\n1000,0\n",
+        "short": "600,0.5\n700,0.5\n",
+        "long": "300,0.5\n1000,0.5\n",
+    }.items():
+        (folder / f"{name}.csv").write_text(f"wavelength [nm],x\n{rows}")
+    given = document(filter={"file": "short.csv"})
+    given["sources"][0]["spectrum"] = {"file": "ends.csv"}
+    given["sources"][1]["radiant_intensity"] = "0 W/sr"
+    short, whole = (
+        radwrap.scene_from_document(given, {"camera.filter.file": name}, folder=folder)
+        for name in ("short.csv", "long.csv")
+    )
+    assert short.spectral is not None and whole.spectral is not None
+    assert short.spectral.counts[0] == pytest.approx(whole.spectral.counts[0], rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("wavelength", "off"), [("650 nm", None), ("644 nm", None), ("450 nm", "-30.8%"), ("700 nm", "+7.7%")]
+)
+def test_a_linear_camera_of_another_wavelength_is_told(wavelength: str, off: str | None, folder: Path) -> None:
+    """Photons of a joule go with lambda: 450/650 - 1 = -30.8 %, 700/650 - 1 = 7.7 %."""
+    given = document()
+    del given["sources"][1], given["camera"]["filter"], given["camera"]["spectral_response"]
+    sensor = {key: value for key, value in LINEAR.items() if key not in ("rows", "columns")} | {"rows": 6, "columns": 6}
+    given["camera"]["sensor"] = sensor | {"wavelength": wavelength}
+    told = [line for line in warnings_of(radwrap.scene_from_document(given, folder=folder)) if "photons" in line]
+    assert len(told) == (off is not None)
+    if off is not None:
+        assert f"650 nm, camera.sensor.wavelength {wavelength}: photons are off by {off}" in told[0]
+        assert 'write wavelength = "650 nm"' in told[0]
 
 
 def test_candelas_without_a_spectrum_are_refused(folder: Path) -> None:

@@ -14,7 +14,7 @@ from radwrap.cli.main import main
 from radwrap.errors import InputError
 from radwrap.images import ExposureImage, write_png
 from radwrap.imaging.noise import fixed_pattern, linear_of, noisy_frame
-from radwrap.measure.emva import photon_transfer, read_stacks
+from radwrap.measure.emva import Stack, photon_transfer, read_stacks
 from radwrap.measure.emva.transfer import PhotonTransfer
 from tests.physics.test_linear_sensor import MU_P_OF_H, sensor_of
 
@@ -72,6 +72,8 @@ def test_what_went_in_comes_back(tmp_path: Path) -> None:
     # The variance is largest one step of 4.8 % before the full well at the most; dark electrons take part of it.
     assert found.saturated
     assert 0.9 * 12000 < found.saturation_electrons <= 12000
+    # The plateau beyond tells the full well without that step.
+    assert found.full_well == pytest.approx(12000, rel=GAIN)
     assert found.snr_max == pytest.approx(math.sqrt(found.saturation_electrons))
     assert found.linearity_error is not None and found.linearity_error < 1e-3
     assert found.notes == ()
@@ -103,8 +105,65 @@ def test_noise_below_rounding_is_an_upper_limit(tmp_path: Path) -> None:
 
 def test_frames_without_saturation_say_so(tmp_path: Path) -> None:
     found = Frames(tmp_path / "frames.csv", full_well="20 ke", bit_depth=14).found()
-    assert not found.saturated
+    assert not found.saturated and found.full_well is None
     assert any("saturation is not reached" in note for note in found.notes)
+
+
+def _by_hand(last: float) -> PhotonTransfer:
+    """Of K = 0.5 exactly, 200 pixels and 2 frames; the last variance is a share of what it should be."""
+    levels = np.arange(9) * 100.0
+    stacks = [
+        Stack(level, level == 0, 2, np.full((10, 20), 10 + level), 4 + 0.5 * level * (last if level == 800 else 1))
+        for level in levels
+    ]
+    return photon_transfer("photons", stacks, 1.0)
+
+
+def test_a_dip_of_the_variance_by_chance_is_no_saturation() -> None:
+    """A variance of 200 pixels is known to 10 %: 15 % less is chance, 80 % less is not."""
+    chance = _by_hand(0.85)
+    assert not chance.saturated and chance.saturation_gray == 810
+    assert any("saturation is not reached" in note for note in chance.notes)
+    full = _by_hand(0.2)
+    assert full.saturated and full.saturation_gray == 710
+    assert full.saturation_electrons == pytest.approx(1400, rel=1e-9)
+    assert full.full_well is None  # levels rise still: no plateau
+
+
+QUIET: dict[str, Any] = {
+    "bit_depth": 8,
+    "offset": 20,
+    "system_gain": "0.01875 DN/e",
+    "dark_current": "0 e/s",
+    "prnu": 0.0,
+}
+
+
+def test_rounding_of_a_quiet_camera_does_not_bend_the_gain(tmp_path: Path) -> None:
+    """Noise of 0.36 gray about a whole gray level: rounded, its variance is 0.045 less than s^2 + 1/12.
+
+    Through the origin that makes the slope 1.5 * 0.045/(0.7 * 225) = 2.3 % of K too large.
+    """
+    found = Frames(tmp_path / "frames.csv", **QUIET, read_noise="19.2 e", dsnu="0 e").found()
+    assert abs(found.gain - 0.01875) < 4 * found.gain_sigma
+    assert found.gain == pytest.approx(0.01875, rel=0.01)
+    told = next(note for note in found.notes if "through the origin" in note)
+    standard = float(told.split("gives ")[1].split()[0])
+    assert standard / 0.01875 - 1 == pytest.approx(0.023, abs=0.006)
+
+
+def test_how_far_rounding_pulls_the_dsnu_is_told(tmp_path: Path) -> None:
+    """About a whole level the slope of E round(x + n) is 1 - 2 exp(-2 pi^2 s^2) cos(2 pi x); over pixels of a spread d
+
+    its mean lacks 2 exp(-2 pi^2 (s^2 + d^2)), and so does the DSNU.
+    """
+    noise, spread = 0.4, 0.15
+    changes = {"read_noise": f"{noise / 0.25} e", "dsnu": f"{spread / 0.25} e", "dark_current": "0 e/s"}
+    found = Frames(tmp_path / "frames.csv", stack=16, **changes).found()
+    lacks = 2 * math.exp(-2 * math.pi**2 * (noise**2 + spread**2))
+    assert found.dsnu == pytest.approx(spread / 0.25 * (1 - lacks), rel=0.02)
+    told = next(note for note in found.notes if "DSNU may be off" in note)
+    assert float(told.split("by up to ")[1].rstrip("%")) / 100 > lacks
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

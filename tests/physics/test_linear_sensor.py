@@ -100,6 +100,22 @@ def test_power_law_behind_keeps_dark_and_saturation_and_bends_between() -> None:
     assert gray_levels(exposures, bent) == pytest.approx(100 + 3000 * np.sqrt(shares), rel=EXACT)
 
 
+@pytest.mark.parametrize(("full_well", "top"), [("12 ke", 3100), ("50 ke", 4095)])
+def test_the_look_up_table_spans_dark_to_where_the_signal_ends(full_well: str, top: float) -> None:
+    """G0 + (Gs - G0) ((y - G0)/(Gs - G0))^gamma of y = offset + K mu_e, with Gs of the full well or the converter."""
+    sensor = sensor_of(gamma=0.5, full_well=full_well, dark_current="4000 e/s", read_noise="0 e")
+    dark = 100 + 0.25 * 80
+    assert (sensor.dark_gray, sensor.saturation_gray) == (dark, top)
+    for electrons in (400.0, 6000.0, 80_000.0):
+        expected = dark + (top - dark) * math.sqrt(min(0.25 * electrons / (top - dark), 1.0))
+        assert gray_levels(even(sensor, electrons / 0.6).values, sensor)[0, 0] == pytest.approx(expected, rel=EXACT)
+        # A table that rises keeps medians; that of Poisson's distribution lies within an electron of its mean.
+        frame = noisy_frame(even(sensor, electrons / 0.6), sensor, fixed_pattern(sensor), 0, 0).values
+        spread = math.sqrt(math.pi / 2 / frame.size * (electrons + 80))
+        slope = 0.25 * (top - dark) / (2 * (expected - dark))
+        assert abs(np.median(frame) - expected) <= 0.5 + slope * (1 + SURE * spread)
+
+
 def test_power_law_and_linear_cameras_give_the_same_bytes(tmp_path: Path) -> None:
     """Gamma 1, no noise: K of Eq. 5 is K eta A lambda/(h c)."""
     small = TABLE | {"rows": 10, "columns": 12, "offset": 7, "pixel_width": "50 um", "pixel_height": "40 um"}
@@ -269,6 +285,20 @@ def test_a_data_sheet_gives_what_the_scene_does_not_say(tmp_path: Path) -> None:
     louder = radwrap.with_value(scene, "camera.sensor.read_noise", "20 e").camera.sensor.linear
     assert louder is not None
     assert louder.read_noise == 20
+    for line, told in {
+        'read_noise = "-1 e"': r'data_sheet: "sheet\.toml": read_noise: must be at least 0',
+        'full_well = "0 e"': r'data_sheet: "sheet\.toml": full_well: must be above zero',
+        "well = 3": r'data_sheet: "sheet\.toml": well: unknown key',
+        "prnu = [1]": r'data_sheet: "sheet\.toml": prnu: must be',
+    }.items():
+        kept = [row for row in sheet.replace("'", '"').splitlines() if not row.startswith(line.split()[0])]
+        (tmp_path / "sheet.toml").write_text("\n".join([*kept, line]))
+        with pytest.raises(radwrap.InputError, match=told):
+            radwrap.scene_from_document(document, folder=tmp_path)
+    document["camera"]["sensor"] = table | {"read_noise": "-1 e"}
+    with pytest.raises(radwrap.InputError, match=r"scene: camera\.sensor\.read_noise: must be"):
+        radwrap.scene_from_document(document, folder=tmp_path)
+    document["camera"]["sensor"] = table
     (tmp_path / "sheet.toml").write_text("rows = ")
     with pytest.raises(radwrap.InputError, match=r'data_sheet: "sheet.toml" is no TOML file'):
         radwrap.scene_from_document(document, folder=tmp_path)

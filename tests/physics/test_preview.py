@@ -172,3 +172,22 @@ def test_no_time_is_not_no_light(bench: Any) -> None:
     assert told["advice"].startswith("the exposure time is 0 s, so the image stays dark; an exposure time of ")
     seconds = float(told["advice"].split(" of ")[1].split(" ms")[0]) / 1e3
     assert advised["irradiance"] * seconds == pytest.approx(0.85 * 65535, rel=1e-3)  # gain 1, gamma 1
+
+
+WIDE: dict[str, dict[str, Any]] = {
+    "measured falloff": {"lens": {"focus_distance": "1 m", "relative_illumination": [["0 mm", 1.0], ["8 mm", 0.9]]}},
+    "stretch": {"distortion": {"model": "opencv", "k1": -0.2}},
+}
+
+
+@pytest.mark.parametrize("name", WIDE)
+def test_the_peak_is_weighed_as_the_image_is(bench: Any, name: str) -> None:
+    """A spot near the image's corner, 24 degrees off the axis, where cos^4 is 0.7."""
+    led = bench.lamp((0.35, 0.25, 0.5), (0.35, 0.25, 0), half_angle=2.0)
+    made = camera(bench, (0, 0, 1.0), pixels=200, field=1.0) | WIDE[name]
+    sheet = placed("sheet", 0, 0, size=["2 m", "2 m"], rotation=["0 deg"] * 3)
+    scene = bench.scene(made, [led], MATERIALS, [sheet])
+    expected = bench.image(scene).max()
+    assert brightest(scene).radiance == pytest.approx(expected, rel=BETWEEN_PIXELS)
+    plain = bench.scene({key: value for key, value in made.items() if key not in WIDE[name]}, [led], MATERIALS, [sheet])
+    assert abs(brightest(plain).radiance / expected - 1) > 10 * BETWEEN_PIXELS

@@ -9,7 +9,9 @@
 Source: key emva1288 (release 4.0 linear, chapters 2 to 8). Fits go up to 70 % of
 saturation, which is where the variance is largest; linearity is judged from 5 to
 95 %. Before PRNU a plane and bowl is taken from the light; the standard's filters
-against uneven light are others.
+against uneven light are others. Whole gray levels change the variance of a quiet
+camera's dark frames, through which the standard's line goes: where that bends it,
+the gain is the slope of a line with an intercept.
 """
 
 from __future__ import annotations
@@ -33,6 +35,16 @@ _LINEARITY: Final = (0.05, 0.95)  # likewise, for linearity
 _FEWEST: Final = 3  # exposures in a fit
 _LEAST_DARK_VARIANCE: Final = 0.24  # below it rounding hides the noise (the standard's rule) [gray level^2]
 _OUTLIER: Final = 6.0  # robust standard deviations from which on a pixel is called a defect
+# Variance of n values of a normal distribution is known to sqrt(2/n) of itself; a fall by so many of these is none of
+# chance: a false alarm in 30 000.
+_SURE: Final = 4.0
+# At a noise of 0.6 gray levels rounding changes a variance by 0.1 % of a squared level, less above [gray level].
+_QUIET: Final = 0.6
+_BENT: Final = 0.002  # share of the gain from which on a bend by rounding counts, where it is more than chance
+_BENT_SIGMAS: Final = 3.0
+_PULLED: Final = 0.01  # share of the DSNU from which on a pull by rounding is told
+_PLATEAU: Final = 0.01  # of the saturation signal: exposures whose levels differ by less lie on one plateau
+_PLATEAU_STEP: Final = 0.01  # share by which their exposures differ at least
 _TO_SIGMA: Final = 1.4826  # from the median of absolute deviations of a normal distribution
 
 
@@ -88,9 +100,13 @@ class PhotonTransfer:
     dark_current : float or None
         [e/s], where dark frames of three exposure times tell.
     saturation_gray, saturation_electrons : float
-        Where the variance is largest; electrons above dark. Lower limits where saturation is not reached.
+        Where the variance is largest, the standard's saturation; electrons above dark. Lower limits where saturation
+        is not reached. Less than the full well by up to a step of the exposures and what the pixels differ by.
+    full_well : float or None
+        Electrons of the plateau that the longest exposures reach, dark signal included; of the converter's end where
+        that comes first. None where there is no plateau.
     saturated : bool
-        Whether the frames reach saturation.
+        Whether the variance falls again beyond its peak, by more than chance.
     dsnu : float or None
         [e], of the pixels that are not called defect.
     prnu : float or None
@@ -120,6 +136,7 @@ class PhotonTransfer:
     dark_current: float | None
     saturation_gray: float
     saturation_electrons: float
+    full_well: float | None
     saturated: bool
     dsnu: float | None
     prnu: float | None
@@ -159,11 +176,9 @@ def photon_transfer(kind: str, stacks: Sequence[Stack], photons_of_exposure: flo
         raise InputError(f"{len(light)} exposures with light, at least {_FEWEST} are needed")
     notes: list[str] = []
     steps = tuple(_step(stack, dark) for stack in light)
-    peak = int(np.argmax([step.variance for step in steps]))
-    saturated = peak < len(steps) - 1 and steps[-1].variance < steps[peak].variance
+    full, saturated = _saturation(steps, light)
     if not saturated:
         notes.append("saturation is not reached: full well, SNR and dynamic range are lower limits")
-    full = steps[peak]
     used = [step for step in steps if step.signal <= _FIT_SHARE * full.signal]
     if len(used) < _FEWEST:
         raise InputError(
@@ -171,16 +186,23 @@ def photon_transfer(kind: str, stacks: Sequence[Stack], photons_of_exposure: flo
             remedy="add shorter exposures",
         )
     signal = np.array([step.signal for step in used])
-    gain, sigma = _slope(signal, np.array([step.variance - step.dark_variance for step in used]))
+    rise = np.array([step.variance - step.dark_variance for step in used])
+    gain, sigma = _slope(signal, rise)
     responsivity, _ = _slope(np.array([step.exposure for step in used]), signal)
     if not (gain > 0 and responsivity > 0):
         raise InputError("the variance does not rise with the signal", remedy="give raw frames of rising exposure")
+    gain, sigma = _unbent((gain, sigma), signal, rise, used[0].dark_variance, notes)
     dark_gray, dark_variance, rate = _dark(dark if kind == "exposure_time" else dark[:1])
     read_noise = _read_noise(dark_variance, gain, notes)
     if dark_gray < 3 * math.sqrt(max(dark_variance, ROUNDING_VARIANCE)):
         notes.append("the dark level lies within three sigma of 0: what is cut there makes the read noise too small")
     electrons = full.signal / gain
     threshold = math.sqrt(max(read_noise**2 + ROUNDING_VARIANCE / gain**2, 0.0) + 0.25) + 0.5
+    pull = _pull(dark_variance)
+    if pull > _PULLED:
+        notes.append(
+            f"whole gray levels pull the means of quiet pixels together or apart: DSNU may be off by up to {pull:.1%}"
+        )
     result = PhotonTransfer(
         steps=steps,
         gain=gain,
@@ -192,6 +214,7 @@ def photon_transfer(kind: str, stacks: Sequence[Stack], photons_of_exposure: flo
         dark_current=None if rate is None else rate / gain,
         saturation_gray=full.gray,
         saturation_electrons=electrons,
+        full_well=_plateau(light, full.signal, dark_gray, gain) if saturated else None,
         saturated=saturated,
         dsnu=None,
         prnu=None,
@@ -206,6 +229,43 @@ def photon_transfer(kind: str, stacks: Sequence[Stack], photons_of_exposure: flo
     )
     half = min(light, key=lambda stack: abs(stack.level - (full.gray + full.dark_gray) / 2))
     return _with_pattern(result, _nearest(dark, half.exposure), half)
+
+
+def _saturation(steps: Sequence[Step], light: Sequence[Stack]) -> tuple[Step, bool]:
+    """The step of largest variance, and whether the last one's is surely less; else the last step, a lower limit."""
+    peak = int(np.argmax([step.variance for step in steps]))
+    errors = [math.sqrt(2 / (stack.mean.size * (stack.frames - 1))) for stack in light]
+    fall = steps[peak].variance - steps[-1].variance
+    chance = math.hypot(steps[peak].variance * errors[peak], steps[-1].variance * errors[-1])
+    return (steps[peak], True) if fall > _SURE * chance else (steps[-1], False)
+
+
+def _plateau(light: Sequence[Stack], signal: float, dark_gray: float, gain: float) -> float | None:
+    """Electrons at the level that does not rise any more with the exposure; defect pixels have no part in it."""
+    before, last = light[-2:]
+    if last.exposure < before.exposure * (1 + _PLATEAU_STEP) or last.level - before.level > _PLATEAU * signal:
+        return None
+    return float(last.mean[~_outliers(last.mean)].mean() - dark_gray) / gain
+
+
+def _unbent(
+    line: tuple[float, float], signal: Array, rise: Array, dark_variance: float, notes: list[str]
+) -> tuple[float, float]:
+    """The gain, free of what rounding does to the dark frames' variance: that shifts all of `rise` alike."""
+    gain, sigma = line
+    if dark_variance >= _QUIET**2 + ROUNDING_VARIANCE or gain <= 0:
+        return gain, sigma
+    away = signal - signal.mean()
+    free, free_sigma = _slope(away, rise - rise.mean())
+    # One number less is free than through the origin.
+    free_sigma *= math.sqrt((len(signal) - 1) / max(len(signal) - 2, 1))
+    if free <= 0 or abs(gain - free) <= max(_BENT * free, _BENT_SIGMAS * free_sigma):
+        return gain, sigma
+    notes.append(
+        f"rounding changes the variance of dark frames as quiet as these: the gain is the slope of a line with an "
+        f"intercept; the standard's, through the origin, gives {gain:.5g} ({gain / free - 1:+.2%})"
+    )
+    return free, free_sigma
 
 
 def _nearest(dark: Sequence[Stack], exposure: float) -> Stack:
@@ -243,6 +303,15 @@ def _read_noise(dark_variance: float, gain: float, notes: list[str]) -> float:
         notes.append("rounding hides the read noise: it is at most what is told")
         return math.sqrt(_LEAST_DARK_VARIANCE - ROUNDING_VARIANCE) / gain
     return math.sqrt(dark_variance - ROUNDING_VARIANCE) / gain
+
+
+def _pull(dark_variance: float) -> float:
+    """Largest change by rounding of the slope of a pixel's mean: |d/dx E round(x + noise) - 1|, as a share.
+
+    E round(x + noise) = x + sum over k of (-1)^k/(pi k) sin(2 pi k x) exp(-2 pi^2 k^2 sigma^2); its first term. Below
+    half a gray level the noise itself is not known well, and all may be hidden: at most 100 %.
+    """
+    return min(1.0, 2 * math.exp(-2 * math.pi**2 * max(dark_variance - ROUNDING_VARIANCE, 0.0)))
 
 
 def _linearity(steps: Sequence[Step], full: Step, notes: list[str]) -> dict[str, float | None]:
