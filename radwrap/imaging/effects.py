@@ -10,12 +10,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from radwrap.errors import InputError
 from radwrap.imaging.bounds import NOTHING, Bounded
 from radwrap.imaging.certificate import PixelSample, lacks_in_gray, places_of, root
 from radwrap.imaging.planner import NEGLIGIBLE_SHARE, choose
@@ -28,6 +30,7 @@ from radwrap.scene.camera import ColourChannel
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Emitter, Ring, SingleSource, Source, emitters
 from radwrap.scene.targets import Box, Cylinder, Disc, DotBoard, EdgeTarget, Polygon, Sheet, Sphere
+from radwrap.tracers.bouncing import SURE_STEPS
 
 _PIXELS: Final = 256
 _RAYS: Final = 8  # of each pixel in each of the two sets
@@ -47,7 +50,7 @@ class Effect:
     Attributes
     ----------
     name : str
-        "finite_aperture", "cos4", "depth_spread", "bounces", "bands", "leds" or "led_differences".
+        "finite_aperture", "cos4", "depth_spread", "bounces", "bounces_beyond_3", "bands", "leds" or "led_differences".
     left_out : str
         What the image would be without it.
     rms_gray, rms_gray_upper95 : float
@@ -194,6 +197,22 @@ def bounces(scene: Scene, view: View, seed: int, tolerance: float, probe: Probe 
     return _effect("bounces", "surfaces do not light each other", square, rays, tolerance)
 
 
+def bounces_beyond(traced: TracedScene, orders: int, seed: int, tolerance: float) -> Effect:
+    """What light adds that was reflected more often than a number of times before it reached what is seen.
+
+    The same walks with and without that limit: up to it they are alike, and what they have in common adds no noise.
+
+    Raises
+    ------
+    InputError
+        As `TracedScene.bouncing_view`.
+    """
+    probe = Probe.of(traced.bouncing_view(orders), seed)
+    square = probe.mean_square(probe.traced(traced.bouncing_view(None, max(SURE_STEPS, orders))))
+    left_out = f"light ends after {orders} reflection{'s' if orders > 1 else ''} before what is seen"
+    return _effect(f"bounces_beyond_{orders}", left_out, square, 2 * len(probe.u), tolerance)
+
+
 def _measured(traced: TracedScene, view: View, found: Survey, tolerance: float, seed: int) -> Iterator[Effect]:
     scene = traced.scene
     probe = Probe.of(view, seed)
@@ -214,7 +233,11 @@ def _measured(traced: TracedScene, view: View, found: Survey, tolerance: float, 
         found.rays if finite else 0,
         tolerance,
     )
-    yield bounces(scene, view, seed, tolerance, probe)
+    yield (first := bounces(scene, view, seed, tolerance, probe))
+    if first.needed:
+        # What was measured ends there; of sheeting and the like nobody knows more.
+        with suppress(InputError):
+            yield bounces_beyond(traced, _BOUNCES, seed, tolerance)
     yield _bands(traced, probe, tolerance)
     rings = any(isinstance(source, Ring) for source in scene.sources)
     if rings:

@@ -141,7 +141,7 @@ def test_no_hot_spots_right_below_a_near_bar(bench: Any) -> None:
     assert isinstance(source, WideSource) and len(source.patches) < 400
     along, across = np.linspace(x0 - 0.055, x0 + 0.055, 45), np.linspace(y0 - 0.01, y0 + 0.01, 21)
     points = np.vstack([[(x, y0, 0.0) for x in along], [(x0 + 0.003, y, 0.0) for y in across]])
-    got = bench.radiance(scene, points + [0.0, 0.05, 0.004], points) * math.pi / 0.5
+    got = bench.radiance(scene, points + np.array([0.0, 0.05, 0.004]), points) * math.pi / 0.5
     nodes, weights = np.polynomial.legendre.leggauss(60)
     u, v = np.meshgrid(x0 + 0.05 * nodes, y0 + 0.001 * nodes)
     share = np.outer(weights, weights) * 0.05 * 0.001
