@@ -265,11 +265,12 @@ class _Run:
         view = self.traced.view()
         try:
             banding = self.traced.banding
-            left_out = bounces(self.scene, view, self.options.seed, self.options.tolerance)
+            left_out = bounces(self.scene, view, self.options.seed, self.options.tolerance, traced=self.traced)
             orders = _orders(self.options.bounces, left_out)
             work, options = self._with_bounces(view, orders, progress)
-            limited = isinstance(orders, int) and orders > 0
-            beyond = bounces_beyond(self.traced, orders, self.options.seed, self.options.tolerance) if limited else None
+            beyond = None
+            if isinstance(orders, int) and orders:
+                beyond = bounces_beyond(self.traced, orders, self.options.seed, self.options.tolerance)
             made = make(self.scene, banding.left(options), work)
             spread, magnification = self._spread(), self._magnification(view)
             self._remove_old()

@@ -11,7 +11,7 @@ import pytest
 
 import radwrap
 from radwrap.errors import InputError
-from radwrap.imaging.effects import bounces_beyond, effects
+from radwrap.imaging.effects import bounces, bounces_beyond, effects
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.tracing import laid_out
 from radwrap.scene.materials import Specular
@@ -200,7 +200,9 @@ def test_a_wide_source_lights_a_ceiling_that_lights_the_floor() -> None:
     ceiling = {**sheet, "name": "ceiling", "material": "ceiling", "size": Bench.metres(3, 3)}
     ceiling |= {"position": Bench.metres(0, 0, 1), "rotation": Bench.degrees(180, 0, 0)}
     materials = {name: {"type": "lambertian", "reflectance": rho} for name, rho in (("floor", 0.5), ("ceiling", 0.8))}
-    scene = Bench.scene(Bench.camera((0.5, 0, 0.6), (0.5, 0, 0)), [wide], materials, [sheet, ceiling])
+    scene_camera = Bench.camera((0.5, 0, 0.6), (0.5, 0, 0), rows=16, columns=16, pitch=(5e-5, 5e-5))
+    scene_camera["sensor"]["gain"] = "1e9 (J/m^2)^-1"
+    scene = Bench.scene(scene_camera, [wide], materials, [sheet, ceiling])
     assert len(scene.emitters) > 9
     point = np.array([0.5, 0.1, 0.0])
 
@@ -220,6 +222,11 @@ def test_a_wide_source_lights_a_ceiling_that_lights_the_floor() -> None:
     with laid_out(scene, RenderOptions()) as traced:
         (whole,) = traced.bouncing_view(1).tracer.trace([rays])
         (direct,) = traced.view().tracer.trace([rays])
+        finer = Bench.scene(scene_camera, [{**wide, "least_patches": 120}], materials, [sheet, ceiling])
+    with laid_out(finer, RenderOptions()) as traced:
+        view = traced.view()
+        by_tracer, by_walks = (bounces(finer, view, 0, 0.5, traced=how) for how in (None, traced))
+    assert by_walks.rms_gray == pytest.approx(by_tracer.rms_gray, rel=PROBED)
     assert not direct.any()  # it shines away from the floor
     found = whole * math.pi / 0.5
     noise = found.std() / math.sqrt(count)
