@@ -10,12 +10,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from radwrap.errors import InputError
 from radwrap.imaging.bounds import NOTHING, Bounded
 from radwrap.imaging.certificate import PixelSample, lacks_in_gray, places_of, root
 from radwrap.imaging.planner import NEGLIGIBLE_SHARE, choose
@@ -28,6 +30,7 @@ from radwrap.scene.camera import ColourChannel
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Emitter, Ring, SingleSource, Source, emitters
 from radwrap.scene.targets import Box, Cylinder, Disc, DotBoard, EdgeTarget, Polygon, Sheet, Sphere
+from radwrap.tracers.bouncing import SURE_STEPS
 
 _PIXELS: Final = 256
 _RAYS: Final = 8  # of each pixel in each of the two sets
@@ -35,6 +38,8 @@ _CHANNELS: Final[tuple[ColourChannel, ...]] = ("red", "green", "blue")
 # Light that has gone so often from one surface to another is what is measured: at a reflectance of 0.5 on all sides
 # of a closed box, 7/8 of all that there is.
 _BOUNCES: Final = 3
+# A path of the tracer's own interreflection asks hundreds of times for each of them, a walk three times.
+_MANY_EMITTERS: Final = 100
 _CONVEX: Final = (Sheet, DotBoard, EdgeTarget, Disc, Polygon, Sphere, Box, Cylinder)
 # The one source that stands for a ring is so small beside its LEDs that it hides nearly nothing.
 _SHRUNK: Final = 0.1
@@ -47,7 +52,7 @@ class Effect:
     Attributes
     ----------
     name : str
-        "finite_aperture", "cos4", "depth_spread", "bounces", "bands", "leds" or "led_differences".
+        "finite_aperture", "cos4", "depth_spread", "bounces", "bounces_beyond_3", "bands", "leds" or "led_differences".
     left_out : str
         What the image would be without it.
     rms_gray, rms_gray_upper95 : float
@@ -171,7 +176,15 @@ def effects(scene: Scene, options: RenderOptions | None = None) -> dict[str, Any
     return {"tolerance": options.tolerance, "effects": each, "planner": planner}
 
 
-def bounces(scene: Scene, view: View, seed: int, tolerance: float, probe: Probe | None = None) -> Effect:
+def bounces(
+    scene: Scene,
+    view: View,
+    seed: int,
+    tolerance: float,
+    probe: Probe | None = None,
+    *,
+    traced: TracedScene | None = None,
+) -> Effect:
     """What light that goes from one surface to another adds; no ray is traced where a scene cannot have any.
 
     Parameters
@@ -186,12 +199,35 @@ def bounces(scene: Scene, view: View, seed: int, tolerance: float, probe: Probe 
         That decides what is needed [gray level].
     probe : Probe, optional
         Of that view and seed, where it is there already.
+    traced : TracedScene, optional
+        Of that view: with many sources walks take an eighth of the time of the tracer's own interreflection.
     """
     square, rays = NOTHING, 0
     if not _is_convex(scene):
         probe = probe or Probe.of(view, seed)
-        square, rays = probe.mean_square(probe.traced(with_bounces(view, _BOUNCES))), 2 * len(probe.u)
+        bouncing = None
+        if traced is not None and len(scene.emitters) > _MANY_EMITTERS:
+            with suppress(InputError):  # of sheeting and the like walks know nothing
+                bouncing = traced.bouncing_view(_BOUNCES)
+        square = probe.mean_square(probe.traced(bouncing or with_bounces(view, _BOUNCES)))
+        rays = 2 * len(probe.u)
     return _effect("bounces", "surfaces do not light each other", square, rays, tolerance)
+
+
+def bounces_beyond(traced: TracedScene, orders: int, seed: int, tolerance: float) -> Effect:
+    """What light adds that was reflected more often than a number of times before it reached what is seen.
+
+    The same walks with and without that limit: up to it they are alike, and what they have in common adds no noise.
+
+    Raises
+    ------
+    InputError
+        As `TracedScene.bouncing_view`.
+    """
+    probe = Probe.of(traced.bouncing_view(orders), seed)
+    square = probe.mean_square(probe.traced(traced.bouncing_view(None, max(SURE_STEPS, orders))))
+    left_out = f"light ends after {orders} reflection{'s' if orders > 1 else ''} before what is seen"
+    return _effect(f"bounces_beyond_{orders}", left_out, square, 2 * len(probe.u), tolerance)
 
 
 def _measured(traced: TracedScene, view: View, found: Survey, tolerance: float, seed: int) -> Iterator[Effect]:
@@ -214,7 +250,11 @@ def _measured(traced: TracedScene, view: View, found: Survey, tolerance: float, 
         found.rays if finite else 0,
         tolerance,
     )
-    yield bounces(scene, view, seed, tolerance, probe)
+    yield (first := bounces(scene, view, seed, tolerance, probe, traced=traced))
+    if first.needed:
+        # What was measured ends there; of sheeting and the like nobody knows more.
+        with suppress(InputError):
+            yield bounces_beyond(traced, _BOUNCES, seed, tolerance)
     yield _bands(traced, probe, tolerance)
     rings = any(isinstance(source, Ring) for source in scene.sources)
     if rings:

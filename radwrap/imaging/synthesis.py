@@ -26,7 +26,7 @@ from radwrap.imaging import photo_realistic
 from radwrap.imaging.basis import BASIS, FOLDER, shining, write_basis
 from radwrap.imaging.cost import Cost, check_size, estimate, seconds_per_ray
 from radwrap.imaging.diffraction import diffraction, diffraction_warning
-from radwrap.imaging.effects import Effect, bounces
+from radwrap.imaging.effects import Effect, bounces, bounces_beyond
 from radwrap.imaging.exposure import radiant_exposure
 from radwrap.imaging.methods import Made, fixed_method, how, make, viewpoint_plan
 from radwrap.imaging.noise import fixed_pattern, linear_of, noisy_frame
@@ -267,9 +267,12 @@ class _Run:
         view = self.traced.view()
         try:
             banding = self.traced.banding
-            left_out = bounces(self.scene, view, self.options.seed, self.options.tolerance)
+            left_out = bounces(self.scene, view, self.options.seed, self.options.tolerance, traced=self.traced)
             orders = _orders(self.options.bounces, left_out)
             work, options = self._with_bounces(view, orders, progress)
+            beyond = None
+            if isinstance(orders, int) and orders:
+                beyond = bounces_beyond(self.traced, orders, self.options.seed, self.options.tolerance)
             made = make(self.scene, banding.left(options), work)
             spread, magnification = self._spread(), self._magnification(view)
             self._remove_old()
@@ -293,13 +296,14 @@ class _Run:
             "warnings": [
                 *warnings_of(self.scene),
                 *_lens_warnings(self.scene),
-                *(() if orders else _warnings_of(left_out)),
+                *(() if orders else _warnings_of(left_out, "goes from one surface to another")),
+                *(_warnings_of(beyond, f"is reflected more than {orders} times on its way") if beyond else ()),
             ],
             **summary,
             "error": banding.raised(made.error),
             **told,
             **banding.as_manifest(),
-            **_told(orders, left_out),
+            **_told(orders, left_out, beyond),
             "files": {name: sha256_of(self.out / name) for name in files},
             "timing": timing,
         }
@@ -448,18 +452,19 @@ def _orders(asked: Bounces | Literal["auto"], left_out: Effect) -> Bounces:
     return asked
 
 
-def _told(orders: Bounces, left_out: Effect) -> dict[str, Any]:
+def _told(orders: Bounces, left_out: Effect, beyond: Effect | None) -> dict[str, Any]:
     """What the manifest says of light that goes from surface to surface."""
     if not orders:
         return {"left_out": {left_out.name: left_out.as_manifest()}}
-    return {"left_out": {}, "bounces": {"orders": orders, "about_rms_gray": left_out.rms_gray}}
+    rest = {} if beyond is None else {beyond.name: beyond.as_manifest()}
+    return {"left_out": rest, "bounces": {"orders": orders, "about_rms_gray": left_out.rms_gray}}
 
 
-def _warnings_of(left_out: Effect) -> tuple[str, ...]:
+def _warnings_of(left_out: Effect, how: str) -> tuple[str, ...]:
     if not left_out.needed:
         return ()
     return (
-        "light that goes from one surface to another is left out: it would change the image by about "
+        f"light that {how} is left out: it would change the image by about "
         f"{left_out.rms_gray:.2g} gray rms (at most {left_out.rms_gray_upper95:.2g})",
     )
 

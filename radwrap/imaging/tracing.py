@@ -20,7 +20,7 @@ from radwrap.scene.materials import CoefficientTable, GlassBeads, Lambertian, Pe
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Source, emitters
 from radwrap.scene.targets import surfaces
-from radwrap.tracers.bouncing import BouncingTracer, Reflecting
+from radwrap.tracers.bouncing import SURE_STEPS, BouncingTracer, Reflecting
 from radwrap.tracers.installation import find_radiance, version
 from radwrap.tracers.radiance import NO_LIGHT, PreparedScene, RadianceOptions, RadianceTracer, build, prepare
 from radwrap.tracers.radiance_text import RadianceScene, scene_text
@@ -102,13 +102,15 @@ class TracedScene:
                 return replace(self.scene, materials={**self.scene.materials, **band.materials})
         return self.scene
 
-    def bouncing_view(self, orders: int | None) -> View:
+    def bouncing_view(self, orders: int | None, sure_steps: int = SURE_STEPS) -> View:
         """The camera, with a tracer that adds what surfaces reflect to each other.
 
         Parameters
         ----------
         orders : int or None
             How often light is reflected at most on its way; None for no limit.
+        sure_steps : int
+            So far no walk ends by chance.
 
         Raises
         ------
@@ -123,7 +125,9 @@ class TracedScene:
             )
         materials = reflecting_parts(self.scene, self.prepared.parts)
         lit = self.view()
-        return replace(lit, tracer=BouncingTracer(_radiance(lit), self.identity_tracer(), materials, orders))
+        return replace(
+            lit, tracer=BouncingTracer(_radiance(lit), self.identity_tracer(), materials, orders, sure_steps)
+        )
 
     def identity_tracer(self) -> RadianceTracer:
         """A tracer for the same geometry, in which each part glows with its number."""

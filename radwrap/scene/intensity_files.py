@@ -31,6 +31,9 @@ _HEADER: Final = ["angle_deg", "relative_intensity"]
 # A table that ends above this share of its peak says nothing of what comes after.
 _DARK: Final = 0.01
 _MOST_OF_AXIS: Final = 1e6
+_LARGEST: Final = 1e30  # so that products of a few do not overflow
+_SMALLEST: Final = 1e-30
+_LEAST_APART: Final = 1e-6  # deg; no goniometer tells angles apart that are nearer
 _TYPES: Final = {2: "B", 3: "A"}
 _EDITION: Final = re.compile(r"(?i)\s*IES(?:NA)?:?(?:LM-63-)?(\d+)")
 _CODED: Final = 2019  # from this edition on the number after the ballast factor tells how the file was made
@@ -55,8 +58,10 @@ def read_beam(path: Path) -> TableBeam:
     _check_angles(angle, "angles", path)
     if angle[0] != 0 or angle[-1] > 90:
         raise InputError("angles must go from 0 to at most 90", where=str(path))
-    if value[0] <= 0 or value.min() < 0:
-        raise InputError("relative intensities must be at least 0, on the axis above 0", where=str(path))
+    if value[0] < _SMALLEST or value.min() < 0:
+        raise InputError(
+            f"relative intensities must be at least 0, on the axis above 0 (at least {_SMALLEST:g})", where=str(path)
+        )
     if value.max() > _MOST_OF_AXIS * value[0]:
         raise InputError(
             f"is more than {_MOST_OF_AXIS:g} times as bright aside as on the axis, to which it is relative",
@@ -102,8 +107,10 @@ def read_luminaire(path: Path) -> IntensityTable:
     candela = reader.take(vertical_count * horizontal_count).reshape(horizontal_count, vertical_count)
     reader.end()
     candela = candela * multiplier * ballast * _lamp_factor(text, float(photometric), path) * factor
-    if candela.min() < 0 or not 0 < candela.max() < 1e30:
-        raise InputError("intensities must be at least 0, and not all 0", where=str(path))
+    if candela.min() < 0 or not _SMALLEST < candela.max() < _LARGEST:
+        raise InputError(
+            f"intensities must be at least 0, the largest from {_SMALLEST:g} to {_LARGEST:g}", where=str(path)
+        )
     return _table(vertical, horizontal, candela, path, digest)
 
 
@@ -244,8 +251,10 @@ def _around(horizontal: Array, values: Array, turn: Array) -> tuple[Array, float
 
 
 def _check_angles(angle: Array, what: str, path: Path) -> None:
-    if len(angle) < 2 or not (np.diff(angle) > 0).all():
-        raise InputError(f"{what} must be two or more, and increase", where=str(path))
+    if len(angle) < 2 or not (np.diff(angle) > _LEAST_APART).all():
+        raise InputError(
+            f"{what} must be two or more, and increase by more than {_LEAST_APART:g} deg each", where=str(path)
+        )
 
 
 def _numbers(words: list[str], path: Path) -> Array:
@@ -257,6 +266,8 @@ def _numbers(words: list[str], path: Path) -> Array:
             raise InputError(f'"{word[:40]}" is no number', where=str(path)) from error
     if not np.isfinite(values).all():
         raise InputError("holds NaN or infinity", where=str(path))
+    if np.abs(values).max(initial=0.0) > _LARGEST:
+        raise InputError(f"holds numbers beyond {_LARGEST:g}", where=str(path))
     return values
 
 

@@ -25,6 +25,9 @@ _BRDF: Final = ("incidence_deg", "viewing_deg", "azimuth_deg", "brdf_per_sr")
 _LEAST_REACH: Final = 80.0
 # No surface reflects more than it gets; straight lines between nodes may add a little.
 _MOST_ALBEDO: Final = 1.01
+# Along the normal there is no azimuth: a measurement may scatter over it by so much of its mean.
+_SCATTER: Final = 0.02
+_COEFFICIENTS: Final = (1e-9, 1e9)  # cd lx^-1 m^-2; as in a scene file
 
 
 def read_coefficients(path: Path) -> tuple[tuple[float, ...], tuple[float, ...], tuple[tuple[float, ...], ...]]:
@@ -50,8 +53,11 @@ def read_coefficients(path: Path) -> tuple[tuple[float, ...], tuple[float, ...],
             "has several rotation angles: sheeting is taken to be alike at all", where=str(path), remedy="keep one"
         )
     axes, values = _grid(columns, _SHEETING, path)
-    if values.min() <= 0 or min(map(len, axes)) < 2 or max(axis[-1] for axis in axes) >= 88.8:
-        raise InputError("needs coefficients above 0, at two or more angles each below 88.8 deg", where=str(path))
+    low, high = _COEFFICIENTS
+    if values.min() < low or values.max() > high:
+        raise InputError(f"needs coefficients from {low:g} to {high:g} cd/lx/m^2", where=str(path))
+    if min(map(len, axes)) < 2 or max(axis[-1] for axis in axes) >= 88.8:
+        raise InputError("needs two or more angles each, below 88.8 deg", where=str(path))
     observation, entrance = (tuple(map(math.radians, axis)) for axis in axes)
     return observation, entrance, tuple(map(tuple, values.tolist()))
 
@@ -75,6 +81,13 @@ def read_brdf(path: Path) -> MeasuredBrdf:
         raise InputError("angles must end at 90 deg at most, azimuth go from 0 to 180", where=str(path))
     if values.min() < 0:
         raise InputError("f must be at least 0", where=str(path))
+    for axis, along in (("incidence", values[0]), ("viewing", values[:, 0])):
+        if (np.ptp(along, axis=-1) > _SCATTER * along.mean(axis=-1)).any():
+            raise InputError(
+                f"depends on the azimuth at {axis} 0, where there is none",
+                where=str(path),
+                remedy="write its mean over the azimuth on those lines",
+            )
     albedo = directional_albedo(np.radians(viewing), np.radians(azimuth), values)
     worst = int(albedo.argmax())
     if albedo[worst] > _MOST_ALBEDO:

@@ -163,6 +163,22 @@ def _near_axis(target: Target, emitter: Emitter) -> tuple[SurfacePoints, ...]:
     return _groups(target, point[np.newaxis], rotation[:, 2][np.newaxis])
 
 
+def feet(target: Target, positions: Array, reach: Array, most: int) -> tuple[SurfacePoints, ...]:
+    """Points of a target that are nearest to positions, shape (n, 3) [m], no farther than their reach, shape (n,)."""
+    if isinstance(target, RadFile):
+        return ()
+    found = []
+    for position, far in zip(positions.tolist(), reach.tolist(), strict=True):
+        near, normal = nearest_point(target, (position[0], position[1], position[2]))
+        if math.dist(near.tolist(), position) <= far:
+            found.append((near, normal))
+    found = found[:: max(1, math.ceil(len(found) / most))]
+    if not found:
+        return ()
+    points, normals = (np.array(of) for of in zip(*found, strict=True))
+    return _groups(target, points, normals)
+
+
 def hit_points(target: Target, origin: Vector, rays: Array) -> tuple[SurfacePoints, ...]:
     """Where rays from one point, unit vectors of shape (n, 3), meet a target."""
     distance, normals = first_hit(target, np.asarray(origin), rays)

@@ -8,7 +8,7 @@ another one sends to the camera. Patches that miss most are halved.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
@@ -34,7 +34,7 @@ from radwrap.scene.materials import (
     Specular,
     TwoSided,
 )
-from radwrap.scene.probes import merged, seen_points, surface_points
+from radwrap.scene.probes import feet, merged, seen_points, surface_points
 from radwrap.scene.reflection import radiance_factor
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Patch, WideSource, emitters
@@ -60,6 +60,7 @@ _MARGIN: Final = 0.5
 _NODES: Final = 4  # along each side of a patch
 _PROBES: Final = 144  # of each target and material
 _ALL_PROBES: Final = 1000
+_MOST_FEET: Final = 576  # of each target
 # A point that gets less than this share of what the best lit one gets counts as if it got so much.
 _FLOOR: Final = 0.02
 # Patches are halved together down to this share of the worst one's error.
@@ -152,16 +153,22 @@ class _Probe:
 
 def _probes(scene: Scene) -> list[_Probe]:
     """Points that the camera sees, or all where it sees none; the front is the side that it sees."""
-    eye = np.asarray(scene.camera.pose.position)
     groups = merged(
         group
         for target in scene.targets
         for group in (*surface_points(target, scene.camera.pose.position), *seen_points(target, scene.camera))
     )
-    most = max(9, min(_PROBES, _ALL_PROBES // max(len(groups), 1)))
+    return _watched(scene, groups, max(9, min(_PROBES, _ALL_PROBES // max(len(groups), 1))))
+
+
+def _watched(scene: Scene, groups: Iterable[SurfacePoints], most: int, *, seen_only: bool = False) -> list[_Probe]:
+    """At most so many probes of each group, where the camera sees some, those."""
+    eye = np.asarray(scene.camera.pose.position)
     found: list[_Probe] = []
     for group in groups:
         seen = in_view(scene.camera, group.points)
+        if not seen.any() and seen_only:
+            continue
         points, normals = (of[seen] if seen.any() else of for of in (group.points, group.normals))
         step = math.ceil(len(points) / most)
         points, normals = points[::step], normals[::step]
@@ -198,15 +205,9 @@ class _Division:
 
     def add(self, cells: list[Cell]) -> None:
         """Take cells in."""
-        given, due = [np.empty((0, len(cells)))], [np.empty((0, len(cells)))]
-        positions, normals, areas = _middles(self.source, cells)
-        points, facing, sizes = _true(self.source, cells)
-        for probe in self.probes:
-            given.append(_received(self.source, probe, positions, normals, areas, widened=probe.flat))
-            fine = _received(self.source, probe, points, facing, sizes)
-            due.append(fine.reshape(len(probe.points), len(cells), -1).sum(axis=2))
-        self.given = np.hstack([self.given, np.vstack(given)])
-        self.due = np.hstack([self.due, np.vstack(due)])
+        given, due = _exchanged(self.source, self.probes, cells)
+        self.given, self.due = np.hstack([self.given, given]), np.hstack([self.due, due])
+        positions, _, areas = _middles(self.source, cells)
         self.cells += cells
         self.positions, self.areas = np.vstack([self.positions, positions]), np.append(self.areas, areas)
 
@@ -222,11 +223,29 @@ class _Division:
 
     def misses(self) -> tuple[Array, Array]:
         """Relative error at each probe, and what each cell has of it at the probes that are worst off."""
-        total = self.due.sum(axis=1)
-        total = np.maximum(total, _FLOOR * total.max(initial=0.0))
-        total = np.where(total > 0, total, 1.0)
-        apart = (self.given - self.due) / total[:, np.newaxis]
-        return np.abs(apart.sum(axis=1)), np.abs(apart)
+        return _apart(self.given, self.due, 0.0)
+
+    def misses_below(self, scene: Scene) -> tuple[Array, Array]:
+        """The same right below patches and their corners: bright and dark spots lie there, between probes.
+
+        At its foot a patch of side s at distance h gives about (s/h)^2/3 too much. Where that is little, nothing is
+        looked at, and of many places some that are spread over the source.
+        """
+        places, widths = [], []
+        for middle, cell in zip(self.positions, self.cells, strict=True):
+            around = _world(self.source, cell)
+            places.append(np.vstack([middle, around[:: math.ceil(len(around) / 4)]]))
+            width = math.sqrt(2) * float(np.linalg.norm(around - middle, axis=1).max())
+            widths.append(np.full(len(places[-1]), width))
+        reach = np.concatenate(widths) / math.sqrt(3 * _MARGIN * self.source.irradiance_error)
+        given, due = [np.empty((0, len(self.cells)))], [np.empty((0, len(self.cells)))]
+        for target in scene.targets:
+            for group in feet(target, np.vstack(places), reach, _MOST_FEET):
+                for part in _parts(group):
+                    found = _exchanged(self.source, _watched(scene, [part], _PROBES, seen_only=True), self.cells)
+                    given.append(found[0])
+                    due.append(found[1])
+        return _apart(np.vstack(given), np.vstack(due), float(self.due.sum(axis=1).max(initial=0.0)))
 
     def step(self) -> float:
         """Largest share of one patch in what a probe gets."""
@@ -235,17 +254,46 @@ class _Division:
         return float((self.given[lit].max(axis=1) / total[lit]).max(initial=0.0))
 
 
+def _exchanged(source: WideSource, probes: list[_Probe], cells: list[Cell]) -> tuple[Array, Array]:
+    """What patches of cells give at probes, and what the cells should, both of shape (probes, cells)."""
+    given, due = [np.empty((0, len(cells)))], [np.empty((0, len(cells)))]
+    positions, normals, areas = _middles(source, cells)
+    points, facing, sizes = _true(source, cells)
+    for probe in probes:
+        given.append(_received(source, probe, positions, normals, areas, widened=probe.flat))
+        fine = _received(source, probe, points, facing, sizes)
+        due.append(fine.reshape(len(probe.points), len(cells), -1).sum(axis=2))
+    return np.vstack(given), np.vstack(due)
+
+
+def _parts(group: SurfacePoints) -> Iterator[SurfacePoints]:
+    """The same points in portions, so that memory stays small."""
+    for start in range(0, len(group.points), _PROBES):
+        of = slice(start, start + _PROBES)
+        yield replace(group, points=group.points[of], normals=group.normals[of])
+
+
+def _apart(given: Array, due: Array, best: float) -> tuple[Array, Array]:
+    """Relative error at each probe, and each cell's share; `best` is what a probe elsewhere gets."""
+    total = due.sum(axis=1)
+    total = np.maximum(total, _FLOOR * total.max(initial=best))
+    total = np.where(total > 0, total, 1.0)
+    apart = (given - due) / total[:, np.newaxis]
+    return np.abs(apart.sum(axis=1)), np.abs(apart)
+
+
 def _cut(source: WideSource, scene: Scene, probes: list[_Probe], where: str) -> WideSource:
     division = _Division(source, probes)
     while True:
         error, shares = division.misses()
         worst = float(error.max(initial=0.0))
-        wanted = _unresolved(division)
-        if worst > _MARGIN * source.irradiance_error:
-            blame = shares[error > _MARGIN * source.irradiance_error].max(axis=0)
-            wanted |= blame > _TOGETHER * blame.max()
-        elif not wanted.any() and len(division.cells) < source.least_patches:
+        wanted = _unresolved(division) | _blamed(error, shares, source)
+        if not wanted.any() and len(division.cells) < source.least_patches:
             wanted = division.areas > 0.9 * division.areas.max()
+        if not wanted.any():
+            error, shares = division.misses_below(scene)
+            worst = max(worst, float(error.max(initial=0.0)))
+            wanted = _blamed(error, shares, source)
         if not wanted.any():
             break
         if len(division.cells) + int(wanted.sum()) > MOST_PATCHES:
@@ -259,6 +307,14 @@ def _cut(source: WideSource, scene: Scene, probes: list[_Probe], where: str) -> 
     order = sorted(division.cells)
     patches = tuple(_patch(source, cell, number) for number, cell in enumerate(order))
     return replace(source, patches=patches, reached=worst, step=division.step())
+
+
+def _blamed(error: Array, shares: Array, source: WideSource) -> NDArray[np.bool_]:
+    """Cells that have most of an error that is too large."""
+    worst = error > _MARGIN * source.irradiance_error
+    blame = shares[worst].max(axis=0, initial=0.0)
+    blamed: NDArray[np.bool_] = (blame > _TOGETHER * blame.max()) & worst.any()
+    return blamed
 
 
 def _middles(source: WideSource, cells: list[Cell]) -> tuple[Array, Array, Array]:
@@ -342,8 +398,7 @@ def lobe_of(material: Material, normals: Array, to_eye: Array) -> tuple[Array, f
 
 
 def _patch(source: WideSource, cell: Cell, number: int) -> Patch:
-    local = corners(source.shape, cell)
-    world = local @ np.asarray(source.pose.rotation).T + source.pose.position
+    world = _world(source, cell)
     # Newell's normal, of twice the area's length.
     x, y, z = (world - world[0]).T
     doubled = np.array(
@@ -360,6 +415,12 @@ def _patch(source: WideSource, cell: Cell, number: int) -> Patch:
         corners=tuple(map(_vector, world)),
         whole=source.name,
     )
+
+
+def _world(source: WideSource, cell: Cell) -> Array:
+    """Corners of a cell's patch in the world, shape (n, 3) [m]."""
+    placed: Array = corners(source.shape, cell) @ np.asarray(source.pose.rotation).T + source.pose.position
+    return placed
 
 
 def _vector(values: Array) -> Vector:

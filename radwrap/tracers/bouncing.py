@@ -32,7 +32,7 @@ Keys = NDArray[np.uint64]
 Reflecting = Lambertian | Specular
 
 # Steps of a walk that do not end it by chance, and the largest chance to go on after them.
-_SURE_STEPS: Final = 3
+SURE_STEPS: Final = 3
 _MOST_LIKELY: Final = 0.95
 # With that chance one walk in 1e22 is longer.
 _LONGEST_WALK: Final = 1000
@@ -62,12 +62,15 @@ class BouncingTracer:
         Of the parts; None of what reflects nothing, such as a lamp.
     orders : int or None
         How often light is reflected at most before it reaches what a ray sees; None for no limit.
+    sure_steps : int
+        Steps of a walk without limit that do not end it by chance: up to these it is that of a walk with a limit.
     """
 
     lit: RadianceTracer
     numbered: RadianceTracer
     materials: tuple[Reflecting | None, ...]
     orders: int | None = None
+    sure_steps: int = SURE_STEPS
 
     def trace(self, rays: Iterable[Array]) -> Generator[Array]:
         """Radiance along rays, random with the right mean; see `Tracer.trace`."""
@@ -96,7 +99,7 @@ class BouncingTracer:
             draws = _draws(keys, step)
             going, weight = self._scattered(here, rays, draws)
             chance = np.ones(len(rays))
-            if self.orders is None and step > _SURE_STEPS:
+            if self.orders is None and step > self.sure_steps:
                 chance = np.minimum(weight, _MOST_LIKELY)
             goes = (weight > 0) & (draws[:, 3] < chance)
             share = share[goes] * weight[goes] / chance[goes]

@@ -88,3 +88,11 @@ def test_without_radiance_it_is_the_environment(tmp_path: Path, capsys: pytest.C
 def test_numbers_of_numpy_are_numbers_of_json() -> None:
     case = Case("1.numpy", "by hand", 1.0, np.float64(1.001), 0.01)
     assert json.loads(json.dumps(case.as_json()))["pass"] is True
+
+
+def test_extremes_are_on_the_card(capsys: pytest.CaptureFixture[str]) -> None:
+    asked = ("10.levels", "10.refusals")
+    done = here(["validate", "--json", *(word for name in asked for word in ("--only", name))], capsys).success()
+    names = [name for check in CHECKS if check.name in asked for name in check.cases]
+    assert [case["name"] for case in done.json["cases"]] == names
+    assert all(case["pass"] for case in done.json["cases"])

@@ -204,17 +204,18 @@ def brdf_csv(folder: Path, of: Any) -> None:
 
 
 def test_a_table_of_f_is_what_it_says(bench: Any, tmp_path: Path) -> None:
-    brdf_csv(tmp_path, lambda i, v, a: 0.1 + 0.001 * i + 0.0007 * v + 0.0004 * a)
+    brdf_csv(tmp_path, lambda i, v, a: 0.1 + 0.001 * i + 0.0007 * v + 4e-8 * i * v * a)
     scene = lit(bench, {"type": "measured_brdf", "file": "brdf.csv"}, tmp_path)
     got = bench.radiance(scene, EYE, POINTS)
     assert got == pytest.approx(closed(scene), rel=TABLE * 10)
-    # Straight in all its angles: the table is the formula itself, at any angle.
+    # Straight in each of its angles: the table is the formula itself, at any angle.
     point = POINTS[1]
     away = [np.asarray(place) - point for place in (LIGHT, EYE)]
     beta, nu = (math.acos(vector[2] / np.linalg.norm(vector)) for vector in away)
     turns = [math.atan2(vector[1], vector[0]) for vector in away]
     turn = abs((math.degrees(turns[0] - turns[1]) + 180) % 360 - 180)
-    f = 0.1 + 0.001 * math.degrees(beta) + 0.0007 * math.degrees(nu) + 0.0004 * turn
+    beta_deg, nu_deg = math.degrees(beta), math.degrees(nu)
+    f = 0.1 + 0.001 * beta_deg + 0.0007 * nu_deg + 4e-8 * beta_deg * nu_deg * turn
     assert got[1] == pytest.approx(f * math.cos(beta) / float(away[0] @ away[0]), rel=1e-5)
 
 
@@ -258,12 +259,15 @@ def test_a_print_lies_as_its_image(bench: Any, tmp_path: Path) -> None:
         ({"type": "measured_brdf", "file": "bright.csv"}, "reflects 3.14 of what falls on it"),
         ({"type": "measured_brdf", "file": "holes.csv"}, "each combination"),
         ({"type": "measured_brdf", "file": "minus.csv"}, "materials.m.file: .*angles must be at least 0"),
+        ({"type": "measured_brdf", "file": "turns.csv"}, "depends on the azimuth at incidence 0"),
+        ({"type": "measured_brdf", "file": "viewed.csv"}, "depends on the azimuth at viewing 0"),
         ({"type": "measured_brdf", "file": "long.csv"}, "materials.m.file: .*is no table: field larger"),
         ({"type": "measured_brdf", "file": "../x.csv"}, "outside the scene's folder"),
         ({"type": "print", "file": "x.png", "encoding": "gamma"}, "encoding"),
         ({"type": "retroreflective", "preset": "x"}, 'no sheeting "x"; known: astm_d4956_i_white'),
         ({"type": "retroreflective", "model": "coefficient", "file": "turned.csv"}, "several rotation angles"),
         ({"type": "retroreflective", "model": "coefficient", "file": "nan.csv"}, "finite numbers"),
+        ({"type": "retroreflective", "model": "coefficient", "file": "huge.csv"}, r"from 1e-09 to 1e\+09 cd/lx/m\^2"),
         (
             {
                 "type": "retroreflective",
@@ -279,6 +283,12 @@ def test_a_print_lies_as_its_image(bench: Any, tmp_path: Path) -> None:
 def test_bad_materials_are_told(bench: Any, tmp_path: Path, material: dict[str, Any], told: str) -> None:
     brdf_csv(tmp_path, lambda i, v, a: 1.0)
     (tmp_path / "brdf.csv").rename(tmp_path / "bright.csv")
+    brdf_csv(tmp_path, lambda i, v, a: 0.1 + 0.0004 * a * (v > 0))
+    (tmp_path / "brdf.csv").rename(tmp_path / "turns.csv")
+    brdf_csv(tmp_path, lambda i, v, a: 0.1 + 0.0004 * a * (i > 0))
+    (tmp_path / "brdf.csv").rename(tmp_path / "viewed.csv")
+    sheeting_csv(tmp_path).write_text("observation_deg,entrance_deg,coefficient\n.1,0,1e300\n.1,9,1\n.2,0,1\n.2,9,1\n")
+    (tmp_path / "ra.csv").rename(tmp_path / "huge.csv")
     (tmp_path / "holes.csv").write_text("incidence_deg,viewing_deg,azimuth_deg,brdf_per_sr\n0,0,0,0.1\n90,90,180,0.1\n")
     head = "observation_deg,entrance_deg,rotation_deg,coefficient\n"
     (tmp_path / "turned.csv").write_text(head + "0.2,4,0,250\n0.2,4,90,240\n")

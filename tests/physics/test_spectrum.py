@@ -152,6 +152,38 @@ def test_three_materials_under_two_lamps_are_those_of_quadrature(folder: Path) -
     assert len(whole.bands) == 1 and whole.error > 0.1  # one band would show red as the lamps' mean
 
 
+def through_pane(cosine: float, transmittance: float, index: float = 1.52) -> float:
+    """Of a pane with both faces and all light that goes to and fro in it, by Fresnel, mean of both polarisations."""
+    inside = math.sqrt(1 - (1 - cosine**2) / index**2)
+    faces = ((cosine - index * inside) / (cosine + index * inside)) ** 2
+    other = ((index * cosine - inside) / (index * cosine + inside)) ** 2
+    upright = ((index - 1) / (index + 1)) ** 2
+    # What the glass itself lets through at right angles, from (1 - r)^2 t/(1 - r^2 t^2) = transmittance.
+    half = (1 - upright) ** 2 / (2 * upright**2 * transmittance)
+    way = (math.sqrt(half**2 + 1 / upright**2) - half) ** (1 / inside)
+    return sum((1 - r) ** 2 * way / (1 - (r * way) ** 2) for r in (faces, other)) / 2
+
+
+def test_colours_behind_glass(folder: Path) -> None:
+    """The pane is alike in all bands: each lamp loses what its own angle says, and what is seen once more."""
+    made = document()
+    made["materials"]["pane"] = {"type": "glass", "transmittance": 0.8}
+    pane = {"type": "sheet", "name": "pane", "material": "pane", "size": ["900 mm", "400 mm"]}
+    made["targets"].append({**pane, "position": ["0 m", "0 m", "300 mm"]})
+    scene = radwrap.scene_from_document(made, folder=folder)
+    values, bands = seen(scene, 0.01)
+    assert bands == 2
+    assert scene.spectral is not None and all(scene.spectral.reflectance[i][-1] == 1.0 for i in (0, 1))
+    pairs = expected_pairs()
+    for name, x in PLACES.items():
+        expected = 0.0
+        for lamp, (place, intensity) in {"led": (-0.2, 2.0), "bulb": (0.25, 3.0)}.items():
+            square = (x - place) ** 2 + 0.36
+            lost = through_pane(0.6 / math.sqrt(square), 0.8) * through_pane(1.0, 0.8)
+            expected += intensity * 0.6 / square**1.5 * pairs[lamp][name] / math.pi * lost
+        assert values[name] == pytest.approx(expected, rel=QUADRATURE)
+
+
 def test_a_wide_source_has_its_own_colour_on_each_material(folder: Path) -> None:
     made = document()
     made["sources"][1] = {

@@ -129,3 +129,21 @@ def test_the_papers_halide_lamps(bench: Any) -> None:
     assert "assumptions" in scene.assumed["sources[0].preset"]
     with pytest.raises(radwrap.InputError, match='no lamp "sun"; known: metal_halide_400w'):
         bench.scene(bench.camera(), [{**sources[0], "preset": "sun"}], {}, [sheet])
+
+
+def test_no_hot_spots_right_below_a_near_bar(bench: Any) -> None:
+    """100 x 2 mm at 5 mm: what is lit is smaller than the steps in which a sheet of 400 mm is looked over."""
+    x0, y0, height = 0.013, 0.0117, 0.005
+    bar = wide(bench, "rectangle", height, size=["100 mm", "2 mm"])
+    place = {"position": bench.metres(x0, y0, height), "look_at": bench.metres(x0, y0, 0)}
+    scene = lit(bench, {**bar, **place}, size=0.4)
+    (source,) = scene.sources
+    assert isinstance(source, WideSource) and len(source.patches) < 400
+    along, across = np.linspace(x0 - 0.055, x0 + 0.055, 45), np.linspace(y0 - 0.01, y0 + 0.01, 21)
+    points = np.vstack([[(x, y0, 0.0) for x in along], [(x0 + 0.003, y, 0.0) for y in across]])
+    got = bench.radiance(scene, points + np.array([0.0, 0.05, 0.004]), points) * math.pi / 0.5
+    nodes, weights = np.polynomial.legendre.leggauss(60)
+    u, v = np.meshgrid(x0 + 0.05 * nodes, y0 + 0.001 * nodes)
+    share = np.outer(weights, weights) * 0.05 * 0.001
+    due = [(share * height**2 / ((u - x) ** 2 + (v - y) ** 2 + height**2) ** 2).sum() for x, y, _ in points]
+    assert got == pytest.approx(np.array(due), rel=ASKED)

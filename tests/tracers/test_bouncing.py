@@ -11,6 +11,7 @@ import pytest
 
 import radwrap
 from radwrap.errors import InputError
+from radwrap.imaging.effects import bounces, bounces_beyond, effects
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.tracing import laid_out
 from radwrap.scene.materials import Specular
@@ -20,6 +21,7 @@ from tests.physics.conftest import Bench
 
 # Walks are drawn from fixed rays; bounds are four standard errors of what was measured: a false alarm in 1.6e4.
 SURE = 4.0
+PROBED = 0.1  # 256 pixels of 16 walks
 
 
 def rays_up(count: int) -> np.ndarray:
@@ -43,6 +45,31 @@ def test_each_reflection_in_a_closed_cube_brings_rho_of_the_last(orders: int | N
     found = walked(0.5, orders)
     assert abs(found.mean() - share * _DIRECT) < SURE * found.std() / math.sqrt(len(found))
     assert found.std() / math.sqrt(len(found)) < 0.02 * _DIRECT  # the bound above says something
+
+
+@pytest.mark.parametrize(("reflectance", "orders"), [(0.5, 1), (0.9, 3)])
+def test_what_a_limit_leaves_out_is_told(reflectance: float, orders: int) -> None:
+    """Of the direct light rho^(n + 1)/(1 - rho); over the pixels of a face it goes as cos^4."""
+    middles = (np.arange(320) + 0.5) / 80 - 2
+    x, y = np.meshgrid(middles, middles)
+    cos4 = 1 / (1 + (x**2 + y**2) / 1.99**2) ** 2
+    expected = 1000 * reflectance ** (orders + 1) / (1 - reflectance) * math.sqrt((cos4**2).mean())
+    with laid_out(_cube(reflectance, _DIRECT), RenderOptions()) as traced:
+        found = bounces_beyond(traced, orders, 0, 0.5)
+    assert found.needed and found.name == f"bounces_beyond_{orders}"
+    assert found.rms_gray == pytest.approx(expected, rel=PROBED)
+    assert found.rms_gray_upper95 > 0.97 * expected  # indirect light is a little uneven, which cos^4 does not know
+
+
+def test_the_manifest_and_explain_tell_what_a_limit_leaves_out() -> None:
+    scene = _cube(0.5, _DIRECT)
+    told = radwrap.render(scene, tolerance=100.0, bounces=1).manifest
+    assert told["left_out"]["bounces_beyond_1"]["rms_gray"] == pytest.approx(243, rel=PROBED)
+    assert any("reflected more than 1 times on its way is left out" in line for line in told["warnings"])
+    found = {one["name"]: one for one in effects(scene)["effects"]}
+    # One share of eight of all bounces is beyond the third.
+    ratio = found["bounces_beyond_3"]["rms_gray"] / found["bounces"]["rms_gray"]
+    assert ratio == pytest.approx(1 / 7, rel=2 * PROBED)
 
 
 def test_a_ray_has_its_own_draws_in_any_order_and_block() -> None:
@@ -163,3 +190,46 @@ def test_light_of_the_wall_on_the_floor_by_quadrature() -> None:
     found = (seen - direct) * math.pi / 0.5
     assert abs(found.mean() - irradiance) < SURE * found.std() / math.sqrt(count) + 1e-3 * irradiance
     assert found.std() / math.sqrt(count) < 0.03 * irradiance
+
+
+def test_a_wide_source_lights_a_ceiling_that_lights_the_floor() -> None:
+    """A square of 0.4 m shines upwards: E on the ceiling and from it on the floor by quadrature, less what it hides."""
+    wide = {"type": "rectangle", "name": "wide", "size": Bench.metres(0.4, 0.4), "radiance": "10 W/m^2/sr"}
+    wide |= {"position": Bench.metres(0, 0, 0.2), "look_at": Bench.metres(0, 0, 1)}
+    sheet = {"type": "sheet", "material": "floor", "name": "floor", "size": Bench.metres(1.4, 1.4)}
+    ceiling = {**sheet, "name": "ceiling", "material": "ceiling", "size": Bench.metres(3, 3)}
+    ceiling |= {"position": Bench.metres(0, 0, 1), "rotation": Bench.degrees(180, 0, 0)}
+    materials = {name: {"type": "lambertian", "reflectance": rho} for name, rho in (("floor", 0.5), ("ceiling", 0.8))}
+    scene_camera = Bench.camera((0.5, 0, 0.6), (0.5, 0, 0), rows=16, columns=16, pitch=(5e-5, 5e-5))
+    scene_camera["sensor"]["gain"] = "1e9 (J/m^2)^-1"
+    scene = Bench.scene(scene_camera, [wide], materials, [sheet, ceiling])
+    assert len(scene.emitters) > 9
+    point = np.array([0.5, 0.1, 0.0])
+
+    nodes, weights = np.polynomial.legendre.leggauss(12)
+    u, v = np.meshgrid(0.2 * nodes, 0.2 * nodes)
+    middles = ((np.arange(400) + 0.5) / 400 - 0.5) * 3
+    x, y = np.meshgrid(middles, middles)
+    onto = np.zeros_like(x)
+    for du, dv, share in zip(u.flat, v.flat, (np.outer(weights, weights) * 0.04).flat, strict=True):
+        onto += 10 * share * 0.8**2 / ((x - du) ** 2 + (y - dv) ** 2 + 0.8**2) ** 2
+    through = np.maximum(np.abs(point[0] + 0.2 * (x - point[0])), np.abs(point[1] + 0.2 * (y - point[1])))
+    seen = np.where(through > 0.2, 0.8 / math.pi * onto, 0.0)
+    irradiance = (seen / ((x - point[0]) ** 2 + (y - point[1]) ** 2 + 1) ** 2).mean() * 9
+    count = 30_000
+    eyes = np.array([0.5, 0, 0.6]) + np.random.default_rng(4).normal(0, 1e-3, (count, 3))
+    rays = np.hstack([eyes, point - eyes])
+    with laid_out(scene, RenderOptions()) as traced:
+        (whole,) = traced.bouncing_view(1).tracer.trace([rays])
+        (direct,) = traced.view().tracer.trace([rays])
+        finer = Bench.scene(scene_camera, [{**wide, "least_patches": 120}], materials, [sheet, ceiling])
+    with laid_out(finer, RenderOptions()) as traced:
+        view = traced.view()
+        by_tracer, by_walks = (bounces(finer, view, 0, 0.5, traced=how) for how in (None, traced))
+    assert by_walks.rms_gray == pytest.approx(by_tracer.rms_gray, rel=PROBED)
+    assert not direct.any()  # it shines away from the floor
+    found = whole * math.pi / 0.5
+    noise = found.std() / math.sqrt(count)
+    assert noise < 0.01 * irradiance
+    # Patches are asked for 1 % where the camera sees, and do better.
+    assert abs(found.mean() - irradiance) < SURE * noise + 0.005 * irradiance
