@@ -11,6 +11,7 @@ from radwrap.imaging.truth import geometry
 from radwrap.measure.edges import measure_edge
 from replication.figure import Made, Task, figure, main, show
 from replication.images import Image, Measured, predicted
+from replication.published import claims
 
 
 def make(task: Task) -> Made:
@@ -30,13 +31,13 @@ def make(task: Task) -> Made:
     true, seen = (_column(one, row) for one in ((line["angle"], line["offset"]), (edge.angle, edge.offset)))
     height, width = lit_extent(image)
     picture, panels = figure(6.4, 3.0, 1, 2, width_ratios=(1.2, 1))
-    top = float(image.gray.max())
+    top, printed = float(image.gray.max()), claims("fig11")["geometry"].printed
     show(panels[0, 0], image, f"gray {sensor.dark_gray:g} to {top:.0f}", top)
     panels[0, 0].contour(image.above_dark, levels=[0.5 * float(image.above_dark.max())], colors="C3", linewidths=0.6)
     near = np.arange(max(0, round(true) - 14), min(sensor.columns, round(true) + 15))
     panels[0, 1].plot(near, image.result.gray.values[image.axis_row, near], "o-", ms=2.5, lw=0.7)
     panels[0, 1].axvline(seen, color="C0", lw=0.8, label=f"measured {seen:.2f} px")
-    panels[0, 1].axvline(true, color="C3", lw=0.8, ls="--", label=f"beta$_0$: {true:.2f} px (printed 96.7)")
+    panels[0, 1].axvline(true, color="C3", lw=0.8, ls="--", label=f"beta$_0$: {true:.2f} px (printed {printed})")
     panels[0, 1].set(xlabel="column [px]", ylabel="gray, row of the axis")
     panels[0, 1].legend(loc="lower right")
     picture.suptitle("Fig. 11(b): edge; red: half the peak above dark")

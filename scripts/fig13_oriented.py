@@ -7,6 +7,7 @@ import sys
 from radwrap.measure.dots import DotsNotFound, find_dots
 from replication.figure import Made, Task, figure, main, show
 from replication.images import Measured, focal_lengths, predicted
+from replication.published import claims
 from replication.studies import NOMINAL_METHOD
 
 
@@ -20,6 +21,7 @@ def make(task: Task) -> Made:
     found = focal_lengths(image, quick=task.quick)
     nominal = found.get(NOMINAL_METHOD)
     dark = image.scene.camera.sensor.dark_gray
+    printed = claims("fig13")["focal_length"].printed
     top = float(image.gray.max())
     picture, panels = figure(6.4, 3.0, 1, 2, width_ratios=(1.1, 1))
     show(panels[0, 0], image, f"Fig. 13, gray {dark:g} to {top:.0f}", top)
@@ -27,8 +29,8 @@ def make(task: Task) -> Made:
     names = list(found)
     values, errors = ([getattr(found[name], what) * 1e3 for name in names] for what in ("value", "error"))
     panels[0, 1].errorbar(values, range(len(names)), xerr=errors, fmt="o", ms=4, capsize=2, label="ours")
-    panels[0, 1].axvline(12.450, color="C3", lw=1, label="printed (Table 3, LLLL)")
-    panels[0, 1].axvline(12.5, color="0.6", lw=1, ls=":", label="true")
+    panels[0, 1].axvline(printed, color="C3", lw=1, label="printed (Table 3, LLLL)")
+    panels[0, 1].axvline(image.scene.camera.focal_length * 1e3, color="0.6", lw=1, ls=":", label="true")
     panels[0, 1].set(yticks=range(len(names)), yticklabels=names, xlabel="f [mm]", ylim=(-0.5, len(names) + 0.8))
     panels[0, 1].legend(loc="upper right")
     return Made(

@@ -20,10 +20,8 @@ import table1_ambient
 import table3_focal_length
 import table3_reason
 import table4_lenth
-from radwrap.errors import RadwrapError
-from replication.figure import FIGURES, Task, carry_out
+from replication.figure import Task, carry_out, default_folder, told_exit
 from replication.page import NAMES, write_page
-from replication.published import ROOT
 
 SCRIPTS = (
     fig05_response,
@@ -42,9 +40,9 @@ SCRIPTS = (
 def main() -> int:
     """Run all, write the page."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--figures", type=Path, default=FIGURES, help="folder of the figures (default out/figures)")
-    parser.add_argument("--out", type=Path, default=ROOT / "out" / "replication", help="folder of the page")
-    parser.add_argument("--quick", action="store_true", help="coarse images and one seed; no verdict counts")
+    parser.add_argument("--figures", type=Path, help="folder of the figures (default out/figures)")
+    parser.add_argument("--out", type=Path, help="folder of the page (default out/replication)")
+    parser.add_argument("--quick", action="store_true", help="coarse, one seed, into out/quick; no verdict counts")
     part = parser.add_mutually_exclusive_group()
     part.add_argument("--page-only", action="store_true", help="from the figures that lie there")
     part.add_argument("--figures-only", action="store_true", help="no page")
@@ -53,18 +51,19 @@ def main() -> int:
     parser.add_argument("--finished", action="store_true", help="show the seeds that are finished, start none")
     given = parser.parse_args()
     start = time.monotonic()
-    try:
-        task = Task(given.figures, given.quick, given.seeds, given.variant_seeds, given.finished)
+    figures = given.figures or default_folder(given.quick, "figures")
+    out = given.out or default_folder(given.quick, "replication")
+
+    def work() -> None:
+        task = Task(figures, given.quick, given.seeds, given.variant_seeds, given.finished)
         for name, script in zip(NAMES, SCRIPTS, strict=True):
             for line in () if given.page_only else carry_out(name, script.make, task):
                 print(line, flush=True)
-        for path in () if given.figures_only else write_page(given.figures, given.out):
+        for path in () if given.figures_only else write_page(figures, out):
             print(path)
-    except RadwrapError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
-    print(f"{time.monotonic() - start:.0f} s")
-    return 0
+        print(f"{time.monotonic() - start:.0f} s")
+
+    return told_exit(work)
 
 
 if __name__ == "__main__":

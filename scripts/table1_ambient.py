@@ -13,6 +13,7 @@ from radwrap.frames import apply_rotation, rotation_about_fixed_axes
 from radwrap.study.responses import Answer
 from replication.figure import OURS, PAPER, Made, Task, figure, main
 from replication.images import Image, Measured, focal_lengths, predicted
+from replication.published import claims, published
 from replication.studies import NOMINAL_METHOD
 
 TILTS = (46, -46)
@@ -139,8 +140,9 @@ def _picture(rows: list[dict[str, Any]]) -> Any:
     for case in set(cases) - found:
         axes.text(0, cases.index(case), "dots are not found", ha="center", va="center", fontsize=7)
     axes.axvline(0, color="0.6", lw=0.8)
-    axes.axvline(0.096, color=PAPER, lw=1, label="printed, synthetic")
-    axes.axvline(0.26, color=PAPER, lw=1, ls="--", label="printed, captured")
+    axes.axvline(claims("table1")["longer"].printed, color=PAPER, lw=1, label="printed, synthetic")
+    captured = next(one["printed"] for one in published()["untested"] if one["place"] == "Table 1")
+    axes.axvline(captured[1] - captured[0], color=PAPER, lw=1, ls="--", label="printed, captured")
     names = [f"{level:g} W/sr, {frame}, {tilt:+d} deg" for level, frame, tilt in cases]
     axes.set_xscale("symlog", linthresh=0.1)
     axes.set(yticks=range(len(cases)), yticklabels=names, xlabel="f under lamps less f without [mm]")

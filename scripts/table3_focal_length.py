@@ -31,6 +31,7 @@ from replication.studies import (
 from table4_lenth import TRUE, printed_table
 
 WORST: Final = ("HLLL", "HLHL", "HHLL", "HHHL")
+FEWEST: Final = 20  # seeds on which a verdict rests (published.toml)
 SHOWN: Final = ("A", "B", "C", "D", "AD")
 # Conclusions of the paper that a share of seeds can hold: key of the claim -> what must be true of a seed's effects.
 SIGNIFICANT: Final = {"A": True, "D": True, "AD": True, "B": False, "C": False}
@@ -57,14 +58,24 @@ def make(task: Task) -> Made:
             "seeds": sorted(draw.seed for draw in nominal),
             "nominal": [_as_json(draw) for draw in nominal],
             "sensitivity": table,
+            "not_run": [] if task.quick else not_run(variants),
             "failed": [
                 {"variant": variant["name"], "seed": seed}
                 for variant, seeds in variants
                 for seed in seeds
-                if not any(draw.variant == variant["name"] and draw.seed == seed for draw in draws)
+                if not any(
+                    (draw.variant, draw.seed, draw.method) == (variant["name"], seed, NOMINAL_METHOD) for draw in draws
+                )
             ],
         },
+        note=f"over {len(nominal)} seeds" + (f", the rule wants {FEWEST}" if len(nominal) < FEWEST else ""),
     )
+
+
+def not_run(variants: Sequence[tuple[Mapping[str, Any], Sequence[int]]]) -> list[str]:
+    """Names of the studies that the whole has and these lack."""
+    seen = {variant["name"] for variant, _ in variants}
+    return [one["name"] for one in (NOMINAL, NEGATIVE, *published()["variants"]) if one["name"] not in seen]
 
 
 def _variants(task: Task) -> list[tuple[Mapping[str, Any], Sequence[int]]]:
@@ -170,7 +181,7 @@ def _picture(draws: Sequence[Draw], table: Sequence[Mapping[str, Any]]) -> Any:
 
 
 def _effects_panel(axes: Any, draws: Sequence[Draw]) -> None:
-    printed = {"A": -0.593, "B": 0.159, "C": -0.021, "D": 0.517, "AD": 0.544}
+    printed = printed_effects()
     for place, name in enumerate(SHOWN):
         values = [draw.effects[name]["effect"] for draw in draws]
         spread = np.linspace(-0.2, 0.2, len(values)) if len(values) > 1 else np.zeros(len(values))
@@ -178,6 +189,16 @@ def _effects_panel(axes: Any, draws: Sequence[Draw]) -> None:
         axes.plot(place, printed[name], "_", color=PAPER, ms=16, mew=1.8)
     axes.axhline(0, color="0.6", lw=0.6)
     axes.set(xticks=range(len(SHOWN)), xticklabels=SHOWN, ylabel="effect on f [mm]", title="effects, L to H")
+
+
+def printed_effects() -> dict[str, float]:
+    """Effects of the printed focal lengths: mean at H less mean at L, of a product where its levels agree [mm]."""
+    rows = printed_table()
+    found = {}
+    for name in SHOWN:
+        signs = [math.prod(1 if row[factor] == "H" else -1 for factor in name) for row in rows]
+        found[name] = sum(sign * float(str(row["f [mm]"])) for sign, row in zip(signs, rows, strict=True)) / 8
+    return found
 
 
 def _lengths_panel(axes: Any, draws: Sequence[Draw]) -> None:
@@ -205,6 +226,10 @@ def _sensitivity_panel(axes: Any, table: Sequence[Mapping[str, Any]]) -> None:
     values = [
         [math.nan if row["shares"][key] is None else row["shares"][key] for key in columns.values()] for row in table
     ]
+    if not values:
+        axes.axis("off")
+        axes.text(0.5, 0.5, "no study is finished", ha="center", transform=axes.transAxes)
+        return
     axes.imshow(np.array(values), vmin=0, vmax=1, cmap="RdYlGn", aspect="auto", alpha=0.55)
     for line, row in enumerate(table):
         for place, value in enumerate(values[line]):

@@ -24,6 +24,11 @@ def printed_table() -> list[dict[str, object]]:
     return [{**row, "error_percent": abs(float(row["f [mm]"]) - TRUE) / TRUE * 100} for row in read_table(TABLE3).rows]
 
 
+def _agreed(significant: list[bool]) -> float:
+    """1 where an effect is significant in all responses, 0 in none; -1, which nobody prints, where they differ."""
+    return float(significant[0]) if len(set(significant)) == 1 else -1.0
+
+
 def make(task: Task) -> Made:
     """Analyse both responses of the printed table, draw."""
     del task  # nothing here is rendered
@@ -33,7 +38,7 @@ def make(task: Task) -> Made:
         found = {name: as_json(analyse(read_data(path, name, FACTORS))) for name in ("f", "error_percent")}
     effects = {name: list(result["effects"]) for name, result in found.items()}
     t = {name: [effect["t"] for effect in result["effects"].values()] for name, result in found.items()}
-    alike = [float(all(result["effects"][name]["significant"] for result in found.values())) for name in effects["f"]]
+    alike = [_agreed([result["effects"][name]["significant"] for result in found.values()]) for name in effects["f"]]
     printed = claims("table4")
     picture, panels = figure(7.2, 3.6, 2, 1, sharex=True)
     for axes, name, key, title in zip(

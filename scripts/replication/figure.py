@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-FIGURES: Final = ROOT / "out" / "figures"
 SCHEMA: Final = 1
 MOST_SEEDS: Final = 1000
+INTERRUPTED: Final = 130  # as a shell tells Ctrl-C
 _STYLE: Final = {"font.size": 8, "axes.titlesize": 9, "legend.fontsize": 7, "legend.frameon": False}
 OURS, PAPER, THIRD = "C0", "C3", "C2"
 
@@ -71,21 +71,40 @@ class Made:
     ours: Mapping[str, Ours]
     assumed: Sequence[str]
     more: Mapping[str, Any]
+    note: str = ""  # on what the claims that are not exact rest
 
 
 def main(name: str, make: Callable[[Task], Made], about: str | None) -> int:
     """The command line of a script."""
     parser = argparse.ArgumentParser(description=about)
-    parser.add_argument("--out", type=Path, default=FIGURES, help="folder (default out/figures)")
+    parser.add_argument("--out", type=Path, help="folder (default out/figures, of a quick run out/quick/figures)")
     parser.add_argument("--quick", action="store_true", help="coarse images and few seeds; no verdict counts")
     parser.add_argument("--seeds", type=int, default=20, help="of Table 3 (default 20)")
     parser.add_argument("--variant-seeds", type=int, default=3, help="of each variant of Table 3 (default 3)")
     parser.add_argument("--finished", action="store_true", help="show the seeds that are finished, start none")
     given = parser.parse_args()
-    try:
-        task = Task(given.out, given.quick, given.seeds, given.variant_seeds, given.finished)
+
+    def work() -> None:
+        out = given.out or default_folder(given.quick, "figures")
+        task = Task(out, given.quick, given.seeds, given.variant_seeds, given.finished)
         for line in carry_out(name, make, task):
             print(line)
+
+    return told_exit(work)
+
+
+def default_folder(quick: bool, name: str) -> Path:
+    """A quick run does not lie down on what the whole one made."""
+    return ROOT / "out" / "quick" / name if quick else ROOT / "out" / name
+
+
+def told_exit(work: Callable[[], None]) -> int:
+    """Do it; the exit code. What goes wrong is one line on stderr, an interrupt too."""
+    try:
+        work()
+    except KeyboardInterrupt:
+        print("interrupted; the same command goes on with what is finished", file=sys.stderr)
+        return INTERRUPTED
     except RadwrapError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
@@ -99,7 +118,7 @@ def carry_out(name: str, make: Callable[[Task], Made], task: Task) -> Iterator[s
     with style():
         made = make(task)
         write_bytes(task.out / f"{name}.png", png(made.picture))
-    told = [_judged(claim, made.ours[key]) for key, claim in claims(name).items()]
+    told = [_judged(claim, made.ours[key], made.note) for key, claim in claims(name).items()]
     known = published()["assumptions"]
     content = {
         "schema_version": SCHEMA,
@@ -117,7 +136,7 @@ def carry_out(name: str, make: Callable[[Task], Made], task: Task) -> Iterator[s
         yield f"{one['id']}: {one['verdict']}: {one['why']}"
 
 
-def _judged(claim: Any, ours: Ours) -> dict[str, Any]:
+def _judged(claim: Any, ours: Ours, note: str = "") -> dict[str, Any]:
     value, error = (ours.value, ours.error) if isinstance(ours, Measured) else (ours, 0.0)
     # An error that is not known holds nothing, and is null in the file; so is a value that is none.
     verdict, why = judge(claim, value, error if math.isfinite(error) else math.inf)
@@ -134,7 +153,7 @@ def _judged(claim: Any, ours: Ours) -> dict[str, Any]:
         "error": finite(error),
         "difference": _difference(value, claim.printed) if _compares(claim) else None,
         "verdict": verdict,
-        "why": why,
+        "why": f"{why}, {note}" if note and claim.kind == "in_kind" else why,
         "reason": reasons().get(claim.id, "") if verdict == "not_reproduced" else "",
         "doubt": claim.doubt,
     }

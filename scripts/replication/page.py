@@ -11,6 +11,7 @@ from typing import Any, Final
 from radwrap.errors import InputError
 from radwrap.files import make_folder, write_bytes
 from radwrap.manifest import read_manifest
+from radwrap.study.table import read_table
 from replication.figure import figure, png, style
 from replication.published import published
 
@@ -31,6 +32,7 @@ def write_page(figures: Path, out: Path) -> tuple[Path, Path]:
     from jinja2 import Environment, StrictUndefined
 
     parts = [_part(figures, name) for name in NAMES]
+    table3 = next(part for part in parts if part["name"] == "table3")
     with style():
         summary = png(summary_picture(parts))
     environment = Environment(autoescape=True, undefined=StrictUndefined)
@@ -41,7 +43,13 @@ def write_page(figures: Path, out: Path) -> tuple[Path, Path]:
         counts=verdict_counts(parts),
         summary=base64.b64encode(summary).decode(),
         parts=parts,
-        sensitivity=next(part for part in parts if part["name"] == "table3")["sensitivity"],
+        sensitivity=table3["sensitivity"],
+        not_run=table3.get("not_run", []),
+        failed=table3["failed"],
+        doubts={one["name"]: one["doubt"] for one in published()["variants"] if "doubt" in one},
+        changed=published()["changed"],
+        spent=spent(figures),
+        same_versions=all(part["versions"] == parts[0]["versions"] for part in parts),
         untested=published()["untested"],
         assumptions=published()["assumptions"],
         versions=parts[0]["versions"],
@@ -57,6 +65,13 @@ def _part(figures: Path, name: str) -> dict[str, Any]:
     if not (picture.is_file() and numbers.is_file()):
         raise InputError("is missing", where=str(numbers), remedy="run make figures")
     return {**read_manifest(numbers), "picture": base64.b64encode(picture.read_bytes()).decode()}
+
+
+def spent(figures: Path) -> dict[str, float]:
+    """What the images and studies that lie there took when they were made [s]."""
+    images = [read_manifest(path)["timing"]["wall_s"] for path in sorted(figures.glob("renders/*/manifest.json"))]
+    tables = [read_table(path) for path in sorted(figures.glob("studies*/*/*/study/timings.csv"))]
+    return {"images": sum(images), "studies": sum(float(row["wall_s"]) for table in tables for row in table.rows)}
 
 
 def verdict_counts(parts: Sequence[Mapping[str, Any]]) -> dict[str, int]:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields
 from functools import cache
 from pathlib import Path
 from typing import Any, Final, Literal
+
+from radwrap.errors import InputError
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 PUBLISHED: Final = ROOT / "rad_scenes" / "published.toml"
@@ -67,8 +69,17 @@ def reasons() -> Mapping[str, str]:
 
 def claims(figure: str) -> dict[str, Claim]:
     """Claims of a figure or table, by what stands behind the point of their id."""
-    found = [Claim(**{**table, **_intervals(table)}) for table in published()["claims"]]
+    found = [_claim(number, table) for number, table in enumerate(published()["claims"])]
     return {claim.id.partition(".")[2]: claim for claim in found if claim.figure == figure}
+
+
+def _claim(number: int, table: Mapping[str, Any]) -> Claim:
+    required = {field.name for field in fields(Claim) if field.default is MISSING}
+    for wrong, what in ((required - set(table), "is missing"), (set(table) - set(Claim.__slots__), "is unknown")):
+        if wrong:
+            where = f"{PUBLISHED}: claims[{number}].{min(wrong)}"
+            raise InputError(what, where=where, remedy=f"the claim is {table.get('id', 'not named')}")
+    return Claim(**{**table, **_intervals(table)})
 
 
 def _intervals(table: Mapping[str, Any]) -> dict[str, Interval]:
@@ -96,7 +107,8 @@ def _by_digits(claim: Claim, ours: Sequence[float]) -> tuple[Verdict, str]:
     printed = _listed(claim.printed)
     if len(printed) != len(ours):
         return "not_reproduced", f"{len(ours)} numbers for {len(printed)}"
-    same = [f"{a:.{claim.digits}f}" == f"{b:.{claim.digits}f}" for a, b in zip(ours, printed, strict=True)]
+    digits = claim.digits or 0
+    same = [round(a, digits) == round(b, digits) for a, b in zip(ours, printed, strict=True)]
     if all(same):
         return "reproduced", f"agrees to the printed digits ({len(same)} of {len(same)})"
     return "not_reproduced", f"{sum(same)} of {len(same)} agree to the printed digits"

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from radwrap.errors import InputError
 from radwrap.study.design import read_design
 from radwrap.study.runs import check_design, runs_of
 from replication.page import NAMES
@@ -61,6 +63,25 @@ def test_digits(ours: list[float] | None, verdict: str) -> None:
 )
 def test_intervals(ours: float, error: float, verdict: str, why: str) -> None:
     assert judge(IN_KIND, ours, error) == (verdict, why)
+
+
+def test_minus_zero_is_zero() -> None:
+    assert judge(replace(EXACT, printed=[0.0]), [-1e-9])[0] == "reproduced"
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [({"measure": None}, "claims[0].measure: is missing"), ({"holding": 1}, "claims[0].holding: is unknown")],
+)
+def test_a_wrong_key_of_a_claim_is_told(changed: dict[str, object], told: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = {key: value for key, value in (published()["claims"][0] | changed).items() if value is not None}
+    monkeypatch.setattr("replication.published.published", lambda: {"claims": [first]})
+    with pytest.raises(InputError, match=re.escape(told)):
+        claims("fig05")
+
+
+def test_what_was_changed_after_the_first_run_is_told() -> None:
+    assert all(set(one) == {"what", "why", "effect"} and all(one.values()) for one in published()["changed"])
 
 
 def test_open_intervals_are_told_as_bounds() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 import fig10_board
+import fig12_transition
 import radwrap
 import replicate
 import table3_focal_length
@@ -41,6 +43,54 @@ def test_a_changed_constant_of_lenth_turns_table_4(tmp_path: Path, monkeypatch: 
     found = verdicts(tmp_path, "table4")
     assert found["table4.f"] == found["table4.error"] == "not_reproduced"
     assert found["table4.t_limit"] == "reproduced"
+
+
+def test_an_effect_significant_in_one_response_alone_turns_table_4(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = table4_lenth.printed_table()
+    odd = [{**row, "error_percent": float((5 * number + 3) ** 2 % 17)} for number, row in enumerate(rows)]
+    monkeypatch.setattr(table4_lenth, "printed_table", lambda: odd)
+    list(carry_out("table4", table4_lenth.make, Task(tmp_path, quick=True)))
+    found = verdicts(tmp_path, "table4")
+    assert found["table4.f"] == "reproduced" and found["table4.significant"] == "not_reproduced"
+
+
+def test_printed_effects_of_table_3_are_the_claims() -> None:
+    effects = table3_focal_length.printed_effects()
+    for name in ("A", "D", "AD"):
+        assert judge(replace(claims("table3")[f"{name}_size"], digits=3), effects[name])[0] == "reproduced"
+
+
+def test_table_3_without_a_finished_seed_says_so(tmp_path: Path) -> None:
+    list(carry_out("table3", table3_focal_length.make, Task(tmp_path, quick=False, finished_only=True)))
+    content = json.loads((tmp_path / "table3.json").read_text())
+    found = {claim["id"]: claim for claim in content["claims"]}
+    assert found["table3.percent"]["verdict"] == "reproduced"
+    assert found["table3.B"]["verdict"] == "not_reproduced"
+    assert found["table3.B"]["why"] == "could not be measured, over 0 seeds, the rule wants 20"
+    assert len(content["not_run"]) == 2 + len(published()["variants"])
+
+
+def test_an_interrupt_is_one_line(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    def make(_: Task) -> figure.Made:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("sys.argv", ["fig05", "--out", "never"])
+    monkeypatch.setattr(figure, "make_folder", lambda _: None)
+    assert figure.main("fig05", make, None) == 130
+    assert capsys.readouterr().err == "interrupted; the same command goes on with what is finished\n"
+
+
+def test_a_quick_run_does_not_lie_down_on_the_whole() -> None:
+    assert figure.default_folder(True, "figures") != figure.default_folder(False, "figures")
+
+
+def test_i_min_of_fig_12_is_of_pixels_that_the_transition_does_not_touch() -> None:
+    scene = radwrap.load_scene(EDGE)
+    radius = float(radwrap.explain(scene)["targets"][0]["pinhole_projection_radius"])
+    step = scene.camera.sensor.pixel_width / scene.camera.focal_length / radius  # at 1 m
+    assert 1 + 1.5 * step < fig12_transition.NEAR
 
 
 def test_percent_errors_of_table_3_are_exact_and_a_changed_focal_length_shows() -> None:
@@ -92,6 +142,8 @@ def test_the_quick_run_makes_everything_and_the_same_again(
     page = (out / "index.html").read_text()
     assert page.count("data:image/png;base64,") == len(replicate.SCRIPTS) + 1
     assert 'src="http' not in page and "quick run" in page
+    assert all(one["what"] in page for one in published()["changed"])
+    assert page.count(" of seeds</td>") == 11
     first = contents(figures)
     assert {"fig09_a", "table1_controlled_46"} <= {path.name for path in (figures / "renders").iterdir()}
     scripts = dict(zip(NAMES, replicate.SCRIPTS, strict=True))
