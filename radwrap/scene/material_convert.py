@@ -90,7 +90,13 @@ def _sheeting(
     entrance = tuple(abs(angle) for angle in table.entrance_angles or ())
     coefficient = table.coefficients or ()
     if table.file is not None:
-        observation, entrance, coefficient = from_file(table.file, f"{where}.file", folder, read_coefficients)
+        measured = from_file(table.file, f"{where}.file", folder, read_coefficients)
+        observation, entrance, coefficient = measured.observation, measured.entrance, measured.coefficient
+        if measured.rotations > 1:
+            assumed[f"{key}.file"] = (
+                f"the mean over {measured.rotations} rotation angles, from which single ones differ by up to "
+                f"{measured.spread:.1%}"
+            )
     return CoefficientTable(observation, entrance, coefficient, table.interpolation or "log", table.outside or "refuse")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -30,17 +31,34 @@ _SCATTER: Final = 0.02
 _COEFFICIENTS: Final = (1e-9, 1e9)  # cd lx^-1 m^-2; as in a scene file
 
 
-def read_coefficients(path: Path) -> tuple[tuple[float, ...], tuple[float, ...], tuple[tuple[float, ...], ...]]:
-    """Read R_A: columns observation_deg, entrance_deg, coefficient [cd lx^-1 m^-2], in any order, on a full grid.
+@dataclass(frozen=True, slots=True)
+class CoefficientFile:
+    """R_A as a file has it.
 
-    A column rotation_deg may stand beside them with one value throughout.
-
-    Returns
-    -------
+    Attributes
+    ----------
     observation, entrance : tuple of float
         Nodes [rad].
     coefficient : tuple of tuple of float
-        A row for each observation angle.
+        A row for each observation angle [cd lx^-1 m^-2]; the mean over rotations.
+    rotations : int
+        At how many rotation angles it was measured.
+    spread : float
+        By what share of the mean single rotations differ from it at most.
+    """
+
+    observation: tuple[float, ...]
+    entrance: tuple[float, ...]
+    coefficient: tuple[tuple[float, ...], ...]
+    rotations: int
+    spread: float
+
+
+def read_coefficients(path: Path) -> CoefficientFile:
+    """Read R_A: columns observation_deg, entrance_deg, coefficient [cd lx^-1 m^-2], in any order, on a full grid.
+
+    A column rotation_deg may stand beside them, the grid then whole at each of its angles. How a sheet is turned to
+    light and viewer off the coplanar bench no such table tells: their mean is taken.
 
     Raises
     ------
@@ -48,18 +66,25 @@ def read_coefficients(path: Path) -> tuple[tuple[float, ...], tuple[float, ...],
         If it is no such table.
     """
     columns, _ = _columns(path, _SHEETING, optional="rotation_deg")
-    if len(set(columns.get("rotation_deg", np.zeros(1)).tolist())) > 1:
-        raise InputError(
-            "has several rotation angles: sheeting is taken to be alike at all", where=str(path), remedy="keep one"
-        )
-    axes, values = _grid(columns, _SHEETING, path)
+    turns = columns.get("rotation_deg", np.zeros(len(columns["coefficient"])))
+    grids = [
+        _grid({name: columns[name][turns == turn] for name in _SHEETING}, _SHEETING, path) for turn in np.unique(turns)
+    ]
+    if not grids:
+        raise InputError("holds no values", where=str(path))
+    axes = grids[0][0]
+    if any(not np.array_equal(one, other) for found, _ in grids for one, other in zip(found, axes, strict=True)):
+        raise InputError("needs the same angles at each rotation", where=str(path))
+    values = np.stack([found for _, found in grids])
     low, high = _COEFFICIENTS
     if values.min() < low or values.max() > high:
         raise InputError(f"needs coefficients from {low:g} to {high:g} cd/lx/m^2", where=str(path))
     if min(map(len, axes)) < 2 or max(axis[-1] for axis in axes) >= 88.8:
         raise InputError("needs two or more angles each, below 88.8 deg", where=str(path))
     observation, entrance = (tuple(map(math.radians, axis)) for axis in axes)
-    return observation, entrance, tuple(map(tuple, values.tolist()))
+    mean = values.mean(axis=0)
+    spread = float(np.abs(values / mean - 1).max())
+    return CoefficientFile(observation, entrance, tuple(map(tuple, mean.tolist())), len(grids), spread)
 
 
 def read_brdf(path: Path) -> MeasuredBrdf:

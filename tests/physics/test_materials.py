@@ -265,7 +265,7 @@ def test_a_print_lies_as_its_image(bench: Any, tmp_path: Path) -> None:
         ({"type": "measured_brdf", "file": "../x.csv"}, "outside the scene's folder"),
         ({"type": "print", "file": "x.png", "encoding": "gamma"}, "encoding"),
         ({"type": "retroreflective", "preset": "x"}, 'no sheeting "x"; known: astm_d4956_i_white'),
-        ({"type": "retroreflective", "model": "coefficient", "file": "turned.csv"}, "several rotation angles"),
+        ({"type": "retroreflective", "model": "coefficient", "file": "turned.csv"}, "the same angles at each rotation"),
         ({"type": "retroreflective", "model": "coefficient", "file": "nan.csv"}, "finite numbers"),
         ({"type": "retroreflective", "model": "coefficient", "file": "huge.csv"}, r"from 1e-09 to 1e\+09 cd/lx/m\^2"),
         (
@@ -291,13 +291,28 @@ def test_bad_materials_are_told(bench: Any, tmp_path: Path, material: dict[str, 
     (tmp_path / "ra.csv").rename(tmp_path / "huge.csv")
     (tmp_path / "holes.csv").write_text("incidence_deg,viewing_deg,azimuth_deg,brdf_per_sr\n0,0,0,0.1\n90,90,180,0.1\n")
     head = "observation_deg,entrance_deg,rotation_deg,coefficient\n"
-    (tmp_path / "turned.csv").write_text(head + "0.2,4,0,250\n0.2,4,90,240\n")
+    (tmp_path / "turned.csv").write_text(head + "0.2,4,0,250\n0.2,5,90,240\n")
     (tmp_path / "nan.csv").write_text("observation_deg,entrance_deg,coefficient\n0.2,4,nan\n")
     (tmp_path / "minus.csv").write_text("incidence_deg,viewing_deg,azimuth_deg,brdf_per_sr\n-5,0,0,0.1\n")
     long = "1" * 200_000
     (tmp_path / "long.csv").write_text(f"incidence_deg,viewing_deg,azimuth_deg,brdf_per_sr\n0,0,0,{long}\n")
     with pytest.raises(InputError, match=told):
         lit(bench, material, tmp_path)
+
+
+def test_coefficients_over_rotation_count_by_their_mean(bench: Any, tmp_path: Path) -> None:
+    """250 and 150 are 200 +- 25 %; the same numbers at one rotation, 200, give the same radiance."""
+    places = [(o, e) for o in (0.1, 0.9) for e in (0, 40)]
+    turned = [f"{o},{e},{turn},{value}" for o, e in places for turn, value in ((0, 250), (90, 150))]
+    (tmp_path / "turned.csv").write_text("\n".join(["observation_deg,entrance_deg,rotation_deg,coefficient", *turned]))
+    even = [f"{o},{e},200" for o, e in places]
+    (tmp_path / "even.csv").write_text("\n".join(["observation_deg,entrance_deg,coefficient", *even]))
+    measured = {"type": "retroreflective", "model": "coefficient", "outside": "hold"}
+    scenes = [lit(bench, {**measured, "file": name}, tmp_path) for name in ("turned.csv", "even.csv")]
+    assert bench.radiance(scenes[0], EYE, POINTS) == pytest.approx(bench.radiance(scenes[1], EYE, POINTS), rel=1e-12)
+    assert scenes[0].assumed["materials.m.file"].startswith("the mean over 2 rotation angles")
+    assert scenes[0].assumed["materials.m.file"].endswith("25.0%")
+    assert "materials.m.file" not in scenes[1].assumed
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 3), (3, 1)])
