@@ -98,12 +98,42 @@ def stratified_mean(
     return stratified_means(values[np.newaxis], resampling(stratum, shares, seed))[0]
 
 
-def stratified_means(values: NDArray[np.float64], again: Resampling) -> list[Bounded]:
-    """As `stratified_mean`, for several sets of values of one sample, shape (sets, n)."""
+def mean_squares(first: NDArray[np.float64], second: NDArray[np.float64], again: Resampling) -> list[Bounded]:
+    """Mean squares of errors of which two independent, unbiased values are known at each pixel of a sample.
+
+    Parameters
+    ----------
+    first, second : ndarray, shape (sets, n)
+        The values; of each set one mean square.
+    again : Resampling
+        Of the sample.
+
+    Notes
+    -----
+    Values that are zero at most pixels and large at few seldom are so in both:
+    most of their products vanish, and their scatter tells nothing. That of
+    products of independent values is the product of their mean squares at
+    least, and the mean squares are seen long before.
+    """
+    squares = (first**2 + second**2) / 2
+    least = np.stack([squares[:, places].mean(axis=1) if len(places) else squares[:, 0] for places in again.members])
+    return stratified_means(first * second, again, least.T**2)
+
+
+def stratified_means(
+    values: NDArray[np.float64], again: Resampling, least: NDArray[np.float64] | None = None
+) -> list[Bounded]:
+    """As `stratified_mean`, for several sets of values of one sample, shape (sets, n).
+
+    Each stratum's variance of the values may be known to be no less than so much: `least`, shape (sets, strata).
+    """
     sets = len(values)
-    mean, variance = np.zeros(sets), np.zeros(sets)
+    if least is None:
+        least = np.zeros((sets, len(again.members)))
+    mean, variance, floor = np.zeros(sets), np.zeros(sets), np.zeros(sets)
     shift, variances = np.zeros((_RESAMPLES, sets)), np.zeros((_RESAMPLES, sets))
-    for places, drawn, share in zip(again.members, again.drawn, again.shares.tolist(), strict=True):
+    parts = zip(again.members, again.drawn, again.shares.tolist(), least.T, strict=True)
+    for places, drawn, share, known in parts:
         n = len(places)
         if not n:
             continue
@@ -113,7 +143,9 @@ def stratified_means(values: NDArray[np.float64], again: Resampling) -> list[Bou
         moved = small_products(drawn, centred.T) / n
         shift += share * moved
         if n > 1:
-            variance += share**2 * (centred**2).sum(axis=1) / (n - 1) / n
+            scatter = (centred**2).sum(axis=1) / (n - 1)
+            variance += share**2 * scatter / n
+            floor += share**2 * np.maximum(scatter, known) / n
             squares = small_products(drawn, (centred**2).T) / n
             spread = squares - moved**2
             # A resample of equal values has no spread; what rounding leaves of it is no measure of an error.
@@ -122,7 +154,8 @@ def stratified_means(values: NDArray[np.float64], again: Resampling) -> list[Bou
     t = shift / np.where(errors > 0, errors, np.inf)
     quantiles = np.maximum(_NORMAL_QUANTILE, -np.quantile(t, _TAIL, axis=0))
     # A mean that noise took below zero tells no more than one of zero: what could not be seen stays in the bound.
-    upper = np.maximum(mean, 0.0) + quantiles * np.sqrt(variance)
+    widths = np.maximum(quantiles * np.sqrt(variance), _NORMAL_QUANTILE * np.sqrt(floor))
+    upper = np.maximum(mean, 0.0) + widths
     return [Bounded(*pair) for pair in zip(mean.tolist(), upper.tolist(), strict=True)]
 
 

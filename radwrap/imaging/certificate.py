@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.imaging.bounds import Bounded, stratified_mean
+from radwrap.imaging.bounds import Bounded, mean_squares, resampling
 from radwrap.imaging.falloff import opening_shares
 from radwrap.imaging.kernel import layer_shares
 from radwrap.imaging.rays import rays_over, sampled_radiance
@@ -187,7 +187,8 @@ class PixelErrors:
 
     def mean_square(self, sample: PixelSample, seed: tuple[int, ...]) -> Bounded:
         """Mean square over the image."""
-        return stratified_mean(self.first * self.second, sample.stratum, sample.shares, seed)
+        again = resampling(sample.stratum, sample.shares, seed)
+        return mean_squares(self.first[np.newaxis], self.second[np.newaxis], again)[0]
 
 
 def model_errors(

@@ -53,10 +53,11 @@ _SHORTEST: Final = 1e-3  # s; a clock may stand still
 # Where the size of the grid's cells takes more than this share of the tolerance they are halved, so often at most.
 _GRID_SHARE: Final = 0.5
 _FINEST: Final = 2
-# Below this tolerance the usual cells are too coarse at any contrast that matters [gray level].
+# Below this tolerance the usual cells are too coarse at any contrast that matters, and so are the fewest pairs: an edge
+# of 100 gray that is shifted by 0.2 differs in one of 500 [gray level].
 _COARSE_TOLERANCE: Final = 0.25
 # Pixels of the model's certificate, and pairs of each: where depth is even, and near steps; tried in turn.
-_EFFORTS: Final = ((512, 4, 16), (1024, 16, 128), (2048, 64, 1024))
+_EFFORTS: Final = ((512, 4, 16), (1024, 8, 32), (1024, 16, 128), (2048, 64, 1024))
 # A 99 % quantile without an exceedance among so many: 97.5 % sure of each half's 99.5 %.
 _QUANTILE_PIXELS: Final = 1024
 _QUANTILE: Final = 0.995
@@ -218,8 +219,9 @@ class _Search:
         work.progress.expect(self.choice.expected_rays[self.choice.method] or 1)
         self.attempts: list[dict[str, Any]] = []
         self.reused = 0
-        self.finer = 0 if demand.tolerance >= _COARSE_TOLERANCE else 1
-        self.effort = 0 if demand.max_error is None else 1
+        fine = demand.tolerance < _COARSE_TOLERANCE
+        self.finer = 1 if fine else 0
+        self.effort = 1 if fine or demand.max_error is not None else 0
         self.one_layer = self.choice.one_layer
         self.fewest = FEWEST
         self.last_model = NOTHING

@@ -21,7 +21,7 @@ from radwrap.files import sha256_of
 from radwrap.frames import Pose
 from radwrap.images import ExposureImage, GrayImage, read_image
 from radwrap.imaging.basis import BASIS, MAGNIFICATION, SEAL, file_name, sealed
-from radwrap.imaging.bounds import ALONE, NOTHING, Bounded, resampling, stratified_means
+from radwrap.imaging.bounds import ALONE, NOTHING, Bounded, mean_squares, resampling
 from radwrap.imaging.certificate import Certificate, PixelErrors, PixelSample, lacks_in_gray
 from radwrap.imaging.kernel import grid_squares
 from radwrap.imaging.planner import certificate_of, model_quantile, noise_quantile
@@ -307,7 +307,8 @@ class _Relighter:
         errors = self._model_errors(mean, levels)
         models = [NOTHING] * len(levels)
         if self._again is not None:
-            models = stratified_means(np.stack([e.first * e.second for e in errors]), self._again)
+            first, second = (np.stack(values) for values in zip(*((e.first, e.second) for e in errors), strict=True))
+            models = mean_squares(first, second, self._again)
         for k in range(count):
             noise, samples = self._noise(replicates[k], grid[k])
             quantile = None

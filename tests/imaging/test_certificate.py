@@ -12,7 +12,13 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
-from radwrap.imaging.bounds import mean_square_of_differences, stratified_mean
+from radwrap.imaging.bounds import (
+    mean_square_of_differences,
+    mean_squares,
+    resampling,
+    stratified_mean,
+    stratified_means,
+)
 from radwrap.imaging.certificate import (
     PixelSample,
     certify_by_independent_rays,
@@ -84,6 +90,21 @@ def test_what_few_samples_cannot_see_stays_in_the_bound() -> None:
         found = stratified_mean(first * second, np.zeros(number, dtype=int), np.ones(1), (trial,))
         held += found.upper >= truth**2
     assert held == 300  # a bound from the mean alone, negative as it may be, misses in 2 to 3 %
+
+
+def test_errors_that_few_pairs_of_rays_show_stay_in_the_bound() -> None:
+    """A shifted edge: one pair of a hundred differs, by 100 gray; 8 pairs at 400 pixels seldom differ twice at one."""
+    random = np.random.default_rng(5)
+    share, height, pairs, number = 0.01, 100.0, 4, 400
+    truth = (share * height) ** 2
+    again = resampling(np.zeros(number, dtype=np.intp), np.ones(1), (1,))
+    held, by_scatter_alone = 0, 0
+    for _ in range(200):
+        first, second = (height * random.binomial(pairs, share, (1, number)) / pairs for _ in range(2))
+        held += mean_squares(first, second, again)[0].upper >= truth
+        by_scatter_alone += stratified_means(first * second, again)[0].upper >= truth
+    assert held >= 195
+    assert by_scatter_alone < 120
 
 
 def test_noise_is_bounded_by_as_many_degrees_of_freedom_as_it_has() -> None:

@@ -251,3 +251,17 @@ def test_rays_of_pixels_far_above_saturation_are_enough_to_keep_them_there() -> 
     (values,) = (traced_tile(seen, plan, tile, (5, tile), ignore).values for tile in range(len(plan.tiles)))
     saturated = gray_levels(values * seen.exposure_of_radiance, sensor)
     assert float(((saturated - 25.0) ** 2).mean()) < 0.3**2
+
+
+def test_pixels_that_look_even_get_a_share_of_the_rays_of_others() -> None:
+    """Behind a bright edge that the pilot of a pixel misses: none stays at the fewest where others take thousands."""
+
+    def striped(x: Array, y: Array) -> Array:
+        return np.where(x < 0, np.where(np.sin(2e5 * x) > 0, 1.0, 0.0), 0.2)
+
+    seen = view(Aperture("round", 2e-4), (1.0, striped), rows=20, columns=40)
+    plan = plan_rays(seen, 0.3)
+    numbers = traced_tile(seen, plan, 0, (6,), ignore).numbers
+    assert numbers.max() > 1000
+    assert numbers.min() >= numbers.mean() / 64
+    assert numbers.min() > plan.fewest
