@@ -11,6 +11,7 @@ from typing import TypeVar
 from radwrap.errors import InputError
 from radwrap.frames import Pose, along, normalised, rotation_about
 from radwrap.scene import source_tables as tables
+from radwrap.scene.beside import named_file
 from radwrap.scene.intensity_files import read_beam, read_luminaire
 from radwrap.scene.poses import pose_of
 from radwrap.scene.ring_calibration import read_calibration
@@ -64,9 +65,7 @@ def _check_beam_factors(table: tables.RingModel, beam: Beam, where: str) -> None
 
 def from_file(name: str, where: str, folder: Path, read: Callable[[Path], _Read]) -> _Read:
     """What is read from a file in the scene's folder; what is wrong with it is told with the key that names it."""
-    path = (folder / name).resolve()
-    if not path.is_relative_to(folder.resolve()):
-        raise InputError("lies outside the scene's folder", where=where, remedy="copy it beside the scene file")
+    path = named_file(folder, name, where)
     try:
         return read(path)
     except InputError as error:
