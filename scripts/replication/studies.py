@@ -26,6 +26,7 @@ from replication.images import COARSE, FEW_DRAWS
 from replication.published import ROOT
 
 DESIGN: Final = ROOT / "rad_scenes" / "study_table2" / "design.toml"
+RUNS: Final = 16
 NOMINAL_METHOD: Final = "gray"  # assumptions.centre_method of published.toml
 NEGATIVE: Final = {
     "name": "tilt_negative",
@@ -142,6 +143,8 @@ def draws_of(variant: str, seed: int, study: Path) -> Iterator[Draw]:
     """Effects by each centre method that gave all 16 focal lengths."""
     rows = read_table(study / "results.csv").rows
     names = ["".join(row[name] for name in "ABCD") for row in rows]
+    if len(set(names)) != RUNS:  # a folder that somebody copied half
+        return
     for method in METHODS:
         column, error = f"f_{method} [mm]", f"f_{method}_error [mm]"
         if not all(row.get(column) for row in rows):
