@@ -40,7 +40,10 @@ def make(task: Task) -> Made:
             "dots": float(len(dots)),
             "focal_length": None if nominal is None else Measured(nominal.value * 1e3, nominal.error * 1e3),
         },
-        assumed=("beam", "lobe", "pinhole", "axes", "tilt_sign", "centre_method", "solver", "dots", "black"),
+        assumed=(
+            *("beam", "lobe", "pinhole", "exposure", "threshold", "axes", "tilt_sign", "centre_method", "solver"),
+            *("dots", "black", "tolerance"),
+        ),
         more={
             "certified_rms_gray": image.bound,
             "focal_length_mm": {

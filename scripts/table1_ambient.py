@@ -54,7 +54,10 @@ def make(task: Task) -> Made:
             "size": _measured(nominal, "difference_percent", "error_percent"),
             "robust": float(np.mean(longer)) if longer else None,
         },
-        assumed=("beam", "lobe", "pinhole", "lamp_power", "lamp_place", "centre_method", "tolerance_table1"),
+        assumed=(
+            *("beam", "lobe", "pinhole", "exposure", "threshold", "axes", "tilt_sign", "centre_method", "solver"),
+            *("dots", "black", "lamp_power", "lamp_place", "tolerance_table1"),
+        ),
         more={
             "cases": rows,
             "levels_W_per_sr": {f"{level:g}": what for level, what in LEVELS.items()},

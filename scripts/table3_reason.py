@@ -40,7 +40,18 @@ def make(task: Task) -> Made:
         title="Why A moves f (looked at afterwards)",
         picture=_picture(rows),
         ours={},
-        assumed=("lobe", "pinhole", "axes", "tilt_sign", "ring_turn", "solver", "dots", "black"),
+        assumed=(
+            "lobe",
+            "pinhole",
+            "exposure",
+            "threshold",
+            "axes",
+            "tilt_sign",
+            "ring_turn",
+            "solver",
+            "dots",
+            "black",
+        ),
         more={"rows": rows, "rim_design": whole, "printed_pairs_mm": printed_pairs()},
     )
 
