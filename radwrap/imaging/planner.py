@@ -276,7 +276,7 @@ class _Search:
 
     def _affordable(self, method: ToleranceMethod, share: float) -> float:
         """The aim, or a larger one that is expected to stay within the budget."""
-        budget = min(self.demand.budget.rays, self._rays_in_time())
+        budget = min(self.demand.budget.rays - self.spent, self._rays_in_time())
         for _ in range(_HALVINGS):
             rays, kernel = predicted_rays(self.view, self.found, share / AIM_SHARE)
             if (rays if method == "rays" else kernel) <= budget:
@@ -395,7 +395,8 @@ class _Search:
         tried = [attempt["rays"] for attempt in self.attempts[-2:] if attempt["method"] == "kernel"]
         stuck = stuck or (len(tried) == 2 and tried[0] == tried[1])  # a smaller aim changes nothing
         if self.demand.method is None and (stuck or share < wanted * AIM_SHARE / 4):
-            return "rays", self._first_share("rays"), "the kernel's certificate did not hold"
+            share = self._affordable("rays", self._first_share("rays"))
+            return "rays", share, "the kernel's certificate did not hold"
         return "kernel", share / 2, why
 
 

@@ -325,3 +325,18 @@ def test_out_of_time_an_attempt_is_given_up_and_programs_stay(tmp_path: Path) ->
             trace_replicates(work, plan_rays(seen, 1.0), 2)
         assert not programs.cancelled
         assert trace_replicates(replace(work, view=seen), plan_rays(seen, 1.0), 2).images.shape[0] == 2
+
+
+def test_rays_in_place_of_a_kernel_that_fails_keep_the_budget_too(tmp_path: Path) -> None:
+    """A wire before stripes, too thin for the survey: the kernel's certificate tells, and rays would take 6e6."""
+
+    def wire(x: Array, y: Array) -> Array:
+        return np.where(np.abs(x - 2e-3) < 1e-4, 0.1, np.nan)
+
+    def stripes(x: Array, y: Array) -> Array:
+        return np.where(np.sin(4e3 * y) > 0, 1.0, 0.2)
+
+    seen = view(ROUND, (0.5, wire), (1.0, stripes))
+    outcome = search(seen, tmp_path, Demand(0.2, budget=Budget(rays=2e6)))
+    assert [attempt["method"] for attempt in outcome.plan["attempts"]][-1] == "rays"
+    assert outcome.plan["rays"] < 2e6
