@@ -287,7 +287,7 @@ def write_basis(
         write_exr(out / MAGNIFICATION, magnification.astype(np.float32), channel="magnification")
         files.append(MAGNIFICATION)
     hashes = {name: sha256_of(out / name) for name in files}
-    write_manifest(out / BASIS, sealed({**_description(maker), **told, "files": hashes}))
+    write_manifest(out / BASIS, sealed({"tolerances": None, **_description(maker), **told, "files": hashes}))
     return [*files, BASIS]
 
 

@@ -111,9 +111,10 @@ def mean_squares(first: NDArray[np.float64], second: NDArray[np.float64], again:
     Notes
     -----
     Values that are zero at most pixels and large at few seldom are so in both:
-    most of their products vanish, and their scatter tells nothing. That of
-    products of independent values is the product of their mean squares at
-    least, and the mean squares are seen long before.
+    most of their products vanish, and their scatter tells nothing. Products of
+    independent values scatter by the product of the values' mean squares, less
+    the square of their mean, which is left out here; and the mean squares are
+    seen long before.
     """
     squares = (first**2 + second**2) / 2
     least = np.stack([squares[:, places].mean(axis=1) if len(places) else squares[:, 0] for places in again.members])

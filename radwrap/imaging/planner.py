@@ -49,6 +49,7 @@ _MOST_FEWEST: Final = 1 << 12
 _HALVINGS: Final = 24  # of the accuracy, until a budget suffices
 # Of a budget of time so much goes into rays of the first image, the rest into its certificate and what comes next.
 _TRACED_SHARE: Final = 0.5
+_COARSE_AIM: Final = 16.0  # gray levels; what is made where nothing better was finished in time
 _SHORTEST: Final = 1e-3  # s; a clock may stand still
 # Where the size of the grid's cells takes more than this share of the tolerance they are halved, so often at most.
 _GRID_SHARE: Final = 0.5
@@ -212,6 +213,7 @@ class _Search:
 
     def __init__(self, work: Work, demand: Demand) -> None:
         self.work, self.demand, self.view = work, demand, work.view
+        self.tracer = work.view.tracer
         self.start = time.monotonic()
         self.found = survey(work.view, work.seed)
         self.spent = self.found.rays
@@ -231,13 +233,20 @@ class _Search:
         share = self._affordable(method, self._first_share(method))
         best: Outcome | None = None
         in_time = True
+        if share < _COARSE_AIM:
+            self._limit_time(_TRACED_SHARE)
         for _ in range(_ATTEMPTS):
             try:
                 outcome = self._attempt(method, share, why)
             except OutOfTime:
                 in_time = False
-                break
-            self._limit_time()
+                if best is not None:
+                    break
+                # Some image there must be: the coarsest, whatever it takes.
+                self._limit_time(math.inf)
+                share, self.finer, self.effort = _COARSE_AIM, 0, 0
+                continue
+            self._limit_time(1.0)
             if best is None or self._rank(outcome) < self._rank(best):
                 best = outcome
             if outcome.met or self._is_spent(outcome):
@@ -247,12 +256,25 @@ class _Search:
         found = {"attempts": self.attempts, "rays": self.spent}
         return replace(best, plan={**best.plan, **found, **({} if in_time else {"given_up": "out of time"})})
 
-    def _limit_time(self) -> None:
-        """Let what comes next be given up at the end of a budget of time: there is an image now."""
-        seconds = self.demand.budget.seconds
-        if math.isfinite(seconds) and not isinstance(self.view.tracer, TimedTracer):
-            self.view = replace(self.view, tracer=TimedTracer(self.view.tracer, self.start + seconds))
+    def _limit_time(self, share: float) -> None:
+        """Let what comes next be given up after a share of a budget of time."""
+        seconds = self.demand.budget.seconds * share
+        if math.isfinite(self.demand.budget.seconds):
+            tracer = TimedTracer(self.tracer, self.start + seconds) if math.isfinite(seconds) else self.tracer
+            self.view = replace(self.view, tracer=tracer)
             self.work = replace(self.work, view=self.view)
+
+    def _coarsest(self, method: ToleranceMethod, share: float) -> float:
+        """The least aim from which on an image is expected to take no fewer rays."""
+        fewest = self._forecast(method, share * 2**_HALVINGS)
+        while self._forecast(method, share) > fewest:
+            share *= 2
+        return share
+
+    def _forecast(self, method: ToleranceMethod, share: float) -> float:
+        """Rays that are expected for an aim."""
+        rays, kernel = predicted_rays(self.view, self.found, share / AIM_SHARE)
+        return rays if method == "rays" else kernel
 
     def _rank(self, outcome: Outcome) -> float:
         """How many times what is asked for an image is off; the least is the best, and below 1 one that meets it."""
@@ -277,10 +299,8 @@ class _Search:
     def _affordable(self, method: ToleranceMethod, share: float) -> float:
         """The aim, or a larger one that is expected to stay within the budget."""
         budget = min(self.demand.budget.rays - self.spent, self._rays_in_time())
-        for _ in range(_HALVINGS):
-            rays, kernel = predicted_rays(self.view, self.found, share / AIM_SHARE)
-            if (rays if method == "rays" else kernel) <= budget:
-                break
+        coarsest = self._coarsest(method, share)
+        while self._forecast(method, share) > budget and share < coarsest:
             share *= 2
         return share
 

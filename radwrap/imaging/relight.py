@@ -182,7 +182,7 @@ def _basis(folder: Path, told: dict[str, Any]) -> Basis:
         tolerance=float(told["tolerance"]),
         max_error=told["max_error"],
         scene_sha256=str(told["scene_sha256"]),
-        tolerances=None if told.get("tolerances") is None else Tolerances(**_values(told["tolerances"])),
+        tolerances=None if told["tolerances"] is None else Tolerances(**_values(told["tolerances"])),
         magnification=read_image(folder / MAGNIFICATION)[0] if MAGNIFICATION in told["files"] else None,
     )
 

@@ -66,7 +66,7 @@ def read_coefficients(path: Path) -> CoefficientFile:
         If it is no such table.
     """
     columns, _ = _columns(path, _SHEETING, optional="rotation_deg")
-    turns = columns.get("rotation_deg", np.zeros(len(columns["coefficient"])))
+    turns = columns.get("rotation_deg", np.zeros(len(columns["coefficient"]))) % 360  # 360 deg is 0
     grids = [
         _grid({name: columns[name][turns == turn] for name in _SHEETING}, _SHEETING, path) for turn in np.unique(turns)
     ]

@@ -95,7 +95,7 @@ class BouncingTracer:
         number = np.arange(len(rays))  # of the ray whose walk it is
         keys, share = _keys(rays), np.ones(len(rays))
         here = self._surfaces(rays)
-        for step in range(1, _LONGEST_WALK if self.orders is None else self.orders + 1):
+        for step in range(1, self.sure_steps + _LONGEST_WALK if self.orders is None else self.orders + 1):
             draws = _draws(keys, step)
             going, weight = self._scattered(here, rays, draws)
             chance = np.ones(len(rays))
