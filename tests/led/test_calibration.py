@@ -176,7 +176,7 @@ def test_a_scene_takes_a_calibration_for_its_ring(tmp_path: Path) -> None:
 def test_a_scene_with_a_wrong_calibration_is_refused(tmp_path: Path) -> None:
     (tmp_path / "scene").mkdir()
     for changes, told in (
-        ({"calibration": "none.json"}, "no readable calibration"),
+        ({"calibration": "none.json"}, 'no file "none.json" beside the scene'),
         ({"calibration": "../ring.json"}, "outside the scene's folder"),
         ({"drive_levels": 0.9}, "the level 0.9 lies outside"),
         ({"drive_levels": [0.1]}, "1 levels for 12 LEDs"),
