@@ -117,24 +117,22 @@ def mean_squares(first: NDArray[np.float64], second: NDArray[np.float64], again:
     seen long before.
     """
     squares = (first**2 + second**2) / 2
-    least = np.stack([squares[:, places].mean(axis=1) if len(places) else squares[:, 0] for places in again.members])
-    return stratified_means(first * second, again, least.T**2)
+    return stratified_means(first * second, again, squares)
 
 
 def stratified_means(
-    values: NDArray[np.float64], again: Resampling, least: NDArray[np.float64] | None = None
+    values: NDArray[np.float64], again: Resampling, squares: NDArray[np.float64] | None = None
 ) -> list[Bounded]:
     """As `stratified_mean`, for several sets of values of one sample, shape (sets, n).
 
-    Each stratum's variance of the values may be known to be no less than so much: `least`, shape (sets, strata).
+    Where the values are products of two, `squares`, of the same shape, are those two's mean squares: the variance
+    in a stratum is no less than the square of their mean.
     """
     sets = len(values)
-    if least is None:
-        least = np.zeros((sets, len(again.members)))
     mean, variance, floor = np.zeros(sets), np.zeros(sets), np.zeros(sets)
     shift, variances = np.zeros((_RESAMPLES, sets)), np.zeros((_RESAMPLES, sets))
-    parts = zip(again.members, again.drawn, again.shares.tolist(), least.T, strict=True)
-    for places, drawn, share, known in parts:
+    parts = zip(again.members, again.drawn, again.shares.tolist(), strict=True)
+    for places, drawn, share in parts:
         n = len(places)
         if not n:
             continue
@@ -146,11 +144,12 @@ def stratified_means(
         if n > 1:
             scatter = (centred**2).sum(axis=1) / (n - 1)
             variance += share**2 * scatter / n
+            known = 0.0 if squares is None else squares[:, places].mean(axis=1) ** 2
             floor += share**2 * np.maximum(scatter, known) / n
-            squares = small_products(drawn, (centred**2).T) / n
-            spread = squares - moved**2
+            redrawn = small_products(drawn, (centred**2).T) / n
+            spread = redrawn - moved**2
             # A resample of equal values has no spread; what rounding leaves of it is no measure of an error.
-            variances += share**2 * np.where(spread > _ROUNDING * squares, spread, 0.0) / (n - 1)
+            variances += share**2 * np.where(spread > _ROUNDING * redrawn, spread, 0.0) / (n - 1)
     errors = np.sqrt(variances)
     t = shift / np.where(errors > 0, errors, np.inf)
     quantiles = np.maximum(_NORMAL_QUANTILE, -np.quantile(t, _TAIL, axis=0))

@@ -92,13 +92,11 @@ def run_jobs(jobs: Iterable[Callable[[], None]], programs: Programs, workers: in
                 done, waiting = wait(waiting, timeout=_TICK, return_when=FIRST_EXCEPTION)
                 for job in done:
                     job.result()
-        except OutOfTime:  # each job gives up by itself; the programs are needed for what comes next
+        except BaseException as failure:
             for job in running:
                 job.cancel()
-            raise
-        except BaseException:
-            # Ctrl-C comes here too: the programs end at once, and so do the threads that wait for them.
-            for job in running:
-                job.cancel()
-            programs.cancel()
+            # Ctrl-C comes here too: the programs end at once, and so do the threads that wait for them. Out of time,
+            # each job gives up by itself: the programs are needed for what comes next.
+            if not isinstance(failure, OutOfTime):
+                programs.cancel()
             raise

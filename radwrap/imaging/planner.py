@@ -258,18 +258,10 @@ class _Search:
 
     def _limit_time(self, share: float) -> None:
         """Let what comes next be given up after a share of a budget of time."""
-        seconds = self.demand.budget.seconds * share
-        if math.isfinite(self.demand.budget.seconds):
-            tracer = TimedTracer(self.tracer, self.start + seconds) if math.isfinite(seconds) else self.tracer
-            self.view = replace(self.view, tracer=tracer)
-            self.work = replace(self.work, view=self.view)
-
-    def _coarsest(self, method: ToleranceMethod, share: float) -> float:
-        """The least aim from which on an image is expected to take no fewer rays."""
-        fewest = self._forecast(method, share * 2**_HALVINGS)
-        while self._forecast(method, share) > fewest:
-            share *= 2
-        return share
+        deadline = self.start + share * self.demand.budget.seconds
+        tracer = self.tracer if math.isinf(deadline) else TimedTracer(self.tracer, deadline)
+        self.view = replace(self.view, tracer=tracer)
+        self.work = replace(self.work, view=self.view)
 
     def _forecast(self, method: ToleranceMethod, share: float) -> float:
         """Rays that are expected for an aim."""
@@ -299,8 +291,9 @@ class _Search:
     def _affordable(self, method: ToleranceMethod, share: float) -> float:
         """The aim, or a larger one that is expected to stay within the budget."""
         budget = min(self.demand.budget.rays - self.spent, self._rays_in_time())
-        coarsest = self._coarsest(method, share)
-        while self._forecast(method, share) > budget and share < coarsest:
+        # From some aim on, an image takes no fewer rays.
+        fewest = self._forecast(method, share * 2**_HALVINGS)
+        while self._forecast(method, share) > max(budget, fewest):
             share *= 2
         return share
 

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.images import ExposureImage
+from radwrap.imaging.certificate import places_of
 from radwrap.imaging.footprint import opening_points
 from radwrap.imaging.noise import ROUNDING_VARIANCE, noise_variance
 from radwrap.imaging.sensor import gray_levels
@@ -99,10 +100,10 @@ def uncertainty(
             raise ValueError("the sources' shares are needed")
         by_exposure("each_source_radiance", lambda z: 1 + z * tolerances.each_source_radiance * TO_STANDARD * spread)
     if tolerances.aperture_diameter:
-        if camera.lens is not None and magnification is None:
-            raise ValueError("the magnifications are needed")
         blur = _blur_slope(values, camera)
-        if camera.lens is not None and magnification is not None:
+        if camera.lens is not None:
+            if magnification is None:
+                raise ValueError("the magnifications are needed")
             # The opening's second moments on the sensor go with M^2: none in the plane of focus.
             blur = blur * magnification**2
         by_exposure(
@@ -197,7 +198,7 @@ def share_spread(views: Sequence[View]) -> Array:
         Between 1/sqrt(sources) and 1; that of the whole image where the central ray sees nothing.
     """
     sensor = views[0].camera.sensor
-    v, u = (axis.ravel().astype(np.float64) for axis in np.indices((sensor.rows, sensor.columns)))
+    u, v = places_of(np.arange(sensor.pixels), sensor.columns)
     spread = spread_of(trace_rays(view, np.zeros((1, 2)), u, v)[0] for view in views)
     return spread.reshape(sensor.rows, sensor.columns)
 
@@ -218,5 +219,5 @@ def spread_of(parts: Iterable[Array]) -> Array:
 def seen_magnifications(view: View) -> Array:
     """M of what each pixel's central ray meets, shape (rows, columns)."""
     sensor = view.camera.sensor
-    v, u = (axis.ravel().astype(np.float64) for axis in np.indices((sensor.rows, sensor.columns)))
+    u, v = places_of(np.arange(sensor.pixels), sensor.columns)
     return magnifications_at(view, u, v).reshape(sensor.rows, sensor.columns)

@@ -48,7 +48,7 @@ def read_beam(path: Path) -> TableBeam:
     InputError
         If it is no such table.
     """
-    text, digest = _text(path)
+    text, digest = table_text(path, _LARGEST_FILE)
     rows = csv_rows(text, path)
     if not rows or [cell.strip() for cell in rows[0]] != _HEADER:
         raise InputError(f'its first line must be "{",".join(_HEADER)}"', where=str(path))
@@ -86,7 +86,7 @@ def read_luminaire(path: Path) -> IntensityTable:
     InputError
         If it is no such file; Types A and B and a tilt in another file are refused by name.
     """
-    text, digest = _text(path)
+    text, digest = table_text(path, _LARGEST_FILE)
     tilt = _TILT.search(text)
     if tilt is None:
         raise InputError("is no luminaire file: it has no TILT", where=str(path), remedy="name an IES LM-63 file")
@@ -271,13 +271,20 @@ def _numbers(words: list[str], path: Path) -> Array:
     return values
 
 
-def _text(path: Path) -> tuple[str, str]:
+def table_text(path: Path, largest: int) -> tuple[str, str]:
+    """Text of a table of so many bytes at most, and its SHA-256.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, is larger, or is no text.
+    """
     try:
         if not path.is_file():
             raise InputError("no such file", where=str(path))
-        content = path.read_bytes()[: _LARGEST_FILE + 1]
+        content = path.read_bytes()[: largest + 1]
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror}", where=str(path)) from error
-    if len(content) > _LARGEST_FILE or b"\0" in content:
+    if len(content) > largest or b"\0" in content:
         raise InputError("is too large, or no text", where=str(path))
     return content.decode("utf-8-sig", "replace"), hashlib.sha256(content).hexdigest()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.manifest import sha256_of_value
-from radwrap.scene.intensity_files import csv_rows
+from radwrap.scene.intensity_files import csv_rows, table_text
 from radwrap.scene.materials import MeasuredBrdf, PrintedImage
 
 Array = NDArray[np.float64]
@@ -160,15 +159,7 @@ def read_print(path: Path, encoding: str, black: float, white: float) -> Printed
 
 
 def _columns(path: Path, names: tuple[str, ...], optional: str = "") -> tuple[dict[str, Array], str]:
-    try:
-        if not path.is_file():
-            raise InputError("no such file", where=str(path))
-        content = path.read_bytes()[: _LARGEST_FILE + 1]
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", where=str(path)) from error
-    if len(content) > _LARGEST_FILE or b"\0" in content:
-        raise InputError("is too large, or no text", where=str(path))
-    text = content.decode("utf-8-sig", "replace")
+    text, digest = table_text(path, _LARGEST_FILE)
     rows = csv_rows(text, path)
     head = [cell.strip() for cell in rows[0]] if rows else []
     if sorted(head) not in (sorted(names), sorted((*names, optional))):
@@ -179,7 +170,7 @@ def _columns(path: Path, names: tuple[str, ...], optional: str = "") -> tuple[di
         raise InputError("holds what is no number, or a line too short or too long", where=str(path)) from error
     if values.ndim != 2 or values.shape[1] != len(head) or not np.isfinite(values).all():
         raise InputError("needs lines of as many finite numbers as columns", where=str(path))
-    return dict(zip(head, values.T, strict=True)), hashlib.sha256(content).hexdigest()
+    return dict(zip(head, values.T, strict=True)), digest
 
 
 def _grid(columns: dict[str, Array], names: tuple[str, ...], path: Path) -> tuple[list[Array], Array]:
