@@ -402,12 +402,12 @@ def emitters(source: Source) -> tuple[Emitter, ...]:
         return source.patches
     if isinstance(source, SingleSource):
         return (source.emitter,)
-    return tuple(_led(source, index) for index in range(source.count))
+    pose = source.turned_pose
+    return tuple(_led(source, pose, index) for index in range(source.count))
 
 
-def _led(ring: Ring, index: int) -> Emitter:
+def _led(ring: Ring, pose: Pose, index: int) -> Emitter:
     change = next((change for change in ring.changes if change.index == index), LedChange(index))
-    pose = ring.turned_pose
     angle = ring.first_angle + 2 * math.pi * index / ring.count
     place = (ring.diameter / 2 * math.cos(angle), ring.diameter / 2 * math.sin(angle), 0.0)
     tilt, azimuth = change.axis_tilt, change.axis_azimuth
