@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import radwrap
-from radwrap.imaging.sensor import gray_levels
+from radwrap.imaging.sensor import gray_levels, with_gamma
 from radwrap.measure.edges.profile import disc_edge, pixel_edge
-from radwrap.scene.camera import Sensor
+from radwrap.scene.geometry import project
 from replication.figure import OURS, PAPER, THIRD, Made, Task, figure, main
 from replication.images import Image, Measured, predicted
 
@@ -41,11 +41,13 @@ def make(task: Task) -> Made:
     lit = predicted("fig11_edge", "fig12", task.out, quick=task.quick, changes=unrounded, tolerance=FINE)
     even = predicted("fig11_edge", "fig12_even", task.out, quick=task.quick, changes=EVEN, tolerance=FINE)
     radius = radwrap.explain(lit.scene)["targets"][0]["pinhole_projection_radius"]
-    s = displacement(lit, radius)
+    s = displacement(lit)
     near, within = np.abs(s) <= NEAR, np.abs(s) <= 1
     exposure = lit.result.radiant_exposure.values[lit.axis_row]
     sensor = lit.scene.camera.sensor
-    gray = {0.85: gray_levels(exposure, sensor), 0.9: gray_levels(exposure, other_gamma(lit, 0.9))}
+    # K's unit goes with gamma: the peak keeps its gray level.
+    other = with_gamma(sensor, 0.9, float(lit.result.radiant_exposure.values.max()))
+    gray = {0.85: gray_levels(exposure, sensor), 0.9: gray_levels(exposure, other)}
     contrast = float(np.ptp(gray[0.85][near]))
     curves = {gamma: normalised(levels, near) for gamma, levels in gray.items()}
     plain = disc_edge(s, 1.0)
@@ -105,7 +107,7 @@ def left_by_eq9(task: Task, what: str, changes: dict[str, Any]) -> dict[str, flo
     names = {"as in the claim": "fig12", "even light": "fig12_even"}
     name = names.get(what, f"fig12_{what.replace(' ', '_').replace('%', 'percent')}")
     image = predicted("fig11_edge", name, task.out, quick=task.quick, changes=changes, tolerance=FINE)
-    s = displacement(image, radwrap.explain(image.scene)["targets"][0]["pinhole_projection_radius"])
+    s = displacement(image)
     near, gray = np.abs(s) <= NEAR, image.gray[image.axis_row]
     gamma, seen = image.scene.camera.sensor.gamma, normalised(gray, near)
     models = {
@@ -116,32 +118,13 @@ def left_by_eq9(task: Task, what: str, changes: dict[str, Any]) -> dict[str, flo
     return {name: rms((model**gamma - seen)[np.abs(s) <= 1]) * contrast for name, model in models.items()}
 
 
-def displacement(image: Image, radius: float) -> Array:
-    """S of each column by Eq. 10, with the scene's edge; the bright side is at S > 0."""
-    camera = image.scene.camera
-    target = image.scene.targets[0]
-    depth = camera.pose.position[2]
-    columns = np.arange(camera.sensor.columns) - camera.principal_point[0]
-    tangent = columns * camera.sensor.pixel_width / camera.focal_length
-    return np.asarray(depth / radius * (tangent - target.edge_position / depth))
-
-
-def other_gamma(image: Image, gamma: float) -> Sensor:
-    """The sensor with another gamma; K keeps the peak gray, since its unit goes with gamma."""
-    sensor = image.scene.camera.sensor
-    highest = float(image.result.radiant_exposure.values.max())
-    gain = sensor.gain * highest ** (sensor.gamma - gamma)
-    changed = radwrap.with_value(image.scene, "camera.sensor", preset_with(image, gamma, gain))
-    return changed.camera.sensor
-
-
-def preset_with(image: Image, gamma: float, gain: float) -> dict[str, object]:
-    """The sensor's table in the scene file, gamma and gain replaced."""
-    sensor = image.scene.camera.sensor
-    size = {"rows": sensor.rows, "columns": sensor.columns}
-    pixel = {"pixel_width": f"{sensor.pixel_width!r} m", "pixel_height": f"{sensor.pixel_height!r} m"}
-    response = {"gamma": gamma, "gain": f"{gain!r} (J/m^2)^-{gamma!r}", "rounding": False}
-    return {"preset": "fivs", **size, **pixel, **response}
+def displacement(image: Image) -> Array:
+    """S of each column (Eq. 10): where the scene's edge lies in it, in radii of the projected pinhole."""
+    camera, target = image.scene.camera, image.scene.targets[0]
+    radius = radwrap.explain(image.scene)["targets"][0]["pinhole_projection_radius"]
+    places = [(x, 0.0, 0.0) for x in (target.edge_position, target.edge_position + radius)]
+    (edge, one_radius_off), _ = project(camera, np.array(places))
+    return np.asarray((np.arange(camera.sensor.columns) - edge[0]) / (one_radius_off[0] - edge[0]))
 
 
 def normalised(values: Array, near: NDArray[np.bool_]) -> Array:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -52,3 +54,25 @@ def radiant_exposure_of(gray: NDArray[np.float64], sensor: Sensor) -> NDArray[np
         raise ValueError("gray levels below dark or at saturation have no radiant exposure")
     exposure: NDArray[np.float64] = np.power((gray - sensor.dark_gray) / sensor.gain, 1 / sensor.gamma)
     return exposure
+
+
+def with_gamma(sensor: Sensor, gamma: float, radiant_exposure: float) -> Sensor:
+    """The sensor with another gamma, and K such that one radiant exposure keeps its gray level.
+
+    Parameters
+    ----------
+    sensor : Sensor
+        Response by the power law alone.
+    gamma : float
+        Exponent, above 0.
+    radiant_exposure : float
+        H whose gray level stays [J m^-2], above 0. K's unit goes with gamma: some exposure must be named.
+
+    Raises
+    ------
+    ValueError
+        If the sensor is a linear camera, whose gain has another meaning, or a number is not above 0.
+    """
+    if sensor.linear is not None or not (gamma > 0 and radiant_exposure > 0):
+        raise ValueError("needs a sensor of Eq. 5, and gamma and exposure above 0")
+    return replace(sensor, gamma=gamma, gain=sensor.gain * radiant_exposure ** (sensor.gamma - gamma))

@@ -12,7 +12,7 @@ import pytest
 
 import radwrap
 from radwrap.images import ExposureImage
-from radwrap.imaging.sensor import gray_image, gray_levels, radiant_exposure_of, unclipped_gray
+from radwrap.imaging.sensor import gray_image, gray_levels, radiant_exposure_of, unclipped_gray, with_gamma
 from radwrap.scene.camera import Sensor
 
 OFF_SATURATION = 1e-12  # asked for by the validation plan
@@ -46,6 +46,17 @@ def test_eq5_and_its_inverse(gamma: float, dark: float) -> None:
     back = radiant_exposure_of(gray[kept], sensor)
     assert back == pytest.approx(np.array(exposures)[kept], rel=OFF_SATURATION)
     assert kept.any()
+
+
+def test_another_gamma_keeps_one_gray_level() -> None:
+    changed = with_gamma(FIVS, 0.9, 5e-4)
+    assert changed == replace(FIVS, gamma=0.9, gain=changed.gain)
+    # K' H^.9 = K H^.85 at H = 5e-4 and, by the ratio H^.05, twice the exposure gives 2^.05 more above dark.
+    signal = gray_levels(np.array([5e-4, 1e-3]), FIVS) - 22
+    assert gray_levels(np.array([5e-4, 1e-3]), changed) - 22 == pytest.approx(signal * [1, 2**0.05], rel=OFF_SATURATION)
+    for wrong in ((0.0, 1.0), (0.9, 0.0), (math.nan, 1.0)):
+        with pytest.raises(ValueError, match="above 0"):
+            with_gamma(FIVS, *wrong)
 
 
 @pytest.mark.parametrize(
