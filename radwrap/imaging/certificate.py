@@ -248,10 +248,10 @@ def model_lacks(
     for pairs in np.unique(sample.pairs).tolist():
         part = np.flatnonzero(sample.pairs == pairs)
         random = np.random.default_rng((*seed, pairs))
-        for half in lacks:
-            differences = _pair_differences(view, layers, sample.pixels[part], pairs, random)
-            half[part] = differences.mean(axis=1)
-            rays += (1 + len(layers)) * differences.size
+        # Both halves in one call, which the workers share.
+        differences = _pair_differences(view, layers, np.tile(sample.pixels[part], 2), pairs, random)
+        lacks[:, part] = differences.mean(axis=1).reshape(2, -1)
+        rays += (1 + len(layers)) * differences.size
     return lacks, rays
 
 
@@ -261,7 +261,7 @@ def _pair_differences(
     """Ray less what the kernel takes in its place, shape (pixels, pairs)."""
     u, v = places_of(pixels, view.camera.sensor.columns)
     opening, places_u, places_v = rays_over(view.camera, u, v, pairs, random)
-    difference, _ = trace_rays(view, opening, places_u, places_v)
+    difference, _ = trace_rays(view, opening, places_u, places_v, alone=True)
     shares = opening_shares(view.camera, opening)
     for number, layer in enumerate(layers):
         central, magnification = trace_rays(
@@ -270,6 +270,7 @@ def _pair_differences(
             places_u + layer * opening[:, 0] / view.camera.sensor.pixel_width,
             places_v + layer * opening[:, 1] / view.camera.sensor.pixel_height,
             with_depth=len(layers) > 1,
+            alone=True,
         )
         difference -= central * shares * layer_shares(layers, magnification)[number]
     return difference.reshape(len(u), pairs)

@@ -27,6 +27,7 @@ from radwrap.tracers.tracer import Tracer
 
 PixelSampling = Literal["centre", "jitter"]
 RAYS_AT_ONCE: Final = 1 << 13  # 0.4 MiB of rays: what each of many threads may keep, large beside the cost of a call
+_WORTH_A_PROCESS: Final = 512  # rays that take longer than the start of a process, 7 ms
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,6 +247,7 @@ def trace_rays(
     v: NDArray[np.float64],
     *,
     with_depth: bool = False,
+    alone: bool = False,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """L cos^4(theta) along any rays, and m of what they meet, see `Camera.magnification`.
 
@@ -259,8 +261,10 @@ def trace_rays(
         Sensor positions [px].
     with_depth : bool
         Whether m is needed, which central rays alone tell; else it is 1.
+    alone : bool
+        Whether nothing else is traced meanwhile: then fewer rays are shared among the workers too.
     """
-    parts = min(view.workers, -(-len(u) // RAYS_AT_ONCE))
+    parts = min(view.workers, -(-len(u) // (_WORTH_A_PROCESS if alone else RAYS_AT_ONCE)))
     if parts <= 1:
         return _trace_part(view, opening, u, v, with_depth=with_depth)
     cuts = [slice(*pair) for pair in itertools.pairwise(np.linspace(0, len(u), parts + 1).astype(int))]

@@ -257,6 +257,7 @@ def _sought(seen: Seen, board: DotBoard, dark: float | None, methods: tuple[Meth
         pitch=board.pitch,
         dot_diameter=board.dot_diameter,
         saturation=seen.scene.camera.sensor.saturation_gray,
+        least_noise=0.0 if seen.scene.camera.sensor.rounding else seen.error.rms,
     )
 
 
@@ -266,6 +267,8 @@ def centre_covariances(dots: Dots, error: ImageError) -> Array:
     That of the measurement, which white noise of `dots.noise` in every pixel would cause, times the variance of the
     image's error around the dot over that noise, times the number of pixels whose errors are as one.
     """
+    if not error.rms:
+        return np.zeros((len(dots.dots), 2, 2))
     covariances = []
     for dot in dots.dots:
         reach = _DOT_REACH * math.sqrt(dot.area / math.pi)

@@ -104,16 +104,18 @@ def find_dots_by(
     pitch: float | None = None,
     dot_diameter: float | None = None,
     saturation: float | None = None,
+    least_noise: float = 0.0,
 ) -> dict[Method, Dots]:
     """Measure by several methods; the dots are sought only once.
 
-    Parameters, result of each method and errors are those of `find_dots`.
+    Parameters, result of each method and errors are those of `find_dots`. `least_noise` is the noise that the image
+    has at least [gray level]: a predicted image that is not rounded shows none.
     """
     for method in methods:
         _checked(image, (rows, columns), method, (pitch, dot_diameter))
     radius = dot_diameter / 2 / pitch if pitch is not None and dot_diameter is not None else None
     saturation = float(2**image.bit_depth - 1) if saturation is None else saturation
-    noise = noise_of(image.values)
+    noise = max(noise_of(image.values), least_noise)
     grid, found = grid_in(image, (rows, columns), noise, radius, saturation)
     return {method: _measured(image, grid, found, method, noise=noise, dark=dark) for method in methods}
 
