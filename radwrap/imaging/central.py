@@ -241,6 +241,13 @@ def central_image(
     return CentralImage(cells.first, values, depth, sampler.rays)
 
 
+def central_rays(plan: GridPlan, cells: Cells) -> int:
+    """How many rays `central_image` will take."""
+    counts: list[int] = np.bincount(cells.levels.ravel(), minlength=plan.levels + 2).tolist()
+    whole = sum(count // 4 ** (plan.levels - level) for level, count in enumerate(counts[:-1]))
+    return int(whole + counts[-1] * cells.samples**2)
+
+
 def _means(
     values: NDArray[np.float64], magnification: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -27,7 +27,14 @@ from radwrap.imaging.certificate import (
 )
 from radwrap.imaging.kernel import KernelPlan, plan_kernel
 from radwrap.imaging.rays import FEWEST, RaysPlan, plan_rays
-from radwrap.imaging.replicates import Replicates, Work, discretisation, replicates_needed, trace_replicates
+from radwrap.imaging.replicates import (
+    Replicates,
+    TooManyRays,
+    Work,
+    discretisation,
+    replicates_needed,
+    trace_replicates,
+)
 from radwrap.imaging.sensor import gray_levels
 from radwrap.imaging.survey import AIM_SHARE, Survey, met_by, middle_of, predicted_rays, steps, survey
 from radwrap.imaging.view import View
@@ -59,6 +66,7 @@ _FINEST: Final = 2
 _COARSE_TOLERANCE: Final = 0.25
 # Pixels of the model's certificate, and pairs of each: where depth is even, and near steps; tried in turn.
 _EFFORTS: Final = ((512, 4, 16), (1024, 8, 32), (1024, 16, 128), (2048, 64, 1024))
+_NEXT_EFFORT: Final = 4  # times the rays of the one before, about
 # A 99 % quantile without an exceedance among so many: 97.5 % sure of each half's 99.5 %.
 _QUANTILE_PIXELS: Final = 1024
 _QUANTILE: Final = 0.995
@@ -227,24 +235,33 @@ class _Search:
         self.one_layer = self.choice.one_layer
         self.fewest = FEWEST
         self.last_model = NOTHING
+        self.was_over = False
 
     def run(self) -> Outcome:
         method, why = self.choice.method, self.choice.why
         share = self._affordable(method, self._first_share(method))
         best: Outcome | None = None
-        in_time = True
+        given_up: dict[str, str] = {}
         if share < _COARSE_AIM:
             self._limit_time(_TRACED_SHARE)
         for _ in range(_ATTEMPTS):
             try:
                 outcome = self._attempt(method, share, why)
             except OutOfTime:
-                in_time = False
+                given_up = {"given_up": "out of time"}
                 if best is not None:
                     break
                 # Some image there must be: the coarsest, whatever it takes.
                 self._limit_time(math.inf)
                 share, self.finer, self.effort = _COARSE_AIM, 0, 0
+                continue
+            except TooManyRays as found:
+                given_up = {"given_up": "out of rays"}
+                self.spent += found.decided
+                if best is not None:
+                    break
+                share = self._coarser(method, share, found.whole)
+                self.finer, self.effort = 0, 0
                 continue
             self._limit_time(1.0)
             if best is None or self._rank(outcome) < self._rank(best):
@@ -253,8 +270,7 @@ class _Search:
                 break
             method, share, why = self._next(outcome, share, why)
         assert best is not None  # noqa: S101  (the loop ran)
-        found = {"attempts": self.attempts, "rays": self.spent}
-        return replace(best, plan={**best.plan, **found, **({} if in_time else {"given_up": "out of time"})})
+        return replace(best, plan={**best.plan, "attempts": self.attempts, "rays": self.spent, **given_up})
 
     def _limit_time(self, share: float) -> None:
         """Let what comes next be given up after a share of a budget of time."""
@@ -265,7 +281,7 @@ class _Search:
 
     def _forecast(self, method: ToleranceMethod, share: float) -> float:
         """Rays that are expected for an aim."""
-        rays, kernel = predicted_rays(self.view, self.found, share / AIM_SHARE)
+        rays, kernel = predicted_rays(self.view, self.found, share / AIM_SHARE, self.finer)
         return rays if method == "rays" else kernel
 
     def _rank(self, outcome: Outcome) -> float:
@@ -291,10 +307,21 @@ class _Search:
     def _affordable(self, method: ToleranceMethod, share: float) -> float:
         """The aim, or a larger one that is expected to stay within the budget."""
         budget = min(self.demand.budget.rays - self.spent, self._rays_in_time())
+        if self._forecast(method, share) > budget:
+            self.finer, self.effort = 0, 0
         # From some aim on, an image takes no fewer rays.
         fewest = self._forecast(method, share * 2**_HALVINGS)
         while self._forecast(method, share) > max(budget, fewest):
             share *= 2
+        return share
+
+    def _coarser(self, method: ToleranceMethod, share: float, whole: int) -> float:
+        """What to aim at once a plan needs more rays than are left: by its share of the forecast, then the coarsest."""
+        often = whole / self._forecast(method, share)
+        left = self.demand.budget.rays - self.spent
+        while share < _COARSE_AIM and (self.was_over or often * self._forecast(method, share) > left):
+            share *= 2
+        self.was_over = True
         return share
 
     def _rays_in_time(self) -> float:
@@ -314,7 +341,9 @@ class _Search:
     def _attempt(self, method: ToleranceMethod, share: float, why: str) -> Outcome:
         number = replicates_needed(self._plan(method, share))
         plan = self._plan(method, share * math.sqrt(number))
-        replicates = trace_replicates(self.work, plan, number)
+        # Some image there must be: the coarsest may take what it takes.
+        most = self.demand.budget.rays - self.spent - self._certificate_rays(plan) if share < _COARSE_AIM else math.inf
+        replicates = trace_replicates(self.work, plan, number, most)
         self.reused += replicates.reused
         self.spent += replicates.rays
         certificate, sample = self._certify(plan, replicates)
@@ -374,12 +403,21 @@ class _Search:
             # More pairs help where the bound is wide, not the error large.
             if enough or noise.upper > wanted or self.effort == len(_EFFORTS) - 1:
                 break
+            if self.spent + _NEXT_EFFORT * found.rays > self.demand.budget.rays:
+                break
             self.effort += 1
         self.last_model = model
         quantile = None
         if self.demand.max_error is not None:
             quantile = noise_quantile(errors, noise) + model_quantile(found, sample)
         return certificate_of(model, noise, quantile, pixels=len(sample.pixels), rays=found.rays), sample
+
+    def _certificate_rays(self, plan: KernelPlan | RaysPlan) -> int:
+        """The fewest that a certificate takes."""
+        if isinstance(plan, RaysPlan) or plan.camera.aperture.is_infinitesimal:
+            return 0
+        pixels, pairs, _ = _EFFORTS[self.effort]
+        return 2 * (1 + len(plan.layers)) * pairs * min(pixels, plan.camera.sensor.pixels)
 
     def _is_spent(self, outcome: Outcome) -> bool:
         """Whether another attempt, which takes about twice the rays at least, would pass the budget."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import EnvironmentFailure
 from radwrap.imaging.bounds import Bounded, mean_square_of_differences
-from radwrap.imaging.central import Cells
+from radwrap.imaging.central import Cells, central_rays
 from radwrap.imaging.kernel import KernelPlan, decide_tile, gathered_tile
 from radwrap.imaging.pieces import log_call, read_piece, remove_halves, run_jobs, write_piece
 from radwrap.imaging.rays import RaysPlan, traced_tile
@@ -89,11 +89,29 @@ class Work:
     seed: int
 
 
-def trace_replicates(work: Work, plan: Plan, number: int) -> Replicates:
+class TooManyRays(Exception):
+    """A plan turns out to need more rays than it may.
+
+    Attributes
+    ----------
+    decided : int
+        Rays that were traced to find that out.
+    whole : int
+        Rays that it needs, those included.
+    """
+
+    def __init__(self, decided: int, whole: int) -> None:
+        super().__init__(decided, whole)
+        self.decided, self.whole = decided, whole
+
+
+def trace_replicates(work: Work, plan: Plan, number: int, most: float = math.inf) -> Replicates:
     """Trace so many replicates, tile by tile; pieces that are finished are not traced again.
 
     Raises
     ------
+    TooManyRays
+        If the kernel's cells, once they are decided, ask for more than `most` rays in all.
     TracerError, EnvironmentFailure
         If the tracer or the disk fails.
     """
@@ -104,12 +122,19 @@ def trace_replicates(work: Work, plan: Plan, number: int) -> Replicates:
     # Pieces of earlier plans stay: a search that is killed goes through them again.
     remove_halves(work.folder)
     due = [piece for piece in pieces if piece.read() is None]
-    wanted = {piece.tile for piece in due}
+    # What is finished counts too: a run that was killed and goes on gives up where it would have without.
+    wanted = {piece.tile for piece in (due if math.isinf(most) else pieces)}
     run_jobs(
         [piece.make for piece in decided if piece.tile in wanted and piece.read() is None],
         work.programs,
         work.view.workers,
     )
+    if isinstance(plan, KernelPlan) and math.isfinite(most):
+        cells = [piece.cells() for piece in decided]
+        taken = sum(one.rays for one in cells)
+        whole = taken + number * sum(central_rays(plan.grid, one) for one in cells)
+        if whole > most:
+            raise TooManyRays(taken, whole)
     run_jobs([piece.make for piece in due], work.programs, work.view.workers)
     sensor = work.view.camera.sensor
     images = np.empty((number, sensor.rows, sensor.columns))

@@ -149,15 +149,18 @@ def _extreme(values: NDArray[np.float64], axis: int, far: int, choose: np.ufunc)
     return np.moveaxis(choose.reduce(windows, axis=-1), 0, axis)
 
 
-def predicted_rays(view: View, found: Survey, tolerance: float) -> tuple[float, float]:
-    """Rays that `rays` and `kernel` are expected to take for an rms error: a model, good to a factor of about two."""
+def predicted_rays(view: View, found: Survey, tolerance: float, finer: int = 0) -> tuple[float, float]:
+    """Rays that `rays` and `kernel` are expected to take for an rms error: a model, good to a factor of about two.
+
+    `finer` is how often the kernel's cells are halved.
+    """
     sensor = view.camera.sensor
     aim = AIM_SHARE * tolerance * math.sqrt(2)
     numbers = np.clip((found.deviations / aim) ** (1 / ORDER), 4, 1 << 14)
     rays = 2 * sensor.pixels * (PILOT + float(numbers.mean()))
     if not math.isfinite(found.model.mean):
         return rays, math.inf
-    plan = plan_kernel(view, met_by(view, found.magnification), aim)
+    plan = plan_kernel(view, met_by(view, found.magnification), aim, finer)
     reach = plan.reach_px
     covered = (sensor.columns + 2 * reach[0]) * (sensor.rows + 2 * reach[1])
     # About as many again where cells are cut.

@@ -19,6 +19,7 @@ from radwrap.imaging.bounds import (
     stratified_mean,
     stratified_means,
 )
+from radwrap.imaging.central import central_rays
 from radwrap.imaging.certificate import (
     PixelSample,
     certify_by_independent_rays,
@@ -27,10 +28,11 @@ from radwrap.imaging.certificate import (
     root,
 )
 from radwrap.imaging.footprint import reach_px
-from radwrap.imaging.kernel import plan_kernel
+from radwrap.imaging.kernel import decide_tile, gathered_tile, plan_kernel
 from radwrap.imaging.planner import Budget, Demand, Outcome, render_to_tolerance
 from radwrap.imaging.rays import plan_rays, sampled_radiance
 from radwrap.imaging.replicates import Work, trace_replicates
+from radwrap.imaging.survey import predicted_rays
 from radwrap.imaging.view import RAYS_AT_ONCE, View
 from radwrap.process import Programs
 from radwrap.progress import Progress
@@ -360,3 +362,34 @@ def test_the_first_image_is_given_up_too_and_the_coarsest_made(
     assert outcome.plan["rays"] < dear / 2
     assert clock.seconds < 1.5
     assert outcome.plan["attempts"][0]["aim_gray"] < 1e4
+
+
+def test_a_kernel_whose_forecast_is_low_keeps_the_budget(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cells are decided before the dear rays are traced: what they ask for is known, and given up where it is too much.
+
+    Killed and run again it does the same, with what is finished.
+    """
+    seen = view(ROUND, (1.0, disc))
+    free = search(seen, tmp_path / "free", Demand(0.004, method="kernel"))
+    first = free.plan["attempts"][0]["rays"]
+
+    def low(*arguments: Any) -> tuple[float, float]:
+        rays, kernel = predicted_rays(*arguments)
+        return rays / 10, kernel / 10
+
+    monkeypatch.setattr("radwrap.imaging.planner.predicted_rays", low)
+    demand = Demand(0.004, method="kernel", budget=Budget(rays=first))
+    outcome = search(seen, tmp_path / "tight", demand)
+    assert outcome.plan["given_up"] == "out of rays" and not outcome.met
+    assert outcome.plan["rays"] <= first
+    again = search(seen, tmp_path / "tight", demand)
+    assert again.plan == outcome.plan and again.reused and np.array_equal(again.radiance, outcome.radiance)
+
+
+def test_rays_of_a_central_image_are_known_before(tmp_path: Path) -> None:
+    seen = view(ROUND, (1.0, disc))
+    plan = plan_kernel(seen, np.array([2.0]), 0.3)
+    cells = decide_tile(seen, plan, 0, (1, 2), lambda _: None)
+    assert len(np.unique(cells.levels)) > 2
+    found = gathered_tile(seen, plan, 0, cells, seed=(3,), progress=lambda _: None)
+    assert central_rays(plan.grid, cells) == found.central.rays
