@@ -346,7 +346,8 @@ class _Search:
         replicates = trace_replicates(self.work, plan, number, most)
         self.reused += replicates.reused
         self.spent += replicates.rays
-        certificate, sample = self._certify(plan, replicates)
+        radiance = replicates.mean
+        certificate, sample = self._certify(plan, replicates, radiance)
         self.attempts.append(
             {
                 "method": method,
@@ -359,7 +360,7 @@ class _Search:
         )
         met = self.demand.is_met(certificate)
         return Outcome(
-            radiance=replicates.mean,
+            radiance=radiance,
             replicates=replicates,
             certificate=certificate,
             met=met,
@@ -380,13 +381,14 @@ class _Search:
             sample=sample,
         )
 
-    def _certify(self, plan: KernelPlan | RaysPlan, replicates: Replicates) -> tuple[Certificate, PixelSample | None]:
+    def _certify(
+        self, plan: KernelPlan | RaysPlan, replicates: Replicates, radiance: NDArray[np.float64]
+    ) -> tuple[Certificate, PixelSample | None]:
         view, seed = self.view, self.work.seed
         noise, errors = discretisation(view, replicates)
         if isinstance(plan, RaysPlan) or view.camera.aperture.is_infinitesimal:
             quantile = noise_quantile(errors, noise) if self.demand.max_error is not None else None
             return certificate_of(NOTHING, noise, quantile, pixels=0, rays=0), None
-        radiance = replicates.mean
         gray = gray_levels(radiance * view.exposure_of_radiance, view.camera.sensor)
         risky = steps(view, self.found.magnification, gray, _RISK_SHARE * self.demand.tolerance)
         while True:

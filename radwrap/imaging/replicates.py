@@ -37,7 +37,7 @@ class Replicates:
     Attributes
     ----------
     images : ndarray, shape (replicates, rows, columns)
-        Mean of L cos^4(theta) over pixel and opening [W m^-2 sr^-1].
+        Mean of L cos^4(theta) over pixel and opening [W m^-2 sr^-1], as their files hold it.
     grid_square : float
         Mean square of what the size of the kernel's cells changes [gray level^2].
     rays : int
@@ -48,7 +48,7 @@ class Replicates:
         Rows and columns over which errors hang together [px].
     """
 
-    images: NDArray[np.float64]
+    images: NDArray[np.float32]
     grid_square: float
     rays: int
     reused: int
@@ -57,7 +57,7 @@ class Replicates:
     @property
     def mean(self) -> NDArray[np.float64]:
         """The result."""
-        mean: NDArray[np.float64] = self.images.mean(axis=0)
+        mean: NDArray[np.float64] = self.images.mean(axis=0, dtype=np.float64)
         return mean
 
 
@@ -137,7 +137,7 @@ def trace_replicates(work: Work, plan: Plan, number: int, most: float = math.inf
             raise TooManyRays(taken, whole)
     run_jobs([piece.make for piece in due], work.programs, work.view.workers)
     sensor = work.view.camera.sensor
-    images = np.empty((number, sensor.rows, sensor.columns))
+    images = np.empty((number, sensor.rows, sensor.columns), dtype=np.float32)
     grid_square, rays = 0.0, 0
     for piece in pieces:
         found = piece.read()
@@ -265,7 +265,7 @@ def discretisation(view: View, replicates: Replicates) -> tuple[Bounded, NDArray
         Each distributed as the error of the mean [gray level].
     """
     rows, columns = looks(replicates.block)
-    radiance = replicates.images[:, ::rows, ::columns]
+    radiance = replicates.images[:, ::rows, ::columns].astype(np.float64)
     gray = gray_levels(radiance * view.exposure_of_radiance, view.camera.sensor)
     noise, errors = noise_of(gray, replicates.block)
     grid = replicates.grid_square

@@ -12,6 +12,7 @@ import shutil
 import tempfile
 import time
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -331,8 +332,11 @@ class _Run:
         stored = exact.values.astype(np.float32)
         exposure = ExposureImage(stored.astype(np.float64))
         gray = gray_image(exposure, sensor)
-        write_exr(self.out / EXPOSURE, stored, channel="radiant_exposure", metadata={"radwrap:unit": "J m^-2"})
-        write_png(self.out / GRAY, gray.codes)
+        unit = {"radwrap:unit": "J m^-2"}
+        with ThreadPoolExecutor() as pool:  # each waits for its own compression
+            exr = pool.submit(write_exr, self.out / EXPOSURE, stored, channel="radiant_exposure", metadata=unit)
+            write_png(self.out / GRAY, gray.codes)
+            exr.result()
         files = [EXPOSURE, GRAY]
         if not sensor.rounding:
             write_exr(self.out / UNROUNDED, gray.values.astype(np.float32), channel="gray")
