@@ -88,7 +88,8 @@ def order(points: Points, rows: int, columns: int) -> Lattice | None:
     for seed in seeds:
         for first, second in _bases(points, tree, int(seed)):
             nodes = _completed(points, tree, _grown(points, tree, int(seed), first, second))
-            lattice = _placed(points, nodes, rows, columns) if len(nodes) >= 4 else None
+            least = max(4, best.found if best else 0)
+            lattice = _placed(points, nodes, rows, columns, least) if len(nodes) >= least else None
             if lattice is not None and (best is None or _rank(lattice) > _rank(best)):
                 best = lattice
             if best is not None and best.found == rows * columns:
@@ -207,8 +208,11 @@ def _bases_of_the_plane() -> tuple[NDArray[np.int64], ...]:
 _PLANE_BASES: Final = _bases_of_the_plane()
 
 
-def _placed(points: Points, nodes: dict[Index, int], rows: int, columns: int) -> Lattice | None:
-    """Turn lattice indices into rows and columns: the change of basis that fills the grid best."""
+def _placed(points: Points, nodes: dict[Index, int], rows: int, columns: int, least: int) -> Lattice | None:
+    """Turn lattice indices into rows and columns: the change of basis that fills the grid best.
+
+    None where that puts fewer than `least` of them into the grid.
+    """
     indices = np.array(list(nodes), dtype=np.int64)
     image = points[list(nodes.values())]
     best: tuple[int, NDArray[np.int64]] | None = None
@@ -220,7 +224,9 @@ def _placed(points: Points, nodes: dict[Index, int], rows: int, columns: int) ->
             value = 2 * inside - len(nodes)
             if best is None or value > best[0]:
                 best = value, changed - corner
-    return None if best is None else _turned(best[1], image, rows, columns)
+    if best is None or best[0] + len(nodes) < 2 * least:
+        return None
+    return _turned(best[1], image, rows, columns)
 
 
 def _fullest(indices: NDArray[np.int64], wide: int, high: int) -> tuple[NDArray[np.int64], int]:
