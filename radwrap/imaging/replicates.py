@@ -122,7 +122,7 @@ def trace_replicates(work: Work, plan: Plan, number: int, most: float = math.inf
     # Pieces of earlier plans stay: a search that is killed goes through them again.
     remove_halves(work.folder)
     due = [piece for piece in pieces if piece.read() is None]
-    # What is finished counts too: a run that was killed and goes on gives up where it would have without.
+    # What is finished counts too: a run that goes on after a kill gives up where it would have without the kill.
     wanted = {piece.tile for piece in (due if math.isinf(most) else pieces)}
     run_jobs(
         [piece.make for piece in decided if piece.tile in wanted and piece.read() is None],
