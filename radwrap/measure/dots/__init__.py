@@ -14,7 +14,18 @@ The data's way::
 """
 
 from radwrap.measure.dots.centres import METHODS, Method
-from radwrap.measure.dots.find import find_dots, find_dots_by
+from radwrap.measure.dots.find import SoughtDots, find_dots, find_dots_by, measured_dots, seek_dots
 from radwrap.measure.dots.result import Dot, Dots, DotsNotFound
 
-__all__ = ["METHODS", "Dot", "Dots", "DotsNotFound", "Method", "find_dots", "find_dots_by"]
+__all__ = [
+    "METHODS",
+    "Dot",
+    "Dots",
+    "DotsNotFound",
+    "Method",
+    "SoughtDots",
+    "find_dots",
+    "find_dots_by",
+    "measured_dots",
+    "seek_dots",
+]

@@ -82,6 +82,7 @@ def order(points: Points, rows: int, columns: int) -> Lattice | None:
         return None
     tree = cKDTree(points)
     best: Lattice | None = None
+    known: dict[frozenset[int], list[dict[Index, int]]] = {}
     # From the middle of the strongest outwards: a dot in the middle has eight neighbours to show the steps.
     likely = points[: rows * columns]
     seeds = np.argsort(np.sum((likely - np.median(likely, axis=0)) ** 2, axis=1), kind="stable")[:SEEDS]
@@ -89,7 +90,13 @@ def order(points: Points, rows: int, columns: int) -> Lattice | None:
         for first, second in _bases(points, tree, int(seed)):
             nodes = _completed(points, tree, _grown(points, tree, int(seed), first, second))
             least = max(4, best.found if best else 0)
-            lattice = _placed(points, nodes, rows, columns, least) if len(nodes) >= least else None
+            if len(nodes) < least:
+                continue
+            alike = known.setdefault(frozenset(nodes.values()), [])
+            if any(_is_turned(nodes, other) for other in alike):
+                continue
+            alike.append(nodes)
+            lattice = _placed(points, nodes, rows, columns, least)
             if lattice is not None and (best is None or _rank(lattice) > _rank(best)):
                 best = lattice
             if best is not None and best.found == rows * columns:
@@ -101,24 +108,29 @@ def _rank(lattice: Lattice) -> tuple[int, int]:
     return lattice.found, len(lattice.beyond)
 
 
+def _is_turned(nodes: dict[Index, int], other: dict[Index, int]) -> bool:
+    """Whether walks over the same candidates differ by turns, mirrors and shifts alone: both fill the grid alike."""
+    here = np.array(sorted(nodes, key=nodes.__getitem__))
+    there = np.array(sorted(other, key=other.__getitem__))
+    steps, others = here - here[0], there - there[0]
+    return any((steps @ turn.T == others).all() for turn in _TURNS)
+
+
 def _bases(points: Points, tree: Any, seed: int) -> list[tuple[Points, Points]]:
     """Pairs of steps from a candidate that most of its surroundings obey."""
     distances, near = tree.query(points[seed], k=min(NEIGHBOURS + 1, len(points)))
-    steps = points[near[1:]] - points[seed]
-    around = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
-    ranked = []
-    for a, b in itertools.combinations(range(len(steps)), 2):
-        first, second = steps[a], steps[b]
-        area = abs(first[0] * second[1] - first[1] * second[0])
-        if area < LEAST_SINE * distances[a + 1] * distances[b + 1]:
-            continue
-        expected = points[seed] + np.array([i * first + j * second for i, j in around])
-        miss, _ = tree.query(expected)
-        obeyed = int(np.sum(miss < REACH * min(distances[a + 1], distances[b + 1])))
-        ranked.append((-obeyed, area, a, b))
+    steps, lengths = points[near[1:]] - points[seed], distances[1:]
+    around = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)])
+    a, b = np.triu_indices(len(steps), 1)
+    area = np.abs(steps[a, 0] * steps[b, 1] - steps[a, 1] * steps[b, 0])
+    across = area >= LEAST_SINE * lengths[a] * lengths[b]
+    a, b, area = a[across], b[across], area[across]
+    expected = points[seed] + around[:, 0, None] * steps[a, None] + around[:, 1, None] * steps[b, None]
+    miss, _ = tree.query(expected)
+    obeyed = np.sum(miss < REACH * np.minimum(lengths[a], lengths[b])[:, None], axis=1)
     # Of equally obeyed pairs the smallest cell: larger ones skip dots.
-    ranked.sort()
-    return [(steps[a], steps[b]) for _, _, a, b in ranked[:BASES]]
+    best = np.lexsort((b, a, area, -obeyed))[:BASES]
+    return [(steps[a[pair]], steps[b[pair]]) for pair in best]
 
 
 def _grown(points: Points, tree: Any, seed: int, first: Points, second: Points) -> dict[Index, int]:
@@ -199,13 +211,22 @@ def _connected(nodes: dict[Index, int]) -> dict[Index, int]:
 
 def _bases_of_the_plane() -> tuple[NDArray[np.int64], ...]:
     """Changes of the lattice's basis: the steps that the walk took may be diagonals of the grid."""
-    entries = range(-2, 3)
-    matrices = (np.array([[a, b], [c, d]]) for a, b, c, d in itertools.product(entries, repeat=4) if a * d - b * c == 1)
-    # Turns by 90 degrees are the same basis: keep those whose first row lies in one quarter.
-    return tuple(matrix for matrix in matrices if matrix[0, 0] > 0 and matrix[0, 1] >= 0)
+    found = []
+    for a, b, c, d in itertools.product(range(-2, 3), repeat=4):
+        # Turned by 90 degrees the steps (first, second) are (second, -first): of four turns one stands for all.
+        turns = ((a, b, c, d), (c, d, -a, -b), (-a, -b, -c, -d), (-c, -d, a, b))
+        if a * d - b * c == 1 and turns[0] == max(turns):
+            found.append(np.array([[a, b], [c, d]]))
+    return tuple(found)
 
 
 _PLANE_BASES: Final = _bases_of_the_plane()
+# Quarter turns and mirrors.
+_TURNS: Final = tuple(
+    np.array(rows)[:, axes]
+    for rows in itertools.product(((1, 0), (-1, 0)), ((0, 1), (0, -1)))
+    for axes in ([0, 1], [1, 0])
+)
 
 
 def _placed(points: Points, nodes: dict[Index, int], rows: int, columns: int, least: int) -> Lattice | None:

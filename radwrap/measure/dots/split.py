@@ -71,6 +71,8 @@ class _Crop:
     design: Field  # (pixels, 3): 1, u, v
     used: NDArray[np.bool_]  # pixels that the model must explain
     clipped: NDArray[np.bool_]  # of those, at the highest level: the light may be more
+    exact: NDArray[np.intp]  # numbers of the others
+    plane: Field  # design of the latter
     dot: NDArray[np.intp]  # of each pixel: the nearest dot
     light: Field  # of each pixel, against that in the nearest dot's centre
     distance: Field  # of each sub-sample from the nearest dot's centre [pitch]
@@ -176,11 +178,16 @@ def _crop(values: Field, homography: Matrix, shape: tuple[int, int], binning: in
     offsets: Field = ((np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5) * binning
     fine = project(inverse, _mesh((u[:, None] + offsets).ravel(), (v[:, None] + offsets).ravel()))
     distance = np.linalg.norm(fine - np.clip(np.rint(fine), 0, last), axis=-1)
+    clipped = used & (part >= float(values.max()))
+    exact = np.flatnonzero(used & ~clipped)
+    design = np.column_stack([np.ones(part.size), np.tile(u, len(v)), np.repeat(v, len(u))])
     return _Crop(
         values=part,
-        design=np.column_stack([np.ones(part.size), np.tile(u, len(v)), np.repeat(v, len(u))]),
+        design=design,
         used=used,
-        clipped=used & (part >= float(values.max())),
+        clipped=clipped,
+        exact=exact,
+        plane=design[exact],
         dot=dot,
         light=_light(slopes[dot], away),
         distance=distance,
@@ -211,51 +218,58 @@ def _cover(distance: Field, sharpness: Field, radius: float) -> Field:
 def _explained(crop: _Crop, levels: Field, radius: float, blur: Field, rounds: int) -> tuple[float, Field, Field]:
     """What size and blur leave unexplained, with the levels and the background that go with them."""
     cover = _cover(crop.distance, crop.sharpness, radius) * crop.light
-    kernel = _Blur(cover.shape, blur)
+    kernel = _Blur(blur)
     shares = np.maximum(np.bincount(crop.dot.ravel(), cover.ravel(), len(levels)), 1e-3)
     use, clipped = crop.used.ravel(), crop.clipped.ravel()
-    told_exactly = use & ~clipped
     gray = crop.values.ravel()
+    told = gray[crop.exact]
+    normal, target = np.empty((4, 4)), np.empty(4)
+    normal[1:, 1:], target[1:] = crop.plane.T @ crop.plane, crop.plane.T @ told
     rest, background = gray, np.zeros(3)
     for step in range(rounds + 1):
         light = kernel(levels[crop.dot] * cover).ravel()
         # One factor for all levels and the background at once, then each level by how much its own light is
         # over- or under-told.
-        columns = np.column_stack([light, crop.design])
-        exact = columns[told_exactly]
-        factor, *plane = np.linalg.lstsq(exact.T @ exact, exact.T @ gray[told_exactly], rcond=None)[0]
+        lit = light[crop.exact]
+        normal[0, 0], target[0] = lit @ lit, lit @ told
+        normal[0, 1:] = normal[1:, 0] = lit @ crop.plane
+        factor, *plane = np.linalg.lstsq(normal, target, rcond=None)[0]
         levels, background = levels * factor, np.array(plane)
         rest = np.where(use, gray - crop.design @ background - factor * light, 0.0)
         rest = np.where(clipped, np.maximum(rest, 0.0), rest)
         if step < rounds:
-            told = np.bincount(crop.dot.ravel(), (cover * kernel(rest.reshape(cover.shape))).ravel(), len(levels))
-            levels = np.maximum(levels + LEVEL_GAIN * told / shares, 0.0)
+            left = np.bincount(crop.dot.ravel(), (cover * kernel(rest.reshape(cover.shape))).ravel(), len(levels))
+            levels = np.maximum(levels + LEVEL_GAIN * left / shares, 0.0)
     return float(np.sqrt(np.mean(rest[use] ** 2))), levels, background
 
 
 class _Blur:
     """Convolution with an ellipse of any semi-axes [px], by its Fourier transform 2 J1(x)/x."""
 
-    def __init__(self, shape: tuple[int, ...], axes: Field) -> None:
-        from scipy import fft, special
-
-        self._shape = shape
-        wide, high = (float(axis) for axis in axes)
-        # Room for light that would come in again on the other side.
-        self._size = [
-            fft.next_fast_len(length + math.ceil(axis) + 1, real=True)
-            for length, axis in zip(shape, (high, wide), strict=True)
-        ]
-        fy = high * np.fft.fftfreq(self._size[0])[:, None]
-        fx = wide * np.fft.rfftfreq(self._size[1])[None, :]
-        x = 2 * math.pi * np.hypot(fx, fy)
-        self._transform = np.where(x > 1e-6, 2 * special.j1(x) / np.maximum(x, 1e-6), 1.0)
+    def __init__(self, axes: Field) -> None:
+        self._wide, self._high = (float(axis) for axis in axes)
+        self._transforms: dict[tuple[int, int], Field] = {}  # dots are many, their pictures' sizes few
 
     def __call__(self, field: Field) -> Field:
         from scipy import fft
 
-        blurred = fft.irfft2(fft.rfft2(field, self._size) * self._transform, self._size)
-        return np.asarray(blurred[: self._shape[0], : self._shape[1]])
+        # Room for light that would come in again on the other side.
+        rows, columns = (
+            fft.next_fast_len(length + math.ceil(axis) + 1, real=True)
+            for length, axis in zip(field.shape, (self._high, self._wide), strict=True)
+        )
+        blurred = fft.irfft2(fft.rfft2(field, (rows, columns)) * self._transform(rows, columns), (rows, columns))
+        return np.asarray(blurred[: field.shape[0], : field.shape[1]])
+
+    def _transform(self, rows: int, columns: int) -> Field:
+        from scipy import special
+
+        if (rows, columns) not in self._transforms:
+            fy = self._high * np.fft.fftfreq(rows)[:, None]
+            fx = self._wide * np.fft.rfftfreq(columns)[None, :]
+            x = 2 * math.pi * np.hypot(fx, fy)
+            self._transforms[rows, columns] = np.where(x > 1e-6, 2 * special.j1(x) / np.maximum(x, 1e-6), 1.0)
+        return self._transforms[rows, columns]
 
 
 def _binned(field: Field, samples: int) -> Field:
@@ -263,19 +277,19 @@ def _binned(field: Field, samples: int) -> Field:
     return np.asarray(field.reshape(rows // samples, samples, columns // samples, samples).mean(axis=(1, 3)))
 
 
-def dot_image(
-    homography: Matrix, centre: Field, slope: Field, radius: float, blur: Field
-) -> tuple[tuple[int, int], Field]:
-    """Picture of one blurred dot of level 1.
+def dot_images(
+    homography: Matrix, centres: Field, slopes: Field, radius: float, blur: Field
+) -> list[tuple[tuple[int, int], Field]]:
+    """Pictures of blurred dots of level 1, each for itself.
 
     Parameters
     ----------
     homography : ndarray, shape (3, 3)
         Board to image.
-    centre : ndarray, shape (2,)
-        The dot on the board [pitch].
-    slope : ndarray, shape (2,)
-        Relative gradient of the light [1/px].
+    centres : ndarray, shape (n, 2)
+        The dots on the board [pitch].
+    slopes : ndarray, shape (n, 2)
+        Relative gradient of the light at each [1/px].
     radius : float
         See `Model`.
     blur : ndarray, shape (2,)
@@ -283,21 +297,23 @@ def dot_image(
 
     Returns
     -------
-    tuple of int
-        Column u and row v of its first pixel; may be negative.
-    ndarray, shape (rows, columns)
-        Share of the level in each pixel, 0 to 1.
+    list of (tuple of int, ndarray of shape (rows, columns))
+        Column u and row v of its first pixel, which may be negative, and the share of the level in each pixel, 0 to 1.
     """
+    kernel, inverse = _Blur(blur), np.linalg.inv(homography)
     angles = np.linspace(0, 2 * math.pi, 64, endpoint=False)
-    rim = project(homography, centre + radius * np.column_stack([np.cos(angles), np.sin(angles)]))
-    low = np.floor(rim.min(axis=0) - blur - 1.5).astype(int)
-    high = np.ceil(rim.max(axis=0) + blur + 1.5).astype(int) + 1
+    rims = project(homography, centres[:, None, :] + radius * np.column_stack([np.cos(angles), np.sin(angles)]))
+    lows = np.floor(rims.min(axis=1) - blur - 1.5).astype(int)
+    highs = np.ceil(rims.max(axis=1) + blur + 1.5).astype(int) + 1
     offsets = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5
-    u, v = ((np.arange(low[axis], high[axis])[:, None] + offsets).ravel() for axis in (0, 1))
-    away = np.linalg.norm(project(np.linalg.inv(homography), _mesh(u, v)) - centre, axis=-1)
-    pixels = _mesh(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
-    cover = _cover(away, _sharpness(away), radius) * _light(slope, pixels - project(homography, centre))
-    return (int(low[0]), int(low[1])), _Blur(cover.shape, blur)(cover)
+    pictures = []
+    for centre, slope, low, high in zip(centres, slopes, lows, highs, strict=True):
+        u, v = ((np.arange(low[axis], high[axis])[:, None] + offsets).ravel() for axis in (0, 1))
+        away = np.linalg.norm(project(inverse, _mesh(u, v)) - centre, axis=-1)
+        pixels = _mesh(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
+        cover = _cover(away, _sharpness(away), radius) * _light(slope, pixels - project(homography, centre))
+        pictures.append(((int(low[0]), int(low[1])), kernel(cover)))
+    return pictures
 
 
 def refined(values: Field, homography: Matrix, board: Field, slopes: Field, model: Model) -> tuple[Matrix, Model]:
@@ -332,8 +348,8 @@ def refined(values: Field, homography: Matrix, board: Field, slopes: Field, mode
     entries: list[Field] = []
     pixels: list[NDArray[np.intp]] = []
     columns: list[NDArray[np.intp]] = []
-    for dot, (centre, slope) in enumerate(zip(board, slopes, strict=True)):
-        (left, top), picture = dot_image(homography, centre, slope, model.radius, model.blur)
+    pictures = dot_images(homography, board, slopes, model.radius, model.blur)
+    for dot, ((left, top), picture) in enumerate(pictures):
         dv, du = np.gradient(picture)
         v, u = np.mgrid[top : top + picture.shape[0], left : left + picture.shape[1]]
         seen = (u >= 0) & (u < width) & (v >= 0) & (v < height)

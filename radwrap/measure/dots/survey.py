@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from radwrap.measure.dots.centres import Window
 from radwrap.measure.dots.plane import Matrix, jacobian, project
-from radwrap.measure.dots.split import FAINT, Model, dot_image, fit_model
+from radwrap.measure.dots.split import FAINT, Model, dot_images, fit_model
 
 Field = NDArray[np.float64]
 
@@ -269,14 +269,12 @@ def _touching(grid: Grid, background: Field, levels: Field, noise: float) -> NDA
 def windows(grid: Grid, found: Survey) -> list[Window | None]:
     """The picture of each dot alone; None for a dot out of view."""
     slopes = np.zeros_like(grid.places) if found.slopes is None else found.slopes
-    alone = (
-        {
-            dot: dot_image(grid.homography, grid.board[dot], slopes[dot], found.model.radius, found.model.blur)
-            for dot in _concerned(grid, found)
-        }
-        if found.model is not None
-        else {}
-    )
+    alone: dict[int, tuple[tuple[int, int], Field]] = {}
+    if found.model is not None:
+        near = _concerned(grid, found)
+        model = found.model
+        pictures = dot_images(grid.homography, grid.board[near], slopes[near], model.radius, model.blur)
+        alone = dict(zip(near, pictures, strict=True))
     return [_window(grid, found, dot, alone) for dot in range(len(grid.board))]
 
 
