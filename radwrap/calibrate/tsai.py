@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from radwrap.calibrate.camera_model import Array, Camera, fold_margin, project
+from radwrap.calibrate.camera_model import Array, Camera, fold_margin, moved, project
 from radwrap.calibrate.opencv_solver import opencv_minimum
 from radwrap.calibrate.tsai_checks import DOUBTFUL_MISFIT, check_found, check_points, check_request, misfit
 from radwrap.calibrate.tsai_linear import cloud_of, start_values
@@ -51,6 +51,7 @@ def calibrate_camera(
     focal_length: float | None = None,
     kappa1: float | None = None,
     sx: float | None = None,
+    near: CameraCalibration | None = None,
 ) -> CameraCalibration:
     """Pose and constants of a camera from one view of known points.
 
@@ -70,6 +71,9 @@ def calibrate_camera(
         What to find beside the pose: "focal_length", "distortion" (kappa1), "centre", "sx".
     focal_length, kappa1, sx : float, optional
         What to hold where it is not free [m], [m^-2], [1]; kappa1 is 0 and sx is 1 unless given.
+    near : CameraCalibration, optional
+        From images a little beside these, with the same held: its minimum is followed, in place of a search from the
+        linear stage. A mirror pose that has come to fit better meanwhile goes unseen.
 
     Returns
     -------
@@ -101,22 +105,28 @@ def calibrate_camera(
         (float(centre[0]), float(centre[1])),
         (float(pixel_width), float(pixel_height)),
     )
-    linear, guessed = start_values(held, world, seen, cloud, wanted, flat=flat)
-    starts = linear + guessed
-    if not starts:
-        raise InputError(
-            "leave the pose undetermined by the radial alignment constraint",
-            where="the points",
-            remedy="use more points, no four of five on a line",
-        )
-    # Where the centre is free, distortion and pose come first: they must not chase a wrong centre at the start.
-    firm = wanted - {"centre"}
-    tried = [refine(start, world, seen, firm, thorough=False) for start in starts]
-    best = min(tried, key=lambda found: found.sse)
+    linear: list[Camera] = []
+    tried: list[Minimum] = []
+    if near is None:
+        linear, guessed = start_values(held, world, seen, cloud, wanted, flat=flat)
+        starts = linear + guessed
+        if not starts:
+            raise InputError(
+                "leave the pose undetermined by the radial alignment constraint",
+                where="the points",
+                remedy="use more points, no four of five on a line",
+            )
+        # Where the centre is free, distortion and pose come first: they must not chase a wrong centre at the start.
+        firm = wanted - {"centre"}
+        tried = [refine(start, world, seen, firm, thorough=False) for start in starts]
+        best = min(tried, key=lambda found: found.sse).camera
+    else:
+        best = _camera_of(near, held)
+        starts = [best]
     if solver == "opencv":
         found = opencv_minimum(starts[0], world, seen, cloud.axes, wanted)
     else:
-        found = refine(best.camera, world, seen, wanted)
+        found = refine(best, world, seen, wanted)
     freedom = 2 * len(world) - len(physical_columns(wanted))
     variance = found.sse / freedom
     covariance = variance * found.spread @ found.spread.T
@@ -139,6 +149,20 @@ def calibrate_camera(
         solver=solver,
         free=wanted,
         notes=tuple(notes),
+    )
+
+
+def _camera_of(near: CameraCalibration, held: Camera) -> Camera:
+    """The camera that a calibration found, where it is free, with the points' centroid for its origin."""
+    turn = np.array(near.rotation)
+    return moved(
+        held,
+        rotation=turn,
+        position=turn @ held.origin + np.array(near.translation),
+        focal_length=near.focal_length,
+        kappa1=near.kappa1,
+        sx=near.sx,
+        centre=near.centre,
     )
 
 

@@ -16,11 +16,11 @@ from typing import Any, Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.calibrate.tsai import SOLVERS, calibrate_camera
+from radwrap.calibrate.tsai import SOLVERS, CameraCalibration, calibrate_camera
 from radwrap.errors import InputError
 from radwrap.images import GrayImage
 from radwrap.imaging.truth import geometry
-from radwrap.measure.dots import METHODS, Dots, Method, find_dots_by
+from radwrap.measure.dots import METHODS, Dots, SoughtDots, measured_dots, seek_dots
 from radwrap.measure.edges import Edge, measure_edge
 from radwrap.measure.parts import find_parts
 from radwrap.scene.scene import Scene
@@ -92,8 +92,8 @@ class Seen:
         How far it may be off.
     fields : ErrorFields
         How that may lie.
-    found : dict
-        Dots that were found on it, by board and dark level: several responses ask for the same.
+    sought : dict
+        Dots that were found on it, by board and dark level: several responses measure the same.
     """
 
     scene: Scene
@@ -101,7 +101,7 @@ class Seen:
     gray: Array
     error: ImageError
     fields: ErrorFields
-    found: dict[tuple[str | None, float | None], Mapping[Method, Dots]] = field(default_factory=dict)
+    sought: dict[tuple[str | None, float | None], SoughtDots] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,27 +238,18 @@ def _dots(seen: Seen, options: Options) -> tuple[DotBoard, Dots]:
     board = _target(seen.scene, DotBoard, options.get("board"))
     method, dark = options.get("method", "gray"), _level(seen, options, "dark")
     place = (board.name, dark)
-    if method not in seen.found.get(place, {}):
-        try:
-            # Seeking takes ten times as long as the centres do, and another response may want another method.
-            seen.found[place] = _sought(seen, board, dark, METHODS)
-        except (InputError, ArithmeticError, ValueError, np.linalg.LinAlgError):
-            seen.found[place] = {**seen.found.get(place, {}), **_sought(seen, board, dark, (method,))}
-    return board, seen.found[place][method]
-
-
-def _sought(seen: Seen, board: DotBoard, dark: float | None, methods: tuple[Method, ...]) -> dict[Method, Dots]:
-    return find_dots_by(
-        seen.image,
-        board.rows,
-        board.columns,
-        methods=methods,
-        dark=dark,
-        pitch=board.pitch,
-        dot_diameter=board.dot_diameter,
-        saturation=seen.scene.camera.sensor.saturation_gray,
-        least_noise=0.0 if seen.scene.camera.sensor.rounding else seen.error.rms,
-    )
+    if place not in seen.sought:
+        seen.sought[place] = seek_dots(
+            seen.image,
+            board.rows,
+            board.columns,
+            dark=dark,
+            pitch=board.pitch,
+            dot_diameter=board.dot_diameter,
+            saturation=seen.scene.camera.sensor.saturation_gray,
+            least_noise=0.0 if seen.scene.camera.sensor.rounding else seen.error.rms,
+        )
+    return board, measured_dots(seen.sought[place], method)
 
 
 def centre_covariances(dots: Dots, error: ImageError) -> Array:
@@ -291,7 +282,7 @@ def _focal_length(seen: Seen, options: Options) -> Answer:
     places = {(row, column): centre for row, column, centre in board.dot_centres()}
     points = np.array([places[dot.row, dot.column] for dot in dots.dots])
 
-    def calibrated(centres: Array) -> float:
+    def calibrated(centres: Array, near: CameraCalibration | None = None) -> CameraCalibration:
         return calibrate_camera(
             points,
             centres,
@@ -299,10 +290,13 @@ def _focal_length(seen: Seen, options: Options) -> Answer:
             pixel_height=camera.sensor.pixel_height,
             centre=camera.principal_point,
             solver=options.get("solver", "tsai"),
-        ).focal_length
+            near=near,
+        )
 
+    found = calibrated(dots.centres)
     drawn = _drawn_centres(dots, seen.error, options.get("draws", _DRAWS))
-    return _spread(calibrated(dots.centres), [_tried(calibrated, centres) for centres in drawn])
+    again = [_tried(lambda centres: calibrated(centres, found).focal_length, centres) for centres in drawn]
+    return _spread(found.focal_length, again)
 
 
 def _tried(measure: Callable[[Any], float], what: Any) -> float:

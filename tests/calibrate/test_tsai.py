@@ -341,6 +341,26 @@ def long_lens(depth: Array | None, count: int, f: float, distance: float) -> tup
     return points, noisy, {"pixel_width": 23e-6, "pixel_height": 23e-6, "centre": (256.0, 256.0)}
 
 
+@pytest.mark.parametrize("free", [("focal_length",), ("focal_length", "distortion"), EVERYTHING])
+@pytest.mark.parametrize("solver", ["tsai", "opencv"])
+def test_search_from_a_near_calibration_ends_where_one_from_nothing_does(solver: str, free: tuple[str, ...]) -> None:
+    random = np.random.default_rng(7)
+    points = BOARD if len(free) < 3 else random.uniform(-0.06, 0.06, (40, 3))
+    image = pinhole(points, TURNED, POSITION, 0.0125)
+    first = calibrated(points, image + random.normal(0.0, 0.05, image.shape), solver=solver, free=free)
+    for _ in range(5):
+        moved_image = image + random.normal(0.0, 0.05, image.shape)
+        alone = calibrated(points, moved_image, solver=solver, free=free)
+        near = calibrated(points, moved_image, solver=solver, free=free, near=first)
+        # Both are the minimum to 1e-4 of a standard error, those of OpenCV's single precision to 1e-2.
+        share = 1e-4 if solver == "tsai" else 1e-2
+        assert alone.sigma.focal_length is not None
+        assert near.focal_length == pytest.approx(alone.focal_length, abs=share * alone.sigma.focal_length)
+        assert near.sse == pytest.approx(alone.sse, rel=1e-6)
+        assert near.linear_stage is None
+        assert abs(near.focal_length - first.focal_length) > 10 * share * alone.sigma.focal_length
+
+
 @pytest.mark.parametrize("flat_board", [True, False])
 def test_long_lens_reaches_the_true_minimum(flat_board: bool) -> None:
     depth = None if flat_board else np.random.default_rng(12).uniform(1.8, 2.2, 300)

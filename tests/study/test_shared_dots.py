@@ -10,7 +10,7 @@ import pytest
 import radwrap
 from radwrap.images import GrayImage
 from radwrap.imaging.sensor import gray_levels
-from radwrap.measure.dots import METHODS, find_dots
+from radwrap.measure.dots import METHODS, Dots, Method, SoughtDots, find_dots, measured_dots
 from radwrap.scene.targets import DotBoard
 from radwrap.study import responses
 from radwrap.study.image_error import blur_radii, error_fields, image_error
@@ -30,18 +30,20 @@ def seen() -> Seen:
 
 
 def test_every_method_answers_as_alone_and_seeks_once(seen: Seen, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[tuple[str, ...]] = []
-    find = responses.find_dots_by
+    asked: list[object] = []
+    seek = responses.seek_dots
 
-    def counted(*arguments: object, **options: object) -> object:
-        asked.append(tuple(options["methods"]))  # type: ignore[arg-type]
-        return find(*arguments, **options)  # type: ignore[arg-type]
+    def counted(image: GrayImage, *arguments: int, **options: object) -> object:
+        asked.append(image)
+        return seek(image, *arguments, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(responses, "find_dots_by", counted)
-    seen.found.clear()
-    for method in METHODS:
-        answer(Response("f", "focal_length", "mm", {"method": method, "draws": 4}), seen)
-    assert asked == [METHODS]
+    monkeypatch.setattr(responses, "seek_dots", counted)
+    seen.sought.clear()
+    answers = {
+        method: answer(Response("f", "focal_length", "mm", {"method": method, "draws": 4}), seen) for method in METHODS
+    }
+    assert asked == [seen.image]
+    assert len({found.value for found in answers.values()}) == len(METHODS)
     board = next(target for target in seen.scene.targets if isinstance(target, DotBoard))
     alone = find_dots(
         seen.image,
@@ -52,23 +54,24 @@ def test_every_method_answers_as_alone_and_seeks_once(seen: Seen, monkeypatch: p
         dot_diameter=board.dot_diameter,
         saturation=seen.scene.camera.sensor.saturation_gray,
     )
-    assert np.array_equal(seen.found[board.name, None]["conic"].centres, alone.centres)
+    shared = measured_dots(seen.sought[board.name, None], "conic")
+    assert np.array_equal(shared.centres, alone.centres)
 
 
 def test_a_failing_method_leaves_the_others(seen: Seen, monkeypatch: pytest.MonkeyPatch) -> None:
-    find = responses.find_dots_by
+    measure = responses.measured_dots
 
-    def without_conic(image: GrayImage, *arguments: int, **options: object) -> object:
-        if "conic" in options["methods"]:  # type: ignore[operator]
+    def without_conic(sought: SoughtDots, method: Method) -> Dots:
+        if method == "conic":
             raise radwrap.InputError("no conic today")
-        return find(image, *arguments, **options)  # type: ignore[arg-type]
+        return measure(sought, method)
 
-    monkeypatch.setattr(responses, "find_dots_by", without_conic)
-    seen.found.clear()
-    gray = answer(Response("f", "focal_length", "mm", {"method": "gray", "draws": 4}), seen)
-    assert gray.value == pytest.approx(seen.scene.camera.focal_length, rel=0.05)
+    monkeypatch.setattr(responses, "measured_dots", without_conic)
+    seen.sought.clear()
     with pytest.raises(radwrap.InputError, match="no conic today"):
         answer(Response("f", "focal_length", "mm", {"method": "conic", "draws": 4}), seen)
+    gray = answer(Response("f", "focal_length", "mm", {"method": "gray", "draws": 4}), seen)
+    assert gray.value == pytest.approx(seen.scene.camera.focal_length, rel=0.05)
 
 
 @pytest.mark.parametrize(("rms", "methods"), [(0.5, METHODS), (0.0, ("gray",))])
