@@ -114,8 +114,8 @@ class GrayImage:
     @property
     def codes(self) -> NDArray[np.uint8] | NDArray[np.uint16]:
         """Gray levels as the camera sends them: uint8 up to 8 bits, else uint16."""
-        rounded = np.rint(self.values)
-        return rounded.astype(np.uint8) if self.bit_depth <= 8 else rounded.astype(np.uint16)
+        codes = np.empty(self.values.shape, dtype=np.uint8 if self.bit_depth <= 8 else np.uint16)
+        return np.rint(self.values, out=codes, casting="unsafe")
 
 
 def digest(pixels: NDArray[Any]) -> str:

@@ -32,7 +32,7 @@ from radwrap.imaging.exposure import radiant_exposure
 from radwrap.imaging.kernel import plan_kernel
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.replicates import Work, discretisation, trace_replicates
-from radwrap.imaging.sensor import gray_image, gray_levels
+from radwrap.imaging.sensor import GrayWhereAsked, gray_image, gray_levels
 from radwrap.imaging.survey import AIM_SHARE, met_by, middle_of, survey
 from radwrap.imaging.tracing import traced_scene
 from radwrap.imaging.view import PixelPlan, PixelSampling, View
@@ -285,7 +285,7 @@ def profile(overrides: dict[str, object]) -> dict[str, float]:
         spent["of it waiting for the tracer"] = sum(waited) / min(2, view.workers)
         radiance = replicates.mean
         discretisation(view, replicates)
-        gray = gray_levels(radiance * view.exposure_of_radiance, scene.camera.sensor)
+        gray = GrayWhereAsked(radiance, view.exposure_of_radiance, scene.camera.sensor)
         even = np.zeros(gray.shape, dtype=bool)
         sample = draw_pixels(gray, 512, (0, 10, 0), risky=even, pairs=(4, 4))
         errors = model_errors(view, plan.layers, sample, radiance.ravel()[sample.pixels], seed=(0, 11, 0))

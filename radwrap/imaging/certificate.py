@@ -22,7 +22,7 @@ from radwrap.imaging.bounds import Bounded, mean_squares, resampling
 from radwrap.imaging.falloff import opening_shares
 from radwrap.imaging.kernel import layer_shares
 from radwrap.imaging.rays import rays_over, sampled_radiance
-from radwrap.imaging.sensor import gray_levels
+from radwrap.imaging.sensor import GrayWhereAsked, gray_levels
 from radwrap.imaging.view import View, trace_rays
 from radwrap.scene.camera import Sensor
 
@@ -113,7 +113,7 @@ def places_of(pixels: NDArray[np.intp], columns: int) -> tuple[NDArray[np.float6
 
 
 def draw_pixels(
-    gray: NDArray[np.float64],
+    gray: NDArray[np.float64] | GrayWhereAsked,
     count: int,
     seed: tuple[int, ...],
     *,
@@ -135,7 +135,7 @@ def draw_pixels(
     pairs : tuple of int
         Pairs of rays for each pixel, and for each risky one.
     """
-    number = gray.size
+    number = math.prod(gray.shape)
     random = np.random.default_rng(seed)
     # Of a large image some pixels, drawn evenly, stand for all.
     drawn = random.choice(number, min(number, _LOOKED_AT), replace=False, shuffle=False)
@@ -158,7 +158,7 @@ def draw_pixels(
     return PixelSample(pixels, stratum, np.array(sizes) / len(drawn), numbers)
 
 
-def _change(gray: NDArray[np.float64], pixels: NDArray[np.intp]) -> NDArray[np.float64]:
+def _change(gray: NDArray[np.float64] | GrayWhereAsked, pixels: NDArray[np.intp]) -> NDArray[np.float64]:
     """How much gray changes from each pixel to the next ones."""
     row, column = np.divmod(pixels, gray.shape[1])
     here = gray[row, column]
@@ -312,7 +312,7 @@ def certify_by_independent_rays(
     pixels, rays : int
         Pixels that are held against two means of so many rays each.
     """
-    gray = gray_levels(radiance * view.exposure_of_radiance, view.camera.sensor)
+    gray = GrayWhereAsked(radiance, view.exposure_of_radiance, view.camera.sensor)
     sample = draw_pixels(gray, pixels, (seed, 3))
     errors = independent_errors(view, sample.pixels, radiance.ravel()[sample.pixels], rays=rays, seed=(seed, 4))
     square = errors.mean_square(sample, (seed, 5))

@@ -35,7 +35,7 @@ from radwrap.imaging.replicates import (
     replicates_needed,
     trace_replicates,
 )
-from radwrap.imaging.sensor import gray_levels
+from radwrap.imaging.sensor import GrayWhereAsked
 from radwrap.imaging.survey import AIM_SHARE, Survey, met_by, middle_of, predicted_rays, steps, survey
 from radwrap.imaging.view import View
 from radwrap.manifest import finite
@@ -389,7 +389,7 @@ class _Search:
         if isinstance(plan, RaysPlan) or view.camera.aperture.is_infinitesimal:
             quantile = noise_quantile(errors, noise) if self.demand.max_error is not None else None
             return certificate_of(NOTHING, noise, quantile, pixels=0, rays=0), None
-        gray = gray_levels(radiance * view.exposure_of_radiance, view.camera.sensor)
+        gray = GrayWhereAsked(radiance, view.exposure_of_radiance, view.camera.sensor)
         risky = steps(view, self.found.magnification, gray, _RISK_SHARE * self.demand.tolerance)
         while True:
             pixels, *pairs = _EFFORTS[self.effort]

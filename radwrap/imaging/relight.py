@@ -26,7 +26,7 @@ from radwrap.imaging.certificate import Certificate, PixelErrors, PixelSample, l
 from radwrap.imaging.kernel import grid_squares
 from radwrap.imaging.planner import certificate_of, model_quantile, noise_quantile
 from radwrap.imaging.replicates import looks, noise_of
-from radwrap.imaging.sensor import gray_image, gray_levels
+from radwrap.imaging.sensor import gray_levels, image_of_levels
 from radwrap.manifest import read_manifest
 from radwrap.scene.camera import Aperture, Camera, Lens, Sensor
 from radwrap.scene.linear_sensor import LinearSensor
@@ -346,9 +346,10 @@ class _Relighter:
         sensor = self._basis.sensor
         values = mean * self._basis.exposure_of_radiance
         exposure = ExposureImage(values.astype(np.float32).astype(np.float64), {"scene": self._basis.scene_sha256})
-        gray = gray_image(exposure, sensor)
+        levels = gray_levels(exposure.values, sensor)
+        gray = image_of_levels(levels, sensor, exposure.provenance)
         # Not of the rounded gray levels: rounding may reach a saturation that the pixel does not.
-        saturated = float(np.mean(gray_levels(exposure.values, sensor) >= sensor.saturation_gray))
+        saturated = float(np.mean(levels >= sensor.saturation_gray))
         return Relit(exposure, gray, certificate, saturated)
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -121,7 +123,23 @@ def trace_replicates(work: Work, plan: Plan, number: int, most: float = math.inf
     pieces = [_TilePiece(work, plan, name, replicate, tile) for replicate in range(number) for tile in tiles]
     # Pieces of earlier plans stay: a search that is killed goes through them again.
     remove_halves(work.folder)
-    due = [piece for piece in pieces if piece.read() is None]
+    sensor = work.view.camera.sensor
+    images = np.empty((number, sensor.rows, sensor.columns), dtype=np.float32)
+    told: dict[_TilePiece, Mapping[str, Any]] = {}
+
+    def lay(piece: _TilePiece, found: tuple[NDArray[np.float32], Mapping[str, Any]]) -> None:
+        r0, r1, c0, c1 = plan.tiles[piece.tile]
+        images[piece.replicate, r0:r1, c0:c1], told[piece] = found
+
+    def make(piece: _TilePiece) -> None:
+        lay(piece, piece.make())
+
+    due = []
+    for piece in pieces:
+        if (found := piece.read()) is None:
+            due.append(piece)
+        else:
+            lay(piece, found)
     # What is finished counts too: a run that goes on after a kill gives up where it would have without the kill.
     wanted = {piece.tile for piece in (due if math.isinf(most) else pieces)}
     run_jobs(
@@ -135,19 +153,12 @@ def trace_replicates(work: Work, plan: Plan, number: int, most: float = math.inf
         whole = taken + number * sum(central_rays(plan.grid, one) for one in cells)
         if whole > most:
             raise TooManyRays(taken, whole)
-    run_jobs([piece.make for piece in due], work.programs, work.view.workers)
-    sensor = work.view.camera.sensor
-    images = np.empty((number, sensor.rows, sensor.columns), dtype=np.float32)
+    run_jobs([partial(make, piece) for piece in due], work.programs, work.view.workers)
     grid_square, rays = 0.0, 0
     for piece in pieces:
-        found = piece.read()
-        if found is None:
-            raise EnvironmentFailure("was changed by somebody else", where=str(piece.path), remedy="run again")
-        pixels, metadata = found
-        rays += int(metadata["rays"])
         r0, r1, c0, c1 = plan.tiles[piece.tile]
-        images[piece.replicate, r0:r1, c0:c1] = pixels
-        grid_square += float(metadata["grid_square"]) * pixels.size / images.size
+        rays += int(told[piece]["rays"])
+        grid_square += float(told[piece]["grid_square"]) * (r1 - r0) * (c1 - c0) / images.size
     return Replicates(images, grid_square, rays, len(pieces) - len(due), _block(plan))
 
 
@@ -182,7 +193,8 @@ class _TilePiece:
     def read(self) -> tuple[NDArray[np.float32], dict[str, str]] | None:
         return read_piece(self.path, self._name)
 
-    def make(self) -> None:
+    def make(self) -> tuple[NDArray[np.float32], Mapping[str, Any]]:
+        """Make it, and give it as `read` does; the disk gave it back already when it was written."""
         work = self._work
         view = View(work.view.camera, work.view.tracer)
         seed = tile_seed(work.seed, self.replicate, self.tile)
@@ -192,7 +204,9 @@ class _TilePiece:
             values, found = traced.values, {"rays": traced.rays, "grid_square": 0.0}
         else:
             values, found = self._gathered(view, self._plan, seed)
-        write_piece(self.path, values.astype(np.float32), self._name, found)
+        pixels = values.astype(np.float32)
+        write_piece(self.path, pixels, self._name, found)
+        return pixels, found
 
     def _gathered(
         self, view: View, plan: KernelPlan, seed: tuple[int, ...]

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.images import ExposureImage, GrayImage
+from radwrap.images import ExposureImage, GrayImage, Provenance
 from radwrap.scene.camera import Sensor
 
 
@@ -27,19 +27,55 @@ def unclipped_gray(radiant_exposure: NDArray[np.float64], sensor: Sensor) -> NDA
         K H^gamma + G0; infinite where that overflows.
     """
     with np.errstate(over="ignore"):  # beyond saturation in any case
-        gray: NDArray[np.float64] = sensor.gain * np.power(radiant_exposure, sensor.gamma) + sensor.dark_gray
+        # In place: of a large image most of the time is that of new memory.
+        gray: NDArray[np.float64] = np.asarray(np.power(radiant_exposure, sensor.gamma))
+        gray *= sensor.gain
+        gray += sensor.dark_gray
     return gray
 
 
 def gray_levels(radiant_exposure: NDArray[np.float64], sensor: Sensor) -> NDArray[np.float64]:
     """Gray level with saturation, before rounding."""
-    return np.minimum(unclipped_gray(radiant_exposure, sensor), sensor.saturation_gray)
+    gray = unclipped_gray(radiant_exposure, sensor)
+    return np.minimum(gray, sensor.saturation_gray, out=gray)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GrayWhereAsked:
+    """Gray levels of an image of which few pixels are looked at: indexed like the array of all.
+
+    Attributes
+    ----------
+    radiance : ndarray, shape (rows, columns)
+        [W m^-2 sr^-1].
+    exposure_of_radiance : float
+        [J sr].
+    sensor : Sensor
+    """
+
+    radiance: NDArray[np.float64]
+    exposure_of_radiance: float
+    sensor: Sensor
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        rows, columns = self.radiance.shape
+        return rows, columns
+
+    def __getitem__(self, places: tuple[NDArray[np.intp], ...]) -> NDArray[np.float64]:
+        """Gray levels, saturated but not rounded, at rows and columns."""
+        return gray_levels(self.radiance[places] * self.exposure_of_radiance, self.sensor)
 
 
 def gray_image(exposure: ExposureImage, sensor: Sensor) -> GrayImage:
     """The image that the camera gives: Eq. 5, saturation, and rounding where the sensor rounds."""
-    gray = gray_levels(exposure.values, sensor)
-    return GrayImage(np.rint(gray) if sensor.rounding else gray, sensor.bit_depth, exposure.provenance)
+    return image_of_levels(gray_levels(exposure.values, sensor), sensor, exposure.provenance)
+
+
+def image_of_levels(gray: NDArray[np.float64], sensor: Sensor, provenance: Provenance) -> GrayImage:
+    """What the camera gives of gray levels, see `gray_levels`: rounded where the sensor rounds."""
+    return GrayImage(np.rint(gray) if sensor.rounding else gray, sensor.bit_depth, provenance)
 
 
 def radiant_exposure_of(gray: NDArray[np.float64], sensor: Sensor) -> NDArray[np.float64]:

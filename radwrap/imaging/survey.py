@@ -16,6 +16,7 @@ from radwrap.imaging.footprint import reach_px
 from radwrap.imaging.kernel import plan_kernel
 from radwrap.imaging.rays import ORDER, PILOT, gray_deviation, plan_rays, sampled_radiance
 from radwrap.imaging.replicates import replicates_needed
+from radwrap.imaging.sensor import GrayWhereAsked
 from radwrap.imaging.view import View, magnifications_at
 
 _SURVEY_SIDE: Final = 128  # rows and columns of the survey's grid of central rays, which are told distances alone
@@ -100,7 +101,9 @@ def middle_of(magnification: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.median(magnification, keepdims=True) if magnification.size else magnification
 
 
-def steps(view: View, magnification: NDArray[np.float64], gray: NDArray[np.float64], least: float) -> NDArray[np.bool_]:
+def steps(
+    view: View, magnification: NDArray[np.float64], gray: NDArray[np.float64] | GrayWhereAsked, least: float
+) -> NDArray[np.bool_]:
     """Pixels, shape (rows, columns), that gather light across a step in depth that may matter.
 
     Parameters

@@ -35,7 +35,7 @@ from radwrap.imaging.pieces import remove_pieces
 from radwrap.imaging.planner import choose
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.replicates import Work
-from radwrap.imaging.sensor import gray_image, gray_levels
+from radwrap.imaging.sensor import gray_levels, image_of_levels
 from radwrap.imaging.survey import survey
 from radwrap.imaging.tracing import TracedScene, laid_out
 from radwrap.imaging.truth import central_maps, geometry
@@ -330,18 +330,18 @@ class _Run:
         exact = radiant_exposure(radiance, camera, camera.aperture.area, {})
         # The gray image is Eq. 5 of the exposure as the file holds it, so that anybody can compute it again.
         stored = exact.values.astype(np.float32)
-        exposure = ExposureImage(stored.astype(np.float64))
-        gray = gray_image(exposure, sensor)
         unit = {"radwrap:unit": "J m^-2"}
-        with ThreadPoolExecutor() as pool:  # each waits for its own compression
+        with ThreadPoolExecutor() as pool:  # one file is compressed while the other one's levels are computed
             exr = pool.submit(write_exr, self.out / EXPOSURE, stored, channel="radiant_exposure", metadata=unit)
+            exposure = ExposureImage(stored.astype(np.float64))
+            levels = gray_levels(exposure.values, sensor)
+            gray = image_of_levels(levels, sensor, exposure.provenance)
             write_png(self.out / GRAY, gray.codes)
             exr.result()
         files = [EXPOSURE, GRAY]
         if not sensor.rounding:
             write_exr(self.out / UNROUNDED, gray.values.astype(np.float32), channel="gray")
             files.append(UNROUNDED)
-        levels = gray_levels(exposure.values, sensor)
         summary = {
             "radiant_exposure": _range(exposure.values),
             "gray": _range(gray.values),

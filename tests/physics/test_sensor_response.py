@@ -12,7 +12,14 @@ import pytest
 
 import radwrap
 from radwrap.images import ExposureImage
-from radwrap.imaging.sensor import gray_image, gray_levels, radiant_exposure_of, unclipped_gray, with_gamma
+from radwrap.imaging.sensor import (
+    GrayWhereAsked,
+    gray_image,
+    gray_levels,
+    radiant_exposure_of,
+    unclipped_gray,
+    with_gamma,
+)
 from radwrap.scene.camera import Sensor
 
 OFF_SATURATION = 1e-12  # asked for by the validation plan
@@ -104,6 +111,21 @@ def test_rounding() -> None:
     plain = gray_image(exposure, linear())
     assert plain.values == pytest.approx(np.array([[12.4, 12.6, 500.0, 4094.9, 4095.0]]), rel=OFF_SATURATION)
     assert plain.codes.tolist() == [[12, 13, 500, 4095, 4095]]
+
+
+def test_levels_where_asked_are_those_of_the_whole_image_and_leave_it_alone() -> None:
+    radiance = np.random.default_rng(1).uniform(0.0, 8.0, (6, 7))
+    before = radiance.copy()
+    asked = GrayWhereAsked(radiance, 0.0014, FIVS)
+    rows, columns = np.array([0, 5, 3]), np.array([6, 0, 2])
+    whole = gray_levels(radiance * 0.0014, FIVS)
+    assert asked.shape == whole.shape
+    assert np.array_equal(asked[rows, columns], whole[rows, columns])
+    assert np.array_equal(asked[np.ix_(rows, columns)], whole[np.ix_(rows, columns)])
+    assert np.array_equal(radiance, before)
+    exposure = radiance * 0.0014
+    gray_levels(exposure, FIVS)
+    assert np.array_equal(exposure, radiance * 0.0014)
 
 
 @pytest.mark.parametrize(
