@@ -72,8 +72,8 @@ def calibrate_camera(
     focal_length, kappa1, sx : float, optional
         What to hold where it is not free [m], [m^-2], [1]; kappa1 is 0 and sx is 1 unless given.
     near : CameraCalibration, optional
-        From images a little beside these, with the same held: its minimum is followed, in place of a search from the
-        linear stage. A mirror pose that has come to fit better meanwhile goes unseen.
+        From images a little beside these: its minimum is followed, in place of a search from the linear stage. A mirror
+        pose that has come to fit better meanwhile goes unseen.
 
     Returns
     -------
@@ -121,7 +121,7 @@ def calibrate_camera(
         tried = [refine(start, world, seen, firm, thorough=False) for start in starts]
         best = min(tried, key=lambda found: found.sse).camera
     else:
-        best = _camera_of(near, held)
+        best = _camera_of(near, held, wanted)
         starts = [best]
     if solver == "opencv":
         found = opencv_minimum(starts[0], world, seen, cloud.axes, wanted)
@@ -152,17 +152,17 @@ def calibrate_camera(
     )
 
 
-def _camera_of(near: CameraCalibration, held: Camera) -> Camera:
-    """The camera that a calibration found, where it is free, with the points' centroid for its origin."""
+def _camera_of(near: CameraCalibration, held: Camera, wanted: frozenset[str]) -> Camera:
+    """Where to start from a calibration: its pose and what is wanted, with the points' centroid for its origin."""
     turn = np.array(near.rotation)
     return moved(
         held,
         rotation=turn,
         position=turn @ held.origin + np.array(near.translation),
-        focal_length=near.focal_length,
-        kappa1=near.kappa1,
-        sx=near.sx,
-        centre=near.centre,
+        focal_length=near.focal_length if "focal_length" in wanted else held.focal_length,
+        kappa1=near.kappa1 if "distortion" in wanted else held.kappa1,
+        sx=near.sx if "sx" in wanted else held.sx,
+        centre=near.centre if "centre" in wanted else held.centre,
     )
 
 

@@ -28,7 +28,7 @@ def unclipped_gray(radiant_exposure: NDArray[np.float64], sensor: Sensor) -> NDA
     """
     with np.errstate(over="ignore"):  # beyond saturation in any case
         # In place: of a large image most of the time is that of new memory.
-        gray: NDArray[np.float64] = np.asarray(np.power(radiant_exposure, sensor.gamma))
+        gray: NDArray[np.float64] = np.asarray(np.power(radiant_exposure, float(sensor.gamma)))
         gray *= sensor.gain
         gray += sensor.dark_gray
     return gray

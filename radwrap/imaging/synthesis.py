@@ -331,9 +331,9 @@ class _Run:
         # The gray image is Eq. 5 of the exposure as the file holds it, so that anybody can compute it again.
         stored = exact.values.astype(np.float32)
         unit = {"radwrap:unit": "J m^-2"}
+        exposure = ExposureImage(stored.astype(np.float64))
         with ThreadPoolExecutor() as pool:  # one file is compressed while the other one's levels are computed
             exr = pool.submit(write_exr, self.out / EXPOSURE, stored, channel="radiant_exposure", metadata=unit)
-            exposure = ExposureImage(stored.astype(np.float64))
             levels = gray_levels(exposure.values, sensor)
             gray = image_of_levels(levels, sensor, exposure.provenance)
             write_png(self.out / GRAY, gray.codes)

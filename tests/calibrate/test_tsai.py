@@ -361,6 +361,18 @@ def test_search_from_a_near_calibration_ends_where_one_from_nothing_does(solver:
         assert abs(near.focal_length - first.focal_length) > 10 * share * alone.sigma.focal_length
 
 
+def test_a_near_calibration_says_nothing_of_what_is_held() -> None:
+    random = np.random.default_rng(8)
+    points = random.uniform(-0.06, 0.06, (40, 3))
+    noisy = pinhole(points, TURNED, POSITION, 0.0125) + random.normal(0.0, 0.05, (40, 2))
+    near = calibrated(points, noisy, free=EVERYTHING)
+    for solver in ("tsai", "opencv"):
+        found = calibrated(points, noisy, near=near, solver=solver)
+        assert (found.kappa1, found.sx, found.centre) == (0.0, 1.0, CENTRE)
+        assert found.focal_length == pytest.approx(calibrated(points, noisy, solver=solver).focal_length, rel=1e-6)
+    assert calibrated(points, noisy, near=near, free=(), focal_length=0.0126).focal_length == 0.0126
+
+
 @pytest.mark.parametrize("flat_board", [True, False])
 def test_long_lens_reaches_the_true_minimum(flat_board: bool) -> None:
     depth = None if flat_board else np.random.default_rng(12).uniform(1.8, 2.2, 300)

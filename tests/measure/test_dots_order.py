@@ -58,3 +58,14 @@ def test_leaving_out_walks_that_are_alike_changes_no_grid(
     assert np.array_equal(found.board, every.board)
     assert np.array_equal(found.image, every.image)
     assert np.array_equal(found.beyond, every.beyond)
+
+
+@pytest.mark.parametrize("rows_columns", [(2, 3), (2, 7), (7, 2), (3, 3)])
+@pytest.mark.parametrize("corner", [0, -1])
+def test_a_narrow_board_without_a_corner_is_not_sheared(rows_columns: tuple[int, int], corner: int) -> None:
+    """Sheared by a dot, the other dots fill two rows as well."""
+    rows, columns = rows_columns
+    board = np.array([(c, r) for r in range(rows) for c in range(columns)], dtype=float)
+    found = order(np.delete(board * 20 + 100, corner, axis=0), rows, columns)
+    assert found is not None
+    assert {tuple(place) for place in found.board.tolist()} == {tuple(p) for p in np.delete(board, corner, axis=0)}

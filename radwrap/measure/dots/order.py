@@ -237,7 +237,7 @@ def _placed(points: Points, nodes: dict[Index, int], rows: int, columns: int, le
     indices = np.array(list(nodes), dtype=np.int64)
     image = points[list(nodes.values())]
     best: tuple[int, NDArray[np.int64]] | None = None
-    for basis in _PLANE_BASES:
+    for basis in _least_sheared_first(indices, image):
         changed = indices @ basis.T
         for wide, high in {(columns, rows), (rows, columns)}:
             corner, inside = _fullest(changed, wide, high)
@@ -248,6 +248,13 @@ def _placed(points: Points, nodes: dict[Index, int], rows: int, columns: int, le
     if best is None or best[0] + len(nodes) < 2 * least:
         return None
     return _turned(best[1], image, rows, columns)
+
+
+def _least_sheared_first(indices: NDArray[np.int64], image: Points) -> list[NDArray[np.int64]]:
+    """Changes of basis, those with the shortest steps in the image first: others may fill a narrow grid as well."""
+    about, seen = indices - indices.mean(axis=0), image - image.mean(axis=0)
+    steps = np.linalg.lstsq(about, seen, rcond=None)[0]
+    return sorted(_PLANE_BASES, key=lambda basis: float(np.sum((np.linalg.inv(basis).T @ steps) ** 2)))
 
 
 def _fullest(indices: NDArray[np.int64], wide: int, high: int) -> tuple[NDArray[np.int64], int]:
