@@ -128,20 +128,21 @@ def folded(
     window : PixelWindow, optional
         Where in its box the pixel is sensitive; default all of it, alike.
     """
-    first_column, across = _overlaps(points[:, 0] + phase[1], cell, window.across if window else None)
-    first_row, along = _overlaps(points[:, 1] + phase[0], cell, window.down if window else None)
-    return Footprint((first_row, first_column), (along * weights[:, np.newaxis]).T @ across)
+    window = window or PixelWindow()
+    column, across = _shares(points[:, 0] + phase[1], cell, window.across)
+    row, along = _shares(points[:, 1] + phase[0], cell, window.down)
+    first = (int(row.min()), int(column.min()))
+    shape = (int(row.max()) - first[0] + along.shape[1], int(column.max()) - first[1] + across.shape[1])
+    corner = (row - first[0]) * shape[1] + column - first[1]
+    field = np.zeros(shape[0] * shape[1])
+    for i, j in np.ndindex(along.shape[1], across.shape[1]):
+        share = weights * along[:, i] * across[:, j]
+        field += np.bincount(corner + i * shape[1] + j, share, minlength=len(field))
+    return Footprint(first, field.reshape(shape))
 
 
-def _overlaps(
-    starts: NDArray[np.float64], cell: float, profile: Profile | None = None
-) -> tuple[int, NDArray[np.float64]]:
-    """Shares of pixel boxes, which begin at `starts` [px], that lie in each cell; and the first cell's number."""
-    low, high = starts / cell, (starts + 1) / cell
-    first, last = math.floor(low.min()), math.ceil(high.max())
-    if profile is not None:
-        borders = np.arange(first, last + 1) * cell - starts[:, np.newaxis] - 0.5
-        return first, np.diff(profile.share_below(borders), axis=1)
-    edges = np.arange(first, last)
-    inside = np.minimum(high[:, np.newaxis], edges + 1) - np.maximum(low[:, np.newaxis], edges)
-    return first, np.maximum(inside, 0.0) * cell
+def _shares(starts: NDArray[np.float64], cell: float, profile: Profile) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """First cells that pixels see whose boxes begin at `starts` [px], and the shares of these cells and the next."""
+    first = np.floor(starts / cell).astype(np.intp)
+    borders = first[:, np.newaxis] + np.arange(math.ceil(1 / cell) + 2)
+    return first, np.diff(profile.share_below(borders * cell - starts[:, np.newaxis] - 0.5), axis=1)

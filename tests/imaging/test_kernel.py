@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from radwrap.imaging.rays import plan_rays, sampled_radiance, traced_tile
 from radwrap.imaging.sensor import gray_levels
 from radwrap.imaging.view import View
 from radwrap.scene.camera import Aperture
+from radwrap.scene.pixel_window import PixelWindow, Profile, box, strips
 from tests.imaging.planes import Array, Texture, gray, view
 
 F = 0.01
@@ -210,6 +212,38 @@ def test_cells_larger_than_pixels_have_a_footprint_for_each_place() -> None:
     shifted = folded(points * 3, weights, 2.0, (1, 1))
     assert shifted.weights.sum() == pytest.approx(1, abs=1e-12)
     assert not np.allclose(shifted.weights[:3, :3], pairs.weights[:3, :3])
+
+
+@pytest.mark.parametrize("cell", [0.0625, 0.25, 1.0, 4.0])
+@pytest.mark.parametrize("window", [None, PixelWindow(box(0.6), strips((1.0, 0.0, 2.0)))])
+def test_footprints_are_the_sum_of_each_points_shares(cell: float, window: PixelWindow | None) -> None:
+    """Written down again cell by cell, for a few points anywhere."""
+    random = np.random.default_rng(3)
+    points, weights = random.uniform(-6, 6, (20, 2)), random.dirichlet(np.ones(20))
+    found = folded(points, weights, cell, (1, 2), window)
+    profiles = (window.down, window.across) if window else (Profile(), Profile())
+    expected = np.zeros(found.weights.shape)
+    for (x, y), weight in zip(points, weights, strict=True):
+        shares = []
+        for start, first, size, profile in zip((y + 1, x + 2), found.first, found.weights.shape, profiles, strict=True):
+            borders = (first + np.arange(size + 1)) * cell - (start + 0.5)
+            shares.append(np.diff(profile.share_below(borders)))
+        expected += weight * np.outer(*shares)
+    assert found.weights == pytest.approx(expected, abs=1e-15)
+    assert expected.sum() == pytest.approx(1, abs=1e-12)
+
+
+def test_a_wide_footprint_takes_memory_like_its_cells() -> None:
+    """55000 points and 550 x 550 cells: a share of each point in each row and column would be 500 MB."""
+    points, weights = opening_points(Aperture("round", 1.0), 1e-9)
+    tracemalloc.start()
+    try:
+        found = folded(points * 137, weights, 0.25)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert min(found.weights.shape) > 500
+    assert peak < 5e7
 
 
 @pytest.mark.parametrize("make", [lambda x, y: np.where(np.hypot(x, y) < 9e-3, 1.0, 0.3)])
