@@ -243,37 +243,43 @@ def model_lacks(
     rays : int
         How many were traced.
     """
+    # Both halves of all parts in one call, which the workers share.
+    parts = [np.flatnonzero(sample.pairs == pairs) for pairs in np.unique(sample.pairs).tolist()]
+    drawn = []
+    for part in parts:
+        pairs = int(sample.pairs[part[0]])
+        u, v = places_of(np.tile(sample.pixels[part], 2), view.camera.sensor.columns)
+        drawn.append(rays_over(view.camera, u, v, pairs, np.random.default_rng((*seed, pairs))))
+    opening, places_u, places_v = (np.concatenate(arrays) for arrays in zip(*drawn, strict=True))
+    differences = _pair_differences(view, layers, opening, places_u, places_v)
     lacks = np.empty((2, len(sample.pixels)))
-    rays = 0
-    for pairs in np.unique(sample.pairs).tolist():
-        part = np.flatnonzero(sample.pairs == pairs)
-        random = np.random.default_rng((*seed, pairs))
-        # Both halves in one call, which the workers share.
-        differences = _pair_differences(view, layers, np.tile(sample.pixels[part], 2), pairs, random)
-        lacks[:, part] = differences.mean(axis=1).reshape(2, -1)
-        rays += (1 + len(layers)) * differences.size
-    return lacks, rays
+    for part, some in zip(parts, np.split(differences, np.cumsum([len(u) for _, u, _ in drawn])[:-1]), strict=True):
+        lacks[:, part] = some.reshape(2, len(part), -1).mean(axis=2)
+    return lacks, (1 + len(layers)) * len(differences)
 
 
 def _pair_differences(
-    view: View, layers: tuple[float, ...], pixels: NDArray[np.intp], pairs: int, random: np.random.Generator
+    view: View,
+    layers: tuple[float, ...],
+    opening: NDArray[np.float64],
+    u: NDArray[np.float64],
+    v: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Ray less what the kernel takes in its place, shape (pixels, pairs)."""
-    u, v = places_of(pixels, view.camera.sensor.columns)
-    opening, places_u, places_v = rays_over(view.camera, u, v, pairs, random)
-    difference, _ = trace_rays(view, opening, places_u, places_v, alone=True)
-    shares = opening_shares(view.camera, opening)
+    """Value of each ray less what the kernel takes in its place, shape (n,)."""
+    camera = view.camera
+    difference, _ = trace_rays(view, opening, u, v, alone=True)
+    shares = opening_shares(camera, opening)
     for number, layer in enumerate(layers):
         central, magnification = trace_rays(
             view,
             None,
-            places_u + layer * opening[:, 0] / view.camera.sensor.pixel_width,
-            places_v + layer * opening[:, 1] / view.camera.sensor.pixel_height,
+            u + layer * opening[:, 0] / camera.sensor.pixel_width,
+            v + layer * opening[:, 1] / camera.sensor.pixel_height,
             with_depth=len(layers) > 1,
             alone=True,
         )
         difference -= central * shares * layer_shares(layers, magnification)[number]
-    return difference.reshape(len(u), pairs)
+    return difference
 
 
 def independent_errors(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -119,8 +119,10 @@ def trace_replicates(work: Work, plan: Plan, number: int, most: float = math.inf
     """
     name = sha256_of_value({"scene": work.scene_sha256, "plan": plan, "seed": work.seed})
     tiles = range(len(plan.tiles))
-    decided = [_CellsPiece(work, plan, name, tile) for tile in tiles] if isinstance(plan, KernelPlan) else []
-    pieces = [_TilePiece(work, plan, name, replicate, tile) for replicate in range(number) for tile in tiles]
+    shared = _among(work, len(tiles))
+    decided = [_CellsPiece(shared, plan, name, tile) for tile in tiles] if isinstance(plan, KernelPlan) else []
+    shared = _among(work, number * len(tiles))
+    pieces = [_TilePiece(shared, plan, name, replicate, tile) for replicate in range(number) for tile in tiles]
     # Pieces of earlier plans stay: a search that is killed goes through them again.
     remove_halves(work.folder)
     sensor = work.view.camera.sensor
@@ -162,6 +164,11 @@ def trace_replicates(work: Work, plan: Plan, number: int, most: float = math.inf
     return Replicates(images, grid_square, rays, len(pieces) - len(due), _block(plan))
 
 
+def _among(work: Work, jobs: int) -> Work:
+    """The work of each of some jobs that run at a time: with its share of the workers."""
+    return replace(work, view=replace(work.view, workers=max(1, work.view.workers // jobs)))
+
+
 def _block(plan: Plan) -> tuple[int, int]:
     """Rows and columns over which errors hang together [px].
 
@@ -196,23 +203,21 @@ class _TilePiece:
     def make(self) -> tuple[NDArray[np.float32], Mapping[str, Any]]:
         """Make it, and give it as `read` does; the disk gave it back already when it was written."""
         work = self._work
-        view = View(work.view.camera, work.view.tracer)
         seed = tile_seed(work.seed, self.replicate, self.tile)
         log_call(work.folder, self.path.stem)
         if isinstance(self._plan, RaysPlan):
-            traced = traced_tile(view, self._plan, self.tile, seed, work.progress.add)
+            traced = traced_tile(work.view, self._plan, self.tile, seed, work.progress.add)
             values, found = traced.values, {"rays": traced.rays, "grid_square": 0.0}
         else:
-            values, found = self._gathered(view, self._plan, seed)
+            values, found = self._gathered(self._plan, seed)
         pixels = values.astype(np.float32)
         write_piece(self.path, pixels, self._name, found)
         return pixels, found
 
-    def _gathered(
-        self, view: View, plan: KernelPlan, seed: tuple[int, ...]
-    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
-        cells = _CellsPiece(self._work, plan, self._whole, self.tile).cells()
-        gathered = gathered_tile(view, plan, self.tile, cells, seed=seed, progress=self._work.progress.add)
+    def _gathered(self, plan: KernelPlan, seed: tuple[int, ...]) -> tuple[NDArray[np.float64], dict[str, Any]]:
+        work = self._work
+        cells = _CellsPiece(work, plan, self._whole, self.tile).cells()
+        gathered = gathered_tile(work.view, plan, self.tile, cells, seed=seed, progress=work.progress.add)
         # The rays that decided the cells are counted once.
         rays = gathered.central.rays + (cells.rays if self.replicate == 0 else 0)
         grid_square = gathered.grid_square(plan.grid.exposure_of_radiance, plan.camera.sensor)
@@ -232,9 +237,8 @@ class _CellsPiece:
 
     def make(self) -> None:
         work = self._work
-        view = View(work.view.camera, work.view.tracer)
         log_call(work.folder, self.path.stem)
-        cells = decide_tile(view, self._plan, self.tile, cells_seed(work.seed, self.tile), work.progress.add)
+        cells = decide_tile(work.view, self._plan, self.tile, cells_seed(work.seed, self.tile), work.progress.add)
         told = {
             "first_row": cells.first[0],
             "first_column": cells.first[1],
