@@ -226,6 +226,17 @@ def test_gaussian_widths(bench: Any, definition: str, at: float, share: float, w
     assert found == pytest.approx(np.array([1.0, level * share]), rel=POINT_SOURCE)
 
 
+@pytest.mark.parametrize("sigma", [1e-7, 1e-2, 1.0])
+def test_narrow_beams(bench: Any, sigma: float) -> None:
+    """Angles too small to be told by their cosine, and those at 2 mrad, where the cosine takes over; sigma in mrad."""
+    beam = {"profile": "gaussian", "width": f"{sigma!r} mrad", "width_definition": "sigma"}
+    shares = (0.0, 0.5, 1.0, 1.5, 1.99, 2.01, 2.5, 3.0)
+    cases = [at_angle(math.degrees(1e-3 * sigma * share)) for share in shares]
+    found = measured(bench, led(bench, beam), [point for point, _ in cases])
+    expected = np.array([level for _, level in cases]) * np.exp(-np.square(shares) / 2)
+    assert found == pytest.approx(expected, rel=POINT_SOURCE)
+
+
 @pytest.mark.parametrize(("definition", "half"), [("fwhm", 10.0), ("half_angle", 20.0)])
 def test_cone_widths(bench: Any, definition: str, half: float) -> None:
     """Isotropic up to the rim, dark beyond: half the full width, or the whole half angle, of 20 degrees."""
