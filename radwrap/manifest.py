@@ -6,8 +6,11 @@ import dataclasses
 import hashlib
 import json
 import math
+import os
 import platform
+import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import MappingProxyType
@@ -28,7 +31,7 @@ def versions() -> dict[str, str]:
     found = {
         "radwrap": version("radwrap"),
         "python": platform.python_version(),
-        "platform": platform.platform(),
+        "platform": _platform(),
     }
     for package in _PACKAGES:
         try:
@@ -36,6 +39,16 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             found[package] = "not installed"
     return found
+
+
+def _platform() -> str:
+    """System, machine and C library; `platform.platform` would read Python's whole program for the last."""
+    system = platform.uname()
+    known = [system.system, system.release, system.machine]
+    if sys.platform == "linux":
+        with suppress(OSError, ValueError):  # another C library than GNU's
+            known += (os.confstr("CS_GNU_LIBC_VERSION") or "").split()
+    return "-".join(known)
 
 
 def plain(value: Any) -> Any:

@@ -108,7 +108,10 @@ RotationOrder = Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
 class Model(BaseModel):
     """A table of the scene file; an unknown key is an error."""
 
-    model_config: ClassVar[ConfigDict] = ConfigDict(extra="forbid", frozen=True, validate_default=True)
+    # Built when a scene is read, all tables at once: each by itself would hold its own copy of those inside it.
+    model_config: ClassVar[ConfigDict] = ConfigDict(
+        extra="forbid", frozen=True, validate_default=True, defer_build=True
+    )
 
 
 def default(value: Any) -> Any:
