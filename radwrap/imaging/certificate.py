@@ -255,7 +255,12 @@ def model_lacks(
     lacks = np.empty((2, len(sample.pixels)))
     for part, some in zip(parts, np.split(differences, np.cumsum([len(u) for _, u, _ in drawn])[:-1]), strict=True):
         lacks[:, part] = some.reshape(2, len(part), -1).mean(axis=2)
-    return lacks, (1 + len(layers)) * len(differences)
+    return lacks, rays_of_lacks(layers, sample)
+
+
+def rays_of_lacks(layers: tuple[float, ...], sample: PixelSample) -> int:
+    """How many rays `model_lacks` takes."""
+    return 2 * (1 + len(layers)) * int(sample.pairs.sum())
 
 
 def _pair_differences(

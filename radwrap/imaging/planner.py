@@ -23,6 +23,7 @@ from radwrap.imaging.certificate import (
     PixelSample,
     draw_pixels,
     model_errors,
+    rays_of_lacks,
     root,
 )
 from radwrap.imaging.kernel import KernelPlan, plan_kernel
@@ -66,7 +67,6 @@ _FINEST: Final = 2
 _COARSE_TOLERANCE: Final = 0.25
 # Pixels of the model's certificate, and pairs of each: where depth is even, and near steps; tried in turn.
 _EFFORTS: Final = ((512, 4, 16), (1024, 8, 32), (1024, 16, 128), (2048, 64, 1024))
-_NEXT_EFFORT: Final = 4  # times the rays of the one before, about
 # A 99 % quantile without an exceedance among so many: 97.5 % sure of each half's 99.5 %.
 _QUANTILE_PIXELS: Final = 1024
 _QUANTILE: Final = 0.995
@@ -236,6 +236,7 @@ class _Search:
         self.fewest = FEWEST
         self.last_model = NOTHING
         self.was_over = False
+        self.pairs: dict[int, int] = {}  # of rays that a certificate took, by its effort
 
     def run(self) -> Outcome:
         method, why = self.choice.method, self.choice.why
@@ -391,23 +392,25 @@ class _Search:
             return certificate_of(NOTHING, noise, quantile, pixels=0, rays=0), None
         gray = GrayWhereAsked(radiance, view.exposure_of_radiance, view.camera.sensor)
         risky = steps(view, self.found.magnification, gray, _RISK_SHARE * self.demand.tolerance)
-        while True:
-            pixels, *pairs = _EFFORTS[self.effort]
+        for effort in range(self.effort, len(_EFFORTS)):
+            pixels, *pairs = _EFFORTS[effort]
             if self.demand.max_error is not None:
                 pixels = max(pixels, _QUANTILE_PIXELS)
-            sample = draw_pixels(gray, pixels, (seed, 10, self.effort), risky=risky, pairs=(pairs[0], pairs[1]))
+            drawn = draw_pixels(gray, pixels, (seed, 10, effort), risky=risky, pairs=(pairs[0], pairs[1]))
+            # The first must be, whatever it takes.
+            if effort > self.effort and self.spent + rays_of_lacks(plan.layers, drawn) > self.demand.budget.rays:
+                break
+            self.effort, sample = effort, drawn
+            self.pairs[effort] = int(drawn.pairs.sum())
             at = radiance.ravel()[sample.pixels]
-            found = model_errors(view, plan.layers, sample, at, seed=(seed, 11, self.effort))
+            found = model_errors(view, plan.layers, sample, at, seed=(seed, 11, effort))
             self.spent += found.rays
-            model = found.mean_square(sample, (seed, 12, self.effort))
+            model = found.mean_square(sample, (seed, 12, effort))
             wanted = self.demand.tolerance**2
             enough = model.upper + noise.upper <= wanted or max(model.mean, 0.0) + noise.mean > wanted
             # More pairs help where the bound is wide, not the error large.
-            if enough or noise.upper > wanted or self.effort == len(_EFFORTS) - 1:
+            if enough or noise.upper > wanted:
                 break
-            if self.spent + _NEXT_EFFORT * found.rays > self.demand.budget.rays:
-                break
-            self.effort += 1
         self.last_model = model
         quantile = None
         if self.demand.max_error is not None:
@@ -415,11 +418,12 @@ class _Search:
         return certificate_of(model, noise, quantile, pixels=len(sample.pixels), rays=found.rays), sample
 
     def _certificate_rays(self, plan: KernelPlan | RaysPlan) -> int:
-        """The fewest that a certificate takes."""
+        """What a certificate takes as the last one did, or the fewest where there was none."""
         if isinstance(plan, RaysPlan) or plan.camera.aperture.is_infinitesimal:
             return 0
-        pixels, pairs, _ = _EFFORTS[self.effort]
-        return 2 * (1 + len(plan.layers)) * pairs * min(pixels, plan.camera.sensor.pixels)
+        pixels, each, _ = _EFFORTS[self.effort]
+        pairs = self.pairs.get(self.effort, each * min(pixels, plan.camera.sensor.pixels))
+        return 2 * (1 + len(plan.layers)) * pairs
 
     def _is_spent(self, outcome: Outcome) -> bool:
         """Whether another attempt, which takes about twice the rays at least, would pass the budget."""

@@ -180,7 +180,7 @@ def test_the_planner_takes_the_kernel_where_it_holds(tolerance: float, tmp_path:
     assert true_rms(seen, outcome.radiance) <= outcome.certificate.rms_gray_upper95 + 0.1  # the truth's own noise
 
 
-def test_the_planner_notices_where_the_kernel_does_not_hold(tmp_path: Path) -> None:
+def hidden_by_an_edge(rows: int, columns: int) -> View:
     """Right before the pinhole something hides other parts of the plane behind from each point of the opening."""
 
     def near(x: Array, y: Array) -> Array:
@@ -189,7 +189,11 @@ def test_the_planner_notices_where_the_kernel_does_not_hold(tmp_path: Path) -> N
     def behind(x: Array, y: Array) -> Array:
         return np.where(y > 0, 1.0, 0.2)
 
-    seen = view(ROUND, (3 * F, near), (1.0, behind), rows=10, columns=16)
+    return view(ROUND, (3 * F, near), (1.0, behind), rows=rows, columns=columns)
+
+
+def test_the_planner_notices_where_the_kernel_does_not_hold(tmp_path: Path) -> None:
+    seen = hidden_by_an_edge(rows=10, columns=16)
     outcome = search(seen, tmp_path, Demand(0.4))
     assert outcome.method == "rays" and outcome.met
     assert true_rms(seen, outcome.radiance, 2048) <= outcome.certificate.rms_gray_upper95 + 0.1  # the truth's own noise
@@ -271,6 +275,23 @@ def test_a_small_budget_is_not_overspent(tmp_path: Path) -> None:
     dear = search(seen, tmp_path / "dear", Demand(0.05, method="rays"))
     cheap = search(seen, tmp_path / "cheap", Demand(0.05, method="rays", budget=Budget(rays=1e5)))
     assert not cheap.met and cheap.plan["rays"] < 2e5 < dear.plan["rays"]
+
+
+def test_a_certificate_takes_what_a_budget_leaves_and_no_more(tmp_path: Path) -> None:
+    """What more pairs of rays take is known before: they are traced where the budget suffices to the ray."""
+
+    def within(rays: float) -> Outcome:
+        folder = tmp_path / str(rays)
+        return search(hidden_by_an_edge(20, 32), folder, Demand(4.0, method="kernel", budget=Budget(rays=rays)))
+
+    free = within(math.inf)
+    whole = free.plan["rays"]
+    assert free.met and len(free.plan["attempts"]) == 1
+    assert within(whole).plan == free.plan
+    for less in (whole - 1, whole // 2):
+        found = within(less)
+        assert not found.met and found.certificate.certificate_rays < free.certificate.certificate_rays
+        assert found.plan["rays"] <= less
 
 
 @dataclass
