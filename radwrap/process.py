@@ -26,10 +26,12 @@ from radwrap.errors import EnvironmentFailure, TracerError
 
 if sys.platform != "win32":
     import fcntl
+    import termios
 
 _PIPE_BYTES = 1 << 20
 _STDERR_BYTES_KEPT = 1 << 16
 _TICK = 0.5  # s between looks at the clock while a program is silent
+_NAP = 4  # ms between looks at a pipe that is more than half full
 _LOOK = 0.1  # s between looks at what matters beside a program
 
 
@@ -264,7 +266,8 @@ class _Feeder(threading.Thread):
             for chunk in self._chunks:
                 view = memoryview(chunk).cast("B")
                 while view and not self._stopped:
-                    written = pipe.write(view[:_PIPE_BYTES])
+                    self._wait_for_room(pipe)
+                    written = pipe.write(view[: _PIPE_BYTES // 2])
                     view = view[written:]
                     self.last_progress = time.monotonic()
                 if self._stopped:
@@ -277,6 +280,18 @@ class _Feeder(threading.Thread):
         finally:
             with suppress(OSError):
                 pipe.close()
+
+    def _wait_for_room(self, pipe: IO[bytes]) -> None:
+        """Wait until half of the pipe is free: each 4 KiB that are read from a full one would wake us."""
+        if sys.platform != "linux" or fcntl.fcntl(pipe, fcntl.F_GETPIPE_SZ) < _PIPE_BYTES:
+            return
+        reader = select.poll()
+        reader.register(pipe, 0)  # of its end alone
+        before = 0
+        while (held := _held(pipe)) > _PIPE_BYTES // 2 and not self._stopped and not reader.poll(_NAP):
+            if held != before:
+                self.last_progress = time.monotonic()
+            before = held
 
 
 class _Listener(threading.Thread):
@@ -350,6 +365,11 @@ def _widen_pipes(program: subprocess.Popen[bytes]) -> None:
         if pipe is not None:
             with suppress(OSError):
                 fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
+
+
+def _held(pipe: IO[bytes]) -> int:
+    """Bytes that are in a pipe."""
+    return int.from_bytes(fcntl.ioctl(pipe, termios.FIONREAD, bytes(4)), sys.byteorder)
 
 
 def _limit(program: subprocess.Popen[bytes], limits: Limits) -> None:

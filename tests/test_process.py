@@ -1,6 +1,7 @@
 """Programs are run without a shell, watched, and never left behind."""
 
 import os
+import resource
 import sys
 import threading
 import time
@@ -172,3 +173,13 @@ def test_what_is_seen_meanwhile_ends_an_attended_program(tmp_path: Path) -> None
     with pytest.raises(EnvironmentFailure, match="the light is gone"):
         attend(f"import time; open('begun', 'x'); time.sleep({PATIENCE})", tmp_path, look)
     assert time.monotonic() - begin < PATIENCE / 2
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells what a pipe holds")
+def test_a_program_that_reads_slowly_wakes_us_seldom(tmp_path: Path) -> None:
+    """16 MiB in 4 KiB at a time: a feeder that waits at a full pipe would be woken for each, 4096 times."""
+    code = "import sys\nn = 0\nwhile b := sys.stdin.buffer.raw.read(4096): n += sum(b) & 1"
+    block = os.urandom(1 << 20)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_nvcsw
+    run(code, tmp_path, stdin=(block for _ in range(16)))
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_nvcsw - before < 1000
