@@ -148,3 +148,11 @@ def test_libraries_are_loaded_where_an_interrupt_is_caught() -> None:
     words = [sys.executable, "-c", "import sys, radwrap.cli.main; print(*sys.modules)"]
     loaded = subprocess.run(words, capture_output=True, text=True, check=True, timeout=60).stdout.split()
     assert heavy & set(loaded) == set()
+
+
+def test_a_program_ends_with_its_code_and_with_what_others_left_for_the_end() -> None:
+    code = "import atexit, sys; atexit.register(print, 'bye'); from radwrap.cli.main import program; program()"
+    words = [sys.executable, "-c", code, "render", "none.toml", "--out", "none"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=60)
+    assert (done.returncode, done.stdout) == (2, "bye\n")
+    assert done.stderr.startswith("radwrap: none.toml: ") and done.stderr.count("\n") == 1
