@@ -45,17 +45,12 @@ _MODULES: Final = {
 }
 
 
-# Objects that are made before Python looks for garbage among them; with its own 700 it looks in vain while it loads.
-_OBJECTS: Final = 50_000
-
-
 def program() -> NoReturn:
     """Run the command as a process of its own, and end that with its exit code.
 
-    To look for garbage among what is loaded, and to free it piece by piece at
-    the end, would take a tenth of a small run's time.
+    To free piece by piece what the process leaves behind would take some per
+    cent of a small run's time.
     """
-    gc.set_threshold(_OBJECTS)
     code = main()
     if threading.active_count() > 1:
         sys.exit(code)
@@ -72,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         signal.signal(number, _interrupt)
     try:
         given = sys.argv[1:] if arguments is None else list(arguments)
-        parsed = _parser(given).parse_args(given)
+        parsed = _parsed(given)
         code: int = parsed.run(parsed)
         sys.stdout.flush()
         return code
@@ -120,6 +115,16 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         raise InputError(message, remedy=f"see `{self.prog} --help`")
+
+
+def _parsed(arguments: Sequence[str]) -> argparse.Namespace:
+    looks = gc.isenabled()
+    gc.disable()  # among what is loaded here there is no garbage: to look for it is time lost
+    try:
+        return _parser(arguments).parse_args(arguments)
+    finally:
+        if looks:
+            gc.enable()
 
 
 def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
