@@ -283,15 +283,18 @@ class _Feeder(threading.Thread):
 
     def _wait_for_room(self, pipe: IO[bytes]) -> None:
         """Wait until half of the pipe is free: each 4 KiB that are read from a full one would wake us."""
-        if sys.platform != "linux" or fcntl.fcntl(pipe, fcntl.F_GETPIPE_SZ) < _PIPE_BYTES:
+        if sys.platform != "linux":
             return
-        reader = select.poll()
-        reader.register(pipe, 0)  # of its end alone
-        before = 0
-        while (held := _held(pipe)) > _PIPE_BYTES // 2 and not self._stopped and not reader.poll(_NAP):
-            if held != before:
-                self.last_progress = time.monotonic()
-            before = held
+        with suppress(OSError):  # who cannot ask writes on
+            if fcntl.fcntl(pipe, fcntl.F_GETPIPE_SZ) < _PIPE_BYTES:
+                return
+            reader = select.poll()
+            reader.register(pipe, 0)  # of its end alone
+            before = 0
+            while (held := _held(pipe)) > _PIPE_BYTES // 2 and not self._stopped and not reader.poll(_NAP):
+                if held != before:
+                    self.last_progress = time.monotonic()
+                before = held
 
 
 class _Listener(threading.Thread):

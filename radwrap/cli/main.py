@@ -51,6 +51,9 @@ def program() -> NoReturn:
     To free piece by piece what the process leaves behind would take some per
     cent of a small run's time.
     """
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed by who started us
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
     code = main()
     if threading.active_count() > 1:
         sys.exit(code)
@@ -74,14 +77,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _interrupted()
     except RadwrapError as error:
-        print(f"radwrap: {error}", file=sys.stderr)
+        _tell(str(error))
         return error.exit_code
     except BrokenPipeError:
         # Whoever read our output has gone; Python must not try to flush it again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EnvironmentFailure.exit_code
     except (OSError, MemoryError) as error:
-        print(f"radwrap: {_one_line(error)}", file=sys.stderr)
+        _tell(_one_line(error))
         return EnvironmentFailure.exit_code
     except Exception:  # noqa: BLE001  (an error of ours: all of it is shown)
         if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -92,8 +95,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _interrupted() -> int:
-    print("radwrap: interrupted; the same command goes on where it was", file=sys.stderr)
+    _tell("interrupted; the same command goes on where it was")
     return INTERRUPTED
+
+
+def _tell(what: str) -> None:
+    with suppress(OSError):  # nobody can be told, but the exit code is right
+        print(f"radwrap: {what}", file=sys.stderr)
 
 
 def _interrupt(*_: object) -> None:

@@ -393,9 +393,7 @@ class _Search:
         gray = GrayWhereAsked(radiance, view.exposure_of_radiance, view.camera.sensor)
         risky = steps(view, self.found.magnification, gray, _RISK_SHARE * self.demand.tolerance)
         for effort in range(self.effort, len(_EFFORTS)):
-            pixels, *pairs = _EFFORTS[effort]
-            if self.demand.max_error is not None:
-                pixels = max(pixels, _QUANTILE_PIXELS)
+            pixels, *pairs = self._pixels_and_pairs(effort)
             drawn = draw_pixels(gray, pixels, (seed, 10, effort), risky=risky, pairs=(pairs[0], pairs[1]))
             # The first must be, whatever it takes.
             if effort > self.effort and self.spent + rays_of_lacks(plan.layers, drawn) > self.demand.budget.rays:
@@ -417,12 +415,16 @@ class _Search:
             quantile = noise_quantile(errors, noise) + model_quantile(found, sample)
         return certificate_of(model, noise, quantile, pixels=len(sample.pixels), rays=found.rays), sample
 
+    def _pixels_and_pairs(self, effort: int) -> tuple[int, int, int]:
+        pixels, even, risky = _EFFORTS[effort]
+        return (pixels if self.demand.max_error is None else max(pixels, _QUANTILE_PIXELS)), even, risky
+
     def _certificate_rays(self, plan: KernelPlan | RaysPlan) -> int:
         """What a certificate takes as the last one did, or the fewest where there was none."""
         if isinstance(plan, RaysPlan) or plan.camera.aperture.is_infinitesimal:
             return 0
-        pixels, each, _ = _EFFORTS[self.effort]
-        pairs = self.pairs.get(self.effort, each * min(pixels, plan.camera.sensor.pixels))
+        pixels, even, _ = self._pixels_and_pairs(self.effort)
+        pairs = self.pairs.get(self.effort, even * min(pixels, plan.camera.sensor.pixels))
         return 2 * (1 + len(plan.layers)) * pairs
 
     def _is_spent(self, outcome: Outcome) -> bool:

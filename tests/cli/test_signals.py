@@ -150,8 +150,29 @@ def test_libraries_are_loaded_where_an_interrupt_is_caught() -> None:
     assert heavy & set(loaded) == set()
 
 
+_PROGRAM = "import sys; {}; from radwrap.cli.main import program; program()"
+
+
+@pytest.mark.parametrize("closed", ["sys.stdout = None", "sys.stderr = None", "sys.stdout = sys.stderr = None"])
+@pytest.mark.parametrize(("words", "code"), [(["schema"], 0), (["render", "none.toml", "--out", "none"], 2)])
+def test_closed_streams_change_no_exit_code(closed: str, words: list[str], code: int) -> None:
+    """As Python leaves them where whoever starts it has closed them."""
+    done = subprocess.run(
+        [sys.executable, "-c", _PROGRAM.format(closed), *words], capture_output=True, check=False, timeout=60
+    )
+    assert done.returncode == code
+    assert b"Traceback" not in done.stderr
+    assert b"radwrap:" not in done.stdout
+
+
+def test_a_message_that_nobody_can_read_changes_no_exit_code() -> None:
+    with Path("/dev/full").open("wb") as full:
+        words = [sys.executable, "-c", _PROGRAM.format("pass"), "render", "none.toml", "--out", "none"]
+        assert subprocess.run(words, stderr=full, check=False, timeout=60).returncode == 2
+
+
 def test_a_program_ends_with_its_code_and_with_what_others_left_for_the_end() -> None:
-    code = "import atexit, sys; atexit.register(print, 'bye'); from radwrap.cli.main import program; program()"
+    code = _PROGRAM.format("import atexit; atexit.register(print, 'bye')")
     words = [sys.executable, "-c", code, "render", "none.toml", "--out", "none"]
     done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=60)
     assert (done.returncode, done.stdout) == (2, "bye\n")
