@@ -89,8 +89,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception:  # noqa: BLE001  (an error of ours: all of it is shown)
         if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
             return _interrupted()  # the interrupt came where a library turned it into an error of its own
-        traceback.print_exc()
-        print("radwrap: this is an error in radwrap itself; please report it", file=sys.stderr)
+        with suppress(OSError):
+            traceback.print_exc()
+        _tell("this is an error in radwrap itself; please report it")
         return EnvironmentFailure.exit_code
 
 

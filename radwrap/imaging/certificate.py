@@ -244,10 +244,10 @@ def model_lacks(
         How many were traced.
     """
     # Both halves of all parts in one call, which the workers share.
-    parts = [np.flatnonzero(sample.pairs == pairs) for pairs in np.unique(sample.pairs).tolist()]
+    numbers = np.unique(sample.pairs).tolist()
+    parts = [np.flatnonzero(sample.pairs == pairs) for pairs in numbers]
     drawn = []
-    for part in parts:
-        pairs = int(sample.pairs[part[0]])
+    for part, pairs in zip(parts, numbers, strict=True):
         u, v = places_of(np.tile(sample.pixels[part], 2), view.camera.sensor.columns)
         drawn.append(rays_over(view.camera, u, v, pairs, np.random.default_rng((*seed, pairs))))
     opening, places_u, places_v = (np.concatenate(arrays) for arrays in zip(*drawn, strict=True))
@@ -255,12 +255,12 @@ def model_lacks(
     lacks = np.empty((2, len(sample.pixels)))
     for part, some in zip(parts, np.split(differences, np.cumsum([len(u) for _, u, _ in drawn])[:-1]), strict=True):
         lacks[:, part] = some.reshape(2, len(part), -1).mean(axis=2)
-    return lacks, rays_of_lacks(layers, sample)
+    return lacks, rays_of_lacks(layers, int(sample.pairs.sum()))
 
 
-def rays_of_lacks(layers: tuple[float, ...], sample: PixelSample) -> int:
-    """How many rays `model_lacks` takes."""
-    return 2 * (1 + len(layers)) * int(sample.pairs.sum())
+def rays_of_lacks(layers: tuple[float, ...], pairs: int) -> int:
+    """How many rays `model_lacks` takes, by the sum of all pixels' pairs."""
+    return 2 * (1 + len(layers)) * pairs
 
 
 def _pair_differences(

@@ -393,13 +393,14 @@ class _Search:
         gray = GrayWhereAsked(radiance, view.exposure_of_radiance, view.camera.sensor)
         risky = steps(view, self.found.magnification, gray, _RISK_SHARE * self.demand.tolerance)
         for effort in range(self.effort, len(_EFFORTS)):
-            pixels, *pairs = self._pixels_and_pairs(effort)
-            drawn = draw_pixels(gray, pixels, (seed, 10, effort), risky=risky, pairs=(pairs[0], pairs[1]))
+            pixels, pairs = self._pixels_and_pairs(effort)
+            drawn = draw_pixels(gray, pixels, (seed, 10, effort), risky=risky, pairs=pairs)
+            all_pairs = int(drawn.pairs.sum())
             # The first must be, whatever it takes.
-            if effort > self.effort and self.spent + rays_of_lacks(plan.layers, drawn) > self.demand.budget.rays:
+            if effort > self.effort and self.spent + rays_of_lacks(plan.layers, all_pairs) > self.demand.budget.rays:
                 break
             self.effort, sample = effort, drawn
-            self.pairs[effort] = int(drawn.pairs.sum())
+            self.pairs[effort] = all_pairs
             at = radiance.ravel()[sample.pixels]
             found = model_errors(view, plan.layers, sample, at, seed=(seed, 11, effort))
             self.spent += found.rays
@@ -415,17 +416,17 @@ class _Search:
             quantile = noise_quantile(errors, noise) + model_quantile(found, sample)
         return certificate_of(model, noise, quantile, pixels=len(sample.pixels), rays=found.rays), sample
 
-    def _pixels_and_pairs(self, effort: int) -> tuple[int, int, int]:
-        pixels, even, risky = _EFFORTS[effort]
-        return (pixels if self.demand.max_error is None else max(pixels, _QUANTILE_PIXELS)), even, risky
+    def _pixels_and_pairs(self, effort: int) -> tuple[int, tuple[int, int]]:
+        pixels, *pairs = _EFFORTS[effort]
+        return pixels if self.demand.max_error is None else max(pixels, _QUANTILE_PIXELS), (pairs[0], pairs[1])
 
     def _certificate_rays(self, plan: KernelPlan | RaysPlan) -> int:
         """What a certificate takes as the last one did, or the fewest where there was none."""
         if isinstance(plan, RaysPlan) or plan.camera.aperture.is_infinitesimal:
             return 0
-        pixels, even, _ = self._pixels_and_pairs(self.effort)
+        pixels, (even, _) = self._pixels_and_pairs(self.effort)
         pairs = self.pairs.get(self.effort, even * min(pixels, plan.camera.sensor.pixels))
-        return 2 * (1 + len(plan.layers)) * pairs
+        return rays_of_lacks(plan.layers, pairs)
 
     def _is_spent(self, outcome: Outcome) -> bool:
         """Whether another attempt, which takes about twice the rays at least, would pass the budget."""

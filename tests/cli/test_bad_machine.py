@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import resource
 import shutil
 import signal
@@ -11,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import psutil
 import pytest
@@ -250,28 +249,38 @@ def _small_disk(place: Path) -> Iterator[bool]:
             subprocess.run([str(shutil.which("umount")), "-l", str(place)], check=True)
 
 
+_TRIES: Final = 12  # of which exposure is told in one of two or more
+
+
 def test_a_full_disk_is_told_whatever_it_is_that_no_longer_fits(
     tmp_path: Path, good: dict[str, Any], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    disk = tmp_path / "disk"
+    disk, out = tmp_path / "disk", tmp_path / "disk" / "out"
     failed: list[str] = []
+
+    def fits() -> bool:
+        shutil.rmtree(out, ignore_errors=True)
+        done = here(_render(tmp_path / "home", out), capsys)
+        if done.code == 0:
+            assert products(out) == good
+            return True
+        failed.append(done.refusal(4))
+        assert not (out / "manifest.json").exists()
+        _whole_or_absent(out, good)
+        return False
+
     with _small_disk(disk) as there:
         # Where no disk can be mounted the limits above must do.
         for pages in range(1, 40) if there else []:
             subprocess.run([str(shutil.which("mount")), "-o", f"remount,size={4 * pages}k", str(disk)], check=True)
-            out = disk / "out"
-            shutil.rmtree(out, ignore_errors=True)
-            done = here(_render(tmp_path / "home", out), capsys)
-            if done.code == 0:
-                assert products(out) == good
+            if fits():
                 break
-            failed.append(done.refusal(4))
-            assert not (out / "manifest.json").exists()
-            _whole_or_absent(out, good)
+            # Gray levels and exposure are written side by side: which of them no longer fits is chance.
+            for _ in range(_TRIES if "gray.png" in failed[-1] else 0):
+                fits()
         else:
             assert not there, "there never was enough room"
-    # Gray levels and exposure are written side by side: which of them no longer fits is chance.
-    names = ("viewpoint_00000", "viewpoint_00001", "radiant_exposure|gray", "depth", "mask", "truth", "manifest")
-    assert [name for name in names if there and not any(re.search(name, line) for line in failed)] == []
+    names = ("viewpoint_00000", "viewpoint_00001", "radiant_exposure", "gray", "depth", "mask", "truth", "manifest")
+    assert [name for name in names if there and not any(name in line for line in failed)] == []
     assert [line for line in failed if str(disk) not in line] == []
     assert inhabitants(tmp_path) == []
