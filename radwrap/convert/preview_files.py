@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +12,16 @@ from radwrap.errors import InputError
 from radwrap.files import make_folder, write_bytes
 from radwrap.scene.materials import (
     Anisotropic,
+    CoefficientTable,
     Glass,
+    GlassBeads,
     Lambertian,
     Material,
     MeasuredBrdf,
     Mirror,
+    PerturbedNormal,
     PrintedImage,
+    PrintedSheeting,
     Specular,
 )
 from radwrap.scene.polygons import ears
@@ -96,8 +100,10 @@ def _colour(material: Material) -> tuple[int, int, int, int]:
             share = sum(map(sum, rows)) / (len(rows) * len(rows[0]))
         case MeasuredBrdf():
             share = 0.5  # only how it looks
+        case PerturbedNormal() | CoefficientTable() | GlassBeads() | PrintedSheeting():
+            return (140, 190, 255, 255)
         case _:
-            return (140, 190, 255, 255)  # sheeting
+            assert_never(material)
     level = round(255 * min(share, 1.0))
     return (level, level, level, 255)
 

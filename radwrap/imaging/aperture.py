@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final, Literal, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,10 +92,12 @@ def sub_viewpoints(aperture: Aperture, count: int, layout: Layout = "rings") -> 
             points, weights = _sunflower(aperture, count)
         case "hexagonal":
             points, weights = _lattice(aperture, count)
-        case _:
+        case "rings" | "uneven":
             cells = _rings(aperture, count, even_areas=layout == "rings")
             points = np.array([_centroid(aperture, cell) for cell in cells])
             weights = np.array([(s1 - s0) * (t1 - t0) for s0, s1, t0, t1 in cells])
+        case _:
+            assert_never(layout)
     weights = weights / math.fsum(weights)
     return Viewpoints(points @ turn(aperture.rotation).T, weights, aperture.area)
 

@@ -29,7 +29,7 @@ from radwrap.imaging.view import View, rays_through, trace_rays
 from radwrap.scene.camera import ColourChannel
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Emitter, Ring, SingleSource, Source, emitters
-from radwrap.scene.targets import Box, Cylinder, Disc, DotBoard, EdgeTarget, Polygon, Sheet, Sphere
+from radwrap.scene.targets import Flat, Solid
 from radwrap.tracers.bouncing import SURE_STEPS
 
 _PIXELS: Final = 256
@@ -40,7 +40,6 @@ _CHANNELS: Final[tuple[ColourChannel, ...]] = ("red", "green", "blue")
 _BOUNCES: Final = 3
 # A path of the tracer's own interreflection asks hundreds of times for each of them, a walk three times.
 _MANY_EMITTERS: Final = 100
-_CONVEX: Final = (Sheet, DotBoard, EdgeTarget, Disc, Polygon, Sphere, Box, Cylinder)
 # The one source that stands for a ring is so small beside its LEDs that it hides nearly nothing.
 _SHRUNK: Final = 0.1
 
@@ -288,7 +287,7 @@ def _effect(name: str, left_out: str, square: Bounded, rays: int, tolerance: flo
 
 def _is_convex(scene: Scene) -> bool:
     """Whether no point of a surface can see another: one target, flat or convex."""
-    return len(scene.targets) == 1 and isinstance(scene.targets[0], _CONVEX)
+    return len(scene.targets) == 1 and isinstance(scene.targets[0], Flat | Solid)
 
 
 def _one_source(source: Source) -> Source:

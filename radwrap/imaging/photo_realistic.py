@@ -25,9 +25,13 @@ from radwrap.scene.intersections import first_hit
 from radwrap.scene.material_files import directional_albedo
 from radwrap.scene.materials import (
     Anisotropic,
+    CoefficientTable,
+    Glass,
+    GlassBeads,
     Lambertian,
     Material,
     MeasuredBrdf,
+    Mirror,
     PerturbedNormal,
     PrintedImage,
     PrintedSheeting,
@@ -158,9 +162,10 @@ def _phong(material: Material, where: str) -> _Phong:
             shape = (len(material.incidence), len(material.viewing), len(material.azimuth))
             table = np.asarray(material.values).reshape(shape)[:1]
             return _Phong(float(directional_albedo(np.array(material.viewing), np.array(material.azimuth), table)[0]))
-    if type(material).__name__ in ("Mirror", "Glass"):
-        raise InputError("mirrors and glass cannot be drawn this way", where=where, remedy="use another material")
-    return _Phong(_SHEETING)
+        case Mirror() | Glass():
+            raise InputError("mirrors and glass cannot be drawn this way", where=where, remedy="use another material")
+        case CoefficientTable() | GlassBeads():
+            return _Phong(_SHEETING)
 
 
 def _shade(scene: Scene, phong: Mapping[str, _Phong], light: Light, rays: Array) -> Array:

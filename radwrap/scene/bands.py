@@ -13,16 +13,20 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, assert_never
 
 from radwrap.errors import InputError
 from radwrap.scene.materials import (
     Anisotropic,
     CoefficientTable,
+    Glass,
     GlassBeads,
     Lambertian,
     Material,
+    MeasuredBrdf,
+    Mirror,
     PerturbedNormal,
+    PrintedImage,
     PrintedSheeting,
     Sheeting,
     Specular,
@@ -190,6 +194,10 @@ def scaled(material: Material, factor: float) -> Material:
             below = scaled(sheeting, factor)
             if isinstance(below, Sheeting):
                 return PrintedSheeting(below, coverage, reflectance * factor)
+        case Mirror() | Glass() | MeasuredBrdf() | PrintedImage():
+            pass
+        case _:
+            assert_never(material)
     raise InputError(f"a spectrum cannot colour a {type(material).__name__}")
 
 

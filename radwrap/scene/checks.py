@@ -20,7 +20,7 @@ from radwrap.scene.scene import Scene
 from radwrap.scene.sight import sources_in_sight
 from radwrap.scene.smallness import small_parts
 from radwrap.scene.sources import Emitter, IntensityTable, Luminaire, Patch, SingleSource, TableBeam, WideSource
-from radwrap.scene.targets import Disc, DotBoard, EdgeTarget, Polygon, Sheet, Target, signed_area
+from radwrap.scene.targets import Flat, Polygon, Target, signed_area
 
 # A source is sampled at its centre, which misses the irradiance by about (radius/distance)^2.
 WIDE_SOURCE_LIMIT: Final = 0.01
@@ -29,7 +29,6 @@ _WIDTH_WARNING: Final = 1e-3
 _DOUBT: Final = 0.01
 # Photons of a joule, and so electrons, go with the wavelength: a share of it is that share of the signal.
 _WAVELENGTH_SHARE: Final = 0.01
-_FLAT: Final = (Sheet, DotBoard, EdgeTarget, Disc, Polygon)
 _RIM_POINTS: Final = 16
 _PLACE: Final = 1e-9  # m; to so much the places of all surfaces are known
 _ANGLE_TOLERANCE: Final = 1e-9  # rad, rounding of the angles
@@ -330,7 +329,7 @@ def _other_wavelength(scene: Scene) -> Iterator[str]:
 
 def _half_shadows(scene: Scene) -> Iterator[str]:
     """A line for each wide source whose patches show in half shadows."""
-    if len(scene.targets) == 1 and isinstance(scene.targets[0], _FLAT):
+    if len(scene.targets) == 1 and isinstance(scene.targets[0], Flat):
         return
     for source in scene.sources:
         if isinstance(source, WideSource) and source.step > source.irradiance_error:

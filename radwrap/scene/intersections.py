@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Final, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from radwrap.scene.targets import (
     Disc,
     DotBoard,
     EdgeTarget,
+    Flat,
     MeshPart,
     Polygon,
     RadFile,
@@ -25,7 +26,6 @@ from radwrap.scene.targets import (
 )
 
 Array = NDArray[np.float64]
-Flat = Sheet | DotBoard | EdgeTarget | Polygon | Disc
 
 # A ray that starts on a surface does not meet it there [m]; no scene has parts as small.
 _START: Final = 1e-12
@@ -66,11 +66,13 @@ def first_hit(target: Target, origins: Array, directions: Array) -> tuple[Array,
                 distance, normals = _box_hit(target, start, along)
             case MeshPart():
                 distance, normals = mesh_hit(target.mesh, start, along)
-            case _:
+            case Sheet() | DotBoard() | EdgeTarget() | Polygon() | Disc():
                 distance = -start[:, 2] / along[:, 2]
                 met = (distance > _START) & on_face(target, (start + distance[:, np.newaxis] * along)[:, :2])
                 distance = np.where(met, distance, math.inf)
                 normals = np.broadcast_to([0.0, 0.0, 1.0], along.shape)
+            case _:
+                assert_never(target)
     return distance, normals @ rotation.T
 
 
@@ -83,8 +85,10 @@ def on_face(target: Flat, xy: Array) -> NDArray[np.bool_]:
             return in_polygon(np.asarray(target.vertices), xy)
         case Disc():
             inside = np.hypot(x, y) <= target.diameter / 2
-        case _:
+        case Sheet() | DotBoard() | EdgeTarget():
             inside = (np.abs(x) <= target.width / 2) & (np.abs(y) <= target.height / 2)
+        case _:
+            assert_never(target)
     return inside
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from typing import Final
+from typing import Final, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,10 +25,12 @@ from radwrap.scene.targets import (
     Disc,
     DotBoard,
     EdgeTarget,
+    Flat,
     MeshPart,
     Polygon,
     RadFile,
     Sheet,
+    Solid,
     Sphere,
     Target,
 )
@@ -53,7 +55,7 @@ def surface_points(target: Target, viewer: Vector) -> tuple[SurfacePoints, ...]:
     if isinstance(target, RadFile):
         return ()
     rotation = np.asarray(target.pose.rotation)
-    if isinstance(target, Sphere | Cylinder | Box):
+    if isinstance(target, Solid):
         local, normals = _solid_points(target)
     elif isinstance(target, MeshPart):
         local, normals = _mesh_points(target)
@@ -133,11 +135,13 @@ def _border(target: Target) -> Array:
         case Disc():
             angle = np.linspace(0, 2 * np.pi, 4 * _BORDER, endpoint=False)
             xy = np.column_stack([np.cos(angle), np.sin(angle)]) * target.diameter / 2
-        case _:
+        case Sheet() | DotBoard() | EdgeTarget() | Polygon():
             corners = _corners(target)
             sides = np.roll(corners, -1, axis=0) - corners
             share = np.linspace(0, 1, _BORDER, endpoint=False)[:, np.newaxis, np.newaxis]
             xy = (corners + share * sides).reshape(-1, 2)
+        case _:
+            assert_never(target)
     local = np.column_stack([xy, np.zeros(len(xy))])
     border: Array = local @ np.asarray(target.pose.rotation).T + target.pose.position
     return border
@@ -151,7 +155,7 @@ def _corners(target: Sheet | DotBoard | EdgeTarget | Polygon) -> Array:
 
 def _near_axis(target: Target, emitter: Emitter) -> tuple[SurfacePoints, ...]:
     """The point of a flat target that is nearest to where the beam's axis meets its plane."""
-    if isinstance(target, Sphere | Cylinder | Box | MeshPart | RadFile):
+    if not isinstance(target, Flat):
         return ()
     rotation = np.asarray(target.pose.rotation)
     start = (np.asarray(emitter.position) - target.pose.position) @ rotation
@@ -210,7 +214,8 @@ def materials_of(target: Target) -> tuple[str, ...]:
             return target.material, target.dot_material
         case EdgeTarget():
             return target.material, target.edge_material
-    return (target.material,)
+        case Sheet() | Polygon() | Disc() | Sphere() | Cylinder() | Box() | MeshPart():
+            return (target.material,)
 
 
 def merged(groups: Iterable[SurfacePoints]) -> tuple[SurfacePoints, ...]:
@@ -240,7 +245,7 @@ def _groups(target: Target, points: Array, normals: Array) -> tuple[SurfacePoint
     return tuple(chosen())
 
 
-def _flat_points(target: Sheet | DotBoard | EdgeTarget | Polygon | Disc) -> Array:
+def _flat_points(target: Flat) -> Array:
     """A grid over a flat target, and what a grid misses: corners, dots, both sides of an edge; shape (n, 3) [m]."""
     match target:
         case Polygon():
@@ -251,9 +256,11 @@ def _flat_points(target: Sheet | DotBoard | EdgeTarget | Polygon | Disc) -> Arra
         case Disc():
             xy = _rectangle(np.full(2, -target.diameter / 2), np.full(2, target.diameter / 2))
             xy = xy * np.minimum(1.0, target.diameter / 2 / np.maximum(np.hypot(*xy.T), 1e-300))[:, np.newaxis]
-        case _:
+        case Sheet() | DotBoard() | EdgeTarget():
             half = np.array([target.width, target.height]) / 2
             xy = _rectangle(-half, half)
+        case _:
+            assert_never(target)
     if isinstance(target, DotBoard):
         xy = np.vstack([xy, _dots(target)])
     if isinstance(target, EdgeTarget):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import assert_never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -142,5 +143,7 @@ def radiance_factor(
             factor = _table_of(material, normals, to_light, to_eye) * cos_beta
         case Mirror() | Glass():
             factor = np.zeros_like(cos_beta)
+        case _:
+            assert_never(material)
     result: Array = np.where((cos_nu > 0) & (cos_beta > 0), factor, 0.0)
     return result

@@ -9,7 +9,19 @@ import numpy as np
 
 from radwrap.scene.geometry import project
 from radwrap.scene.scene import Scene
-from radwrap.scene.targets import Box, Cylinder, Disc, DotBoard, EdgeTarget, Polygon, Sheet, Sphere, Target
+from radwrap.scene.targets import (
+    Box,
+    Cylinder,
+    Disc,
+    DotBoard,
+    EdgeTarget,
+    MeshPart,
+    Polygon,
+    RadFile,
+    Sheet,
+    Sphere,
+    Target,
+)
 
 # Where the blur spans pixels a ray is spent on each half of a pixel at least.
 _SMALL: Final = 0.5  # px
@@ -52,4 +64,5 @@ def narrowest(target: Target) -> float | None:
             return min(target.size)
         case Polygon():
             return float(np.ptp(np.asarray(target.vertices), axis=0).min())
-    return None
+        case MeshPart() | RadFile():
+            return None

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,8 +58,10 @@ class Beam:
                 relative = np.where(theta < self.spread, 1.0, 0.0)
             case "table":
                 raise TypeError("a table is a TableBeam")
-            case _:
+            case "lambertian":
                 relative = np.cos(theta)
+            case _:
+                assert_never(self.profile)
         in_front: NDArray[np.float64] = np.where(np.cos(theta) > 0.0, relative, 0.0)
         return in_front
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, assert_never
 
 import numpy as np
 
@@ -82,10 +82,17 @@ def flux_of_beam(beam: Beam) -> float:
     if isinstance(beam, TableBeam):
         return _flux_of_table(beam)
     end = math.pi / 2
-    if beam.profile == "cone":
-        end = beam.spread
-    elif beam.profile != "lambertian":
-        end = min(end, _BEAM_REACH * beam.spread)
+    match beam.profile:
+        case "lambertian":
+            pass
+        case "cone":
+            end = beam.spread
+        case "gaussian" | "cosine_power":
+            end = min(end, _BEAM_REACH * beam.spread)
+        case "table":
+            raise TypeError("a table is a TableBeam")
+        case _:
+            assert_never(beam.profile)
     places, weights = np.polynomial.legendre.leggauss(_BEAM_NODES)
     theta = end * (places + 1) / 2
     return float(math.pi * end * (weights * beam.relative_intensity(theta) * np.sin(theta)).sum())

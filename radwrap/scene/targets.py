@@ -193,7 +193,9 @@ class MeshPart:
     closed: bool = True
 
 
-Target = Sheet | DotBoard | EdgeTarget | Polygon | Disc | Sphere | Cylinder | Box | MeshPart | RadFile
+Flat = Sheet | DotBoard | EdgeTarget | Polygon | Disc
+Solid = Sphere | Cylinder | Box
+Target = Flat | Solid | MeshPart | RadFile
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,6 +23,7 @@ from radwrap.scene.materials import (
     Anisotropic,
     CoefficientTable,
     Glass,
+    GlassBeads,
     Lambertian,
     Material,
     MeasuredBrdf,
@@ -39,13 +40,10 @@ from radwrap.scene.reflection import radiance_factor
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Patch, WideSource, emitters
 from radwrap.scene.targets import (
-    Box,
-    Cylinder,
     DiscShape,
-    MeshPart,
+    Flat,
     MeshShape,
     PolygonShape,
-    Sphere,
     SphereShape,
     Surface,
     TubeShape,
@@ -70,7 +68,6 @@ _LOBE_STEP: Final = 2.0
 _LOBE_REACH: Final = 4.0
 _GRAZING: Final = 1e-6
 _GRAZING_LOBE: Final = 0.17  # cos 80 deg: beyond, a Gaussian lobe grows without bound and no patches will do
-_SOLIDS: Final = (Sphere, Cylinder, Box, MeshPart)
 _ROOM: Final = 2.0  # of a surround about all that is there
 
 
@@ -181,7 +178,7 @@ def _watched(scene: Scene, groups: Iterable[SurfacePoints], most: int, *, seen_o
 def _facing(scene: Scene, group: SurfacePoints, points: Array, normals: Array, to_eye: Array) -> Iterator[_Probe]:
     material = scene.materials[group.material]
     towards = (to_eye * normals).sum(axis=1)
-    flat = any(target.name == group.target and not isinstance(target, _SOLIDS) for target in scene.targets)
+    flat = any(target.name == group.target and isinstance(target, Flat) for target in scene.targets)
     least = _GRAZING if isinstance(material, Lambertian | PrintedImage) else _GRAZING_LOBE
     keep = np.abs(towards) > least if flat and isinstance(material, TwoSided) else towards > least
     normals = normals * np.where(towards < 0, -1.0, 1.0)[:, np.newaxis]
@@ -394,7 +391,8 @@ def lobe_of(material: Material, normals: Array, to_eye: Array) -> tuple[Array, f
             return to_eye, math.sqrt(2) * roughness
         case CoefficientTable(observation):
             return to_eye, min(b - a for a, b in pairwise(observation))
-    return to_eye, math.radians(0.17)  # the glass beads' steepest piece
+        case GlassBeads():
+            return to_eye, math.radians(0.17)  # their curve's steepest piece
 
 
 def _patch(source: WideSource, cell: Cell, number: int) -> Patch:

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Final
+from typing import Final, assert_never
 
 import numpy as np
 
@@ -26,7 +26,20 @@ from radwrap.errors import InputError
 from radwrap.frames import Vector, cross, dot, subtract
 from radwrap.scene.camera import Camera
 from radwrap.scene.geometry import in_view
-from radwrap.scene.materials import Lambertian, Material, PrintedSheeting, Sheeting, Specular
+from radwrap.scene.materials import (
+    Anisotropic,
+    CoefficientTable,
+    Glass,
+    GlassBeads,
+    Lambertian,
+    Material,
+    MeasuredBrdf,
+    Mirror,
+    PerturbedNormal,
+    PrintedImage,
+    PrintedSheeting,
+    Specular,
+)
 from radwrap.scene.probes import LIT_SHARE
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Emitter, Luminaire, Patch, WideSource
@@ -165,8 +178,8 @@ def _corners(surface: Surface) -> tuple[Vector, ...]:
         case MeshShape(vertices, _):
             low, high = vertices.min(axis=0), vertices.max(axis=0)
             return (low[0], low[1], low[2]), (high[0], high[1], high[2])
-        case _:
-            return (surface.shape.centre,)
+        case DiscShape(centre) | SphereShape(centre):
+            return (centre,)
 
 
 def _number(value: float) -> str:
@@ -215,6 +228,8 @@ def _spot(emitter: Emitter, towards: np.ndarray, where: str) -> str:
                 where=f"{where}.beam",
                 remedy='use profile = "cosine_power", or let `radwrap crosscheck` put it in its place',
             )
+        case _:
+            assert_never(beam.profile)
     return (
         f"spotlight point_at {_vector(towards)} radius {_number(rim)} falloff {_number(rim)} tightness {_number(power)}"
     )
@@ -272,17 +287,18 @@ def _texture(material: Material, where: str) -> str:
                 f"texture {{ pigment {{ color rgb 1 }} finish {{ diffuse {_number(diffuse)} "
                 f"specular {_number(height)} roughness {_number(1 / power)} }} }}\n"
             )
-    if not isinstance(material, Sheeting | PrintedSheeting):
-        raise InputError(
-            f"POV-Ray is not asked for a material of this kind ({type(material).__name__})",
-            where=where,
-            remedy="use lambertian, or specular of one roughness",
-        )
-    raise InputError(
-        "POV-Ray has no retroreflection: sheeting cannot be checked by it",
-        where=where,
-        remedy="check the geometry of retroreflection by corner cubes, see rad_scenes/crosscheck/corner_cubes",
-    )
+        case Anisotropic() | Mirror() | Glass() | MeasuredBrdf() | PrintedImage():
+            raise InputError(
+                f"POV-Ray is not asked for a material of this kind ({type(material).__name__})",
+                where=where,
+                remedy="use lambertian, or specular of one roughness",
+            )
+        case PerturbedNormal() | CoefficientTable() | GlassBeads() | PrintedSheeting():
+            raise InputError(
+                "POV-Ray has no retroreflection: sheeting cannot be checked by it",
+                where=where,
+                remedy="check the geometry of retroreflection by corner cubes, see rad_scenes/crosscheck/corner_cubes",
+            )
 
 
 def diffuse_texture(reflectance: float) -> str:

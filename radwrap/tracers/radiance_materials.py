@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from importlib.resources import files
-from typing import Final
+from typing import Final, assert_never
 
 from radwrap.frames import Vector
 from radwrap.scene.materials import (
@@ -194,8 +194,6 @@ def data_files(name: str, functions: str, material: Material) -> dict[str, bytes
     beside: dict[str, bytes] = {}
     if isinstance(material, MeasuredBrdf | PrintedImage | PrintedSheeting):
         beside = functions_beside(functions.removesuffix(f".{FUNCTIONS}"), MEASURED)
-    if isinstance(material, PrintedSheeting):
-        return {**beside, **data_files(name, functions, material.sheeting)}
     match material:
         case CoefficientTable():
             axes: tuple[tuple[float, ...], ...] = (
@@ -215,8 +213,12 @@ def data_files(name: str, functions: str, material: Material) -> dict[str, bytes
         case PrintedImage(_, rows):
             axes = (tuple(map(float, range(len(rows)))), tuple(map(float, range(len(rows[0])))))
             values = [value for row in rows for value in row]
-        case _:
+        case PrintedSheeting(sheeting):
+            return {**beside, **data_files(name, functions, sheeting)}
+        case Lambertian() | Specular() | Anisotropic() | Mirror() | Glass() | PerturbedNormal():
             return {}
+        case _:
+            assert_never(material)
     lines = [str(len(axes))]
     lines += [f"0 0 {len(nodes)} {' '.join(map(number, nodes))}" for nodes in axes]
     lines += [number(value) for value in values]

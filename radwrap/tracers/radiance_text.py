@@ -188,31 +188,34 @@ def _ring(centre: Vector, normal: Vector, radius: float, frame: TextFrame) -> tu
 
 
 def _emitter(emitter: Emitter, stem: str, frame: TextFrame) -> str:
-    functions = f"{stem}.{FUNCTIONS}"
     intensity = f"{emitter.radiant_intensity:g} W/sr on its axis"
     if emitter.radiance == 0:
         # Not a light of radiance 0, which Radiance leaves out with a warning; the disc still hides what is behind it.
         black = primitive("void", "plastic", f"{emitter.name}.dark", (0, 0, 0, 0, 0))
         return f"# {emitter.name}: off\n{black}" + _shining_surface(f"{emitter.name}.dark", emitter, frame)
-    text = f"# {emitter.name}: {intensity}, {emitter.beam.profile}\n"
-    words: tuple[str, ...] = ()
-    modifier = "void"
-    if isinstance(emitter, Luminaire):
-        modifier = f"{emitter.name}.beam"
-        words = ("as_told", _beam_data(stem, emitter), f"{stem}.{MEASURED}", "lamp_azimuth_deg", "lamp_polar_deg")
-        axes = (*emitter.x_axis, *emitter.y_axis, *emitter.axis)
-        text += primitive("void", "brightdata", modifier, axes, words)
-    elif isinstance(emitter.beam, TableBeam):
-        modifier = f"{emitter.name}.beam"
-        words = ("table_beam", _beam_data(stem, emitter), f"{stem}.{MEASURED}", "table_deg")
-        text += primitive("void", "brightdata", modifier, (emitter.beam.spread,), words)
-    elif emitter.beam.profile != "lambertian":
-        modifier = f"{emitter.name}.beam"
-        words = (f"{emitter.beam.profile}_beam", functions)
-        text += primitive("void", "brightfunc", modifier, (emitter.beam.spread,), words)
+    modifier, pattern = _pattern(emitter, stem)
+    text = f"# {emitter.name}: {intensity}, {emitter.beam.profile}\n{pattern}"
     radiance = emitter.radiance / frame.radiance
     text += primitive(modifier, "light", f"{emitter.name}.light", (radiance, radiance, radiance))
     return text + _shining_surface(f"{emitter.name}.light", emitter, frame)
+
+
+def _pattern(emitter: Emitter, stem: str) -> tuple[str, str]:
+    """Name and text of what modifies an emitter's light by its direction; "void" where it is Lambertian."""
+    name = f"{emitter.name}.beam"
+    if isinstance(emitter, Luminaire):
+        words = ("as_told", _beam_data(stem, emitter), f"{stem}.{MEASURED}", "lamp_azimuth_deg", "lamp_polar_deg")
+        return name, primitive("void", "brightdata", name, (*emitter.x_axis, *emitter.y_axis, *emitter.axis), words)
+    beam = emitter.beam
+    match beam.profile:
+        case "lambertian":
+            return "void", ""
+        case "table":
+            table = ("table_beam", _beam_data(stem, emitter), f"{stem}.{MEASURED}", "table_deg")
+            return name, primitive("void", "brightdata", name, (beam.spread,), table)
+        case "gaussian" | "cosine_power" | "cone":
+            function = (f"{beam.profile}_beam", f"{stem}.{FUNCTIONS}")
+            return name, primitive("void", "brightfunc", name, (beam.spread,), function)
 
 
 def _beam_data(stem: str, emitter: Emitter) -> str:

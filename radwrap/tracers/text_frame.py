@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -134,3 +134,5 @@ def _sizes(scene: Scene) -> Iterator[tuple[float, float]]:
                 yield float((corners.max(axis=0) - corners.min(axis=0)).max()), _SHORTEST_SIDE
             case DiscShape() | SphereShape():
                 yield surface.shape.radius, _SMALLEST_RADIUS
+            case _:
+                assert_never(surface.shape)

@@ -1,0 +1,92 @@
+"""A new kind of target, material or beam cannot be forgotten anywhere: mypy names each place that does not know it."""
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import radwrap
+
+PACKAGE = Path(radwrap.__file__).parent
+
+# Where a kind is told apart from others, and what does so.
+PLACES = {
+    "target": {
+        "scene/geometry.py",
+        "scene/intersections.py",
+        "scene/planes.py",
+        "scene/probes.py",
+        "scene/smallness.py",
+        "scene/targets.py",
+    },
+    "material": {
+        "convert/preview_files.py",
+        "imaging/photo_realistic.py",
+        "scene/bands.py",
+        "scene/reflection.py",
+        "scene/wide_sources.py",
+        "tracers/povray_text.py",
+        "tracers/radiance_materials.py",
+    },
+    "beam": {
+        "scene/sources.py",
+        "scene/spectral.py",
+        "tracers/povray_text.py",
+        "tracers/radiance_text.py",
+    },
+    "shape": {
+        "convert/preview_files.py",
+        "scene/wide_checks.py",
+        "scene/wide_sources.py",
+        "tracers/povray_text.py",
+        "tracers/radiance_text.py",
+        "tracers/text_frame.py",
+    },
+}
+DUMMY = "@dataclass(frozen=True, slots=True)\nclass {name}:\n    name: str\n    pose: Pose\n    material: str\n\n\n"
+PLAIN = "@dataclass(frozen=True, slots=True)\nclass {name}:\n    value: float\n\n\n"
+# Kind -> module, what stands there, and what takes its place.
+CHANGES = {
+    "target": ("scene/targets.py", "Target = Flat", DUMMY.format(name="NewTarget") + "Target = NewTarget | Flat"),
+    "material": (
+        "scene/materials.py",
+        "Material = (\n",
+        PLAIN.format(name="NewMaterial") + "Material = (\n    NewMaterial\n    | ",
+    ),
+    "beam": ("scene/sources.py", 'Profile = Literal["', 'Profile = Literal["new_beam", "'),
+    "shape": ("scene/targets.py", "\nShape = ", "\n" + PLAIN.format(name="NewShape") + "Shape = NewShape | "),
+}
+
+
+NAMES = {"target": "NewTarget", "material": "NewMaterial", "beam": "new_beam", "shape": "NewShape"}
+
+
+def changed(folder: Path, kind: str) -> None:
+    module, here, there = CHANGES[kind]
+    path = folder / "radwrap" / module
+    text = path.read_text()
+    assert text.count(here) == 1
+    path.write_text(text.replace(here, there))
+
+
+def refused(folder: Path) -> dict[str, set[str]]:
+    """Kind -> modules of which mypy says something that names the new one, or that they lack an answer."""
+    shutil.copy(PACKAGE.parent / "pyproject.toml", folder)
+    done = subprocess.run([sys.executable, "-m", "mypy"], cwd=folder, capture_output=True, text=True, check=False)
+    said = re.findall(r"^radwrap/(\S+?):\d+: error: (.*)$", done.stdout, re.MULTILINE)
+    assert said, done.stdout + done.stderr
+    return {
+        kind: {module for module, words in said if name in words or "Missing return" in words}
+        for kind, name in NAMES.items()
+    }
+
+
+def test_mypy_names_each_place_that_lacks_a_kind(tmp_path: Path) -> None:
+    """One run for all kinds, told apart by the names in its messages."""
+    shutil.copytree(PACKAGE, tmp_path / "radwrap", ignore=shutil.ignore_patterns("__pycache__"))
+    for kind in CHANGES:
+        changed(tmp_path, kind)
+    found = refused(tmp_path)
+    for kind, places in PLACES.items():
+        assert found[kind] >= places, kind
