@@ -51,18 +51,18 @@ def _checked(values: NDArray[Any], what: str) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RadianceImage:
-    """What one sub-viewpoint sees.
+    """What the opening lets through to each pixel, before Eq. 3 makes an exposure of it.
 
     Attributes
     ----------
-    values : ndarray of float32, shape (rows, columns)
-        Mean over the pixel's rays of radiance times cos^4(theta)
+    values : ndarray of float64, shape (rows, columns)
+        Mean over the opening and the pixel of radiance times cos^4(theta)
         [W m^-2 sr^-1]; theta is each ray's own angle to the axis.
     provenance : Mapping
         Where it comes from.
     """
 
-    values: NDArray[np.float32]
+    values: NDArray[np.float64]
     provenance: Provenance = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 import radwrap
 from bench import ROOT, SCENE, command, finer, peak_memory
-from radwrap.images import read_image, write_exr, write_png
+from radwrap.images import RadianceImage, read_image, write_exr, write_png
 from radwrap.imaging.aperture import LAYOUTS, Layout, sub_viewpoints
 from radwrap.imaging.certificate import draw_pixels, model_errors
 from radwrap.imaging.exposure import radiant_exposure
@@ -291,7 +291,7 @@ def profile(overrides: dict[str, object]) -> dict[str, float]:
         errors = model_errors(view, plan.layers, sample, radiance.ravel()[sample.pixels], seed=(0, 11, 0))
         errors.mean_square(sample, (0, 12, 0))
         passed("certificate")
-        exposure = radiant_exposure(radiance, scene.camera, scene.camera.aperture.area, {})
+        exposure = radiant_exposure(RadianceImage(radiance), scene.camera)
         codes = gray_image(exposure, scene.camera.sensor).codes
         write_exr(Path(place) / "h.exr", exposure.values.astype(np.float32), channel="radiant_exposure")
         write_png(Path(place) / "g.png", codes)

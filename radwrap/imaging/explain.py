@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 
 from radwrap.imaging.diffraction import diffraction, diffraction_warning
+from radwrap.imaging.exposure import exposure_of_radiance
 from radwrap.imaging.preview import brightest
 from radwrap.imaging.sensor import unclipped_gray
 from radwrap.manifest import SCHEMA_VERSION, finite, plain
@@ -158,9 +160,8 @@ def _peak(scene: Scene) -> dict[str, Any] | None:
     found = brightest(scene)
     if found is None:
         return None
-    irradiance = found.radiance * camera.aperture.area * camera.transmission / camera.image_distance**2
-    through = camera.exposure_time * camera.aperture.area * camera.transmission
-    exposure = found.radiance * through / camera.image_distance**2
+    irradiance = found.radiance * exposure_of_radiance(replace(camera, exposure_time=1.0))
+    exposure = found.radiance * exposure_of_radiance(camera)
     gray = float(unclipped_gray(np.array([exposure]), camera.sensor)[0])
     return {
         "target": found.target,

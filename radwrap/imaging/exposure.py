@@ -11,30 +11,31 @@ the ray between lens and sensor.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radwrap.errors import InputError
-from radwrap.images import ExposureImage, Provenance
+from radwrap.images import ExposureImage, RadianceImage
 from radwrap.scene.camera import Camera
 
 _LARGEST_FLOAT32 = float(np.finfo(np.float32).max)
 
 
-def radiant_exposure(
-    mean_radiance: NDArray[np.float64], camera: Camera, area: float, provenance: Provenance
-) -> ExposureImage:
+def exposure_of_radiance(camera: Camera) -> float:
+    """Radiant exposure of an even field of radiance 1, but for cos^4: tau A/f^2 [s sr] (Eq. 3), of a lens tau A T/v^2.
+
+    With an exposure time of 1 s this is the irradiance [sr].
+    """
+    return camera.exposure_time * camera.aperture.area * camera.transmission / camera.image_distance**2
+
+
+def radiant_exposure(radiance: RadianceImage, camera: Camera) -> ExposureImage:
     """Radiant exposure on the sensor.
 
     Parameters
     ----------
-    mean_radiance : ndarray of float64, shape (rows, columns)
-        Area-weighted mean over the aperture of L cos^4(theta) [W m^-2 sr^-1].
+    radiance : RadianceImage
+        Mean over the opening of L cos^4(theta) [W m^-2 sr^-1]; its provenance goes along.
     camera : Camera
-        For tau and f.
-    area : float
-        Area A of the aperture [m^2].
-    provenance : Mapping
-        Goes along with the image.
+        For tau, A and f.
 
     Returns
     -------
@@ -47,7 +48,7 @@ def radiant_exposure(
         If it is too large for a float32.
     """
     with np.errstate(over="ignore"):
-        values = mean_radiance * (camera.exposure_time * area * camera.transmission / camera.image_distance**2)
+        values = radiance.values * exposure_of_radiance(camera)
     if not (values <= _LARGEST_FLOAT32).all():
         raise InputError("the radiant exposure overflows", remedy="lower the radiance or the exposure time")
-    return ExposureImage(values, provenance)
+    return ExposureImage(values, radiance.provenance)

@@ -43,7 +43,6 @@ from radwrap.scene.targets import Sheet, Target
 
 Array = NDArray[np.float64]
 LightKind = Literal["parallel", "point"]
-LIGHT_KINDS: Final = ("parallel", "point")
 
 PICTURE: Final = "photo_realistic.png"
 COMPARISON: Final = "comparison.png"

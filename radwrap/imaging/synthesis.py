@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.files import TEMPORARY_SUFFIX, disk_failure, make_folder, sha256_of, sole_owner
-from radwrap.images import ExposureImage, GrayImage, png_bytes, read_image, write_exr, write_png
+from radwrap.images import ExposureImage, GrayImage, RadianceImage, png_bytes, read_image, write_exr, write_png
 from radwrap.imaging import photo_realistic
 from radwrap.imaging.basis import BASIS, FOLDER, shining, write_basis
 from radwrap.imaging.cost import Cost, check_size, estimate, seconds_per_ray
@@ -327,7 +327,7 @@ class _Run:
     def _write_images(self, radiance: NDArray[np.float64]) -> tuple[dict[str, Any], list[str]]:
         camera = self.scene.camera
         sensor = camera.sensor
-        exact = radiant_exposure(radiance, camera, camera.aperture.area, {})
+        exact = radiant_exposure(RadianceImage(radiance), camera)
         # The gray image is Eq. 5 of the exposure as the file holds it, so that anybody can compute it again.
         stored = exact.values.astype(np.float32)
         unit = {"radwrap:unit": "J m^-2"}

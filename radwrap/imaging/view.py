@@ -21,6 +21,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from radwrap.imaging.exposure import exposure_of_radiance
 from radwrap.imaging.falloff import falloff, whole_falloff
 from radwrap.scene.camera import Camera
 from radwrap.tracers.tracer import Tracer
@@ -235,9 +236,8 @@ class View:
 
     @property
     def exposure_of_radiance(self) -> float:
-        """Radiant exposure of an even field of radiance 1, but for cos^4: tau A/f^2 [s sr] (Eq. 3), of a lens T/v^2."""
-        camera = self.camera
-        return camera.exposure_time * camera.aperture.area * camera.transmission / camera.image_distance**2
+        """As `exposure.exposure_of_radiance` of its camera [s sr]."""
+        return exposure_of_radiance(self.camera)
 
 
 def trace_rays(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Any, Final, Literal
+from typing import Any, Literal
 
 from radwrap.frames import Pose
 from radwrap.manifest import ONLY_WHERE_USED
@@ -14,9 +14,6 @@ from radwrap.scene.pixel_window import PixelWindow
 
 ApertureShape = Literal["round", "square", "annular", "half_disc"]
 ColourChannel = Literal["equal", "red", "green", "blue"]
-
-# Beyond this the float32 of radiant_exposure.exr and the sensor's power law lose their meaning.
-MAX_EXPOSURE_TIME: Final = 1e9
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,6 @@ Array = NDArray[np.float64]
 
 # Luminous efficacy of monochromatic radiation of 540 THz, by definition of the candela [lm W^-1].
 LUMINOUS_EFFICACY: Final = 683.0
-PRESETS: Final = ("A", "D65", "E")
 _UNITS: Final = {"wavelength [nm]": 1e-9, "wavelength [um]": 1e-6}
 _SANE: Final = (0.1, 20.0)  # um; what lies beyond is a slip of units, not light for a camera
 _LARGEST_FILE: Final = 1 << 24  # byte

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.files import make_folder, sole_owner
+from radwrap.images import RadianceImage
 from radwrap.imaging.cost import check_size
 from radwrap.imaging.exposure import radiant_exposure
 from radwrap.imaging.methods import viewpoint_plan
@@ -204,7 +205,7 @@ class _Runs:
 
 
 def _gray(scene: Scene, radiance: Array) -> Array:
-    exposure = radiant_exposure(radiance, scene.camera, scene.camera.aperture.area, {})
+    exposure = radiant_exposure(RadianceImage(radiance), scene.camera)
     return gray_levels(exposure.values, scene.camera.sensor)
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from radwrap.images import RadianceImage
 from radwrap.imaging.aperture import sub_viewpoints
 from radwrap.imaging.certificate import PixelSample, model_errors, root
 from radwrap.imaging.exposure import radiant_exposure
@@ -64,7 +65,7 @@ def test_an_even_field_exposes_as_the_exact_integral_over_the_lens_says(f_number
         u0 = (u[place] - 15.0) * wide[0] / 1e-9, (v[place] - 12.0) * wide[1] / 1e-9
         point = View(replace(seen.camera, sensor=tiny, principal_point=(0.0, 0.0)), seen.tracer)
         mean = sampled_radiance(point, np.array([u0[0]]), np.array([u0[1]]), 4096, np.random.default_rng(1)).mean()
-        found = float(radiant_exposure(np.array([[mean]]), point.camera, aperture.area, {}).values[0, 0])
+        found = float(radiant_exposure(RadianceImage(np.array([[mean]])), point.camera).values[0, 0])
         assert found == pytest.approx(0.8 * disc_exposure(aperture.diameter / 2, height), rel=SMOOTH)
     sine = math.sin(math.atan(aperture.diameter / 2 / V))
     assert disc_exposure(aperture.diameter / 2, 0.0) == pytest.approx(math.pi * sine**2, rel=1e-12)

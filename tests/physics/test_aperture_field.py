@@ -11,6 +11,7 @@ from scipy.integrate import dblquad
 
 import radwrap
 from radwrap.frames import Pose
+from radwrap.images import RadianceImage
 from radwrap.imaging.aperture import LAYOUTS, central_viewpoint, sub_viewpoints
 from radwrap.imaging.exposure import radiant_exposure
 from radwrap.imaging.view import PixelPlan
@@ -79,7 +80,7 @@ def expose(tmp_path: Path) -> Callable[..., np.ndarray]:
         with Programs() as programs:
             progress = Progress("", plan.rays, shown=False)
             trace_viewpoints(plan, tracer, folder, programs=programs, workers=2, progress=progress)
-        return radiant_exposure(merge(plan, folder), camera, views.area, {}).values
+        return radiant_exposure(RadianceImage(merge(plan, folder)), camera).values
 
     return run
 
@@ -121,7 +122,7 @@ def test_uniform_field_through_other_openings(place: tuple[int, int], bench: Any
         camera = camera_of(aperture)
         means = [bench.mean(camera, sub_viewpoints(aperture, n), UNIFORM) for n in numbers]
         mean = at_zero_area(numbers, means)
-        return float(radiant_exposure(mean, camera, aperture.area, {}).values[place])
+        return float(radiant_exposure(RadianceImage(mean), camera).values[place])
 
     x = y = distance / math.sqrt(2)
     integral, _ = dblquad(
@@ -232,7 +233,7 @@ def test_infinitesimal_pinhole_takes_its_level_from_the_stated_area(bench: Any) 
     aperture = Aperture(diameter=0.0, exposure_diameter=2e-4)
     camera = camera_of(aperture)
     views = central_viewpoint(aperture)
-    values = radiant_exposure(bench.mean(camera, views, UNIFORM), camera, views.area, {}).values
+    values = radiant_exposure(RadianceImage(bench.mean(camera, views, UNIFORM)), camera).values
     area = math.pi * 1e-8
     assert values[0, 0] == pytest.approx(TAU * RADIANCE * area / F**2, rel=ROUNDING)
     assert values[1, 1] == pytest.approx(TAU * RADIANCE * area / F**2 / (1 + (CORNER / F) ** 2) ** 2, rel=ROUNDING)

@@ -10,6 +10,7 @@ import pytest
 
 import radwrap
 from radwrap.errors import InputError
+from radwrap.images import RadianceImage
 from radwrap.imaging.exposure import radiant_exposure
 
 START = Path(__file__).parents[2] / "radwrap" / "data" / "init" / "scene.toml"
@@ -120,8 +121,8 @@ def test_a_gain_that_overflows_saturates() -> None:
 def test_an_exposure_that_overflows_is_an_error() -> None:
     camera = small(**{"camera.exposure_time": "1e9 s"}).camera
     with pytest.raises(InputError, match="overflow"):
-        radiant_exposure(np.full((1, 1), 1e35), camera, AREA, {})
-    assert radiant_exposure(np.full((1, 1), 1e30), camera, AREA, {}).values[0, 0] == pytest.approx(
+        radiant_exposure(RadianceImage(np.full((1, 1), 1e35)), camera)
+    assert radiant_exposure(RadianceImage(np.full((1, 1), 1e30)), camera).values[0, 0] == pytest.approx(
         1e9 * AREA / 0.0125**2 * 1e30
     )
 
