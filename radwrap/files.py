@@ -78,23 +78,6 @@ def write_bytes(path: Path, content: bytes) -> None:
             temporary.unlink(missing_ok=True)
 
 
-def read_table_text(path: Path, remedy: str) -> str:
-    """Text of a CSV file, without a byte order mark.
-
-    Raises
-    ------
-    InputError
-        If there is no such file, with the remedy, or it is no text.
-    """
-    try:
-        return path.read_text("utf-8-sig")
-    except OSError as error:
-        what = "no such file" if isinstance(error, FileNotFoundError) else f"cannot be read: {error.strerror}"
-        raise InputError(what, where=str(path), remedy=remedy) from error
-    except UnicodeDecodeError as error:
-        raise InputError("is no text", where=str(path), remedy="give a CSV file in UTF-8") from error
-
-
 def sha256_of(path: Path) -> str:
     """SHA-256 of a file, in hexadecimal."""
     with path.open("rb") as stream:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import tomllib
 from pathlib import Path
 from typing import Any
 
 from radwrap.errors import InputError
+from radwrap.reading import parse_toml
 from radwrap.scene.load import load_scene
 from radwrap.scene.scene import Scene
 from radwrap.units import TIME, parse_quantity
@@ -94,6 +94,6 @@ def _override(text: str) -> tuple[str, Any]:
     if not equals or not key:
         raise InputError(f'"{text}" is not KEY=VALUE', where="--set")
     try:
-        return key.strip(), tomllib.loads(f"value = {value}")["value"]
-    except ValueError:
+        return key.strip(), parse_toml(f"value = {value}", "--set")["value"]
+    except InputError:
         return key.strip(), value.strip()

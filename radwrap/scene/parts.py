@@ -12,9 +12,7 @@ import hashlib
 import importlib.util
 import io
 import math
-import os
 import re
-import stat
 import struct
 import sys
 import tempfile
@@ -28,6 +26,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import EnvironmentFailure, InputError, TracerError
 from radwrap.process import Programs
+from radwrap.reading import FileKind, read_bytes
 from radwrap.scene.glb_checks import check_glb
 from radwrap.scene.mesh_texts import Polygons, read_obj, read_off
 from radwrap.scene.polygons import checked, triangulated
@@ -38,12 +37,11 @@ Index = NDArray[np.intp]
 SUFFIXES: Final = (".stl", ".obj", ".ply", ".off", ".glb", ".step", ".stp")
 # glTF is in metres by its standard, and STEP files name their unit; the others hold bare numbers.
 _IN_METRES: Final = frozenset({".glb", ".step", ".stp"})
-_LARGEST_FILE: Final = 1 << 30
+_MESH: Final = FileKind("mesh file", 1 << 30)
 MOST_FACES: Final = 10_000_000
 _LARGEST: Final = 1e9  # m
 # Triangles of a smaller area, relative to the square of the mesh's size, show nothing and are left out.
 _NO_AREA: Final = 1e-14
-_OPEN_FLAGS: Final = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOFOLLOW", 0)
 _PLY_COUNT: Final = re.compile(rb"element\s+(\w+)\s+(\d+)")
 _MATERIAL_FILE: Final = re.compile(rb"^[ \t]*mtllib[ \t]+(\S[^\r\n]*?)[ \t]*\r?$", re.MULTILINE)
 
@@ -155,16 +153,7 @@ def _content(path: Path, folder: Path, where: str) -> bytes:
         raise InputError(f'no file "{path.name}"', where=where, remedy="name a file beside the scene") from error
     if not real.is_relative_to(folder.resolve()):
         raise InputError(f'"{path.name}" lies outside the folder', where=where, remedy="copy it there")
-    try:
-        if not stat.S_ISREG(real.stat().st_mode):
-            raise InputError(f'"{path.name}" is not a regular file', where=where)
-        with os.fdopen(os.open(real, _OPEN_FLAGS), "rb") as stream:
-            content = stream.read(_LARGEST_FILE + 1)
-    except OSError as error:
-        raise InputError(f'cannot read "{path.name}": {error.strerror}', where=where) from error
-    if len(content) > _LARGEST_FILE:
-        raise InputError(f'"{path.name}" is larger than {_LARGEST_FILE >> 20} MiB', where=where)
-    return content
+    return read_bytes(real, _MESH, f'{where}: "{path.name}"', follow=False)
 
 
 def _check_inside(name: str, path: Path, where: str) -> None:

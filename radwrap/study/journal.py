@@ -10,9 +10,10 @@ from typing import Any, Final
 
 from radwrap.errors import InputError
 from radwrap.files import disk_failure, write_bytes
+from radwrap.reading import read_bytes
 from radwrap.study.design import Design
 from radwrap.study.runs import Run
-from radwrap.study.table import csv_text, read_table
+from radwrap.study.table import TABLE, csv_text, read_table
 from radwrap.study.worker import Outcome
 
 RESULTS: Final = "results.csv"
@@ -98,7 +99,7 @@ class Journal:
             if not path.exists():
                 write_bytes(path, csv_text(columns, ()).encode())
                 continue
-            content = path.read_bytes()
+            content = read_bytes(path, TABLE)
             whole = content[: content.rfind(b"\n") + 1]
             if not whole.startswith(csv_text(columns, ()).encode()):
                 raise InputError("is not the table of this study", where=str(path), remedy="choose another --out")
