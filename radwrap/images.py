@@ -21,7 +21,7 @@ import OpenImageIO as oiio  # noqa: N813  (its own short name)
 from numpy.typing import NDArray
 
 from radwrap.errors import EnvironmentFailure, InputError
-from radwrap.files import disk_failure, publish, temporary_name
+from radwrap.files import check_result, disk_failure, publish, temporary_name
 from radwrap.reading import FileKind, read_bytes
 
 Provenance = Mapping[str, Any]
@@ -171,6 +171,7 @@ def write_png(path: Path, codes: NDArray[np.uint8] | NDArray[np.uint16]) -> None
 def _write(
     path: Path, pixels: NDArray[Any], channel: str, metadata: Mapping[str, str], compression: str = "zip"
 ) -> None:
+    check_result(path)
     rows, columns = pixels.shape
     spec = oiio.ImageSpec(columns, rows, 1, str(pixels.dtype) if pixels.dtype != np.float32 else "float")
     spec.channelnames = [channel]

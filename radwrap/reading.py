@@ -33,6 +33,7 @@ _NO_FOLLOW: Final = getattr(os, "O_NOFOLLOW", 0)
 _TOML_STRING: Final = re.compile(
     r'"""(?:[^\\]|\\.)*?"""|\'\'\'.*?\'\'\'|"(?:[^"\\\n]|\\.)*+"|\'[^\'\n]*+\'|(#[^\n]*+)', re.DOTALL
 )
+_DIGITS: Final = re.compile(r"[0-9]{1,18}", re.ASCII)
 _LONG_KEY: Final = re.compile(rf"(?<![\w-])[\w-]++(?:[ \t]*+\.[ \t]*+[\w-]++){{{_DEEPEST}}}")
 
 
@@ -262,6 +263,11 @@ def csv_rows(text: str, where: str, *, initial_space: bool = False) -> Iterator[
                 yield rows.line_num, row
     except csv.Error as error:
         raise InputError(f"is not CSV: {error}", where=f"{where}: line {rows.line_num}") from error
+
+
+def whole_number(text: str) -> int | None:
+    """A whole number from 0 on in at most 18 ASCII digits; None for any other text."""
+    return int(text) if _DIGITS.fullmatch(text) else None
 
 
 def shortened(text: str, most: int = 40) -> str:

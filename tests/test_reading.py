@@ -94,7 +94,7 @@ def test_text_is_utf8_without_nul_or_mark(tmp_path: Path) -> None:
 def test_toml_nested_too_deep_is_refused_at_once(text: str) -> None:
     tracemalloc.start()
     start = time.process_time()
-    with pytest.raises(InputError, match="scene.toml: is nested more than 64 levels deep"):
+    with pytest.raises(InputError, match=r"scene\.toml: is nested more than 64 levels deep"):
         parse_toml(text, "scene.toml")
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()

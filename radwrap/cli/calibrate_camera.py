@@ -53,8 +53,12 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         "for the pose alone)",
     )
     parser.add_argument("--focal-length", metavar="LENGTH", help="its value where it is not free")
-    parser.add_argument("--kappa1", metavar="K", type=float, help="distortion where it is not free [1/m^2] (default 0)")
-    parser.add_argument("--sx", metavar="S", type=float, help="horizontal scale where it is not free (default 1)")
+    parser.add_argument(
+        "--kappa1", metavar="K", type=shared.number(), help="distortion where it is not free [1/m^2] (default 0)"
+    )
+    parser.add_argument(
+        "--sx", metavar="S", type=shared.number(1e-3, 1e3), help="horizontal scale where it is not free (default 1)"
+    )
     shared.add_json(parser)
     parser.set_defaults(run=run)
 

@@ -46,14 +46,27 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         choices=("exact", "paper"),
         help="of the cone: 2 pi (1 - cos(A/2)), or the paper's pi tan^2(A/2) (default)",
     )
-    parser.add_argument("--dark", metavar="G", type=float, help="dark gray level (default: frames of exposure 0)")
-    parser.add_argument("--saturation", metavar="G", type=float, help="highest gray level (default: the plateau)")
-    parser.add_argument("--noise", metavar="G", type=float, help="standard deviation of a frame (default: repeats)")
     parser.add_argument(
-        "--quantisation", metavar="G", type=float, default=1.0, help="step of the gray levels, 0 for none (default 1)"
+        "--dark", metavar="G", type=shared.GRAY_LEVEL, help="dark gray level (default: frames of exposure 0)"
     )
     parser.add_argument(
-        "--source-uncertainty", metavar="R", type=float, help="relative standard uncertainty of the source, such as 0.1"
+        "--saturation", metavar="G", type=shared.GRAY_LEVEL, help="highest gray level (default: the plateau)"
+    )
+    parser.add_argument(
+        "--noise", metavar="G", type=shared.GRAY_LEVEL, help="standard deviation of a frame (default: repeats)"
+    )
+    parser.add_argument(
+        "--quantisation",
+        metavar="G",
+        type=shared.GRAY_LEVEL,
+        default=1.0,
+        help="step of the gray levels, 0 for none (default 1)",
+    )
+    parser.add_argument(
+        "--source-uncertainty",
+        metavar="R",
+        type=shared.number(),
+        help="relative standard uncertainty of the source, such as 0.1",
     )
     parser.add_argument("--plot", metavar="PNG", help="draw frames, fits and residuals")
     shared.add_json(parser)

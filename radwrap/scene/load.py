@@ -14,7 +14,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails, PydanticUndefined
 
 from radwrap.errors import InputError
-from radwrap.reading import FileKind, check_tree, read_toml
+from radwrap.reading import FileKind, check_tree, read_toml, shortened, whole_number
 from radwrap.scene.border import Model
 from radwrap.scene.calibrated import with_calibration
 from radwrap.scene.checks import check_scene, check_shapes
@@ -167,17 +167,18 @@ def set_key(document: Any, key: str, value: Any, origin: str) -> None:
     InputError
         If there is no such place.
     """
-    where = f"{origin}: {key}"
+    where = f"{origin}: {shortened(key, 200)}"
     steps: list[str | int] = []
     for part in key.split("."):
         name, *indices = part.replace("]", "").split("[")
-        if not name or not all(index.isdecimal() for index in indices):
+        numbers = [number for index in indices if (number := whole_number(index)) is not None]
+        if not name or len(numbers) < len(indices):
             raise InputError(
                 "is no key path",
                 where=where,
                 remedy='write it as "camera.exposure_time" or "targets[0].pitch"',
             )
-        steps += [name, *map(int, indices)]
+        steps += [name, *numbers]
     place = document
     for step in steps[:-1]:
         if isinstance(step, str) and isinstance(place, dict):

@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from radwrap.errors import InputError
 from radwrap.reading import FileKind, read_json
+from radwrap.written import read_back
 
 _CALIBRATION: Final = FileKind("ring calibration", 16 << 20, "see `radwrap led calibrate`")
 SCHEMA_VERSION: Final = 1
@@ -141,6 +142,24 @@ class RingCalibration:
         return tuple(found)
 
 
+@dataclass(frozen=True, slots=True)
+class _LedFile:
+    levels: list[float]
+    radiant_intensity: list[float]
+    standard_error: list[float]
+
+
+@dataclass(frozen=True, slots=True)
+class _RingFile:
+    leds: list[_LedFile]
+    serial: str
+    date: str
+    temperature: float | None
+    current: float
+    emulated: bool
+    source: str
+
+
 def read_calibration(path: Path) -> RingCalibration:
     """Read a calibration that ``radwrap led calibrate`` wrote.
 
@@ -152,6 +171,7 @@ def read_calibration(path: Path) -> RingCalibration:
     told = read_json(path, _CALIBRATION)
     if not isinstance(told, dict) or told.get("is") != IS or told.get("schema_version") != SCHEMA_VERSION:
         raise InputError(f"is no ring calibration of schema version {SCHEMA_VERSION}", where=str(path))
+    read_back(told, _RingFile, str(path))
     try:
         return _calibration(told)
     except InputError as error:

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from radwrap.errors import InputError
 from radwrap.files import disk_failure, write_bytes
-from radwrap.reading import read_bytes
+from radwrap.reading import read_bytes, whole_number
 from radwrap.study.design import Design
 from radwrap.study.runs import Run
 from radwrap.study.table import TABLE, csv_text, read_table
@@ -61,7 +61,7 @@ class Journal:
         """
         found: dict[int, Mapping[str, str]] = {}
         for number, row in enumerate(read_table(self.path).rows, 1):
-            index = int(row["run"]) if row["run"].isascii() and row["run"].isdigit() else 0
+            index = whole_number(row["run"]) or 0
             run = self._runs.get(index)
             fault = "its run is none of the study's, or stands twice"
             if run is None or index in found or (fault := self._fault(run, row)):

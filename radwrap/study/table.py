@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from radwrap.errors import InputError
-from radwrap.reading import FileKind, csv_rows, read_text
+from radwrap.reading import FileKind, csv_rows, read_text, shortened
 
 TABLE: Final = FileKind("table of results", 256 << 20, "give a CSV file in UTF-8")
 
@@ -41,7 +41,7 @@ class Table:
         found = [column for column in self.columns if name in (column, bare(column))]
         if len(found) != 1:
             what = f'no column "{name}"' if not found else f'more than one column "{name}"'
-            raise InputError(what, where="the table", remedy=f"columns are {', '.join(self.columns)}")
+            raise InputError(what, where="the table", remedy=f"columns are {shortened(', '.join(self.columns), 500)}")
         return found[0]
 
 

@@ -143,7 +143,7 @@ def test_what_is_no_basis_is_refused(basis: Path, tmp_path: Path, capsys: pytest
     told: dict[str, Any] = json.loads((copy / "basis.json").read_bytes())
     for key in ("sources", "block", "files", "camera"):
         (copy / "basis.json").write_text(json.dumps(sealed({name: told[name] for name in told if name != key})))
-        assert "basis.json: is no light basis" in here(_argv(copy, tmp_path, GOOD), capsys).refusal(2), key
+        assert f"basis.json: {key}: field required" in here(_argv(copy, tmp_path, GOOD), capsys).refusal(2), key
     for changed in ({**told, "exposure_of_radiance": 2 * told["exposure_of_radiance"]}, {**told, "replicates": -1}):
         (copy / "basis.json").write_text(json.dumps(changed))
         assert "basis.json: is not as it was made" in here(_argv(copy, tmp_path, GOOD), capsys).refusal(2)
