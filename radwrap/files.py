@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import stat
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -40,6 +41,25 @@ def flush_to_disk(path: Path) -> None:
         os.close(descriptor)
 
 
+def check_result(path: Path) -> None:
+    """Refuse a name for a result that is taken by anything but a regular file: it would be replaced.
+
+    Raises
+    ------
+    InputError
+        If a device, a pipe, a link or a folder has that name, or the name cannot be a file's.
+    """
+    try:
+        taken = path.lstat().st_mode
+    except (FileNotFoundError, NotADirectoryError):
+        return
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or str(error)
+        raise InputError(f"cannot be written: {why}", where=str(path), remedy="choose another name") from error
+    if not stat.S_ISREG(taken):
+        raise InputError("is not a regular file", where=str(path), remedy="give a new name, or that of a regular file")
+
+
 def publish(temporary: Path, final: Path) -> None:
     """Rename a whole, read-back file to its final name, durably.
 
@@ -47,7 +67,10 @@ def publish(temporary: Path, final: Path) -> None:
     ------
     EnvironmentFailure
         If the disk refuses.
+    InputError
+        As `check_result`.
     """
+    check_result(final)
     try:
         flush_to_disk(temporary)
         temporary.replace(final)
@@ -63,9 +86,13 @@ def write_bytes(path: Path, content: bytes) -> None:
     ------
     EnvironmentFailure
         If the disk refuses, or does not give back what was written.
+    InputError
+        As `check_result`.
     """
+    check_result(path)
     temporary = temporary_name(path)
     try:
+        temporary.unlink(missing_ok=True)
         temporary.write_bytes(content)
         flush_to_disk(temporary)
         if temporary.read_bytes() != content:
@@ -76,23 +103,6 @@ def write_bytes(path: Path, content: bytes) -> None:
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
-
-
-def read_table_text(path: Path, remedy: str) -> str:
-    """Text of a CSV file, without a byte order mark.
-
-    Raises
-    ------
-    InputError
-        If there is no such file, with the remedy, or it is no text.
-    """
-    try:
-        return path.read_text("utf-8-sig")
-    except OSError as error:
-        what = "no such file" if isinstance(error, FileNotFoundError) else f"cannot be read: {error.strerror}"
-        raise InputError(what, where=str(path), remedy=remedy) from error
-    except UnicodeDecodeError as error:
-        raise InputError("is no text", where=str(path), remedy="give a CSV file in UTF-8") from error
 
 
 def sha256_of(path: Path) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import tempfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,7 +21,8 @@ import OpenImageIO as oiio  # noqa: N813  (its own short name)
 from numpy.typing import NDArray
 
 from radwrap.errors import EnvironmentFailure, InputError
-from radwrap.files import disk_failure, publish, temporary_name
+from radwrap.files import check_result, disk_failure, publish, temporary_name
+from radwrap.reading import FileKind, read_bytes
 
 Provenance = Mapping[str, Any]
 _NOTHING: Final[Provenance] = MappingProxyType({})
@@ -31,9 +32,17 @@ _BITS: Final = {"uint8": 8, "uint16": 16, "half": 16, "float": 16}
 _WHOLE: Final = {"uint8", "uint16"}
 
 _PNG: Final = b"\x89PNG\r\n\x1a\n"
+_JPEG: Final = b"\xff\xd8"
 _END_OF_JPEG: Final = b"\xff\xd9"
 _JPEG_PADDING: Final = 4096  # bytes that cameras append
 _PNM_HEADER: Final = 4096  # bytes, with comments
+
+# Judged by the header: 8192 x 8192 pixels for what is measured, more for what is only read back.
+MOST_PIXELS: Final = 1 << 26
+_MOST_STORED: Final = 1 << 28
+_MOST_CHANNELS: Final = 4
+_PICTURE: Final = FileKind("image", 1 << 30)
+_STORED: Final = {"uint8": np.uint8, "uint16": np.uint16, "float": np.float32}
 
 # Rows that are compared at a time; EXR packs 16 into a block.
 _BAND: Final = 64
@@ -162,6 +171,7 @@ def write_png(path: Path, codes: NDArray[np.uint8] | NDArray[np.uint16]) -> None
 def _write(
     path: Path, pixels: NDArray[Any], channel: str, metadata: Mapping[str, str], compression: str = "zip"
 ) -> None:
+    check_result(path)
     rows, columns = pixels.shape
     spec = oiio.ImageSpec(columns, rows, 1, str(pixels.dtype) if pixels.dtype != np.float32 else "float")
     spec.channelnames = [channel]
@@ -221,18 +231,18 @@ def _holds(path: Path, pixels: NDArray[Any]) -> bool:
     return True
 
 
-def _broken_png(path: Path) -> str:
+def _broken_png(content: bytes) -> str:
     """What is wrong with the chunks of a PNG file, empty where all are whole; libpng would print it on stderr."""
-    content = path.read_bytes()
     place = len(_PNG)
     if content[:place] != _PNG:
         return ""
+    view = memoryview(content)
     while place + 12 <= len(content):
         end = place + 12 + int.from_bytes(content[place : place + 4], "big")
         if end > len(content):
             break
         kind, found = content[place + 4 : place + 8], int.from_bytes(content[end - 4 : end], "big")
-        if zlib.crc32(content[place + 4 : end - 4]) != found:
+        if zlib.crc32(view[place + 4 : end - 4]) != found:
             return f"a checksum is wrong {place} bytes from its start"
         if kind == b"IEND":
             return ""
@@ -254,21 +264,51 @@ def _full_scale(source: Any, path: Path) -> int:
         raise InputError("has a header that names no largest gray level", where=str(path)) from error
 
 
-def _read(path: Path) -> tuple[NDArray[Any], dict[str, str]]:
-    if path.is_file() and (broken := _broken_png(path)):
-        raise EnvironmentFailure(f"is not whole: {broken}", where=str(path))
+def _opened(path: Path, most_pixels: int) -> Any:
+    """Reader of a picture whose header is sound and whose file is whole; to be closed by the caller.
+
+    Raises
+    ------
+    InputError
+        If it is no regular file, no image, not whole, or too large.
+    """
+    content = read_bytes(path, _PICTURE)
+    if broken := _broken_png(content):
+        raise InputError(f"is not whole: {broken}", where=str(path))
+    # The reader fills up what is missing of a JPEG, and says nothing.
+    if content[:2] == _JPEG and _END_OF_JPEG not in content[-_JPEG_PADDING:]:
+        raise InputError("is not whole: its end is missing", where=str(path))
+    del content
     source = oiio.ImageInput.open(str(path))
     if source is None:
-        raise EnvironmentFailure(f"is not a whole image: {oiio.geterror()}", where=str(path))
-    try:
-        spec = source.spec()
-        pixels = source.read_image(spec.format)
-        if pixels is None or spec.nchannels != 1:
-            raise EnvironmentFailure(f"is not a whole one-channel image: {source.geterror()}", where=str(path))
-        metadata = {attribute.name: str(attribute.value) for attribute in spec.extra_attribs}
-    finally:
+        raise InputError(f"is no image: {oiio.geterror()}", where=str(path))
+    spec = source.spec()
+    if not 0 < spec.width * spec.height <= most_pixels or spec.depth > 1:
         source.close()
-    return pixels.reshape(spec.height, spec.width), metadata
+        raise InputError(
+            f"is {spec.width} x {spec.height} pixels, the limit is {most_pixels / 1e6:.3g} million",
+            where=str(path),
+            remedy="make it smaller",
+        )
+    if spec.nchannels > _MOST_CHANNELS:
+        source.close()
+        raise InputError(f"has {spec.nchannels} channels", where=str(path), remedy="give one channel")
+    return source
+
+
+def _bands(source: Any, path: Path, channels: int, kind: str) -> Iterator[tuple[slice, NDArray[Any]]]:
+    """Rows, and their pixels, shape (rows, columns, channels); in bands, so that large pictures need no copy."""
+    spec = source.spec()
+    step = spec.height if spec.tile_width else _BAND
+    for first in range(0, spec.height, step):
+        last = min(first + step, spec.height)
+        if spec.tile_width:
+            band = source.read_image(0, 0, 0, channels, kind)
+        else:
+            band = source.read_scanlines(0, 0, spec.y + first, spec.y + last, 0, 0, channels, kind)
+        if band is None:
+            raise InputError(f"is not whole: {source.geterror()}", where=str(path))
+        yield slice(first, last), np.reshape(band, (last - first, spec.width, channels))
 
 
 def read_image(path: Path) -> tuple[NDArray[Any], dict[str, str]]:
@@ -286,19 +326,33 @@ def read_image(path: Path) -> tuple[NDArray[Any], dict[str, str]]:
     InputError
         If it cannot be read whole, or holds NaN or infinity.
     """
+    source = _opened(path, _MOST_STORED)
     try:
-        pixels, metadata = _read(path)
-    except EnvironmentFailure as error:
-        raise InputError(error.what, where=str(path)) from error
+        spec = source.spec()
+        if spec.nchannels != 1 or str(spec.format) not in _STORED:
+            raise InputError("is not an image of one channel", where=str(path))
+        pixels = np.empty((spec.height, spec.width), dtype=_STORED[str(spec.format)])
+        for rows, band in _bands(source, path, 1, str(spec.format)):
+            pixels[rows] = band[:, :, 0]
+        metadata = {attribute.name: str(attribute.value) for attribute in spec.extra_attribs}
+    finally:
+        source.close()
     if not np.isfinite(pixels).all():
         raise InputError("holds NaN or infinity", where=str(path))
     return pixels, metadata
 
 
-def read_gray(path: Path) -> GrayImage:
+def read_gray(path: Path, *, most_pixels: int = MOST_PIXELS) -> GrayImage:
     """Read a gray image, predicted or captured: PNG, TIFF, PGM of 8 or 16 bits, or EXR with gray levels.
 
     A picture with several channels is taken where all colour channels agree.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    most_pixels : int
+        A larger picture is refused by its header, before room is made for it.
 
     Returns
     -------
@@ -308,15 +362,10 @@ def read_gray(path: Path) -> GrayImage:
     Raises
     ------
     InputError
-        If it cannot be read whole, is in colour, or holds NaN or infinity.
+        If it cannot be read whole, is too large, in colour, or holds NaN or infinity.
     """
-    pixels, bit_depth = _read_floats(path)
-    colours = pixels[:, :, :3] if pixels.shape[2] > 2 else pixels[:, :, :1]
-    if not np.isfinite(colours).all():
-        raise InputError("holds NaN or infinity", where=str(path))
-    if (colours != colours[:, :, :1]).any():
-        raise InputError("is in colour", where=str(path), remedy="give the one channel that the camera saw")
-    return GrayImage(np.ascontiguousarray(colours[:, :, 0]), bit_depth, {"file": str(path)})
+    values, bit_depth, whole = _read_floats(path, most_pixels, gray=True)
+    return GrayImage(values, bit_depth, {"file": str(path), "whole_numbers": whole})
 
 
 def read_channel(path: Path) -> NDArray[np.float64]:
@@ -327,40 +376,32 @@ def read_channel(path: Path) -> NDArray[np.float64]:
     InputError
         If it cannot be read whole.
     """
-    return np.ascontiguousarray(_read_floats(path)[0][:, :, 0])
+    return _read_floats(path, _MOST_STORED, gray=False)[0]
 
 
-def _read_floats(path: Path) -> tuple[NDArray[np.float64], int]:
-    """All channels, shape (rows, columns, channels), and the bit depth."""
-    if not path.is_file():
-        raise InputError("no such image", where=str(path))
-    try:
-        broken = _broken_png(path)
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", where=str(path)) from error
-    if broken:
-        raise InputError(f"is not whole: {broken}", where=str(path))
-    source = oiio.ImageInput.open(str(path))
-    if source is None:
-        raise InputError(f"is no image: {oiio.geterror()}", where=str(path))
+def _read_floats(path: Path, most_pixels: int, *, gray: bool) -> tuple[NDArray[np.float64], int, bool]:
+    """First channel, shape (rows, columns), bit depth, and whether it holds whole numbers; gray where colours agree."""
+    source = _opened(path, most_pixels)
     try:
         spec = source.spec()
         kind = str(spec.format)
         if kind not in _BITS:
             raise InputError(f"holds pixels of the type {kind}", where=str(path), remedy="use 8 or 16 bits, or floats")
-        pixels = source.read_image("float" if kind == "half" else spec.format)
-        if pixels is None:
-            raise InputError(f"is not whole: {source.geterror()}", where=str(path))
-        # The reader fills up what is missing of a JPEG, and says nothing.
-        if source.format_name() == "jpeg" and _END_OF_JPEG not in path.read_bytes()[-_JPEG_PADDING:]:
-            raise InputError("is not whole: its end is missing", where=str(path))
+        values = np.empty((spec.height, spec.width), dtype=np.float64)
+        channels = 3 if gray and spec.nchannels > 2 else 1
+        for rows, band in _bands(source, path, channels, "float" if kind == "half" else kind):
+            values[rows] = band[:, :, 0]
+            if gray and not np.isfinite(band).all():
+                raise InputError("holds NaN or infinity", where=str(path))
+            if (band != band[:, :, :1]).any() and gray:
+                raise InputError("is in colour", where=str(path), remedy="give the one channel that the camera saw")
         full = _full_scale(source, path) if kind in _WHOLE else 0
     finally:
         source.close()
-    pixels = pixels.reshape(spec.height, spec.width, spec.nchannels).astype(np.float64)
-    if full:
-        pixels = np.rint(pixels * (full / (2 ** _BITS[kind] - 1)))
-    return pixels, full.bit_length() if full else _BITS[kind]
+    if full and full != 2 ** _BITS[kind] - 1:
+        values *= full / (2 ** _BITS[kind] - 1)
+        np.rint(values, out=values)
+    return values, full.bit_length() if full else _BITS[kind], kind in _WHOLE
 
 
 def png_bytes(codes: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:

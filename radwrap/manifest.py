@@ -18,11 +18,13 @@ from typing import Any, Final
 
 from radwrap.errors import InputError
 from radwrap.files import write_bytes
+from radwrap.reading import FileKind, read_json
 
 SCHEMA_VERSION: Final = 1
 # Metadata of a dataclass's field that is told only where it is not None: what a scene does not use leaves its manifest
 # and hashes as they are.
 ONLY_WHERE_USED: Final[Mapping[str, bool]] = MappingProxyType({"only_where_used": True})
+_MANIFEST: Final = FileKind("manifest", 256 << 20)
 _PACKAGES: Final = ("numpy", "OpenImageIO", "pydantic", "pyradiance")
 
 
@@ -104,10 +106,7 @@ def read_manifest(path: Path) -> dict[str, Any]:
     InputError
         If it is not there, or not one of ours.
     """
-    try:
-        manifest = json.loads(path.read_bytes())
-    except (OSError, ValueError) as error:
-        raise InputError("is no readable manifest", where=str(path)) from error
+    manifest = read_json(path, _MANIFEST)
     if not isinstance(manifest, dict) or manifest.get("schema_version") != SCHEMA_VERSION:
         raise InputError(f"is no manifest of schema version {SCHEMA_VERSION}", where=str(path))
     return manifest

@@ -9,7 +9,6 @@ frame is x right, y down, z forward, R = Rz Ry Rx, Xu = Xd (1 + kappa1 r^2).
 from __future__ import annotations
 
 import argparse
-import csv
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -22,9 +21,11 @@ from radwrap.calibrate.tsai import SOLVERS, CameraCalibration, as_json, calibrat
 from radwrap.cli import options as shared
 from radwrap.errors import InputError
 from radwrap.manifest import json_text
+from radwrap.reading import FileKind, csv_rows, read_text, shortened
 from radwrap.units import LENGTH, PIXEL, Dimension, parse_quantity
 
 _COLUMNS: Final = ("x", "y", "z", "u", "v")
+_POINTS: Final = FileKind("file of points", 64 << 20, "give a CSV file with the columns x,y,z,u,v")
 _OF_POINTS: Final = ("points", "image", "the points")  # the places of errors that lie in the file
 
 
@@ -52,8 +53,12 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         "for the pose alone)",
     )
     parser.add_argument("--focal-length", metavar="LENGTH", help="its value where it is not free")
-    parser.add_argument("--kappa1", metavar="K", type=float, help="distortion where it is not free [1/m^2] (default 0)")
-    parser.add_argument("--sx", metavar="S", type=float, help="horizontal scale where it is not free (default 1)")
+    parser.add_argument(
+        "--kappa1", metavar="K", type=shared.number(), help="distortion where it is not free [1/m^2] (default 0)"
+    )
+    parser.add_argument(
+        "--sx", metavar="S", type=shared.number(1e-3, 1e3), help="horizontal scale where it is not free (default 1)"
+    )
     shared.add_json(parser)
     parser.set_defaults(run=run)
 
@@ -109,31 +114,27 @@ def read_points(path: Path, unit: float) -> tuple[NDArray[np.float64], NDArray[n
         If the file cannot be read, a column is missing, unknown or twice, or a line does not hold five finite numbers;
         the error names the line.
     """
-    try:
-        lines = path.read_text("utf-8-sig").splitlines()
-    except OSError as error:
-        what = "no such file" if isinstance(error, FileNotFoundError) else f"cannot be read: {error.strerror}"
-        raise InputError(what, where=str(path), remedy="give a CSV file with the columns x,y,z,u,v") from error
-    except UnicodeDecodeError as error:
-        raise InputError("is no text", where=str(path), remedy="give a CSV file in UTF-8") from error
+    lines = read_text(path, _POINTS).splitlines()
     if not lines:
         raise InputError("is empty", where=str(path), remedy="begin with the header x,y,z,u,v")
-    header = [name.strip() for name in next(csv.reader(lines[:1]))]
+    header = [name.strip() for name in next(csv_rows(lines[0], str(path)), (1, []))[1]]
     if sorted(header) != sorted(_COLUMNS):
         raise InputError(
-            f'the header is "{lines[0]}"', where=f"{path}:1", remedy="it must name x,y,z,u,v, each once, and no more"
+            f'the header is "{shortened(lines[0])}"',
+            where=f"{path}:1",
+            remedy="it must name x,y,z,u,v, each once, and no more",
         )
     order = [header.index(name) for name in _COLUMNS]
-    rows = [_row(cells, order, f"{path}:{number}") for number, cells in _cells(lines)]
+    rows = [_row(cells, order, f"{path}:{number}") for number, cells in _cells(lines, path)]
     values = np.array(rows, dtype=np.float64).reshape(-1, len(_COLUMNS))
     return values[:, :3] * unit, values[:, 3:]
 
 
-def _cells(lines: Sequence[str]) -> Iterator[tuple[int, list[str]]]:
+def _cells(lines: Sequence[str], path: Path) -> Iterator[tuple[int, list[str]]]:
     """Number and cells of each line below the header; empty lines at the end do not count."""
     last = max(number for number, line in enumerate(lines, 1) if line.strip() or number == 1)
     for number, line in enumerate(lines[1:last], 2):
-        yield number, next(csv.reader([line]), [])
+        yield number, next(csv_rows(line, f"{path}:{number}"), (1, []))[1]
 
 
 def _row(cells: Sequence[str], order: Sequence[int], where: str) -> list[float]:
@@ -146,9 +147,9 @@ def _number(text: str, name: str, where: str) -> float:
     try:
         value = float(text)
     except ValueError as error:
-        raise InputError(f'{name} "{text.strip()}" is no number', where=where) from error
+        raise InputError(f'{name} "{shortened(text)}" is no number', where=where) from error
     if not math.isfinite(value):
-        raise InputError(f"{name} {text.strip()} is not finite", where=where, remedy="leave the point out")
+        raise InputError(f"{name} {shortened(text)} is not finite", where=where, remedy="leave the point out")
     return value
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import csv
 import io
 import math
 from collections.abc import Iterator, Mapping
@@ -16,13 +15,15 @@ from radwrap.calibrate.response import PARAMETERS, Response, energy_in_cone, exp
 from radwrap.calibrate.response_fits import Array, PowerFit
 from radwrap.cli import options as shared
 from radwrap.errors import InputError
-from radwrap.files import read_table_text, write_bytes
+from radwrap.files import write_bytes
 from radwrap.manifest import SCHEMA_VERSION, json_text
+from radwrap.reading import FileKind, csv_rows, read_text, shortened
 from radwrap.units import ANGLE, LENGTH, RADIANT_INTENSITY, Dimension, parse_quantity
 
 EXPOSURE: Final = "radiant_exposure"
 TIME: Final = "exposure_time"
 GRAY: Final = "gray"
+_FRAMES: Final = FileKind("file of frames", 64 << 20, "give a CSV file of frames")
 
 
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
@@ -45,14 +46,27 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         choices=("exact", "paper"),
         help="of the cone: 2 pi (1 - cos(A/2)), or the paper's pi tan^2(A/2) (default)",
     )
-    parser.add_argument("--dark", metavar="G", type=float, help="dark gray level (default: frames of exposure 0)")
-    parser.add_argument("--saturation", metavar="G", type=float, help="highest gray level (default: the plateau)")
-    parser.add_argument("--noise", metavar="G", type=float, help="standard deviation of a frame (default: repeats)")
     parser.add_argument(
-        "--quantisation", metavar="G", type=float, default=1.0, help="step of the gray levels, 0 for none (default 1)"
+        "--dark", metavar="G", type=shared.GRAY_LEVEL, help="dark gray level (default: frames of exposure 0)"
     )
     parser.add_argument(
-        "--source-uncertainty", metavar="R", type=float, help="relative standard uncertainty of the source, such as 0.1"
+        "--saturation", metavar="G", type=shared.GRAY_LEVEL, help="highest gray level (default: the plateau)"
+    )
+    parser.add_argument(
+        "--noise", metavar="G", type=shared.GRAY_LEVEL, help="standard deviation of a frame (default: repeats)"
+    )
+    parser.add_argument(
+        "--quantisation",
+        metavar="G",
+        type=shared.GRAY_LEVEL,
+        default=1.0,
+        help="step of the gray levels, 0 for none (default 1)",
+    )
+    parser.add_argument(
+        "--source-uncertainty",
+        metavar="R",
+        type=shared.number(),
+        help="relative standard uncertainty of the source, such as 0.1",
     )
     parser.add_argument("--plot", metavar="PNG", help="draw frames, fits and residuals")
     shared.add_json(parser)
@@ -104,28 +118,27 @@ def read_frames(path: Path) -> tuple[str, Array, Array, tuple[int, ...]]:
     InputError
         If there is no such file, or it is no such table.
     """
-    text = read_table_text(path, "give a CSV file of frames")
-    rows = csv.reader(io.StringIO(text))
-    header = [name.strip() for name in next(rows, [])]
+    rows = csv_rows(read_text(path, _FRAMES), str(path))
+    header = [name.strip() for name in next(rows, (1, []))[1]]
     kinds = [kind for kind in (EXPOSURE, TIME) if kind in header]
     if len(kinds) != 1 or GRAY not in header or len(set(header)) != len(header):
         raise InputError(
-            f'has the columns "{",".join(header)}"',
+            f'has the columns "{shortened(",".join(header))}"',
             where=str(path),
             remedy=f'the first line must read "{EXPOSURE},{GRAY}" (J/m^2) or "{TIME},{GRAY}" (s)',
         )
     columns = header.index(kinds[0]), header.index(GRAY)
     numbers, lines = [], []
-    for row in rows:
+    for line, row in rows:
         if not any(cell.strip() for cell in row):
             continue
-        where = f"{path}: line {rows.line_num}"
+        where = f"{path}: line {line}"
         if len(row) != len(header):
             raise InputError(f"has {len(row)} cells, the first line has {len(header)}", where=where)
         numbers.append([_number(row[column], where) for column in columns])
         if numbers[-1][0] < 0:
             raise InputError(f"the {kinds[0]} is negative", where=where)
-        lines.append(rows.line_num)
+        lines.append(line)
     if not numbers:
         raise InputError("holds no frames", where=str(path), remedy="write a row for each frame below the first line")
     table = np.array(numbers)
@@ -136,9 +149,11 @@ def _number(cell: str, where: str) -> float:
     try:
         value = float(cell)
     except ValueError as error:
-        raise InputError(f'"{cell}" is not a number', where=where, remedy="write 0.016, with a point") from error
+        raise InputError(
+            f'"{shortened(cell)}" is not a number', where=where, remedy="write 0.016, with a point"
+        ) from error
     if not math.isfinite(value):
-        raise InputError(f'"{cell}" is not a finite number', where=where)
+        raise InputError(f'"{shortened(cell)}" is not a finite number', where=where)
     return value
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import io
-import json
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
@@ -18,9 +17,12 @@ from radwrap.cli import options as shared
 from radwrap.errors import CheckFailed, InputError
 from radwrap.files import make_folder, write_bytes
 from radwrap.images import GrayImage, read_gray, read_image, write_png
+from radwrap.imaging.run_files import PartNumbers
 from radwrap.manifest import SCHEMA_VERSION, json_text
 from radwrap.measure.compare import REGISTRATIONS, Comparison, compare
 from radwrap.measure.compare_statistics import Region, rectangle, regions_of_mask
+from radwrap.reading import FileKind, read_json
+from radwrap.written import read_back
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,6 +31,7 @@ REPORT: Final = "report.png"
 DIFFERENCE: Final = "diff.png"
 RESULT: Final = "compare.json"
 EQUAL: Final = 128  # code of no difference in diff.png; 0 is where nothing was compared
+_TRUTH: Final = FileKind("truth.json", 64 << 20, "use truth.json of render --truth")
 
 
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
@@ -56,11 +59,19 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     )
     parser.add_argument("--mask", metavar="PNG", help="statistics of each part in mask.png of render --truth")
     parser.add_argument("--truth", metavar="JSON", help="names of the parts (default: truth.json beside the mask)")
-    parser.add_argument("--dark", metavar="G", type=float, help="dark gray level (default: the prediction's smallest)")
-    parser.add_argument("--saturation", metavar="G", type=float, help="highest gray level (default: full scale)")
-    parser.add_argument("--tolerance", metavar="G", type=float, help="fail where a pixel differs by more")
     parser.add_argument(
-        "--allow-beyond", metavar="SHARE", type=float, default=0.0, help="share of pixels that may (default 0)"
+        "--dark", metavar="G", type=shared.GRAY_LEVEL, help="dark gray level (default: the prediction's smallest)"
+    )
+    parser.add_argument(
+        "--saturation", metavar="G", type=shared.GRAY_LEVEL, help="highest gray level (default: full scale)"
+    )
+    parser.add_argument("--tolerance", metavar="G", type=shared.number(), help="fail where a pixel differs by more")
+    parser.add_argument(
+        "--allow-beyond",
+        metavar="SHARE",
+        type=shared.number(),
+        default=0.0,
+        help="share of pixels that may (default 0)",
     )
     parser.add_argument("--out", metavar="DIR", help=f"folder for {RESULT}, {DIFFERENCE} and {REPORT}")
     shared.add_json(parser)
@@ -146,12 +157,8 @@ def _mask(path: Path, truth: str | None) -> list[Region]:
     names: dict[int, str] = {}
     if truth or beside.is_file():
         file = Path(truth) if truth else beside
-        try:
-            names = {int(number): str(name) for name, number in json.loads(file.read_bytes())["parts"].items()}
-        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-            raise InputError(
-                "holds no names of parts", where=str(file), remedy="use truth.json of render --truth"
-            ) from error
+        parts = read_back(read_json(file, _TRUTH), PartNumbers, str(file)).parts
+        names = {number: name for name, number in parts.items()}
     return regions_of_mask(mask, names)
 
 

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from radwrap.cli import options as shared
 from radwrap.errors import InputError
+from radwrap.files import check_result
 from radwrap.manifest import json_text
 from radwrap.process import Limits
 from radwrap.scene.bands import one_band
@@ -51,6 +52,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out the verb."""
+    check_result(Path(arguments.out))
     suffix = Path(arguments.scene).suffix.lower()
     if suffix in _MESHES:
         return _convert_mesh(arguments)

@@ -24,22 +24,34 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser = verbs.add_parser("crosscheck", help="compare Radiance with POV-Ray on a scene", description=_DESCRIPTION)
     shared.add_scene(parser)
     parser.add_argument("--out", metavar="DIR", help="folder for crosscheck.json and crosscheck.png")
-    parser.add_argument("--viewpoints", metavar="N", type=int, help="sub-viewpoints of a finite pinhole (default 37)")
     parser.add_argument(
-        "--pixel-samples", metavar="K", type=int, default=2, help="K x K rays a pixel and sub-viewpoint (default 2)"
+        "--viewpoints", metavar="N", type=shared.whole(), help="sub-viewpoints of a finite pinhole (default 37)"
+    )
+    parser.add_argument(
+        "--pixel-samples",
+        metavar="K",
+        type=shared.whole(),
+        default=2,
+        help="K x K rays a pixel and sub-viewpoint (default 2)",
     )
     parser.add_argument(
         "--area-samples",
         metavar="N",
-        type=int,
+        type=shared.whole(),
         default=0,
         help="let POV-Ray's sources shine from N x N points of their discs (default 0: from their centres)",
     )
     parser.add_argument(
-        "--tolerance", metavar="T", type=float, default=0.005, help="largest relative rms difference (default 0.005)"
+        "--tolerance",
+        metavar="T",
+        type=shared.number(),
+        default=0.005,
+        help="largest relative rms difference (default 0.005)",
     )
     parser.add_argument("--povray", metavar="PROGRAM", help="another povray program")
-    parser.add_argument("--workers", metavar="W", type=int, help="Radiance processes at a time (default: all cores)")
+    parser.add_argument(
+        "--workers", metavar="W", type=shared.whole(), help="Radiance processes at a time (default: all cores)"
+    )
     shared.add_radiance(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)

@@ -25,11 +25,13 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument(
         "--tolerance",
         metavar="GRAY",
-        type=float,
+        type=shared.number(),
         default=TOLERANCE,
         help="gray levels rms that are wanted (default 0.5)",
     )
-    parser.add_argument("--seed", metavar="S", type=int, default=0, help="seed of all that is drawn (default 0)")
+    parser.add_argument(
+        "--seed", metavar="S", type=shared.whole(), default=0, help="seed of all that is drawn (default 0)"
+    )
     parser.add_argument("--no-rays", action="store_true", help="closed forms alone; needs no Radiance")
     shared.add_radiance(parser)
     shared.add_json(parser)

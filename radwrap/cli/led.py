@@ -18,6 +18,7 @@ from radwrap.led.from_scene import leds_of
 from radwrap.led.ports import found, udev_rules
 from radwrap.led.ring import Frame, LedRing
 from radwrap.manifest import SCHEMA_VERSION, json_text
+from radwrap.reading import shortened, whole_number
 from radwrap.scene.load import load_scene
 from radwrap.units import RADIANT_INTENSITY, parse_quantity
 
@@ -145,9 +146,10 @@ def run_frame(arguments: argparse.Namespace) -> int:
     with ring_of(arguments) as ring:
         levels = [0.0] * ring.capabilities.count
         if arguments.led != _DARK:
-            if not (arguments.led.isascii() and arguments.led.isdecimal()) or int(arguments.led) >= len(levels):
-                raise InputError(f'"{arguments.led}" is neither an LED, 0 to {len(levels) - 1}, nor "dark"')
-            levels[int(arguments.led)] = level
+            led = whole_number(arguments.led)
+            if led is None or led >= len(levels):
+                raise InputError(f'"{shortened(arguments.led)}" is neither an LED, 0 to {len(levels) - 1}, nor "dark"')
+            levels[led] = level
         _hold(ring, ring.set_levels(levels), duration, as_json=arguments.json)
     return 0
 

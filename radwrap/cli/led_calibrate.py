@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
 from radwrap.cli import options as shared
 from radwrap.errors import InputError
+from radwrap.files import check_result
+from radwrap.imaging.run_files import RunManifest
 from radwrap.led.calibration import read_table, scaled, write_calibration
 from radwrap.led.drive import read_drive
 from radwrap.led.play import DARK, RECORD, led_name
 from radwrap.manifest import SCHEMA_VERSION, json_text, read_manifest
+from radwrap.reading import parse_json
 from radwrap.scene.ring_calibration import RingCalibration
+from radwrap.written import Count, Positive, Share, read_back
 
 _FREEZING: Final = 273.15  # K, of 0 degrees Celsius
 _DESCRIPTION = (
@@ -40,7 +44,9 @@ def add_to(what: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument("--suffix", metavar="S", default=".png", help="of the captures' names (default .png)")
     parser.add_argument("--drive", metavar="DRIVE.toml", help="for --table: the current at which it was measured")
     parser.add_argument("--serial", metavar="S", default="", help="for --table: of the device that drove the LEDs")
-    parser.add_argument("--temperature", metavar="C", type=float, help="of the surroundings [degrees Celsius]")
+    parser.add_argument(
+        "--temperature", metavar="C", type=shared.number(), help="of the surroundings [degrees Celsius]"
+    )
     parser.add_argument("--date", metavar="D", help="of the measurement, ISO 8601 (default: now)")
     parser.add_argument("--out", metavar="FILE", required=True, help="calibration to write")
     shared.add_json(parser)
@@ -49,6 +55,7 @@ def add_to(what: argparse._SubParsersAction[Any]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out the verb."""
+    check_result(Path(arguments.out))
     calibration, told = _from_table(arguments) if arguments.table else _from_captures(arguments)
     write_calibration(Path(arguments.out), calibration)
     if arguments.json:
@@ -119,9 +126,13 @@ def _from_captures(arguments: argparse.Namespace) -> tuple[RingCalibration, list
     date, temperature = _when(arguments)
     folder = Path(arguments.captures)
     record = read_manifest(folder / RECORD)
+    read_back(record, _Record, str(folder / RECORD))
     basis = read_basis(Path(arguments.basis))
-    manifest = read_manifest(Path(arguments.basis) / "manifest.json")
-    scene = scene_from_document(json.loads(manifest["scene"]), origin="the basis' scene", folder=Path(arguments.basis))
+    path = Path(arguments.basis) / "manifest.json"
+    manifest: RunManifest = read_back(read_manifest(path), RunManifest, str(path))
+    scene = scene_from_document(
+        parse_json(manifest.scene, "the basis' scene"), origin="the basis' scene", folder=Path(arguments.basis)
+    )
     leds = leds_of(scene)
     _check_record(record, len(leds), str(folder / RECORD))
 
@@ -164,13 +175,39 @@ def _from_captures(arguments: argparse.Namespace) -> tuple[RingCalibration, list
     return calibration, [{**one, **more} for one, more in zip(_told(calibration), told, strict=True)]
 
 
+@dataclass(frozen=True, slots=True)
+class _Frame:
+    held: list[Share]
+
+
+@dataclass(frozen=True, slots=True)
+class _Device:
+    serial: str
+    count: Count
+
+
+@dataclass(frozen=True, slots=True)
+class _Drive:
+    drive_current: Positive
+
+
+@dataclass(frozen=True, slots=True)
+class _Record:
+    """Of a play's record what a calibration needs."""
+
+    frames: dict[str, _Frame]
+    complete: bool
+    emulated: bool
+    device: _Device
+    drive: _Drive | None
+
+
 def _check_record(record: Mapping[str, Any], count: int, where: str) -> None:
     wanted = [DARK, *(led_name(number) for number in range(count))]
-    try:
-        missing = [name for name in wanted if name not in record["frames"]]
-        whole = record["complete"] and record["drive"] is not None and record["device"]["count"] == count
-    except (KeyError, TypeError) as error:
-        raise InputError("is no record of a play", where=where) from error
+    missing = [name for name in wanted if name not in record["frames"]]
+    whole = record["complete"] and record["drive"] is not None and record["device"]["count"] == count
+    short = [name for name in wanted if name not in missing and len(record["frames"][name]["held"]) != count]
+    missing += short
     if missing or not whole:
         problem = f"has no frame {missing[0]}" if missing else "is not complete"
         raise InputError(problem, where=where, remedy="play it with --alone, to its end")

@@ -9,6 +9,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+from radwrap.cli import options
 from radwrap.errors import EnvironmentFailure, InputError
 from radwrap.led.backend import Kind
 from radwrap.led.calibration import scaled
@@ -40,7 +41,12 @@ def add_device(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--emulator", metavar="SOCKET", action="append", default=[], help="drive an emulator that runs already"
     )
-    parser.add_argument("--count", metavar="N", type=int, help=f"number of LEDs (default {_LEDS}, or the drive file's)")
+    parser.add_argument(
+        "--count",
+        metavar="N",
+        type=options.whole(1, 4096),
+        help=f"number of LEDs (default {_LEDS}, or the drive file's)",
+    )
 
 
 def add_light(parser: argparse.ArgumentParser) -> None:

@@ -26,8 +26,12 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument("image", metavar="IMAGE", help="gray image: PNG, TIFF, PGM or EXR")
     parser.add_argument("--grid", metavar="RxC", required=True, help="rows and columns of dots, such as 5x5")
     parser.add_argument("--method", choices=METHODS, default="gray", help="definition of the centre (default gray)")
-    parser.add_argument("--dark", metavar="G", type=float, help="gray level without light, taken away from bright dots")
-    parser.add_argument("--saturation", metavar="G", type=float, help="gray level at which the sensor saturates")
+    parser.add_argument(
+        "--dark", metavar="G", type=shared.GRAY_LEVEL, help="gray level without light, taken away from bright dots"
+    )
+    parser.add_argument(
+        "--saturation", metavar="G", type=shared.GRAY_LEVEL, help="gray level at which the sensor saturates"
+    )
     parser.add_argument("--pitch", metavar="LENGTH", help='distance of neighbouring dots, such as "19.05 mm"')
     parser.add_argument("--dot-diameter", metavar="LENGTH", help='such as "15.875 mm"')
     parser.add_argument("--overlay", metavar="PNG", help="picture of what was found, also where dots are missing")

@@ -25,7 +25,10 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser = verbs.add_parser("edge", help="place, angle and blur of a straight edge", description=__doc__)
     parser.add_argument("image", metavar="IMAGE", type=Path, help="PNG, TIFF, PGM of 8 or 16 bits, or EXR")
     parser.add_argument(
-        "--dark", metavar="G", type=float, help="gray level without light (default: the dark side counts as unlit)"
+        "--dark",
+        metavar="G",
+        type=shared.GRAY_LEVEL,
+        help="gray level without light (default: the dark side counts as unlit)",
     )
     parser.add_argument(
         "--gamma",
@@ -37,16 +40,20 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         "--region",
         metavar=("U0", "V0", "U1", "V1"),
         nargs=4,
-        type=int,
+        type=shared.whole(),
         help="first column and row, last column and row to look at (default: the whole image)",
     )
     parser.add_argument(
-        "--pixel-aspect", metavar="A", type=float, default=1.0, help="height of a pixel over its width (default 1)"
+        "--pixel-aspect",
+        metavar="A",
+        type=shared.number(),
+        default=1.0,
+        help="height of a pixel over its width (default 1)",
     )
     parser.add_argument(
         "--saturation",
         metavar="G",
-        type=float,
+        type=shared.GRAY_LEVEL,
         help="pixels of this gray level and above are left out (default: full scale)",
     )
     shared.add_json(parser)

@@ -41,14 +41,15 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out the verb."""
+    picture = shared.file_to_write(arguments.plot, "--plot", ".png")
     path = Path(arguments.frames)
     kind, stacks = read_stacks(path)
     try:
         found = photon_transfer(kind, stacks, _photons(arguments, kind))
     except InputError as error:
         raise InputError(error.what, where=error.where or str(path), remedy=error.remedy) from error
-    if arguments.plot:
-        write_bytes(Path(arguments.plot), plot(found, kind))
+    if picture is not None:
+        write_bytes(picture, plot(found, kind))
     told = {
         "schema_version": SCHEMA_VERSION,
         "exposure": kind,

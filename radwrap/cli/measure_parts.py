@@ -21,21 +21,30 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser = verbs.add_parser("parts", help="count, place, orientation and area of parts", description=__doc__)
     parser.add_argument("image", metavar="IMAGE", type=Path, help="PNG, TIFF, PGM of 8 or 16 bits, or EXR")
     parser.add_argument(
-        "--threshold", metavar="G", type=float, help="gray level of the contour (default: half-way, part by part)"
+        "--threshold",
+        metavar="G",
+        type=shared.GRAY_LEVEL,
+        help="gray level of the contour (default: half-way, part by part)",
     )
     parser.add_argument(
         "--min-area",
         metavar="A",
-        type=float,
+        type=shared.number(),
         default=DEFAULT_MIN_AREA,
         help=f"smaller ones are left out [px^2] (default {DEFAULT_MIN_AREA:g})",
     )
-    parser.add_argument("--dark", metavar="G", type=float, help="gray level without light; needed with --gamma")
     parser.add_argument(
-        "--gamma", metavar="G", type=float, default=1.0, help="exponent of the sensor's response (default 1)"
+        "--dark", metavar="G", type=shared.GRAY_LEVEL, help="gray level without light; needed with --gamma"
     )
     parser.add_argument(
-        "--pixel-aspect", metavar="A", type=float, default=1.0, help="height of a pixel over its width (default 1)"
+        "--gamma", metavar="G", type=shared.number(), default=1.0, help="exponent of the sensor's response (default 1)"
+    )
+    parser.add_argument(
+        "--pixel-aspect",
+        metavar="A",
+        type=shared.number(),
+        default=1.0,
+        help="height of a pixel over its width (default 1)",
     )
     parser.add_argument("--overlay", metavar="PNG", type=Path, help="picture of what was found")
     shared.add_json(parser)

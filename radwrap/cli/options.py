@@ -3,14 +3,53 @@
 from __future__ import annotations
 
 import argparse
-import tomllib
+import math
+import re
+from argparse import ArgumentTypeError
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from radwrap.errors import InputError
+from radwrap.files import check_result
+from radwrap.reading import parse_toml, shortened
 from radwrap.scene.load import load_scene
 from radwrap.scene.scene import Scene
 from radwrap.units import TIME, parse_quantity
+
+_LARGEST: Final = 1e12
+_LARGEST_WHOLE: Final = 2**63 - 1
+_WHOLE: Final = re.compile(r"[+-]?[0-9]{1,19}", re.ASCII)
+
+
+def number(low: float = -_LARGEST, high: float = _LARGEST) -> Callable[[str], float]:
+    """Reader of an option's number: finite, and in a range in which sums and squares do not overflow."""
+
+    def read(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high:
+            raise ArgumentTypeError(f'must be a number from {low:g} to {high:g}, not "{shortened(text)}"')
+        return value
+
+    return read
+
+
+def whole(low: int = -_LARGEST_WHOLE, high: int = _LARGEST_WHOLE) -> Callable[[str], int]:
+    """Reader of an option's whole number, in a range."""
+
+    def read(text: str) -> int:
+        value = int(text) if _WHOLE.fullmatch(text.strip()) else None
+        if value is None or not low <= value <= high:
+            raise ArgumentTypeError(f'must be a whole number from {low} to {high}, not "{shortened(text)}"')
+        return value
+
+    return read
+
+
+GRAY_LEVEL: Final = number(-1e9, 1e9)  # far beyond 16 bits: files of floats hold any
 
 
 def add_scene(parser: argparse.ArgumentParser) -> None:
@@ -65,6 +104,7 @@ def file_to_write(name: str | Path | None, where: str, suffix: str = "") -> Path
         )
     if not path.parent.is_dir():
         raise InputError(f'there is no folder "{path.parent}"', where=where, remedy="make it first")
+    check_result(path)
     return path
 
 
@@ -94,6 +134,6 @@ def _override(text: str) -> tuple[str, Any]:
     if not equals or not key:
         raise InputError(f'"{text}" is not KEY=VALUE', where="--set")
     try:
-        return key.strip(), tomllib.loads(f"value = {value}")["value"]
-    except ValueError:
+        return key.strip(), parse_toml(f"value = {value}", "--set")["value"]
+    except InputError:
         return key.strip(), value.strip()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from pathlib import Path
 from typing import Any, Final
@@ -11,7 +12,7 @@ import numpy as np
 
 from radwrap.cli import options as shared
 from radwrap.errors import InputError, ToleranceNotMet
-from radwrap.files import make_folder, sha256_of, sole_owner
+from radwrap.files import check_result, make_folder, sha256_of, sole_owner
 from radwrap.images import write_exr, write_png
 from radwrap.imaging.levels import Levels, read_levels
 from radwrap.imaging.relight import Basis, Relit, read_basis, relit
@@ -48,8 +49,8 @@ def run(arguments: argparse.Namespace) -> int:
     basis = read_basis(Path(arguments.basis))
     levels = read_levels(Path(arguments.levels), basis.sources, basis.dark)
     out = Path(arguments.out)
-    basis_folder = Path(arguments.basis).resolve()
-    if basis_folder in (out.resolve(), *out.resolve().parents):
+    basis_folder, real = (Path(os.path.realpath(folder)) for folder in (arguments.basis, out))  # links in a circle too
+    if basis_folder in (real, *real.parents):
         raise InputError("is the folder of the basis, or lies in it", where="--out", remedy="choose another")
     make_folder(out)
     with sole_owner(out):
@@ -69,6 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _write(out: Path, basis: Basis, levels: Levels, *, with_exposure: bool) -> dict[str, Any]:
     """Write all images, and what is told of them last."""
+    check_result(out / RESULT)
     (out / RESULT).unlink(missing_ok=True)
     images: dict[str, Any] = {}
     for name, factors, image in zip(levels.names, levels.factors, relit(basis, levels.factors), strict=True):

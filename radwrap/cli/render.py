@@ -33,12 +33,16 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         help="infinitesimal pinhole; finite pinhole by sub-viewpoints, as in the paper; by one image gathered with the "
         "opening's shape; by rays over pixel and opening (default: the cheapest of the last two)",
     )
-    parser.add_argument("--tolerance", metavar="G", type=float, help="largest rms error in gray levels (default 0.5)")
-    parser.add_argument("--max-error", metavar="G", type=float, help="largest error of 99 %% of the pixels, likewise")
+    parser.add_argument(
+        "--tolerance", metavar="G", type=shared.number(), help="largest rms error in gray levels (default 0.5)"
+    )
+    parser.add_argument(
+        "--max-error", metavar="G", type=shared.number(), help="largest error of 99 %% of the pixels, likewise"
+    )
     parser.add_argument(
         "--budget", metavar="B", help='what a tolerance may cost: rays, "1e7", or time, "30 s" (then not reproducible)'
     )
-    parser.add_argument("--viewpoints", metavar="N", type=int, help="sub-viewpoints (default 37)")
+    parser.add_argument("--viewpoints", metavar="N", type=shared.whole(), help="sub-viewpoints (default 37)")
     parser.add_argument(
         "--layout",
         choices=("rings", "hexagonal", "sunflower", "uneven"),
@@ -46,7 +50,11 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         help="how sub-viewpoints lie (default rings)",
     )
     parser.add_argument(
-        "--pixel-samples", metavar="K", type=int, default=1, help="K x K rays a pixel and sub-viewpoint (default 1)"
+        "--pixel-samples",
+        metavar="K",
+        type=shared.whole(),
+        default=1,
+        help="K x K rays a pixel and sub-viewpoint (default 1)",
     )
     parser.add_argument(
         "--pixel-sampling",
@@ -54,8 +62,12 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         default="centre",
         help="rays at the centres of the pixel's strata, or drawn inside them",
     )
-    parser.add_argument("--seed", metavar="S", type=int, default=0, help="seed of all that is drawn (default 0)")
-    parser.add_argument("--workers", metavar="W", type=int, help="tracer processes at a time (default: all cores)")
+    parser.add_argument(
+        "--seed", metavar="S", type=shared.whole(), default=0, help="seed of all that is drawn (default 0)"
+    )
+    parser.add_argument(
+        "--workers", metavar="W", type=shared.whole(), help="tracer processes at a time (default: all cores)"
+    )
     parser.add_argument(
         "--keep-viewpoints",
         action="store_true",
@@ -71,7 +83,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument(
         "--frames",
         metavar="N",
-        type=int,
+        type=shared.whole(),
         default=0,
         help="write N frames with the noise of a linear camera too: frame_0000.png and on",
     )
@@ -93,7 +105,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     )
     parser.add_argument("--dry-run", action="store_true", help="only say what rays, memory and time it would take")
     parser.add_argument(
-        "--max-pixels", metavar="N", type=float, default=64e6, help="largest sensor (default 64e6 pixels)"
+        "--max-pixels", metavar="N", type=shared.number(), default=64e6, help="largest sensor (default 64e6 pixels)"
     )
     shared.add_radiance(parser)
     shared.add_json(parser)

@@ -24,7 +24,9 @@ def add_to(kinds: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument(
         "--label", metavar="A=TEXT", action="append", default=[], help="what a factor is; may be repeated"
     )
-    parser.add_argument("--alpha", metavar="A", type=float, default=0.05, help="share of false alarms (default 0.05)")
+    parser.add_argument(
+        "--alpha", metavar="A", type=shared.number(), default=0.05, help="share of false alarms (default 0.05)"
+    )
     parser.add_argument("--out", metavar="DIR", help="folder for analysis.json and plots")
     shared.add_json(parser)
     parser.set_defaults(run=run)

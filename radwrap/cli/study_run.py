@@ -35,7 +35,9 @@ def add_to(kinds: argparse._SubParsersAction[Any]) -> None:
 
 def add_workers(parser: argparse.ArgumentParser) -> None:
     """--workers and --dask."""
-    parser.add_argument("--workers", metavar="N", type=int, help="processes, each with one tracer (default: all cores)")
+    parser.add_argument(
+        "--workers", metavar="N", type=shared.whole(), help="processes, each with one tracer (default: all cores)"
+    )
     parser.add_argument("--dask", metavar="ADDRESS", help='workers of a Dask cluster, such as "tcp://host:8786"')
 
 

@@ -28,12 +28,18 @@ def add_to(kinds: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument("--out", metavar="DIR", help="folder of the study (default: study beside DESIGN.toml)")
     parser.add_argument("--response", metavar="NAME", required=True, help="a response of the design")
     parser.add_argument("--within", metavar="BOUND", required=True, help='"0.1%%" of its nominal value, or "0.05 mm"')
-    parser.add_argument("--repeats", metavar="N", type=int, default=3, help="fresh seeds for each system (default 3)")
     parser.add_argument(
-        "--share", metavar="S", type=float, default=0.95, help="random systems that are to stay within (default 0.95)"
+        "--repeats", metavar="N", type=shared.whole(), default=3, help="fresh seeds for each system (default 3)"
     )
     parser.add_argument(
-        "--systems", metavar="N", type=int, default=8, help="random systems that are looked at (default 8)"
+        "--share",
+        metavar="S",
+        type=shared.number(),
+        default=0.95,
+        help="random systems that are to stay within (default 0.95)",
+    )
+    parser.add_argument(
+        "--systems", metavar="N", type=shared.whole(), default=8, help="random systems that are looked at (default 8)"
     )
     add_workers(parser)
     shared.add_radiance(parser)

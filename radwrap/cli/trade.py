@@ -28,13 +28,25 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         "--longest", metavar="TIME", default="60 s", help='leave out what is expected to take longer (default "60 s")'
     )
     parser.add_argument(
-        "--reference-pixels", metavar="N", type=int, default=2000, help="pixels of the reference (default 2000)"
+        "--reference-pixels",
+        metavar="N",
+        type=shared.whole(),
+        default=2000,
+        help="pixels of the reference (default 2000)",
     )
     parser.add_argument(
-        "--reference-rays", metavar="N", type=int, default=1024, help="rays of each of its two values (default 1024)"
+        "--reference-rays",
+        metavar="N",
+        type=shared.whole(),
+        default=1024,
+        help="rays of each of its two values (default 1024)",
     )
-    parser.add_argument("--seed", metavar="S", type=int, default=0, help="seed of all that is drawn (default 0)")
-    parser.add_argument("--workers", metavar="W", type=int, help="tracer processes at a time (default: all cores)")
+    parser.add_argument(
+        "--seed", metavar="S", type=shared.whole(), default=0, help="seed of all that is drawn (default 0)"
+    )
+    parser.add_argument(
+        "--workers", metavar="W", type=shared.whole(), help="tracer processes at a time (default: all cores)"
+    )
     shared.add_radiance(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)

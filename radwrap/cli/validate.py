@@ -30,8 +30,12 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         help='a section, "4", a check, "4.merging", or a case by its full name; may be repeated',
     )
     parser.add_argument("--out", metavar="DIR", help="folder for index.html, with plots, and validate.json")
-    parser.add_argument("--seed", metavar="S", type=int, default=0, help="seed of all that is drawn (default 0)")
-    parser.add_argument("--workers", metavar="W", type=int, help="tracer processes at a time (default: all cores)")
+    parser.add_argument(
+        "--seed", metavar="S", type=shared.whole(), default=0, help="seed of all that is drawn (default 0)"
+    )
+    parser.add_argument(
+        "--workers", metavar="W", type=shared.whole(), help="tracer processes at a time (default: all cores)"
+    )
     shared.add_radiance(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)

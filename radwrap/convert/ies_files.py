@@ -18,13 +18,14 @@ from radwrap.convert.radiance_files import side_stem
 from radwrap.errors import InputError, TracerError
 from radwrap.files import make_folder, write_bytes
 from radwrap.process import Programs
+from radwrap.reading import FileKind, read_bytes
 from radwrap.tracers.installation import judge
 from radwrap.tracers.rad_grammar import Source, primitives
 from radwrap.tracers.radiance import RadianceOptions
 
 # Radiance's luminous efficacy of white light [lm/W], by which ies2rad makes watts of lumens.
 LUMENS_PER_WATT: Final = 179.0
-_LARGEST_FILE: Final = 1 << 20
+_LUMINAIRE: Final = FileKind("luminaire file", 1 << 20)
 _TILT: Final = re.compile(rb"(?im)^[ \t]*TILT[ \t]*=[ \t]*([^\r\n]*)")
 _TILT_MARK: Final = ".tilt"
 _HARMLESS: Final = (r"\S+: warning - no lamp type",)
@@ -79,14 +80,9 @@ def write_luminaire(path: Path, out: Path, options: RadianceOptions) -> tuple[Pa
 
 
 def _content(path: Path) -> bytes:
-    try:
-        if not path.is_file():
-            raise InputError("no such file", where=str(path))
-        content = path.read_bytes()[: _LARGEST_FILE + 1]
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", where=str(path)) from error
-    if len(content) > _LARGEST_FILE or b"\0" in content:
-        raise InputError("is no luminaire file: it is too large, or no text", where=str(path))
+    content = read_bytes(path, _LUMINAIRE)
+    if b"\0" in content:
+        raise InputError("is no luminaire file: it holds a NUL byte", where=str(path))
     tilt = _TILT.search(content)
     if tilt is None:
         raise InputError("is no luminaire file: it has no TILT", where=str(path), remedy="name an IES LM-63 file")

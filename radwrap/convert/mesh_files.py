@@ -16,8 +16,9 @@ from radwrap.convert.radiance_files import side_stem
 from radwrap.errors import InputError
 from radwrap.files import make_folder, write_bytes
 from radwrap.process import Programs
+from radwrap.reading import check_regular
 from radwrap.scene.materials import Lambertian, Material
-from radwrap.scene.parts import PartFile, cleaned, read_part_file
+from radwrap.scene.parts import MESH, PartFile, cleaned, read_part_file
 from radwrap.scene.targets import MeshShape
 from radwrap.scene.winding import wound
 from radwrap.tracers.radiance import RadianceOptions, compiled_mesh
@@ -67,6 +68,7 @@ def read_groups(path: Path, length_unit: float | None) -> tuple[Group, ...]:
         See `read_part_file`; or if nothing with an area is left.
     """
     # Whoever names a file on the command line may name a link to it.
+    check_regular(path, MESH)
     found = read_part_file(path, folder=path.resolve().parent, length_unit=length_unit, where=str(path))
     groups = tuple(_group(name, word, *found.groups[name]) for name, word in _words(found).items())
     groups = tuple(group for group in groups if len(group.faces))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import re
 from collections.abc import Sequence
@@ -15,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
+from radwrap.reading import CSV, csv_rows, read_text, shortened
 
 NAME: Final = "name"
 # Becomes a file name on any system: no separator, no dot at either end, nothing that a shell reads.
@@ -63,28 +62,19 @@ def read_levels(path: Path, sources: Sequence[str], dark: Sequence[str] = ()) ->
         If the file cannot be read, a column is missing, unknown or twice, a cell is empty or no number from 0 on, or
         a name cannot be a file's or comes twice; the error names line and column.
     """
-    try:
-        text = path.read_text("utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError("is no readable text file", where=str(path), remedy="give a CSV file in UTF-8") from error
-    rows = csv.reader(io.StringIO(text), strict=True)
+    rows = csv_rows(read_text(path, CSV), str(path))
     names: dict[str, int] = {}
     factors = []
-    try:
-        header = [cell.strip() for cell in next(rows, [])]
-        _check_header(header, sources, dark, f"{path}: line 1")
-        order = [header.index(source) for source in sources]
-        for row in rows:
-            if not row:
-                continue
-            where = f"{path}: line {rows.line_num}"
-            if len(row) != len(header):
-                raise InputError(f"has {len(row)} cells, the first line has {len(header)}", where=where)
-            name = _image_name(row[header.index(NAME)].strip(), names, where)
-            names[name.lower()] = rows.line_num
-            factors.append((name, [_factor(row[column], f'{where}, column "{header[column]}"') for column in order]))
-    except csv.Error as error:
-        raise InputError(f"is no CSV: {error}", where=f"{path}: line {rows.line_num}") from error
+    header = [cell.strip() for cell in next(rows, (1, []))[1]]
+    _check_header(header, sources, dark, f"{path}: line 1")
+    order = [header.index(source) for source in sources]
+    for line, row in rows:
+        where = f"{path}: line {line}"
+        if len(row) != len(header):
+            raise InputError(f"has {len(row)} cells, the first line has {len(header)}", where=where)
+        name = _image_name(row[header.index(NAME)].strip(), names, where)
+        names[name.lower()] = line
+        factors.append((name, [_factor(row[column], f'{where}, column "{header[column]}"') for column in order]))
     if not factors:
         raise InputError("holds no image", where=str(path), remedy="write a row for each image below the first line")
     return Levels(tuple(name for name, _ in factors), np.array([row for _, row in factors], dtype=np.float64))
@@ -100,7 +90,9 @@ def _check_header(header: Sequence[str], sources: Sequence[str], dark: Sequence[
                 remedy="give it a radiance in the scene, make the basis again",
             )
         if column not in wanted:
-            raise InputError(f'unknown column "{column}"', where=where, remedy=f"known are {', '.join(wanted)}")
+            raise InputError(
+                f'unknown column "{shortened(column)}"', where=where, remedy=f"known are {', '.join(wanted)}"
+            )
         if header.count(column) > 1:
             raise InputError(f'the column "{column}" comes twice', where=where)
     for column in wanted:
@@ -112,7 +104,9 @@ def _image_name(name: str, known: dict[str, int], where: str) -> str:
     place = f'{where}, column "{NAME}"'
     if not _SAFE.fullmatch(name) or _RESERVED.fullmatch(name):
         raise InputError(
-            f'"{name}" cannot name a file', where=place, remedy="use up to 100 letters, digits, and _ . - between them"
+            f'"{shortened(name)}" cannot name a file',
+            where=place,
+            remedy="use up to 100 letters, digits, and _ . - between them",
         )
     if name.lower() in known:
         raise InputError(f'"{name}" is taken by line {known[name.lower()]}', where=place)
@@ -125,5 +119,5 @@ def _factor(cell: str, where: str) -> float:
         raise InputError("is empty", where=where, remedy="write 0 for a source that is off")
     value = float(text) if _NUMBER.fullmatch(text) else math.nan
     if not (math.isfinite(value) and value >= 0):
-        raise InputError(f'"{text}" is no number from 0 on', where=where)
+        raise InputError(f'"{shortened(text)}" is no number from 0 on', where=where)
     return value

@@ -9,16 +9,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.files import sha256_of
-from radwrap.frames import Pose
 from radwrap.images import ExposureImage, GrayImage, read_image
 from radwrap.imaging.basis import BASIS, MAGNIFICATION, SEAL, file_name, sealed
 from radwrap.imaging.bounds import ALONE, NOTHING, Bounded, mean_squares, resampling
@@ -26,12 +25,12 @@ from radwrap.imaging.certificate import Certificate, PixelErrors, PixelSample, l
 from radwrap.imaging.kernel import grid_squares
 from radwrap.imaging.planner import certificate_of, model_quantile, noise_quantile
 from radwrap.imaging.replicates import looks, noise_of
+from radwrap.imaging.run_files import BasisFile, SampleFile
 from radwrap.imaging.sensor import gray_levels, image_of_levels
 from radwrap.manifest import read_manifest
-from radwrap.scene.camera import Aperture, Camera, Lens, Sensor
-from radwrap.scene.linear_sensor import LinearSensor
-from radwrap.scene.pixel_window import PixelWindow, Profile
+from radwrap.scene.camera import Camera, Sensor
 from radwrap.scene.tolerances import Tolerances
+from radwrap.written import read_back
 
 # Images that are made together. Always as many, the last ones perhaps in vain: then a product's last bits do not depend
 # on how many images are asked for.
@@ -145,78 +144,45 @@ def read_basis(folder: Path) -> Basis:
     told = read_manifest(folder / BASIS)
     if sealed(told)[SEAL] != told.get(SEAL):
         raise InputError("is not as it was made", where=str(folder / BASIS), remedy="make the basis again")
+    told_by = read_back(told, BasisFile, str(folder / BASIS))
     try:
-        return _basis(folder, told)
-    except (AttributeError, IndexError, KeyError, TypeError, ValueError, ZeroDivisionError) as error:
+        return _basis(folder, told_by)
+    except (KeyError, TypeError, ValueError) as error:
         raise InputError("is no light basis", where=str(folder / BASIS), remedy="make it again") from error
 
 
-def _basis(folder: Path, told: dict[str, Any]) -> Basis:
-    for name, known in told["files"].items():
+def _basis(folder: Path, told: BasisFile) -> Basis:
+    for name, known in told.files.items():
         _check_file(folder / name, known)
-    sources = tuple(told["sources"])
-    sensor = _sensor(told["camera"]["sensor"])
-    number, model, grid_pixels = int(told["replicates"]), told["model"], np.array(told["grid_pixels"], dtype=np.intp)
-    images = np.empty((len(sources), number, sensor.rows, sensor.columns), dtype=np.float32)
-    grid = np.zeros((len(sources), number, len(grid_pixels)), dtype=np.float32)
-    lacks = np.zeros((len(sources), 2, len(model["pixels"]) if model else 0), dtype=np.float32)
-    for k, source in enumerate(sources):
-        for replicate in range(number):
+    sensor, model = told.camera.sensor, told.model
+    images = np.empty((len(told.sources), told.replicates, sensor.rows, sensor.columns), dtype=np.float32)
+    grid = np.zeros((len(told.sources), told.replicates, len(told.grid_pixels)), dtype=np.float32)
+    lacks = np.zeros((len(told.sources), 2, len(model.pixels) if model else 0), dtype=np.float32)
+    for k, source in enumerate(told.sources):
+        for replicate in range(told.replicates):
             images[k, replicate] = _part(folder, told, source, str(replicate))
         if grid.size:
             grid[k] = _part(folder, told, source, "grid")
         if model:
             lacks[k] = _part(folder, told, source, "model")
     return Basis(
-        sources=sources,
-        dark=tuple(told["dark"]),
+        sources=told.sources,
+        dark=told.dark,
         images=images,
-        grid_pixels=grid_pixels,
+        grid_pixels=np.array(told.grid_pixels, dtype=np.intp),
         grid=grid,
         sample=_sample(model) if model else None,
         lacks=lacks,
-        model_rays=int(model["rays"]) if model else 0,
-        block=(int(told["block"][0]), int(told["block"][1])),
-        exposure_of_radiance=float(told["exposure_of_radiance"]),
-        camera=_camera(told["camera"], sensor),
-        tolerance=float(told["tolerance"]),
-        max_error=told["max_error"],
-        scene_sha256=str(told["scene_sha256"]),
-        tolerances=None if told["tolerances"] is None else Tolerances(**_values(told["tolerances"])),
-        magnification=read_image(folder / MAGNIFICATION)[0] if MAGNIFICATION in told["files"] else None,
+        model_rays=model.rays if model else 0,
+        block=told.block,
+        exposure_of_radiance=told.exposure_of_radiance,
+        camera=replace(told.camera, distortion=None),
+        tolerance=told.tolerance,
+        max_error=told.max_error,
+        scene_sha256=told.scene_sha256,
+        tolerances=told.tolerances,
+        magnification=read_image(folder / MAGNIFICATION)[0] if MAGNIFICATION in told.files else None,
     )
-
-
-def _values(told: dict[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in told.items() if key != "is"}
-
-
-def _camera(told: dict[str, Any], sensor: Sensor) -> Camera:
-    pose, (u, v), lens = told["pose"], told["principal_point"], None
-    if told.get("lens") is not None:
-        table = told["lens"]["relative_illumination"]
-        points = None if table is None else tuple((height, share) for height, share in table)
-        lens = Lens(**{**_values(told["lens"]), "relative_illumination": points})
-    x, y, z = ((float(a), float(b), float(c)) for a, b, c in pose["rotation"])
-    return Camera(
-        pose=Pose(tuple(pose["position"]), (x, y, z)),
-        focal_length=told["focal_length"],
-        principal_point=(u, v),
-        exposure_time=told["exposure_time"],
-        aperture=Aperture(**_values(told["aperture"])),
-        sensor=sensor,
-        lens=lens,
-    )
-
-
-def _sensor(told: dict[str, Any]) -> Sensor:
-    values = _values(told)
-    if (linear := values.get("linear")) is not None:
-        values["linear"] = LinearSensor(**_values(linear))
-    if (window := values.get("window")) is not None:
-        across, down = (Profile(tuple(window[k]["edges"]), tuple(window[k]["weights"])) for k in ("across", "down"))
-        values["window"] = PixelWindow(across, down)
-    return Sensor(**values)
 
 
 def _check_file(path: Path, known: str) -> None:
@@ -228,17 +194,19 @@ def _check_file(path: Path, known: str) -> None:
         raise InputError("is not the file that the basis was made with", where=str(path), remedy="make it again")
 
 
-def _part(folder: Path, told: dict[str, Any], source: str, part: str) -> NDArray[np.float32]:
+def _part(folder: Path, told: BasisFile, source: str, part: str) -> NDArray[np.float32]:
     name = file_name(source, part)
-    if name not in told["files"]:
+    if name not in told.files:
         raise KeyError(name)
     pixels: NDArray[np.float32] = read_image(folder / name)[0]
     return pixels
 
 
-def _sample(model: dict[str, Any]) -> PixelSample:
-    pixels, stratum, pairs = (np.array(model[key], dtype=np.intp) for key in ("pixels", "stratum", "pairs"))
-    return PixelSample(pixels, stratum, np.array(model["shares"], dtype=np.float64), pairs)
+def _sample(model: SampleFile) -> PixelSample:
+    pixels, stratum, pairs = (
+        np.array(numbers, dtype=np.intp) for numbers in (model.pixels, model.stratum, model.pairs)
+    )
+    return PixelSample(pixels, stratum, np.array(model.shares, dtype=np.float64), pairs)
 
 
 def relit(basis: Basis, factors: Sequence[Sequence[float]] | NDArray[np.float64]) -> Iterator[Relit]:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
-from radwrap.files import TEMPORARY_SUFFIX, disk_failure, make_folder, sha256_of, sole_owner
+from radwrap.files import TEMPORARY_SUFFIX, check_result, disk_failure, make_folder, sha256_of, sole_owner
 from radwrap.images import ExposureImage, GrayImage, RadianceImage, png_bytes, read_image, write_exr, write_png
 from radwrap.imaging import photo_realistic
 from radwrap.imaging.basis import BASIS, FOLDER, shining, write_basis
@@ -35,6 +35,7 @@ from radwrap.imaging.pieces import remove_pieces
 from radwrap.imaging.planner import choose
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.replicates import Work
+from radwrap.imaging.run_files import RunManifest
 from radwrap.imaging.sensor import gray_levels, image_of_levels
 from radwrap.imaging.survey import survey
 from radwrap.imaging.tracing import TracedScene, laid_out
@@ -49,6 +50,7 @@ from radwrap.scene.checks import warnings_of
 from radwrap.scene.scene import Scene
 from radwrap.scene.tolerances import Tolerances
 from radwrap.tracers.radiance import PreparedScene
+from radwrap.written import read_back
 
 MANIFEST: Final = "manifest.json"
 EXPOSURE: Final = "radiant_exposure.exr"
@@ -175,6 +177,8 @@ def forecast(scene: Scene, options: RenderOptions) -> Cost:
 def _render_into(scene: Scene, out: Path, options: RenderOptions) -> Rendered:
     start, cpu = time.monotonic(), children_cpu_time()
     with sole_owner(out), Programs() as programs:
+        for name in (EXPOSURE, GRAY, MANIFEST):
+            check_result(out / name)
         work = out / _WORK
         shutil.rmtree(work, ignore_errors=True)
         for leftover in out.glob(f".*{TEMPORARY_SUFFIX}.*"):  # of a killed run
@@ -251,11 +255,9 @@ class _Run:
             if missing_viewpoints(plan, self.folder):
                 return False
         try:
-            manifest = read_manifest(self.out / MANIFEST)
-            files = manifest["files"]
-            return manifest["run_sha256"] == self.sha256 and all(
-                sha256_of(self.out / name) == known for name, known in files.items()
-            )
+            known: RunManifest = read_back(read_manifest(self.out / MANIFEST), RunManifest, MANIFEST)
+            files = known.files.items()
+            return known.run_sha256 == self.sha256 and all(sha256_of(self.out / name) == sha for name, sha in files)
         except (InputError, OSError, KeyError):
             return False
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-import io
+import re
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -13,11 +12,13 @@ from radwrap.errors import InputError
 from radwrap.files import write_bytes
 from radwrap.led.drive import decimal
 from radwrap.manifest import json_text
+from radwrap.reading import CSV, csv_rows, read_text, shortened
 from radwrap.scene.ring_calibration import IS, SCHEMA_VERSION, LedTable, RingCalibration, read_calibration
 from radwrap.units import RADIANT_INTENSITY, parse_quantity
 
 _COLUMNS: Final = ("led", "level", "radiant_intensity")
 _ERROR: Final = "standard_error"
+_LED_NUMBER: Final = re.compile(r"0*[0-9]{1,4}", re.ASCII)
 
 
 def levels_for(calibration: RingCalibration, radiant_intensity: Sequence[float]) -> tuple[float, ...]:
@@ -60,21 +61,16 @@ def read_table(path: Path) -> tuple[LedTable, ...]:
     InputError
         With line and column, or which LED's table is not monotone.
     """
-    try:
-        reader = csv.DictReader(io.StringIO(path.read_text("utf-8-sig")), strict=True, skipinitialspace=True)
-        header = list(reader.fieldnames or ())
-        unknown = [name for name in header if name not in (*_COLUMNS, _ERROR)]
-        if unknown or any(name not in header for name in _COLUMNS) or len(set(header)) < len(header):
-            raise InputError(
-                f"has the columns {', '.join(header)}",
-                where=f"{path}: line 1",
-                remedy=f"write {', '.join(_COLUMNS)} and, where known, {_ERROR}",
-            )
-        rows = [_row(row, f"{path}: line {reader.line_num}") for row in reader]
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError("is no readable text file", where=str(path), remedy="give a CSV file in UTF-8") from error
-    except csv.Error as error:
-        raise InputError(f"is no CSV: {error}", where=str(path)) from error
+    table = csv_rows(read_text(path, CSV), str(path), initial_space=True)
+    _, header = next(table, (1, []))
+    unknown = [name for name in header if name not in (*_COLUMNS, _ERROR)]
+    if unknown or any(name not in header for name in _COLUMNS) or len(set(header)) < len(header):
+        raise InputError(
+            f"has the columns {', '.join(map(shortened, header))}",
+            where=f"{path}: line 1",
+            remedy=f"write {', '.join(_COLUMNS)} and, where known, {_ERROR}",
+        )
+    rows = [_row(header, cells, f"{path}: line {line}") for line, cells in table]
     count = max((led for led, *_ in rows), default=-1) + 1
     if not count:
         raise InputError("holds no row", where=str(path))
@@ -89,12 +85,12 @@ def _table(led: int, rows: Sequence[tuple[int, float, float, float]], where: str
         raise InputError(error.what, where=where, remedy=error.remedy or "measure it again") from error
 
 
-def _row(row: dict[str, str | None], where: str) -> tuple[int, float, float, float]:
-    if None in row or any(value is None for value in row.values()):
+def _row(header: Sequence[str], row: Sequence[str], where: str) -> tuple[int, float, float, float]:
+    if len(row) != len(header):
         raise InputError("has another number of cells than the first line", where=where)
-    cells = {name: (value or "").strip() for name, value in row.items()}
-    if not (cells["led"].isascii() and cells["led"].isdecimal()) or int(cells["led"]) >= 4096:
-        raise InputError(f'"{cells["led"]}" is no number of an LED', where=f'{where}, column "led"')
+    cells = dict(zip(header, (cell.strip() for cell in row), strict=True))
+    if not _LED_NUMBER.fullmatch(cells["led"]) or int(cells["led"]) >= 4096:
+        raise InputError(f'"{shortened(cells["led"])}" is no number of an LED', where=f'{where}, column "led"')
     level = decimal(cells["level"], f'{where}, column "level"')
     try:
         intensity = parse_quantity(cells["radiant_intensity"], RADIANT_INTENSITY)

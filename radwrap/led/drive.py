@@ -15,16 +15,18 @@ from __future__ import annotations
 
 import math
 import re
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 from radwrap.errors import InputError
+from radwrap.reading import FileKind, read_toml
 from radwrap.units import CURRENT, LENGTH, TIME, Dimension, parse_quantity
 
-_LARGEST_FILE: Final = 1 << 20  # byte
+_DRIVE_FILE: Final = FileKind(
+    "drive file", 1 << 20, "without the LEDs' rated current there is no light: docs/led.md shows a drive file"
+)
 _QUANTITIES: Final = {
     "wavelength": LENGTH,
     "rated_current": CURRENT,
@@ -172,19 +174,7 @@ def read_drive(path: str | Path) -> Drive:
         What is wrong, with file and key.
     """
     path = Path(path)
-    try:
-        if path.stat().st_size > _LARGEST_FILE:
-            raise InputError("is too large for a drive file", where=str(path))
-        table = tomllib.loads(path.read_text("utf-8"))
-    except OSError as error:
-        raise InputError(
-            f"cannot be read: {error.strerror}",
-            where=str(path),
-            remedy="without the LEDs' rated current there is no light: docs/led.md shows a drive file",
-        ) from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"is not TOML: {error}", where=str(path)) from error
-    return _drive(table, str(path))
+    return _drive(read_toml(path, _DRIVE_FILE), str(path))
 
 
 def _drive(table: Mapping[str, Any], where: str) -> Drive:

@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Final
 
 from radwrap.errors import InputError
+from radwrap.reading import FileKind, check_regular
 
-_LARGEST_FILE: Final = 16 << 20  # byte
+_BESIDE: Final = FileKind("file beside a scene", 64 << 20)
 
 
 def named_file(folder: Path, name: str, where: str) -> Path:
@@ -25,16 +26,15 @@ def named_file(folder: Path, name: str, where: str) -> Path:
     Raises
     ------
     InputError
-        If it is not there, lies outside the folder, links followed, or is no regular file of at most 16 MiB.
+        If it is not there, lies outside the folder, links followed, or is no regular file of at most 64 MiB.
     """
     try:
         real = (folder / name).resolve()
         if not real.is_relative_to(folder.resolve()):
             raise InputError(f'"{name}" lies outside the scene\'s folder', where=where, remedy="copy it there")
-        if not real.is_file():
+        if not real.exists():
             raise InputError(f'no file "{name}" beside the scene', where=where)
-        if real.stat().st_size > _LARGEST_FILE:
-            raise InputError(f'"{name}" is larger than {_LARGEST_FILE >> 20} MiB', where=where)
-    except (OSError, ValueError) as error:
+    except (OSError, RuntimeError, ValueError) as error:
         raise InputError(f'"{name}" cannot be read', where=where) from error
+    check_regular(real, _BESIDE, f'{where}: "{name}"')
     return real

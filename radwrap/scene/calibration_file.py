@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -12,14 +13,22 @@ import numpy as np
 
 from radwrap.errors import InputError
 from radwrap.frames import Rotation, Vector, rotation_about_fixed_axes
+from radwrap.reading import FileKind, check_tree, read_text
 
 if TYPE_CHECKING:
     import cv2
 
 # Names of camera matrix and coefficients, as OpenCV's samples and others write them.
+_CALIBRATION: Final = FileKind("calibration", 1 << 20)
 _MATRICES: Final = ("camera_matrix", "cameraMatrix", "K")
 _COEFFICIENTS: Final = ("distortion_coefficients", "distCoeffs", "D")
 _KNOWN_MODELS: Final = ("", "plumb_bob", "rational_polynomial", "opencv")
+_DEEPEST: Final = 32
+# Brackets, tags, and what stands at the begin of a line of YAML; strings are passed over.
+_NESTING: Final = re.compile(
+    r'"(?:[^"\\\n]|\\.)*+"|(?P<open>[\[{]|<[A-Za-z_][^<>]*+>(?<!/>))|(?P<close>[\]}]|</)'
+    r"|(?P<indent>(?:^|(?<=\n))[ -]++)"
+)
 _MODEL: Final = "distortion_model"
 _REMEDY: Final = "give OpenCV's YAML or the JSON of `radwrap calibrate camera --json`"
 _MOST_COEFFICIENTS: Final = 8  # of those that OpenCV names in its order, further ones are of thin prisms and tilts
@@ -75,14 +84,14 @@ def read_intrinsics(path: Path, where: str) -> Intrinsics:
     InputError
         If it is none of the known kinds, or holds what no pinhole with distortion can have.
     """
-    try:
-        text = path.read_bytes().decode("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f'"{path.name}" is no readable text', where=where) from error
+    place = f'{where}: "{path.name}"'
+    text = read_text(path, _CALIBRATION, place)
+    _check_depth(text, place)
     try:
         told = json.loads(text)
-    except (ValueError, RecursionError):
+    except ValueError:
         told = None
+    check_tree(told, place, finite=False)
     try:
         found = _ours(told) if isinstance(told, dict) and "kappa1" in told else _opencv(text)
     except InputError as error:
@@ -92,6 +101,15 @@ def read_intrinsics(path: Path, where: str) -> Intrinsics:
         raise InputError(f'"{path.name}" is no whole calibration: {lacking}', where=where, remedy=_REMEDY) from error
     _check(found, path.name, where)
     return found
+
+
+def _check_depth(text: str, where: str) -> None:
+    """Refuse what is nested so deep that OpenCV's parsers, which call themselves, end the process."""
+    depth = 0
+    for found in _NESTING.finditer(text):
+        depth += 1 if found["open"] else -1 if found["close"] else 0
+        if depth > _DEEPEST or len(found["indent"] or "") > 4 * _DEEPEST:
+            raise InputError(f"is nested more than {_DEEPEST} levels deep", where=where, remedy=_REMEDY)
 
 
 def _check(found: Intrinsics, name: str, where: str) -> None:

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 import re
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
 from radwrap.errors import InputError
+from radwrap.reading import FileKind, read_toml
 from radwrap.scene.beside import named_file
 from radwrap.units import LENGTH, parse_quantity
 
 KEY = "data_sheet"
+_DATA_SHEET: Final = FileKind("data sheet", 1 << 20)
 _ONE: Final = "quantum_efficiency"
 _TABLE: Final = "quantum_efficiencies"
 _ROUNDING: Final = 1e-9  # "650 nm" and "0.65 um" are one
@@ -34,10 +35,7 @@ def with_data_sheet(document: Mapping[str, Any], origin: str, folder: Path) -> M
         return document
     where = f"{origin}: camera.sensor.{KEY}"
     path = named_file(folder, name, where)
-    try:
-        sheet = tomllib.loads(path.read_bytes().decode("utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f'"{name}" is no TOML file: {error}', where=where) from error
+    sheet = read_toml(path, _DATA_SHEET, f'{where}: "{name}"')
     if KEY in sheet or "preset" in sheet:
         raise InputError(f'"{name}" names another sheet', where=where, remedy="spell its values out")
     return {**document, "camera": {**camera, "sensor": {**_without_replaced(sheet, sensor, where), **sensor}}}

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal
+import math
+from typing import Annotated, Any, ClassVar, Final, Literal
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from radwrap.scene.border import (
     Aimed,
@@ -176,12 +177,25 @@ class EdgeModel(TargetBase):
         return self
 
 
+# Of the polygon's extent; Radiance tells coordinates apart to a millionth.
+_SHORTEST_SIDE: Final = 1e-6
+
+
 class PolygonModel(TargetBase):
     """A flat polygon."""
 
     type: Literal["polygon"]
     material: Name
     vertices: Annotated[tuple[tuple[AnyLength, AnyLength], ...], Field(min_length=3, max_length=1000)]
+
+    @field_validator("vertices")
+    @classmethod
+    def _apart(cls, vertices: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+        extent = max(max(axis) - min(axis) for axis in zip(*vertices, strict=True))
+        for number, (before, vertex) in enumerate(zip((vertices[-1], *vertices), vertices, strict=False)):
+            if math.dist(before, vertex) <= _SHORTEST_SIDE * extent:
+                raise ValueError(f"vertex {number} is where the one before it is, or nearly: leave it out")
+        return vertices
 
 
 class DiscModel(TargetBase):

@@ -7,9 +7,7 @@ degrees miss a narrow beam by half. How far straight lines are from it is told.
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import re
 from pathlib import Path
 from typing import Final
@@ -18,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
+from radwrap.reading import FileKind, csv_rows, read_bytes, shortened
 from radwrap.scene.sources import IntensityTable, TableBeam
 
 Array = NDArray[np.float64]
@@ -36,6 +35,7 @@ _SMALLEST: Final = 1e-30
 _LEAST_APART: Final = 1e-6  # deg; no goniometer tells angles apart that are nearer
 _TYPES: Final = {2: "B", 3: "A"}
 _EDITION: Final = re.compile(r"(?i)\s*IES(?:NA)?:?(?:LM-63-)?(\d+)")
+_YEAR_DIGITS: Final = 4
 _CODED: Final = 2019  # from this edition on the number after the ballast factor tells how the file was made
 _TILT: Final = re.compile(r"(?im)^[ \t]*TILT[ \t]*=[ \t]*(.*)$")
 
@@ -49,7 +49,7 @@ def read_beam(path: Path) -> TableBeam:
         If it is no such table.
     """
     text, digest = table_text(path, _LARGEST_FILE)
-    rows = csv_rows(text, path)
+    rows = table_rows(text, path)
     if not rows or [cell.strip() for cell in rows[0]] != _HEADER:
         raise InputError(f'its first line must be "{",".join(_HEADER)}"', where=str(path))
     if any(len(row) != len(_HEADER) for row in rows):
@@ -117,6 +117,8 @@ def read_luminaire(path: Path) -> IntensityTable:
 def _lamp_factor(text: str, told: float, path: Path) -> float:
     """The ballast-lamp photometric factor, which the editions of 1986 and 1991 have."""
     edition = _EDITION.match(text)
+    if edition and len(edition[1]) > _YEAR_DIGITS:
+        raise InputError(f'"{shortened(edition[1])}" is no year of an edition', where=str(path))
     year = int(edition[1]) if edition else 1986
     if year in (1986, 1991, 91):
         return told
@@ -129,7 +131,7 @@ def _lamp_factor(text: str, told: float, path: Path) -> float:
     return 1.0
 
 
-def csv_rows(text: str, path: Path) -> list[list[str]]:
+def table_rows(text: str, path: Path) -> list[list[str]]:
     """Lines of a table, without comments and empty ones.
 
     Raises
@@ -137,10 +139,7 @@ def csv_rows(text: str, path: Path) -> list[list[str]]:
     InputError
         If it is no CSV.
     """
-    try:
-        return [row for row in csv.reader(io.StringIO(text)) if row and not row[0].lstrip().startswith("#")]
-    except csv.Error as error:
-        raise InputError(f"is no table: {error}", where=str(path)) from error
+    return [row for _, row in csv_rows(text, str(path)) if not row[0].lstrip().startswith("#")]
 
 
 class _Reader:
@@ -279,12 +278,7 @@ def table_text(path: Path, largest: int) -> tuple[str, str]:
     InputError
         If it cannot be read, is larger, or is no text.
     """
-    try:
-        if not path.is_file():
-            raise InputError("no such file", where=str(path))
-        content = path.read_bytes()[: largest + 1]
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", where=str(path)) from error
-    if len(content) > largest or b"\0" in content:
-        raise InputError("is too large, or no text", where=str(path))
+    content = read_bytes(path, FileKind("table", largest))
+    if b"\0" in content:
+        raise InputError("is not text: it holds a NUL byte", where=str(path))
     return content.decode("utf-8-sig", "replace"), hashlib.sha256(content).hexdigest()

@@ -6,8 +6,6 @@ Errors name the file and the key path, such as ``scene.toml: targets[0].pitch``.
 from __future__ import annotations
 
 import json
-import math
-import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -16,6 +14,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails, PydanticUndefined
 
 from radwrap.errors import InputError
+from radwrap.reading import FileKind, check_tree, read_toml, shortened, whole_number
 from radwrap.scene.border import Model
 from radwrap.scene.calibrated import with_calibration
 from radwrap.scene.checks import check_scene, check_shapes
@@ -29,7 +28,7 @@ from radwrap.scene.scene import Scene
 from radwrap.scene.wide_checks import check_beside, check_coaxial
 from radwrap.scene.wide_sources import divided
 
-_LARGEST_FILE: Final = 16 << 20  # byte; a scene file is written by hand
+_SCENE_FILE: Final = FileKind("scene file", 16 << 20, "`radwrap init DIR` writes one to start from")  # written by hand
 # What pydantic calls a wrong kind of value, and what the file must hold there instead.
 _WRONG_KINDS: Final = {
     "model_type": "a table",
@@ -67,7 +66,7 @@ def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> 
         What is wrong, with file and key path.
     """
     path = Path(path)
-    document = _read(path)
+    document = read_toml(path, _SCENE_FILE)
     return scene_from_document(document, overrides, origin=path.name, folder=path.parent)
 
 
@@ -80,7 +79,7 @@ class _MaterialsModel(Model):
 def load_materials(path: str | Path) -> dict[str, Material]:
     """Read a file with ``[materials."NAME"]`` tables as a scene has them; errors as `load_scene`."""
     path = Path(path)
-    document = _read(path)
+    document = read_toml(path, _SCENE_FILE)
     _checked_json(document, path.name)
     try:
         model = _MaterialsModel.model_validate(document)
@@ -140,30 +139,10 @@ def with_value(scene: Scene, key: str, value: Any) -> Scene:
     return scene_from_document(json.loads(scene.document), {key: value}, origin=scene.origin, folder=scene.folder)
 
 
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        if path.stat().st_size > _LARGEST_FILE:
-            raise InputError(f"is larger than {_LARGEST_FILE >> 20} MiB, which no scene file is", where=str(path))
-        if not path.is_file():
-            raise InputError("is no regular file", where=str(path), remedy="name a scene file")
-        return tomllib.loads(path.read_bytes().decode("utf-8"))
-    except FileNotFoundError as error:
-        raise InputError(
-            "no such scene file", where=str(path), remedy="`radwrap init DIR` writes one to start from"
-        ) from error
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", where=str(path)) from error
-    except UnicodeDecodeError as error:
-        raise InputError("is not UTF-8 text", where=str(path)) from error
-    except (ValueError, RecursionError) as error:  # ValueError also for an integer of thousands of digits
-        raise InputError(f"is not TOML: {error}", where=str(path)) from error
-
-
 def _checked_json(document: Mapping[str, Any], origin: str) -> str:
     """JSON of a document; dates and non-finite numbers are no values of a scene."""
+    check_tree(document, origin, finite=True)
     for key, value in _leaves(document, ""):
-        if isinstance(value, float) and not math.isfinite(value):
-            raise InputError("is not a finite number", where=f"{origin}: {key}")
         if not isinstance(value, str | int | float | bool | dict | list):
             raise InputError(f"a {type(value).__name__} is no value of a scene", where=f"{origin}: {key}")
     return json.dumps(document, ensure_ascii=False)
@@ -188,17 +167,18 @@ def set_key(document: Any, key: str, value: Any, origin: str) -> None:
     InputError
         If there is no such place.
     """
-    where = f"{origin}: {key}"
+    where = f"{origin}: {shortened(key, 200)}"
     steps: list[str | int] = []
     for part in key.split("."):
         name, *indices = part.replace("]", "").split("[")
-        if not name or not all(index.isdecimal() for index in indices):
+        numbers = [number for index in indices if (number := whole_number(index)) is not None]
+        if not name or len(numbers) < len(indices):
             raise InputError(
                 "is no key path",
                 where=where,
                 remedy='write it as "camera.exposure_time" or "targets[0].pitch"',
             )
-        steps += [name, *map(int, indices)]
+        steps += [name, *numbers]
     place = document
     for step in steps[:-1]:
         if isinstance(step, str) and isinstance(place, dict):

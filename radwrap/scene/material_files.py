@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.manifest import sha256_of_value
-from radwrap.scene.intensity_files import csv_rows, table_text
+from radwrap.scene.intensity_files import table_rows, table_text
 from radwrap.scene.materials import MeasuredBrdf, PrintedImage
 
 Array = NDArray[np.float64]
@@ -145,10 +145,16 @@ def read_print(path: Path, encoding: str, black: float, white: float) -> Printed
     """
     from radwrap.images import read_gray
 
-    image = read_gray(path)
-    if image.values.size > _MOST_PIXELS:
-        raise InputError(f"has more than {_MOST_PIXELS} pixels", where=str(path), remedy="make it smaller")
-    share = image.values / (2**image.bit_depth - 1)
+    image = read_gray(path, most_pixels=_MOST_PIXELS)
+    # Files of floats hold shares as they are.
+    share = image.values / (2**image.bit_depth - 1) if image.provenance["whole_numbers"] else image.values
+    low, high = float(share.min()), float(share.max())
+    if low < 0 or high > 1:
+        raise InputError(
+            f"holds values from {low:.4g} to {high:.4g}",
+            where=str(path),
+            remedy="floats go from 0, black, to 1, white, in a print",
+        )
     if encoding == "srgb":
         share = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
     # Radiance takes no data of one row or column: two alike say the same.
@@ -160,7 +166,7 @@ def read_print(path: Path, encoding: str, black: float, white: float) -> Printed
 
 def _columns(path: Path, names: tuple[str, ...], optional: str = "") -> tuple[dict[str, Array], str]:
     text, digest = table_text(path, _LARGEST_FILE)
-    rows = csv_rows(text, path)
+    rows = table_rows(text, path)
     head = [cell.strip() for cell in rows[0]] if rows else []
     if sorted(head) not in (sorted(names), sorted((*names, optional))):
         raise InputError(f"its first line must name the columns {', '.join(names)}", where=str(path))

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from radwrap.errors import InputError
+from radwrap.reading import FileKind, read_bytes
 
 # Longer words name no file on any system.
 _LONGEST_NAME: Final = 1024
@@ -17,6 +17,7 @@ _NAMELESS: Final = frozenset(
     ".stl .ply .obj .off .glb .gltf .3mf .dat .csv .ies .hdr .pic .exr .png .jpg .jpeg .tif .tiff .npy .oct".split()
 )
 _LARGEST_TEXT: Final = 64 << 20  # byte; nobody writes a Radiance file of that size for others to include
+_NAMED: Final = FileKind("file that a scene names", _LARGEST_TEXT)
 _NUMBER: Final = re.compile(r"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?")
 
 
@@ -70,12 +71,10 @@ def _strings(value: Any) -> Iterator[str]:
 
 def _words(path: Path) -> set[str]:
     """What may be names in a text; nothing where it is none."""
-    try:
-        with path.open("rb") as stream:
-            content = stream.read(_LARGEST_TEXT + 1)
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", where=str(path), remedy="the scene names it") from error
-    if len(content) > _LARGEST_TEXT or b"\0" in content:
+    if path.stat().st_size > _LARGEST_TEXT:
+        return set()
+    content = read_bytes(path, _NAMED)
+    if b"\0" in content:
         return set()
     words = {word.strip("'\"") for word in content.decode("latin-1").split()}
     return {word for word in words if not _NUMBER.fullmatch(word)}

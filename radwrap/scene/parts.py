@@ -12,9 +12,7 @@ import hashlib
 import importlib.util
 import io
 import math
-import os
 import re
-import stat
 import struct
 import sys
 import tempfile
@@ -28,6 +26,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import EnvironmentFailure, InputError, TracerError
 from radwrap.process import Programs
+from radwrap.reading import FileKind, read_bytes, shortened
 from radwrap.scene.glb_checks import check_glb
 from radwrap.scene.mesh_texts import Polygons, read_obj, read_off
 from radwrap.scene.polygons import checked, triangulated
@@ -38,12 +37,13 @@ Index = NDArray[np.intp]
 SUFFIXES: Final = (".stl", ".obj", ".ply", ".off", ".glb", ".step", ".stp")
 # glTF is in metres by its standard, and STEP files name their unit; the others hold bare numbers.
 _IN_METRES: Final = frozenset({".glb", ".step", ".stp"})
-_LARGEST_FILE: Final = 1 << 30
+MESH: Final = FileKind("mesh file", 1 << 30)
 MOST_FACES: Final = 10_000_000
 _LARGEST: Final = 1e9  # m
 # Triangles of a smaller area, relative to the square of the mesh's size, show nothing and are left out.
 _NO_AREA: Final = 1e-14
-_OPEN_FLAGS: Final = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOFOLLOW", 0)
+_MOST_DIGITS: Final = 18
+_TOO_MANY: Final = 10**_MOST_DIGITS
 _PLY_COUNT: Final = re.compile(rb"element\s+(\w+)\s+(\d+)")
 _MATERIAL_FILE: Final = re.compile(rb"^[ \t]*mtllib[ \t]+(\S[^\r\n]*?)[ \t]*\r?$", re.MULTILINE)
 
@@ -155,23 +155,19 @@ def _content(path: Path, folder: Path, where: str) -> bytes:
         raise InputError(f'no file "{path.name}"', where=where, remedy="name a file beside the scene") from error
     if not real.is_relative_to(folder.resolve()):
         raise InputError(f'"{path.name}" lies outside the folder', where=where, remedy="copy it there")
-    try:
-        if not stat.S_ISREG(real.stat().st_mode):
-            raise InputError(f'"{path.name}" is not a regular file', where=where)
-        with os.fdopen(os.open(real, _OPEN_FLAGS), "rb") as stream:
-            content = stream.read(_LARGEST_FILE + 1)
-    except OSError as error:
-        raise InputError(f'cannot read "{path.name}": {error.strerror}', where=where) from error
-    if len(content) > _LARGEST_FILE:
-        raise InputError(f'"{path.name}" is larger than {_LARGEST_FILE >> 20} MiB', where=where)
-    return content
+    return read_bytes(real, MESH, f'{where}: "{path.name}"', follow=False)
 
 
 def _check_inside(name: str, path: Path, where: str) -> None:
-    inner = (path.parent / name).resolve()
-    if Path(name).is_absolute() or not inner.is_relative_to(path.parent.resolve()):
+    try:
+        inside = (path.parent / name).resolve().is_relative_to(path.parent.resolve())
+    except (OSError, RuntimeError, ValueError):  # links in a circle, a NUL, a name that is too long
+        inside = False
+    if Path(name).is_absolute() or not inside:
         raise InputError(
-            f'"{path.name}" names the material file "{name}" outside its folder', where=where, remedy="correct it"
+            f'"{path.name}" names the material file "{shortened(name)}", which is no file in its folder',
+            where=where,
+            remedy="correct it",
         )
 
 
@@ -185,7 +181,8 @@ def _check_counts(suffix: str, content: bytes, where: str) -> None:
                 raise InputError("is no whole STL file: its size does not fit its number of faces", where=where)
             counts = [claimed]
         case ".ply":
-            counts = [int(count) for _, count in _PLY_COUNT.findall(content[: content.find(b"end_header")])]
+            found = _PLY_COUNT.findall(content[: content.find(b"end_header")])
+            counts = [_TOO_MANY if len(count) > _MOST_DIGITS else int(count) for _, count in found]
     if any(count > min(len(content), 3 * MOST_FACES) for count in counts):
         raise InputError(f"claims {max(counts)} elements, more than it can hold", where=where, remedy="correct it")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from bisect import bisect_right
 from collections.abc import Sequence
@@ -12,8 +11,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from radwrap.errors import InputError
+from radwrap.reading import FileKind, read_json
+from radwrap.written import read_back
 
-_LARGEST_FILE: Final = 16 << 20  # byte
+_CALIBRATION: Final = FileKind("ring calibration", 16 << 20, "see `radwrap led calibrate`")
 SCHEMA_VERSION: Final = 1
 IS: Final = "ring_calibration"
 
@@ -141,6 +142,24 @@ class RingCalibration:
         return tuple(found)
 
 
+@dataclass(frozen=True, slots=True)
+class _LedFile:
+    levels: list[float]
+    radiant_intensity: list[float]
+    standard_error: list[float]
+
+
+@dataclass(frozen=True, slots=True)
+class _RingFile:
+    leds: list[_LedFile]
+    serial: str
+    date: str
+    temperature: float | None
+    current: float
+    emulated: bool
+    source: str
+
+
 def read_calibration(path: Path) -> RingCalibration:
     """Read a calibration that ``radwrap led calibrate`` wrote.
 
@@ -149,14 +168,10 @@ def read_calibration(path: Path) -> RingCalibration:
     InputError
         If the file is not there, or not whole.
     """
-    try:
-        if path.stat().st_size > _LARGEST_FILE:
-            raise InputError("is too large for a calibration", where=str(path))
-        told = json.loads(path.read_bytes())
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError("is no readable calibration", where=str(path), remedy="see `radwrap led calibrate`") from error
+    told = read_json(path, _CALIBRATION)
     if not isinstance(told, dict) or told.get("is") != IS or told.get("schema_version") != SCHEMA_VERSION:
         raise InputError(f"is no ring calibration of schema version {SCHEMA_VERSION}", where=str(path))
+    read_back(told, _RingFile, str(path))
     try:
         return _calibration(told)
     except InputError as error:

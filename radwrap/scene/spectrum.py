@@ -6,7 +6,6 @@ that of polynomials between the nodes of all, which Gauss' rule gives exactly.
 
 from __future__ import annotations
 
-import csv
 import math
 from dataclasses import dataclass
 from importlib.resources import files
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
+from radwrap.reading import FileKind, csv_rows, read_text, shortened
 
 Array = NDArray[np.float64]
 
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 LUMINOUS_EFFICACY: Final = 683.0
 _UNITS: Final = {"wavelength [nm]": 1e-9, "wavelength [um]": 1e-6}
 _SANE: Final = (0.1, 20.0)  # um; what lies beyond is a slip of units, not light for a camera
-_LARGEST_FILE: Final = 1 << 24  # byte
+_TABLE: Final = FileKind("table of a spectrum", 1 << 24, "give a CSV file in UTF-8")
 # A line of the standard deviation s has nodes s/50 apart up to 6 s: straight between them it is right to 1e-5.
 _LINE_NODES: Final = 601
 _LINE_REACH: Final = 6.0
@@ -153,31 +153,24 @@ def read_curve(path: Path, *, largest: float = math.inf) -> Curve:
     InputError
         Naming file and line.
     """
-    try:
-        if path.stat().st_size > _LARGEST_FILE:
-            raise InputError("is too large for a table of a spectrum", where=str(path))
-        text = path.read_text("utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError("is no readable text file", where=str(path), remedy="give a CSV file in UTF-8") from error
-    curve = _parsed(text, str(path))
+    curve = _parsed(read_text(path, _TABLE), str(path))
     if max(curve.values) > largest:
         raise InputError(f"holds {max(curve.values):g}, above {largest:g}", where=str(path))
     return curve
 
 
 def _parsed(text: str, where: str) -> Curve:
-    try:
-        rows = [row for row in csv.reader(text.splitlines()) if row]
-    except csv.Error as error:
-        raise InputError(f"is no CSV: {error}", where=where) from error
-    head = rows[0][0].strip() if rows else ""
+    rows = list(csv_rows(text, where))
+    head = rows[0][1][0].strip() if rows else ""
     if head not in _UNITS:
         raise InputError(
-            f'its first cell is "{head}"', where=where, remedy='begin with a line "wavelength [nm],reflectance"'
+            f'its first cell is "{shortened(head)}"',
+            where=where,
+            remedy='begin with a line "wavelength [nm],reflectance"',
         )
     (low, high), nodes = _SANE, list[float]()
     values: list[float] = []
-    for number, row in enumerate(rows[1:], start=2):
+    for number, row in rows[1:]:
         place = f"{where}: line {number}"
         if len(row) != 2:
             raise InputError(f"has {len(row)} cells, not 2", where=place)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any, Final, Literal
 
 from radwrap.errors import InputError
 from radwrap.imaging.render_options import RenderOptions
+from radwrap.reading import FileKind, read_toml
 from radwrap.scene.load import load_scene
 from radwrap.study.factors import Factor, Level, quantity, read_draw, with_all_leds
 from radwrap.study.responses import KINDS, Response, check_options, unit_of
@@ -46,7 +46,7 @@ _CHOICES: Final[Mapping[str, tuple[str, ...]]] = {
     "layout": ("rings", "hexagonal", "sunflower", "uneven"),
     "pixel_sampling": ("centre", "jitter"),
 }
-_LARGEST_FILE: Final = 64 << 20  # byte
+_DESIGN_FILE: Final = FileKind("design file", 64 << 20)
 _LARGEST_SEED: Final = 2**32 - 1
 MOST_RUNS: Final = 1_000_000
 
@@ -109,7 +109,7 @@ def read_design(path: Path) -> Design:
     InputError
         What is wrong, with file and key.
     """
-    table = _read(path)
+    table = read_toml(path, _DESIGN_FILE)
     origin = path.name
     _only(table, _TOP, origin)
     for key in ("scene", "design", "factors", "responses"):
@@ -141,19 +141,6 @@ def read_design(path: Path) -> Design:
         responses=responses,
         analysis=analysis,
     )
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        if path.stat().st_size > _LARGEST_FILE:
-            raise InputError("is larger than any design", where=str(path))
-        return tomllib.loads(path.read_bytes().decode("utf-8"))
-    except FileNotFoundError as error:
-        raise InputError("no such design file", where=str(path)) from error
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", where=str(path)) from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"is not TOML: {error}", where=str(path)) from error
 
 
 # ---------------------------------------------------------------------------------------------------------- the design

@@ -24,7 +24,7 @@ from radwrap.errors import InputError
 from radwrap.units import DIMENSIONS, Dimension, parse_gain, parse_quantity
 
 _DRAWS: Final = ("uniform", "normal")
-_LEDS: Final = re.compile(r"sources\[(\d+|\*)\]\.leds\[(?:\d+|\*)\]\.")
+_LEDS: Final = re.compile(r"sources\[(\d{1,9}|\*)\]\.leds\[(?:\d+|\*)\]\.")
 _GAIN: Final = " (J/m^2)^-"  # in the unit of a sensor's gain, which holds gamma
 _DIGITS: Final = 9  # of drawn and interpolated values, so that a table shows what was rendered
 

@@ -10,9 +10,10 @@ from typing import Any, Final
 
 from radwrap.errors import InputError
 from radwrap.files import disk_failure, write_bytes
+from radwrap.reading import read_bytes, whole_number
 from radwrap.study.design import Design
 from radwrap.study.runs import Run
-from radwrap.study.table import csv_text, read_table
+from radwrap.study.table import TABLE, csv_text, read_table
 from radwrap.study.worker import Outcome
 
 RESULTS: Final = "results.csv"
@@ -60,7 +61,7 @@ class Journal:
         """
         found: dict[int, Mapping[str, str]] = {}
         for number, row in enumerate(read_table(self.path).rows, 1):
-            index = int(row["run"]) if row["run"].isascii() and row["run"].isdigit() else 0
+            index = whole_number(row["run"]) or 0
             run = self._runs.get(index)
             fault = "its run is none of the study's, or stands twice"
             if run is None or index in found or (fault := self._fault(run, row)):
@@ -98,7 +99,7 @@ class Journal:
             if not path.exists():
                 write_bytes(path, csv_text(columns, ()).encode())
                 continue
-            content = path.read_bytes()
+            content = read_bytes(path, TABLE)
             whole = content[: content.rfind(b"\n") + 1]
             if not whole.startswith(csv_text(columns, ()).encode()):
                 raise InputError("is not the table of this study", where=str(path), remedy="choose another --out")

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from radwrap.manifest import read_manifest
 from radwrap.study.factors import in_si
 from radwrap.study.study import PLAN
 from radwrap.study.table import Table, bare, read_table, unit
+from radwrap.written import read_back
 
 # Columns of a table of results that are no factors.
 _OTHERS: Final = ("run", "replicate", "seed", "image_error", "met", "error")
@@ -104,9 +105,9 @@ def read_data(path: Path, response: str, factors: Sequence[str] = (), labels: Ma
         If a column is not there, a response is no number, a factor has one level only, or a label is of no factor.
     """
     table = read_table(path)
+    plan = _plan(path.parent)
     try:
         column = table.column(response)
-        plan = _plan(path.parent)
         names = [table.column(name) for name in factors] or _default_factors(table, column, plan)
     except InputError as error:
         raise InputError(error.what, where=str(path), remedy=error.remedy) from error
@@ -144,11 +145,36 @@ def _check_labels(labels: Mapping[str, str], names: Sequence[str]) -> None:
             raise InputError(f'no factor "{name}"', where="--label", remedy=f"factors are {', '.join(known)}")
 
 
+@dataclass(frozen=True, slots=True)
+class _Named:
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class _FactorPlan:
+    name: str
+    label: str
+    levels: list[_Named]
+
+
+@dataclass(frozen=True, slots=True)
+class _DesignPlan:
+    factors: list[_FactorPlan]
+    analysis: Literal["lenth", "anova", "none"] | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    design: _DesignPlan
+
+
 def _plan(folder: Path) -> Mapping[str, Any]:
     """What the study is whose table lies there; empty where it is none."""
     if not (folder / PLAN).is_file():
         return {}
-    return read_manifest(folder / PLAN)
+    plan = read_manifest(folder / PLAN)
+    read_back(plan, _Plan, str(folder / PLAN))
+    return plan
 
 
 def _default_factors(table: Table, column: str, plan: Mapping[str, Any]) -> list[str]:

@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from radwrap.errors import InputError
+from radwrap.reading import FileKind, csv_rows, read_text, shortened
 
-_LARGEST_FILE: Final = 1 << 30  # byte
+TABLE: Final = FileKind("table of results", 256 << 20, "give a CSV file in UTF-8")
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +41,7 @@ class Table:
         found = [column for column in self.columns if name in (column, bare(column))]
         if len(found) != 1:
             what = f'no column "{name}"' if not found else f'more than one column "{name}"'
-            raise InputError(what, where="the table", remedy=f"columns are {', '.join(self.columns)}")
+            raise InputError(what, where="the table", remedy=f"columns are {shortened(', '.join(self.columns), 500)}")
         return found[0]
 
 
@@ -62,27 +63,15 @@ def read_table(path: Path) -> Table:
     InputError
         If it cannot be read, or a line does not have as many cells as the header.
     """
-    try:
-        if path.stat().st_size > _LARGEST_FILE:
-            raise InputError("is larger than any table of results", where=str(path))
-        text = path.read_text("utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError("is no readable text file", where=str(path), remedy="give a CSV file in UTF-8") from error
-    lines = csv.reader(io.StringIO(text), strict=True)
-    try:
-        header = [cell.strip() for cell in next(lines, [])]
-        if not header or len(set(header)) < len(header) or not all(header):
-            raise InputError("needs a header of different names", where=f"{path}: line 1")
-        rows = []
-        for cells in lines:
-            if not cells:
-                continue
-            if len(cells) != len(header):
-                where = f"{path}: line {lines.line_num}"
-                raise InputError(f"has {len(cells)} cells, the header has {len(header)}", where=where)
-            rows.append(dict(zip(header, (cell.strip() for cell in cells), strict=True)))
-    except csv.Error as error:
-        raise InputError(f"is no CSV: {error}", where=f"{path}: line {lines.line_num}") from error
+    lines = csv_rows(read_text(path, TABLE), str(path))
+    header = [cell.strip() for cell in next(lines, (1, []))[1]]
+    if not header or len(set(header)) < len(header) or not all(header):
+        raise InputError("needs a header of different names", where=f"{path}: line 1")
+    rows = []
+    for line, cells in lines:
+        if len(cells) != len(header):
+            raise InputError(f"has {len(cells)} cells, the header has {len(header)}", where=f"{path}: line {line}")
+        rows.append(dict(zip(header, (cell.strip() for cell in cells), strict=True)))
     return Table(tuple(header), tuple(rows))
 
 

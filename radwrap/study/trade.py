@@ -8,7 +8,6 @@ Errors are taken against rays that no method used.
 
 from __future__ import annotations
 
-import json
 import math
 import shutil
 import time
@@ -34,6 +33,7 @@ from radwrap.imaging.view import PixelPlan, PixelSampling, View, trace_rays
 from radwrap.manifest import json_text, sha256_of_value, versions
 from radwrap.process import Programs, available_cores, children_cpu_time
 from radwrap.progress import Progress
+from radwrap.reading import read_json
 from radwrap.scene.scene import Scene
 from radwrap.study.paper_method import summed_viewpoints
 from radwrap.study.reference import (
@@ -399,9 +399,9 @@ class _Sweep:
     def _read(self, name: str) -> dict[str, Any] | None:
         """What an equal run left under a name; None where there is nothing of it."""
         try:
-            found = json.loads((self.folder / f"{name}.json").read_bytes())
+            found = read_json(self.folder / f"{name}.json")
             content: dict[str, Any] | None = found["content"] if found["run_sha256"] == self.sha256 else None
-        except (OSError, ValueError, KeyError, TypeError):
+        except (InputError, KeyError, TypeError):
             return None
         return content
 

@@ -24,6 +24,7 @@ from radwrap.files import make_folder, sha256_of
 from radwrap.images import GrayImage, write_png
 from radwrap.imaging.relight import read_basis, relit
 from radwrap.imaging.render_options import RenderOptions
+from radwrap.imaging.run_files import RunManifest
 from radwrap.imaging.sensor import gray_levels
 from radwrap.imaging.synthesis import MANIFEST, load_result, render
 from radwrap.manifest import read_manifest
@@ -32,6 +33,7 @@ from radwrap.scene.scene import Scene
 from radwrap.study.image_error import COPIES, ErrorFields, blur_radii, error_fields, image_error
 from radwrap.study.light import factors
 from radwrap.study.responses import KINDS, Answer, Response, Seen, answer
+from radwrap.written import read_back
 
 STARTED: Final = "started.log"
 THUMBNAILS: Final = "thumbnails"
@@ -192,7 +194,7 @@ def _outcomes(job: Job, start: float) -> Iterator[Outcome]:
 def _is_whole(out: Path) -> bool:
     """Whether an image lies there, every file of it; its folder's name says of what."""
     try:
-        files = read_manifest(out / MANIFEST)["files"]
+        files = read_back(read_manifest(out / MANIFEST), RunManifest, MANIFEST).files
         return all(sha256_of(out / name) == known for name, known in files.items())
     except (InputError, OSError, KeyError):
         return False

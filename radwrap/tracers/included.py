@@ -8,9 +8,7 @@ are checked and copied. Its raw text never reaches Radiance.
 
 from __future__ import annotations
 
-import os
 import re
-import stat
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,9 +16,10 @@ from types import MappingProxyType
 from typing import Final
 
 from radwrap.errors import InputError
+from radwrap.reading import FileKind, read_bytes
 from radwrap.tracers.rad_grammar import ILLUMINATING, Primitive, Source, primitives, shown
 
-_LARGEST_FILE: Final = 64 << 20
+_INCLUDED: Final = FileKind("file for Radiance", 64 << 20)
 _LARGEST_SUM: Final = 256 << 20
 _FILE_NAME: Final = re.compile(r"[A-Za-z0-9_.+-]+(?:/[A-Za-z0-9_.+-]+)*")
 # The name becomes part of the names of the function file's variables, which Radiance cuts at 127 characters.
@@ -31,10 +30,6 @@ _TRUST: Final = "or pass --trust if you trust the file"
 
 # Of Path.resolve: links in a circle (before Python 3.13), a NUL in the name.
 _UNRESOLVED: Final = (RuntimeError, ValueError)
-# A FIFO must not block, a link that replaces a checked file must not be followed.
-_OPEN_FLAGS: Final = (
-    os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,21 +101,11 @@ def _real_path(path: Path, source: Source) -> Path:
 
 def _read_regular(path: Path, source: Source, line: int | None = None) -> bytes:
     """Content of a file that is neither a pipe, a device nor huge."""
-    irregular = source.fault(f"{shown(path.name)} is not a regular file", line=line, remedy="name a regular file")
     try:
-        if not stat.S_ISREG(path.stat().st_mode):
-            raise irregular
-        with os.fdopen(os.open(path, _OPEN_FLAGS), "rb") as stream:
-            if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
-                raise irregular
-            content = stream.read(_LARGEST_FILE + 1)
-    except OSError as error:
-        what = f"cannot read {shown(path.name)}: {error.strerror or error}"
-        raise source.fault(what, line=line, remedy="make it readable") from error
-    if len(content) > _LARGEST_FILE:
-        what = f"{shown(path.name)} is larger than {_LARGEST_FILE >> 20} MiB"
-        raise source.fault(what, line=line, remedy="make it smaller")
-    return content
+        return read_bytes(path, _INCLUDED, follow=False)
+    except InputError as error:
+        what = f"{shown(path.name)} {error.what}"
+        raise source.fault(what, line=line, remedy=error.remedy or "make it readable, or smaller") from error
 
 
 def _scene_text(content: bytes, source: Source) -> str:

@@ -74,7 +74,7 @@ SAYS = {
     "cut.exr": "is not whole",
     "empty.png": "is no image",
     "text.png": "is no image",
-    "folder.png": "no such image",
+    "folder.png": "is not a regular file",
     "missing.png": "no such image",
 }
 VERBS: dict[str, Callable[[str], list[str]]] = {
@@ -119,7 +119,7 @@ TABLES: dict[str, tuple[str | bytes | None, str]] = {
     "missing": (None, "no such file"),
     "empty": ("", "is empty"),
     "header alone": (HEADER, "points"),
-    "no text": (b"\xff\xfe\x00\x01", "is no text"),
+    "no text": (b"\xff\xfe\x00\x01", "is not UTF-8 text"),
     "another column": ("x,y,z,u,v,w\n1,2,3,4,5,6\n", "the header is"),
     "a column twice": ("x,y,z,u,u\n1,2,3,4,5\n", "the header is"),
     "a short line": (HEADER + "1,2,3,4\n", "points.csv:2: holds 4 values"),

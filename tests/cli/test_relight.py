@@ -115,7 +115,7 @@ BAD: Final[dict[str, tuple[str, str]]] = {
     "hidden": ("name,lamp,second\n.a,1,1\n", '".a" cannot name a file'),
     "device": ("name,lamp,second\nnul.x,1,1\n", '"nul.x" cannot name a file'),
     "no file name": ("name,lamp,second\n,1,1\n", '"" cannot name a file'),
-    "open quote": ('name,lamp,second\n"a,1,1\n', "is no CSV"),
+    "open quote": ('name,lamp,second\n"a,1,1\n', "is not CSV"),
     "too bright": ("name,lamp,second\na,1,1\nb,1,1e300\n", "image 2 overflows"),
 }
 
@@ -143,7 +143,7 @@ def test_what_is_no_basis_is_refused(basis: Path, tmp_path: Path, capsys: pytest
     told: dict[str, Any] = json.loads((copy / "basis.json").read_bytes())
     for key in ("sources", "block", "files", "camera"):
         (copy / "basis.json").write_text(json.dumps(sealed({name: told[name] for name in told if name != key})))
-        assert "basis.json: is no light basis" in here(_argv(copy, tmp_path, GOOD), capsys).refusal(2), key
+        assert f"basis.json: {key}: field required" in here(_argv(copy, tmp_path, GOOD), capsys).refusal(2), key
     for changed in ({**told, "exposure_of_radiance": 2 * told["exposure_of_radiance"]}, {**told, "replicates": -1}):
         (copy / "basis.json").write_text(json.dumps(changed))
         assert "basis.json: is not as it was made" in here(_argv(copy, tmp_path, GOOD), capsys).refusal(2)
@@ -151,7 +151,7 @@ def test_what_is_no_basis_is_refused(basis: Path, tmp_path: Path, capsys: pytest
     assert "--out: is the folder of the basis" in here(same, capsys).refusal(2)
     assert "--out: is the folder of the basis" in here([*same[:-1], basis / "basis"], capsys).refusal(2)
     line = here(["relight", basis, "--levels", tmp_path / "no.csv", "--out", tmp_path], capsys).refusal(2)
-    assert "no.csv: is no readable text file" in line
+    assert "no.csv: no such CSV file" in line
 
 
 def test_a_file_in_the_way_of_the_basis_is_told_before_tracing(

@@ -62,8 +62,8 @@ def toml(tables: dict[str, Any]) -> str:
         ({"camera.spectral_response.file": "blue.csv"}, "the sensor sees nothing of the light"),
         ({"camera.spectral_response.file": "headless.csv"}, "its first cell"),
         ({"camera.spectral_response.file": "unordered.csv"}, "line 3: wavelengths must increase"),
-        ({"camera.spectral_response.file": "cell.csv"}, "is no CSV: field larger than field limit"),
-        ({"camera.spectral_response.file": "pipe"}, 'camera.spectral_response: no file "pipe" beside the scene'),
+        ({"camera.spectral_response.file": "cell.csv"}, "is not CSV: field larger than field limit"),
+        ({"camera.spectral_response.file": "pipe"}, 'camera.spectral_response: "pipe": is not a regular file'),
         ({"camera.spectral_response.file": "microns.csv"}, "line 2: wavelength [um] 600 lies outside 0.1 to 20 um; if"),
         (
             {"camera.filter.file": "black.csv"},

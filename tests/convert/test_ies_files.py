@@ -58,7 +58,7 @@ def changed(word: str, other: str) -> str:
         (LAMP.format(note="x", tilt="../../etc/passwd"), "names another file for its tilt"),
         (LAMP.format(note="x", tilt="tilt.dat"), "names another file for its tilt"),
         ("", "no TILT"),
-        ("TILT=NONE\n\0", "no text"),
+        ("TILT=NONE\n\0", "holds a NUL byte"),
         ("TILT=NONE\n1 2 3\n", "ends too early"),
         (changed("100 7 1 1", "100 1000000000 1000000000 1"), "number of vertical angles must lie between"),
         (changed("0.9659258", "-0.9659258"), "candela values must lie between 0 and"),

@@ -99,7 +99,7 @@ def test_a_calibration_reads_back_the_same(tmp_path: Path) -> None:
             read_calibration(path)
     for temperature in (float("nan"), -500.0):
         path.write_text(json.dumps({**told, "temperature": temperature}))
-        with pytest.raises(InputError, match=r"a ring\.json: temperature: must be above zero"):
+        with pytest.raises(InputError, match=r"a ring\.json: temperature: (is not a finite number|must be above zero)"):
             read_calibration(path)
     for wrong in ("[1]", "{", '{"is": "ring_calibration", "schema_version": 1}'):
         path.write_text(wrong)

@@ -261,7 +261,7 @@ def test_a_print_lies_as_its_image(bench: Any, tmp_path: Path) -> None:
         ({"type": "measured_brdf", "file": "minus.csv"}, "materials.m.file: .*angles must be at least 0"),
         ({"type": "measured_brdf", "file": "turns.csv"}, "depends on the azimuth at incidence 0"),
         ({"type": "measured_brdf", "file": "viewed.csv"}, "depends on the azimuth at viewing 0"),
-        ({"type": "measured_brdf", "file": "long.csv"}, "materials.m.file: .*is no table: field larger"),
+        ({"type": "measured_brdf", "file": "long.csv"}, "materials.m.file: .*is not CSV: field larger"),
         ({"type": "measured_brdf", "file": "../x.csv"}, "outside the scene's folder"),
         ({"type": "print", "file": "x.png", "encoding": "gamma"}, "encoding"),
         ({"type": "retroreflective", "preset": "x"}, 'no sheeting "x"; known: astm_d4956_i_white'),

@@ -176,7 +176,7 @@ def test_bad_luminaires_are_told_with_the_key(bench: Any, tmp_path: Path, text: 
         ("angle_deg,relative_intensity\n0,1e-9\n10,1\n20,0\n", "times as bright aside"),
         ("angle_deg,relative_intensity\n0,1e-320\n10,1e-316\n20,0\n", "on the axis above 0"),
         ("angle_deg,relative_intensity\n0,1\n1e-310,1e5\n20,0\n", "increase by more than"),
-        ("angle_deg,relative_intensity\n0," + "1" * 200_000 + "\n", "is no table: field larger"),
+        ("angle_deg,relative_intensity\n0," + "1" * 200_000 + "\n", "is not CSV: field larger"),
     ],
 )
 def test_bad_tables_are_told_with_the_key(bench: Any, tmp_path: Path, text: str, told: str) -> None:

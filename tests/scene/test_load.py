@@ -364,7 +364,7 @@ def test_files_that_are_no_scene(tmp_path: Path) -> None:
             radwrap.load_scene(path)
     with pytest.raises(InputError, match="no such scene"):
         radwrap.load_scene(tmp_path / "none.toml")
-    with pytest.raises(InputError, match="no regular file"):
+    with pytest.raises(InputError, match="not a regular file"):
         radwrap.load_scene(tmp_path)
 
 

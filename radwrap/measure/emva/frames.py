@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,13 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
-from radwrap.files import read_table_text
 from radwrap.images import read_gray
+from radwrap.reading import FileKind, csv_rows, read_text, shortened
 
 Array = NDArray[np.float64]
 FILE: Final = "file"
 DARK: Final = "dark"
 EXPOSURES: Final = ("exposure_time", "radiant_exposure", "photons")
+_TABLE: Final = FileKind("file of frames", 64 << 20, "give a CSV file that names the frames")
 _YES_NO: Final = {"0": False, "1": True}
 
 
@@ -112,33 +111,29 @@ def read_stacks(path: Path, read: Callable[[Path], Array] | None = None) -> tupl
 
 def _groups(path: Path) -> tuple[str, dict[tuple[bool, float], list[tuple[str, int]]]]:
     """(light, exposure) -> names of its frames with their lines."""
-    text = read_table_text(path, "give a CSV file that names the frames")
-    rows = csv.reader(io.StringIO(text), strict=True)
+    rows = csv_rows(read_text(path, _TABLE), str(path))
     groups: dict[tuple[bool, float], list[tuple[str, int]]] = {}
     named: dict[str, int] = {}
-    try:
-        header = [name.strip() for name in next(rows, [])]
-        kind = _kind(header, path)
-        for row in rows:
-            if not any(cell.strip() for cell in row):
-                continue
-            where = f"{path}: line {rows.line_num}"
-            if len(row) != len(header):
-                raise InputError(f"has {len(row)} cells, the first line has {len(header)}", where=where)
-            cells = dict(zip(header, (cell.strip() for cell in row), strict=True))
-            exposure = _exposure(cells[kind], kind, where)
-            name = cells[FILE]
-            if name in named:
-                raise InputError(f'"{name}" stands in line {named[name]} too', where=where)
-            if not name:
-                raise InputError("names no file", where=where)
-            named[name] = rows.line_num
-            if DARK in cells and cells[DARK] not in _YES_NO:
-                raise InputError(f'dark "{cells[DARK]}" is not 0 or 1', where=where)
-            dark = _YES_NO[cells[DARK]] if DARK in cells else exposure == 0
-            groups.setdefault((not dark, exposure), []).append((name, rows.line_num))
-    except csv.Error as error:
-        raise InputError(f"is no CSV: {error}", where=f"{path}: line {rows.line_num}") from error
+    header = [name.strip() for name in next(rows, (1, []))[1]]
+    kind = _kind(header, path)
+    for line, row in rows:
+        if not any(cell.strip() for cell in row):
+            continue
+        where = f"{path}: line {line}"
+        if len(row) != len(header):
+            raise InputError(f"has {len(row)} cells, the first line has {len(header)}", where=where)
+        cells = dict(zip(header, (cell.strip() for cell in row), strict=True))
+        exposure = _exposure(cells[kind], kind, where)
+        name = cells[FILE]
+        if name in named:
+            raise InputError(f'"{name}" stands in line {named[name]} too', where=where)
+        if not name:
+            raise InputError("names no file", where=where)
+        named[name] = line
+        if DARK in cells and cells[DARK] not in _YES_NO:
+            raise InputError(f'dark "{cells[DARK]}" is not 0 or 1', where=where)
+        dark = _YES_NO[cells[DARK]] if DARK in cells else exposure == 0
+        groups.setdefault((not dark, exposure), []).append((name, line))
     if not groups:
         raise InputError("names no frames", where=str(path), remedy="write a row for each frame below the first line")
     return kind, groups
@@ -148,7 +143,7 @@ def _kind(header: Sequence[str], path: Path) -> str:
     kinds = [kind for kind in EXPOSURES if kind in header]
     if FILE not in header or len(kinds) != 1 or len(set(header)) != len(header) or set(header) - {FILE, DARK, *kinds}:
         raise InputError(
-            f'has the columns "{",".join(header)}"',
+            f'has the columns "{shortened(",".join(header))}"',
             where=f"{path}: line 1",
             remedy=f"needs {FILE}, one of {', '.join(EXPOSURES)} (s, J/m^2, photons a pixel), and may have {DARK}",
         )
@@ -159,9 +154,11 @@ def _exposure(cell: str, kind: str, where: str) -> float:
     try:
         value = float(cell)
     except ValueError as error:
-        raise InputError(f'{kind} "{cell}" is no number', where=where, remedy="write 0.016, with a point") from error
+        raise InputError(
+            f'{kind} "{shortened(cell)}" is no number', where=where, remedy="write 0.016, with a point"
+        ) from error
     if not (math.isfinite(value) and value >= 0):
-        raise InputError(f'{kind} "{cell}" is no number from 0 on', where=where)
+        raise InputError(f'{kind} "{shortened(cell)}" is no number from 0 on', where=where)
     return value
 
 
