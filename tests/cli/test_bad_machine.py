@@ -89,6 +89,9 @@ FAKES = [
         "rtrace hangs without output", ("rtrace", "within 0.8 s"), f"{ANSWER}; exec >&- 2>&-; exec sleep 600", slow=True
     ),
     Fake("rtrace leaves a child behind", ("rtrace",), f"{ANSWER}; sleep 600 & exit 0", slow=True),
+    Fake("rtrace goes into the background", ("rtrace",), "setsid sleep 600 & exit 0", slow=True),
+    Fake("rtrace answers from the background", ("rtrace",), "setsid sh -c 'sleep 600; cat' & exit 0", slow=True),
+    Fake("rtrace leaves the room", ("rtrace",), f"{ANSWER}; setsid setsid sleep 600 >/dev/null & exit 3", slow=True),
     Fake("rtrace talks for ever", ("rtrace",), "while :; do echo 'no light here' >&2; done", slow=True),
     Fake("rtrace prints too little", ("rtrace", "12 bytes"), f"cat > /dev/null; head -c {SIZE - 12} /dev/zero"),
     Fake("rtrace prints a byte too little", ("rtrace", "1 byte"), f"cat > /dev/null; head -c {SIZE - 1} /dev/zero"),
@@ -102,6 +105,7 @@ FAKES = [
     Fake("oconv warns", ("oconv", "warning - cold"), oconv="echo octree; echo 'oconv: warning - cold' >&2"),
     Fake("oconv dies", ("oconv", "exit code 2"), oconv="exit 2"),
     Fake("oconv hangs", ("oconv", "0.8 s"), oconv="exec sleep 600", slow=True),
+    Fake("oconv prints now and then", ("oconv", "0.8 s"), oconv="while :; do echo .; sleep .1; done", slow=True),
     Fake("xform warns", ("xform", "wrong"), xform="echo wrong >&2", included=True),
     Fake("xform dies", ("xform", "exit code 1"), xform="exit 1", included=True),
     Fake("xform cannot start", ("xform",), xform="", included=True),
@@ -167,6 +171,14 @@ def slow_ones(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Done,
 @pytest.mark.parametrize("fake", [pytest.param(fake, id=fake.name) for fake in FAKES if fake.slow])
 def test_a_radiance_that_hangs_or_floods_is_ended(fake: Fake, slow_ones: dict[str, tuple[Done, Path]]) -> None:
     _fails_cleanly(fake, *slow_ones[fake.name])
+
+
+def test_distances_of_zero_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nothing is seen at the place of the camera: not a number to reckon with."""
+    widths = 'n=12; case "$*" in *-ovLN*) n=28;; *-ovL*) n=16;; *-oL*) n=4;; esac'
+    fake = Fake("zeros", (), f"{widths}; exec head -c $(($(wc -c) / 48 * n)) /dev/zero")
+    words = [word for word in _lay(fake, tmp_path) if word not in ("--viewpoints", 7)]
+    assert "distance that is not positive" in here(words, capsys).refusal(4)
 
 
 def test_the_fake_itself_is_good(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
