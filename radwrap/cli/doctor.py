@@ -19,7 +19,6 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     """Add the verb."""
     parser = verbs.add_parser(
         "doctor",
-        help="check programs and libraries",
         description="Tells what is installed, what is missing, and how to get it.",
     )
     parser.add_argument("--radiance", metavar="DIR", help="folder with another Radiance's bin and lib")

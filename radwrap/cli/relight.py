@@ -29,7 +29,7 @@ _DESCRIPTION = (
 
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     """Add the verb."""
-    parser = verbs.add_parser("relight", help="images for any levels of the sources", description=_DESCRIPTION)
+    parser = verbs.add_parser("relight", description=_DESCRIPTION)
     parser.add_argument("basis", metavar="BASIS_DIR", help="folder of a radwrap render --basis")
     parser.add_argument(
         "--levels",
