@@ -64,7 +64,7 @@ class InputError(RadwrapError):
 
 
 class ToleranceNotMet(RadwrapError):
-    """The image stands, but not to the asked tolerance."""
+    """The image stands, but not to the asked tolerance; commands end so, and `render` returns the image."""
 
     exit_code = 3
 

@@ -18,7 +18,7 @@ from typing import Any, Final
 
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813  (its own short name)
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from radwrap.errors import EnvironmentFailure, InputError
 from radwrap.files import disk_failure, publish, temporary_name
@@ -49,8 +49,18 @@ def _checked(values: NDArray[Any], what: str) -> None:
         raise ValueError(f"{what} holds NaN or infinity")
 
 
+class _Pixels:
+    """What NumPy takes for its array."""
+
+    __slots__ = ()
+    values: NDArray[Any]
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
+        return np.array(self.values, dtype=dtype, copy=copy)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class RadianceImage:
+class RadianceImage(_Pixels):
     """What one sub-viewpoint sees.
 
     Attributes
@@ -70,7 +80,7 @@ class RadianceImage:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ExposureImage:
+class ExposureImage(_Pixels):
     """What the sensor receives.
 
     Attributes
@@ -91,7 +101,7 @@ class ExposureImage:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class GrayImage:
+class GrayImage(_Pixels):
     """What an algorithm gets.
 
     Attributes

@@ -22,7 +22,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO
+from typing import IO, Final
 
 from radwrap.descendants import end_marked, marked, new_mark
 from radwrap.errors import EnvironmentFailure, TracerError
@@ -457,6 +457,9 @@ def start_child(
     if sys.platform != "win32" and program.stdin is not None:
         os.set_blocking(program.stdin.fileno(), False)
     return Child(program)
+
+
+MOST_WORKERS: Final = 1024  # at a time; each takes a process and a thread or more
 
 
 def available_cores() -> int:

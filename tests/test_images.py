@@ -1,12 +1,13 @@
 """Gray images from files: levels as stored, and what is no whole gray image."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from radwrap.errors import InputError
-from radwrap.images import read_gray, read_image, write_png
+from radwrap.images import ExposureImage, GrayImage, RadianceImage, read_gray, read_image, write_png
 
 LEVELS = np.array([[0, 100, 700], [1, 2, 3]])
 
@@ -65,3 +66,12 @@ def test_a_png_with_a_wrong_byte_is_one_clear_error(tmp_path: Path, capfd: pytes
     with pytest.raises(InputError, match="is not whole: a checksum is wrong"):
         read_gray(path)
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("kind", [RadianceImage, ExposureImage, GrayImage])
+def test_numpy_takes_an_image_for_its_values(kind: Any) -> None:
+    values = np.arange(6.0).reshape(2, 3)
+    image = kind(values)
+    assert np.asarray(image) is values
+    assert np.array(image, dtype=np.float32).tolist() == values.tolist()
+    assert not np.shares_memory(np.array(image), values)

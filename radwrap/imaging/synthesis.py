@@ -133,6 +133,13 @@ def render(
     options = replace(options or RenderOptions(), **changes)
     check_size(scene, options.max_pixels, _usual_rays(scene, options), options.workers or available_cores())
     if out is None:
+        for name in ("frames", "basis", "keep_viewpoints"):
+            if getattr(options, name):
+                raise InputError(
+                    "its files would be lost with a temporary folder",
+                    where=f"--{name.replace('_', '-')}",
+                    remedy="name the folder: out",
+                )
         with tempfile.TemporaryDirectory(prefix="radwrap-") as folder:
             return _render_into(scene, Path(folder), options)
     make_folder(Path(out))

@@ -13,7 +13,7 @@ from typing import Any, Final
 from radwrap.errors import InputError
 from radwrap.files import make_folder, sha256_of, sole_owner
 from radwrap.manifest import SCHEMA_VERSION, read_manifest, sha256_of_value, versions, write_manifest
-from radwrap.process import Programs, available_cores
+from radwrap.process import MOST_WORKERS, Programs, available_cores
 from radwrap.progress import Progress
 from radwrap.scene.named_files import named_files
 from radwrap.study.design import Design, render_options
@@ -63,8 +63,8 @@ class StudyOptions:
     progress: bool = False
 
     def __post_init__(self) -> None:
-        if self.workers is not None and not 1 <= self.workers <= 4096:
-            raise InputError(f"must lie between 1 and 4096, not {self.workers}", where="--workers")
+        if self.workers is not None and not 1 <= self.workers <= MOST_WORKERS:
+            raise InputError(f"must lie between 1 and {MOST_WORKERS}, not {self.workers}", where="--workers")
         if self.workers is not None and self.dask is not None:
             raise InputError("the cluster has its own workers", where="--workers", remedy="leave it out with --dask")
 
