@@ -185,7 +185,7 @@ def _write(
         spec.attribute(key, value)
     temporary = temporary_name(path)
     try:
-        output = oiio.ImageOutput.create(str(temporary))
+        output = _without_threads().ImageOutput.create(str(temporary))
         if output is None:
             raise EnvironmentFailure(f"cannot write: {oiio.geterror()}", where=str(path))
         # The third axis is needed: a two-dimensional float32 array crashes the writer (OpenImageIO 3.2.2).
@@ -212,9 +212,15 @@ def _write(
             temporary.unlink(missing_ok=True)
 
 
+def _without_threads() -> Any:
+    """OpenImageIO, without threads of OpenEXR's: a process that is forked later would wait for them for ever."""
+    oiio.attribute("exr_threads", -1)
+    return oiio
+
+
 def _holds(path: Path, pixels: NDArray[Any]) -> bool:
     """Whether a file holds these pixels; read in bands, so that many writers at a time stay small."""
-    source = oiio.ImageInput.open(str(path))
+    source = _without_threads().ImageInput.open(str(path))
     if source is None:
         return False
     try:
@@ -267,7 +273,7 @@ def _full_scale(source: Any, path: Path) -> int:
 def _read(path: Path) -> tuple[NDArray[Any], dict[str, str]]:
     if path.is_file() and (broken := _broken_png(path)):
         raise EnvironmentFailure(f"is not whole: {broken}", where=str(path))
-    source = oiio.ImageInput.open(str(path))
+    source = _without_threads().ImageInput.open(str(path))
     if source is None:
         raise EnvironmentFailure(f"is not a whole image: {oiio.geterror()}", where=str(path))
     try:
@@ -350,7 +356,7 @@ def _read_floats(path: Path) -> tuple[NDArray[np.float64], int]:
         raise InputError(f"cannot be read: {error.strerror}", where=str(path)) from error
     if broken:
         raise InputError(f"is not whole: {broken}", where=str(path))
-    source = oiio.ImageInput.open(str(path))
+    source = _without_threads().ImageInput.open(str(path))
     if source is None:
         raise InputError(f"is no image: {oiio.geterror()}", where=str(path))
     try:

@@ -1,5 +1,7 @@
 """Gray images from files: levels as stored, and what is no whole gray image."""
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -75,3 +77,23 @@ def test_numpy_takes_an_image_for_its_values(kind: Any) -> None:
     assert np.asarray(image) is values
     assert np.array(image, dtype=np.float32).tolist() == values.tolist()
     assert not np.shares_memory(np.array(image), values)
+
+
+_FORKED = """
+import multiprocessing, sys
+from pathlib import Path
+import numpy as np
+from radwrap.images import read_image, write_exr
+def copy(name):
+    write_exr(Path(name), np.ones((300, 300), dtype=np.float32), channel="Y")
+    return read_image(Path(name))[0].shape
+copy(sys.argv[1])
+with multiprocessing.get_context("fork").Pool(1) as pool: print(pool.apply(copy, [sys.argv[1]]))
+"""
+
+
+def test_images_are_written_after_a_fork(tmp_path: Path) -> None:
+    """Threads do not survive one."""
+    words = [sys.executable, "-c", _FORKED, str(tmp_path / "image.exr")]
+    done = subprocess.run(words, capture_output=True, text=True, check=True, timeout=20)
+    assert done.stdout == "(300, 300)\n"
