@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from radwrap.errors import EnvironmentFailure, InputError
+from radwrap.errors import EnvironmentFailure, FolderTaken, InputError
 
 TEMPORARY_SUFFIX = ".part"
 LOCK_NAME = ".radwrap.lock"
@@ -131,8 +131,10 @@ def sole_owner(folder: Path) -> Iterator[None]:
 
     Raises
     ------
-    EnvironmentFailure
+    FolderTaken
         If another run holds the folder.
+    EnvironmentFailure
+        If the disk refuses.
     """
     try:
         stream = (folder / LOCK_NAME).open("a+b")
@@ -142,7 +144,7 @@ def sole_owner(folder: Path) -> Iterator[None]:
         try:
             _lock(stream.fileno())
         except OSError as error:
-            raise EnvironmentFailure(
+            raise FolderTaken(
                 "another run is writing here", where=str(folder), remedy="wait for it or choose another --out"
             ) from error
         yield
