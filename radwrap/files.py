@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -54,6 +54,18 @@ def publish(temporary: Path, final: Path) -> None:
         flush_to_disk(final.parent)
     except OSError as error:
         raise disk_failure(final, error) from error
+
+
+def move_files(made: Path, folder: Path, names: Iterable[str]) -> None:
+    """Rename whole files into another folder of the same disk, durably; names may hold folders."""
+    folders = {folder}
+    for name in names:
+        final = folder / name
+        make_folder(final.parent)
+        (made / name).replace(final)
+        folders.add(final.parent)
+    for place in sorted(folders):
+        flush_to_disk(place)
 
 
 def write_bytes(path: Path, content: bytes) -> None:

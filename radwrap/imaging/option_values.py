@@ -9,11 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from numbers import Integral, Real
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from radwrap.errors import InputError
+
+_TOLD: Final = 10**30  # nobody reads longer numbers, and Python refuses to write those of thousands of digits
 
 
 def number_of(value: Any, where: str, low: float, high: float, *, whole: bool) -> int | float:
@@ -26,11 +28,12 @@ def number_of(value: Any, where: str, low: float, high: float, *, whole: bool) -
     """
     if isinstance(value, bool | np.bool_) or not isinstance(value, Real):
         raise InputError(f"must be a number, not {value!r}", where=where)
-    if not low <= float(value) <= high:
-        raise InputError(f"must lie between {low:g} and {high:g}, not {value}", where=where)
-    if isinstance(value, Integral):
-        return int(value)
-    found = float(value)
+    found = int(value) if isinstance(value, Integral) else float(value)
+    if not low <= found <= high:
+        told = f", not {value}" if abs(found) < _TOLD else ""
+        raise InputError(f"must lie between {low:g} and {high:g}{told}", where=where)
+    if isinstance(found, int):
+        return found
     if not whole:
         return found
     if math.floor(found) != found:

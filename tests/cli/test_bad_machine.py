@@ -296,3 +296,31 @@ def test_a_full_disk_is_told_whatever_it_is_that_no_longer_fits(
     assert [name for name in names if there and not any(name in line for line in failed)] == []
     assert [line for line in failed if str(disk) not in line] == []
     assert inhabitants(tmp_path) == []
+
+
+def test_a_disk_that_fills_leaves_the_older_basis_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Whatever a new run cannot write, what an older one left stays until all of it is there."""
+    disk, out = tmp_path / "disk", tmp_path / "disk" / "out"
+    words = ["render", write_scene(tmp_path / "home"), "--out", out, "--basis", "--workers", 1, "--tolerance"]
+    with _small_disk(disk) as there:
+        if not there:
+            pytest.skip("no small disk can be mounted here")
+        _resize(disk, 1000)
+        here([*words, 8], capsys).success()
+        old = files_in(out)
+        used = sum(-(-path.stat().st_size // 4096) for path in disk.rglob("*") if path.is_file())
+        messages = set()
+        for pages in range(used + 2, 1000, 3):
+            _resize(disk, pages)
+            done = here([*words, 7], capsys)
+            if done.code == 0:
+                break
+            messages.add(done.refusal(4))
+            kept = files_in(out)
+            assert {name: kept.get(name) for name in old} == old
+        assert any("/basis/" in line for line in messages)
+        assert files_in(out)["basis.json"] != old["basis.json"]
+
+
+def _resize(disk: Path, pages: int) -> None:
+    subprocess.run([str(shutil.which("mount")), "-o", f"remount,size={4 * pages}k", str(disk)], check=True)
