@@ -15,6 +15,7 @@ from contextlib import suppress
 from importlib import import_module
 from typing import Any, Final, NoReturn
 
+from radwrap.cli.address_space import check_address_space, is_lack_of_memory
 from radwrap.cli.interrupts import Interrupts, tell_interrupted
 from radwrap.errors import EnvironmentFailure, InputError, RadwrapError, one_line
 
@@ -84,7 +85,7 @@ def _failed(error: BaseException) -> int:
         case BrokenPipeError():
             # Whoever read our output has gone; Python must not try to flush it again.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        case MemoryError():
+        case _ if is_lack_of_memory(error):
             _tell("not enough memory; see `radwrap render --dry-run`")
         case OSError():
             what = error.strerror or str(error)
@@ -144,6 +145,7 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     verbs: argparse._SubParsersAction[Any] = parser.add_subparsers(title="verbs", required=True, metavar="VERB")
     asked = _VERBS.get(arguments[0]) if arguments else None
     if asked is not None:
+        check_address_space()
         # Here and not above: until the libraries are loaded, an interrupt must find `main` at work.
         import_module(f"radwrap.cli.{asked[0]}").add_to(verbs)
         return parser

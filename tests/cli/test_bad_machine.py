@@ -197,6 +197,22 @@ def test_a_user_with_a_limit_of_memory_can_work(tmp_path: Path) -> None:
     run("render", scene, "--out", tmp_path / "out", "--viewpoints", 1, preexec_fn=limit).success()
 
 
+@pytest.mark.parametrize("size", [150, 300, 450])  # MB
+def test_too_little_address_space_is_told(size: int, tmp_path: Path) -> None:
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_AS, (size * 10**6, size * 10**6))
+
+    words = ["render", write_scene(tmp_path), "--out", tmp_path / "out", "--method", "pinhole"]
+    assert "address space is limited" in run(*words, preexec_fn=limit).refusal(4)
+    assert run("--version", preexec_fn=limit).code == 0
+
+
+def test_many_workers_are_no_more_than_the_work(tmp_path: Path) -> None:
+    words = ["render", write_scene(tmp_path), "--out", tmp_path / "out", "--workers"]
+    run(*words, 1024).success()
+    assert "between 1 and 1024" in run(*words, 4096).refusal(2)
+
+
 # --------------------------------------------------------------------------------------------- The disk is full
 
 
