@@ -17,10 +17,11 @@ Examples
 >>> result.gray.values.max(), result.radiant_exposure.values.max()  # doctest: +SKIP
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+TYPE_CHECKING = False  # as type checkers know it: to import typing takes longer than the rest
 
 if TYPE_CHECKING:
+    from typing import Any
+
     from radwrap.errors import CheckFailed as CheckFailed
     from radwrap.errors import EnvironmentFailure as EnvironmentFailure
     from radwrap.errors import InputError as InputError
@@ -58,7 +59,9 @@ _HOMES = {
 }
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> "Any":
+    from importlib import import_module
+
     if name not in _HOMES:
         raise AttributeError(f"module 'radwrap' has no attribute {name!r}")
     return getattr(import_module(_HOMES[name]), name)

@@ -7,6 +7,7 @@
     ├── InputError         exit 2   a scene file, an option or an argument is wrong
     ├── ToleranceNotMet    exit 3   the image stands, but not to the asked tolerance
     └── EnvironmentFailure exit 4   a program, a folder or the disk is not as needed
+        ├── FolderTaken    exit 4   another run is writing there
         └── TracerError    exit 4   the ray tracer failed, warned or answered too little
 
 An interrupted command ends with 130 (:data:`INTERRUPTED`).
@@ -64,7 +65,7 @@ class InputError(RadwrapError):
 
 
 class ToleranceNotMet(RadwrapError):
-    """The image stands, but not to the asked tolerance."""
+    """The image stands, but not to the asked tolerance; commands end so, and `render` returns the image."""
 
     exit_code = 3
 
@@ -73,6 +74,10 @@ class EnvironmentFailure(RadwrapError):
     """A program, a folder or the disk is not as needed."""
 
     exit_code = 4
+
+
+class FolderTaken(EnvironmentFailure):
+    """Another run is writing in the folder."""
 
 
 class TracerError(EnvironmentFailure):

@@ -6,11 +6,11 @@ import hashlib
 import os
 import stat
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from radwrap.errors import EnvironmentFailure, InputError
+from radwrap.errors import EnvironmentFailure, FolderTaken, InputError
 
 TEMPORARY_SUFFIX = ".part"
 LOCK_NAME = ".radwrap.lock"
@@ -79,6 +79,18 @@ def publish(temporary: Path, final: Path) -> None:
         raise disk_failure(final, error) from error
 
 
+def move_files(made: Path, folder: Path, names: Iterable[str]) -> None:
+    """Rename whole files into another folder of the same disk, durably; names may hold folders."""
+    folders = {folder}
+    for name in names:
+        final = folder / name
+        make_folder(final.parent)
+        (made / name).replace(final)
+        folders.add(final.parent)
+    for place in sorted(folders):
+        flush_to_disk(place)
+
+
 def write_bytes(path: Path, content: bytes) -> None:
     """Write a file whole or not at all: temporary name, flush, read back, rename.
 
@@ -141,8 +153,10 @@ def sole_owner(folder: Path) -> Iterator[None]:
 
     Raises
     ------
-    EnvironmentFailure
+    FolderTaken
         If another run holds the folder.
+    EnvironmentFailure
+        If the disk refuses.
     """
     try:
         stream = (folder / LOCK_NAME).open("a+b")
@@ -152,7 +166,7 @@ def sole_owner(folder: Path) -> Iterator[None]:
         try:
             _lock(stream.fileno())
         except OSError as error:
-            raise EnvironmentFailure(
+            raise FolderTaken(
                 "another run is writing here", where=str(folder), remedy="wait for it or choose another --out"
             ) from error
         yield

@@ -18,7 +18,7 @@ from typing import Any, Final
 
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813  (its own short name)
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from radwrap.errors import EnvironmentFailure, InputError
 from radwrap.files import check_result, disk_failure, publish, temporary_name
@@ -58,8 +58,18 @@ def _checked(values: NDArray[Any], what: str) -> None:
         raise ValueError(f"{what} holds NaN or infinity")
 
 
+class _Pixels:
+    """What NumPy takes for its array."""
+
+    __slots__ = ()
+    values: NDArray[Any]
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
+        return np.array(self.values, dtype=dtype, copy=copy)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class RadianceImage:
+class RadianceImage(_Pixels):
     """What the opening lets through to each pixel, before Eq. 3 makes an exposure of it.
 
     Attributes
@@ -79,7 +89,7 @@ class RadianceImage:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ExposureImage:
+class ExposureImage(_Pixels):
     """What the sensor receives.
 
     Attributes
@@ -100,7 +110,7 @@ class ExposureImage:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class GrayImage:
+class GrayImage(_Pixels):
     """What an algorithm gets.
 
     Attributes
@@ -185,7 +195,7 @@ def _write(
         spec.attribute(key, value)
     temporary = temporary_name(path)
     try:
-        output = oiio.ImageOutput.create(str(temporary))
+        output = _without_threads().ImageOutput.create(str(temporary))
         if output is None:
             raise EnvironmentFailure(f"cannot write: {oiio.geterror()}", where=str(path))
         # The third axis is needed: a two-dimensional float32 array crashes the writer (OpenImageIO 3.2.2).
@@ -212,9 +222,15 @@ def _write(
             temporary.unlink(missing_ok=True)
 
 
+def _without_threads() -> Any:
+    """OpenImageIO, without threads of OpenEXR's: a process that is forked later would wait for them for ever."""
+    oiio.attribute("exr_threads", -1)
+    return oiio
+
+
 def _holds(path: Path, pixels: NDArray[Any]) -> bool:
     """Whether a file holds these pixels; read in bands, so that many writers at a time stay small."""
-    source = oiio.ImageInput.open(str(path))
+    source = _without_threads().ImageInput.open(str(path))
     if source is None:
         return False
     try:
@@ -279,7 +295,7 @@ def _opened(path: Path, most_pixels: int) -> Any:
     if content[:2] == _JPEG and _END_OF_JPEG not in content[-_JPEG_PADDING:]:
         raise InputError("is not whole: its end is missing", where=str(path))
     del content
-    source = oiio.ImageInput.open(str(path))
+    source = _without_threads().ImageInput.open(str(path))
     if source is None:
         raise InputError(f"is no image: {oiio.geterror()}", where=str(path))
     spec = source.spec()

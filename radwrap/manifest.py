@@ -25,17 +25,19 @@ SCHEMA_VERSION: Final = 1
 # and hashes as they are.
 ONLY_WHERE_USED: Final[Mapping[str, bool]] = MappingProxyType({"only_where_used": True})
 _MANIFEST: Final = FileKind("manifest", 256 << 20)
-_PACKAGES: Final = ("numpy", "OpenImageIO", "pydantic", "pyradiance")
+_PACKAGES: Final = ("numpy", "scipy", "OpenImageIO", "pydantic", "pyradiance")
+# What designs, responses and their analysis hang on, besides.
+STUDY_PACKAGES: Final = ("opencv-contrib-python-headless", "pyDOE3", "statsmodels")
 
 
-def versions() -> dict[str, str]:
-    """Versions of everything in this process that a result depends on."""
+def versions(*more: str) -> dict[str, str]:
+    """Versions of everything in this process that a result depends on: of each, and of some more packages."""
     found = {
         "radwrap": version("radwrap"),
         "python": platform.python_version(),
         "platform": _platform(),
     }
-    for package in _PACKAGES:
+    for package in (*_PACKAGES, *more):
         try:
             found[package] = version(package)
         except PackageNotFoundError:

@@ -1,12 +1,14 @@
 """The one door to other programs: argv lists, bytes in and out, no shell.
 
 Every program runs in a folder and an environment that the caller names, in a
-process group of its own, and is killed with that group when it stalls, when
-its caller fails, or when the user interrupts.
+process group of its own, and is ended with that group when it stalls, when
+its caller fails, or when the user interrupts. It has ended when its own process
+has: what it leaves running, also in a session of its own, is ended too.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import select
 import signal
@@ -18,21 +20,18 @@ import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO
+from typing import IO, Final
 
+from radwrap.descendants import end_marked, marked, new_mark
 from radwrap.errors import EnvironmentFailure, TracerError
+from radwrap.pipes import PIPE_BYTES, Feeder, Listener, is_readable, widen
 
-if sys.platform != "win32":
-    import fcntl
-    import termios
-
-_PIPE_BYTES = 1 << 20
 _STDERR_BYTES_KEPT = 1 << 16
 _TICK = 0.5  # s between looks at the clock while a program is silent
-_NAP = 4  # ms between looks at a pipe that is more than half full
 _LOOK = 0.1  # s between looks at what matters beside a program
+_GRACE = 1.0  # s for a pipe to end once nobody should hold it any more
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,12 +42,18 @@ class Limits:
     ----------
     silence : float
         Longest time without a byte in or out [s]; then it counts as hung.
+    total : float
+        Longest time until its output ends [s]; where its answer is waited for as a whole, no longer than `silence`.
     memory : int
         Address space [byte].
+    remedy : str
+        What helps one that needs longer.
     """
 
     silence: float = 600.0
+    total: float = math.inf
     memory: int = 16 << 30
+    remedy: str = "raise --tracer-timeout if the scene needs longer"
 
 
 class Programs:
@@ -59,7 +64,9 @@ class Programs:
     """
 
     def __init__(self) -> None:
-        self._running: set[subprocess.Popen[bytes]] = set()
+        self._mark = new_mark()
+        self._started = 0
+        self._running: set[_Program] = set()
         self._guard = threading.Lock()
         self._cancelled = False
 
@@ -70,11 +77,13 @@ class Programs:
         self.cancel()
 
     def cancel(self) -> None:
-        """End every running program, and refuse new ones."""
+        """End every running program and what any of them left behind, and refuse new ones."""
         with self._guard:
             self._cancelled = True
             for program in self._running:
-                _kill(program)
+                program.end_group()
+            if self._started:
+                end_marked(f"{self._mark}.")
 
     @property
     def cancelled(self) -> bool:
@@ -83,7 +92,7 @@ class Programs:
 
     def _start(
         self, argv: Sequence[str], folder: Path, environment: Mapping[str, str], said: IO[bytes] | None = None
-    ) -> subprocess.Popen[bytes]:
+    ) -> _Program:
         # In a thread: an interrupt is raised in the main thread, and must not come between a program's start and
         # its entry into the list of those that are ended.
         with ThreadPoolExecutor(1) as starter:
@@ -91,16 +100,18 @@ class Programs:
 
     def _enter(
         self, argv: Sequence[str], folder: Path, environment: Mapping[str, str], said: IO[bytes] | None
-    ) -> subprocess.Popen[bytes]:
+    ) -> _Program:
         quiet = said is not None
         with self._guard:
             if self._cancelled:
                 raise TracerError("cancelled", where=Path(argv[0]).name)
+            self._started += 1
+            mark = f"{self._mark}.{self._started}."
             try:
-                program = subprocess.Popen(
+                process = subprocess.Popen(
                     list(argv),
                     cwd=folder,
-                    env=dict(environment),
+                    env={**environment, **marked(mark)},
                     stdin=subprocess.DEVNULL if quiet else subprocess.PIPE,
                     stdout=subprocess.DEVNULL if quiet else subprocess.PIPE,
                     stderr=said if quiet else subprocess.PIPE,
@@ -110,8 +121,11 @@ class Programs:
                 )
             except OSError as error:
                 raise EnvironmentFailure(f"cannot start: {error.strerror or error}", where=argv[0]) from error
+            program = _Program(process, Path(argv[0]).name, mark)
             self._running.add(program)
-        _widen_pipes(program)
+        for pipe in (process.stdin, process.stdout):
+            if pipe is not None:
+                widen(pipe)
         return program
 
     def run(
@@ -140,10 +154,9 @@ class Programs:
             If it fails, hangs or is cancelled.
         """
         said: list[str] = []
-        output = b"".join(
-            self.stream(argv, folder=folder, environment=environment, stdin=stdin, limits=limits, said=said)
-        )
-        return output, said[0]
+        limits = replace(limits, total=min(limits.total, limits.silence))
+        answer = self.stream(argv, folder=folder, environment=environment, stdin=stdin, limits=limits, said=said)
+        return b"".join(answer), said[0]
 
     def stream(
         self,
@@ -161,39 +174,45 @@ class Programs:
         Raises as :meth:`run`.
         """
         program = self._start(argv, folder, environment)
-        name = Path(argv[0]).name
-        feeder = _Feeder(program, stdin)
-        listener = _Listener(program)
+        process = program.process
+        assert process.stdin is not None and process.stderr is not None  # noqa: S101  (both are PIPE above)
+        feeder = Feeder(process.stdin, stdin, program.end_group)
+        listener = Listener(process.stderr)
         try:
-            _limit(program, limits)
+            _limit(process, limits)
             feeder.start()
             listener.start()
-            yield from _output(program, feeder, limits.silence, name)
-            _wait(program, limits.silence, name)
+            yield from _output(program, feeder, limits)
+            _wait(program, limits)
+            feeder.stop()
             feeder.join()
-            listener.join()
+            program.end_group()
+            _hear_out(listener, program)
             if self._cancelled:
-                raise TracerError("cancelled", where=name)
+                raise TracerError("cancelled", where=program.name)
             if feeder.error is not None:
                 raise feeder.error
-            if program.returncode != 0:
-                raise TracerError(
-                    f"ended with exit code {program.returncode}: {listener.text or 'no message'}", where=name
-                )
+            program.check(listener.text)
             said.append(listener.text)
+        except BaseException:
+            end_marked(program.mark)  # before our threads are waited for: it may hold their pipes
+            raise
         finally:
-            _kill(program)
-            program.wait()
-            feeder.stop()
+            program.end_group()
+            process.wait()
             for thread in (feeder, listener):
+                thread.stop()
                 if thread.ident is not None:
                     thread.join()
-            for pipe in (program.stdin, program.stdout, program.stderr):
-                if pipe is not None:
-                    with suppress(OSError):
-                        pipe.close()
-            with self._guard:
-                self._running.discard(program)
+            self._forget(program)
+
+    def _forget(self, program: _Program) -> None:
+        for pipe in (program.process.stdin, program.process.stdout, program.process.stderr):
+            if pipe is not None:
+                with suppress(OSError):
+                    pipe.close()
+        with self._guard:
+            self._running.discard(program)
 
     def attend(
         self,
@@ -202,9 +221,10 @@ class Programs:
         folder: Path,
         environment: Mapping[str, str],
         look: Callable[[], None],
-        longest: float = 600.0,
+        longest: float,
+        remedy: str = "",
     ) -> None:
-        """Run a program whose output nobody needs until it ends, whatever it leaves running behind it.
+        """Run a program whose output nobody needs until it ends; what it leaves running is ended.
 
         Parameters
         ----------
@@ -214,6 +234,8 @@ class Programs:
             Asked again and again meanwhile; what it raises ends the program.
         longest : float
             After that it counts as hung [s].
+        remedy : str
+            What helps one that needs longer.
 
         Raises
         ------
@@ -222,124 +244,98 @@ class Programs:
         TracerError
             If it fails, hangs or is cancelled.
         """
-        name = Path(argv[0]).name
         # A file and no pipe: a pipe would end only with the last process that inherited it.
         with tempfile.TemporaryFile() as said:
             program = self._start(argv, folder, environment, said)
             end = time.monotonic() + longest
             try:
-                while not _ended(program):
+                while not _ended(program.process):
                     look()
                     if time.monotonic() > end:
-                        raise TracerError(f"did not end within {longest:g} s and was ended", where=name)
+                        raise TracerError(
+                            f"did not end within {longest:g} s and was ended", where=program.name, remedy=remedy
+                        )
             finally:
-                _kill(program)
-                program.wait()
-                with self._guard:
-                    self._running.discard(program)
+                program.end_group()
+                program.process.wait()
+                end_marked(program.mark)
+                self._forget(program)
             if self._cancelled:
-                raise TracerError("cancelled", where=name)
-            if program.returncode != 0:
-                said.seek(max(said.seek(0, os.SEEK_END) - _STDERR_BYTES_KEPT, 0))
-                told = said.read().decode(errors="replace").strip()
-                raise TracerError(f"ended with exit code {program.returncode}: {told or 'no message'}", where=name)
+                raise TracerError("cancelled", where=program.name)
+            said.seek(max(said.seek(0, os.SEEK_END) - _STDERR_BYTES_KEPT, 0))
+            program.check(said.read().decode(errors="replace").strip())
 
 
-class _Feeder(threading.Thread):
-    """Writes the input, so that a program with full pipes cannot block us."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Program:
+    """A program that was started, and the mark by which its descendants are known."""
 
-    def __init__(self, program: subprocess.Popen[bytes], chunks: Iterable[bytes | memoryview]) -> None:
-        super().__init__(daemon=True)
-        self._program = program
-        self._chunks = chunks
-        self._stopped = False
-        self.last_progress = time.monotonic()
-        self.error: BaseException | None = None
+    process: subprocess.Popen[bytes]
+    name: str
+    mark: str
 
-    def stop(self) -> None:
-        self._stopped = True
+    def end_group(self) -> None:
+        """End it and everything in its group."""
+        _kill(self.process)
 
-    def run(self) -> None:
-        pipe = self._program.stdin
-        assert pipe is not None  # noqa: S101  (stdin=PIPE above)
-        try:
-            for chunk in self._chunks:
-                view = memoryview(chunk).cast("B")
-                while view and not self._stopped:
-                    self._wait_for_room(pipe)
-                    written = pipe.write(view[: _PIPE_BYTES // 2])
-                    view = view[written:]
-                    self.last_progress = time.monotonic()
-                if self._stopped:
-                    break
-        except (BrokenPipeError, ConnectionResetError):
-            pass  # the program ended early; its exit code and output tell
-        except BaseException as error:  # noqa: BLE001  (raised again in the caller's thread)
-            self.error = error
-            _kill(self._program)
-        finally:
-            with suppress(OSError):
-                pipe.close()
-
-    def _wait_for_room(self, pipe: IO[bytes]) -> None:
-        """Wait until half of the pipe is free: each 4 KiB that are read from a full one would wake us."""
-        if sys.platform != "linux":
-            return
-        with suppress(OSError):  # who cannot ask writes on
-            if fcntl.fcntl(pipe, fcntl.F_GETPIPE_SZ) < _PIPE_BYTES:
-                return
-            reader = select.poll()
-            reader.register(pipe, 0)  # of its end alone
-            before = 0
-            while (held := _held(pipe)) > _PIPE_BYTES // 2 and not self._stopped and not reader.poll(_NAP):
-                if held != before:
-                    self.last_progress = time.monotonic()
-                before = held
+    def check(self, said: str) -> None:
+        """Whether it ended as it should."""
+        code = self.process.returncode
+        if code != 0:
+            raise TracerError(f"ended with exit code {code}: {said or 'no message'}", where=self.name)
 
 
-class _Listener(threading.Thread):
-    """Reads stderr to its end and keeps the last part."""
-
-    def __init__(self, program: subprocess.Popen[bytes]) -> None:
-        super().__init__(daemon=True)
-        self._pipe = program.stderr
-        self.text = ""
-
-    def run(self) -> None:
-        kept = b""
-        assert self._pipe is not None  # noqa: S101  (stderr=PIPE above)
-        # An interrupt may close the pipe while it is read.
-        with suppress(OSError, ValueError):
-            while block := self._pipe.read(4096):
-                kept = (kept + block)[-_STDERR_BYTES_KEPT:]
-        self.text = kept.decode(errors="replace").strip()
-
-
-def _output(program: subprocess.Popen[bytes], feeder: _Feeder, silence: float, name: str) -> Iterator[bytes]:
-    pipe = program.stdout
+def _output(program: _Program, feeder: Feeder, limits: Limits) -> Iterator[bytes]:
+    """What a program writes, until its pipe ends; a pipe that outlives its program is held by somebody else."""
+    pipe = program.process.stdout
     assert pipe is not None  # noqa: S101  (stdout=PIPE above)
-    last_read = time.monotonic()
+    last_read = start = time.monotonic()
+    ended = False
     while True:
-        if sys.platform != "win32":  # select() knows no pipes there; Windows goes without the hang watch
-            while not select.select([pipe], [], [], _TICK)[0]:
-                if time.monotonic() - max(last_read, feeder.last_progress) > silence:
-                    raise TracerError(
-                        f"was silent for {silence:g} s and was ended",
-                        where=name,
-                        remedy="raise --tracer-timeout if the scene needs longer",
-                    )
-        block = pipe.read(_PIPE_BYTES)
+        while not is_readable(pipe, _TICK):
+            now = time.monotonic()
+            if ended:
+                raise TracerError(
+                    "ended, but went on in the background with its output open; that was ended", where=program.name
+                )
+            ended = program.process.poll() is not None
+            if now - start > limits.total:
+                raise _too_long(program, limits)
+            if now - max(last_read, feeder.last_progress) > limits.silence:
+                raise TracerError(
+                    f"was silent for {limits.silence:g} s and was ended", where=program.name, remedy=limits.remedy
+                )
+        block = pipe.read(PIPE_BYTES)
         if not block:
             return
         yield block
         last_read = time.monotonic()
+        if last_read - start > limits.total:
+            raise _too_long(program, limits)
 
 
-def _wait(program: subprocess.Popen[bytes], silence: float, name: str) -> None:
+def _too_long(program: _Program, limits: Limits) -> TracerError:
+    what = f"did not end within {limits.total:g} s and was ended"
+    return TracerError(what, where=program.name, remedy=limits.remedy)
+
+
+def _wait(program: _Program, limits: Limits) -> None:
     try:
-        program.wait(silence)
+        program.process.wait(limits.silence)
     except subprocess.TimeoutExpired as error:
-        raise TracerError(f"closed its output but did not end within {silence:g} s", where=name) from error
+        raise TracerError(
+            f"closed its output but did not end within {limits.silence:g} s", where=program.name
+        ) from error
+
+
+def _hear_out(listener: Listener, program: _Program) -> None:
+    """Wait for a program's last word, which may be kept open by what it left behind."""
+    listener.join(_TICK)
+    if listener.is_alive():
+        end_marked(program.mark)
+        listener.join(_GRACE)
+    listener.stop()
+    listener.join()
 
 
 def _ended(program: subprocess.Popen[bytes]) -> bool:
@@ -358,21 +354,6 @@ def _kill(program: subprocess.Popen[bytes]) -> None:
         return
     with suppress(ProcessLookupError, PermissionError):
         os.killpg(program.pid, signal.SIGKILL)
-
-
-def _widen_pipes(program: subprocess.Popen[bytes]) -> None:
-    """Let the pipes hold more than 64 KiB where Linux permits it: fewer changes between the two processes."""
-    if sys.platform != "linux":
-        return
-    for pipe in (program.stdin, program.stdout):
-        if pipe is not None:
-            with suppress(OSError):
-                fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
-
-
-def _held(pipe: IO[bytes]) -> int:
-    """Bytes that are in a pipe."""
-    return int.from_bytes(fcntl.ioctl(pipe, termios.FIONREAD, bytes(4)), sys.byteorder)
 
 
 def _limit(program: subprocess.Popen[bytes], limits: Limits) -> None:
@@ -476,6 +457,9 @@ def start_child(
     if sys.platform != "win32" and program.stdin is not None:
         os.set_blocking(program.stdin.fileno(), False)
     return Child(program)
+
+
+MOST_WORKERS: Final = 1024  # at a time; each takes a process and a thread or more
 
 
 def available_cores() -> int:

@@ -1,12 +1,15 @@
 """Gray images from files: levels as stored, and what is no whole gray image."""
 
+import subprocess
+import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from radwrap.errors import InputError
-from radwrap.images import read_gray, read_image, write_png
+from radwrap.images import ExposureImage, GrayImage, RadianceImage, read_gray, read_image, write_png
 
 LEVELS = np.array([[0, 100, 700], [1, 2, 3]])
 
@@ -65,3 +68,32 @@ def test_a_png_with_a_wrong_byte_is_one_clear_error(tmp_path: Path, capfd: pytes
     with pytest.raises(InputError, match="is not whole: a checksum is wrong"):
         read_gray(path)
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("kind", [RadianceImage, ExposureImage, GrayImage])
+def test_numpy_takes_an_image_for_its_values(kind: Any) -> None:
+    values = np.arange(6.0).reshape(2, 3)
+    image = kind(values)
+    assert np.asarray(image) is values
+    assert np.array(image, dtype=np.float32).tolist() == values.tolist()
+    assert not np.shares_memory(np.array(image), values)
+
+
+_FORKED = """
+import multiprocessing, sys
+from pathlib import Path
+import numpy as np
+from radwrap.images import read_image, write_exr
+def copy(name):
+    write_exr(Path(name), np.ones((300, 300), dtype=np.float32), channel="Y")
+    return read_image(Path(name))[0].shape
+copy(sys.argv[1])
+with multiprocessing.get_context("fork").Pool(1) as pool: print(pool.apply(copy, [sys.argv[1]]))
+"""
+
+
+def test_images_are_written_after_a_fork(tmp_path: Path) -> None:
+    """Threads do not survive one."""
+    words = [sys.executable, "-c", _FORKED, str(tmp_path / "image.exr")]
+    done = subprocess.run(words, capture_output=True, text=True, check=True, timeout=20)
+    assert done.stdout == "(300, 300)\n"

@@ -64,7 +64,7 @@ def test_a_silent_program_is_ended_with_all_its_children(tmp_path: Path) -> None
         "open('pid', 'w').write(str(p.pid)); time.sleep(100)"
     )
     start = time.monotonic()
-    with pytest.raises(TracerError, match="was silent for 1 s"):
+    with pytest.raises(TracerError, match="did not end within 1 s"):
         run(code, tmp_path, limits=Limits(silence=1.0))
     assert time.monotonic() - start < 10
     pid = int((tmp_path / "pid").read_text())
@@ -146,9 +146,9 @@ def test_a_child_that_does_not_listen_blocks_nobody(tmp_path: Path) -> None:
     child.close(0.0)
 
 
-def attend(code: str, folder: Path, look: Callable[[], None] = lambda: None, **more: float) -> None:
+def attend(code: str, folder: Path, look: Callable[[], None] = lambda: None, longest: float = PATIENCE) -> None:
     with Programs() as programs:
-        programs.attend([PYTHON, "-c", code], folder=folder, environment={"A": "b c"}, look=look, **more)
+        programs.attend([PYTHON, "-c", code], folder=folder, environment={"A": "b c"}, look=look, longest=longest)
 
 
 def test_a_program_that_is_attended_ends_when_it_ends_itself(tmp_path: Path) -> None:
@@ -183,3 +183,63 @@ def test_a_program_that_reads_slowly_wakes_us_seldom(tmp_path: Path) -> None:
     before = resource.getrusage(resource.RUSAGE_SELF).ru_nvcsw
     run(code, tmp_path, stdin=(block for _ in range(16)))
     assert resource.getrusage(resource.RUSAGE_SELF).ru_nvcsw - before < 1000
+
+
+# A daemon: a session of its own, its parent gone; which of its streams it keeps is asked for.
+DAEMON = """
+import os, sys, time
+if os.fork() == 0:
+    os.setsid()
+    if os.fork() == 0:
+        open("pid", "w").write(str(os.getpid()))
+        for stream in {closed}: os.close(stream)
+        time.sleep(100)
+    os._exit(0)
+while not os.path.exists("pid") or not open("pid").read(): time.sleep(0.01)
+{last}
+"""
+PIPES = {"none": (0, 1, 2), "stdin": (1, 2), "stdout": (0, 2), "stderr": (0, 1), "all": ()}
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells of each process's environment")
+@pytest.mark.parametrize("kept", PIPES)
+def test_what_goes_into_the_background_ends_with_its_program(kept: str, tmp_path: Path) -> None:
+    """Nobody waits for it; where it could still write, the answer is not known to be whole."""
+    code = DAEMON.format(closed=PIPES[kept], last="sys.stdout.write('done'); sys.stdout.flush()")
+    begin = time.monotonic()
+    if kept in {"stdout", "all"}:
+        with pytest.raises(TracerError, match="went on in the background with its output open"):
+            run(code, tmp_path, stdin=(bytes(1 << 20) for _ in range(4)))
+    else:
+        assert run(code, tmp_path, stdin=(bytes(1 << 20) for _ in range(4))) == (b"done", "")
+    assert time.monotonic() - begin < PATIENCE / 6
+    assert gone(int((tmp_path / "pid").read_text()))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells of each process's environment")
+@pytest.mark.parametrize("last", ["time.sleep(100)", "while True: print('x', flush=True); time.sleep(.1)"])
+def test_a_stalled_program_is_ended_with_what_it_sent_into_the_background(last: str, tmp_path: Path) -> None:
+    """Silent, or talking for ever: whoever asks for a whole answer waits no longer than that."""
+    begin = time.monotonic()
+    with pytest.raises(TracerError, match=r"did not end within 0\.5 s"):
+        run(DAEMON.format(closed=(), last=last), tmp_path, limits=Limits(silence=0.5))
+    assert time.monotonic() - begin < PATIENCE / 6
+    assert gone(int((tmp_path / "pid").read_text()))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells of each process's environment")
+def test_what_an_attended_program_sent_into_the_background_ends_with_it(tmp_path: Path) -> None:
+    attend(DAEMON.format(closed=(), last=""), tmp_path)
+    assert gone(int((tmp_path / "pid").read_text()))
+
+
+def test_a_background_process_that_hides_is_waited_for_no_longer_than_the_others(tmp_path: Path) -> None:
+    """One that wiped its environment cannot be known, but it cannot hold us either."""
+    wiped = DAEMON.format(closed=(), last="").replace(
+        "time.sleep(100)", "os.execve(sys.executable, [sys.executable, '-c', 'import time; time.sleep(30)'], {})"
+    )
+    begin = time.monotonic()
+    with pytest.raises(TracerError, match="went on in the background"):
+        run(wiped, tmp_path, stdin=(bytes(1 << 20) for _ in range(4)))
+    assert time.monotonic() - begin < PATIENCE / 6
+    psutil.Process(int((tmp_path / "pid").read_text())).kill()

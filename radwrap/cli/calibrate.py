@@ -10,7 +10,7 @@ from radwrap.cli import calibrate_camera, calibrate_sensor
 
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     """Add the verb."""
-    parser = verbs.add_parser("calibrate", help="calibrate a camera or a sensor", description=__doc__)
+    parser = verbs.add_parser("calibrate", description=__doc__)
     kinds: argparse._SubParsersAction[Any] = parser.add_subparsers(title="what", required=True, metavar="WHAT")
     for module in (calibrate_camera, calibrate_sensor):
         module.add_to(kinds)

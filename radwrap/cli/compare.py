@@ -38,7 +38,6 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     """Add the verb."""
     parser = verbs.add_parser(
         "compare",
-        help="compare a captured image with the predicted one",
         description="Tells by how much a captured image differs from the predicted one, where, and whether exposure, "
         "dark level or geometry explains it. Differences are captured - predicted, on the predicted image's pixels.",
     )

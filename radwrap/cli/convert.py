@@ -29,7 +29,6 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     """Add the verb."""
     parser = verbs.add_parser(
         "convert",
-        help="write a scene for Radiance, POV-Ray or as a preview; a mesh for Radiance",
         description=_DESCRIPTION,
     )
     shared.add_scene(parser)

@@ -21,7 +21,7 @@ _DESCRIPTION = (
 
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     """Add the verb."""
-    parser = verbs.add_parser("crosscheck", help="compare Radiance with POV-Ray on a scene", description=_DESCRIPTION)
+    parser = verbs.add_parser("crosscheck", description=_DESCRIPTION)
     shared.add_scene(parser)
     parser.add_argument("--out", metavar="DIR", help="folder for crosscheck.json and crosscheck.png")
     parser.add_argument(

@@ -10,7 +10,7 @@ from typing import Any
 
 from radwrap.errors import EnvironmentFailure, RadwrapError
 from radwrap.led.ports import modules as hidapi_modules
-from radwrap.manifest import json_text, versions
+from radwrap.manifest import STUDY_PACKAGES, json_text, versions
 from radwrap.process import Programs, available_cores
 from radwrap.tracers.installation import find_radiance, version
 
@@ -19,7 +19,6 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     """Add the verb."""
     parser = verbs.add_parser(
         "doctor",
-        help="check programs and libraries",
         description="Tells what is installed, what is missing, and how to get it.",
     )
     parser.add_argument("--radiance", metavar="DIR", help="folder with another Radiance's bin and lib")
@@ -35,14 +34,14 @@ def run(arguments: argparse.Namespace) -> int:
         _check("hidapi", False, "pip install hidapi (only for a real LED ring)", _hidapi),
     ]
     whole = all(check["found"] or not check["needed"] for check in checks)
-    found = {"ok": whole, "checks": checks, "versions": versions(), "cores": available_cores()}
+    found = {"ok": whole, "checks": checks, "versions": versions(*STUDY_PACKAGES), "cores": available_cores()}
     if arguments.json:
         print(json_text(found), end="")
     else:
         for check in checks:
             state = check["version"] if check["found"] else f"missing: {check['problem']}; get it by: {check['remedy']}"
             print(f"{check['name']}: {state}" + (f" ({check['place']})" if check["place"] else ""))
-        for name, version in versions().items():
+        for name, version in versions(*STUDY_PACKAGES).items():
             print(f"{name}: {version}")
         print(f"cores: {available_cores()}")
     return 0 if whole else EnvironmentFailure.exit_code

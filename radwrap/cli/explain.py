@@ -17,7 +17,6 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     """Add the verb."""
     parser = verbs.add_parser(
         "explain",
-        help="tell what a scene amounts to",
         description="Tells what a scene amounts to, and by a few thousand rays which effects it needs: the error in "
         "gray levels of leaving each out.",
     )

@@ -28,7 +28,7 @@ _DARK: Final = "dark"
 
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     """Add the verb."""
-    parser = verbs.add_parser("led", help="drive the real LED ring over USB HID", description=__doc__)
+    parser = verbs.add_parser("led", description=__doc__)
     what: argparse._SubParsersAction[Any] = parser.add_subparsers(title="what", required=True, metavar="WHAT")
     one = what.add_parser("list", help="the rings that are there")
     one.add_argument("--udev", action="store_true", help="print the udev rules that give access, and nothing else")

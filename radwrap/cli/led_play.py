@@ -52,6 +52,12 @@ def add_to(what: argparse._SubParsersAction[Any]) -> None:
     add_light(parser)
     shared.add_json(parser)
     parser.add_argument(
+        "--camera-timeout",
+        metavar="TIME",
+        default="60 s",
+        help='longest time of the camera\'s command (default "60 s")',
+    )
+    parser.add_argument(
         "--camera",
         metavar="COMMAND ...",
         nargs=argparse.REMAINDER,
@@ -75,6 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
     elif not arguments.alone:
         raise InputError("there is nothing to play", remedy="give --rows LEVELS.csv, --design or --alone")
     settle = shared.time_of(arguments.settle, "--settle")
+    longest = shared.time_of(arguments.camera_timeout, "--camera-timeout")
     if not arguments.camera and not stdin_is_there():
         raise InputError("is closed, so that nobody can press Enter", where="stdin", remedy="give --camera COMMAND")
     out = Path(arguments.out)
@@ -83,7 +90,9 @@ def run(arguments: argparse.Namespace) -> int:
         frames = plan(ring, tuple(nominal.values()), rows, alone=arguments.alone)
         for frame in frames:
             warn_of_ripple(ring, frame.levels, scene)
-        trigger = _command(arguments.camera, out, programs, ring) if arguments.camera else _enter(ring, len(frames))
+        trigger = _enter(ring, len(frames))
+        if arguments.camera:
+            trigger = _command(arguments.camera, out, programs, ring, longest)
         record = play(ring, frames, out, nominal=nominal, trigger=trigger, settle=settle)
     if arguments.json:
         print(json_text(record), end="")
@@ -100,12 +109,15 @@ def _runs(path: Path, scene: Scene) -> Levels:
     return rows_of(read_design(path), scene)
 
 
-def _command(argv: Sequence[str], out: Path, programs: Programs, ring: LedRing) -> Callable[[int, Planned], None]:
+def _command(
+    argv: Sequence[str], out: Path, programs: Programs, ring: LedRing, longest: float
+) -> Callable[[int, Planned], None]:
     """Runs the camera's program, without a shell, in the folder of the records; looks after the ring meanwhile."""
 
     def trigger(number: int, frame: Planned) -> None:
         words = [word.replace("{name}", frame.name).replace("{number}", str(number)) for word in argv]
-        programs.attend(words, folder=out, environment=os.environ, look=ring.check)
+        remedy = "raise --camera-timeout if it needs longer"
+        programs.attend(words, folder=out, environment=os.environ, look=ring.check, longest=longest, remedy=remedy)
 
     return trigger
 

@@ -7,97 +7,95 @@ Exit codes: 0 done, 1 a check failed, 2 bad input, 3 tolerance not met,
 from __future__ import annotations
 
 import argparse
-import atexit
 import gc
 import os
-import signal
 import sys
-import threading
-import traceback
 from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
-from importlib.metadata import version
 from typing import Any, Final, NoReturn
 
-from radwrap.errors import INTERRUPTED, EnvironmentFailure, InputError, RadwrapError, one_line
+from radwrap.cli.address_space import check_address_space, is_lack_of_memory
+from radwrap.cli.interrupts import Interrupts, tell_interrupted
+from radwrap.errors import EnvironmentFailure, InputError, RadwrapError, one_line
 
 _EPILOG = (
     "Exit codes: 0 done, 1 a check failed, 2 bad input, 3 tolerance not met, 4 environment or tracer, 130 interrupted."
 )
 
-_MODULES: Final = {
-    "init": "start",
-    "schema": "start",
-    "render": "render",
-    "relight": "relight",
-    "explain": "explain",
-    "trade": "trade",
-    "study": "study",
-    "convert": "convert",
-    "crosscheck": "crosscheck",
-    "measure": "measure",
-    "calibrate": "calibrate",
-    "compare": "compare",
-    "led": "led",
-    "validate": "validate",
-    "doctor": "doctor",
+# Each verb, the module that adds it, and what it is for: to load every verb's libraries takes longer than a small run.
+_VERBS: Final = {
+    "init": ("start", "write a commented scene to start from"),
+    "schema": ("start", "print the JSON schema of scene files"),
+    "render": ("render", "predict the gray image of a scene"),
+    "relight": ("relight", "images for any levels of the sources"),
+    "explain": ("explain", "tell what a scene amounts to"),
+    "trade": ("trade", "measure what accuracy costs on a scene"),
+    "study": ("study", "change a scene by a design, measure, and say what matters"),
+    "convert": ("convert", "write a scene for Radiance, POV-Ray or as a preview; a mesh for Radiance"),
+    "crosscheck": ("crosscheck", "compare Radiance with POV-Ray on a scene"),
+    "measure": ("measure", "find dots, an edge or parts in a gray image, or noise in frames"),
+    "calibrate": ("calibrate", "calibrate a camera or a sensor"),
+    "compare": ("compare", "compare a captured image with the predicted one"),
+    "led": ("led", "drive the real LED ring over USB HID"),
+    "validate": ("validate", "run the score card of closed forms"),
+    "doctor": ("doctor", "check programs and libraries"),
 }
 
 
-def program() -> NoReturn:
-    """Run the command as a process of its own, and end that with its exit code.
+def main(arguments: Sequence[str] | None = None, interrupts: Interrupts | None = None) -> int:
+    """Run the command; returns its exit code.
 
-    To free piece by piece what the process leaves behind would take some per
-    cent of a small run's time.
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Default those of the process.
+    interrupts : Interrupts, optional
+        What heeds the signals already.
     """
-    for name in ("stdout", "stderr"):
-        if getattr(sys, name) is None:  # closed by who started us
-            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
-    code = main()
-    if threading.active_count() > 1:
-        sys.exit(code)
-    atexit._run_exitfuncs()
-    for stream in (sys.stdout, sys.stderr):
-        with suppress(OSError):  # `main` told it
-            stream.flush()
-    os._exit(code)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; returns its exit code."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _interrupt)
+    if interrupts is None:
+        interrupts = Interrupts()
+        interrupts.install()
     try:
-        given = sys.argv[1:] if arguments is None else list(arguments)
-        parsed = _parsed(given)
-        code: int = parsed.run(parsed)
+        code = _carried_out(sys.argv[1:] if arguments is None else list(arguments), interrupts)
         sys.stdout.flush()
         return code
-    except KeyboardInterrupt:
-        return _interrupted()
-    except RadwrapError as error:
-        _tell(str(error))
-        return error.exit_code
-    except BrokenPipeError:
-        # Whoever read our output has gone; Python must not try to flush it again.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return EnvironmentFailure.exit_code
-    except (OSError, MemoryError) as error:
-        _tell(_one_line(error))
-        return EnvironmentFailure.exit_code
-    except Exception:  # noqa: BLE001  (an error of ours: all of it is shown)
-        if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-            return _interrupted()  # the interrupt came where a library turned it into an error of its own
-        with suppress(OSError):
-            traceback.print_exc()
-        _tell("this is an error in radwrap itself; please report it")
-        return EnvironmentFailure.exit_code
+    except BaseException as error:  # noqa: BLE001  (each has its exit code)
+        if interrupts.heard or isinstance(error, KeyboardInterrupt):
+            return tell_interrupted()  # also where a library turned it into an error of its own
+        return _failed(error)
 
 
-def _interrupted() -> int:
-    _tell("interrupted; the same command goes on where it was")
-    return INTERRUPTED
+def _carried_out(given: list[str], interrupts: Interrupts) -> int:
+    try:
+        parsed = _parsed(given)
+    except SystemExit as end:  # --help and --version, which are told
+        return int(end.code or 0)
+    interrupts.begin_work()
+    code: int = parsed.run(parsed)
+    return code
+
+
+def _failed(error: BaseException) -> int:
+    """Say what went wrong, in one line if it is not our own fault; returns the exit code."""
+    match error:
+        case RadwrapError():
+            _tell(str(error))
+            return error.exit_code
+        case BrokenPipeError():
+            # Whoever read our output has gone; Python must not try to flush it again.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        case _ if is_lack_of_memory(error):
+            _tell("not enough memory; see `radwrap render --dry-run`")
+        case OSError():
+            what = error.strerror or str(error)
+            _tell(one_line(f"{error.filename}: {what}" if error.filename else what))
+        case _:
+            import traceback
+
+            traceback.print_exception(error)
+            _tell("this is an error in radwrap itself; please report it")
+    return EnvironmentFailure.exit_code
 
 
 def _tell(what: str) -> None:
@@ -105,25 +103,27 @@ def _tell(what: str) -> None:
         print(f"radwrap: {what}", file=sys.stderr)
 
 
-def _interrupt(*_: object) -> None:
-    """SIGTERM ends a run as Ctrl-C does: programs first. Further signals would only disturb that."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)
-    raise KeyboardInterrupt
-
-
-def _one_line(error: OSError | MemoryError) -> str:
-    if isinstance(error, MemoryError):
-        return "not enough memory; see `radwrap render --dry-run`"
-    what = error.strerror or str(error)
-    return one_line(f"{error.filename}: {what}" if error.filename else what)
-
-
 class _Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line, like every other error."""
+    """Takes options by their whole names, and says what is wrong in one line, like every other error."""
+
+    def __init__(self, **more: Any) -> None:
+        super().__init__(allow_abbrev=False, **more)
 
     def error(self, message: str) -> NoReturn:
         raise InputError(message, remedy=f"see `{self.prog} --help`")
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        (file or sys.stdout).write(message)  # argparse itself passes over what cannot be written
+
+
+class _Version(argparse.Action):
+    """The version, looked up where it is asked for."""
+
+    def __call__(self, *_: object) -> NoReturn:
+        from importlib.metadata import version
+
+        print(f"radwrap {version('radwrap')}")
+        raise SystemExit
 
 
 def _parsed(arguments: Sequence[str]) -> argparse.Namespace:
@@ -137,16 +137,20 @@ def _parsed(arguments: Sequence[str]) -> argparse.Namespace:
 
 
 def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
-    """Parser of the verb that is asked for, or of all: to load every verb's libraries takes longer than a small run."""
-    asked = _MODULES.get(arguments[0]) if arguments else None
+    """Parser of the verb that is asked for; of all their names where none is."""
     parser = _Parser(
         prog="radwrap", description="Predicts the gray values a machine-vision camera will capture.", epilog=_EPILOG
     )
-    parser.add_argument("--version", action="version", version=f"radwrap {version('radwrap')}")
+    parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     verbs: argparse._SubParsersAction[Any] = parser.add_subparsers(title="verbs", required=True, metavar="VERB")
-    for name in dict.fromkeys(_MODULES.values()) if asked is None else (asked,):
+    asked = _VERBS.get(arguments[0]) if arguments else None
+    if asked is not None:
+        check_address_space()
         # Here and not above: until the libraries are loaded, an interrupt must find `main` at work.
-        import_module(f"radwrap.cli.{name}").add_to(verbs)
+        import_module(f"radwrap.cli.{asked[0]}").add_to(verbs)
+        return parser
+    for name, (_, purpose) in _VERBS.items():
+        verbs.add_parser(name, help=purpose)
     return parser
 
 

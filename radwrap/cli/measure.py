@@ -10,9 +10,7 @@ from radwrap.cli import measure_dots, measure_edge, measure_emva, measure_parts
 
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     """Add the verb."""
-    parser = verbs.add_parser(
-        "measure", help="find dots, an edge or parts in a gray image, or noise in frames", description=__doc__
-    )
+    parser = verbs.add_parser("measure", description=__doc__)
     kinds: argparse._SubParsersAction[Any] = parser.add_subparsers(title="what", required=True, metavar="WHAT")
     for module in (measure_dots, measure_edge, measure_emva, measure_parts):
         module.add_to(kinds)

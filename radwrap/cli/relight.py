@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from pathlib import Path
 from typing import Any, Final
 
@@ -30,7 +29,7 @@ _DESCRIPTION = (
 
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     """Add the verb."""
-    parser = verbs.add_parser("relight", help="images for any levels of the sources", description=_DESCRIPTION)
+    parser = verbs.add_parser("relight", description=_DESCRIPTION)
     parser.add_argument("basis", metavar="BASIS_DIR", help="folder of a radwrap render --basis")
     parser.add_argument(
         "--levels",
@@ -64,8 +63,8 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"{out}: {len(levels.names)} images; {error}")
     if failed:
         more = f" and {len(failed) - 1} more" if len(failed) > 1 else ""
-        print(f"radwrap: {failed[0]}{more}: the tolerance of the basis was not met", file=sys.stderr)
-    return ToleranceNotMet.exit_code if failed else 0
+        raise ToleranceNotMet("the tolerance of the basis was not met", where=f"{failed[0]}{more}")
+    return 0
 
 
 def _write(out: Path, basis: Basis, levels: Levels, *, with_exposure: bool) -> dict[str, Any]:

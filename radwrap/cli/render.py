@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ _DESCRIPTION = (
 
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     """Add the verb."""
-    parser = verbs.add_parser("render", help="predict the gray image of a scene", description=_DESCRIPTION)
+    parser = verbs.add_parser("render", description=_DESCRIPTION)
     shared.add_scene(parser)
     parser.add_argument("--out", metavar="DIR", help="folder for gray.png, radiant_exposure.exr and manifest.json")
     parser.add_argument(
@@ -125,7 +126,6 @@ def run(arguments: argparse.Namespace) -> int:
     for warning in manifest["warnings"]:
         print(f"radwrap: warning: {warning}", file=sys.stderr)
     met = manifest.get("plan", {}).get("met", True)
-    code = 0 if met else ToleranceNotMet.exit_code
     if arguments.photo_realistic:
         drawn = write_beside(
             scene, Path(arguments.out), result.gray.codes, arguments.photo_realistic, manifest["run_sha256"]
@@ -133,7 +133,14 @@ def run(arguments: argparse.Namespace) -> int:
         manifest = {**manifest, "photo_realistic": drawn}
     if arguments.json:
         print(json_text(manifest), end="")
-        return code
+    else:
+        _summarise(arguments, manifest)
+    if not met:
+        raise ToleranceNotMet("the tolerance was not met; this is the best image that was found")
+    return 0
+
+
+def _summarise(arguments: argparse.Namespace, manifest: Mapping[str, Any]) -> None:
     gray, error = manifest["gray"], manifest["error"]
     print(
         f"{arguments.out}/gray.png: gray {gray['min']:g} to {gray['max']:g}, mean {gray['mean']:.1f}; "
@@ -147,9 +154,6 @@ def run(arguments: argparse.Namespace) -> int:
             f"{arguments.out}/comparison.png: drawn with a {arguments.photo_realistic} light, {apart['rms']:.1f} gray "
             f"rms from the predicted image (at most {apart['largest']:.0f})"
         )
-    if not met:
-        print("radwrap: the tolerance was not met; this is the best image that was found", file=sys.stderr)
-    return code
 
 
 def _options(arguments: argparse.Namespace) -> RenderOptions:

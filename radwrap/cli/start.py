@@ -15,12 +15,10 @@ from radwrap.scene.document import SceneModel
 
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     """Add the verbs."""
-    init = verbs.add_parser("init", help="write a commented scene to start from", description="Writes DIR/scene.toml.")
+    init = verbs.add_parser("init", description="Writes DIR/scene.toml.")
     init.add_argument("folder", metavar="DIR", help="folder for the scene")
     init.set_defaults(run=run_init)
-    schema = verbs.add_parser(
-        "schema", help="print the JSON schema of scene files", description="Editors complete scene files from it."
-    )
+    schema = verbs.add_parser("schema", description="Editors complete scene files from it.")
     schema.add_argument("--json", action="store_true", help="accepted for uniformity: the schema always is JSON")
     schema.set_defaults(run=run_schema)
 

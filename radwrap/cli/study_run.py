@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from radwrap.cli import options as shared
 from radwrap.errors import CheckFailed, ToleranceNotMet
 from radwrap.manifest import json_text
+
+if TYPE_CHECKING:
+    from radwrap.study.study import Study
 
 _DESCRIPTION = (
     "Changes a scene by a design, predicts every image, and measures it. Writes results.csv, a row for each run as "
@@ -61,15 +63,28 @@ def run(arguments: argparse.Namespace) -> int:
 
         write_report(study)
     told = study.summary
-    code = CheckFailed.exit_code if told["failed"] == told["runs"] else 0
-    code = ToleranceNotMet.exit_code if told["not_met"] else code
     if arguments.json:
         print(json_text(told), end="")
-        return code
-    print(
-        f"{study.folder}/results.csv: {told['runs']} runs, {told['failed']} failed, by {told['renders']} renders"
-        + (f" ({told['relit']} images from {told['light_bases']} light bases)" if told["relit"] else "")
-    )
+    else:
+        print(
+            f"{study.folder}/results.csv: {told['runs']} runs, {told['failed']} failed, by {told['renders']} renders"
+            + (f" ({told['relit']} images from {told['light_bases']} light bases)" if told["relit"] else "")
+        )
+    _check(study)
+    return 0
+
+
+def _check(study: Study) -> None:
+    """What a complete table may still lack."""
+    told, where = study.summary, f"{study.folder}/results.csv"
+    if told["failed"]:
+        first = next(row for row in study.rows if row["error"])
+        raise CheckFailed(
+            f"{told['failed']} of {told['runs']} runs failed, first run {first['run']}: {first['error']}",
+            where=where,
+            remedy="--retry-failed does them again",
+        )
     if told["not_met"]:
-        print(f"radwrap: {told['not_met']} images do not keep the tolerance; their error bars say so", file=sys.stderr)
-    return code
+        raise ToleranceNotMet(
+            f"{told['not_met']} images do not keep the tolerance; their error bars say so", where=where
+        )

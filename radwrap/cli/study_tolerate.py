@@ -78,5 +78,5 @@ def run(arguments: argparse.Namespace) -> int:
     write_manifest(out / TOLERANCES, told)
     print(json_text(told) if arguments.json else "\n".join(sentences(found)) + "\n", end="")
     if found.images_not_met:
-        return ToleranceNotMet.exit_code
+        raise ToleranceNotMet(f"{found.images_not_met} images do not keep the tolerance")
     return 0 if found.met else CheckFailed.exit_code

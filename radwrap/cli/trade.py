@@ -21,7 +21,7 @@ _DESCRIPTION = (
 
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     """Add the verb."""
-    parser = verbs.add_parser("trade", help="measure what accuracy costs on a scene", description=_DESCRIPTION)
+    parser = verbs.add_parser("trade", description=_DESCRIPTION)
     shared.add_scene(parser)
     parser.add_argument("--out", metavar="DIR", help="folder for trade.csv, trade.json and trade.png")
     parser.add_argument(

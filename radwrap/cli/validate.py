@@ -21,7 +21,7 @@ _DESCRIPTION = (
 
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     """Add the verb."""
-    parser = verbs.add_parser("validate", help="run the score card of closed forms", description=_DESCRIPTION)
+    parser = verbs.add_parser("validate", description=_DESCRIPTION)
     parser.add_argument(
         "--only",
         metavar="NAME",

@@ -12,7 +12,9 @@ PRNU_i and DSNU_i belong to the specimen (`device_seed`), all else to the frame.
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -30,6 +32,7 @@ _PATTERN_STREAM: Final = 21  # tells the streams of random numbers of one seed a
 _FRAME_STREAM: Final = 22
 # A mean so many standard deviations above the full well fills it always: the largest mean that is drawn.
 _CERTAINLY_FULL: Final = 40.0
+_FRAME: Final = re.compile(r"frame_[0-9]{4}\.png")
 ROUNDING_VARIANCE: Final = 1 / 12  # of a whole number, where the noise covers a step
 
 
@@ -165,3 +168,13 @@ def _through_response(radiant_exposure: Array, square: Array, sensor: Sensor) ->
     lower = np.where(radiant_exposure >= step, mean - low, high - mean if sensor.gamma == 1.0 else mean - low)
     variance: Array = ((high - mean + lower) / 2) ** 2
     return variance, high
+
+
+def frame_file(number: int) -> str:
+    """Name of a frame with noise."""
+    return f"frame_{number:04d}.png"
+
+
+def frames_in(folder: Path) -> list[str]:
+    """Names of the frames in a folder, whether or not a manifest is still there to name them."""
+    return sorted(file.name for file in folder.glob("frame_*.png") if _FRAME.fullmatch(file.name))

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Final, Literal
+from dataclasses import dataclass, fields
+from typing import Any, Final, Literal, get_args
 
 from radwrap.errors import InputError
-from radwrap.imaging.aperture import Layout
+from radwrap.imaging.aperture import LAYOUTS, Layout
+from radwrap.imaging.option_values import choice_of, number_of, switch_of
 from radwrap.imaging.planner import Budget, Demand, ToleranceMethod
 from radwrap.imaging.view import PixelSampling
+from radwrap.process import MOST_WORKERS
 
 FixedMethod = Literal["pinhole", "viewpoints"]
 Method = Literal["pinhole", "viewpoints", "kernel", "rays"]
@@ -18,6 +20,28 @@ METHODS: Final[tuple[Method, ...]] = ("pinhole", "viewpoints", "kernel", "rays")
 _TO_TOLERANCE: Final[dict[Method | None, ToleranceMethod]] = {"kernel": "kernel", "rays": "rays"}
 _VIEWPOINTS: Final = 37
 _FINEST: Final = 1e-3  # gray levels; the float32 of the tracer ends near there
+
+_PIXEL_SAMPLINGS: Final = get_args(PixelSampling)
+# Least and largest of each number, and what an error calls it where that is not its own name.
+_WHOLE: Final = {
+    "viewpoints": (1, 100_000),
+    "pixel_samples": (1, 100),
+    "seed": (0, 2**63 - 1),
+    "workers": (1, MOST_WORKERS),
+    "bounces": (0, 1000),
+    "frames": (0, 10_000),
+    "max_pixels": (1, 10**12),
+}
+_REAL: Final = {
+    "tolerance": (_FINEST, 1e6),
+    "max_error": (_FINEST, 1e6),
+    "budget_rays": (1, 1e18),
+    "budget_seconds": (1e-3, 1e9),
+    "tracer_timeout": (1e-3, 1e9),
+}
+_NAMES: Final = {"method": METHODS, "layout": LAYOUTS, "pixel_sampling": _PIXEL_SAMPLINGS, "bounces": ("all", "auto")}
+_SWITCHES: Final = ("keep_viewpoints", "truth", "basis", "trust", "progress")
+_CALLED: Final = {"budget_rays": "budget", "budget_seconds": "budget seconds"}
 
 # Gray levels rms, where nothing else is asked for.
 TOLERANCE: Final = 0.5
@@ -99,23 +123,10 @@ class RenderOptions:
     progress: bool = False
 
     def __post_init__(self) -> None:
-        limits = {
-            "viewpoints": (self.viewpoint_number, 1, 100_000),
-            "tolerance": (self.tolerance, _FINEST, 1e6),
-            "max-error": (1.0 if self.max_error is None else self.max_error, _FINEST, 1e6),
-            "budget": (1.0 if self.budget_rays is None else self.budget_rays, 1, 1e18),
-            "budget seconds": (1.0 if self.budget_seconds is None else self.budget_seconds, 1e-3, 1e9),
-            "pixel-samples": (self.pixel_samples, 1, 100),
-            "bounces": (self.bounces if isinstance(self.bounces, int) else 0, 0, 1000),
-            "workers": (1 if self.workers is None else self.workers, 1, 4096),
-            "seed": (self.seed, 0, 2**63 - 1),
-            "frames": (self.frames, 0, 10_000),
-            "max-pixels": (self.max_pixels, 1, 10**12),
-            "tracer-timeout": (self.tracer_timeout, 1e-3, 1e9),
-        }
-        for name, (value, low, high) in limits.items():
-            if not low <= value <= high:
-                raise InputError(f"must lie between {low:g} and {high:g}, not {value}", where=f"--{name}")
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if value is not None or field.default is not None:
+                object.__setattr__(self, field.name, _checked(field.name, value))
         if self.viewpoints is not None and self.method not in {None, "viewpoints"}:
             raise InputError(
                 f"there are no sub-viewpoints with --method {self.method}", where="--viewpoints", remedy="leave it out"
@@ -139,8 +150,6 @@ class RenderOptions:
             )
 
     def _check_bounces(self) -> None:
-        if isinstance(self.bounces, str) and self.bounces not in {"all", "auto"}:
-            raise InputError(f'"{self.bounces}" is no number', where="--bounces", remedy='say 0, 3, "all" or "auto"')
         if not self.bounces:
             return
         method = self.fixed_method or self.method
@@ -181,3 +190,15 @@ class RenderOptions:
             math.inf if self.budget_seconds is None else self.budget_seconds,
         )
         return Demand(self.tolerance, self.max_error, _TO_TOLERANCE.get(self.method), budget)
+
+
+def _checked(name: str, value: Any) -> Any:
+    """The value of an option, as JSON can hold it; those of other kinds are checked where they are used."""
+    where = f"--{_CALLED.get(name, name.replace('_', '-'))}"
+    if name in _NAMES and not (name in _WHOLE and not isinstance(value, str)):
+        return choice_of(value, where, _NAMES[name])
+    if name in _WHOLE:
+        return number_of(value, where, *_WHOLE[name], whole=True)
+    if name in _REAL:
+        return number_of(value, where, *_REAL[name], whole=False)
+    return switch_of(value, where) if name in _SWITCHES else value

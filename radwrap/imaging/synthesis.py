@@ -1,17 +1,16 @@
 """The main job: a scene becomes the gray image its camera would give.
 
 A run owns its folder. Finished sub-viewpoints stay in it until the images are
-whole, so that a killed run goes on; the manifest appears last, and only when
-every file that it names is whole.
+whole, so that a killed run goes on; the files of an older run stay until every
+new one is whole, and the manifest appears last.
 """
 
 from __future__ import annotations
 
-import re
 import shutil
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,7 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
-from radwrap.files import TEMPORARY_SUFFIX, check_result, disk_failure, make_folder, sha256_of, sole_owner
+from radwrap.files import (
+    TEMPORARY_SUFFIX,
+    check_result,
+    disk_failure,
+    make_folder,
+    move_files,
+    sha256_of,
+    sole_owner,
+)
 from radwrap.images import ExposureImage, GrayImage, RadianceImage, png_bytes, read_image, write_exr, write_png
 from radwrap.imaging import photo_realistic
 from radwrap.imaging.basis import BASIS, FOLDER, shining, write_basis
@@ -30,7 +37,7 @@ from radwrap.imaging.diffraction import diffraction, diffraction_warning
 from radwrap.imaging.effects import Effect, bounces, bounces_beyond
 from radwrap.imaging.exposure import radiant_exposure
 from radwrap.imaging.methods import Made, fixed_method, how, make, viewpoint_plan
-from radwrap.imaging.noise import fixed_pattern, linear_of, noisy_frame
+from radwrap.imaging.noise import fixed_pattern, frame_file, frames_in, linear_of, noisy_frame
 from radwrap.imaging.pieces import remove_pieces
 from radwrap.imaging.planner import choose
 from radwrap.imaging.render_options import RenderOptions
@@ -38,7 +45,7 @@ from radwrap.imaging.replicates import Work
 from radwrap.imaging.run_files import RunManifest
 from radwrap.imaging.sensor import gray_levels, image_of_levels
 from radwrap.imaging.survey import survey
-from radwrap.imaging.tracing import TracedScene, laid_out
+from radwrap.imaging.tracing import TracedScene, laid_out, scene_sha256
 from radwrap.imaging.truth import central_maps, geometry
 from radwrap.imaging.uncertainty import seen_magnifications, share_spread, uncertainty
 from radwrap.imaging.view import View
@@ -49,7 +56,6 @@ from radwrap.progress import Progress
 from radwrap.scene.checks import warnings_of
 from radwrap.scene.scene import Scene
 from radwrap.scene.tolerances import Tolerances
-from radwrap.tracers.radiance import PreparedScene
 from radwrap.written import read_back
 
 MANIFEST: Final = "manifest.json"
@@ -61,18 +67,13 @@ PARTS: Final = "mask.png"
 TRUTH: Final = "truth.json"
 SIGMA: Final = "gray_sigma.exr"
 _OPTIONAL: Final = (UNROUNDED, SIGMA, DEPTH, PARTS, TRUTH, *photo_realistic.FILES)
-_FRAME: Final = re.compile(r"frame_[0-9]{4}\.png")
 _VIEWPOINTS: Final = "viewpoints"
 _WORK: Final = ".work"
+_MADE: Final = "made"
 # Rays a pixel that a tolerance takes, where only a rough number is needed.
 _USUAL_RAYS: Final = 8
 
 Bounces = int | Literal["all"]
-
-
-def frame_file(number: int) -> str:
-    """Name of a frame with noise."""
-    return f"frame_{number:04d}.png"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,6 +136,13 @@ def render(
     options = replace(options or RenderOptions(), **changes)
     check_size(scene, options.max_pixels, _usual_rays(scene, options), options.workers or available_cores())
     if out is None:
+        for name in ("frames", "basis", "keep_viewpoints"):
+            if getattr(options, name):
+                raise InputError(
+                    "its files would be lost with a temporary folder",
+                    where=f"--{name.replace('_', '-')}",
+                    remedy="name the folder: out",
+                )
         with tempfile.TemporaryDirectory(prefix="radwrap-") as folder:
             return _render_into(scene, Path(folder), options)
     make_folder(Path(out))
@@ -220,7 +228,7 @@ class _Run:
     def __init__(self, scene: Scene, out: Path, work: Path, options: RenderOptions, programs: Programs) -> None:
         self.scene = scene
         self.out = out
-        self.work = work
+        self.made = work / _MADE
         self.options = options
         self.programs = programs
         self.traced = TracedScene(scene, options, programs, work)
@@ -264,6 +272,7 @@ class _Run:
     def carry_out(self, start: float, cpu: float) -> None:
         """Trace, merge, expose, and write; the manifest last."""
         make_folder(self.folder)
+        make_folder(self.made)
         if self.sources:
             make_folder(self.out / FOLDER)  # a file of that name is told before hours of tracing
         progress = Progress("tracing", 1, shown=self.options.progress)
@@ -278,7 +287,6 @@ class _Run:
                 beyond = bounces_beyond(self.traced, orders, self.options.seed, self.options.tolerance)
             made = make(self.scene, banding.left(options), work)
             spread, magnification = self._spread(), self._magnification(view)
-            self._remove_old()
             basis = self._write_basis(work, made, magnification)
         finally:
             progress.close()
@@ -307,10 +315,11 @@ class _Run:
             **told,
             **banding.as_manifest(),
             **_told(orders, left_out, beyond),
-            "files": {name: sha256_of(self.out / name) for name in files},
+            "files": {name: sha256_of(self.made / name) for name in files},
             "timing": timing,
         }
-        write_manifest(self.out / MANIFEST, manifest)
+        write_manifest(self.made / MANIFEST, manifest)
+        self._publish(files)
 
     def _with_bounces(self, view: View, orders: Bounces, progress: Progress) -> tuple[Work, RenderOptions]:
         """Who traces what: walks of light from surface to surface where they are asked for."""
@@ -335,14 +344,14 @@ class _Run:
         unit = {"radwrap:unit": "J m^-2"}
         exposure = ExposureImage(stored.astype(np.float64))
         with ThreadPoolExecutor() as pool:  # one file is compressed while the other one's levels are computed
-            exr = pool.submit(write_exr, self.out / EXPOSURE, stored, channel="radiant_exposure", metadata=unit)
+            exr = pool.submit(write_exr, self.made / EXPOSURE, stored, channel="radiant_exposure", metadata=unit)
             levels = gray_levels(exposure.values, sensor)
             gray = image_of_levels(levels, sensor, exposure.provenance)
-            write_png(self.out / GRAY, gray.codes)
+            write_png(self.made / GRAY, gray.codes)
             exr.result()
         files = [EXPOSURE, GRAY]
         if not sensor.rounding:
-            write_exr(self.out / UNROUNDED, gray.values.astype(np.float32), channel="gray")
+            write_exr(self.made / UNROUNDED, gray.values.astype(np.float32), channel="gray")
             files.append(UNROUNDED)
         summary = {
             "radiant_exposure": _range(exposure.values),
@@ -352,16 +361,18 @@ class _Run:
         }
         return summary, files
 
+    def _publish(self, files: Sequence[str]) -> None:
+        """Put whole files in place of an older run's, which stood until now: a disk that fills loses none."""
+        self._remove_old()
+        move_files(self.made, self.out, files)
+        move_files(self.made, self.out, [MANIFEST])
+
     def _remove_old(self) -> None:
         """From here on an old manifest no longer fits the files, and what only an older run wrote fits nothing."""
         if (self.out / BASIS).exists():
             remove_pieces(self.out / FOLDER)
-        for name in (MANIFEST, BASIS, *_OPTIONAL, *self._old_frames()):
+        for name in (MANIFEST, BASIS, *_OPTIONAL, *frames_in(self.out)):
             (self.out / name).unlink(missing_ok=True)
-
-    def _old_frames(self) -> list[str]:
-        """Frames of an older run, whether or not its manifest is still there to name them."""
-        return sorted(file.name for file in self.out.glob("frame_*.png") if _FRAME.fullmatch(file.name))
 
     def _write_basis(self, work: Work, made: Made, magnification: NDArray[np.float64] | None) -> list[str]:
         if not self.sources or made.outcome is None:
@@ -377,7 +388,7 @@ class _Run:
             "versions": self.versions,
             **({} if self.scene.tolerances is None else {"tolerances": plain(self.scene.tolerances)}),
         }
-        return write_basis(self.out, work, views, made.outcome, told, magnification=magnification)
+        return write_basis(self.made, work, views, made.outcome, told, magnification=magnification)
 
     def _spread(self) -> NDArray[np.float64] | None:
         """How the light of each pixel is shared among the sources, where each has a tolerance of its own."""
@@ -401,11 +412,11 @@ class _Run:
         camera, tolerances = self.scene.camera, self.scene.tolerances
         if tolerances is None and camera.sensor.linear is None:
             return {}, []
-        exposure = ExposureImage(read_image(self.out / EXPOSURE)[0].astype(np.float64))
+        exposure = ExposureImage(read_image(self.made / EXPOSURE)[0].astype(np.float64))
         found = uncertainty(
             exposure, camera, tolerances or Tolerances(), ray_error, spread, magnification=magnification
         )
-        write_exr(self.out / SIGMA, found.sigma.astype(np.float32), channel="gray_sigma")
+        write_exr(self.made / SIGMA, found.sigma.astype(np.float32), channel="gray_sigma")
         return {"uncertainty": found.as_manifest()}, [SIGMA]
 
     def _write_frames(self) -> list[str]:
@@ -413,19 +424,19 @@ class _Run:
         sensor, number = self.scene.camera.sensor, self.options.frames
         if not number:
             return []
-        exposure = ExposureImage(read_image(self.out / EXPOSURE)[0].astype(np.float64))
+        exposure = ExposureImage(read_image(self.made / EXPOSURE)[0].astype(np.float64))
         pattern = fixed_pattern(sensor)
         names = [frame_file(k) for k in range(number)]
         for k, name in enumerate(names):
-            write_png(self.out / name, noisy_frame(exposure, sensor, pattern, self.options.seed, k).codes)
+            write_png(self.made / name, noisy_frame(exposure, sensor, pattern, self.options.seed, k).codes)
         return names
 
     def _write_truth(self) -> list[str]:
         depth, parts = central_maps(self.scene.camera, self.traced.identity_tracer())
-        write_exr(self.out / DEPTH, depth, channel="depth", metadata={"radwrap:unit": "m"})
-        write_png(self.out / PARTS, parts)
+        write_exr(self.made / DEPTH, depth, channel="depth", metadata={"radwrap:unit": "m"})
+        write_png(self.made / PARTS, parts)
         write_manifest(
-            self.out / TRUTH,
+            self.made / TRUTH,
             {"schema_version": SCHEMA_VERSION, **geometry(self.scene, self.traced.prepared.parts)},
         )
         return [DEPTH, PARTS, TRUTH]
@@ -472,22 +483,6 @@ def _warnings_of(left_out: Effect, how: str) -> tuple[str, ...]:
     return (
         f"light that {how} is left out: it would change the image by about "
         f"{left_out.rms_gray:.2g} gray rms (at most {left_out.rms_gray_upper95:.2g})",
-    )
-
-
-def scene_sha256(scene: Scene, prepared: PreparedScene) -> str:
-    """Hash of a scene: its values in SI, and the files that it includes."""
-    return sha256_of_value(
-        {
-            "camera": scene.camera,
-            "sources": scene.sources,
-            "materials": scene.materials,
-            "targets": scene.targets,
-            "files": {name: content.hex() for name, content in prepared.scene.files.items()},
-            "included": prepared.identity if scene.included else "",
-            "text": prepared.scene.text if scene.included else "",
-            **({"spectral": scene.spectral} if scene.spectral else {}),
-        }
     )
 
 

@@ -180,6 +180,22 @@ def reflecting_parts(scene: Scene, parts: tuple[str, ...]) -> tuple[Reflecting |
     return tuple(found.get(part) for part in parts)
 
 
+def scene_sha256(scene: Scene, prepared: PreparedScene) -> str:
+    """Hash of a scene: its values in SI, and the files that it includes."""
+    return sha256_of_value(
+        {
+            "camera": scene.camera,
+            "sources": scene.sources,
+            "materials": scene.materials,
+            "targets": scene.targets,
+            "files": {name: content.hex() for name, content in prepared.scene.files.items()},
+            "included": prepared.identity if scene.included else "",
+            "text": prepared.scene.text if scene.included else "",
+            **({"spectral": scene.spectral} if scene.spectral else {}),
+        }
+    )
+
+
 @contextmanager
 def laid_out(scene: Scene, options: RenderOptions) -> Iterator[TracedScene]:
     """A scene laid out for probes; its files and programs are gone at the end of the block."""

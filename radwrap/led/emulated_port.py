@@ -16,6 +16,8 @@ from radwrap.led.ports import PortFailure
 WRITE, READ, SET_FEATURE, GET_FEATURE, DESCRIBE, MISBEHAVE, HISTORY = b"w", b"r", b"s", b"g", b"d", b"m", b"h"
 DONE, GONE, STALLED, FROZEN, NOTHING = b"k", b"u", b"s", b"f", b"n"
 _HEADER: Final = 5
+_LONGEST: Final = 1 << 28  # byte of a history
+LONGEST_REQUEST: Final = 1 << 12  # byte; a report has 65 at most
 # An emulator answers at once or, to a read, after the patience it was told.
 _PATIENCE: Final = 10.0
 _TROUBLE: Final = {GONE: "no such device", STALLED: "broken pipe", FROZEN: "does not answer"}
@@ -26,12 +28,12 @@ def send(connection: socket.socket, kind: bytes, content: bytes = b"") -> None:
     connection.sendall(kind + len(content).to_bytes(4, "little") + content)
 
 
-def receive(connection: socket.socket) -> tuple[bytes, bytes] | None:
-    """Receive one message: its letter and its content; None at the end of the connection."""
+def receive(connection: socket.socket, longest: int = _LONGEST) -> tuple[bytes, bytes] | None:
+    """Receive one message: its letter and its content; None at the end of the connection, or where it is too long."""
     header = _exactly(connection, _HEADER)
-    if header is None:
+    if header is None or (size := int.from_bytes(header[1:], "little")) > longest:
         return None
-    content = _exactly(connection, int.from_bytes(header[1:], "little"))
+    content = _exactly(connection, size)
     return None if content is None else (header[:1], content)
 
 

@@ -6,6 +6,7 @@ processes end with this one, however it ends.
 
 from __future__ import annotations
 
+import logging
 import multiprocessing
 import os
 import signal
@@ -17,10 +18,12 @@ from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any, Final, Protocol
 from urllib.parse import urlsplit
 
 from radwrap.errors import INTERRUPTED, EnvironmentFailure, InputError
+from radwrap.study.seal import Seal, break_seal, check_fit, seal_of, why_unfit
 
 # A worker that was told to end gets so long for its tracers [s].
 _GRACE: Final = 10.0
@@ -45,6 +48,9 @@ class Pool(Protocol):
 
     def rebuild(self) -> None:
         """Make the workers anew, after some of them ended."""
+
+    def look(self) -> None:
+        """Look after the workers: some may have come or gone."""
 
     def close(self) -> None:
         """End all workers and what they started."""
@@ -78,6 +84,9 @@ class LocalPool:
         """End what is left of the pool, and start another."""
         self.close()
         self._start()
+
+    def look(self) -> None:
+        """Nothing: a process that ends tells."""
 
     def close(self) -> None:
         """End the processes: what they do is given up, their tracers end with them."""
@@ -117,17 +126,26 @@ def _watch(alive: Connection) -> None:
 
 
 class DaskPool:
-    """Workers of a Dask cluster; they must see the study's folder under the same name.
+    """Workers of a Dask cluster; they must have the same programs, and see the study's folder under the same name.
+
+    Parameters
+    ----------
+    address : str
+        Of the scheduler.
+    folder : Path
+        Of the study.
+    radiance : str or None
+        Folder of the Radiance that is asked for.
 
     Raises
     ------
     InputError
         If no scheduler answers at the address.
     EnvironmentFailure
-        If Dask is not installed.
+        If Dask is not installed, or no worker is fit.
     """
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, folder: Path, radiance: str | None) -> None:
         try:
             from distributed import Client
         except ImportError as error:
@@ -135,32 +153,104 @@ class DaskPool:
                 "Dask is not installed", where="--dask", remedy="pip install radwrap[cluster]"
             ) from error
         _check_scheduler(address)
+        _silence_dask()
         try:
             self._client = Client(address, timeout="10 s", set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
             raise InputError(
                 f"no scheduler at {address}", where="--dask", remedy="start one: dask scheduler"
             ) from error
-        self.workers = max(1, sum(self._client.ncores().values()))
-        # Equal jobs of another time are not the same jobs.
-        self._executor: Executor = self._client.get_executor(pure=False)
+        self._address = address
+        self._seal = seal_of(folder, radiance)
+        self._executors: list[Executor] = []
+        self._cores: dict[str, int] = {}
+        self._unfit: dict[str, str] = {}
+        self.workers = 0
+        self._told = ""
+        try:
+            self.look()
+        except BaseException:
+            self.close()
+            raise
 
     def submit(self, work: Callable[[Any], Any], job: Any) -> Future[Any]:
         """Have a job done."""
-        future: Future[Any] = self._executor.submit(work, job)
+        future: Future[Any] = self._executors[-1].submit(_sealed, self._seal, work, job)
         return future
 
     def is_broken(self, error: BaseException) -> bool:
-        """Whether Dask gave up a job because its workers ended one after the other."""
-        return type(error).__name__ in ("KilledWorker", "CommClosedError", "FutureCancelledError")
+        """Whether a worker ended or was not fit; Dask gives up a job where several ended one after the other."""
+        return type(error).__name__ in ("KilledWorker", "CommClosedError", "FutureCancelledError", "Unfit")
 
     def rebuild(self) -> None:
-        """Nothing: the scheduler looks after its workers."""
+        """Look at each worker again; the scheduler starts them."""
+        self._cores.clear()
+        self.look()
+
+    def look(self) -> None:
+        """Take on workers that came, once they are seen to be fit, and give up those that went.
+
+        Raises
+        ------
+        EnvironmentFailure
+            If the scheduler is gone, or all workers that are there are unfit.
+        """
+        try:
+            if self._client.status != "running":
+                raise OSError
+            there = self._client.ncores()
+            new = [name for name in there if name not in self._cores and name not in self._unfit]
+            found = self._client.run(why_unfit, self._seal, workers=new, on_error="return") if new else {}
+        except (OSError, TimeoutError) as error:
+            raise self._gone() from error
+        self._unfit = {name: why for name, why in self._unfit.items() if name in there}
+        self._unfit |= {name: str(why) for name, why in found.items() if why}
+        fit = {name: cores for name, cores in there.items() if name not in self._unfit}
+        if fit.keys() != self._cores.keys() and fit:
+            # Others are used only where none of these is left, and then refuse; equal jobs are done each time.
+            self._executors.append(self._client.get_executor(pure=False, workers=list(fit), allow_other_workers=True))
+        self._cores = fit
+        self.workers = sum(fit.values())
+        if self._unfit and not fit:
+            name, why = next(iter(self._unfit.items()))
+            raise EnvironmentFailure(f"no worker is fit: {why}", where=name, remedy="see docs/study.md, Many machines")
+        self._tell(
+            f"{len(self._unfit)} workers are left out: {next(iter(self._unfit.values()))}" if self._unfit else ""
+        )
+        if not fit:
+            self._tell(f"no worker is there; waiting for one at {self._address}")
+
+    def _gone(self) -> EnvironmentFailure:
+        return EnvironmentFailure(
+            "the scheduler is gone", where=self._address, remedy="start it again; the same command goes on"
+        )
+
+    def _tell(self, what: str) -> None:
+        if what != self._told:
+            print(f"radwrap: {what}", file=sys.stderr)
+        self._told = what
 
     def close(self) -> None:
         """Give up what is not begun; a worker ends the run it is at."""
-        self._executor.shutdown(wait=False)
-        self._client.close()
+        break_seal(self._seal)
+        for executor in self._executors:
+            with suppress(OSError, RuntimeError):
+                executor.shutdown(wait=False)
+        with suppress(OSError, TimeoutError, RuntimeError):
+            self._client.close(timeout=_GRACE / 2)
+
+
+def _silence_dask() -> None:
+    """What matters is told by us, in one line; its log tells of one lost connection in dozens of them."""
+    for name in list(logging.root.manager.loggerDict):
+        if name.partition(".")[0] == "distributed":
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+
+
+def _sealed(seal: Seal, work: Callable[[Any], Any], job: Any) -> Any:
+    """On a worker: do a job, if that is the same here as anywhere."""
+    check_fit(seal)
+    return work(job)
 
 
 def _check_scheduler(address: str) -> None:

@@ -20,6 +20,7 @@ from radwrap.study.worker import Job, Outcome, carry_out, failed
 
 # After so many deaths of a worker while a job was under way, it is done alone, and blamed if it happens again.
 _SUSPECT: Final = 2
+_LOOK: Final = 1.0  # s between looks at the workers while none has ended a job
 _AHEAD: Final = 2  # jobs in the pool's hands for each worker
 
 
@@ -79,7 +80,11 @@ class Scheduler:
         """
         while self._ready or self._running:
             self._submit()
-            done, _ = wait(self._running, return_when=FIRST_COMPLETED)
+            if not self._running:
+                time.sleep(_LOOK)
+            done, _ = wait(self._running, _LOOK, FIRST_COMPLETED)
+            if not done:
+                self._pool.look()
             broken = [future for future in done if not self._collect(future)]
             if broken:
                 self._after_death(broken)
@@ -104,6 +109,9 @@ class Scheduler:
 
     def _collect(self, future: Future[Any]) -> bool:
         """Keep what a job brought; False where its worker died."""
+        if future.cancelled():
+            self._pool.look()  # which may know why
+            raise EnvironmentFailure("its work was cancelled by somebody else", remedy="the same command goes on")
         error = future.exception()
         if error is not None and self._pool.is_broken(error):
             return False

@@ -12,8 +12,8 @@ from typing import Any, Final
 
 from radwrap.errors import InputError
 from radwrap.files import make_folder, sha256_of, sole_owner
-from radwrap.manifest import SCHEMA_VERSION, read_manifest, sha256_of_value, versions, write_manifest
-from radwrap.process import Programs, available_cores
+from radwrap.manifest import SCHEMA_VERSION, STUDY_PACKAGES, read_manifest, sha256_of_value, versions, write_manifest
+from radwrap.process import MOST_WORKERS, Programs, available_cores
 from radwrap.progress import Progress
 from radwrap.scene.named_files import named_files
 from radwrap.study.design import Design, render_options
@@ -63,8 +63,8 @@ class StudyOptions:
     progress: bool = False
 
     def __post_init__(self) -> None:
-        if self.workers is not None and not 1 <= self.workers <= 4096:
-            raise InputError(f"must lie between 1 and 4096, not {self.workers}", where="--workers")
+        if self.workers is not None and not 1 <= self.workers <= MOST_WORKERS:
+            raise InputError(f"must lie between 1 and {MOST_WORKERS}, not {self.workers}", where="--workers")
         if self.workers is not None and self.dask is not None:
             raise InputError("the cluster has its own workers", where="--workers", remedy="leave it out with --dask")
 
@@ -129,17 +129,17 @@ def run_study(design: Design, out: Path, options: StudyOptions) -> Study:
 def _carry_out(steps: Sequence[Step], journal: Journal, options: StudyOptions, due: int, total: int) -> None:
     progress = Progress("runs", total, shown=options.progress)
     progress.skip(total - due)
-    with closing(open_pool(options)) as pool:
+    with closing(open_pool(options, journal.path.parent)) as pool:
         try:
             Scheduler(steps, journal, pool, progress).run()
         finally:
             progress.close()
 
 
-def open_pool(options: StudyOptions) -> Pool:
-    """Workers, to be closed by the caller."""
+def open_pool(options: StudyOptions, folder: Path) -> Pool:
+    """Workers for the study in a folder, to be closed by the caller."""
     if options.dask is not None:
-        return DaskPool(options.dask)
+        return DaskPool(options.dask, folder, options.radiance)
     return LocalPool(options.workers or available_cores())
 
 
@@ -151,7 +151,7 @@ def take_possession(out: Path, design: Design, runs: Sequence[Run], options: Stu
         "design": asdict(replace(design, folder=Path(design.folder.name))) | {"folder": design.folder.name},
         "analysis": analysis_of(design),
         "runs": len(runs),
-        "versions": versions() | {"radiance": _radiance_version(options)},
+        "versions": versions(*STUDY_PACKAGES) | {"radiance": _radiance_version(options)},
         "trust": options.trust,
         "files": _file_hashes(design, runs, options),
     }
@@ -346,5 +346,5 @@ def _summary(design: Design, rows: Sequence[Mapping[str, str]], made: Made, out:
             for response in design.responses
         },
         "analysis": analysis_of(design),
-        "versions": versions(),
+        "versions": versions(*STUDY_PACKAGES),
     }

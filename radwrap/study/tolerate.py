@@ -356,7 +356,7 @@ def tolerate(
     if not search.deviations and not search.scatters:
         raise InputError("no factor has numbers or draws as levels", where=f"{design.origin}: factors")
     study = run_study(design, out, options)
-    with sole_owner(out), closing(open_pool(options)) as pool:
+    with sole_owner(out), closing(open_pool(options, out)) as pool:
         fresh = FreshRenders(design, out, bound.response, options, pool, repeats=repeats)
         nominal = search.begin(fresh)
         largest = largest_change(bound, nominal)

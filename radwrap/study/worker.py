@@ -19,7 +19,15 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.errors import INTERRUPTED, EnvironmentFailure, InputError, RadwrapError, TracerError, one_line
+from radwrap.errors import (
+    INTERRUPTED,
+    EnvironmentFailure,
+    FolderTaken,
+    InputError,
+    RadwrapError,
+    TracerError,
+    one_line,
+)
 from radwrap.files import make_folder, sha256_of
 from radwrap.images import GrayImage, write_png
 from radwrap.imaging.relight import read_basis, relit
@@ -38,6 +46,7 @@ from radwrap.written import read_back
 STARTED: Final = "started.log"
 THUMBNAILS: Final = "thumbnails"
 _THUMBNAIL: Final = 96  # px wide
+_PATIENCE: Final = 1.0  # s between looks at what another one renders
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,14 +130,16 @@ def carry_out(job: Job) -> list[Outcome]:
 
     # Workers share the cores already; threads of linear algebra on top of them only wait for each other.
     with _ended_by_signal(), threadpool_limits(1):
-        _log(job)
         start = time.monotonic()
         try:
+            _log(job)
             return list(_outcomes(job, start))
         except (InputError, TracerError) as error:
             return [failed(run.run, str(error), time.monotonic() - start) for run in job.runs] or _raise(error)
         except OSError as error:
             raise EnvironmentFailure(error.strerror or str(error), where=str(error.filename or job.study)) from error
+        except MemoryError as error:
+            raise EnvironmentFailure("not enough memory", where=job.name, remedy="use fewer --workers") from error
 
 
 def _raise(error: RadwrapError) -> list[Outcome]:
@@ -175,9 +186,8 @@ def _outcomes(job: Job, start: float) -> Iterator[Outcome]:
     out = Path(job.study) / job.image
     if job.reference is not None:
         yield from _relit(job, scene, out, start)
-    elif not _is_whole(out):
-        # Its errors are those of this job; the folder is left as far as it came, and goes on there another time.
-        render(scene, out, job.options)
+    else:
+        _make(job, scene, out)
     if job.reference is not None or not job.runs:
         return
     result = load_result(scene, out)
@@ -189,6 +199,19 @@ def _outcomes(job: Job, start: float) -> Iterator[Outcome]:
         bound = float(result.manifest["error"]["rms_gray_upper95"])
         seen = Seen(scene, result.gray, gray, image_error(gray, bound, radii), fields)
         yield _outcome(job, run, seen, met=met, wall_s=time.monotonic() - start)
+
+
+def _make(job: Job, scene: Scene, out: Path) -> None:
+    """Render, if that is due; an interrupted study may still be at it elsewhere, and is waited for.
+
+    Its errors are those of this job; the folder is left as far as it came, and goes on there another time.
+    """
+    while not _is_whole(out):
+        try:
+            render(scene, out, job.options)
+            return
+        except FolderTaken:
+            time.sleep(_PATIENCE)
 
 
 def _is_whole(out: Path) -> bool:

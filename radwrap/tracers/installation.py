@@ -19,7 +19,7 @@ VARIABLE: Final = "RADWRAP_RADIANCE"
 _PROGRAMS: Final = ("oconv", "rtrace", "xform")
 # The function file without which every run fails: it tells a Radiance library from another folder.
 _LIBRARY_MARK: Final = "rayinit.cal"
-_LIMITS: Final = Limits()
+_LIMITS: Final = Limits(silence=30.0, remedy="see whether it starts at all")  # it says its version at once
 # What commands of a trusted file find after Radiance's programs; the user's own PATH would make images depend on it.
 _SYSTEM_PROGRAMS: Final = ("/usr/bin", "/bin")
 

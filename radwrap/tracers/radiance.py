@@ -305,7 +305,7 @@ class RadianceTracer:
         return f"-u- -ab {self.bounces} -aa 0 -ad {_AMBIENT_DIVISIONS} -as 0".split(" ")
 
     def _radiance(self, values: NDArray[np.float32]) -> NDArray[np.float64]:
-        if values.min() < 0:
+        if values.min(initial=0.0) < 0:
             raise TracerError("answered a negative radiance", where="rtrace")
         return self._one_channel(values).astype(np.float64) * self.scene.frame.radiance
 
@@ -315,6 +315,8 @@ class RadianceTracer:
             yield from (self._distance(values[:, 0]) for values in answers)
 
     def _distance(self, lengths: NDArray[np.float32]) -> NDArray[np.float64]:
+        if lengths.min(initial=np.inf) <= 0:
+            raise TracerError("answered a distance that is not positive", where="rtrace")
         return np.where(lengths < _NOWHERE, lengths.astype(np.float64) * self.scene.frame.length, np.inf)
 
     def _one_channel(self, values: NDArray[np.float32]) -> NDArray[np.float32]:

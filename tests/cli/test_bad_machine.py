@@ -89,6 +89,9 @@ FAKES = [
         "rtrace hangs without output", ("rtrace", "within 0.8 s"), f"{ANSWER}; exec >&- 2>&-; exec sleep 600", slow=True
     ),
     Fake("rtrace leaves a child behind", ("rtrace",), f"{ANSWER}; sleep 600 & exit 0", slow=True),
+    Fake("rtrace goes into the background", ("rtrace",), "setsid sleep 600 & exit 0", slow=True),
+    Fake("rtrace answers from the background", ("rtrace",), "setsid sh -c 'sleep 600; cat' & exit 0", slow=True),
+    Fake("rtrace leaves the room", ("rtrace",), f"{ANSWER}; setsid setsid sleep 600 >/dev/null & exit 3", slow=True),
     Fake("rtrace talks for ever", ("rtrace",), "while :; do echo 'no light here' >&2; done", slow=True),
     Fake("rtrace prints too little", ("rtrace", "12 bytes"), f"cat > /dev/null; head -c {SIZE - 12} /dev/zero"),
     Fake("rtrace prints a byte too little", ("rtrace", "1 byte"), f"cat > /dev/null; head -c {SIZE - 1} /dev/zero"),
@@ -102,6 +105,7 @@ FAKES = [
     Fake("oconv warns", ("oconv", "warning - cold"), oconv="echo octree; echo 'oconv: warning - cold' >&2"),
     Fake("oconv dies", ("oconv", "exit code 2"), oconv="exit 2"),
     Fake("oconv hangs", ("oconv", "0.8 s"), oconv="exec sleep 600", slow=True),
+    Fake("oconv prints now and then", ("oconv", "0.8 s"), oconv="while :; do echo .; sleep .1; done", slow=True),
     Fake("xform warns", ("xform", "wrong"), xform="echo wrong >&2", included=True),
     Fake("xform dies", ("xform", "exit code 1"), xform="exit 1", included=True),
     Fake("xform cannot start", ("xform",), xform="", included=True),
@@ -169,6 +173,14 @@ def test_a_radiance_that_hangs_or_floods_is_ended(fake: Fake, slow_ones: dict[st
     _fails_cleanly(fake, *slow_ones[fake.name])
 
 
+def test_distances_of_zero_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nothing is seen at the place of the camera: not a number to reckon with."""
+    widths = 'n=12; case "$*" in *-ovLN*) n=28;; *-ovL*) n=16;; *-oL*) n=4;; esac'
+    fake = Fake("zeros", (), f"{widths}; exec head -c $(($(wc -c) / 48 * n)) /dev/zero")
+    words = [word for word in _lay(fake, tmp_path) if word not in ("--viewpoints", 7)]
+    assert "distance that is not positive" in here(words, capsys).refusal(4)
+
+
 def test_the_fake_itself_is_good(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Each of them fails for its own reason alone."""
     here(_lay(Fake("all is well", (), HONEST), tmp_path), capsys).success()
@@ -183,6 +195,22 @@ def test_a_user_with_a_limit_of_memory_can_work(tmp_path: Path) -> None:
         resource.setrlimit(resource.RLIMIT_AS, (8 << 30, 8 << 30))
 
     run("render", scene, "--out", tmp_path / "out", "--viewpoints", 1, preexec_fn=limit).success()
+
+
+@pytest.mark.parametrize("size", [150, 300, 450])  # MB
+def test_too_little_address_space_is_told(size: int, tmp_path: Path) -> None:
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_AS, (size * 10**6, size * 10**6))
+
+    words = ["render", write_scene(tmp_path), "--out", tmp_path / "out", "--method", "pinhole"]
+    assert "address space is limited" in run(*words, preexec_fn=limit).refusal(4)
+    assert run("--version", preexec_fn=limit).code == 0
+
+
+def test_many_workers_are_no_more_than_the_work(tmp_path: Path) -> None:
+    words = ["render", write_scene(tmp_path), "--out", tmp_path / "out", "--workers"]
+    run(*words, 1024).success()
+    assert "between 1 and 1024" in run(*words, 4096).refusal(2)
 
 
 # --------------------------------------------------------------------------------------------- The disk is full
@@ -284,3 +312,31 @@ def test_a_full_disk_is_told_whatever_it_is_that_no_longer_fits(
     assert [name for name in names if there and not any(name in line for line in failed)] == []
     assert [line for line in failed if str(disk) not in line] == []
     assert inhabitants(tmp_path) == []
+
+
+def test_a_disk_that_fills_leaves_the_older_basis_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Whatever a new run cannot write, what an older one left stays until all of it is there."""
+    disk, out = tmp_path / "disk", tmp_path / "disk" / "out"
+    words = ["render", write_scene(tmp_path / "home"), "--out", out, "--basis", "--workers", 1, "--tolerance"]
+    with _small_disk(disk) as there:
+        if not there:
+            pytest.skip("no small disk can be mounted here")
+        _resize(disk, 1000)
+        here([*words, 8], capsys).success()
+        old = files_in(out)
+        used = sum(-(-path.stat().st_size // 4096) for path in disk.rglob("*") if path.is_file())
+        messages = set()
+        for pages in range(used + 2, 1000, 3):
+            _resize(disk, pages)
+            done = here([*words, 7], capsys)
+            if done.code == 0:
+                break
+            messages.add(done.refusal(4))
+            kept = files_in(out)
+            assert {name: kept.get(name) for name in old} == old
+        assert any("/basis/" in line for line in messages)
+        assert files_in(out)["basis.json"] != old["basis.json"]
+
+
+def _resize(disk: Path, pages: int) -> None:
+    subprocess.run([str(shutil.which("mount")), "-o", f"remount,size={4 * pages}k", str(disk)], check=True)

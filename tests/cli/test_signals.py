@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -12,7 +13,18 @@ from pathlib import Path
 import psutil
 import pytest
 
-from tests.cli.conftest import SLOWER, finished, inhabitants, run, side_by_side, start, traced, wait_for, write_scene
+from tests.cli.conftest import (
+    SLOWER,
+    finished,
+    here,
+    inhabitants,
+    run,
+    side_by_side,
+    start,
+    traced,
+    wait_for,
+    write_scene,
+)
 
 PROMPT = 10.0  # s from the signal to the end, on a machine that has other work too
 MANY = 600  # sub-viewpoints: enough for a minute
@@ -142,15 +154,49 @@ def test_a_signal_while_the_octree_is_built(number: signal.Signals, tmp_path: Pa
     assert _gone(sleepers, 0)
 
 
-def test_libraries_are_loaded_where_an_interrupt_is_caught() -> None:
-    """Ctrl-C in the first tenths of a second is no reason for a traceback: what takes long to load comes later."""
-    heavy = {"numpy", "pydantic", "OpenImageIO"}
-    words = [sys.executable, "-c", "import sys, radwrap.cli.main; print(*sys.modules)"]
-    loaded = subprocess.run(words, capture_output=True, text=True, check=True, timeout=60).stdout.split()
-    assert heavy & set(loaded) == set()
+def test_signals_are_ours_before_anything_is_loaded() -> None:
+    """Before that an interrupt is Python's own, with a traceback."""
+    code = "import sys; before = set(sys.modules); import radwrap.cli.program; print(*set(sys.modules) - before)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60).stdout
+    ours = {"radwrap", "radwrap.cli", "radwrap.cli.program", "radwrap.cli.interrupts", "radwrap.errors"}
+    assert set(loaded.split()) <= ours | {"signal", "contextlib", "enum", "types"}
 
 
-_PROGRAM = "import sys; {}; from radwrap.cli.main import program; program()"
+_INTERRUPTED = """
+import gc, os, signal, sys
+class Sender:
+    def find_spec(self, name, path=None, target=None):
+        if name == {at!r}:
+            sys.meta_path.remove(self)
+            {how}
+class Lost:
+    def __del__(self): os.kill(os.getpid(), signal.{number})
+sys.meta_path.insert(0, Sender())
+from radwrap.cli.program import program
+program()
+"""
+_AT = ["radwrap.cli.streams", "argparse", "radwrap.cli.render", "numpy", "pydantic_core", "radwrap.imaging.synthesis"]
+_HOW = {"raised": "os.kill(os.getpid(), signal.{number})", "lost": "Lost()"}
+
+
+@pytest.mark.parametrize("how", _HOW)
+def test_a_signal_while_modules_are_loaded(how: str, tmp_path: Path) -> None:
+    """In the first tenths of a second as at any other time, also where Python loses an error."""
+    scene = write_scene(tmp_path)
+
+    def interrupted(case: tuple[str, str]) -> subprocess.CompletedProcess[str]:
+        at, number = case
+        code = _INTERRUPTED.format(at=at, how=_HOW[how].format(number=number), number=number)
+        words = [sys.executable, "-c", code, "render", str(scene), "--out", str(tmp_path / f"{at}.{number}")]
+        return subprocess.run(words, capture_output=True, text=True, check=False, timeout=60)
+
+    cases = [(at, number) for at, number in zip(_AT, ["SIGINT", "SIGTERM"] * 3, strict=True)]
+    for case, done in zip(cases, side_by_side(interrupted, cases), strict=True):
+        assert (case, done.returncode, done.stdout) == (case, 130, "")
+        assert done.stderr == "radwrap: interrupted; the same command goes on where it was\n"
+
+
+_PROGRAM = "import sys; {}; from radwrap.cli.program import program; program()"
 
 
 @pytest.mark.parametrize("closed", ["sys.stdout = None", "sys.stderr = None", "sys.stdout = sys.stderr = None"])
@@ -169,6 +215,53 @@ def test_a_message_that_nobody_can_read_changes_no_exit_code() -> None:
     with Path("/dev/full").open("wb") as full:
         words = [sys.executable, "-c", _PROGRAM.format("pass"), "render", "none.toml", "--out", "none"]
         assert subprocess.run(words, stderr=full, check=False, timeout=60).returncode == 2
+
+
+FULL = "No space left on device"
+
+
+@pytest.mark.parametrize("words", [["--help"], ["--version"], ["render", "--help"], ["schema"], ["doctor", "--json"]])
+def test_an_answer_that_cannot_be_written_is_told(words: list[str]) -> None:
+    with Path("/dev/full").open("wb") as full:
+        done = run(*words, stdout=full)
+    assert done.code == 4
+    assert FULL in done.stderr and done.stderr.count("\n") == 1
+
+
+def test_messages_that_cannot_be_written_do_not_end_the_work(tmp_path: Path) -> None:
+    scene = write_scene(tmp_path)
+    with Path("/dev/full").open("wb") as full:
+        assert run("render", scene, "--out", tmp_path / "out", "--method", "pinhole", stderr=full).code == 0
+    assert (tmp_path / "out" / "manifest.json").exists()
+
+
+def test_names_that_an_encoding_lacks_are_escaped(tmp_path: Path) -> None:
+    """As JSON escapes them, so that JSON stays JSON."""
+    scene = write_scene(tmp_path / "\u00e4\u6c34\U0001d11e")
+    words = ["convert", scene, scene.with_suffix(".rad")]
+    ascii_only = {"PYTHONIOENCODING": "ascii"}
+    told = run(*words, environment=ascii_only).success().stdout
+    assert "\\u00e4\\u6c34\\ud834\\udd1e" in told and told.isascii()
+    found = run(*words, "--json", environment=ascii_only).success().stdout
+    assert found.isascii() and "\u00e4\u6c34\U0001d11e" in str(json.loads(found))
+    refused = run("explain", scene.with_name("none.toml"), environment=ascii_only).refusal(2)
+    assert "\\u00e4" in refused
+
+
+def test_what_is_asked_before_a_verb_loads_none() -> None:
+    code = "import sys; from radwrap.cli.main import main; main(sys.argv[1:]); print(*sys.modules)"
+    for words in (["--version"], ["--help"], ["rendre"], []):
+        done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=False)
+        loaded = set(done.stdout.splitlines()[-1].split())
+        assert "radwrap.cli.main" in loaded
+        assert not {"numpy", "pydantic", "radwrap.scene"} & loaded
+
+
+def test_options_are_taken_by_their_whole_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """An abbreviation may mean another option tomorrow."""
+    argv = ["render", write_scene(tmp_path), "--out", tmp_path / "out", "--toler", 8]
+    assert "--toler" in here(argv, capsys).refusal(2)
+    assert "--js" in here(["study", "analyse", "none.csv", "--response", "x", "--js"], capsys).refusal(2)
 
 
 def test_a_program_ends_with_its_code_and_with_what_others_left_for_the_end() -> None:

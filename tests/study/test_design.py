@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from radwrap.errors import InputError
-from radwrap.manifest import versions
+from radwrap.manifest import STUDY_PACKAGES, versions
 from radwrap.study.design import Design, read_design
 from radwrap.study.light import reference_levels, split_light, with_levels
 from radwrap.study.runs import Run, check_design, runs_of
@@ -262,12 +262,13 @@ def test_a_study_is_the_same_in_a_renamed_folder_and_on_another_kernel(
     take_possession(out, study, runs_of(study), StudyOptions())
     first.rename(second)
     study = read_design(second / "design.toml")
-    known = versions()
-    monkeypatch.setattr("radwrap.study.study.versions", lambda: known | {"platform": "another kernel"})
+    known = versions(*STUDY_PACKAGES)
+    assert {"scipy", "opencv-contrib-python-headless", "pyDOE3", "statsmodels"} <= set(known)
+    monkeypatch.setattr("radwrap.study.study.versions", lambda *_: known | {"platform": "another kernel"})
     take_possession(out, study, runs_of(study), StudyOptions())
     # Other rays are another study: numpy, Radiance.
     for change in (
-        ("radwrap.study.study.versions", lambda: known | {"numpy": "0.1"}),
+        ("radwrap.study.study.versions", lambda *_: known | {"numpy": "0.1"}),
         ("radwrap.study.study.radiance_version", lambda *_: "RADIANCE 1.0"),
     ):
         with monkeypatch.context() as changed:

@@ -155,16 +155,17 @@ key = "camera.exposure_time"
 levels = ["100 ms", "100 s", "90 ms"]
 """
     )
-    done = study(path, path.parent / "out", "--workers", "1", "--json").success()
-    assert done.json["failed"] == 1
+    done = study(path, path.parent / "out", "--workers", "1", "--json")
+    assert done.code == 1 and done.json["failed"] == 1
+    assert "1 of 3 runs failed, first run 2: u: the image" in done.stderr and "results.csv" in done.stderr
     bad, *others = sorted(read_table(path.parent / "out" / "results.csv").rows, key=lambda row: row["t"] != "100 s")
     assert bad["u [px]"] == "" and "u: the image" in bad["error"] and float(bad["mean"]) > 200
     assert all(row["error"] == "" and row["u [px]"] for row in others)
     # It is not tried again, unless it is asked for.
     again = started(path.parent / "out")
-    study(path, path.parent / "out").success()
+    assert study(path, path.parent / "out").code == 1
     assert started(path.parent / "out") == again
-    study(path, path.parent / "out", "--retry-failed").success()
+    assert study(path, path.parent / "out", "--retry-failed").code == 1
     assert started(path.parent / "out") - again == Counter({2: 1})
 
 

@@ -18,6 +18,7 @@ from radwrap.led.emulator.device import Frozen, Handles, Stall, Unit, Unplugged
 # How long an emulator outlives the one who started it: a guardian must still find it.
 LINGER: Final = 3.0  # s
 _TRAFFIC: Final = (wire.WRITE, wire.READ, wire.SET_FEATURE, wire.GET_FEATURE)
+_LONGEST_READ: Final = 60.0  # s that a read may wait
 _TICK: Final = 5e-4  # s between looks for an input report
 
 
@@ -69,7 +70,7 @@ class Server:
             self._handles.open(handle.number)
         try:
             with connection:
-                while (message := wire.receive(connection)) is not None:
+                while (message := wire.receive(connection, wire.LONGEST_REQUEST)) is not None:
                     wire.send(connection, *self._answer(*message, handle))
         except OSError:
             pass  # the other side is gone
@@ -84,7 +85,8 @@ class Server:
             return wire.GONE, b""  # a handle of a device that was unplugged stays dead
         try:
             if kind == wire.READ:
-                return wire.DONE, self._read(int.from_bytes(content, "little") / 1e3, handle.number)
+                patience = min(int.from_bytes(content, "little") / 1e3, _LONGEST_READ)
+                return wire.DONE, self._read(patience, handle.number)
             with self._guard:
                 return wire.DONE, self._do(kind, content)
         except Unplugged:
@@ -93,6 +95,8 @@ class Server:
             return wire.STALLED, b""
         except Frozen:
             return wire.FROZEN, b""
+        except (LookupError, ValueError, TypeError, ArithmeticError):
+            return wire.STALLED, b""  # no request that a device knows
 
     def _do(self, kind: bytes, content: bytes) -> bytes:
         unit = self._unit
@@ -111,6 +115,8 @@ class Server:
                 device = unit.device
                 told = {"identity": dataclasses.asdict(device.identity), "descriptor": device.descriptor.hex()}
                 return json.dumps({**told, "plugged": unit.plugged}).encode()
+            case _:
+                raise Stall
         return b""
 
     def _read(self, patience: float, handle: int) -> bytes:

@@ -1,0 +1,138 @@
+"""Studies on many machines: who may work at them, and what is told where nobody can."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import radwrap
+from radwrap.errors import FolderTaken
+from radwrap.files import sole_owner
+from radwrap.study.seal import Unfit, break_seal, check_fit, seal_of, why_unfit
+from tests.cli.conftest import clean_environment, scene_text, start, wait_for
+from tests.study.conftest import EDGE, PATIENCE, SMALL, command
+
+GRAY = '[responses.mean]\nmeasure = "mean_gray"\n'
+
+
+def test_a_seal_is_for_the_same_programs_and_the_same_folder(tmp_path: Path) -> None:
+    here, there = tmp_path / "here", tmp_path / "there"
+    here.mkdir()
+    seal = seal_of(here, None)
+    assert why_unfit(seal) == ""
+    check_fit(seal)
+    there.mkdir()
+    shutil.copytree(here, there, dirs_exist_ok=True)
+    seal_of(here, None)  # another study began there
+    assert why_unfit(seal) == f"does not see {here}"
+    for name in ("radwrap", "radwrap's files", "numpy", "radiance", "statsmodels"):
+        assert f"another {name}" in why_unfit(replace(seal, programs={**seal.programs, name: "0.1"}))
+    break_seal(seal)
+    with pytest.raises(Unfit, match="does not see"):
+        check_fit(seal)
+    assert "holds no whole Radiance" in why_unfit(replace(seal, radiance=str(tmp_path)))
+
+
+def test_a_folder_with_an_owner_is_told_from_a_broken_one(tmp_path: Path) -> None:
+    """A worker waits for what an interrupted study still renders elsewhere."""
+    with sole_owner(tmp_path), pytest.raises(FolderTaken), sole_owner(tmp_path):
+        pass
+
+
+@contextmanager
+def _process(module: str, *words: object, path: Path | None = None) -> Iterator[subprocess.Popen[str]]:
+    environment = clean_environment({} if path is None else {"PYTHONPATH": str(path)})
+    argv = [sys.executable, "-m", f"distributed.cli.{module}", *map(str, words)]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "stdin": subprocess.DEVNULL}
+    # Python looks for modules in the working folder first.
+    process = subprocess.Popen(argv, env=environment, text=True, cwd=path or "/", **quiet)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+@contextmanager
+def _scheduler(folder: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    file = folder / "scheduler.json"
+    words = ["--port", 0, "--host", "127.0.0.1", "--no-dashboard", "--scheduler-file", file]
+    with _process("dask_scheduler", *words) as process:
+        assert wait_for(lambda: file.exists() and "address" in file.read_text(), process)
+        yield process, file.read_text().split('"address": "')[1].split('"')[0]
+
+
+def _worker(address: str, folder: Path, path: Path | None = None) -> object:
+    words = [address, "--nthreads", 1, "--no-nanny", "--no-dashboard", "--local-directory", folder]
+    return _process("dask_worker", *words, path=path)
+
+
+def _wait_for_workers(address: str, number: int) -> None:
+    from distributed import Client
+
+    with Client(address, set_as_default=False) as client:
+        client.wait_for_workers(number, timeout=PATIENCE)
+
+
+def _other_radwrap(folder: Path) -> Path:
+    """A copy whose mean gray is wrong by 1000."""
+    package = Path(radwrap.__file__).parent
+    shutil.copytree(package, folder / "radwrap", ignore=shutil.ignore_patterns("__pycache__"))
+    responses = folder / "radwrap" / "study" / "responses.py"
+    text = responses.read_text()
+    assert text.count(".mean()") >= 1
+    responses.write_text(text.replace(".mean()", ".mean() + 1000"))
+    return folder
+
+
+def test_workers_that_would_answer_otherwise_are_left_out(memory_path: Path) -> None:
+    """Those that are fit do the study, also where they come late; a scheduler that is gone is told."""
+    (memory_path / "scene.toml").write_text(scene_text(EDGE))
+    design = memory_path / "design.toml"
+    design.write_text(f'scene = "scene.toml"\n{SMALL}\n{GRAY}')
+    with ExitStack() as stack:
+        scheduler, address = stack.enter_context(_scheduler(memory_path))
+        words = ["study", "run", design, "--no-report", "--dask", address, "--out"]
+        with start([*words, memory_path / "late"]) as study:
+            mark = memory_path / "late" / ".radwrap.cluster"
+            assert wait_for(mark.exists, study, PATIENCE)
+            time.sleep(1.5)
+            stack.enter_context(_worker(address, memory_path / "w1"))
+            _, told = study.communicate(timeout=PATIENCE)
+        assert study.returncode == 0 and "no worker is there" in told, told
+        assert not mark.exists()
+
+        stack.enter_context(_worker(address, memory_path / "w2", _other_radwrap(memory_path / "other")))
+        _wait_for_workers(address, 2)
+        with start([*words, memory_path / "lost"]) as study:
+            assert wait_for((memory_path / "lost" / "started.log").exists, study, PATIENCE)
+            os.kill(scheduler.pid, signal.SIGKILL)
+            _, told = study.communicate(timeout=PATIENCE)
+        assert study.returncode == 4
+        left_out, gone = told.splitlines()
+        assert "left out" in left_out and "radwrap's files" in left_out
+        assert "the scheduler is gone" in gone
+
+
+def test_a_study_for_which_no_worker_is_fit_is_not_begun(memory_path: Path) -> None:
+    (memory_path / "scene.toml").write_text(scene_text(EDGE))
+    design, out = memory_path / "design.toml", memory_path / "out"
+    design.write_text(f'scene = "scene.toml"\n{SMALL}\n{GRAY}')
+    with ExitStack() as stack:
+        _, address = stack.enter_context(_scheduler(memory_path))
+        stack.enter_context(_worker(address, memory_path / "w", _other_radwrap(memory_path / "other")))
+        _wait_for_workers(address, 1)
+        done = command("study", "run", design, "--out", out, "--no-report", "--dask", address)
+        assert done.code == 4 and "no worker is fit: another radwrap's files" in done.stderr
+        assert not (out / "started.log").exists()
+        assert (out / "results.csv").read_text().count("\n") == 1, "no run is finished"
