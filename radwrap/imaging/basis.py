@@ -104,7 +104,7 @@ def grid_pixels(plan: Plan) -> NDArray[np.intp]:
         return np.zeros(0, dtype=np.intp)
     numbers = []
     for tile, place in enumerate(plan.tiles):
-        rows, columns = lattice(2 * plan.grid.cell, place)
+        rows, columns = lattice(1.0 if plan.grid.even else 2 * plan.grid.cell, place)
         places = (rows[:, np.newaxis] * plan.camera.sensor.columns + columns).ravel()
         numbers.append(places[_chosen(plan, tile, places.size)])
     return np.concatenate(numbers)
@@ -112,6 +112,8 @@ def grid_pixels(plan: Plan) -> NDArray[np.intp]:
 
 def _chosen(plan: Plan, tile: int, size: int) -> NDArray[np.intp]:
     """Places in a tile's list of pixels of those that are kept: alike in all replicates and all light."""
+    if isinstance(plan, KernelPlan) and plan.grid.even:
+        return np.arange(size)
     r0, r1, c0, c1 = plan.tiles[tile]
     count = -(-_GRID_PIXELS * (r1 - r0) * (c1 - c0) // plan.camera.sensor.pixels)
     if size <= count:
