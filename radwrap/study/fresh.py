@@ -15,7 +15,8 @@ from radwrap.study.pool import Pool
 from radwrap.study.responses import Response
 from radwrap.study.runner import Scheduler
 from radwrap.study.runs import Run, run_with
-from radwrap.study.study import StudyOptions, plan_steps
+from radwrap.study.sampled import sampled, with_pilots
+from radwrap.study.study import StudyOptions, known_plans, plan_steps
 from radwrap.study.worker import Outcome
 
 FRESH_ROW: Final = 1 << 20  # of draws: none that a study made
@@ -65,6 +66,7 @@ class FreshRenders:
         self._design = replace(design, factors=factors, basis=False)
         self._out, self._options, self._pool = out, options, pool
         self._response, self._repeats = response, repeats
+        self._plans = known_plans(out)
         self.not_met = 0
 
     def runs(self, systems: Sequence[System]) -> list[Run]:
@@ -87,6 +89,10 @@ class FreshRenders:
         """
         runs = self.runs(systems)
         steps, _ = plan_steps(self._design, runs, self._out, self._options)
+        shown = self._options.progress
+        # The study's plans; only a factor that is an option of the render, between its levels, needs one of its own.
+        self._plans = with_pilots(steps, self._plans, self._out, self._pool, shown=shown)
+        steps = sampled(steps, self._plans)
         collected = _Collected()
         progress = Progress("fresh renders", len(runs), shown=self._options.progress)
         try:

@@ -1,16 +1,18 @@
 """What a study reads from each image: a number with its error bar.
 
-The error bar carries the image's certified error (see image_error.py): by
-measuring copies of the image again, or, where that takes long (dots), by the
-measurement's own covariance, scaled to that error.
+The error bar carries the image's error (see image_error.py): by measuring
+the image again with errors as its replicates show them. Where an image has no
+replicates, and measuring takes long (dots), by the measurement's own
+covariance, scaled to the certified error.
 """
 
 from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Final, TypeVar
 
 import numpy as np
@@ -19,13 +21,14 @@ from numpy.typing import NDArray
 from radwrap.calibrate.tsai import SOLVERS, CameraCalibration, calibrate_camera
 from radwrap.errors import InputError
 from radwrap.images import GrayImage
+from radwrap.imaging.kept_replicates import KeptReplicates
 from radwrap.imaging.truth import geometry
 from radwrap.measure.dots import METHODS, Dots, SoughtDots, measured_dots, seek_dots
 from radwrap.measure.edges import Edge, measure_edge
 from radwrap.measure.parts import find_parts
 from radwrap.scene.scene import Scene
 from radwrap.scene.targets import DotBoard, EdgeTarget
-from radwrap.study.image_error import ErrorFields, ImageError, copies_of
+from radwrap.study.image_error import Cause, Changed, ErrorFields, ImageError, changed_by_replicates, copies_of
 from radwrap.units import ANGLE, LENGTH, PIXEL, Dimension
 
 Array = NDArray[np.float64]
@@ -92,8 +95,14 @@ class Seen:
         How far it may be off.
     fields : ErrorFields
         How that may lie.
+    replicates : KeptReplicates, optional
+        Of the image, where it has them: radiant exposure [J m^-2].
+    exposure : ndarray, optional
+        Its own [J m^-2], where it has replicates.
+    model : ImageError, optional
+        Of an image with replicates: what the kernel's model may add to what they show.
     sought : dict
-        Dots that were found on it, by board and dark level: several responses measure the same.
+        Dots that were found on it and its copies, by copy, board and dark level: several responses measure the same.
     """
 
     scene: Scene
@@ -101,7 +110,20 @@ class Seen:
     gray: Array
     error: ImageError
     fields: ErrorFields
-    sought: dict[tuple[str | None, float | None], SoughtDots] = field(default_factory=dict)
+    replicates: KeptReplicates | None = None
+    exposure: Array | None = None
+    model: ImageError | None = None
+    sought: dict[tuple[int, str | None, float | None], SoughtDots] = field(default_factory=dict)
+
+    def changed(self) -> Iterator[Changed]:
+        """The image with errors as they may be."""
+        sensor = self.scene.camera.sensor
+        if self.replicates is None or self.exposure is None:
+            yield from copies_of(self.gray, self.error, self.fields, sensor)
+            return
+        yield from changed_by_replicates(self.exposure, self.replicates, sensor)
+        if self.model is not None:
+            yield from copies_of(self.gray, self.model, self.fields, sensor)
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,13 +256,14 @@ def _target(scene: Scene, kind: type[_T], name: str | None) -> _T:
 # ---------------------------------------------------------------------------------------------------------------- dots
 
 
-def _dots(seen: Seen, options: Options) -> tuple[DotBoard, Dots]:
+def _dots(seen: Seen, options: Options, copy: int = 0, image: GrayImage | None = None) -> tuple[DotBoard, Dots]:
+    """Dots of the image, or of a copy of it, which is known by its number from 1."""
     board = _target(seen.scene, DotBoard, options.get("board"))
     method, dark = options.get("method", "gray"), _level(seen, options, "dark")
-    place = (board.name, dark)
+    place = (copy, board.name, dark)
     if place not in seen.sought:
         seen.sought[place] = seek_dots(
-            seen.image,
+            seen.image if image is None else image,
             board.rows,
             board.columns,
             dark=dark,
@@ -294,9 +317,27 @@ def _focal_length(seen: Seen, options: Options) -> Answer:
         )
 
     found = calibrated(dots.centres)
-    drawn = _drawn_centres(dots, seen.error, options.get("draws", _DRAWS))
-    again = [_tried(lambda centres: calibrated(centres, found).focal_length, centres) for centres in drawn]
-    return _spread(found.focal_length, again)
+    return _dots_again(seen, options, found.focal_length, lambda centres: calibrated(centres, found).focal_length)
+
+
+def _dots_again(seen: Seen, options: Options, value: float, measure: Callable[[Array], float]) -> Answer:
+    """The value, with the error of what is measured on the image's dots: of copies, or drawn where there are none."""
+    number = options.get("draws", _DRAWS)
+    if seen.replicates is None:
+        drawn = _drawn_centres(_dots(seen, options)[1], seen.error, number)
+        return _spread(value, [("model", _tried(measure, centres)) for centres in drawn])
+    again: list[tuple[Cause, float]] = []
+    for k, copy in enumerate(seen.changed(), 1):
+        if sum(cause == copy.cause for cause, _ in again) < number:
+            again.append((copy.cause, _tried(partial(_of_copy, seen, options, k, measure), copy.image)))
+    return _spread(value, again)
+
+
+def _of_copy(seen: Seen, options: Options, copy: int, measure: Callable[[Array], float], image: GrayImage) -> float:
+    centres = _dots(seen, options, copy, image)[1].centres
+    if len(centres) != len(_dots(seen, options)[1].centres):
+        raise InputError("shows other dots")
+    return measure(centres)
 
 
 def _tried(measure: Callable[[Any], float], what: Any) -> float:
@@ -307,13 +348,13 @@ def _tried(measure: Callable[[Any], float], what: Any) -> float:
         return math.nan
 
 
-def _spread(value: float, again: list[float]) -> Answer:
-    """The value with the rms change that the image's error makes; half of the copies at least must still show it."""
-    changes = np.array([other - value for other in again])
-    good = np.isfinite(changes)
-    if 2 * good.sum() < len(changes):
-        raise InputError("is lost in most images that differ by no more than the certified error")
-    return Answer(value, math.sqrt(float(np.mean(changes[good] ** 2))))
+def _spread(value: float, again: list[tuple[Cause, float]]) -> Answer:
+    """The value with the rms change by each cause of errors; half of the copies at least must still show it."""
+    changes = {cause: np.array([other - value for own, other in again if own == cause]) for cause, _ in again}
+    if 2 * sum(int(np.isfinite(some).sum()) for some in changes.values()) < len(again):
+        raise InputError("is lost in most images that differ by no more than their error")
+    good = [some[np.isfinite(some)] for some in changes.values()]
+    return Answer(value, math.sqrt(sum(float(np.mean(some**2)) for some in good if some.size)))
 
 
 def _dot_error(seen: Seen, options: Options) -> Answer:
@@ -325,8 +366,7 @@ def _dot_error(seen: Seen, options: Options) -> Answer:
     def rms(centres: Array) -> float:
         return math.sqrt(float(((centres - true) ** 2).sum(axis=1).mean()))
 
-    drawn = _drawn_centres(dots, seen.error, options.get("draws", _DRAWS))
-    return _spread(rms(dots.centres), [rms(centres) for centres in drawn])
+    return _dots_again(seen, options, rms(dots.centres), rms)
 
 
 # ------------------------------------------------------------------------------------------------------ edges and parts
@@ -334,8 +374,7 @@ def _dot_error(seen: Seen, options: Options) -> Answer:
 
 def _again(seen: Seen, measure: Callable[[GrayImage], float]) -> Answer:
     """Measure the image, and copies of it with its error."""
-    copies = copies_of(seen.gray, seen.error, seen.fields, seen.scene.camera.sensor)
-    return _spread(measure(seen.image), [_tried(measure, copy) for copy in copies])
+    return _spread(measure(seen.image), [(copy.cause, _tried(measure, copy.image)) for copy in seen.changed()])
 
 
 def _edge(seen: Seen, image: GrayImage, options: Options) -> Edge:
@@ -389,7 +428,9 @@ def _part_orientation(seen: Seen, options: Options) -> Answer:
 
 
 def _mean_gray(seen: Seen, _: Options) -> Answer:
-    """The mean of an error is at most its rms, whatever it looks like."""
+    """Without replicates: the mean of an error is at most its rms, whatever it looks like."""
+    if seen.replicates is not None:
+        return _again(seen, lambda image: float(image.values.mean()))
     return Answer(float(seen.image.values.mean()), seen.error.rms)
 
 
@@ -407,9 +448,7 @@ def _saturated_share(seen: Seen, _: Options) -> Answer:
     saturation = seen.scene.camera.sensor.saturation_gray
     # Not of rounded gray levels: rounding may reach a saturation that the pixel does not.
     value = float((seen.gray >= saturation).mean())
-    amplitude = np.sqrt(seen.error.variance)
-    shares = [float((seen.gray + amplitude * field >= saturation).mean()) for field in seen.fields.fields]
-    return _spread(value, shares)
+    return _spread(value, [(copy.cause, float((copy.gray >= saturation).mean())) for copy in seen.changed()])
 
 
 _DOTS: Final = {"method": METHODS, "dark": "gray", "board": str, "draws": float}

@@ -54,7 +54,7 @@ def test_every_method_answers_as_alone_and_seeks_once(seen: Seen, monkeypatch: p
         dot_diameter=board.dot_diameter,
         saturation=seen.scene.camera.sensor.saturation_gray,
     )
-    shared = measured_dots(seen.sought[board.name, None], "conic")
+    shared = measured_dots(seen.sought[0, board.name, None], "conic")
     assert np.array_equal(shared.centres, alone.centres)
 
 
