@@ -150,6 +150,7 @@ def pilot(work: Work, demand: Demand) -> Pilot:
         usual = _even_kernel(view, found, layered=layered)
         replicates = trace_replicates(work, usual, _PILOT_REPLICATES)
         times = _times_too_large(view, replicates, model, demand)
+        # Never coarser than usual: cells that do not resolve the blur do not show what they add either.
         halvings = max(0, math.ceil(math.log(times, _FALL))) if times > 0 else 0
         cell = max(math.ldexp(usual.grid.cell, -halvings), _FINEST_CELL)
         covered = replicates.rays / _PILOT_REPLICATES * usual.grid.cell**2

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Final, TypeVar
@@ -21,14 +21,14 @@ from numpy.typing import NDArray
 from radwrap.calibrate.tsai import SOLVERS, CameraCalibration, calibrate_camera
 from radwrap.errors import InputError
 from radwrap.images import GrayImage
-from radwrap.imaging.kept_replicates import KeptReplicates
 from radwrap.imaging.truth import geometry
-from radwrap.measure.dots import METHODS, Dots, SoughtDots, measured_dots, seek_dots
+from radwrap.measure.dots import METHODS, Dots, measured_dots, seek_dots
 from radwrap.measure.edges import Edge, measure_edge
 from radwrap.measure.parts import find_parts
 from radwrap.scene.scene import Scene
 from radwrap.scene.targets import DotBoard, EdgeTarget
-from radwrap.study.image_error import Cause, Changed, ErrorFields, ImageError, changed_by_replicates, copies_of
+from radwrap.study.image_error import Cause, ImageError
+from radwrap.study.seen import Answer, Seen, again, again_by_number, spread, tried
 from radwrap.units import ANGLE, LENGTH, PIXEL, Dimension
 
 Array = NDArray[np.float64]
@@ -77,61 +77,6 @@ class Response:
         """Size of its unit in SI."""
         dimension = KINDS[self.kind].dimension
         return 1.0 if dimension is None or not self.unit else dimension.units[self.unit]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Seen:
-    """An image, and all that a measurement may use.
-
-    Attributes
-    ----------
-    scene : Scene
-        Its truth, and its sensor.
-    image : GrayImage
-        What the camera gives.
-    gray : ndarray
-        The same before rounding.
-    error : ImageError
-        How far it may be off.
-    fields : ErrorFields
-        How that may lie.
-    replicates : KeptReplicates, optional
-        Of the image, where it has them: radiant exposure [J m^-2].
-    exposure : ndarray, optional
-        Its own [J m^-2], where it has replicates.
-    model : ImageError, optional
-        Of an image with replicates: what the kernel's model may add to what they show.
-    sought : dict
-        Dots that were found on it and its copies, by copy, board and dark level: several responses measure the same.
-    """
-
-    scene: Scene
-    image: GrayImage
-    gray: Array
-    error: ImageError
-    fields: ErrorFields
-    replicates: KeptReplicates | None = None
-    exposure: Array | None = None
-    model: ImageError | None = None
-    sought: dict[tuple[int, str | None, float | None], SoughtDots] = field(default_factory=dict)
-
-    def changed(self) -> Iterator[Changed]:
-        """The image with errors as they may be."""
-        sensor = self.scene.camera.sensor
-        if self.replicates is None or self.exposure is None:
-            yield from copies_of(self.gray, self.error, self.fields, sensor)
-            return
-        yield from changed_by_replicates(self.exposure, self.replicates, sensor)
-        if self.model is not None:
-            yield from copies_of(self.gray, self.model, self.fields, sensor)
-
-
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """A value and its standard uncertainty by the image's certified error, in SI."""
-
-    value: float
-    error: float
 
 
 Options = Mapping[str, Any]
@@ -325,12 +270,12 @@ def _dots_again(seen: Seen, options: Options, value: float, measure: Callable[[A
     number = options.get("draws", _DRAWS)
     if seen.replicates is None:
         drawn = _drawn_centres(_dots(seen, options)[1], seen.error, number)
-        return _spread(value, [("model", _tried(measure, centres)) for centres in drawn])
-    again: list[tuple[Cause, float]] = []
+        return spread(value, [("model", tried(measure, centres)) for centres in drawn])
+    found: list[tuple[Cause, float]] = []
     for k, copy in enumerate(seen.changed(), 1):
-        if sum(cause == copy.cause for cause, _ in again) < number:
-            again.append((copy.cause, _tried(partial(_of_copy, seen, options, k, measure), copy.image)))
-    return _spread(value, again)
+        if sum(cause == copy.cause for cause, _ in found) < number:
+            found.append((copy.cause, tried(partial(_of_copy, seen, options, k, measure), copy.image)))
+    return spread(value, found)
 
 
 def _of_copy(seen: Seen, options: Options, copy: int, measure: Callable[[Array], float], image: GrayImage) -> float:
@@ -338,23 +283,6 @@ def _of_copy(seen: Seen, options: Options, copy: int, measure: Callable[[Array],
     if len(centres) != len(_dots(seen, options)[1].centres):
         raise InputError("shows other dots")
     return measure(centres)
-
-
-def _tried(measure: Callable[[Any], float], what: Any) -> float:
-    """The measurement, NaN where it finds nothing."""
-    try:
-        return measure(what)
-    except InputError:
-        return math.nan
-
-
-def _spread(value: float, again: list[tuple[Cause, float]]) -> Answer:
-    """The value with the rms change by each cause of errors; half of the copies at least must still show it."""
-    changes = {cause: np.array([other - value for own, other in again if own == cause]) for cause, _ in again}
-    if 2 * sum(int(np.isfinite(some).sum()) for some in changes.values()) < len(again):
-        raise InputError("is lost in most images that differ by no more than their error")
-    good = [some[np.isfinite(some)] for some in changes.values()]
-    return Answer(value, math.sqrt(sum(float(np.mean(some**2)) for some in good if some.size)))
 
 
 def _dot_error(seen: Seen, options: Options) -> Answer:
@@ -372,27 +300,26 @@ def _dot_error(seen: Seen, options: Options) -> Answer:
 # ------------------------------------------------------------------------------------------------------ edges and parts
 
 
-def _again(seen: Seen, measure: Callable[[GrayImage], float]) -> Answer:
-    """Measure the image, and copies of it with its error."""
-    return _spread(measure(seen.image), [(copy.cause, _tried(measure, copy.image)) for copy in seen.changed()])
-
-
-def _edge(seen: Seen, image: GrayImage, options: Options) -> Edge:
-    return measure_edge(
-        image,
-        dark=_level(seen, options, "dark"),
-        gamma=_level(seen, options, "gamma"),
-        pixel_aspect=_aspect(seen),
-        saturation=seen.scene.camera.sensor.saturation_gray,
-    )
+def _edge(seen: Seen, options: Options, copy: int, image: GrayImage) -> Edge:
+    """The edge of the image, or of a copy of it: several responses measure the same."""
+    place = (copy, _level(seen, options, "dark"), _level(seen, options, "gamma"))
+    if place not in seen.edges:
+        seen.edges[place] = measure_edge(
+            image,
+            dark=place[1],
+            gamma=place[2],
+            pixel_aspect=_aspect(seen),
+            saturation=seen.scene.camera.sensor.saturation_gray,
+        )
+    return seen.edges[place]
 
 
 def _edge_position(seen: Seen, options: Options) -> Answer:
-    return _again(seen, lambda image: _edge(seen, image, options).offset)
+    return again_by_number(seen, lambda copy, image: _edge(seen, options, copy, image).offset)
 
 
 def _edge_blur(seen: Seen, options: Options) -> Answer:
-    return _again(seen, lambda image: _edge(seen, image, options).radius)
+    return again_by_number(seen, lambda copy, image: _edge(seen, options, copy, image).radius)
 
 
 def _edge_error(seen: Seen, options: Options) -> Answer:
@@ -402,10 +329,10 @@ def _edge_error(seen: Seen, options: Options) -> Answer:
         raise InputError("the edge lies behind the camera")
     normal = np.array([math.cos(line["angle"]), math.sin(line["angle"])])
 
-    def off(image: GrayImage) -> float:
-        return float(normal @ np.asarray(_edge(seen, image, options).centre)) - float(line["offset"])
+    def off(copy: int, image: GrayImage) -> float:
+        return float(normal @ np.asarray(_edge(seen, options, copy, image).centre)) - float(line["offset"])
 
-    return _again(seen, off)
+    return again_by_number(seen, off)
 
 
 def _part_orientation(seen: Seen, options: Options) -> Answer:
@@ -421,7 +348,7 @@ def _part_orientation(seen: Seen, options: Options) -> Answer:
 
     value = orientation(seen.image)
     # An axis has no direction: of two answers half a turn apart the nearer one counts.
-    return _again(seen, lambda image: value + (orientation(image) - value + math.pi / 2) % math.pi - math.pi / 2)
+    return again(seen, lambda image: value + (orientation(image) - value + math.pi / 2) % math.pi - math.pi / 2)
 
 
 # ---------------------------------------------------------------------------------------------------------------- gray
@@ -430,7 +357,7 @@ def _part_orientation(seen: Seen, options: Options) -> Answer:
 def _mean_gray(seen: Seen, _: Options) -> Answer:
     """Without replicates: the mean of an error is at most its rms, whatever it looks like."""
     if seen.replicates is not None:
-        return _again(seen, lambda image: float(image.values.mean()))
+        return again(seen, lambda image: float(image.values.mean()))
     return Answer(float(seen.image.values.mean()), seen.error.rms)
 
 
@@ -441,14 +368,14 @@ def contrast(image: GrayImage) -> float:
 
 
 def _contrast(seen: Seen, _: Options) -> Answer:
-    return _again(seen, contrast)
+    return again(seen, contrast)
 
 
 def _saturated_share(seen: Seen, _: Options) -> Answer:
     saturation = seen.scene.camera.sensor.saturation_gray
     # Not of rounded gray levels: rounding may reach a saturation that the pixel does not.
     value = float((seen.gray >= saturation).mean())
-    return _spread(value, [(copy.cause, float((copy.gray >= saturation).mean())) for copy in seen.changed()])
+    return spread(value, [(copy.cause, float((copy.gray >= saturation).mean())) for copy in seen.changed()])
 
 
 _DOTS: Final = {"method": METHODS, "dark": "gray", "board": str, "draws": float}

@@ -26,14 +26,15 @@ from radwrap.imaging.kept_replicates import REPLICATES, read_replicates
 from radwrap.imaging.relight import read_basis, relit
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.sensor import gray_levels
-from radwrap.imaging.synthesis import MANIFEST, load_result, render
+from radwrap.imaging.synthesis import MANIFEST, Rendered, load_result, render
 from radwrap.manifest import read_manifest
 from radwrap.scene.load import scene_from_document
 from radwrap.scene.scene import Scene
 from radwrap.study.image_error import COPIES, ErrorFields, blur_radii, error_fields, image_error, model_error
 from radwrap.study.light import factors
 from radwrap.study.pilots import write_pilot
-from radwrap.study.responses import KINDS, Answer, Response, Seen, answer
+from radwrap.study.responses import KINDS, Response, answer
+from radwrap.study.seen import Answer, Seen
 
 STARTED: Final = "started.log"
 THUMBNAILS: Final = "thumbnails"
@@ -187,19 +188,22 @@ def _outcomes(job: Job, start: float) -> Iterator[Outcome]:
     if job.reference is not None or not job.runs:
         return
     result = load_result(scene, out)
-    gray = gray_levels(result.radiant_exposure.values, scene.camera.sensor)
-    radii = blur_radii(scene)
-    fields = _fields(job, scene, radii)
-    kept = read_replicates(out, scene.camera.sensor.rows) if REPLICATES in result.manifest["files"] else None
+    seen = seen_of(scene, result, out, _fields(job, scene, blur_radii(scene)))
     met = bool(result.manifest.get("plan", {}).get("met", True))
     for run in job.runs:
-        bound = float(result.manifest["error"]["rms_gray_upper95"])
-        seen = Seen(scene, result.gray, gray, image_error(gray, bound, radii), fields)
-        if kept is not None:
-            error = result.manifest["error"]
-            model = model_error(gray, float(error["model_rms_gray"]), float(error["discretisation_rms_gray"]), radii)
-            seen = replace(seen, replicates=kept, exposure=result.radiant_exposure.values, model=model)
         yield _outcome(job, run, seen, met=met, wall_s=time.monotonic() - start)
+
+
+def seen_of(scene: Scene, result: Rendered, out: Path, fields: ErrorFields) -> Seen:
+    """What is measured of an image that lies in a folder."""
+    gray = gray_levels(result.radiant_exposure.values, scene.camera.sensor)
+    error, radii = result.manifest["error"], blur_radii(scene)
+    seen = Seen(scene, result.gray, gray, image_error(gray, float(error["rms_gray_upper95"]), radii), fields)
+    if REPLICATES not in result.manifest["files"]:
+        return seen
+    kept = read_replicates(out, scene.camera.sensor.rows)
+    model = model_error(gray, float(error["model_rms_gray"]), float(error["discretisation_rms_gray"]), radii)
+    return replace(seen, replicates=kept, exposure=result.radiant_exposure.values, model=model)
 
 
 def _is_whole(out: Path) -> bool:

@@ -14,7 +14,8 @@ from radwrap.images import GrayImage
 from radwrap.imaging.sensor import gray_levels
 from radwrap.scene.scene import Scene
 from radwrap.study.image_error import blur_radii, copies_of, error_fields, image_error
-from radwrap.study.responses import KINDS, Response, Seen, answer
+from radwrap.study.responses import KINDS, Response, answer
+from radwrap.study.seen import Seen
 from tests.study.conftest import EDGE
 
 

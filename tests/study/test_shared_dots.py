@@ -14,7 +14,8 @@ from radwrap.measure.dots import METHODS, Dots, Method, SoughtDots, find_dots, m
 from radwrap.scene.targets import DotBoard
 from radwrap.study import responses
 from radwrap.study.image_error import blur_radii, error_fields, image_error
-from radwrap.study.responses import Response, Seen, answer
+from radwrap.study.responses import Response, answer
+from radwrap.study.seen import Seen
 
 SCENE = Path(__file__).parents[2] / "rad_scenes" / "bench_board" / "scene.toml"
 
