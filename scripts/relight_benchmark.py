@@ -103,7 +103,7 @@ def off_linear(folder: Path, levels: np.ndarray) -> float:
         work = Work(traced.view(), folder / "pieces", programs, Progress("", 1, shown=False), traced.sha256(), 0)
         outcome = render_to_tolerance(work, options.demand)
         views = {name: traced.view_of(name) for name in shining(scene, traced.prepared)}
-        told = {"tolerance": options.tolerance, "max_error": None, "dark": [], "scene_sha256": ""}
+        told = {"tolerance": options.tolerance, "max_error": None, "dark": [], "scene_sha256": "0" * 64}
         write_basis(folder / "frozen", work, views, outcome, told)
         basis = read_basis(folder / "frozen")
         plan, replicates = outcome.ray_plan, range(basis.images.shape[1])

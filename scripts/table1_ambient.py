@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from radwrap.frames import apply_rotation, rotation_about_fixed_axes
-from radwrap.study.responses import Answer
+from radwrap.study.seen import Answer
 from replication.figure import OURS, PAPER, Made, Task, figure, main
 from replication.images import Image, Measured, focal_lengths, predicted
 from replication.published import claims, published

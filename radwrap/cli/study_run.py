@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from radwrap.cli import options as shared
 from radwrap.errors import CheckFailed, ToleranceNotMet
@@ -18,6 +19,8 @@ _DESCRIPTION = (
     "soon as it is finished, study.json and index.html into DIR. A killed study goes on where it was; a run that fails "
     "is a row with its error."
 )
+
+_MOST_NAMED: Final = 8  # runs, in one line
 
 
 def add_to(kinds: argparse._SubParsersAction[Any]) -> None:
@@ -85,6 +88,11 @@ def _check(study: Study) -> None:
             remedy="--retry-failed does them again",
         )
     if told["not_met"]:
-        raise ToleranceNotMet(
-            f"{told['not_met']} images do not keep the tolerance; their error bars say so", where=where
-        )
+        raise ToleranceNotMet(f"{_missed(told['missed'])}; their error bars say so", where=where)
+
+
+def _missed(missed: Mapping[str, float]) -> str:
+    """Which runs do not keep the tolerance, and what the first of them keep."""
+    named = ", ".join(f"{run} ({bound:.2g})" for run, bound in list(missed.items())[:_MOST_NAMED])
+    more = f" and {len(missed) - _MOST_NAMED} more" if len(missed) > _MOST_NAMED else ""
+    return f"{len(missed)} images do not keep the tolerance: run {named}{more} [gray rms]"

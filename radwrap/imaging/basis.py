@@ -26,7 +26,7 @@ from radwrap.imaging.certificate import PixelSample, model_lacks
 from radwrap.imaging.kernel import Gathered, KernelPlan, decide_tile, gathered_tile, lattice
 from radwrap.imaging.pieces import log_call, read_piece, remove_strangers, run_jobs, write_piece
 from radwrap.imaging.planner import Outcome
-from radwrap.imaging.rays import TracedTile, traced_tile
+from radwrap.imaging.rays import RaysPlan, TracedTile, traced_tile
 from radwrap.imaging.replicates import Plan, Work, cells_seed, tile_seed
 from radwrap.imaging.view import View
 from radwrap.manifest import SCHEMA_VERSION, plain, sha256_of_value, write_manifest
@@ -104,7 +104,7 @@ def grid_pixels(plan: Plan) -> NDArray[np.intp]:
         return np.zeros(0, dtype=np.intp)
     numbers = []
     for tile, place in enumerate(plan.tiles):
-        rows, columns = lattice(2 * plan.grid.cell, place)
+        rows, columns = lattice(1.0 if plan.grid.even else 2 * plan.grid.cell, place)
         places = (rows[:, np.newaxis] * plan.camera.sensor.columns + columns).ravel()
         numbers.append(places[_chosen(plan, tile, places.size)])
     return np.concatenate(numbers)
@@ -112,6 +112,8 @@ def grid_pixels(plan: Plan) -> NDArray[np.intp]:
 
 def _chosen(plan: Plan, tile: int, size: int) -> NDArray[np.intp]:
     """Places in a tile's list of pixels of those that are kept: alike in all replicates and all light."""
+    if isinstance(plan, KernelPlan) and plan.grid.even:
+        return np.arange(size)
     r0, r1, c0, c1 = plan.tiles[tile]
     count = -(-_GRID_PIXELS * (r1 - r0) * (c1 - c0) // plan.camera.sensor.pixels)
     if size <= count:
@@ -349,4 +351,10 @@ def _description(maker: _Maker) -> dict[str, Any]:
             "rays": maker.model_rays(),
         },
         "ray_plan": plain(maker.plan),
+        **({"even": True} if _is_even(maker.plan) else {}),
     }
+
+
+def _is_even(plan: KernelPlan | RaysPlan) -> bool:
+    """Whether no image's light decided where rays go."""
+    return bool(plan.grid.even) if isinstance(plan, KernelPlan) else plan.even is not None

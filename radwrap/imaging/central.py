@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, TypeVar
 
 import numpy as np
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from radwrap.imaging.sensor import unclipped_gray
 from radwrap.imaging.view import View, trace_rays
+from radwrap.manifest import ONLY_WHERE_USED
 from radwrap.scene.camera import Sensor
 
 _T = TypeVar("_T", bound=np.generic)
@@ -51,6 +52,8 @@ class GridPlan:
         Response, to tell which differences matter.
     with_depth : bool
         Whether each cell's magnification is needed.
+    even : bool, optional
+        True where each grid cell gets one ray whatever is seen there: no light decides where rays go.
     """
 
     base: int
@@ -60,6 +63,7 @@ class GridPlan:
     exposure_of_radiance: float
     sensor: Sensor
     with_depth: bool
+    even: bool | None = field(default=None, metadata=ONLY_WHERE_USED)
 
     @property
     def cell(self) -> float:
@@ -154,6 +158,8 @@ def decide_cells(
     progress : callable
         Is told how many rays were traced.
     """
+    if plan.even:
+        return Cells(region[0], np.full(region[1], plan.levels, dtype=np.int8), 1, 0.0, 0)
     random = np.random.default_rng(seed)
     step = 2**plan.levels
     # The base grid lies anywhere on the grid of cells.
@@ -234,9 +240,9 @@ def central_image(
     for row, column, size, n in parts:
         start, end = end, end + len(row) * n * n
         means = _means(*(answer[start:end].reshape(-1, n * n) for answer in traced))
-        for field, mean in zip((values, magnification), means, strict=True):
+        for grid, mean in zip((values, magnification), means, strict=True):
             for down, right in np.ndindex(size, size):
-                field[row * size + down, column * size + right] = mean
+                grid[row * size + down, column * size + right] = mean
     depth = like.magnification if like else magnification if plan.with_depth else None
     return CentralImage(cells.first, values, depth, sampler.rays)
 

@@ -115,7 +115,9 @@ def grid_squares(
     return squares
 
 
-def plan_kernel(view: View, magnifications: NDArray[np.float64], aim: float, finer: int = 0) -> KernelPlan:
+def plan_kernel(
+    view: View, magnifications: NDArray[np.float64], aim: float, finer: int = 0, *, even_cell: float | None = None
+) -> KernelPlan:
     """Choose grid, layers and tiles.
 
     Parameters
@@ -128,6 +130,8 @@ def plan_kernel(view: View, magnifications: NDArray[np.float64], aim: float, fin
         Rms error of one replicate to aim at [gray level].
     finer : int
         How often the grid's cells are halved, where the usual ones were found too coarse.
+    even_cell : float, optional
+        A power of 2 [px]: one ray in each cell of that size, in place of cells that follow what is seen.
 
     Raises
     ------
@@ -145,16 +149,18 @@ def plan_kernel(view: View, magnifications: NDArray[np.float64], aim: float, fin
     reach = reach_px(camera, most)
     covered = (sensor.columns + 2 * reach[0]) * (sensor.rows + 2 * reach[1])
     coarsest = min(_BASE_SHARE * blur, math.sqrt(covered / _BASE_CELLS), _COARSEST)
-    base = 2 ** math.floor(math.log2(max(1.0, coarsest)))
+    base = 2 ** math.floor(math.log2(max(1.0, coarsest if even_cell is None else even_cell)))
+    levels = (_LEVELS if blur >= _SHARP_BLUR else _SHARP_LEVELS) + finer
     opening = camera.aperture.area if not camera.aperture.is_infinitesimal else 0.0
     grid = GridPlan(
         base=base,
-        levels=(_LEVELS if blur >= _SHARP_BLUR else _SHARP_LEVELS) + finer,
+        levels=levels if even_cell is None else round(math.log2(base / even_cell)),
         area=1 + opening * least**2 / (sensor.pixel_width * sensor.pixel_height),
         aim=aim,
         exposure_of_radiance=view.exposure_of_radiance,
         sensor=sensor,
         with_depth=len(layers) > 1,
+        even=None if even_cell is None else True,
     )
     rows, columns = (
         _cuts(size, max(1, int(most * grid.cell)))
@@ -244,7 +250,7 @@ def gathered_tile(
     coarser = _coarser(central)
     if like:
         coarser = replace(coarser, magnification=like.coarser.magnification)
-    some, coarse = gather_some(plan, coarser, 2 * cell, place)
+    some, coarse = (gather_all if plan.grid.even else gather_some)(plan, coarser, 2 * cell, place)
     return Gathered(values, some, _grid_share(plan) * (coarse - values[some]), central, coarser)
 
 
@@ -263,6 +269,14 @@ def gather(
     for pixels, values in _by_phase(plan, central, cell, place, np.ndindex(step, step)):
         result[pixels] = values
     return result
+
+
+def gather_all(
+    plan: KernelPlan, central: CentralImage, cell: float, place: tuple[int, int, int, int]
+) -> tuple[tuple[NDArray[np.intp], ...], NDArray[np.float64]]:
+    """As `gather_some`, for every pixel."""
+    values = gather(plan, central, cell, place)
+    return np.ix_(*(np.arange(size) for size in values.shape)), values
 
 
 def gather_some(

@@ -14,6 +14,7 @@ from radwrap.imaging.certificate import certify_by_independent_rays
 from radwrap.imaging.planner import Outcome, render_to_tolerance
 from radwrap.imaging.render_options import FixedMethod, RenderOptions
 from radwrap.imaging.replicates import Work
+from radwrap.imaging.sampling import render_by_plan
 from radwrap.imaging.view import PixelPlan
 from radwrap.imaging.viewpoints import ViewpointPlan, merge, trace_viewpoints
 from radwrap.scene.scene import Scene
@@ -69,7 +70,8 @@ def how(scene: Scene, options: RenderOptions) -> dict[str, Any]:
         keys = ("method", "tolerance", "max_error", "budget_rays", "budget_seconds", "seed")
         # Named only where it is asked for: what a run is known by stays as it was for all others.
         bounces = {"bounces": options.bounces} if options.bounces else {}
-        return {key: getattr(options, key) for key in keys} | bounces
+        sampling = {"sampling": options.sampling} if options.sampling else {}
+        return {key: getattr(options, key) for key in keys} | bounces | sampling
     pixels = {"samples": options.pixel_samples, "sampling": options.pixel_sampling}
     opening = {"viewpoints": options.viewpoint_number, "layout": options.layout} if method == "viewpoints" else {}
     return {"method": method, "seed": options.seed, **pixels, **opening}
@@ -128,7 +130,10 @@ def make(scene: Scene, options: RenderOptions, work: Work) -> Made:
 
 
 def _to_tolerance(options: RenderOptions, work: Work) -> Made:
-    outcome = render_to_tolerance(work, options.demand)
+    if options.sampling is None:
+        outcome = render_to_tolerance(work, options.demand)
+    else:
+        outcome = render_by_plan(work, options.demand, options.sampling)
     sensor = work.view.camera.sensor
     description = {
         "method": outcome.method,

@@ -47,7 +47,7 @@ ToleranceMethod = Literal["kernel", "rays"]
 # What costs less than this share of the tolerance is left out: errors add as squares, so it takes 5 % of the tolerance.
 NEGLIGIBLE_SHARE: Final = 0.3
 # Where the model's error takes more than this share of the tolerance, rays are asked instead.
-_MODEL_SHARE: Final = 0.85
+MODEL_SHARE: Final = 0.85
 # Pixels where that may reach this share of the tolerance are looked at apart.
 _RISK_SHARE: Final = 0.1
 _ATTEMPTS: Final = 8
@@ -196,7 +196,7 @@ def choose(view: View, found: Survey, demand: Demand) -> Choice:
         method, why = demand.method, "asked for"
     elif kernel is None or math.isinf(model.mean):
         why = "the scene is too deep for one central image"
-    elif root(model.mean) > _MODEL_SHARE * demand.tolerance:
+    elif root(model.mean) > MODEL_SHARE * demand.tolerance:
         why = f"the kernel's model may be off by {root(model.mean):.3g} gray rms"
     elif rays is not None and rays < kernel:
         why = "fewer rays are expected than for the kernel"
@@ -213,11 +213,11 @@ def render_to_tolerance(work: Work, demand: Demand) -> Outcome:
     TracerError, EnvironmentFailure
         If the tracer or the disk fails.
     """
-    return _Search(work, demand).run()
+    return Search(work, demand).run()
 
 
-class _Search:
-    """One search for an image that keeps the tolerance."""
+class Search:
+    """One search for an image that keeps the tolerance, or a survey and the image by a plan that others made."""
 
     def __init__(self, work: Work, demand: Demand) -> None:
         self.work, self.demand, self.view = work, demand, work.view
@@ -239,6 +239,7 @@ class _Search:
         self.pairs: dict[int, int] = {}  # of rays that a certificate took, by its effort
 
     def run(self) -> Outcome:
+        """Try until one image keeps the tolerance, or the budget is spent."""
         method, why = self.choice.method, self.choice.why
         share = self._affordable(method, self._first_share(method))
         best: Outcome | None = None
@@ -344,6 +345,13 @@ class _Search:
         plan = self._plan(method, share * math.sqrt(number))
         # Some image there must be: the coarsest may take what it takes.
         most = self.demand.budget.rays - self.spent - self._certificate_rays(plan) if share < _COARSE_AIM else math.inf
+        return self.made(plan, number, why, aim=share, most=most)
+
+    def made(
+        self, plan: KernelPlan | RaysPlan, number: int, why: str, *, aim: float | None = None, most: float = math.inf
+    ) -> Outcome:
+        """The image by a plan, with its certificate."""
+        method: ToleranceMethod = "kernel" if isinstance(plan, KernelPlan) else "rays"
         replicates = trace_replicates(self.work, plan, number, most)
         self.reused += replicates.reused
         self.spent += replicates.rays
@@ -352,7 +360,7 @@ class _Search:
         self.attempts.append(
             {
                 "method": method,
-                "aim_gray": share,
+                "aim_gray": aim,
                 "replicates": number,
                 "rays": replicates.rays,
                 "rms_gray_upper95": certificate.rms_gray_upper95,
@@ -451,7 +459,7 @@ class _Search:
         if self.one_layer and rest > NEGLIGIBLE_SHARE * wanted and math.isfinite(self.found.model.mean):
             self.one_layer = False
             return "kernel", share, "depths differ more than the survey saw"
-        stuck = certificate.model_rms_gray > _MODEL_SHARE * wanted or rest > wanted or grid > _GRID_SHARE * wanted
+        stuck = certificate.model_rms_gray > MODEL_SHARE * wanted or rest > wanted or grid > _GRID_SHARE * wanted
         tried = [attempt["rays"] for attempt in self.attempts[-2:] if attempt["method"] == "kernel"]
         stuck = stuck or (len(tried) == 2 and tried[0] == tried[1])  # a smaller aim changes nothing
         if self.demand.method is None and (stuck or share < wanted * AIM_SHARE / 4):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -18,15 +18,16 @@ from radwrap.imaging.aperture import place, turn
 from radwrap.imaging.sensor import gray_levels
 from radwrap.imaging.sobol import DIMENSIONS, scrambled_points
 from radwrap.imaging.view import View, trace_rays
+from radwrap.manifest import ONLY_WHERE_USED
 from radwrap.scene.camera import Camera
 
 PILOT: Final = 8  # rays of a pixel that decide how many it gets
 FEWEST: Final = 4
-_MOST: Final = 1 << 14
+MOST: Final = 1 << 14
 # The error of a mean over n scrambled points falls like n^-0.6 at edges (between n^-0.5 of chance and n^-0.75 of two
 # dimensions); 64 to 256 rays on rad_scenes/bench_board gave 0.57.
 ORDER: Final = 0.6
-_GAIN: Final = 0.8  # that error over the deviation of a ray, extrapolated to n = 1: 0.6 to 1 on random scenes
+MEAN_GAIN: Final = 0.8  # that error over the deviation of a ray, extrapolated to n = 1: 0.6 to 1 on random scenes
 _SPARE: Final = 1 / 16  # of the mean pixel's rays, which every pixel gets
 # Standard deviations by which a pixel's mean stays above saturation, and the most rays for it: those with which one
 # whose pilot saw it a deviation above saturation is safe.
@@ -52,6 +53,8 @@ class RaysPlan:
         First row, last row + 1, first column, last column + 1 of each tile [px].
     fewest : int
         Rays of a pixel at least, a power of 2.
+    even : int, optional
+        Rays of every pixel, whatever is seen there; a power of 2.
     """
 
     camera: Camera
@@ -59,6 +62,7 @@ class RaysPlan:
     aim: float
     tiles: tuple[tuple[int, int, int, int], ...]
     fewest: int = FEWEST
+    even: int | None = field(default=None, metadata=ONLY_WHERE_USED)
 
     @property
     def pilot(self) -> int:
@@ -85,12 +89,12 @@ class TracedTile:
     rays: int
 
 
-def plan_rays(view: View, aim: float, fewest: int = FEWEST) -> RaysPlan:
-    """Cut the sensor into bands of rows."""
+def plan_rays(view: View, aim: float, fewest: int = FEWEST, *, even: int | None = None) -> RaysPlan:
+    """Cut the sensor into bands of rows; `even` is the number of rays of every pixel, where no light decides it."""
     sensor = view.camera.sensor
     step = max(1, _TILE_PIXELS // sensor.columns)
     tiles = tuple((first, min(first + step, sensor.rows), 0, sensor.columns) for first in range(0, sensor.rows, step))
-    return RaysPlan(view.camera, view.exposure_of_radiance, aim, tiles, fewest)
+    return RaysPlan(view.camera, view.exposure_of_radiance, aim, tiles, fewest, even)
 
 
 def traced_tile(
@@ -126,7 +130,9 @@ def traced_tile(
     u, v = (columns + c0).ravel().astype(np.float64), (rows + r0).ravel().astype(np.float64)
     random = np.random.default_rng(seed)
     rays = 0
-    if numbers is None:
+    if plan.even is not None:
+        numbers = np.full(len(u), plan.even, dtype=np.intp)
+    elif numbers is None:
         pilot = sampled_radiance(view, u, v, plan.pilot, random)
         progress(pilot.size)
         rays = pilot.size
@@ -191,9 +197,9 @@ def gray_deviation(radiance: NDArray[np.float64], plan: RaysPlan) -> NDArray[np.
 def _numbers(plan: RaysPlan, pilot: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.intp]:
     """Rays of each pixel, so that the rms over the tile meets the aim; all pixels' errors are brought to one level."""
     deviation = _pooled(gray_deviation(pilot, plan).reshape(shape)).ravel()
-    level = _level(_GAIN * deviation * plan.fewest**-ORDER, plan.aim)
-    wanted = (_GAIN * deviation / level) ** (1 / ORDER)
-    powers = 2 ** np.rint(np.log2(np.clip(wanted, plan.fewest, _MOST)))
+    level = _level(MEAN_GAIN * deviation * plan.fewest**-ORDER, plan.aim)
+    wanted = (MEAN_GAIN * deviation / level) ** (1 / ORDER)
+    powers = 2 ** np.rint(np.log2(np.clip(wanted, plan.fewest, MOST)))
     numbers: NDArray[np.intp] = powers.astype(np.intp)
     # Where the pilot saw nothing change there may be an edge all the same: some more rays, which cost little, find it.
     spare = max(plan.fewest, 2 ** math.floor(math.log2(max(1.0, _SPARE * float(numbers.mean())))))

@@ -22,6 +22,7 @@ from radwrap.images import ExposureImage, GrayImage, read_image
 from radwrap.imaging.basis import BASIS, MAGNIFICATION, SEAL, file_name, sealed
 from radwrap.imaging.bounds import ALONE, NOTHING, Bounded, mean_squares, resampling
 from radwrap.imaging.certificate import Certificate, PixelErrors, PixelSample, lacks_in_gray
+from radwrap.imaging.kept_replicates import KeptReplicates
 from radwrap.imaging.kernel import grid_squares
 from radwrap.imaging.planner import certificate_of, model_quantile, noise_quantile
 from radwrap.imaging.replicates import looks, noise_of
@@ -79,6 +80,8 @@ class Basis:
         Those that the scene states.
     magnification : ndarray of float32, shape (rows, columns), optional
         M of what each pixel sees, where a lens has an opening that is not sure.
+    even : bool
+        Whether no light decided where its rays went, see `sampling`.
     """
 
     sources: tuple[str, ...]
@@ -97,6 +100,7 @@ class Basis:
     scene_sha256: str
     tolerances: Tolerances | None
     magnification: NDArray[np.float32] | None
+    even: bool = False
 
     @property
     def sensor(self) -> Sensor:
@@ -118,12 +122,15 @@ class Relit:
         How far the gray levels may be off.
     saturated_fraction : float
         Share of the pixels at saturation.
+    replicates : KeptReplicates or None
+        Of an even basis: the independent images whose mean it is.
     """
 
     radiant_exposure: ExposureImage
     gray: GrayImage
     certificate: Certificate
     saturated_fraction: float
+    replicates: KeptReplicates | None = None
 
     def keeps(self, basis: Basis) -> bool:
         """Whether it keeps the tolerance that the basis was made for."""
@@ -182,6 +189,7 @@ def _basis(folder: Path, told: BasisFile) -> Basis:
         scene_sha256=told.scene_sha256,
         tolerances=told.tolerances,
         magnification=read_image(folder / MAGNIFICATION)[0] if MAGNIFICATION in told.files else None,
+        even=told.even,
     )
 
 
@@ -286,7 +294,8 @@ class _Relighter:
                     quantile += model_quantile(errors[k], basis.sample)
             pixels = 0 if basis.sample is None else len(basis.sample.pixels)
             certificate = certificate_of(models[k], noise, quantile, pixels=pixels, rays=basis.model_rays)
-            yield self._image(mean[k], certificate)
+            image = self._image(mean[k], certificate)
+            yield replace(image, replicates=self._kept(replicates[k], grid[k])) if basis.even else image
 
     def _model_errors(self, mean: NDArray[np.float64], levels: NDArray[np.float64]) -> list[PixelErrors]:
         basis = self._basis
@@ -305,10 +314,18 @@ class _Relighter:
         if not grid.size:
             return noise, samples
         at = replicates.reshape(len(replicates), -1)[:, basis.grid_pixels]
+        if basis.even:  # what replicates have in common, without the noise of each
+            at, grid = at.mean(axis=0, keepdims=True), grid.mean(axis=0, keepdims=True)
         # Replicates see the same edges: only pixels are independent looks.
         squares = grid_squares(at, grid, basis.exposure_of_radiance, basis.sensor).mean(axis=0)
         mean = float(squares.mean())
         return noise + Bounded(mean, mean + _SURE * float(squares.std()) / math.sqrt(len(squares))), samples
+
+    def _kept(self, replicates: NDArray[np.float64], grid: NDArray[np.float64]) -> KeptReplicates:
+        change = np.zeros(replicates.shape[1:])
+        change.ravel()[self._basis.grid_pixels] = grid.mean(axis=0)
+        scale = self._basis.exposure_of_radiance
+        return KeptReplicates(replicates * scale, change * scale)
 
     def _image(self, mean: NDArray[np.float64], certificate: Certificate) -> Relit:
         sensor = self._basis.sensor

@@ -10,6 +10,7 @@ from radwrap.errors import InputError
 from radwrap.imaging.aperture import LAYOUTS, Layout
 from radwrap.imaging.option_values import choice_of, number_of, switch_of
 from radwrap.imaging.planner import Budget, Demand, ToleranceMethod
+from radwrap.imaging.sampling import SamplingPlan
 from radwrap.imaging.view import PixelSampling
 from radwrap.process import MOST_WORKERS
 
@@ -86,6 +87,8 @@ class RenderOptions:
         out would cost more than a small share of the tolerance, and 0 elsewhere.
     basis : bool
         Write one image for each source by the same rays too, from which `relit` makes any levels.
+    sampling : SamplingPlan, optional
+        By which kernel or rays sample, in place of their own search; the independent images are then kept too.
     frames : int
         Frames of a linear camera, with noise, to write too.
     trust : bool
@@ -115,6 +118,7 @@ class RenderOptions:
     truth: bool = False
     bounces: int | Literal["all", "auto"] = 0
     basis: bool = False
+    sampling: SamplingPlan | None = None
     frames: int = 0
     trust: bool = False
     radiance: str | None = None

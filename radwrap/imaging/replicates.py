@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from radwrap.errors import EnvironmentFailure
 from radwrap.imaging.bounds import Bounded, mean_square_of_differences
 from radwrap.imaging.central import Cells, central_rays
-from radwrap.imaging.kernel import KernelPlan, decide_tile, gathered_tile
+from radwrap.imaging.kernel import KernelPlan, decide_tile, gathered_tile, grid_squares
 from radwrap.imaging.pieces import log_call, read_piece, remove_halves, run_jobs, write_piece
 from radwrap.imaging.rays import RaysPlan, traced_tile
 from radwrap.imaging.sensor import gray_levels
@@ -48,6 +48,8 @@ class Replicates:
         How many pieces were found on the disk.
     block : tuple of int
         Rows and columns over which errors hang together [px].
+    change : ndarray, shape (rows, columns), optional
+        What the size of the kernel's cells may add to each pixel of the mean [W m^-2 sr^-1]; of an even plan.
     """
 
     images: NDArray[np.float32]
@@ -55,6 +57,7 @@ class Replicates:
     rays: int
     reused: int
     block: tuple[int, int]
+    change: NDArray[np.float64] | None = None
 
     @property
     def mean(self) -> NDArray[np.float64]:
@@ -127,11 +130,16 @@ def trace_replicates(work: Work, plan: Plan, number: int, most: float = math.inf
     remove_halves(work.folder)
     sensor = work.view.camera.sensor
     images = np.empty((number, sensor.rows, sensor.columns), dtype=np.float32)
+    change = np.zeros(images.shape[1:]) if _keeps_change(plan) else None
     told: dict[_TilePiece, Mapping[str, Any]] = {}
+    changes: dict[_TilePiece, NDArray[np.float32]] = {}
 
     def lay(piece: _TilePiece, found: tuple[NDArray[np.float32], Mapping[str, Any]]) -> None:
         r0, r1, c0, c1 = plan.tiles[piece.tile]
-        images[piece.replicate, r0:r1, c0:c1], told[piece] = found
+        pixels, told[piece] = found
+        images[piece.replicate, r0:r1, c0:c1] = pixels[: r1 - r0]
+        if change is not None:
+            changes[piece] = pixels[r1 - r0 :]
 
     def make(piece: _TilePiece) -> None:
         lay(piece, piece.make())
@@ -161,7 +169,19 @@ def trace_replicates(work: Work, plan: Plan, number: int, most: float = math.inf
         r0, r1, c0, c1 = plan.tiles[piece.tile]
         rays += int(told[piece]["rays"])
         grid_square += float(told[piece]["grid_square"]) * (r1 - r0) * (c1 - c0) / images.size
-    return Replicates(images, grid_square, rays, len(pieces) - len(due), _block(plan))
+        if change is not None:  # in the order of the pieces, whoever was finished first
+            change[r0:r1, c0:c1] += changes[piece].astype(np.float64) / number
+    made = Replicates(images, grid_square, rays, len(pieces) - len(due), _block(plan), change)
+    if change is None:
+        return made
+    # What replicates have in common, without the noise of each.
+    squares = grid_squares(made.mean, change, work.view.exposure_of_radiance, sensor)
+    return replace(made, grid_square=float(squares.mean()))
+
+
+def _keeps_change(plan: Plan) -> bool:
+    """Whether each piece holds, below its values, what the size of the kernel's cells changes."""
+    return isinstance(plan, KernelPlan) and bool(plan.grid.even)
 
 
 def _among(work: Work, jobs: int) -> Work:
@@ -218,10 +238,13 @@ class _TilePiece:
         work = self._work
         cells = _CellsPiece(work, plan, self._whole, self.tile).cells()
         gathered = gathered_tile(work.view, plan, self.tile, cells, seed=seed, progress=work.progress.add)
+        values = gathered.values
+        if plan.grid.even:
+            values = np.concatenate([values, gathered.change])
         # The rays that decided the cells are counted once.
         rays = gathered.central.rays + (cells.rays if self.replicate == 0 else 0)
         grid_square = gathered.grid_square(plan.grid.exposure_of_radiance, plan.camera.sensor)
-        return gathered.values, {"rays": rays, "grid_square": repr(grid_square)}
+        return values, {"rays": rays, "grid_square": repr(grid_square)}
 
 
 class _CellsPiece:

@@ -91,6 +91,7 @@ class BasisFile:
     max_error: Positive | None
     scene_sha256: Sha256
     tolerances: Tolerances | None
+    even: bool = False
 
     def __post_init__(self) -> None:
         sensor = self.camera.sensor

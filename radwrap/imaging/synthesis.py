@@ -36,6 +36,7 @@ from radwrap.imaging.cost import Cost, check_size, estimate, seconds_per_ray
 from radwrap.imaging.diffraction import diffraction, diffraction_warning
 from radwrap.imaging.effects import Effect, bounces, bounces_beyond
 from radwrap.imaging.exposure import radiant_exposure
+from radwrap.imaging.kept_replicates import REPLICATES, kept, write_replicates
 from radwrap.imaging.methods import Made, fixed_method, how, make, viewpoint_plan
 from radwrap.imaging.noise import fixed_pattern, frame_file, frames_in, linear_of, noisy_frame
 from radwrap.imaging.pieces import remove_pieces
@@ -66,7 +67,7 @@ DEPTH: Final = "depth.exr"
 PARTS: Final = "mask.png"
 TRUTH: Final = "truth.json"
 SIGMA: Final = "gray_sigma.exr"
-_OPTIONAL: Final = (UNROUNDED, SIGMA, DEPTH, PARTS, TRUTH, *photo_realistic.FILES)
+_OPTIONAL: Final = (UNROUNDED, SIGMA, DEPTH, PARTS, TRUTH, REPLICATES, *photo_realistic.FILES)
 _VIEWPOINTS: Final = "viewpoints"
 _WORK: Final = ".work"
 _MADE: Final = "made"
@@ -292,6 +293,8 @@ class _Run:
             progress.close()
         summary, files = self._write_images(made.radiance)
         files += basis
+        if made.outcome is not None and self.options.sampling is not None:
+            files += write_replicates(self.out, kept(made.outcome.replicates, view.exposure_of_radiance))
         told, more = self._write_uncertainty(made.error["rms_gray"], spread, magnification)
         files += [*more, *self._write_frames()]
         if self.options.truth:

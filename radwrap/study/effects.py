@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 # Beyond so many factors only interactions of two are looked at.
 _ALL_INTERACTIONS: Final = 9
 _EQUAL: Final = 1e-9
+_SURE: Final = 1.959963985  # normal quantile of 0.975
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +44,8 @@ class Effect:
     t : float or None
         Effect over its standard error; None where nothing tells one.
     significant, significant_simulated : bool or None
-        By the t limit; by the simulated one (Lenth's method alone).
+        By the t limit; by the simulated one (Lenth's method alone). Never where the images' errors alone may make it:
+        runs that share their rays have errors in common, and scatter less than they are off.
     aliases : tuple of str
         What cannot be told from it.
     start, end : str or None
@@ -233,7 +235,10 @@ def _unreplicated(data: Data, alpha: float, effects: tuple[Effect, ...], notes: 
 
 
 def _judged(effect: Effect, t: float, significant: bool, *, simulated: bool | None = None) -> Effect:
-    return replace(effect, t=t, significant=significant, significant_simulated=simulated)
+    """With what the statistics say, unless the images' errors alone may make such an effect."""
+    shown = abs(effect.effect) > _SURE * effect.image_error
+    simulated = None if simulated is None else simulated and shown
+    return replace(effect, t=t, significant=significant and shown, significant_simulated=simulated)
 
 
 def _replicated(data: Data, alpha: float, effects: tuple[Effect, ...], notes: list[str]) -> Analysis:

@@ -11,10 +11,12 @@ from radwrap.errors import InputError
 from radwrap.progress import Progress
 from radwrap.study.design import Design
 from radwrap.study.factors import Draw, Factor, Level
+from radwrap.study.pilots import Plans
 from radwrap.study.pool import Pool
 from radwrap.study.responses import Response
 from radwrap.study.runner import Scheduler
 from radwrap.study.runs import Run, run_with
+from radwrap.study.sampled import sampled, with_pilots
 from radwrap.study.study import StudyOptions, plan_steps
 from radwrap.study.worker import Outcome
 
@@ -50,6 +52,8 @@ class FreshRenders:
     pool : Pool
     repeats : int
         Seeds for each system.
+    plans : Mapping, optional
+        How the study's runs are sampled: fresh renders are too.
 
     Attributes
     ----------
@@ -58,13 +62,22 @@ class FreshRenders:
     """
 
     def __init__(
-        self, design: Design, out: Path, response: Response, options: StudyOptions, pool: Pool, *, repeats: int
+        self,
+        design: Design,
+        out: Path,
+        response: Response,
+        options: StudyOptions,
+        pool: Pool,
+        *,
+        repeats: int,
+        plans: Plans | None = None,
     ) -> None:
         # A system draws for itself, also where the runs of a study share what is drawn.
         factors = tuple(replace(factor, draw_once=False) for factor in design.factors)
         self._design = replace(design, factors=factors, basis=False)
         self._out, self._options, self._pool = out, options, pool
         self._response, self._repeats = response, repeats
+        self._plans = plans or {}
         self.not_met = 0
 
     def runs(self, systems: Sequence[System]) -> list[Run]:
@@ -87,6 +100,10 @@ class FreshRenders:
         """
         runs = self.runs(systems)
         steps, _ = plan_steps(self._design, runs, self._out, self._options)
+        shown = self._options.progress
+        # The study's plans; only a factor that is an option of the render, between its levels, needs one of its own.
+        self._plans = with_pilots(steps, self._plans, self._out, self._pool, shown=shown)
+        steps = sampled(steps, self._plans)
         collected = _Collected()
         progress = Progress("fresh renders", len(runs), shown=self._options.progress)
         try:

@@ -1,6 +1,12 @@
-"""How far a response may be off because the predicted image is: its certified error, carried through the measurement.
+"""How far a response may be off because the predicted image is: the image's error, carried through the measurement.
 
-The certificate gives the rms error of the gray levels before rounding. How that error lies in the image is taken to be
+An image by an even plan of sampling (`imaging/sampling.py`) has independent replicates. What is measured on images that
+differ from their mean as its own error does tells what noise does to the response; the image with the change that the
+size of the kernel's cells may make tells what they do. Both are the error as it lies in this image, from pixel to
+pixel.
+
+Of the error of the kernel's model, and of images by the paper's method, a certificate gives the rms error of the gray
+levels before rounding. How that error lies in the image is taken to be
 
 - where gray changes: its standard deviation is proportional to the local slope (across the edge of Fig. 11 it is 0.69
   gray levels on the flank and 0.03 beside it; on the bench board the steepest tenth of the pixels holds half of the
@@ -8,7 +14,8 @@ The certificate gives the rms error of the gray levels before rounding. How that
 - smooth as the blur: white noise averaged over the disc of the opening's projection, as an image gathered with that
   disc has it.
 
-Copies of the image with such errors are measured again; the response's error is the rms change.
+Copies of the image with such errors are measured again. The response's error is the rms change by each cause, added as
+squares.
 """
 
 from __future__ import annotations
@@ -16,13 +23,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.images import GrayImage
 from radwrap.imaging.explain import blur_radius
+from radwrap.imaging.kept_replicates import KeptReplicates
+from radwrap.imaging.sensor import gray_levels
 from radwrap.scene.camera import Camera, Sensor
 from radwrap.scene.geometry import project
 from radwrap.scene.scene import Scene
@@ -32,6 +41,10 @@ Array = NDArray[np.float64]
 COPIES: Final = 8  # the rms of so many is known to 25 %
 _SEED: Final = 41
 _LARGEST_BLUR: Final = 200.0  # px
+# Of the rms error by noise; what is smaller adds half a percent to an error bar, and eight measurements.
+_NEGLIGIBLE: Final = 0.1
+
+Cause = Literal["noise", "cells", "model"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,9 +139,46 @@ def error_fields(shape: tuple[int, int], radii: tuple[float, float], copies: int
     return ErrorFields(np.fft.irfft2(np.fft.rfft2(white) * np.fft.rfft2(disc), s=shape))
 
 
-def copies_of(gray: Array, error: ImageError, fields: ErrorFields, sensor: Sensor) -> Iterator[GrayImage]:
-    """The image with errors as they may be, rounded where the sensor rounds."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Changed:
+    """An image with an error as it may be.
+
+    Attributes
+    ----------
+    cause : str
+        What makes such errors: "noise" of a finite number of rays, "cells" of the kernel, or its "model".
+    gray : ndarray, shape (rows, columns)
+        Gray levels before rounding.
+    image : GrayImage
+        Rounded where the sensor rounds.
+    """
+
+    cause: Cause
+    gray: Array
+    image: GrayImage
+
+
+def changed_image(cause: Cause, gray: Array, sensor: Sensor) -> Changed:
+    """Clip and round gray levels as the sensor does."""
+    clipped = np.clip(gray, 0.0, sensor.saturation_gray)
+    return Changed(cause, gray, GrayImage(np.rint(clipped) if sensor.rounding else clipped, sensor.bit_depth))
+
+
+def copies_of(gray: Array, error: ImageError, fields: ErrorFields, sensor: Sensor) -> Iterator[Changed]:
+    """The image with errors that lie as a certificate does not say."""
     amplitude = np.sqrt(error.variance)
     for field in fields.fields:
-        changed = np.clip(gray + amplitude * field, 0.0, sensor.saturation_gray)
-        yield GrayImage(np.rint(changed) if sensor.rounding else changed, sensor.bit_depth)
+        yield changed_image("model", gray + amplitude * field, sensor)
+
+
+def changed_by_replicates(exposure: Array, kept: KeptReplicates, sensor: Sensor) -> Iterator[Changed]:
+    """An image of some radiant exposure [J m^-2] with errors as its own replicates show them."""
+    for change in kept.changes():
+        yield changed_image("noise", gray_levels(np.maximum(exposure + change, 0.0), sensor), sensor)
+    if kept.change.any():
+        yield changed_image("cells", gray_levels(np.maximum(exposure + kept.change, 0.0), sensor), sensor)
+
+
+def model_error(gray: Array, model_rms: float, noise_rms: float, radii: tuple[float, float]) -> ImageError | None:
+    """The error of the kernel's model, spread over the image; None where it is negligible beside noise."""
+    return None if model_rms <= _NEGLIGIBLE * noise_rms else image_error(gray, model_rms, radii)

@@ -1,8 +1,9 @@
 """What a study reads from each image: a number with its error bar.
 
-The error bar carries the image's certified error (see image_error.py): by
-measuring copies of the image again, or, where that takes long (dots), by the
-measurement's own covariance, scaled to that error.
+The error bar carries the image's error (see image_error.py): by measuring
+the image again with errors as its replicates show them. Where an image has no
+replicates, and measuring takes long (dots), by the measurement's own
+covariance, scaled to the certified error.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import math
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Final, TypeVar
 
 import numpy as np
@@ -20,12 +22,13 @@ from radwrap.calibrate.tsai import SOLVERS, CameraCalibration, calibrate_camera
 from radwrap.errors import InputError
 from radwrap.images import GrayImage
 from radwrap.imaging.truth import geometry
-from radwrap.measure.dots import METHODS, Dots, SoughtDots, measured_dots, seek_dots
+from radwrap.measure.dots import METHODS, Dots, measured_dots, seek_dots
 from radwrap.measure.edges import Edge, measure_edge
 from radwrap.measure.parts import find_parts
 from radwrap.scene.scene import Scene
 from radwrap.scene.targets import DotBoard, EdgeTarget
-from radwrap.study.image_error import ErrorFields, ImageError, copies_of
+from radwrap.study.image_error import Cause, ImageError
+from radwrap.study.seen import Answer, Seen, again, again_by_number, spread, tried
 from radwrap.units import ANGLE, LENGTH, PIXEL, Dimension
 
 Array = NDArray[np.float64]
@@ -74,42 +77,6 @@ class Response:
         """Size of its unit in SI."""
         dimension = KINDS[self.kind].dimension
         return 1.0 if dimension is None or not self.unit else dimension.units[self.unit]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Seen:
-    """An image, and all that a measurement may use.
-
-    Attributes
-    ----------
-    scene : Scene
-        Its truth, and its sensor.
-    image : GrayImage
-        What the camera gives.
-    gray : ndarray
-        The same before rounding.
-    error : ImageError
-        How far it may be off.
-    fields : ErrorFields
-        How that may lie.
-    sought : dict
-        Dots that were found on it, by board and dark level: several responses measure the same.
-    """
-
-    scene: Scene
-    image: GrayImage
-    gray: Array
-    error: ImageError
-    fields: ErrorFields
-    sought: dict[tuple[str | None, float | None], SoughtDots] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """A value and its standard uncertainty by the image's certified error, in SI."""
-
-    value: float
-    error: float
 
 
 Options = Mapping[str, Any]
@@ -234,13 +201,14 @@ def _target(scene: Scene, kind: type[_T], name: str | None) -> _T:
 # ---------------------------------------------------------------------------------------------------------------- dots
 
 
-def _dots(seen: Seen, options: Options) -> tuple[DotBoard, Dots]:
+def _dots(seen: Seen, options: Options, copy: int = 0, image: GrayImage | None = None) -> tuple[DotBoard, Dots]:
+    """Dots of the image, or of a copy of it, which is known by its number from 1."""
     board = _target(seen.scene, DotBoard, options.get("board"))
     method, dark = options.get("method", "gray"), _level(seen, options, "dark")
-    place = (board.name, dark)
+    place = (copy, board.name, dark)
     if place not in seen.sought:
         seen.sought[place] = seek_dots(
-            seen.image,
+            seen.image if image is None else image,
             board.rows,
             board.columns,
             dark=dark,
@@ -294,26 +262,27 @@ def _focal_length(seen: Seen, options: Options) -> Answer:
         )
 
     found = calibrated(dots.centres)
-    drawn = _drawn_centres(dots, seen.error, options.get("draws", _DRAWS))
-    again = [_tried(lambda centres: calibrated(centres, found).focal_length, centres) for centres in drawn]
-    return _spread(found.focal_length, again)
+    return _dots_again(seen, options, found.focal_length, lambda centres: calibrated(centres, found).focal_length)
 
 
-def _tried(measure: Callable[[Any], float], what: Any) -> float:
-    """The measurement, NaN where it finds nothing."""
-    try:
-        return measure(what)
-    except InputError:
-        return math.nan
+def _dots_again(seen: Seen, options: Options, value: float, measure: Callable[[Array], float]) -> Answer:
+    """The value, with the error of what is measured on the image's dots: of copies, or drawn where there are none."""
+    number = options.get("draws", _DRAWS)
+    if seen.replicates is None:
+        drawn = _drawn_centres(_dots(seen, options)[1], seen.error, number)
+        return spread(value, [("model", tried(measure, centres)) for centres in drawn])
+    found: list[tuple[Cause, float]] = []
+    for k, copy in enumerate(seen.changed(), 1):
+        if sum(cause == copy.cause for cause, _ in found) < number:
+            found.append((copy.cause, tried(partial(_of_copy, seen, options, k, measure), copy.image)))
+    return spread(value, found)
 
 
-def _spread(value: float, again: list[float]) -> Answer:
-    """The value with the rms change that the image's error makes; half of the copies at least must still show it."""
-    changes = np.array([other - value for other in again])
-    good = np.isfinite(changes)
-    if 2 * good.sum() < len(changes):
-        raise InputError("is lost in most images that differ by no more than the certified error")
-    return Answer(value, math.sqrt(float(np.mean(changes[good] ** 2))))
+def _of_copy(seen: Seen, options: Options, copy: int, measure: Callable[[Array], float], image: GrayImage) -> float:
+    centres = _dots(seen, options, copy, image)[1].centres
+    if len(centres) != len(_dots(seen, options)[1].centres):
+        raise InputError("shows other dots")
+    return measure(centres)
 
 
 def _dot_error(seen: Seen, options: Options) -> Answer:
@@ -325,35 +294,32 @@ def _dot_error(seen: Seen, options: Options) -> Answer:
     def rms(centres: Array) -> float:
         return math.sqrt(float(((centres - true) ** 2).sum(axis=1).mean()))
 
-    drawn = _drawn_centres(dots, seen.error, options.get("draws", _DRAWS))
-    return _spread(rms(dots.centres), [rms(centres) for centres in drawn])
+    return _dots_again(seen, options, rms(dots.centres), rms)
 
 
 # ------------------------------------------------------------------------------------------------------ edges and parts
 
 
-def _again(seen: Seen, measure: Callable[[GrayImage], float]) -> Answer:
-    """Measure the image, and copies of it with its error."""
-    copies = copies_of(seen.gray, seen.error, seen.fields, seen.scene.camera.sensor)
-    return _spread(measure(seen.image), [_tried(measure, copy) for copy in copies])
-
-
-def _edge(seen: Seen, image: GrayImage, options: Options) -> Edge:
-    return measure_edge(
-        image,
-        dark=_level(seen, options, "dark"),
-        gamma=_level(seen, options, "gamma"),
-        pixel_aspect=_aspect(seen),
-        saturation=seen.scene.camera.sensor.saturation_gray,
-    )
+def _edge(seen: Seen, options: Options, copy: int, image: GrayImage) -> Edge:
+    """The edge of the image, or of a copy of it: several responses measure the same."""
+    place = (copy, _level(seen, options, "dark"), _level(seen, options, "gamma"))
+    if place not in seen.edges:
+        seen.edges[place] = measure_edge(
+            image,
+            dark=place[1],
+            gamma=place[2],
+            pixel_aspect=_aspect(seen),
+            saturation=seen.scene.camera.sensor.saturation_gray,
+        )
+    return seen.edges[place]
 
 
 def _edge_position(seen: Seen, options: Options) -> Answer:
-    return _again(seen, lambda image: _edge(seen, image, options).offset)
+    return again_by_number(seen, lambda copy, image: _edge(seen, options, copy, image).offset)
 
 
 def _edge_blur(seen: Seen, options: Options) -> Answer:
-    return _again(seen, lambda image: _edge(seen, image, options).radius)
+    return again_by_number(seen, lambda copy, image: _edge(seen, options, copy, image).radius)
 
 
 def _edge_error(seen: Seen, options: Options) -> Answer:
@@ -363,10 +329,10 @@ def _edge_error(seen: Seen, options: Options) -> Answer:
         raise InputError("the edge lies behind the camera")
     normal = np.array([math.cos(line["angle"]), math.sin(line["angle"])])
 
-    def off(image: GrayImage) -> float:
-        return float(normal @ np.asarray(_edge(seen, image, options).centre)) - float(line["offset"])
+    def off(copy: int, image: GrayImage) -> float:
+        return float(normal @ np.asarray(_edge(seen, options, copy, image).centre)) - float(line["offset"])
 
-    return _again(seen, off)
+    return again_by_number(seen, off)
 
 
 def _part_orientation(seen: Seen, options: Options) -> Answer:
@@ -382,14 +348,16 @@ def _part_orientation(seen: Seen, options: Options) -> Answer:
 
     value = orientation(seen.image)
     # An axis has no direction: of two answers half a turn apart the nearer one counts.
-    return _again(seen, lambda image: value + (orientation(image) - value + math.pi / 2) % math.pi - math.pi / 2)
+    return again(seen, lambda image: value + (orientation(image) - value + math.pi / 2) % math.pi - math.pi / 2)
 
 
 # ---------------------------------------------------------------------------------------------------------------- gray
 
 
 def _mean_gray(seen: Seen, _: Options) -> Answer:
-    """The mean of an error is at most its rms, whatever it looks like."""
+    """Without replicates: the mean of an error is at most its rms, whatever it looks like."""
+    if seen.replicates is not None:
+        return again(seen, lambda image: float(image.values.mean()))
     return Answer(float(seen.image.values.mean()), seen.error.rms)
 
 
@@ -400,16 +368,14 @@ def contrast(image: GrayImage) -> float:
 
 
 def _contrast(seen: Seen, _: Options) -> Answer:
-    return _again(seen, contrast)
+    return again(seen, contrast)
 
 
 def _saturated_share(seen: Seen, _: Options) -> Answer:
     saturation = seen.scene.camera.sensor.saturation_gray
     # Not of rounded gray levels: rounding may reach a saturation that the pixel does not.
     value = float((seen.gray >= saturation).mean())
-    amplitude = np.sqrt(seen.error.variance)
-    shares = [float((seen.gray + amplitude * field >= saturation).mean()) for field in seen.fields.fields]
-    return _spread(value, shares)
+    return spread(value, [(copy.cause, float((copy.gray >= saturation).mean())) for copy in seen.changed()])
 
 
 _DOTS: Final = {"method": METHODS, "dark": "gray", "board": str, "draws": float}

@@ -39,6 +39,16 @@ class Sink(Protocol):
         """Keep rows for ever."""
 
 
+class _NoSink:
+    """For jobs that leave files, and no rows."""
+
+    def save(self, outcomes: Sequence[Outcome]) -> None:
+        """Nothing is kept."""
+
+
+NO_SINK: Final[Sink] = _NoSink()
+
+
 class Scheduler:
     """Carries out steps with a pool.
 

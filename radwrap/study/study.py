@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
@@ -19,9 +20,11 @@ from radwrap.scene.named_files import named_files
 from radwrap.study.design import Design, render_options
 from radwrap.study.journal import RESULTS, Journal
 from radwrap.study.light import reference_levels, split_light, with_levels
+from radwrap.study.pilots import Plans, as_json
 from radwrap.study.pool import DaskPool, LocalPool, Pool
 from radwrap.study.runner import Scheduler, Step, chunks
 from radwrap.study.runs import Run, analysis_of, check_design, runs_of
+from radwrap.study.sampled import PILOTS, read_plans, sampled, with_pilots
 from radwrap.study.worker import Job, Measured
 from radwrap.tracers.installation import find_radiance
 from radwrap.tracers.installation import version as radiance_version
@@ -116,24 +119,45 @@ def run_study(design: Design, out: Path, options: StudyOptions) -> Study:
             journal.forget([number for number, row in known.items() if row["error"]])
             known = journal.finished()
         steps, made = plan_steps(design, runs, out, options)
+        plans = known_plans(out)
         due = sum(run.index not in known for run in runs)
         if due:
-            _carry_out(still_due(steps, known), journal, options, due, len(runs))
+            plans = _carry_out(steps, plans, journal, options, due)
         rows = journal.close()
-        summary = _summary(design, rows, made, out)
+        summary = _summary(design, rows, made, out) | _told(plans)
         timing = {"wall_s": time.monotonic() - start, "reused_runs": len(known)}
         write_manifest(out / STUDY, {**summary, "timing": timing})
     return Study(design, out, tuple(rows), {**summary, "timing": timing})
 
 
-def _carry_out(steps: Sequence[Step], journal: Journal, options: StudyOptions, due: int, total: int) -> None:
-    progress = Progress("runs", total, shown=options.progress)
-    progress.skip(total - due)
-    with closing(open_pool(options, journal.path.parent)) as pool:
+def _carry_out(steps: Sequence[Step], plans: Plans, journal: Journal, options: StudyOptions, due: int) -> Plans:
+    """Find how all runs are sampled, where that is not known, and do those that are due."""
+    known, out = journal.finished(), journal.path.parent
+    with closing(open_pool(options, out)) as pool:
+        wider = with_pilots(steps, plans, out, pool, shown=options.progress)
+        if wider != plans:
+            write_manifest(out / STUDY, {"schema_version": SCHEMA_VERSION, **_identity_of(out), **_told(wider)})
+        progress = Progress("runs", due + len(known), shown=options.progress)
+        progress.skip(len(known))
         try:
-            Scheduler(steps, journal, pool, progress).run()
+            Scheduler(still_due(sampled(steps, wider), known), journal, pool, progress).run()
         finally:
             progress.close()
+    shutil.rmtree(out / PILOTS, ignore_errors=True)
+    return wider
+
+
+def known_plans(out: Path) -> Plans:
+    """How the study in a folder is sampled; empty where that was not found out."""
+    return read_plans(out / STUDY, _identity_of(out)["study_sha256"])
+
+
+def _identity_of(out: Path) -> dict[str, Any]:
+    return {"study_sha256": read_manifest(out / PLAN)["study_sha256"]}
+
+
+def _told(plans: Plans) -> dict[str, Any]:
+    return {"sampling": as_json(plans)}
 
 
 def open_pool(options: StudyOptions, folder: Path) -> Pool:
@@ -332,11 +356,12 @@ def _summary(design: Design, rows: Sequence[Mapping[str, str]], made: Made, out:
     return {
         "schema_version": SCHEMA_VERSION,
         "title": design.title,
-        "study_sha256": read_manifest(out / PLAN)["study_sha256"],
+        **_identity_of(out),
         "results": RESULTS,
         "runs": len(rows),
         "failed": len(failed),
         "not_met": sum(row["met"] == "0" for row in rows),
+        "missed": {row["run"]: float(row["image_error"]) for row in rows if row["met"] == "0"},
         "renders": made.renders + made.bases,
         "light_bases": made.bases,
         "relit": made.relit,

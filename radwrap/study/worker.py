@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -30,17 +30,20 @@ from radwrap.errors import (
 )
 from radwrap.files import make_folder, sha256_of
 from radwrap.images import GrayImage, write_png
+from radwrap.imaging.kept_replicates import REPLICATES, read_replicates
 from radwrap.imaging.relight import read_basis, relit
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.run_files import RunManifest
 from radwrap.imaging.sensor import gray_levels
-from radwrap.imaging.synthesis import MANIFEST, load_result, render
+from radwrap.imaging.synthesis import MANIFEST, Rendered, load_result, render
 from radwrap.manifest import read_manifest
 from radwrap.scene.load import scene_from_document
 from radwrap.scene.scene import Scene
-from radwrap.study.image_error import COPIES, ErrorFields, blur_radii, error_fields, image_error
+from radwrap.study.image_error import COPIES, ErrorFields, blur_radii, error_fields, image_error, model_error
 from radwrap.study.light import factors
-from radwrap.study.responses import KINDS, Answer, Response, Seen, answer
+from radwrap.study.pilots import write_pilot
+from radwrap.study.responses import KINDS, Response, answer
+from radwrap.study.seen import Answer, Seen
 from radwrap.written import read_back
 
 STARTED: Final = "started.log"
@@ -76,6 +79,8 @@ class Job:
         How; with one worker.
     runs : tuple of Measured
         What to measure; none where a basis is made.
+    pilot : bool
+        Whether it only finds out what sampling the image needs, into a file in place of the folder.
     reference : Mapping
         Where the images come from a light basis: emitter -> level that the basis was rendered with.
     """
@@ -89,6 +94,7 @@ class Job:
     options: RenderOptions
     runs: tuple[Measured, ...]
     reference: Mapping[str, float] | None = None
+    pilot: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,6 +190,9 @@ def _log(job: Job) -> None:
 def _outcomes(job: Job, start: float) -> Iterator[Outcome]:
     scene = scene_from_document(job.document, origin=job.origin, folder=Path(job.folder))
     out = Path(job.study) / job.image
+    if job.pilot:
+        write_pilot(out, scene, job.options)
+        return
     if job.reference is not None:
         yield from _relit(job, scene, out, start)
     else:
@@ -191,13 +200,9 @@ def _outcomes(job: Job, start: float) -> Iterator[Outcome]:
     if job.reference is not None or not job.runs:
         return
     result = load_result(scene, out)
-    gray = gray_levels(result.radiant_exposure.values, scene.camera.sensor)
-    radii = blur_radii(scene)
-    fields = _fields(job, scene, radii)
+    seen = seen_of(scene, result, out, _fields(job, scene, blur_radii(scene)))
     met = bool(result.manifest.get("plan", {}).get("met", True))
     for run in job.runs:
-        bound = float(result.manifest["error"]["rms_gray_upper95"])
-        seen = Seen(scene, result.gray, gray, image_error(gray, bound, radii), fields)
         yield _outcome(job, run, seen, met=met, wall_s=time.monotonic() - start)
 
 
@@ -212,6 +217,18 @@ def _make(job: Job, scene: Scene, out: Path) -> None:
             return
         except FolderTaken:
             time.sleep(_PATIENCE)
+
+
+def seen_of(scene: Scene, result: Rendered, out: Path, fields: ErrorFields) -> Seen:
+    """What is measured of an image that lies in a folder."""
+    gray = gray_levels(result.radiant_exposure.values, scene.camera.sensor)
+    error, radii = result.manifest["error"], blur_radii(scene)
+    seen = Seen(scene, result.gray, gray, image_error(gray, float(error["rms_gray_upper95"]), radii), fields)
+    if REPLICATES not in result.manifest["files"]:
+        return seen
+    kept = read_replicates(out, scene.camera.sensor.rows)
+    model = model_error(gray, float(error["model_rms_gray"]), float(error["discretisation_rms_gray"]), radii)
+    return replace(seen, replicates=kept, exposure=result.radiant_exposure.values, model=model)
 
 
 def _is_whole(out: Path) -> bool:
@@ -231,14 +248,20 @@ def _relit(job: Job, scene: Scene, out: Path, start: float) -> Iterator[Outcome]
     fields = _fields(job, scene, radii)
     for run, image in zip(job.runs, relit(basis, levels), strict=True):
         gray = gray_levels(image.radiant_exposure.values, scene.camera.sensor)
-        seen = Seen(scene, image.gray, gray, image_error(gray, image.certificate.rms_gray_upper95, radii), fields)
+        certificate = image.certificate
+        seen = Seen(scene, image.gray, gray, image_error(gray, certificate.rms_gray_upper95, radii), fields)
+        if image.replicates is not None:
+            model = model_error(gray, certificate.model_rms_gray, certificate.discretisation_rms_gray, radii)
+            seen = replace(seen, replicates=image.replicates, exposure=image.radiant_exposure.values, model=model)
         yield _outcome(job, run, seen, met=image.keeps(basis), wall_s=time.monotonic() - start)
         start = time.monotonic()
 
 
 def _fields(job: Job, scene: Scene, radii: tuple[float, float]) -> ErrorFields:
     """Error fields for the scene's images; none where no response needs them."""
-    needed = any(KINDS[response.kind].copies for run in job.runs for response in run.responses)
+    needed = job.options.sampling is not None or any(
+        KINDS[response.kind].copies for run in job.runs for response in run.responses
+    )
     sensor = scene.camera.sensor
     return error_fields((sensor.rows, sensor.columns), radii, COPIES if needed else 0)
 

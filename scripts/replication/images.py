@@ -16,7 +16,8 @@ from radwrap.errors import InputError
 from radwrap.imaging.sensor import gray_levels
 from radwrap.measure.dots import METHODS
 from radwrap.study.image_error import blur_radii, error_fields, image_error
-from radwrap.study.responses import Answer, Response, Seen, answer
+from radwrap.study.responses import Response, answer
+from radwrap.study.seen import Answer, Seen
 from replication.published import ROOT
 
 # 60 x 52 pixels for the same field of view: for --quick alone.

@@ -16,6 +16,7 @@ import numpy as np
 
 from radwrap.errors import InputError
 from radwrap.files import make_folder, write_bytes
+from radwrap.manifest import read_manifest
 from radwrap.measure.dots import METHODS
 from radwrap.study.design import read_design
 from radwrap.study.effects import analyse, as_json
@@ -123,7 +124,8 @@ def folder_of(variant: Mapping[str, Any], seed: int, out: Path) -> Path:
 
 def is_finished(variant: Mapping[str, Any], seed: int, out: Path) -> bool:
     """Whether all its runs are done."""
-    return (folder_of(variant, seed, out) / "study" / STUDY).is_file()
+    path = folder_of(variant, seed, out) / "study" / STUDY
+    return path.is_file() and "results" in read_manifest(path)  # before its last run it says how runs are sampled only
 
 
 def run(variant: Mapping[str, Any], seed: int, out: Path, *, coarse: bool = False, workers: int | None = None) -> Path:

@@ -71,7 +71,7 @@ class Made:
     basis: Basis
 
     def write(self) -> None:
-        told = {"tolerance": 0.5, "max_error": None, "dark": [], "scene_sha256": "0"}
+        told = {"tolerance": 0.5, "max_error": None, "dark": [], "scene_sha256": "0" * 64}
         write_basis(self.out, self.work, self.views, self.outcome, told)
 
     @property

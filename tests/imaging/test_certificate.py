@@ -374,7 +374,7 @@ def test_the_first_image_is_given_up_too_and_the_coarsest_made(
     clock = Clock(Planes(((1.0, disc),)))
     monkeypatch.setattr("radwrap.imaging.planner.time", clock)
     monkeypatch.setattr("radwrap.tracers.timed.time", clock)
-    monkeypatch.setattr("radwrap.imaging.planner._Search._rays_in_time", lambda _: math.inf)
+    monkeypatch.setattr("radwrap.imaging.planner.Search._rays_in_time", lambda _: math.inf)
     seen = replace(view(ROUND, (1.0, disc)), tracer=clock)
     dear = search(seen, tmp_path / "dear", Demand(tolerance, method=method)).plan["rays"]
     clock.seconds = 0.0

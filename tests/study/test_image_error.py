@@ -14,7 +14,8 @@ from radwrap.images import GrayImage
 from radwrap.imaging.sensor import gray_levels
 from radwrap.scene.scene import Scene
 from radwrap.study.image_error import blur_radii, copies_of, error_fields, image_error
-from radwrap.study.responses import KINDS, Response, Seen, answer
+from radwrap.study.responses import KINDS, Response, answer
+from radwrap.study.seen import Seen
 from tests.study.conftest import EDGE
 
 
@@ -61,7 +62,8 @@ def test_a_linear_response_of_white_errors_has_its_closed_form(scene: Scene) -> 
     def place(image: GrayImage) -> float:
         return 40 - float((image.values - 20).sum()) / slope / 20 / 50  # any linear function of the gray levels
 
-    changes = [place(copy) - place(GrayImage(gray)) for copy in copies_of(gray, error, fields, scene.camera.sensor)]
+    copies = copies_of(gray, error, fields, scene.camera.sensor)
+    changes = [place(copy.image) - place(GrayImage(gray)) for copy in copies]
     expected = 0.5 * math.sqrt(50 * 60) / slope / 20 / 50
     # 400 draws: 3.5 %; a little is clipped where errors push below dark.
     assert np.std(changes) == pytest.approx(expected, rel=0.12)

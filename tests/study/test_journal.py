@@ -10,8 +10,8 @@ import pytest
 from radwrap.errors import InputError
 from radwrap.study.design import read_design
 from radwrap.study.journal import RESULTS, Journal
-from radwrap.study.responses import Answer
 from radwrap.study.runs import runs_of
+from radwrap.study.seen import Answer
 from radwrap.study.worker import Outcome, failed
 from tests.study.conftest import SMALL, DesignWriter
 

@@ -14,7 +14,8 @@ from radwrap.measure.dots import METHODS, Dots, Method, SoughtDots, find_dots, m
 from radwrap.scene.targets import DotBoard
 from radwrap.study import responses
 from radwrap.study.image_error import blur_radii, error_fields, image_error
-from radwrap.study.responses import Response, Seen, answer
+from radwrap.study.responses import Response, answer
+from radwrap.study.seen import Seen
 
 SCENE = Path(__file__).parents[2] / "rad_scenes" / "bench_board" / "scene.toml"
 
@@ -54,7 +55,7 @@ def test_every_method_answers_as_alone_and_seeks_once(seen: Seen, monkeypatch: p
         dot_diameter=board.dot_diameter,
         saturation=seen.scene.camera.sensor.saturation_gray,
     )
-    shared = measured_dots(seen.sought[board.name, None], "conic")
+    shared = measured_dots(seen.sought[0, board.name, None], "conic")
     assert np.array_equal(shared.centres, alone.centres)
 
 

@@ -16,8 +16,8 @@ from radwrap.errors import InputError
 from radwrap.study.design import Design, read_design
 from radwrap.study.fresh import FreshRenders, System
 from radwrap.study.pool import LocalPool
-from radwrap.study.responses import Answer
 from radwrap.study.runner import Sink, Step
+from radwrap.study.seen import Answer
 from radwrap.study.study import StudyOptions
 from radwrap.study.tolerance_model import Model, deviation_of, fit
 from radwrap.study.tolerance_report import as_json, sentences
