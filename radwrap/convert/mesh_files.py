@@ -22,7 +22,8 @@ from radwrap.scene.targets import MeshShape
 from radwrap.scene.winding import wound
 from radwrap.tracers.radiance import RadianceOptions, compiled_mesh
 from radwrap.tracers.radiance_materials import material_text
-from radwrap.tracers.radiance_text import Scales, function_file
+from radwrap.tracers.radiance_text import function_file
+from radwrap.tracers.text_frame import TextFrame
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -150,7 +151,7 @@ def write_mesh(
     number = sum(len(group.faces) for group in groups)
     if polygons and number > MOST_POLYGONS:
         raise InputError(f"{number} polygons are too many", where="--polygons", remedy="leave it out")
-    stem, scales = side_stem(out), Scales()
+    stem, frame = side_stem(out), TextFrame()
     functions, files = function_file(stem)
     parts = [f"# Radiance mesh written by radwrap. Lengths in mm.\n# {number} triangles\n"]
     with Programs() as programs, tempfile.TemporaryDirectory(prefix="radwrap-") as work:
@@ -160,11 +161,11 @@ def write_mesh(
             files.update(data)
             parts.append(text)
             if polygons:
-                parts.append(_polygon_text(group, scales))
+                parts.append(_polygon_text(group, frame))
                 continue
             name = f"{stem}.{group.word}.rtm"
             shape = MeshShape(group.vertices, group.faces)
-            files[name] = compiled_mesh(shape, scales, options, programs, Path(work), where=group.name)
+            files[name] = compiled_mesh(shape, frame, options, programs, Path(work), where=group.name)
             parts.append(f"{group.word} mesh {group.word}.mesh\n1 {name}\n0\n0\n")
     content = "\n".join(parts)
     make_folder(out.parent)
@@ -176,9 +177,8 @@ def write_mesh(
     return (*(out.parent / name for name in needed), out)
 
 
-def _polygon_text(group: Group, scales: Scales) -> str:
-    unit = round(1 / scales.length)
-    corners = (group.vertices[group.faces] * unit).reshape(-1, 9).tolist()
+def _polygon_text(group: Group, frame: TextFrame) -> str:
+    corners = frame.points(group.vertices)[group.faces].reshape(-1, 9).tolist()
     return "".join(
         f"{group.word} polygon {group.word}.{number}\n0\n0\n9 {' '.join(map(repr, numbers))}\n"
         for number, numbers in enumerate(corners)

@@ -11,7 +11,7 @@ from radwrap.process import Programs
 from radwrap.scene.scene import Scene
 from radwrap.tracers.povray_text import povray_camera, povray_scene
 from radwrap.tracers.radiance import RadianceOptions, prepare
-from radwrap.tracers.radiance_text import scales_of
+from radwrap.tracers.text_frame import users_frame
 
 
 def write_povray(scene: Scene, path: Path, options: RadianceOptions) -> tuple[Path, ...]:
@@ -30,14 +30,15 @@ def write_povray(scene: Scene, path: Path, options: RadianceOptions) -> tuple[Pa
             where=f"{scene.origin}: camera.lens",
             remedy="leave it out; radwrap crosscheck traces a lens by POV-Ray",
         )
+    frame = users_frame(scene)
     with Programs() as programs, tempfile.TemporaryDirectory(prefix="radwrap-") as work:
-        included = prepare(scene, options, programs, Path(work)).included if scene.included else {}
-    camera = povray_camera(scene.camera, (0.0, 0.0), scales_of(scene).length)
+        included = prepare(scene, options, programs, Path(work), frame=frame).included if scene.included else {}
+    camera = povray_camera(scene.camera, (0.0, 0.0), frame)
     sensor = scene.camera.sensor
     head = (
         f"// povray +I{path.name} +W{sensor.columns} +H{sensor.rows} +FE writes radiances as OpenEXR.\n"
         "#version 3.7;\n#declare Scale = 1.0;\n"
     )
     make_folder(path.parent)
-    write_bytes(path, f"{head}{povray_scene(scene, included)}\n{camera}".encode())
+    write_bytes(path, f"{head}{povray_scene(scene, included, frame)}\n{camera}".encode())
     return (path,)

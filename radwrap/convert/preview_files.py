@@ -50,7 +50,7 @@ def write_preview(scene: Scene, path: Path) -> tuple[Path, ...]:
         )
     preview = trimesh.Scene()
     for surface in scene.surfaces:
-        lift = 0.0 if surface.part == "surface" else _LIFT
+        lift = _LIFT if surface.is_decal else 0.0
         colour = _colour(scene.materials[surface.material])
         _add(preview, surface.name, surface.shape, colour, lift)
     for emitter in scene.emitters:

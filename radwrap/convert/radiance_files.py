@@ -15,7 +15,7 @@ from radwrap.process import Programs
 from radwrap.scene.camera import Camera
 from radwrap.scene.scene import Scene
 from radwrap.tracers.radiance import RadianceOptions, prepare
-from radwrap.tracers.radiance_text import scales_of
+from radwrap.tracers.text_frame import users_frame
 
 # Radiance's text holds no other words, and cuts the names of functions at 127 characters, of which the file's is part.
 _PLAIN_STEM: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]{0,29}")
@@ -63,7 +63,7 @@ def write_scene(scene: Scene, path: Path, options: RadianceOptions) -> tuple[Pat
         if (scene.folder / target.file).resolve() == path.resolve():
             raise InputError("is a file that the scene includes", where=str(path), remedy="choose another name")
     with Programs() as programs, tempfile.TemporaryDirectory(prefix="radwrap-") as work:
-        prepared = prepare(scene, options, programs, Path(work), side_stem(path))
+        prepared = prepare(scene, options, programs, Path(work), side_stem(path), frame=users_frame(scene))
     written = []
     for name, content in sorted(prepared.scene.files.items()):
         make_folder((path.parent / name).parent)
@@ -121,5 +121,5 @@ def write_view(scene: Scene, path: Path) -> tuple[Path, ...]:
             remedy="leave it out for the central view of a pinhole; rpict has -pd for a lens",
         )
     make_folder(path.parent)
-    write_bytes(path, view_text(scene.camera, scales_of(scene).length).encode())
+    write_bytes(path, view_text(scene.camera, users_frame(scene).length).encode())
     return (path,)

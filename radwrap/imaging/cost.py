@@ -16,8 +16,8 @@ from radwrap.scene.scene import Scene
 # Measured on rtrace 6.0a: a fixed part, and a part for each source, for each ray [s on one core].
 _SECONDS_PER_RAY: Final = 0.6e-6
 _SECONDS_PER_RAY_AND_SOURCE: Final = 0.6e-6
-# Interpreter, libraries and one tracer [byte].
 _TIMED_PIXELS: Final = 20_000
+# Interpreter, libraries and one tracer [byte].
 _BASE_MEMORY: Final = 150 << 20
 # Float64 sums and images while merging, and each worker's float32 image with its copy for reading back [byte/pixel].
 _MERGE_BYTES: Final = 60

@@ -23,6 +23,7 @@ from radwrap.scene.materials import Anisotropic, Glass, Specular
 from radwrap.scene.probes import lit_points, material_number, materials_of, surface_points
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Emitter, Luminaire, Patch
+from radwrap.scene.superposed import summed, superposed
 from radwrap.scene.targets import Target
 
 Array = NDArray[np.float64]
@@ -33,7 +34,6 @@ _MOST_BEAMS: Final = 200  # sources, spread over all, whose beams are followed
 _STARTS: Final = 8  # brightest rays from which the search goes on
 _FINER: Final = 9  # rays along each side of a finer look, which is a quarter as wide as the one before
 _LOOKS: Final = 7
-_COPLANAR: Final = 1e-9  # m; of surfaces as near as this the later one lies on top
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +91,7 @@ def look(scene: Scene, rays: Array, weights: Array | None = None) -> Seen:
     number = np.full(len(rays), -1, dtype=np.intp)
     names: list[tuple[str, str]] = []
     for target, distance, normals in _hits(scene, rays):
-        closer = np.isfinite(distance) & (distance <= nearest + _COPLANAR)
+        closer = distance < nearest
         nearest[closer] = distance[closer]
         points = eye + np.where(closer, distance, 0.0)[:, np.newaxis] * rays
         which = material_number(target, points)
@@ -292,4 +292,4 @@ def _brightest_rays(seen: Seen, uv: Array, number: int) -> Array:
 
 
 def _lit(scene: Scene) -> list[Emitter]:
-    return [emitter for emitter in scene.emitters if emitter.radiance > 0]
+    return [summed(group) for group in superposed(scene.emitters)]

@@ -49,7 +49,7 @@ class GrayWhereAsked:
     radiance : ndarray, shape (rows, columns)
         [W m^-2 sr^-1].
     exposure_of_radiance : float
-        [J sr].
+        [s sr].
     sensor : Sensor
     """
 

@@ -23,7 +23,7 @@ from radwrap.scene.targets import surfaces
 from radwrap.tracers.bouncing import SURE_STEPS, BouncingTracer, Reflecting
 from radwrap.tracers.installation import find_radiance, version
 from radwrap.tracers.radiance import NO_LIGHT, PreparedScene, RadianceOptions, RadianceTracer, build, prepare
-from radwrap.tracers.radiance_text import RadianceScene, scene_text
+from radwrap.tracers.radiance_text import RadianceScene
 from radwrap.tracers.summed import SummedTracer
 from radwrap.tracers.tracer import Tracer
 
@@ -91,8 +91,7 @@ class TracedScene:
         for number, band in enumerate(self.banding.bands.bands):
             coloured = replace(scene, materials={**scene.materials, **band.materials})
             lit = {name for source in scene.sources if source.name in band.sources for name in _switched(source)}
-            text = scene_text(coloured, prepared.included, prepared.scene.files, only=lit)
-            tracers.append(self._tracer(text, folder / f"band{number}"))
+            tracers.append(self._tracer(prepared.in_light(coloured, lit), folder / f"band{number}"))
         return tracers[0] if len(tracers) == 1 else SummedTracer(tuple(tracers))
 
     def _in_band_of(self, lit: str) -> Scene:
@@ -132,7 +131,7 @@ class TracedScene:
     def identity_tracer(self) -> RadianceTracer:
         """A tracer for the same geometry, in which each part glows with its number."""
         text = self.prepared.scene
-        identity = replace(text, text=self.prepared.identity, scales=replace(text.scales, radiance=1.0))
+        identity = replace(text, text=self.prepared.identity, frame=replace(text.frame, radiance=1.0))
         return replace(self._tracer(identity, self._work / "identity", (NO_LIGHT,)), channel="equal")
 
     def _tracer(self, text: RadianceScene, folder: Path, harmless: tuple[str, ...] = ()) -> RadianceTracer:

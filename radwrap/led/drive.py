@@ -253,14 +253,16 @@ def check_ripple(levels: Sequence[float], pwm_frequency: float | None, exposure_
         return None
     error = ripple(levels, pwm_frequency, exposure_time)
     if error > _RIPPLE_REFUSED:
+        enough = _shortest_exposure(levels, pwm_frequency)
         raise InputError(
             f"PWM of {pwm_frequency:.0f} Hz makes an exposure of {exposure_time:g} s uncertain by {100 * error:.2g} %",
-            remedy=f"expose for {_longest(levels, pwm_frequency):.2g} s or longer, or gate the LEDs by the camera",
+            remedy=f"expose for {enough:.2g} s or longer, or gate the LEDs by the camera",
         )
     if error > _RIPPLE_TOLD:
         return f"PWM of {pwm_frequency:.0f} Hz makes the exposure uncertain by up to {100 * error:.2g} %"
     return None
 
 
-def _longest(levels: Sequence[float], pwm_frequency: float) -> float:
+def _shortest_exposure(levels: Sequence[float], pwm_frequency: float) -> float:
+    """Exposure time of which the ripple's share need not be reported [s]; the share falls as 1/time."""
     return ripple(levels, pwm_frequency, 1.0) / _RIPPLE_TOLD

@@ -14,9 +14,10 @@ from radwrap.errors import InputError
 from radwrap.scene.camera import Camera
 from radwrap.scene.geometry import SurfacePoints, in_view, signed_distance
 from radwrap.scene.materials import GLASS_BEAD_OBSERVATION, CoefficientTable, GlassBeads, Material, PrintedSheeting
+from radwrap.scene.planes import check_planes
 from radwrap.scene.probes import LIT_SHARE, lit_points, materials_of, merged, nearest_lit, seen_points, surface_points
 from radwrap.scene.scene import Scene
-from radwrap.scene.sight import shared_planes, sources_in_sight
+from radwrap.scene.sight import sources_in_sight
 from radwrap.scene.smallness import small_parts
 from radwrap.scene.sources import Emitter, IntensityTable, Luminaire, Patch, SingleSource, TableBeam, WideSource
 from radwrap.scene.targets import Disc, DotBoard, EdgeTarget, Polygon, Sheet, Target, signed_area
@@ -30,6 +31,7 @@ _DOUBT: Final = 0.01
 _WAVELENGTH_SHARE: Final = 0.01
 _FLAT: Final = (Sheet, DotBoard, EdgeTarget, Disc, Polygon)
 _RIM_POINTS: Final = 16
+_PLACE: Final = 1e-9  # m; to so much the places of all surfaces are known
 _ANGLE_TOLERANCE: Final = 1e-9  # rad, rounding of the angles
 
 
@@ -39,10 +41,12 @@ def check_shapes(scene: Scene) -> None:
     Raises
     ------
     InputError
-        If there is none, the camera touches one, or a polygon is flat or crosses itself.
+        If there is none, the camera touches one, a polygon is flat or crosses
+        itself, or they lie too far from the origin for numbers to hold their places.
     """
     if not scene.targets:
         raise InputError("the scene is empty", where=f"{scene.origin}: targets", remedy="add [[targets]]")
+    _check_places(scene)
     _check_polygons(scene)
     _check_clearance(scene)
 
@@ -53,8 +57,8 @@ def check_scene(scene: Scene) -> None:
     Raises
     ------
     InputError
-        If it is unlit, a source is too wide for its distance, or sheeting is
-        seen at angles its data do not cover.
+        If it is unlit, surfaces overlap in one plane, a source is too wide for
+        its distance, or sheeting is seen at angles its data do not cover.
     """
     lit = any(emitter.radiance > 0 for emitter in scene.emitters)
     if not lit and not scene.included:
@@ -63,6 +67,7 @@ def check_scene(scene: Scene) -> None:
             where=f"{scene.origin}: sources",
             remedy="add [[sources]] with a radiance above zero",
         )
+    check_planes(scene)
     _check_source_widths(scene)
     _check_sheeting_angles(scene)
 
@@ -71,6 +76,20 @@ def _where(scene: Scene, kind: str, name: str) -> str:
     things = scene.sources if kind == "sources" else scene.targets
     index = next((i for i, thing in enumerate(things) if name == thing.name or name.startswith(f"{thing.name}.")), 0)
     return f"{scene.origin}: {kind}[{index}]"
+
+
+def _check_places(scene: Scene) -> None:
+    """Numbers must hold places finely enough, wherever the world's origin is."""
+    placed = [("camera.position", scene.camera.pose)]
+    placed += [(f"targets[{number}].position", target.pose) for number, target in enumerate(scene.targets)]
+    for key, pose in placed:
+        away = max(map(abs, pose.position))
+        if math.ulp(away) > _PLACE:
+            raise InputError(
+                f"lies {away:.3g} m from the origin, where numbers hold places to {math.ulp(away):.1g} m only",
+                where=f"{scene.origin}: {key}",
+                remedy="choose an origin nearer to the scene",
+            )
 
 
 def _check_polygons(scene: Scene) -> None:
@@ -265,7 +284,7 @@ def warnings_of(scene: Scene) -> tuple[str, ...]:
     found += _half_shadows(scene)
     found += _doubtful_tables(scene)
     found += _other_wavelength(scene)
-    return (*found, *small_parts(scene), *sources_in_sight(scene), *shared_planes(scene))
+    return (*found, *small_parts(scene), *sources_in_sight(scene))
 
 
 def _unknown_widths(scene: Scene) -> Iterator[str]:

@@ -2,31 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.scene.geometry import directions, project
-from radwrap.scene.intersections import first_hit, in_polygon
+from radwrap.scene.intersections import first_hit
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Emitter, Source, WideSource, emitters
-from radwrap.scene.targets import (
-    Box,
-    Cylinder,
-    Disc,
-    DiscShape,
-    DotBoard,
-    EdgeTarget,
-    Polygon,
-    PolygonShape,
-    Sheet,
-    Target,
-    surfaces,
-)
 
 Array = NDArray[np.float64]
 
@@ -115,72 +100,9 @@ def _on_rays(scene: Scene, emitter: Emitter) -> Array:
     return met
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Face:
-    """A flat face: its target, unit normal, and corners in the world, shape (n, 3) [m]."""
-
-    target: str
-    normal: Array
-    corners: Array
-
-
-def shared_planes(scene: Scene) -> Iterator[str]:
-    """A line for each two targets of which one lies in the other's plane, and on it."""
-    faces = [face for target in scene.targets for face in _faces(scene, target)]
-    middles = np.array([face.corners.mean(axis=0) for face in faces]).reshape(-1, 3)
-    told = set()
-    for number, face in enumerate(faces):
-        reach = np.linalg.norm(face.corners - middles[number], axis=1).max()
-        later = middles[number + 1 :]
-        # A plane through a face's corners holds their mean too.
-        candidates = np.flatnonzero(np.abs((later - middles[number]) @ face.normal) <= _ONE_PLANE + 1e-6 * reach)
-        for other in (faces[number + 1 + index] for index in candidates):
-            pair = (face.target, other.target)
-            if face.target != other.target and pair not in told and _overlap(face, other):
-                told.add(pair)
-                yield (
-                    f'"{face.target}" and "{other.target}" overlap in one plane: the later one is taken to lie on top; '
-                    "move one of them by 0.01 mm or more"
-                )
-
-
-def _faces(scene: Scene, target: Target) -> Iterator[_Face]:
-    """Flat faces; of solids those that the camera may see."""
-    match target:
-        case Sheet() | DotBoard() | EdgeTarget():
-            corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (target.width / 2, target.height / 2)
-        case Disc():
-            corners = _circle() * target.diameter / 2
-        case Polygon():
-            corners = np.asarray(target.vertices)
-        case Box() | Cylinder():
-            for surface in surfaces(target):
-                face = _shape_face(target.name, surface.shape)
-                if face and (scene.camera.pose.position - face.corners[0]) @ face.normal > 0:
-                    yield face
-            return
-        case _:
-            return
-    local = np.column_stack([corners, np.zeros(len(corners))])
-    world = local @ np.asarray(target.pose.rotation).T + target.pose.position
-    yield _Face(target.name, np.asarray(target.pose.z_axis), world)
-
-
 def _circle() -> Array:
     angle = np.linspace(0, 2 * np.pi, _ROUND, endpoint=False)
     return np.column_stack([np.cos(angle), np.sin(angle)])
-
-
-def _shape_face(name: str, shape: object) -> _Face | None:
-    if isinstance(shape, PolygonShape):
-        corners = np.asarray(shape.vertices)
-        normal = np.cross(corners[1] - corners[0], corners[2] - corners[1])
-        return _Face(name, normal / np.linalg.norm(normal), corners)
-    if isinstance(shape, DiscShape):
-        normal = np.asarray(shape.normal)
-        across = _across(normal)
-        return _Face(name, normal, np.asarray(shape.centre) + shape.radius * _circle() @ across)
-    return None
 
 
 def _across(normal: Array) -> Array:
@@ -188,43 +110,3 @@ def _across(normal: Array) -> Array:
     first = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
     first = first / np.linalg.norm(first)
     return np.stack([first, np.cross(normal, first)])
-
-
-def _overlap(a: _Face, b: _Face) -> bool:
-    """Whether two faces share more than a border, in one plane."""
-    away = [np.abs((of.corners - on.corners[0]) @ on.normal).max() for of, on in ((a, b), (b, a))]
-    if min(away) > _ONE_PLANE:
-        return False
-    across = _across(a.normal)
-    first, second = (a.corners - a.corners[0]) @ across.T, (b.corners - a.corners[0]) @ across.T
-    if (first.max(axis=0) <= second.min(axis=0)).any() or (second.max(axis=0) <= first.min(axis=0)).any():
-        return False
-    return (
-        bool(in_polygon(second, _inner_points(first)).any())
-        or bool(in_polygon(first, _inner_points(second)).any())
-        or _cross(first, second)
-    )
-
-
-def _inner_points(corners: Array) -> Array:
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    x, y = (np.linspace(a, b, _INNER + 2)[1:-1] for a, b in zip(low, high, strict=True))
-    grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    return grid[in_polygon(corners, grid)]
-
-
-def _cross(first: Array, second: Array) -> bool:
-    """Whether sides of two polygons cross, not only touch."""
-    along = np.roll(second, -1, axis=0) - second
-    for start, end in zip(first, np.roll(first, -1, axis=0), strict=True):
-        side = end - start
-        turn = side[0] * along[:, 1] - side[1] * along[:, 0]
-        gap = second - start
-        with np.errstate(divide="ignore", invalid="ignore"):
-            on_first = (gap[:, 0] * along[:, 1] - gap[:, 1] * along[:, 0]) / turn
-            on_second = (gap[:, 0] * side[1] - gap[:, 1] * side[0]) / turn
-        parallel = np.abs(turn) <= _ENDS * math.hypot(*side) * np.hypot(*along.T)
-        inside = [(share > _ENDS) & (share < 1 - _ENDS) for share in (on_first, on_second)]
-        if (inside[0] & inside[1] & ~parallel).any():
-            return True
-    return False

@@ -261,12 +261,17 @@ class Surface:
     material: str
     shape: Shape
 
+    @property
+    def is_decal(self) -> bool:
+        """Whether it is painted on its target's flat surface, whose plane it shares."""
+        return self.part != "surface"
+
 
 def surfaces(target: Target) -> tuple[Surface, ...]:
     """Geometry of a target in the world.
 
-    Of surfaces in one plane the later ones lie on top. A Radiance file has
-    none that is known here.
+    Decals come after the surface that they are painted on. A Radiance file has
+    no surface that is known here.
     """
     match target:
         case RadFile():

@@ -145,7 +145,8 @@ def crosscheck(scene: Scene, out: Path, options: CrosscheckOptions) -> Crosschec
         workers = options.render.workers or available_cores()
         check_size(scene, options.render.max_pixels, number * options.render.pixel_samples**2, workers)
         traced = TracedScene(scene, options.render, programs, Path(folder))
-        text = povray_scene(scene, traced.prepared.included, area_samples=options.area_samples)
+        frame = traced.prepared.scene.frame
+        text = povray_scene(scene, traced.prepared.included, frame, area_samples=options.area_samples)
         plan = viewpoint_plan(scene, options.render, method, traced.sha256())
         progress = Progress("tracing twice", 2 * plan.rays, shown=options.render.progress)
         runs = _Runs(out / _WORK, programs, progress)
@@ -158,7 +159,7 @@ def crosscheck(scene: Scene, out: Path, options: CrosscheckOptions) -> Crosschec
                 programs,
                 Path(folder) / "povray",
                 text,
-                unit=traced.prepared.scene.scales.length,
+                frame=frame,
                 camera=scene.camera,
                 samples=plan.pixel_plan.samples,
                 expected_peak=float(radiance.max()) or 1.0,

@@ -24,6 +24,7 @@ from radwrap.images import read_channel
 from radwrap.process import Limits, Programs
 from radwrap.scene.camera import Camera
 from radwrap.tracers.povray_text import povray_camera
+from radwrap.tracers.text_frame import TextFrame
 
 Array = NDArray[np.float64]
 
@@ -38,8 +39,8 @@ _TRIALS: Final = 6
 _RAISED: Final = 2.0**20  # times brighter, where nothing at all was seen
 # How far from the centre of its stratum a ray may lie [px]: rounding of its direction.
 _CENTRED: Final = 1e-6
-# Lines of its long report that a user must know of.
 _LIMITS: Final = Limits()
+# Lines of its long report that a user must know of.
 _COMPLAINT: Final = re.compile(r"(?im)^.*\b(?:warning|error)\b.*$")
 _HARMLESS: Final = re.compile(r"(?i)cannot open the user configuration file|0 warnings|warning_level|warning console")
 
@@ -123,8 +124,8 @@ class PovrayTracer:
         Working folder.
     text : str
         The scene, see `povray_scene`.
-    unit : float
-        The text's unit of length [m].
+    frame : TextFrame
+        Origin and unit of the text.
     camera : Camera
         Whose rays.
     samples : int
@@ -142,7 +143,7 @@ class PovrayTracer:
         folder: Path,
         text: str,
         *,
-        unit: float,
+        frame: TextFrame,
         camera: Camera,
         samples: int = 1,
         expected_peak: float = 1.0,
@@ -152,7 +153,7 @@ class PovrayTracer:
         self._programs = programs
         self._folder = folder
         self._text = text
-        self._unit = unit
+        self._frame = frame
         self._camera = camera
         self._samples = samples
         self._scale = 2.0 ** round(math.log2(_GOAL / expected_peak))
@@ -241,7 +242,7 @@ class PovrayTracer:
             folder = self._folder / f"picture{self._number}"
         make_folder(folder)
         scene, out = folder / "view.pov", folder / "view.exr"
-        camera = povray_camera(self._camera, opening, self._unit)
+        camera = povray_camera(self._camera, opening, self._frame)
         try:
             scene.write_text(f"#version 3.7;\n#declare Scale = {scale!r};\n{self._text}\n{camera}", encoding="ascii")
         except OSError as error:

@@ -29,8 +29,8 @@ from radwrap.scene.geometry import in_view
 from radwrap.scene.materials import Lambertian, Material, PrintedSheeting, Sheeting, Specular
 from radwrap.scene.probes import LIT_SHARE
 from radwrap.scene.scene import Scene
-from radwrap.scene.sight import shared_planes
 from radwrap.scene.sources import Emitter, Luminaire, Patch, WideSource
+from radwrap.scene.superposed import summed, superposed
 from radwrap.scene.targets import (
     DiscShape,
     DotBoard,
@@ -44,7 +44,7 @@ from radwrap.scene.targets import (
 )
 from radwrap.scene.targets import surfaces as surfaces_of
 from radwrap.tracers.povray_included import included_text
-from radwrap.tracers.radiance_text import scales_of
+from radwrap.tracers.text_frame import TextFrame
 
 # Fade distance in units of length, which are mm: light from nearer than 1 unit would be off by 1e-8.
 _FADE: Final = 1e-4
@@ -62,7 +62,7 @@ background {{ color rgb 0 }}
 """
 
 
-def povray_scene(scene: Scene, included: Mapping[str, str], *, area_samples: int = 0) -> str:
+def povray_scene(scene: Scene, included: Mapping[str, str], frame: TextFrame, *, area_samples: int = 0) -> str:
     """Write what is there, without a camera.
 
     Parameters
@@ -70,7 +70,9 @@ def povray_scene(scene: Scene, included: Mapping[str, str], *, area_samples: int
     scene : Scene
         What is there.
     included : Mapping[str, str]
-        Target name -> checked Radiance text of an included file, moved to its pose, in units of `scales_of`.
+        Target name -> checked Radiance text of an included file, moved to its pose in the text's frame.
+    frame : TextFrame
+        Origin and unit of the text.
     area_samples : int
         0: each source shines from its centre, as Radiance's does here; n: from n x n points of its disc.
 
@@ -84,15 +86,13 @@ def povray_scene(scene: Scene, included: Mapping[str, str], *, area_samples: int
     InputError
         Naming what POV-Ray cannot express.
     """
-    _check(scene)
-    unit = scales_of(scene).length
-    parts = [_HEADER.format(unit=unit)]
-    for source in scene.sources:
-        if isinstance(source, WideSource) and source.kind == "surround":
-            parts.append(f"background {{ color rgb {_number(source.radiance)}*Scale }}\n")
-    for emitter in scene.emitters:
-        if emitter.radiance > 0:
-            parts.append(_light(scene, emitter, unit, area_samples))
+    _check(scene, frame)
+    parts = [_HEADER.format(unit=frame.length)]
+    skies = [source for source in scene.sources if isinstance(source, WideSource) and source.kind == "surround"]
+    if skies:
+        parts.append(f"background {{ color rgb {_number(math.fsum(sky.radiance for sky in skies))}*Scale }}\n")
+    for group in superposed(scene.emitters):
+        parts.append(_light(scene, summed(group), frame, area_samples))
     # By numbers: POV-Ray's identifiers hold no "-" and 40 characters, and words of its own may stand among ours.
     words = {name: f"Material{number}" for number, name in enumerate(scene.materials)}
     for name, material in scene.materials.items():
@@ -103,11 +103,11 @@ def povray_scene(scene: Scene, included: Mapping[str, str], *, area_samples: int
         if target.name in included:
             parts.append(included_text(included[target.name], f'{scene.origin}: target "{target.name}"'))
         else:
-            parts += _target(target, scene.camera, unit, words)
+            parts += _target(target, scene.camera, frame, words)
     return "\n".join(parts)
 
 
-def povray_camera(camera: Camera, opening_point: tuple[float, float], unit: float) -> str:
+def povray_camera(camera: Camera, opening_point: tuple[float, float], frame: TextFrame) -> str:
     """The view through a point of the opening: `direction`, `right` and `up` are not at right angles.
 
     Parameters
@@ -116,13 +116,13 @@ def povray_camera(camera: Camera, opening_point: tuple[float, float], unit: floa
         Pose, focal length, pixels.
     opening_point : tuple of float
         (u, v) in the pinhole plane, camera's x and y [m].
-    unit : float
-        Unit of length [m].
+    frame : TextFrame
+        Origin and unit of the scene's text.
     """
     sensor, pose = camera.sensor, camera.pose
     u, v = opening_point
     x, y, z = (np.asarray(axis) for axis in (pose.x_axis, pose.y_axis, pose.z_axis))
-    place = np.asarray(pose.position) + u * x + v * y
+    place = np.asarray(frame.point(pose.position)) + (u * x + v * y) * frame.units
     # The middle of the sensor, which need not be the principal point.
     across = ((sensor.columns - 1) / 2 - camera.principal_point[0]) * sensor.pixel_width + camera.shear * u
     down = ((sensor.rows - 1) / 2 - camera.principal_point[1]) * sensor.pixel_height + camera.shear * v
@@ -130,10 +130,10 @@ def povray_camera(camera: Camera, opening_point: tuple[float, float], unit: floa
     # Lengths of the window do not matter; in units of the image's distance they are of the order of 1.
     window = {"direction": middle, "right": sensor.width * x, "up": -sensor.height * y}
     words = [f"{key} {_vector(value / camera.image_distance)}" for key, value in window.items()]
-    return f"camera {{ perspective location {_vector(place / unit)} {' '.join(words)} }}\n"
+    return f"camera {{ perspective location {_vector(place)} {' '.join(words)} }}\n"
 
 
-def _check(scene: Scene) -> None:
+def _check(scene: Scene, frame: TextFrame) -> None:
     if scene.camera.distortion is not None:
         raise InputError(
             "POV-Ray's camera has no distortion",
@@ -146,18 +146,13 @@ def _check(scene: Scene) -> None:
             where=f"{scene.origin}: camera.sensor",
             remedy="leave out fill_width, fill_height and sensitivity_across, sensitivity_down",
         )
-    for line in shared_planes(scene):
-        raise InputError(
-            f"{line.split(': ')[0]}, and of such POV-Ray shows either", where=scene.origin, remedy="move one of them"
-        )
-    unit = scales_of(scene).length
     points = [scene.camera.pose.position, *(emitter.position for emitter in scene.emitters)]
     points += [point for surface in scene.surfaces for point in _corners(surface)]
-    if max(abs(value) for point in points for value in point) > _FARTHEST * unit:
+    if max(abs(value) for point in points for value in frame.point(point)) > _FARTHEST:
         raise InputError(
-            f"lies beyond {_FARTHEST * unit:g} m from the origin, where POV-Ray loses it",
+            f"spans more than {_FARTHEST * frame.length:g} m, where POV-Ray loses it",
             where=scene.origin,
-            remedy="move the scene to the origin, or make it smaller",
+            remedy="make it smaller, or move the scene to the origin",
         )
 
 
@@ -182,21 +177,21 @@ def _vector(values: Vector | np.ndarray) -> str:
     return f"<{', '.join(_number(value) for value in values)}>"
 
 
-def _light(scene: Scene, emitter: Emitter, unit: float, area_samples: int) -> str:
+def _light(scene: Scene, emitter: Emitter, frame: TextFrame, area_samples: int) -> str:
     where = f'{scene.origin}: source "{emitter.name}"'
-    position = np.asarray(emitter.position) / unit
+    position = np.asarray(frame.point(emitter.position))
     axis = np.asarray(emitter.axis)
-    colour = emitter.radiant_intensity / (2 * math.pi * (_FADE * unit) ** 2)
+    colour = emitter.radiant_intensity / (2 * math.pi * (_FADE * frame.length) ** 2)
     words = [f"{_vector(position)} color rgb {_number(colour)}*Scale", _spot(emitter, position + 1000 * axis, where)]
     words.append(f"fade_distance {_number(_FADE)} fade_power 2")
     if area_samples and not isinstance(emitter, Patch):
         first = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
         first = first / np.linalg.norm(first)
         # POV-Ray's grid reaches from rim to rim; as much smaller it has the second moment of the disc.
-        size = 2 * emitter.radius / unit * math.sqrt((area_samples - 1) / (area_samples + 1))
+        size = 2 * emitter.radius * frame.units * math.sqrt((area_samples - 1) / (area_samples + 1))
         sides = f"{_vector(first * size)}, {_vector(np.cross(axis, first) * size)}, {area_samples}, {area_samples}"
         words.append(f"area_light {sides} circular area_illumination on")
-    return f"// {emitter.name}\nlight_source {{ {' '.join(words)} }}\n" + _disc(scene, emitter, unit, where)
+    return f"// {emitter.name}\nlight_source {{ {' '.join(words)} }}\n" + _disc(scene, emitter, frame, where)
 
 
 def _spot(emitter: Emitter, towards: np.ndarray, where: str) -> str:
@@ -225,7 +220,7 @@ def _spot(emitter: Emitter, towards: np.ndarray, where: str) -> str:
     )
 
 
-def _disc(scene: Scene, emitter: Emitter, unit: float, where: str) -> str:
+def _disc(scene: Scene, emitter: Emitter, frame: TextFrame, where: str) -> str:
     """The disc of a source: it hides what is behind it, and shines to its front where its radiance is even."""
     eye = scene.camera.pose.position
     seen = bool(in_view(scene.camera, np.array([emitter.position]))[0])
@@ -241,15 +236,16 @@ def _disc(scene: Scene, emitter: Emitter, unit: float, where: str) -> str:
     black = "pigment { color rgb 0 }"
     outer = f"texture {{ {front if even else black} }} interior_texture {{ {black} }}"
     if isinstance(emitter, Patch):
-        return _patch(emitter, unit, outer)
-    place = f"{_vector(np.asarray(emitter.position) / unit)}, {_vector(emitter.axis)}, {_number(emitter.radius / unit)}"
+        return _patch(emitter, frame, outer)
+    radius = _number(emitter.radius * frame.units)
+    place = f"{_vector(frame.point(emitter.position))}, {_vector(emitter.axis)}, {radius}"
     return f"disc {{ {place} {outer} }}\n"
 
 
-def _patch(patch: Patch, unit: float, texture: str) -> str:
+def _patch(patch: Patch, frame: TextFrame, texture: str) -> str:
     """Triangles, of which POV-Ray knows front and back; of polygons it does not."""
     count = len(patch.corners)
-    corners = ", ".join(_vector(np.asarray(corner) / unit) for corner in patch.corners)
+    corners = ", ".join(_vector(frame.point(corner)) for corner in patch.corners)
     turns = [cross(subtract(b, a), subtract(c, b)) for a, b, c in _corners_in_turn(patch)]
     if all(dot(turn, patch.axis) >= 0 for turn in turns):
         faces = [(count - 1, i, i + 1) for i in range(count - 2)]
@@ -299,7 +295,7 @@ def highlight(specular_reflectance: float, roughness: float) -> tuple[float, flo
     return 2 / roughness**2, specular_reflectance / (4 * roughness**2)
 
 
-def _target(target: Target, camera: Camera, unit: float, words: Mapping[str, str]) -> Iterator[str]:
+def _target(target: Target, camera: Camera, frame: TextFrame, words: Mapping[str, str]) -> Iterator[str]:
     """Surfaces; what lies on another one of the same target is lifted to the side that the eye is on."""
     lift = np.zeros(3)
     if isinstance(target, DotBoard | EdgeTarget):
@@ -308,26 +304,26 @@ def _target(target: Target, camera: Camera, unit: float, words: Mapping[str, str
         lift = np.asarray(normal) * math.copysign(_LIFT, side)
     for surface in surfaces_of(target):
         texture = f"texture {{ {words[surface.material]} }}"
-        yield _geometry(surface, unit, lift if surface.part != "surface" else np.zeros(3), texture)
+        yield _geometry(surface, frame, lift if surface.is_decal else np.zeros(3), texture)
 
 
-def _geometry(surface: Surface, unit: float, lift: np.ndarray, texture: str) -> str:
+def _geometry(surface: Surface, frame: TextFrame, lift: np.ndarray, texture: str) -> str:
 
     def at(point: Vector) -> str:
-        return _vector(np.asarray(point) / unit + lift)
+        return _vector(np.asarray(frame.point(point)) + lift)
 
     match surface.shape:
         case PolygonShape(vertices):
             corners = ", ".join(map(at, (*vertices, vertices[0])))
             return f"polygon {{ {len(vertices) + 1}, {corners} {texture} }}"
         case MeshShape(vertices, faces):
-            places = ", ".join(map(_vector, (vertices / unit + lift)))
+            places = ", ".join(map(_vector, (frame.points(vertices) + lift)))
             corners = ", ".join(f"<{a}, {c}, {b}>" for a, b, c in faces.tolist())
             lists = f"vertex_vectors {{ {len(vertices)}, {places} }} face_indices {{ {len(faces)}, {corners} }}"
             return f"mesh2 {{ {lists} {texture} }}"
         case DiscShape(centre, normal, radius):
-            return f"disc {{ {at(centre)}, {_vector(normal)}, {_number(radius / unit)} {texture} }}"
+            return f"disc {{ {at(centre)}, {_vector(normal)}, {_number(radius * frame.units)} {texture} }}"
         case SphereShape(centre, radius):
-            return f"sphere {{ {at(centre)}, {_number(radius / unit)} {texture} }}"
+            return f"sphere {{ {at(centre)}, {_number(radius * frame.units)} {texture} }}"
         case TubeShape(start, end, radius):
-            return f"cylinder {{ {at(start)}, {at(end)}, {_number(radius / unit)} open {texture} }}"
+            return f"cylinder {{ {at(start)}, {at(end)}, {_number(radius * frame.units)} open {texture} }}"

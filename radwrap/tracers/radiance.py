@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Generator, Iterable, Iterator, Mapping
+from collections.abc import Collection, Generator, Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,15 +20,8 @@ from radwrap.scene.scene import Scene
 from radwrap.scene.targets import MeshShape, RadFile
 from radwrap.tracers.included import check_no_cycle, light_in, read_included
 from radwrap.tracers.installation import Installation, judge
-from radwrap.tracers.radiance_text import (
-    RadianceScene,
-    Scales,
-    identity_text,
-    mesh_file,
-    obj_text,
-    scales_of,
-    scene_text,
-)
+from radwrap.tracers.radiance_text import RadianceScene, identity_text, mesh_file, obj_text, scene_text
+from radwrap.tracers.text_frame import TextFrame, traced_frame
 
 _OCTREE: Final = "scene.oct"
 # Direct light is exact and repeatable: every source once, at its centre (-ds 0, -dj 0), none left out by a
@@ -97,11 +90,21 @@ class PreparedScene:
 
     def lit_by(self, scene: Scene, source: str) -> RadianceScene:
         """The same text and files with one source or LED alone; the others are black."""
-        return scene_text(scene, self.included, self.scene.files, only={source})
+        return self.in_light(scene, {source})
+
+    def in_light(self, scene: Scene, sources: Collection[str]) -> RadianceScene:
+        """The same geometry, of materials that may differ, in the light of some sources or LEDs; others are black."""
+        return scene_text(scene, self.included, self.scene.files, self.scene.frame, only=sources)
 
 
 def prepare(
-    scene: Scene, options: RadianceOptions, programs: Programs, folder: Path, stem: str = "scene"
+    scene: Scene,
+    options: RadianceOptions,
+    programs: Programs,
+    folder: Path,
+    stem: str = "scene",
+    *,
+    frame: TextFrame | None = None,
 ) -> PreparedScene:
     """Write a scene for Radiance, with the files that it includes.
 
@@ -117,6 +120,8 @@ def prepare(
         A working folder.
     stem : str
         What the names of the files beside the text begin with.
+    frame : TextFrame, optional
+        Origin and units of the text; default `traced_frame`.
 
     Raises
     ------
@@ -130,14 +135,14 @@ def prepare(
     files: dict[str, bytes] = {}
     lit = any(emitter.radiance > 0 for emitter in scene.emitters)
     shining = []
-    unit = scales_of(scene).length
+    frame = frame or traced_frame(scene)
     for target in scene.included:
         with _naming(f"{scene.origin}: targets[{scene.targets.index(target)}].rad"):
             text, beside, has_light = _included(scene, target, options, programs, stem)
             if has_light:
                 shining.append(target.name)
             files.update(beside)
-            move = _move(target, unit)
+            move = _move(target, frame)
             texts[target.name] = _xform(text, move, options, programs, folder)
             glowing[target.name] = _xform(text, ["-m", target.name, *move], options, programs, folder)
     if not (lit or shining):
@@ -146,14 +151,14 @@ def prepare(
         if isinstance(surface.shape, MeshShape):
             where = f'{scene.origin}: target "{surface.name}"'
             files[mesh_file(stem, surface.name)] = compiled_mesh(
-                surface.shape, scales_of(scene), options, programs, folder, where=where
+                surface.shape, frame, options, programs, folder, where=where
             )
-    identity, parts = identity_text(scene, glowing, stem)
-    return PreparedScene(scene_text(scene, texts, files, stem), identity, parts, texts, tuple(shining))
+    identity, parts = identity_text(scene, glowing, frame, stem)
+    return PreparedScene(scene_text(scene, texts, files, frame, stem), identity, parts, texts, tuple(shining))
 
 
 def compiled_mesh(
-    shape: MeshShape, scales: Scales, options: RadianceOptions, programs: Programs, folder: Path, *, where: str
+    shape: MeshShape, frame: TextFrame, options: RadianceOptions, programs: Programs, folder: Path, *, where: str
 ) -> bytes:
     """Triangles as the file that Radiance's ``mesh`` opens.
 
@@ -167,7 +172,7 @@ def compiled_mesh(
             [options.installation.program("obj2mesh")],
             folder=folder,
             environment=options.installation.environment(),
-            stdin=[obj_text(shape, scales)],
+            stdin=[obj_text(shape, frame)],
             limits=options.limits,
         )
         judge(said, "obj2mesh")
@@ -208,11 +213,11 @@ def _included(
     return text, {}, light_in(text)
 
 
-def _move(target: RadFile, unit: float) -> list[str]:
+def _move(target: RadFile, frame: TextFrame) -> list[str]:
     """Transform arguments: scale, then rotations about fixed x, y, z, then position."""
     x, y, z = (float(np.degrees(angle)) for angle in fixed_axis_angles(target.pose.rotation))
-    place = [repr(value / unit) for value in target.pose.position]
-    return ["-s", repr(target.length_unit / unit), "-rx", repr(x), "-ry", repr(y), "-rz", repr(z), "-t", *place]
+    place = [repr(value) for value in frame.point(target.pose.position)]
+    return ["-s", repr(target.length_unit * frame.units), "-rx", repr(x), "-ry", repr(y), "-rz", repr(z), "-t", *place]
 
 
 def _xform(text: str, arguments: list[str], options: RadianceOptions, programs: Programs, folder: Path) -> str:
@@ -247,7 +252,7 @@ class RadianceTracer:
     folder : Path
         Working folder with the octree and its files.
     scene : RadianceScene
-        For the units of its text.
+        For the frame of its text.
     search : tuple of Path
         Further folders for files that a trusted scene names.
     channel : str
@@ -302,7 +307,7 @@ class RadianceTracer:
     def _radiance(self, values: NDArray[np.float32]) -> NDArray[np.float64]:
         if values.min() < 0:
             raise TracerError("answered a negative radiance", where="rtrace")
-        return self._one_channel(values).astype(np.float64) * self.scene.scales.radiance
+        return self._one_channel(values).astype(np.float64) * self.scene.frame.radiance
 
     def distances(self, rays: Iterable[NDArray[np.float64]]) -> Generator[NDArray[np.float64]]:
         """Distance to the first surface along rays [m]; blocks as in `trace`."""
@@ -310,7 +315,7 @@ class RadianceTracer:
             yield from (self._distance(values[:, 0]) for values in answers)
 
     def _distance(self, lengths: NDArray[np.float32]) -> NDArray[np.float64]:
-        return np.where(lengths < _NOWHERE, lengths.astype(np.float64) * self.scene.scales.length, np.inf)
+        return np.where(lengths < _NOWHERE, lengths.astype(np.float64) * self.scene.frame.length, np.inf)
 
     def _one_channel(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
         if self.channel in _CHANNELS:
@@ -328,7 +333,7 @@ class RadianceTracer:
         self, arguments: Iterable[str], rays: Iterable[NDArray[np.float64]], width: int
     ) -> Generator[NDArray[np.float32]]:
         """Send blocks of rays, yield blocks of answers of `width` floats a ray."""
-        sent = _Sent(rays, self.scene.scales.length)
+        sent = _Sent(rays, self.scene.frame)
         said: list[str] = []
         received = bytearray()
         answered = 0
@@ -361,21 +366,21 @@ class RadianceTracer:
 class _Sent:
     """Rays on their way into rtrace, as bytes; knows what was sent. Read by one thread, asked by another."""
 
-    def __init__(self, rays: Iterable[NDArray[np.float64]], unit: float) -> None:
+    def __init__(self, rays: Iterable[NDArray[np.float64]], frame: TextFrame) -> None:
         self._source = rays
-        self._unit = unit
+        self._frame = frame
         self.blocks: deque[int] = deque()
         self.rays = 0
 
     def __iter__(self) -> Iterator[memoryview]:
         for block in self._source:
-            scaled = block.astype(np.float64)  # a copy: the caller keeps metres
-            scaled[:, :3] /= self._unit
-            if not np.isfinite(scaled.sum()):
+            placed = block.astype(np.float64)  # a copy: the caller keeps the world's places
+            placed[:, :3] = self._frame.points(placed[:, :3])
+            if not np.isfinite(placed.sum()):
                 raise ValueError("a ray holds NaN or infinity")  # rtrace would answer nothing, without an error
             self.blocks.append(len(block))
             self.rays += len(block)
-            yield scaled.data
+            yield placed.data
 
 
 def build(

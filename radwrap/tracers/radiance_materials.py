@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from typing import Final
 
-from radwrap.frames import Pose
+from radwrap.frames import Vector
 from radwrap.scene.materials import (
     GLASS_BEAD_ENTRANCE_SCALE,
     GLASS_BEAD_OBSERVATION,
@@ -25,6 +25,8 @@ from radwrap.scene.materials import (
     PrintedSheeting,
     Specular,
 )
+from radwrap.scene.targets import DotBoard, EdgeTarget, Sheet, Target
+from radwrap.tracers.text_frame import TextFrame
 
 FUNCTIONS: Final = "radwrap.cal"
 MEASURED: Final = "measured.cal"  # only beside scenes that need it
@@ -36,20 +38,27 @@ class Placement:
 
     Attributes
     ----------
-    pose : Pose
-        world_from_target.
+    x_axis, y_axis : tuple of float
+        Of the target, unit vectors in the world.
+    middle : tuple of float
+        The target's origin in the text.
     size : tuple of float
-        Width and height of a sheet, 0 of other targets [m].
-    unit : float
-        Unit of length of the text [m].
+        Width and height of a sheet in the text's unit, 0 of other targets.
     """
 
-    pose: Pose
+    x_axis: Vector = (1.0, 0.0, 0.0)
+    y_axis: Vector = (0.0, 1.0, 0.0)
+    middle: Vector = (0.0, 0.0, 0.0)
     size: tuple[float, float] = (0.0, 0.0)
-    unit: float = 1e-3
 
 
-_ANYWHERE: Final = Placement(Pose((0.0, 0.0, 0.0), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))))
+def placement(target: Target, frame: TextFrame) -> Placement:
+    """Where a target lies in a text."""
+    size = (target.width * frame.units, target.height * frame.units) if isinstance(target, Sheet) else (0.0, 0.0)
+    return Placement(target.pose.x_axis, target.pose.y_axis, frame.point(target.pose.position), size)
+
+
+_ANYWHERE: Final = Placement()
 
 
 def number(value: float) -> str:
@@ -91,7 +100,7 @@ def described(name: str, data: str, functions: str, material: Material, place: P
         case Anisotropic(diffuse, specular, along, across):
             colour = diffuse + specular
             share = specular / colour if colour else 0.0
-            x, y, z = map(number, place.pose.x_axis)
+            x, y, z = map(number, place.x_axis)
             numbers = (colour, colour, colour, share, along, across)
             return primitive("void", "metal2", name, numbers, (x, y, z, "."))
         case Mirror(reflectance):
@@ -143,12 +152,30 @@ def _measured(functions: str) -> str:
 
 def _print_numbers(image: PrintedImage, place: Placement) -> tuple[float, ...]:
     """Where a sheet lies, for the functions that ask an image of it."""
-    scale = round(1 / place.unit)
-    middle = tuple(value * scale for value in place.pose.position)
-    width, height = (side * scale for side in place.size)
-    x, y = place.pose.x_axis, place.pose.y_axis
-    sides = (*(value / width for value in x), *(value / height for value in y))
-    return (*middle, *sides, float(len(image.rows[0])), float(len(image.rows)))
+    width, height = place.size
+    sides = (*(value / width for value in place.x_axis), *(value / height for value in place.y_axis))
+    return (*place.middle, *sides, float(len(image.rows[0])), float(len(image.rows)))
+
+
+def painted(
+    name: str, materials: tuple[str, str], functions: str, target: DotBoard | EdgeTarget, frame: TextFrame
+) -> str:
+    """A modifier of that name that shows the first material on a target's decals and the second one beside them.
+
+    The board is one surface, so nothing hangs on which of two surfaces in one plane is met: rims are exact under
+    grazing rays, on both sides and for shadow rays.
+    """
+    place = placement(target, frame)
+    x, y = place.x_axis, place.y_axis
+    match target:
+        case DotBoard():
+            pitch, radius = target.pitch * frame.units, target.dot_diameter / 2 / target.pitch
+            steps = (*(value / pitch for value in x), *(value / pitch for value in y))
+            numbers = (*place.middle, *steps, float(target.columns), float(target.rows), radius**2)
+            function = "on_dot"
+        case EdgeTarget():
+            numbers, function = (*place.middle, *x, target.edge_position * frame.units), "beyond_edge"
+    return primitive("void", "mixfunc", name, numbers, (*materials, function, functions))
 
 
 def _front_only(name: str, functions: str) -> str:

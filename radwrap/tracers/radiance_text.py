@@ -1,29 +1,28 @@
 """A scene as Radiance text: deterministic, readable, commented.
 
-Lengths are in mm and radiances in W m^-2 sr^-1 unless the header says another
-unit. Not in m: Radiance takes a point for inside a polygon where the product
-of a side's length and the point's distance from it is below 1e-6 square units,
-which makes a turned sheet of 5 mm 0.2 mm wider on each side, if written in m.
-It also loses radii below 1e-6 units, and light below 1e-6.
+No two surfaces share a place: dots and the far side of an edge are painted on
+their board by its material, and sources that fill the same place are written
+as one. Where surfaces are as near as 1e-6 units, Radiance shows the one whose
+material was defined last, but rounding decides whether they are.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, replace
 
-from radwrap.errors import InputError
 from radwrap.frames import Vector
 from radwrap.scene.materials import Material
 from radwrap.scene.scene import Scene
-from radwrap.scene.sources import Emitter, Luminaire, Patch, Source, TableBeam, WideSource, emitters
+from radwrap.scene.sources import Emitter, Luminaire, Patch, TableBeam, WideSource, emitters
+from radwrap.scene.superposed import superposed
 from radwrap.scene.targets import (
     DiscShape,
+    DotBoard,
+    EdgeTarget,
     MeshShape,
     PolygonShape,
-    Sheet,
     SphereShape,
     Surface,
     Target,
@@ -33,39 +32,15 @@ from radwrap.scene.targets import (
 from radwrap.tracers.radiance_materials import (
     FUNCTIONS,
     MEASURED,
-    Placement,
     data_files,
     described,
     functions_beside,
     number,
+    painted,
+    placement,
     primitive,
 )
-
-_MILLIMETRE: Final = 1e-3
-# Polygon sides of at least 1 unit keep a polygon's border within 1e-6 units, and radii stay far from 1e-6 units.
-_SHORTEST_SIDE: Final = 1.0
-_SMALLEST_RADIUS: Final = 1e-3
-# Radiances outside this range are scaled by a power of ten for the tracer.
-_RADIANCE_RANGE: Final = (1.0, 1e6)
-# In the text's unit: below, Radiance takes a source for dark (its limit is 1e-6), above, it overflows (1e39).
-_DARKEST: Final = 1e-5
-_BRIGHTEST: Final = 1e30
-
-
-@dataclass(frozen=True, slots=True)
-class Scales:
-    """What the text's numbers are multiplied by to be SI.
-
-    Attributes
-    ----------
-    length : float
-        One unit of length in the text [m].
-    radiance : float
-        One unit of radiance in the text [W m^-2 sr^-1].
-    """
-
-    length: float = _MILLIMETRE
-    radiance: float = 1.0
+from radwrap.tracers.text_frame import TextFrame
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,71 +53,20 @@ class RadianceScene:
         The scene.
     files : Mapping[str, bytes]
         Relative name -> content of function and data files.
-    scales : Scales
-        Units of the text.
+    frame : TextFrame
+        Origin and units of the text.
     """
 
     text: str
     files: Mapping[str, bytes]
-    scales: Scales
-
-
-def scales_of(scene: Scene) -> Scales:
-    """Units in which Radiance can hold the scene.
-
-    Raises
-    ------
-    InputError
-        If the sources differ by more than Radiance can hold.
-    """
-    length = _MILLIMETRE
-    for size, least in _sizes(scene):
-        while size < least * length:
-            length /= 1000
-    return Scales(length, _radiance_scale(scene))
-
-
-def _radiance_scale(scene: Scene) -> float:
-    radiances = [emitter.radiance for emitter in scene.emitters if emitter.radiance > 0]
-    if not radiances:
-        return 1.0
-    brightest, darkest = max(radiances), min(radiances)
-    low, high = _RADIANCE_RANGE
-    scale = 1.0
-    if not scene.included and not low <= brightest <= high:
-        scale = 10.0 ** (math.floor(math.log10(brightest)) - 3)
-    if darkest / scale < _DARKEST or brightest / scale > _BRIGHTEST:
-        raise InputError(
-            f"sources from {darkest:g} to {brightest:g} W/m^2/sr cannot be traced together",
-            where=f"{scene.origin}: sources",
-            remedy="render them one by one",
-        )
-    return scale
-
-
-def _sizes(scene: Scene) -> Iterator[tuple[float, float]]:
-    """Sizes in the scene [m], and how many units of length each must have."""
-    for emitter in scene.emitters:
-        # A patch's border may be off by more than a target's: its area does not come from where rays end.
-        yield emitter.radius, _SMALLEST_RADIUS
-    for surface in scene.surfaces:
-        match surface.shape:
-            case PolygonShape(vertices):
-                following = vertices[1:] + vertices[:1]
-                yield min(math.dist(a, b) for a, b in zip(vertices, following, strict=True)), _SHORTEST_SIDE
-            case TubeShape(start, end, radius):
-                yield min(radius, math.dist(start, end)), _SMALLEST_RADIUS
-            case MeshShape(corners, _):
-                # A mesh knows no shortest side: its corners lie on a grid of 2^-32 of its size.
-                yield float((corners.max(axis=0) - corners.min(axis=0)).max()), _SHORTEST_SIDE
-            case DiscShape() | SphereShape():
-                yield surface.shape.radius, _SMALLEST_RADIUS
+    frame: TextFrame
 
 
 def scene_text(
     scene: Scene,
     included: Mapping[str, str],
     files_beside: Mapping[str, bytes],
+    frame: TextFrame,
     stem: str = "scene",
     *,
     only: Collection[str] | None = None,
@@ -155,9 +79,11 @@ def scene_text(
         What is there.
     included : Mapping[str, str]
         Target name -> checked Radiance text of an included file, already
-        moved to its pose, in this text's length unit.
+        moved to its pose in this text's frame.
     files_beside : Mapping[str, bytes]
         Files that the included texts need.
+    frame : TextFrame
+        Origin and units of the text.
     stem : str
         What the names of function and data files begin with, so that texts of
         different stems can lie in one folder.
@@ -167,25 +93,24 @@ def scene_text(
     Returns
     -------
     RadianceScene
-        Text and files; in the text later surfaces lie on top of earlier ones in the same plane.
+        Text and files.
     """
-    scales = scales_of(scene)
     functions, own = function_file(stem)
     beside = {**files_beside, **own}
-    parts = [_header(functions, scales)]
+    parts = [_header(functions, frame)]
     for file in scene.included:
         parts.append(f"# {file.name}: included {file.file}\n\n{included[file.name]}")
-    for emitter in scene.emitters:
-        shines = only is None or emitter.source in only
-        parts.append(_emitter(emitter, stem, scales, shines=shines))
-        beside.update(_beam_files(stem, emitter))
-    skies = [source for source in scene.sources if _is_sky(source) and (only is None or source.name in only)]
-    parts += [_background(sky, scales) for sky in skies]
+    parts += [f"# {emitter.name}: dark, left out\n" for emitter in scene.emitters if emitter.radiance == 0]
+    for group in superposed(scene.emitters):
+        level = math.fsum(emitter.radiance for emitter in group if only is None or emitter.source in only)
+        parts.append(_emitter(replace(group[0], radiance=level), stem, frame))
+        beside.update(_beam_files(stem, group[0]))
+    parts += _background([sky for sky in _skies(scene) if only is None or sky.name in only], frame)
     for name, material in scene.materials.items():
         beside.update(data_files(f"{stem}.{name}", functions, material))
     for target in scene.targets:
-        parts += _target(target, scene.materials, stem, scales)
-    return RadianceScene("\n".join(parts), beside, scales)
+        parts += _target(target, scene.materials, stem, frame)
+    return RadianceScene("\n".join(parts), beside, frame)
 
 
 def function_file(stem: str) -> tuple[str, dict[str, bytes]]:
@@ -198,15 +123,16 @@ def mesh_file(stem: str, surface: str) -> str:
     return f"{stem}.{surface}.rtm"
 
 
-def obj_text(shape: MeshShape, scales: Scales) -> bytes:
-    """Triangles for obj2mesh, in the text's unit."""
-    unit = round(1 / scales.length)
-    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in (shape.vertices * unit).tolist()]
+def obj_text(shape: MeshShape, frame: TextFrame) -> bytes:
+    """Triangles for obj2mesh, in the text's frame."""
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in frame.points(shape.vertices).tolist()]
     lines += [f"f {a} {b} {c}" for a, b, c in (shape.faces + 1).tolist()]
     return ("\n".join(lines) + "\n").encode()
 
 
-def identity_text(scene: Scene, included: Mapping[str, str], stem: str = "scene") -> tuple[str, tuple[str, ...]]:
+def identity_text(
+    scene: Scene, included: Mapping[str, str], frame: TextFrame, stem: str = "scene"
+) -> tuple[str, tuple[str, ...]]:
     """The same geometry, each part of each target glowing with its own number.
 
     Returns
@@ -216,7 +142,8 @@ def identity_text(scene: Scene, included: Mapping[str, str], stem: str = "scene"
     parts : tuple of str
         Names such as "board.dots"; the first has the number 1.
     """
-    scales = scales_of(scene)
+    functions, _ = function_file(stem)
+    shown = {group[0].name for group in superposed(scene.emitters)}
     parts: list[str] = []
     texts = []
     for file in scene.included:
@@ -225,14 +152,14 @@ def identity_text(scene: Scene, included: Mapping[str, str], stem: str = "scene"
     for source in scene.sources:
         parts.append(source.name)
         texts.append(_glow(source.name, len(parts)))
-        texts += [_shining_surface(source.name, emitter, scales) for emitter in emitters(source)]
+        texts += [
+            _shining_surface(source.name, emitter, frame) for emitter in emitters(source) if emitter.name in shown
+        ]
     for target in scene.targets:
-        for surface in surfaces(target):
-            part = f"{target.name}.{surface.part}"
-            if part not in parts:
-                parts.append(part)
-                texts.append(_glow(part, len(parts)))
-            texts.append(_geometry(surface, part, scales, stem))
+        for part in dict.fromkeys(f"{target.name}.{surface.part}" for surface in surfaces(target)):
+            parts.append(part)
+            texts.append(_glow(part, len(parts)))
+        texts += _geometry(target, functions, frame, stem)
     return "\n".join(texts), tuple(parts)
 
 
@@ -240,38 +167,33 @@ def _glow(name: str, number: int) -> str:
     return primitive("void", "glow", name, (number, number, number, 0))
 
 
-def _header(functions: str, scales: Scales) -> str:
-    length = "mm" if scales.length == _MILLIMETRE else f"{scales.length:g} m"
+def _header(functions: str, frame: TextFrame) -> str:
+    length = "mm" if frame.in_millimetres else f"{frame.length:g} m"
     lines = [f"Radiance scene written by radwrap; see {functions} for its functions.", f"Lengths in {length},"]
-    if scales.radiance == 1.0:
+    if frame.radiance == 1.0:
         lines[-1] += " radiances in W/m^2/sr."
     else:
-        lines[-1] += f" radiances in {scales.radiance:g} W/m^2/sr: multiply what is rendered by it."
+        lines[-1] += f" radiances in {frame.radiance:g} W/m^2/sr: multiply what is rendered by it."
+    if any(frame.origin):
+        lines.append(f"The origin lies at {' '.join(map(number, frame.origin))} m in the world.")
     return "".join(f"# {line}\n" for line in lines)
 
 
-def _scaled(scales: Scales, *points: Vector) -> tuple[float, ...]:
-    return tuple(_units(value, scales) for point in points for value in point)
+def _placed(frame: TextFrame, *points: Vector) -> tuple[float, ...]:
+    return tuple(value for point in points for value in frame.point(point))
 
 
-def _units(length: float, scales: Scales) -> float:
-    """A length in the text's unit; multiplied by the inverse, which is a whole number, so that 12.5 mm stays 12.5."""
-    return length * round(1 / scales.length)
+def _ring(centre: Vector, normal: Vector, radius: float, frame: TextFrame) -> tuple[float, ...]:
+    return (*_placed(frame, centre), *normal, 0.0, radius * frame.units)
 
 
-def _ring(centre: Vector, normal: Vector, radius: float, scales: Scales) -> tuple[float, ...]:
-    return (*_scaled(scales, centre), *normal, 0.0, _units(radius, scales))
-
-
-def _emitter(emitter: Emitter, stem: str, scales: Scales, *, shines: bool = True) -> str:
+def _emitter(emitter: Emitter, stem: str, frame: TextFrame) -> str:
     functions = f"{stem}.{FUNCTIONS}"
     intensity = f"{emitter.radiant_intensity:g} W/sr on its axis"
     if emitter.radiance == 0:
-        return f"# {emitter.name}: dark, left out\n"
-    if not shines:
         # Not a light of radiance 0, which Radiance leaves out with a warning; the disc still hides what is behind it.
         black = primitive("void", "plastic", f"{emitter.name}.dark", (0, 0, 0, 0, 0))
-        return f"# {emitter.name}: off\n{black}" + _shining_surface(f"{emitter.name}.dark", emitter, scales)
+        return f"# {emitter.name}: off\n{black}" + _shining_surface(f"{emitter.name}.dark", emitter, frame)
     text = f"# {emitter.name}: {intensity}, {emitter.beam.profile}\n"
     words: tuple[str, ...] = ()
     modifier = "void"
@@ -288,9 +210,9 @@ def _emitter(emitter: Emitter, stem: str, scales: Scales, *, shines: bool = True
         modifier = f"{emitter.name}.beam"
         words = (f"{emitter.beam.profile}_beam", functions)
         text += primitive("void", "brightfunc", modifier, (emitter.beam.spread,), words)
-    radiance = emitter.radiance / scales.radiance
+    radiance = emitter.radiance / frame.radiance
     text += primitive(modifier, "light", f"{emitter.name}.light", (radiance, radiance, radiance))
-    return text + _shining_surface(f"{emitter.name}.light", emitter, scales)
+    return text + _shining_surface(f"{emitter.name}.light", emitter, frame)
 
 
 def _beam_data(stem: str, emitter: Emitter) -> str:
@@ -313,53 +235,62 @@ def _beam_files(stem: str, emitter: Emitter) -> dict[str, bytes]:
     return {_beam_data(stem, emitter): (head + lines).encode(), **functions_beside(stem, MEASURED)}
 
 
-def _is_sky(source: Source) -> bool:
-    return isinstance(source, WideSource) and source.kind == "surround" and source.radiance > 0
+def _skies(scene: Scene) -> list[WideSource]:
+    return [source for source in scene.sources if isinstance(source, WideSource) and source.kind == "surround"]
 
 
-def _background(sky: Source, scales: Scales) -> str:
-    """What is seen between a surround's flat patches; a glow of no radius lights nothing."""
-    level = sky.patches[0].radiance / scales.radiance if isinstance(sky, WideSource) else 0.0
-    name = f"{sky.name}.background"
+def _background(skies: list[WideSource], frame: TextFrame) -> list[str]:
+    """What is seen between the flat patches of surrounds; a glow of no radius lights nothing."""
+    level = math.fsum(sky.patches[0].radiance for sky in skies) / frame.radiance
+    if level == 0:
+        return []
+    name = f"{skies[0].name}.background"
     glow = primitive("void", "glow", f"{name}.glow", (level, level, level, 0.0))
-    return f"# {name}\n{glow}" + primitive(f"{name}.glow", "source", name, (0.0, 0.0, 1.0, 360.0))
+    return [f"# {name}\n{glow}" + primitive(f"{name}.glow", "source", name, (0.0, 0.0, 1.0, 360.0))]
 
 
-def _shining_surface(modifier: str, emitter: Emitter, scales: Scales) -> str:
+def _shining_surface(modifier: str, emitter: Emitter, frame: TextFrame) -> str:
     if isinstance(emitter, Luminaire):
-        place = _scaled(scales, emitter.position)
-        return primitive(modifier, "sphere", emitter.name, (*place, _units(emitter.radius, scales)))
+        place = _placed(frame, emitter.position)
+        return primitive(modifier, "sphere", emitter.name, (*place, emitter.radius * frame.units))
     if isinstance(emitter, Patch):
-        return primitive(modifier, "polygon", emitter.name, _scaled(scales, *emitter.corners))
-    disc = _ring(emitter.position, emitter.axis, emitter.radius, scales)
+        return primitive(modifier, "polygon", emitter.name, _placed(frame, *emitter.corners))
+    disc = _ring(emitter.position, emitter.axis, emitter.radius, frame)
     return primitive(modifier, "ring", emitter.name, disc)
 
 
-def _target(target: Target, materials: Mapping[str, Material], stem: str, scales: Scales) -> Iterator[str]:
-    written: set[str] = set()
-    size = (target.width, target.height) if isinstance(target, Sheet) else (0.0, 0.0)
-    place = Placement(target.pose, size, scales.length)
+def _target(target: Target, materials: Mapping[str, Material], stem: str, frame: TextFrame) -> Iterator[str]:
+    functions, _ = function_file(stem)
+    for surface in {surface.part: surface for surface in surfaces(target)}.values():
+        modifier = f"{target.name}.{surface.part}"
+        text = described(
+            modifier, f"{stem}.{surface.material}", functions, materials[surface.material], placement(target, frame)
+        )
+        yield f"# {modifier}: {surface.material}\n{text}"
+    yield from _geometry(target, functions, frame, stem)
+
+
+def _geometry(target: Target, functions: str, frame: TextFrame, stem: str) -> Iterator[str]:
+    """A target's surfaces; a modifier of the target's name and part must stand before each part."""
+    modifier = f"{target.name}.surface"
+    if isinstance(target, DotBoard | EdgeTarget):
+        decal = next(surface.part for surface in surfaces(target) if surface.is_decal)
+        yield painted(f"{target.name}.both", (f"{target.name}.{decal}", modifier), functions, target, frame)
+        modifier = f"{target.name}.both"
     for surface in surfaces(target):
-        # Each part has its own copy of its material, defined just before its first surface: where two surfaces
-        # share a plane, Radiance shows the one whose material was defined last.
-        modifier = f"{surface.name.split('.')[0]}.{surface.part}"
-        if modifier not in written:
-            written.add(modifier)
-            yield f"# {modifier}: {surface.material}\n" + described(
-                modifier, f"{stem}.{surface.material}", f"{stem}.{FUNCTIONS}", materials[surface.material], place
-            )
-        yield _geometry(surface, modifier, scales, stem)
+        if not surface.is_decal:
+            yield _surface(surface, modifier, frame, stem)
 
 
-def _geometry(surface: Surface, modifier: str, scales: Scales, stem: str) -> str:
+def _surface(surface: Surface, modifier: str, frame: TextFrame, stem: str) -> str:
     match surface.shape:
         case MeshShape():
             return primitive(modifier, "mesh", surface.name, (), (mesh_file(stem, surface.name),))
         case PolygonShape(vertices):
-            return primitive(modifier, "polygon", surface.name, _scaled(scales, *vertices))
+            return primitive(modifier, "polygon", surface.name, _placed(frame, *vertices))
         case DiscShape(centre, normal, radius):
-            return primitive(modifier, "ring", surface.name, _ring(centre, normal, radius, scales))
+            return primitive(modifier, "ring", surface.name, _ring(centre, normal, radius, frame))
         case SphereShape(centre, radius):
-            return primitive(modifier, "sphere", surface.name, (*_scaled(scales, centre), _units(radius, scales)))
+            return primitive(modifier, "sphere", surface.name, (*_placed(frame, centre), radius * frame.units))
         case TubeShape(start, end, radius):
-            return primitive(modifier, "cylinder", surface.name, (*_scaled(scales, start, end), _units(radius, scales)))
+            return primitive(modifier, "cylinder", surface.name, (*_placed(frame, start, end), radius * frame.units))

@@ -11,6 +11,7 @@ from radwrap.errors import InputError
 from radwrap.imaging.explain import explain
 from radwrap.imaging.relight import read_basis, relit
 from radwrap.tracers.povray_text import povray_scene
+from radwrap.tracers.text_frame import users_frame
 from tests.cli.conftest import scene_with
 
 LINEAR: Final = 1e-5  # sums of float32, as in test_basis
@@ -51,10 +52,10 @@ def test_explain_and_povray_know_them(tmp_path: Path) -> None:
     told = explain(scene)["wide_sources"]
     assert [wide["name"] for wide in told] == ["bar", "disc"]
     assert all(wide["irradiance_error"] <= wide["irradiance_error_asked"] for wide in told)
-    text = povray_scene(scene, {})
+    text = povray_scene(scene, {}, users_frame(scene))
     assert text.count("light_source") == sum(wide["patches"] for wide in told) == text.count("mesh2")
     (tmp_path / "lamp.ies").write_text(LAMP)
     lamp = {"type": "ies", "name": "lamp", "file": "lamp.ies", "position": ["0 mm", "0 mm", "300 mm"], **PLACE}
     luminaire = radwrap.scene_from_document(scene_with({"sources": [lamp]}), folder=tmp_path)
     with pytest.raises(InputError, match="POV-Ray has no luminaire"):
-        povray_scene(luminaire, {})
+        povray_scene(luminaire, {}, users_frame(luminaire))

@@ -361,12 +361,13 @@ def test_bad_distortions_are_one_clear_error(name: str) -> None:
 def test_what_cannot_distort_refuses(tmp_path: Path) -> None:
     from radwrap.convert.radiance_files import write_view
     from radwrap.tracers.povray_text import povray_scene
+    from radwrap.tracers.text_frame import users_frame
 
     scene = board(BARREL)
     with pytest.raises(radwrap.InputError, match="Radiance's views have no distortion"):
         write_view(scene, tmp_path / "a.vf")
     with pytest.raises(radwrap.InputError, match="POV-Ray's camera has no distortion"):
-        povray_scene(scene, {})
+        povray_scene(scene, {}, users_frame(scene))
 
 
 def test_a_bent_edge_is_told_with_its_bow() -> None:

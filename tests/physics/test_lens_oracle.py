@@ -16,7 +16,8 @@ from radwrap.process import Limits, Programs
 from radwrap.scene.camera import Aperture, Camera, Lens, Sensor
 from radwrap.tracers.installation import find_radiance
 from radwrap.tracers.radiance import NO_LIGHT, RadianceOptions, RadianceTracer, build
-from radwrap.tracers.radiance_text import RadianceScene, Scales
+from radwrap.tracers.radiance_text import RadianceScene
+from radwrap.tracers.text_frame import TextFrame
 
 F, FOCUS, DIAMETER = 0.0125, 0.5, 0.00625  # f/2
 ROWS, COLUMNS, PITCH = 20, 30, 60e-6
@@ -44,7 +45,7 @@ def tracer(tmp_path: Path) -> Any:
     with Programs() as programs:
         options = RadianceOptions(find_radiance())
         build(TEXT, {}, tmp_path, options, programs, harmless=(NO_LIGHT,))
-        scene = RadianceScene(TEXT, {}, Scales(1e-3, 1.0))
+        scene = RadianceScene(TEXT, {}, TextFrame())
         yield RadianceTracer(options, programs, tmp_path, scene, harmless=(NO_LIGHT,))
 
 

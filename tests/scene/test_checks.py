@@ -16,6 +16,8 @@ from radwrap.scene.geometry import signed_distance
 from radwrap.scene.intersections import first_hit, nearest_point
 from radwrap.scene.targets import Target
 
+BENCH = Path(__file__).parents[2] / "rad_scenes" / "bench_board" / "scene.toml"
+
 START = Path(__file__).parents[2] / "radwrap" / "data" / "init" / "scene.toml"
 
 # The nearest lit point may lie where a beam's rim crosses a target's border: it is sought, not solved for.
@@ -209,3 +211,17 @@ def test_a_target_that_fills_the_view_is_in_view(document: dict[str, Any]) -> No
     assert not warnings_of(radwrap.scene_from_document(made))
     made["camera"]["look_at"] = metres(0.5, 0.3, 2)
     assert warnings_of(radwrap.scene_from_document(made)) == ("no target is in the camera's view",)
+
+
+def test_places_that_numbers_cannot_hold_are_refused() -> None:
+    """A double at 9e8 m comes in steps of 1.2e-7 m, at 1e6 m of 1.2e-10 m."""
+
+    def moved(away: str) -> radwrap.Scene:
+        near, far = [away, "0 m", "0 m"], [away, "0 m", "0.79 m"]
+        things = {"camera": far, "sources[0]": far, "targets[0]": near}
+        places = {f"{thing}.position": place for thing, place in things.items()}
+        return radwrap.load_scene(BENCH, places | {"camera.look_at": near, "sources[0].look_at": near})
+
+    moved("1e6 m")
+    with pytest.raises(InputError, match=r"lies 9e\+08 m from the origin, where numbers hold places to 1e-07 m only"):
+        moved("9e8 m")

@@ -238,7 +238,8 @@ def test_camera_poses_agree_however_they_are_written(document: dict[str, Any]) -
         ({"targets": []}, "targets", "empty"),
         ({"sources": []}, "sources", "no light"),
         ({"sources[0].radiance": "0 W/m^2/sr"}, "sources", "no light"),
-        ({"sources[0].led_diameter": "300 mm"}, "sources[0].diameter", "too wide"),
+        ({"sources[0].led_diameter": "300 mm", "sources[0].count": 1}, "sources[0].diameter", "too wide"),
+        ({"sources[0].led_diameter": "300 mm"}, "sources[0].count", "overlap"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_said_in_one_line_with_its_place(

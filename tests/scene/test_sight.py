@@ -1,6 +1,5 @@
 """Warnings of what stands in the camera's sight."""
 
-import math
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -8,7 +7,6 @@ from typing import Any
 import pytest
 
 import radwrap
-from radwrap.frames import rotation_about_fixed_axes
 from radwrap.scene.checks import warnings_of
 
 START = Path(__file__).parents[2] / "radwrap" / "data" / "init" / "scene.toml"
@@ -93,56 +91,3 @@ def test_what_is_said_is_what_is_traced() -> None:
         assert len(warnings_of(made)) == len(near)
     assert values["hiding"] == 0 < values["none"]
     assert values["facing"] > 0
-
-
-LAMP = led(0.4, 2.0, 0, name="far", diameter="1 mm")
-TILT = {"rotation": ["30 deg", "-20 deg", "10 deg"]}
-
-
-def along_normal(distance: float) -> dict[str, Any]:
-    turn = rotation_about_fixed_axes([math.radians(angle) for angle in (30, -20, 10)])
-    return {"position": [f"{row[2] * distance!r} m" for row in turn], **TILT}
-
-
-@pytest.mark.parametrize(
-    ("first", "second", "shared"),
-    [
-        (SHEET, {"type": "disc", "name": "disc", "diameter": "20 mm"}, True),
-        (SHEET | TILT, {"type": "disc", "name": "disc", "diameter": "20 mm", **TILT}, True),
-        (SHEET | TILT, {"type": "disc", "name": "disc", "diameter": "20 mm", **along_normal(1e-5)}, False),
-        (SHEET | TILT, {"type": "disc", "name": "disc", "diameter": "20 mm", **along_normal(1e-9)}, True),
-        (SHEET, SHEET | {"name": "disc"}, True),
-        (SHEET, SHEET | {"name": "disc", "position": metres(0.3, 0, 0)}, False),  # they touch
-        (SHEET, SHEET | {"name": "disc", "position": metres(0.29, 0.1, 0)}, True),
-        (SHEET, SHEET | {"name": "disc", "rotation": ["0 deg", "1 deg", "0 deg"]}, False),  # they cross
-        (SHEET, {"type": "box", "name": "disc", "size": metres(0.1, 0.1, 0.1), "position": metres(0, 0, 0.05)}, False),
-        (SHEET, {"type": "box", "name": "disc", "size": metres(0.1, 0.1, 0.1), "position": metres(0, 0, -0.05)}, True),
-        (
-            SHEET,
-            {
-                "type": "cylinder",
-                "name": "disc",
-                "diameter": "0.1 m",
-                "length": "0.1 m",
-                "position": metres(0, 0, -0.05),
-            },
-            True,
-        ),
-        # A thin cross: no corner of either lies in the other.
-        (SHEET | {"size": metres(0.3, 0.001)}, SHEET | {"name": "disc", "size": metres(0.001, 0.3)}, True),
-        # A disc in the notch of an L.
-        (
-            {"type": "polygon", "name": "sheet", "vertices": [metres(x, y) for x, y in
-             ((-0.1, -0.1), (0.1, -0.1), (0.1, -0.05), (-0.05, -0.05), (-0.05, 0.1), (-0.1, 0.1))]},
-            {"type": "disc", "name": "disc", "diameter": "60 mm", "position": metres(0.02, 0.02, 0)},
-            False,
-        ),
-    ],
-)  # fmt: skip
-def test_targets_in_one_plane(first: dict[str, Any], second: dict[str, Any], shared: bool) -> None:
-    told = warnings_of(scene([LAMP], [first, second]))
-    expected = (
-        '"sheet" and "disc" overlap in one plane: the later one is taken to lie on top; '
-        "move one of them by 0.01 mm or more"
-    )
-    assert told == ((expected,) if shared else ())

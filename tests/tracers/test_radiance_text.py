@@ -10,7 +10,7 @@ from radwrap.errors import InputError
 from radwrap.process import Programs
 from radwrap.tracers.installation import find_radiance
 from radwrap.tracers.radiance import RadianceOptions, build, prepare
-from radwrap.tracers.radiance_text import Scales, scales_of
+from radwrap.tracers.text_frame import TextFrame, traced_frame, users_frame
 
 ROOT = Path(__file__).parents[2]
 SCENES = sorted((ROOT / "rad_scenes").rglob("scene.toml"))
@@ -23,8 +23,10 @@ LAST_DIGITS = 1e-14
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: path.parent.name)
 def test_the_text_is_the_golden_one(path: Path, tmp_path: Path) -> None:
     golden = path.with_name("scene.rad").read_text()
+    scene = radwrap.load_scene(path)
     with Programs() as programs:
-        prepared = prepare(radwrap.load_scene(path), RadianceOptions(find_radiance()), programs, tmp_path)
+        options = RadianceOptions(find_radiance())
+        prepared = prepare(scene, options, programs, tmp_path, frame=users_frame(scene))
     for ours, theirs in zip(prepared.scene.text.split("\n"), golden.split("\n"), strict=True):
         if ours == theirs:
             continue
@@ -39,32 +41,33 @@ def test_the_text_is_readable() -> None:
     assert text.startswith("# Radiance scene written by radwrap")
     assert "# board.dots: sheeting" in text
     assert len(re.findall(r" light ", text)) == 12
-    # Of two surfaces in one plane Radiance shows the one whose material was defined last.
-    assert text.index(" board.surface\n") < text.index(" board.dots\n")
+    # Dots are painted on the board: no surface of theirs lies in its plane.
+    assert len(re.findall(r" polygon ", text)) == 1
+    assert "board.both polygon board\n" in text
 
 
 @pytest.mark.parametrize(
-    ("changes", "scales"),
+    ("changes", "frame"),
     [
-        ({}, Scales()),
-        ({"sources[0].led_diameter": "10 um"}, Scales(1e-3)),
-        ({"sources[0].led_diameter": "1 um"}, Scales(1e-6)),
+        ({}, TextFrame()),
+        ({"sources[0].led_diameter": "10 um"}, TextFrame(1e-3)),
+        ({"sources[0].led_diameter": "1 um"}, TextFrame(1e-6)),
         (
             {"targets[0].margin": "0 mm", "targets[0].pitch": "0.5 mm", "targets[0].dot_diameter": "0.1 mm"},
-            Scales(1e-3),
+            TextFrame(1e-3),
         ),
-        ({"sources[0].radiance": "1e-12 W/m^2/sr"}, Scales(1e-3, 1e-15)),
-        ({"sources[0].radiance": "1e12 W/m^2/sr"}, Scales(1e-3, 1e9)),
+        ({"sources[0].radiance": "1e-12 W/m^2/sr"}, TextFrame(1e-3, 1e-15)),
+        ({"sources[0].radiance": "1e12 W/m^2/sr"}, TextFrame(1e-3, 1e9)),
     ],
 )
-def test_units_suit_what_radiance_can_hold(changes: dict[str, str], scales: Scales) -> None:
-    assert scales_of(radwrap.load_scene(BENCH, changes)) == scales
+def test_units_suit_what_radiance_can_hold(changes: dict[str, str], frame: TextFrame) -> None:
+    assert users_frame(radwrap.load_scene(BENCH, changes)) == frame
 
 
 def test_sources_too_far_apart_are_refused() -> None:
     scene = radwrap.load_scene(BENCH, {"sources[0].leds": [{"index": 0, "radiance_factor": 1e-9}]})
     with pytest.raises(InputError, match="cannot be traced together"):
-        scales_of(scene)
+        traced_frame(scene)
 
 
 def test_dark_leds_are_left_out_by_name(tmp_path: Path) -> None:
