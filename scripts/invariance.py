@@ -25,6 +25,15 @@ OUT = Path(__file__).resolve().parent.parent / "out" / "invariance.json"
 MOST_DRAWN = 20  # scenes to draw for each that is asked for, where a relation's domain is narrow
 
 
+def _write(file: Path, names: list[str], rows: list[Table], refused: list[str]) -> list[Table]:
+    """What is known so far; a run that is stopped leaves it."""
+    verdicts = [verdict(name, [row for row in rows if row["relation"] == name]) for name in names]
+    report = {"chance": CHANCE, "false_alarm": FALSE_ALARM, "verdicts": verdicts, "undrawable": refused, "rows": rows}
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(json.dumps(report, indent=1))
+    return verdicts
+
+
 def main() -> int:
     """Draw, rewrite, judge, print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
@@ -33,6 +42,7 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0, help="number of the first scene, its seed")
     parser.add_argument("--plant", choices=PLANTS, help="an error to put into each rewritten scene, to see it found")
     parser.add_argument("--json", type=Path, default=OUT, help="results; pairs that differ are kept beside it")
+    parser.add_argument("--most-patches", type=int, default=4096, help="pass over scenes whose light costs more")
     parser.add_argument("--list", action="store_true", help="print the table of relations, and end")
     arguments = parser.parse_args()
     if arguments.list:
@@ -48,7 +58,7 @@ def main() -> int:
         open_names = [name for name in names if counts[name] < arguments.scenes]
         if not open_names:
             break
-        case = case_of(number)
+        case = case_of(number, arguments.most_patches)
         if isinstance(case, str):
             refused.append(case)
             continue
@@ -56,11 +66,9 @@ def main() -> int:
         found = [row for name in open_names if (row := run(case, name, arguments.plant, keep)) is not None]
         rows += found
         broken = [f"{row['relation']} {row.get('rms_gray', 0):.3g}" for row in found if not row["holds"]]
+        _write(arguments.json, names, rows, refused)
         print(f"scene {case.number}: {len(found)} relations, {time.monotonic() - start:.1f} s", *broken, flush=True)
-    verdicts = [verdict(name, [row for row in rows if row["relation"] == name]) for name in names]
-    report = {"chance": CHANCE, "false_alarm": FALSE_ALARM, "verdicts": verdicts, "undrawable": refused, "rows": rows}
-    arguments.json.parent.mkdir(parents=True, exist_ok=True)
-    arguments.json.write_text(json.dumps(report, indent=1))
+    verdicts = _write(arguments.json, names, rows, refused)
     for told in verdicts:
         print(
             f"{told['relation']:16} {told['holds']:13} {'kept' if told['kept'] else 'BROKEN':6} "

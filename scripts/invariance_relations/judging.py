@@ -77,6 +77,13 @@ def _saturates(gray: Array, sensor: Any) -> bool:
     return bool(gray.max() >= sensor.saturation_gray)
 
 
+def emitters(written: Written) -> int:
+    """Discs and patches of all light."""
+    with tempfile.TemporaryDirectory() as folder:
+        written.save(Path(folder))
+        return len(radwrap.scene_from_document(written.document, folder=Path(folder)).emitters)
+
+
 @dataclass(frozen=True, slots=True)
 class Case:
     """A drawn scene with its own image and the numbers from which everything else is drawn."""
@@ -91,13 +98,15 @@ class Case:
         return np.random.default_rng([self.number, *name.encode()])
 
 
-def case_of(number: int) -> Case | str:
-    """A scene by its number, rendered; or why there is nothing to compare."""
+def case_of(number: int, most_patches: int = 4096) -> Case | str:
+    """A scene by its number, rendered; or why there is nothing to compare, or that its light has too many patches."""
     try:
         written = draw_scene(number)
         if written is None:
             return f"{number}: dark, or even"
         tolerance = float(np.random.default_rng([number, 1]).choice(TOLERANCES))
+        if emitters(written) > most_patches:
+            return f"{number}: its light has more than {most_patches} patches"
         base = shown(written, tolerance, number)
     except radwrap.InputError as error:
         return f"{number}: {error}"
