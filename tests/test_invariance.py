@@ -15,7 +15,7 @@ from invariance_relations.rigid import random_rotation
 from radwrap.frames import rotation_about_fixed_axes
 
 # Of 48 x 44 pixels: boards, an edge, sheets, boxes, meshes and solids under discs, rings and lamps, cheap to trace.
-NUMBERS = (7, 9, 11, 14, 16, 46)
+NUMBERS = (7, 9, 11, 14, 23, 28)
 BOARD = 7
 PLANTED = 14  # has all that relations ask for: two sources, sheets and a box
 

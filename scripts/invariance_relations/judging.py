@@ -118,22 +118,14 @@ def judged(case: Case, name: str, plant: str | None = None) -> tuple[Table, Arra
     relation = RELATIONS[name]
     if not relation.in_domain(case.written):
         return None
-    random = case.random(name)
-    first = case.base
-    if relation.base is not None:
-        based = relation.base(case.written, random)
-        if based is None:
-            return None
-        if based != case.written:
-            first = shown(based, case.tolerance, case.number)
-    written = relation.rewrite(first.written, random)
+    written = relation.rewrite(case.written, case.random(name))
     if written is None:
         return None
     if plant is not None:
         written = PLANTS[plant](written)
     second = shown(written, case.tolerance, case.number + relation.seed)
-    expected = relation.image(first.gray)
-    row = {"relation": name, "number": case.number, **_held(relation, first, expected, second)}
+    expected = relation.image(case.base.gray)
+    row = {"relation": name, "number": case.number, **_held(relation, case.base, expected, second)}
     row["sources"] = [source["type"] for source in case.written.sources]
     row["targets"] = [f"{target['type']}:{target.get('material', '')}" for target in case.written.targets]
     return row, expected, second

@@ -38,8 +38,6 @@ class Relation:
         Where it is asked for, and why only there.
     in_domain : Callable
         Whether a scene lies in the domain.
-    base : Callable
-        What the scene becomes before it is rewritten; mostly itself, so that relations share its image.
     image : Callable
         The first image as the second one shows it.
     recut : bool
@@ -52,7 +50,6 @@ class Relation:
     holds: Literal["to the byte", "within bounds"]
     domain: str
     in_domain: Callable[[Written], bool] = _everywhere
-    base: Rewriting | None = None
     image: Callable[[Array], Array] = _as_it_is
     recut: bool = False
     seed: int = 0
@@ -60,6 +57,10 @@ class Relation:
 
 def _no_dark_current(written: Written) -> bool:
     return "dark_current" not in written.camera["sensor"]
+
+
+def _no_splitter(written: Written) -> bool:
+    return not written.has_source("coaxial")
 
 
 def _all_around_is_free(written: Written) -> bool:
@@ -98,8 +99,8 @@ RELATIONS: Final[Mapping[str, Relation]] = MappingProxyType(
         "resized": Relation(
             rewriting.resized,
             "within bounds",
-            "all scenes, by 1/100 to 100; intensities and fluxes with the square. A linear camera counts photons of "
-            "the pixel's area: there by 1 to 100, with the quantum efficiency divided by the square",
+            "all scenes, by 1/100 to 100, defaults written out; intensities and fluxes with the square. A linear "
+            "camera counts photons of the pixel's area: there by 1 to 100, quantum efficiency divided by the square",
             recut=True,
         ),
         "units": Relation(
@@ -128,10 +129,9 @@ RELATIONS: Final[Mapping[str, Relation]] = MappingProxyType(
         "split": Relation(
             rewriting.split,
             "within bounds",
-            "a disc as two of half the radiance side by side, both 1/500 of their distance wide, as a surface hides "
-            "another in the same place; a rectangle as two halves, a ring as two rings, a surround as two of half the "
-            "radiance. Domes, flat rings and coaxial lights cannot stand beside themselves",
-            base=rewriting.with_small_discs,
+            "scenes without a coaxial light, of whose splitter there is but one; two of half the radiance in the same "
+            "place, or a rectangle as two halves, a ring as every other LED",
+            in_domain=_no_splitter,
             recut=True,
         ),
         "cut": Relation(

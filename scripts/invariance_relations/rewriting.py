@@ -32,6 +32,7 @@ from radwrap.frames import Pose, to_world
 from radwrap.units import LENGTH, RADIANCE, RADIANT_FLUX, RADIANT_INTENSITY, TIME
 
 _LARGEST_SCALE: Final = 100.0
+_MARGIN: Final = "10 mm"  # of boards that tell none: the one length that drawn scenes leave to its default
 # Units of which one is a power of ten of the other, so that both are the same number.
 _DECIMAL: Final = (
     (LENGTH, ("m", "cm", "mm", "um", "nm", "km")),
@@ -40,9 +41,6 @@ _DECIMAL: Final = (
     (RADIANT_INTENSITY, tuple(RADIANT_INTENSITY.units)),
     (RADIANT_FLUX, tuple(RADIANT_FLUX.units)),
 )
-# Discs that a split puts side by side: as a share of their distance, small enough that nothing sees two places.
-_SMALL_DISC: Final = 2e-3
-_APART: Final = 1.02  # distance of their middles, in diameters
 
 
 def resized(written: Written, random: np.random.Generator) -> Written:
@@ -60,7 +58,11 @@ def resized(written: Written, random: np.random.Generator) -> Written:
             return scaled(text, factor**2)
         return scaled(text, factor**-2) if key in ("kappa1", "luminous_efficacy") else text
 
-    new = Written(changed(written.document, change), dict(written.files))
+    told = written.copied()
+    for target in told.targets:
+        if target["type"] == "board":
+            target.setdefault("margin", _MARGIN)
+    new = Written(changed(told.document, change), told.files)
     if linear:
         new.camera["sensor"]["quantum_efficiency"] /= factor**2
     return new
@@ -132,45 +134,18 @@ def _reversed(written: Written, kind: str) -> Written | None:
     return new
 
 
-def with_small_discs(written: Written, _: np.random.Generator) -> Written | None:
-    """The scene that `split` splits: its discs small, with the same intensities."""
+def split(written: Written, random: np.random.Generator) -> Written:
+    """Any source as two of half the light in the same place; a rectangle as two halves side by side, now and then."""
     new = written.copied()
-    for source in new.sources:
-        if source["type"] in ("led", "lamp", "disc", "ies"):
-            source["diameter"] = length(_SMALL_DISC * _way(source))
-    return new if _splittable(new) is not None else None
-
-
-def _way(source: Table) -> float:
-    return math.dist([metres(x) for x in source["position"]], [metres(x) for x in source["look_at"]])
-
-
-def _splittable(written: Written) -> Table | None:
-    """The first source of which two can stand for one."""
-    kinds = ("led", "lamp", "disc", "ies", "rectangle", "surround", "ring")
-    return next((source for source in written.sources if source["type"] in kinds), None)
-
-
-def split(written: Written, _: np.random.Generator) -> Written | None:
-    """One source as two of half its light each."""
-    new = written.copied()
-    source = _splittable(new)
-    if source is None:
-        return None
+    source = new.sources[int(random.integers(0, len(new.sources)))]
     halves = [source, dict(source, name=f"{source['name']}b")]
-    match source["type"]:
-        case "rectangle":
-            _halve_rectangle(halves)
-        case "ring":
-            _halve_ring(halves)
-        case "surround":
-            _dim(halves, 0.5)
-        case _:
-            pose = read_pose(source)
-            step = _APART * metres(source["diameter"]) / 2
-            for half, side in zip(halves, (-step, step), strict=True):
-                write_pose(half, Pose(to_world(pose, (side, 0.0, 0.0)), pose.rotation))
-            _dim(halves, 0.5)
+    apart = random.random() < 0.5
+    if source["type"] == "rectangle" and apart:
+        _halve_rectangle(halves)
+    elif source["type"] == "ring" and apart:
+        _halve_ring(halves)
+    else:
+        _dim(halves, 0.5)
     new.sources.append(halves[1])
     return new
 
