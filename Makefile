@@ -10,7 +10,7 @@ FIGURES := fig05_response fig08_09_field fig10_board fig11_edge fig12_transition
 	table1_ambient table3_focal_length table3_reason table4_lenth
 NUMBERED := fig05 fig08 fig09 fig10 fig11 fig12 fig13 table1 table3 table3_reason table4
 
-.PHONY: demo test test-hid test-report lint bench bias crosscheck validate figures replication $(NUMBERED) povray chromium clean help
+.PHONY: demo test test-hid test-report lint bench bias invariance crosscheck validate figures replication $(NUMBERED) povray chromium clean help
 
 help:
 	@echo "make demo   set up, render the calibration board, say where the picture lies"
@@ -24,6 +24,7 @@ help:
 	@echo "make fig12, make table3, ...   one of them"
 	@echo "make replication   the same, and one page of all verdicts, out/replication/index.html"
 	@echo "make validate    the score card of closed forms, with plots in out/validate/index.html"
+	@echo "make invariance   random scenes, rewritten so that their image must stay (an hour and more)"
 	@echo "make bias   bias of algorithms on predicted images, with plots"
 
 demo: $(READY)
@@ -50,6 +51,9 @@ bench: $(READY)
 
 bias: $(READY)
 	@$(BIN)/python scripts/bias_studies.py
+
+invariance: $(READY)
+	@$(BIN)/python scripts/invariance.py $(ARGS)
 
 crosscheck: $(READY) povray
 	@$(BIN)/python scripts/crosscheck.py

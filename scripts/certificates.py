@@ -128,9 +128,9 @@ def draw(random: np.random.Generator) -> dict[str, Any]:
     }
 
 
-def exposed(document: dict[str, Any], gray: float) -> radwrap.Scene | None:
+def exposed(document: dict[str, Any], gray: float, folder: Path = Path()) -> radwrap.Scene | None:
     """The scene with the exposure time that brings its brightest spots to a gray level; None where nothing is lit."""
-    scene = radwrap.scene_from_document(document)
+    scene = radwrap.scene_from_document(document, folder=folder)
     with traced_scene(scene) as view:
         sensor = scene.camera.sensor
         v, u = np.divmod(np.arange(sensor.pixels, dtype=np.float64), sensor.columns)

@@ -151,7 +151,10 @@ def bounded(distortion: Distortion, corner: float, where: str) -> Distortion:
     good[1:] &= np.diff(ends, axis=0) > 0
     held = np.logical_and.accumulate(good.all(axis=1))
     last = int(held.sum()) - 1
-    given, made = float(radii[last]), float(ends[last].min())
+    # Every place up to the limit must come from one within it, in directions between the looked at ones too: of what
+    # changes once or twice in a turn, as tangential terms do, the least lies at most so far below the least found.
+    between = 2 * (1 - math.cos(math.pi / _DIRECTIONS)) * float(np.ptp(ends[last]))
+    given, made = float(radii[last]), float(ends[last].min()) - between
     undistorted, distorted = (made, given) if distortion.model == "tsai" else (given, made)
     if last < 1 or distorted <= corner:
         raise InputError(

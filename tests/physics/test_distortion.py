@@ -94,6 +94,20 @@ def test_beyond_its_limit_it_goes_on_and_stays_outside(name: str) -> None:
     assert np.isfinite(np.stack(distortion.undistorted(x, -0.3 * x))).all()
 
 
+def test_at_its_limit_each_direction_is_inverted() -> None:
+    """Tangential terms reach least far in a direction between those in which the limit is looked for."""
+    random = np.random.default_rng(3)
+    angle = np.linspace(0, 2 * math.pi, 5000)
+    for _ in range(20):
+        k1, k2, p1, p2 = random.uniform(-1, 1, 4) * (0.3, 0.3, 0.02, 0.02)
+        distortion = bounded(opencv_distortion((k1, k2, p1, p2)), 0.5, "distortion")
+        x, y = (distortion.distorted_limit * wave for wave in (np.cos(angle), np.sin(angle)))
+        u, v, _ = distortion.undistorted(x, y)
+        assert np.hypot(u, v).max() <= distortion.limit * (1 + 1e-9)
+        back = np.column_stack(distortion.distorted(u, v))
+        assert np.abs(back - np.column_stack([x, y])).max() * FOCAL_PX < ROUND_TRIP
+
+
 def camera_with(bend: dict[str, Any] | None, **more: Any) -> Camera:
     return board(bend, **more).camera
 
