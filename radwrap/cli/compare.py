@@ -24,6 +24,8 @@ from radwrap.measure.compare_statistics import Region, rectangle, regions_of_mas
 from radwrap.reading import FileKind, read_json
 from radwrap.written import read_back
 
+_BYTES: Final = 170  # a pixel, as measured
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
@@ -84,6 +86,7 @@ def run(arguments: argparse.Namespace) -> int:
         if value is not None and not (0 <= value <= highest and math.isfinite(value)):
             raise InputError("must be a number of zero or more", where=f"--{name.replace('_', '-')}")
     captured, predicted = read_gray(Path(arguments.captured)), read_gray(Path(arguments.predicted))
+    shared.tell_memory("compare", captured.values.size, _BYTES)
     shape = (predicted.values.shape[0], predicted.values.shape[1])
     _check_saturated(captured, arguments.captured, arguments.saturation)
     _check_saturated(predicted, arguments.predicted, arguments.saturation)

@@ -6,7 +6,7 @@ import argparse
 import math
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from radwrap.cli import options as shared
 from radwrap.errors import InputError
@@ -16,6 +16,8 @@ from radwrap.manifest import json_text
 from radwrap.measure.dots import METHODS, Dots, DotsNotFound, find_dots
 from radwrap.measure.dots.overlay import overlay_png
 from radwrap.units import LENGTH, parse_quantity
+
+_BYTES: Final = 50  # a pixel, as measured
 
 SCHEMA_VERSION = 1
 
@@ -52,6 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
     table = shared.file_to_write(arguments.csv, "--csv")
     path = Path(arguments.image)
     image = read_gray(path)
+    shared.tell_memory("measure dots", image.values.size, _BYTES)
     try:
         dots = find_dots(
             image,

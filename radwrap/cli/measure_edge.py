@@ -6,13 +6,15 @@ import argparse
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from radwrap.cli import options as shared
 from radwrap.errors import InputError
 from radwrap.images import read_gray
 from radwrap.manifest import SCHEMA_VERSION, finite, json_text
 from radwrap.measure.edges import Edge, measure_edge
+
+_BYTES: Final = 100  # a pixel, as measured
 
 # Correlation from which on a fitted gamma costs the place more than a factor of 1.7 in standard error.
 HARDLY_APART = 0.8
@@ -63,6 +65,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Carry out the verb."""
     image = read_gray(arguments.image)
+    shared.tell_memory("measure edge", image.values.size, _BYTES)
     try:
         edge = measure_edge(
             image,

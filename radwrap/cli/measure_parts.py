@@ -6,7 +6,7 @@ import argparse
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from radwrap.cli import options as shared
 from radwrap.errors import InputError
@@ -14,6 +14,9 @@ from radwrap.files import write_bytes
 from radwrap.images import read_gray
 from radwrap.manifest import SCHEMA_VERSION, json_text
 from radwrap.measure.parts import DEFAULT_MIN_AREA, Part, Parts, find_parts, overlay_png
+from radwrap.progress import Progress
+
+_BYTES: Final = 80  # a pixel, as measured
 
 
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
@@ -55,9 +58,12 @@ def run(arguments: argparse.Namespace) -> int:
     """Carry out the verb."""
     overlay = shared.file_to_write(arguments.overlay, "--overlay", ".png")
     image = read_gray(arguments.image)
+    shared.tell_memory("measure parts", image.values.size, _BYTES)
+    progress = Progress("measuring parts", 1)
     try:
         found = find_parts(
             image,
+            progress=progress,
             threshold=arguments.threshold,
             min_area=arguments.min_area,
             dark=arguments.dark,
@@ -66,6 +72,8 @@ def run(arguments: argparse.Namespace) -> int:
         )
     except InputError as error:
         raise _located(error, arguments.image) from error
+    finally:
+        progress.close()
     if overlay is not None:
         write_bytes(overlay, overlay_png(image, found))
     print(json_text(_json(found, arguments)) if arguments.json else "\n".join(_lines(found)) + "\n", end="")

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 import re
+import sys
 from argparse import ArgumentTypeError
 from collections.abc import Callable
 from pathlib import Path
@@ -17,6 +19,7 @@ from radwrap.scene.load import load_scene
 from radwrap.scene.scene import Scene
 from radwrap.units import TIME, parse_quantity
 
+_WORTH_A_WORD: Final = 1 << 30  # byte
 _LARGEST: Final = 1e12
 _LARGEST_WHOLE: Final = 2**63 - 1
 _WHOLE: Final = re.compile(r"[+-]?[0-9]{1,19}", re.ASCII)
@@ -47,6 +50,23 @@ def whole(low: int = -_LARGEST_WHOLE, high: int = _LARGEST_WHOLE) -> Callable[[s
         return value
 
     return read
+
+
+def tell_memory(verb: str, pixels: int, each: int) -> None:
+    """Say beforehand what a large picture takes, at so many bytes a pixel; what this machine lacks is refused.
+
+    Raises
+    ------
+    InputError
+        If it takes more than this machine has.
+    """
+    need = pixels * each
+    if need < _WORTH_A_WORD:
+        return
+    told = f"{pixels / 1e6:.3g} million pixels take up to {need / 2**30:.1f} GiB of memory"
+    if need > os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"):
+        raise InputError(f"{told}, more than this machine has", where=verb, remedy="cut the picture")
+    print(f"radwrap: {verb}: {told}", file=sys.stderr)
 
 
 GRAY_LEVEL: Final = number(-1e9, 1e9)  # far beyond 16 bits: files of floats hold any

@@ -16,6 +16,7 @@ UPPER_WEIGHT: Final = 0.97  # of the asymmetric fit; the surface lies on the bac
 SAMPLES: Final = 6000  # pixels to which the surface is fitted
 ALIKE: Final = 0.02  # of the score below; surfaces that differ by less serve alike
 CLOSER: Final = 0.9  # of the rms of what lies on a surface; a less simple one must lie closer than that
+_BAND: Final = 64  # rows
 
 
 def noise_level(values: Array) -> float:
@@ -49,28 +50,37 @@ def background_surface(light: Array, zero: float | None = None) -> tuple[Literal
         Of the background, in the image's unit.
     """
     rows, columns = light.shape
-    v, u = np.indices(light.shape)
+    x, y = 2 * np.arange(columns) / columns - 1, 2 * np.arange(rows) / rows - 1
     step = max(1, int(math.sqrt(light.size / SAMPLES)))
     tolerance = max(4 * noise_level(light), 0.08 * float(np.ptp(light)))
     dark = float(light.min()) if zero is None else zero
-    tried: list[tuple[float, float, Array]] = []
+    tried: list[tuple[float, float, tuple[_Plain | _Beam, int, Array]]] = []
+    values = light[::step, ::step].ravel()
     for beam in (False, True):
         for degree in (2, 4):
-            terms = powers(2 * u / columns - 1, 2 * v / rows - 1, degree)
-            some, values = terms[:, ::step, ::step].reshape(len(terms), -1).T, light[::step, ::step].ravel()
+            some = _terms(x[::step], y[::step], degree)
             for sign in (1.0, -1.0):
                 fit = _Beam(dark) if beam else _Plain()
                 coefficients = _clear_of_objects(fit, some, values, _asymmetric(fit, some, values, sign), tolerance)
                 depth = sign * (fit.surface(some, coefficients) - values)
                 left = float(np.sqrt(np.mean(np.minimum(np.abs(depth), tolerance) ** 2)))
-                surface = fit.surface(terms.reshape(len(terms), -1).T, coefficients).reshape(light.shape)
-                tried.append((_score(depth, tolerance), left, surface))
+                tried.append((_score(depth, tolerance), left, (fit, degree, coefficients)))
     best = max(score for score, _, _ in tried)
-    alike = [(left, surface) for score, left, surface in tried if score >= best - ALIKE]
+    alike = [(left, found) for score, left, found in tried if score >= best - ALIKE]
     closest = min(left for left, _ in alike)
-    surface = next(surface for left, surface in alike if CLOSER * left <= closest)
+    fit, degree, coefficients = next(found for left, found in alike if CLOSER * left <= closest)
+    surface = np.empty(light.shape)
+    for first in range(0, rows, _BAND):  # all terms of a large picture at once take gigabytes
+        band = y[first : first + _BAND]
+        surface[first : first + _BAND] = fit.surface(_terms(x, band, degree), coefficients).reshape(len(band), columns)
     # Objects are what is far from the surface; small ones tell by the cube alone.
     return "dark" if float(((light - surface) ** 3).sum()) < 0 else "bright", surface
+
+
+def _terms(x: Array, y: Array, degree: int) -> Array:
+    """Monomials on a grid, shape (pixels, terms)."""
+    terms = powers(*np.meshgrid(x, y), degree)
+    return terms.reshape(len(terms), -1).T
 
 
 def _score(depth: Array, tolerance: float) -> float:
@@ -133,7 +143,11 @@ def _clear_of_objects(fit: _Plain | _Beam, terms: Array, values: Array, coeffici
 
 def powers(x: Array, y: Array, degree: int) -> Array:
     """Monomials x^i y^j up to a degree, first axis."""
-    return np.stack([x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)])
+    ups = [[np.ones_like(axis)] for axis in (x, y)]
+    for axis, up in zip((x, y), ups, strict=True):
+        for _ in range(degree):
+            up.append(up[-1] * axis)  # ten times as fast as powers
+    return np.stack([ups[0][i] * ups[1][j] for i in range(degree + 1) for j in range(degree + 1 - i)])
 
 
 def otsu_level(values: Array) -> float:

@@ -13,7 +13,7 @@ from radwrap.errors import InputError
 from radwrap.images import GrayImage
 from radwrap.measure.background import QUANTISATION
 from radwrap.measure.edges.correlation import variance_factor
-from radwrap.measure.edges.model import Model, Pixels, splines_along
+from radwrap.measure.edges.model import KNOT_SPACING, Model, Pixels, splines_along
 from radwrap.measure.edges.search import Line, find_line, normal_angle
 
 Array = NDArray[np.float64]
@@ -22,6 +22,8 @@ Region = tuple[int, int, int, int]
 SMALLEST_SIDE: Final = 12  # px; less holds no edge with both of its levels
 LEVEL_PIXELS: Final = 3  # beyond the blur, on each side, in every row: level, slope and curvature hang on them
 LARGEST_SATURATED: Final = 0.05  # share of the strip; beyond it the bright level is not known
+_COPIES: Final = 8  # of the Jacobian that live at a time, as measured
+_MOST_BYTES: Final = 1 << 31
 LARGEST_RESIDUAL: Final = 0.15  # of the contrast; a straight edge between smooth sides leaves less
 LARGEST_GAMMA_ERROR: Final = 0.3  # a gamma known worse than that tells nothing, and spoils the position
 NARROWEST: Final = 1e-3  # px; blur below this is the sharp step
@@ -236,6 +238,7 @@ def _fit(
     if dark is not None and low - dark < UNLIT * (high - low):
         dark = None
     contrast = high - (low if dark is None else dark)
+    _check_size(strip.u.size, float(np.ptp(s)))
     width, length = line.half_width, max(float(np.ptp(s)), 1.0)
     base = np.column_stack([np.ones_like(d), d / width, s / length, (s / length) ** 2])
     model = Model(strip, line, aspect, dark, contrast, splines_along(s, float(s.min()), float(s.max())), base)
@@ -272,6 +275,17 @@ def _fit(
     )
     parameters = whole(solved.x)
     return _refined(line, parameters), _edge(model, parameters, free, saturated)
+
+
+def _check_size(pixels: int, length: float) -> None:
+    """Refuse an edge whose Jacobian, its decomposition and copies would not fit."""
+    need = pixels * (8 + 3 * (length / KNOT_SPACING + 3)) * 8 * _COPIES
+    if need > _MOST_BYTES:
+        raise InputError(
+            f"shows an edge of {length:.0f} px, whose fit takes {need / 2**30:.1f} GiB of memory",
+            where="the image",
+            remedy=f"name a region, some {length * (_MOST_BYTES / need) ** 0.5 / 2:.0f} px long",
+        )
 
 
 def _refined(line: Line, parameters: Array) -> Line:

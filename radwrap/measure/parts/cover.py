@@ -110,25 +110,28 @@ def spread_by_blur(blur: float, aspect: float) -> tuple[float, float]:
     return blur**2 / 4 + 1 / 12, (blur / aspect) ** 2 / 4 + 1 / 12
 
 
-def covered(scene: PartScene, number: int) -> Cover | None:
-    """Cover of one part, or None where a speck has no two levels."""
-    if (scene.seeds == number).sum() < 4:
+Box = tuple[slice, slice]  # rows and columns
+
+
+def covered(scene: PartScene, number: int, box: Box) -> Cover | None:
+    """Cover of one part, or None where a speck has no two levels; the box is the smallest that holds its seeds."""
+    if (scene.seeds[box] == number).sum() < 4:
         return None
     half = 2.5
-    cover = _cover(scene, number, half)
+    cover = _cover(scene, number, box, half)
     for _ in range(3):  # the band follows the blur
         if cover is None or (reach := cover.blur / min(scene.aspect, 1.0) + 1.5) <= half:
             break
         half = reach
-        cover = _cover(scene, number, half)
+        cover = _cover(scene, number, box, half)
     return cover
 
 
-def _cover(scene: PartScene, number: int, half: float) -> Cover | None:
-    rows, columns = np.nonzero(scene.seeds == number)
+def _cover(scene: PartScene, number: int, box: Box, half: float) -> Cover | None:
+    rows, columns = box
     margin = math.ceil(2 * half) + 8
-    top, left = max(rows.min() - margin, 0), max(columns.min() - margin, 0)
-    window = np.s_[top : rows.max() + margin + 1, left : columns.max() + margin + 1]
+    top, left = max(rows.start - margin, 0), max(columns.start - margin, 0)
+    window = np.s_[top : rows.stop + margin, left : columns.stop + margin]
     light = scene.light[window]
     found = _levels(scene, window, number, half)
     if found is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Final
 
@@ -17,7 +18,8 @@ from radwrap.measure.parts.cover import FAINTEST, PartScene, covered
 from radwrap.measure.parts.light import LinearLight
 from radwrap.measure.parts.moments import measured
 from radwrap.measure.parts.raster import pieces
-from radwrap.measure.parts.result import Parts
+from radwrap.measure.parts.result import Part, Parts
+from radwrap.progress import Progress
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -35,6 +37,7 @@ def find_parts(
     dark: float | None = None,
     gamma: float = 1.0,
     pixel_aspect: float = 1.0,
+    progress: Progress | None = None,
 ) -> Parts:
     """Parts of one contrast on a background whose light varies slowly.
 
@@ -52,6 +55,8 @@ def find_parts(
     pixel_aspect : float
         Height of a pixel over its width. The blur is round on the sensor; taken for round in pixels it turns the
         axes of a part, by 0.1 degrees for a part of 35 x 16 px, blur of 1.8 px and aspect of 1.16.
+    progress : Progress, optional
+        Counts parts that are measured.
 
     Returns
     -------
@@ -84,9 +89,7 @@ def find_parts(
         rounded=rounded,
         aspect=pixel_aspect,
     )
-    covers = [covered(scene, number) for number in range(1, int(scene.seeds.max()) + 1)]
-    found = [measured(cover, scene) for cover in covers if cover is not None]
-    kept = [part for part in found if part is not None and part.area >= min_area]
+    kept = [part for part in _parts(scene, progress) if part.area >= min_area]
     if not kept:
         raise InputError(
             f"shows no part of {min_area:g} px^2 or more above its noise",
@@ -94,6 +97,22 @@ def find_parts(
             remedy="raise the contrast, or lower --min-area",
         )
     return Parts(kind, tuple(sorted(kept, key=lambda part: (part.v, part.u))))
+
+
+def _parts(scene: PartScene, progress: Progress | None) -> Iterator[Part]:
+    """One part after the other: what a part needs beyond its numbers is large, and is let go."""
+    from scipy.ndimage import find_objects
+
+    boxes = find_objects(scene.seeds)
+    if progress is not None:
+        progress.expect(len(boxes))
+    for number, box in enumerate(boxes, 1):
+        cover = covered(scene, number, box)
+        part = None if cover is None else measured(cover, scene)
+        if part is not None:
+            yield part
+        if progress is not None:
+            progress.add(1)
 
 
 def _check(image: GrayImage, threshold: float | None, min_area: float) -> None:
