@@ -92,7 +92,10 @@ def add_radiance(parser: argparse.ArgumentParser) -> None:
         "--trust", action="store_true", help="let included Radiance files run commands and name any file"
     )
     parser.add_argument(
-        "--tracer-timeout", metavar="TIME", default="600 s", help='longest silence of a tracer (default "600 s")'
+        "--tracer-timeout",
+        metavar="TIME",
+        default="600 s",
+        help='longest silence of a tracer, and longest time of other programs (default "600 s")',
     )
 
 
