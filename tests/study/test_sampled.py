@@ -1,0 +1,124 @@
+"""All runs of a study are sampled by one plan, and their error bars are what renders scatter by."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_limits
+
+import radwrap
+from radwrap.errors import InputError
+from radwrap.imaging.sampling import SamplingPlan
+from radwrap.study.design import read_design
+from radwrap.study.effects import analyse
+from radwrap.study.image_error import blur_radii, error_fields
+from radwrap.study.levels import read_data
+from radwrap.study.responses import Response, answer
+from radwrap.study.sampled import read_plans
+from radwrap.study.study import STUDY, StudyOptions, run_study
+from radwrap.study.table import read_table
+from radwrap.study.worker import seen_of
+from tests.study.conftest import EDGE, DesignWriter
+
+# Exposure alone: a darker image of the same edge, and of the same noise in share of its light.
+DARKER = """
+analysis = "none"
+[design]
+kind = "full"
+[factors.t]
+key = "camera.exposure_time"
+levels = ["13 ms", "100 ms"]
+[render]
+tolerance = 0.7
+"""
+BLUR = '[responses.b]\nmeasure = "edge_blur"\ndark = "sensor"\ngamma = "sensor"\n'
+ONE = StudyOptions(workers=1)
+
+
+def manifests(out: Path) -> list[dict[str, Any]]:
+    return [json.loads(path.read_text()) for path in sorted(out.glob("renders/*/manifest.json"))]
+
+
+def test_runs_share_a_plan_that_stands_in_the_study(design: DesignWriter) -> None:
+    path = design(DARKER, BLUR)
+    out = path.parent / "out"
+    run_study(read_design(path), out, ONE)
+    told = json.loads((out / STUDY).read_text())["sampling"]
+    assert len(told) == 1 and told[0]["render"]["tolerance"] == 0.7
+    plans = [made["plan"]["sampling"] for made in manifests(out)]
+    assert len(plans) == 2 and all({"render": told[0]["render"], **plan} == told[0] for plan in plans)
+    # Equal rays of a darker scene: the same blur, to the rounding of float32.
+    values = [float(row["b [px]"]) for row in read_table(out / "results.csv").rows]
+    assert values[0] == pytest.approx(values[1], abs=1e-4)
+    assert not (out / "pilots").exists()
+
+
+def test_the_plan_survives_a_kill_and_is_checked_when_it_is_read(design: DesignWriter) -> None:
+    path = design(DARKER, BLUR)
+    out = path.parent / "out"
+    run_study(read_design(path), out, ONE)
+    table = out / "results.csv"
+    whole, lines = table.read_bytes(), table.read_bytes().splitlines(keepends=True)
+    # As a study leaves it that was killed after its first row: a plan that pilots would not choose is kept.
+    told = json.loads((out / STUDY).read_text())
+    begun = {key: told[key] for key in ("schema_version", "study_sha256", "sampling")}
+    (out / STUDY).write_text(json.dumps(begun))
+    table.write_bytes(b"".join(lines[:2]))
+    run_study(read_design(path), out, ONE)
+    assert table.read_bytes() == whole and json.loads((out / STUDY).read_text())["sampling"] == told["sampling"]
+    for key, value in (("cell", 0.3), ("replicates", -1), ("render", {})):
+        bad = {**begun, "sampling": [{**begun["sampling"][0], key: value}]}
+        (out / STUDY).write_text(json.dumps(bad))
+        with pytest.raises(InputError) as error:
+            run_study(read_design(path), out, ONE)
+        assert f"sampling[0].{key}" in error.value.where
+    (out / STUDY).write_text(json.dumps({**begun, "study_sha256": "0"}))
+    with pytest.raises(InputError, match="another study"):
+        read_plans(out / STUDY, "1")
+
+
+def test_a_run_that_misses_its_tolerance_is_named(design: DesignWriter) -> None:
+    """A budget that the brighter run cannot do with: it is named with its bound, and the plan stays as it is."""
+    path = design(DARKER + "budget_rays = 60000\n", BLUR)
+    out = path.parent / "out"
+    study = run_study(read_design(path), out, ONE)
+    rows = read_table(out / "results.csv").rows
+    bad = {row["run"]: float(row["image_error"]) for row in rows if row["met"] == "0"}
+    assert study.summary["missed"] == bad and list(bad) == ["2"] and bad["2"] > 0.7
+    assert len({json.dumps(made["plan"]["sampling"]) for made in manifests(out)}) == 1
+
+
+def test_an_effect_that_images_may_make_is_not_significant(tmp_path: Path) -> None:
+    """Two replicates that agree to a thousandth, in images whose errors are ten times the effect."""
+    lines = [f"{a},{b},{1 + 0.01 * a + 0.001 * (k % 2)},{{}}" for k in range(4) for a in (0, 1) for b in (0, 1)]
+    path = tmp_path / "table.csv"
+    said = []
+    for error in (0.001, 0.1):
+        path.write_text("\n".join(["a,b,y,y_error", *(line.format(error) for line in lines)]) + "\n")
+        said.append(analyse(read_data(path, "y", ("a", "b"))).effects[0].significant)
+    assert said == [True, False]
+
+
+def test_error_bars_by_replicates_are_what_renders_scatter_by(tmp_path: Path) -> None:
+    """Eight renders with seeds of their own: their scatter is known to 27 %, the median of their bars to 9 %."""
+    scene = radwrap.scene_from_document(EDGE)
+    plan = SamplingPlan("kernel", cell=0.5)
+    responses = [
+        Response("u", "edge_position", "px", {"dark": "sensor", "gamma": "sensor"}),
+        Response("m", "mean_gray"),
+    ]
+    found = []
+    for seed in range(8):
+        out = tmp_path / str(seed)
+        made = radwrap.render(scene, out, sampling=plan, seed=seed, workers=1)
+        seen = seen_of(scene, made, out, error_fields(made.gray.values.shape, blur_radii(scene)))
+        with threadpool_limits(1):
+            found.append([answer(one, seen) for one in responses])
+    for answers in zip(*found, strict=True):
+        scatter = float(np.std([one.value for one in answers], ddof=1))
+        stated = float(np.median([one.error for one in answers]))
+        assert 0.5 < stated / scatter < 2
