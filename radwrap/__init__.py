@@ -28,14 +28,14 @@ if TYPE_CHECKING:
     from radwrap.errors import RadwrapError as RadwrapError
     from radwrap.errors import ToleranceNotMet as ToleranceNotMet
     from radwrap.errors import TracerError as TracerError
-    from radwrap.imaging.effects import effects as effects
-    from radwrap.imaging.explain import explain as explain
+    from radwrap.imaging.forecast.effects import effects as effects
+    from radwrap.imaging.forecast.explain import explain as explain
     from radwrap.imaging.render_options import RenderOptions as RenderOptions
     from radwrap.imaging.synthesis import Rendered as Rendered
     from radwrap.imaging.synthesis import render as render
-    from radwrap.scene.load import load_scene as load_scene
-    from radwrap.scene.load import scene_from_document as scene_from_document
-    from radwrap.scene.load import with_value as with_value
+    from radwrap.scene.file.load import load_scene as load_scene
+    from radwrap.scene.file.load import scene_from_document as scene_from_document
+    from radwrap.scene.file.load import with_value as with_value
     from radwrap.scene.scene import Scene as Scene
 
 # Each public name and its home. They are fetched when they are first used: the command starts at once, and can be
@@ -50,12 +50,12 @@ _HOMES = {
     "Scene": "radwrap.scene.scene",
     "ToleranceNotMet": "radwrap.errors",
     "TracerError": "radwrap.errors",
-    "effects": "radwrap.imaging.effects",
-    "explain": "radwrap.imaging.explain",
-    "load_scene": "radwrap.scene.load",
+    "effects": "radwrap.imaging.forecast.effects",
+    "explain": "radwrap.imaging.forecast.explain",
+    "load_scene": "radwrap.scene.file.load",
     "render": "radwrap.imaging.synthesis",
-    "scene_from_document": "radwrap.scene.load",
-    "with_value": "radwrap.scene.load",
+    "scene_from_document": "radwrap.scene.file.load",
+    "with_value": "radwrap.scene.file.load",
 }
 
 

@@ -18,7 +18,7 @@ import numpy as np
 import psutil
 
 import radwrap
-from radwrap.imaging.view import PixelPlan, ray_blocks
+from radwrap.imaging.optics.view import PixelPlan, ray_blocks
 from radwrap.process import Programs
 from radwrap.tracers.installation import find_radiance
 from radwrap.tracers.radiance import VALUE_OPTIONS, RadianceOptions, build, prepare

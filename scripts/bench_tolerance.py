@@ -26,16 +26,16 @@ from numpy.typing import NDArray
 import radwrap
 from bench import ROOT, SCENE, command, finer, peak_memory
 from radwrap.images import RadianceImage, read_image, write_exr, write_png
-from radwrap.imaging.aperture import LAYOUTS, Layout, sub_viewpoints
-from radwrap.imaging.certificate import draw_pixels, model_errors
-from radwrap.imaging.exposure import radiant_exposure
-from radwrap.imaging.kernel import plan_kernel
+from radwrap.imaging.methods.kernel import plan_kernel
+from radwrap.imaging.optics.aperture import LAYOUTS, Layout, sub_viewpoints
+from radwrap.imaging.optics.view import PixelPlan, PixelSampling, View
 from radwrap.imaging.render_options import RenderOptions
-from radwrap.imaging.replicates import Work, discretisation, trace_replicates
-from radwrap.imaging.sensor import GrayWhereAsked, gray_image, gray_levels
-from radwrap.imaging.survey import AIM_SHARE, met_by, middle_of, survey
+from radwrap.imaging.response.exposure import radiant_exposure
+from radwrap.imaging.response.sensor import GrayWhereAsked, gray_image, gray_levels
+from radwrap.imaging.tolerance.certificate import draw_pixels, model_errors
+from radwrap.imaging.tolerance.replicates import Work, discretisation, trace_replicates
+from radwrap.imaging.tolerance.survey import AIM_SHARE, met_by, middle_of, survey
 from radwrap.imaging.tracing import traced_scene
-from radwrap.imaging.view import PixelPlan, PixelSampling, View
 from radwrap.process import Programs
 from radwrap.progress import Progress
 from radwrap.study.paper_method import summed_viewpoints

@@ -12,7 +12,7 @@ from pathlib import Path
 import radwrap
 from radwrap.images import ExposureImage
 from radwrap.imaging.render_options import RenderOptions
-from radwrap.imaging.sensor import gray_image
+from radwrap.imaging.response.sensor import gray_image
 from radwrap.measure.dots import METHODS
 from radwrap.scene.scene import Scene
 from radwrap.study.bias import BiasPoint, Study, dot_bias, edge_bias, scaled_gray, sweep, write_study

@@ -25,11 +25,11 @@ from typing import Any
 import numpy as np
 
 import radwrap
-from radwrap.imaging.certificate import draw_pixels, independent_errors, root
-from radwrap.imaging.rays import sampled_radiance
-from radwrap.imaging.sensor import gray_levels
+from radwrap.imaging.methods.rays import sampled_radiance
+from radwrap.imaging.optics.view import View, trace_rays
+from radwrap.imaging.response.sensor import gray_levels
+from radwrap.imaging.tolerance.certificate import draw_pixels, independent_errors, root
 from radwrap.imaging.tracing import traced_scene
-from radwrap.imaging.view import View, trace_rays
 
 OUT = Path(__file__).resolve().parent.parent / "out" / "certificates.json"
 COVERAGE = 0.91

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 import radwrap
 from radwrap.images import GrayImage
-from radwrap.imaging.sensor import gray_levels
+from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.truth import geometry
 from radwrap.measure.edges import Edge, measure_edge
 from radwrap.scene.scene import Scene

@@ -17,10 +17,10 @@ import numpy as np
 
 from radwrap.files import make_folder, write_bytes
 from radwrap.images import ExposureImage, write_png
-from radwrap.imaging.noise import fixed_pattern, linear_of, noisy_frame
+from radwrap.imaging.response.noise import fixed_pattern, linear_of, noisy_frame
 from radwrap.manifest import json_text, plain
 from radwrap.scene.camera import Sensor
-from radwrap.scene.load import load_scene
+from radwrap.scene.file.load import load_scene
 
 SCENE: Final = Path(__file__).parents[1] / "rad_scenes" / "data_sheet_camera" / "scene.toml"
 _REACH: Final = 1.15  # of saturation, so that the largest variance is passed

@@ -8,7 +8,7 @@ import numpy as np
 
 import radwrap
 from radwrap.calibrate.response import energy_in_cone, exposure_at_distance, fit_response
-from radwrap.imaging.sensor import gray_levels
+from radwrap.imaging.response.sensor import gray_levels
 from replication.figure import OURS, PAPER, THIRD, Made, Task, figure, main
 from replication.images import Measured
 from sensor_experiment import CONE_ANGLE, DISTANCE, LONGEST, RADIANT_INTENSITY, SCENE, frames, series

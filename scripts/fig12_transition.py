@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import radwrap
-from radwrap.imaging.sensor import gray_levels, with_gamma
+from radwrap.imaging.response.sensor import gray_levels, with_gamma
 from radwrap.measure.edges.profile import disc_edge, pixel_edge
-from radwrap.scene.geometry import project
+from radwrap.scene.look.geometry import project
 from replication.figure import OURS, PAPER, THIRD, Made, Task, figure, main
 from replication.images import Image, Measured, predicted
 

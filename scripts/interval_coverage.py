@@ -24,12 +24,12 @@ from numpy.typing import NDArray
 
 from radwrap.files import write_bytes
 from radwrap.images import ExposureImage, read_image
-from radwrap.imaging.noise import fixed_pattern, linear_of, noisy_frame
-from radwrap.imaging.relight import read_basis
-from radwrap.imaging.sensor import gray_levels
+from radwrap.imaging.relight.relit import read_basis
+from radwrap.imaging.response.noise import fixed_pattern, linear_of, noisy_frame
+from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.synthesis import render
 from radwrap.manifest import json_text
-from radwrap.scene.load import load_scene, with_value
+from radwrap.scene.file.load import load_scene, with_value
 from radwrap.scene.scene import Scene
 from radwrap.scene.tolerances import TO_STANDARD, Tolerances
 

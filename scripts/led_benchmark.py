@@ -19,7 +19,7 @@ import numpy as np
 
 import radwrap
 from radwrap.images import read_image
-from radwrap.imaging.sensor import gray_levels
+from radwrap.imaging.response.sensor import gray_levels
 from radwrap.led.connect import EmulatorProcess
 from radwrap.led.emulated_port import EmulatedPort
 from radwrap.led.from_scene import leds_of

@@ -18,11 +18,11 @@ import numpy as np
 
 import radwrap
 from bench import ROOT, SCENE, finer
-from radwrap.imaging.planner import Demand, render_to_tolerance
-from radwrap.imaging.replicates import Work
-from radwrap.imaging.sensor import gray_levels
+from radwrap.imaging.optics.view import View, trace_rays
+from radwrap.imaging.response.sensor import gray_levels
+from radwrap.imaging.tolerance.planner import Demand, render_to_tolerance
+from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tracing import traced_scene
-from radwrap.imaging.view import View, trace_rays
 from radwrap.process import Programs
 from radwrap.progress import Progress
 from radwrap.study.reference import Reference, distance, take_reference

@@ -20,11 +20,11 @@ from pathlib import Path
 import numpy as np
 
 import radwrap
-from radwrap.imaging.basis import freeze_tile, shining, write_basis
-from radwrap.imaging.certificate import certify_by_independent_rays
-from radwrap.imaging.planner import render_to_tolerance
-from radwrap.imaging.relight import Basis, read_basis, relit
-from radwrap.imaging.replicates import Work
+from radwrap.imaging.relight.basis import freeze_tile, shining, write_basis
+from radwrap.imaging.relight.relit import Basis, read_basis, relit
+from radwrap.imaging.tolerance.certificate import certify_by_independent_rays
+from radwrap.imaging.tolerance.planner import render_to_tolerance
+from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tracing import TracedScene, traced_scene
 from radwrap.process import Programs
 from radwrap.progress import Progress

@@ -19,7 +19,7 @@ from radwrap.calibrate.response import Response, energy_in_cone, exposure_at_dis
 from radwrap.calibrate.response_fits import Array
 from radwrap.cli.calibrate_sensor import plot, report
 from radwrap.files import make_folder, write_bytes
-from radwrap.imaging.sensor import gray_levels
+from radwrap.imaging.response.sensor import gray_levels
 from radwrap.manifest import json_text
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -20,9 +20,9 @@ from pathlib import Path
 import numpy as np
 
 import radwrap
+from radwrap.imaging.optics.view import trace_rays
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.tracing import traced_scene
-from radwrap.imaging.view import trace_rays
 
 ROOT = Path(__file__).resolve().parent.parent
 DESIGN = ROOT / "rad_scenes" / "study_table2" / "design.toml"

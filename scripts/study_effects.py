@@ -27,15 +27,15 @@ from threadpoolctl import threadpool_limits
 
 from radwrap.files import write_bytes
 from radwrap.imaging.render_options import RenderOptions
-from radwrap.imaging.replicates import Work
-from radwrap.imaging.sampling import SamplingPlan, pilot, strictest
-from radwrap.imaging.sensor import gray_levels
+from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.synthesis import render
+from radwrap.imaging.tolerance.replicates import Work
+from radwrap.imaging.tolerance.sampling import SamplingPlan, pilot, strictest
 from radwrap.imaging.tracing import laid_out
 from radwrap.manifest import json_text
 from radwrap.process import Programs
 from radwrap.progress import Progress
-from radwrap.scene.load import scene_from_document
+from radwrap.scene.file.load import scene_from_document
 from radwrap.scene.scene import Scene
 from radwrap.study.design import Design
 from radwrap.study.effects import Analysis, analyse

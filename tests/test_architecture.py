@@ -22,22 +22,26 @@ DOORS = {
         "measure/compare.py",
         "measure/parts/overlay.py",
         "measure/parts/raster.py",
-        "scene/calibration_file.py",
+        "scene/file/calibration_file.py",
     },
     "pydantic": {
-        "scene/border.py",
-        "scene/document.py",
-        "scene/load.py",
-        "scene/material_tables.py",
-        "scene/optics_tables.py",
-        "scene/sensor_tables.py",
-        "scene/source_tables.py",
+        "scene/file/border.py",
+        "scene/file/document.py",
+        "scene/file/load.py",
+        "scene/file/material_tables.py",
+        "scene/file/optics_tables.py",
+        "scene/file/sensor_tables.py",
+        "scene/file/source_tables.py",
         "imaging/run_files.py",  # what a run leaves as JSON
         "written.py",  # reads it back
     },
-    "tomllib": {"reading.py", "scene/border.py", "scene/sensor_tables.py"},  # the latter two read our own tables
-    "pydantic_core": {"scene/load.py"},
-    "trimesh": {"scene/parts.py", "convert/preview_files.py"},
+    "tomllib": {
+        "reading.py",
+        "scene/file/border.py",
+        "scene/file/sensor_tables.py",
+    },  # the latter two read our own tables
+    "pydantic_core": {"scene/file/load.py"},
+    "trimesh": {"scene/mesh_files/parts.py", "convert/preview_files.py"},
     "cascadio": set(),
     "pyradiance": set(),
     "hid": {"led/ports.py"},
@@ -89,7 +93,7 @@ def test_data_flows_one_way() -> None:
 
 def test_the_rule_catches_an_import_against_the_stream(tmp_path: Path) -> None:
     offender = tmp_path / "camera.py"
-    offender.write_text("from radwrap.imaging.sensor import gray_levels\n")
+    offender.write_text("from radwrap.imaging.response.sensor import gray_levels\n")
     (name,) = imports(offender)
     assert ORDER.index(room(name)) > ORDER.index("scene")
 

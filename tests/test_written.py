@@ -11,7 +11,7 @@ import pytest
 from radwrap.errors import InputError
 from radwrap.imaging.run_files import BasisFile, RunManifest
 from radwrap.manifest import plain
-from radwrap.scene.load import scene_from_document
+from radwrap.scene.file.load import scene_from_document
 from radwrap.written import read_back
 from tests.cli.conftest import scene_with
 

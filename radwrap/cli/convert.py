@@ -110,7 +110,7 @@ def _radiance(arguments: argparse.Namespace) -> RadianceOptions:
 
 def _convert_mesh(arguments: argparse.Namespace) -> int:
     from radwrap.convert.mesh_files import DEFAULT_MATERIAL, read_groups, write_mesh
-    from radwrap.scene.load import load_materials
+    from radwrap.scene.file.load import load_materials
 
     out = Path(arguments.out)
     _only_rad(out)

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from radwrap.cli import options as shared
-from radwrap.imaging.effects import effects
-from radwrap.imaging.explain import explain
+from radwrap.imaging.forecast.effects import effects
+from radwrap.imaging.forecast.explain import explain
 from radwrap.imaging.render_options import TOLERANCE, RenderOptions
 from radwrap.manifest import json_text
 

@@ -19,7 +19,7 @@ from radwrap.led.ports import found, udev_rules
 from radwrap.led.ring import Frame, LedRing
 from radwrap.manifest import SCHEMA_VERSION, json_text
 from radwrap.reading import shortened, whole_number
-from radwrap.scene.load import load_scene
+from radwrap.scene.file.load import load_scene
 from radwrap.units import RADIANT_INTENSITY, parse_quantity
 
 _TICK: Final = 0.1  # s between looks at the ring while it shines

@@ -19,7 +19,7 @@ from radwrap.led.drive import read_drive
 from radwrap.led.play import DARK, RECORD, led_name
 from radwrap.manifest import SCHEMA_VERSION, json_text, read_manifest
 from radwrap.reading import parse_json
-from radwrap.scene.ring_calibration import RingCalibration
+from radwrap.scene.file.ring_calibration import RingCalibration
 from radwrap.written import Count, Positive, Share, read_back
 
 _FREEZING: Final = 273.15  # K, of 0 degrees Celsius
@@ -116,10 +116,10 @@ def _from_table(arguments: argparse.Namespace) -> tuple[RingCalibration, list[di
 
 def _from_captures(arguments: argparse.Namespace) -> tuple[RingCalibration, list[dict[str, Any]]]:
     from radwrap.images import read_gray
-    from radwrap.imaging.relight import read_basis, relit
+    from radwrap.imaging.relight.relit import read_basis, relit
     from radwrap.led.from_scene import leds_of
     from radwrap.led.self_calibration import check_dark, factor
-    from radwrap.scene.load import scene_from_document
+    from radwrap.scene.file.load import scene_from_document
 
     if not arguments.basis:
         raise InputError("needs what the scene predicts", where="--captures", remedy="give --basis DIR")

@@ -19,7 +19,7 @@ from radwrap.led.drive import Drive, check_ripple, read_drive
 from radwrap.led.from_scene import check_positions, leds_of, the_ring
 from radwrap.led.ports import Found, found
 from radwrap.led.ring import LedRing, open_ring
-from radwrap.scene.ring_calibration import RingCalibration, read_calibration
+from radwrap.scene.file.ring_calibration import RingCalibration, read_calibration
 from radwrap.scene.scene import Scene
 from radwrap.units import RADIANT_INTENSITY, parse_quantity
 

@@ -14,13 +14,13 @@ from radwrap.cli import options as shared
 from radwrap.cli.led_device import add_device, add_light, ring_of, stdin_is_there, warn_of_ripple
 from radwrap.errors import InputError
 from radwrap.files import make_folder, sole_owner
-from radwrap.imaging.levels import Levels, read_levels
+from radwrap.imaging.relight.levels import Levels, read_levels
 from radwrap.led.from_scene import leds_of
 from radwrap.led.play import PLAYED, RECORD, Planned, plan, play
 from radwrap.led.ring import LedRing
 from radwrap.manifest import json_text
 from radwrap.process import Programs
-from radwrap.scene.load import load_scene
+from radwrap.scene.file.load import load_scene
 from radwrap.scene.scene import Scene
 
 _TICK: Final = 0.1  # s between looks at the ring while it shines

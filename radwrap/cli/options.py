@@ -15,7 +15,7 @@ from typing import Any, Final
 from radwrap.errors import InputError
 from radwrap.files import check_result
 from radwrap.reading import parse_toml, shortened
-from radwrap.scene.load import load_scene
+from radwrap.scene.file.load import load_scene
 from radwrap.scene.scene import Scene
 from radwrap.units import TIME, parse_quantity
 

@@ -13,9 +13,9 @@ from radwrap.cli import options as shared
 from radwrap.errors import InputError, ToleranceNotMet
 from radwrap.files import check_result, make_folder, sha256_of, sole_owner
 from radwrap.images import write_exr, write_png
-from radwrap.imaging.levels import Levels, read_levels
-from radwrap.imaging.relight import Basis, Relit, read_basis, relit
-from radwrap.imaging.relit_uncertainty import relit_uncertainty
+from radwrap.imaging.relight.levels import Levels, read_levels
+from radwrap.imaging.relight.relit import Basis, Relit, read_basis, relit
+from radwrap.imaging.relight.relit_uncertainty import relit_uncertainty
 from radwrap.manifest import SCHEMA_VERSION, json_text, write_manifest
 
 RESULT: Final = "relight.json"

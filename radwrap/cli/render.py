@@ -11,7 +11,7 @@ from typing import Any
 
 from radwrap.cli import options as shared
 from radwrap.errors import InputError, ToleranceNotMet
-from radwrap.imaging.photo_realistic import check_drawable, write_beside
+from radwrap.imaging.forecast.photo_realistic import check_drawable, write_beside
 from radwrap.imaging.render_options import METHODS, TOLERANCE, RenderOptions
 from radwrap.imaging.synthesis import forecast, render
 from radwrap.manifest import json_text

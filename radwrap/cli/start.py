@@ -10,7 +10,7 @@ from typing import Any
 from radwrap.errors import InputError
 from radwrap.files import make_folder, write_bytes
 from radwrap.manifest import json_text
-from radwrap.scene.document import SceneModel
+from radwrap.scene.file.document import SceneModel
 
 
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from radwrap.cli import options as shared
-from radwrap.imaging.cost import duration
+from radwrap.imaging.forecast.cost import duration
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.manifest import json_text
 from radwrap.study.trade import Trade, TradeOptions, measure_trade

@@ -18,9 +18,9 @@ from radwrap.files import make_folder, write_bytes
 from radwrap.process import Programs
 from radwrap.reading import check_regular
 from radwrap.scene.materials import Lambertian, Material
-from radwrap.scene.parts import MESH, PartFile, cleaned, read_part_file
+from radwrap.scene.mesh_files.parts import MESH, PartFile, cleaned, read_part_file
+from radwrap.scene.mesh_files.winding import wound
 from radwrap.scene.targets import MeshShape
-from radwrap.scene.winding import wound
 from radwrap.tracers.radiance import RadianceOptions, compiled_mesh
 from radwrap.tracers.radiance_materials import material_text
 from radwrap.tracers.radiance_text import function_file

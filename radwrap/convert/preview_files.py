@@ -24,7 +24,7 @@ from radwrap.scene.materials import (
     PrintedSheeting,
     Specular,
 )
-from radwrap.scene.polygons import ears
+from radwrap.scene.mesh_files.polygons import ears
 from radwrap.scene.scene import Scene
 from radwrap.scene.targets import DiscShape, MeshShape, PolygonShape, Shape, SphereShape, TubeShape
 

@@ -30,31 +30,31 @@ from radwrap.files import (
     sole_owner,
 )
 from radwrap.images import ExposureImage, GrayImage, RadianceImage, png_bytes, read_image, write_exr, write_png
-from radwrap.imaging import photo_realistic
-from radwrap.imaging.basis import BASIS, FOLDER, shining, write_basis
-from radwrap.imaging.cost import Cost, check_size, estimate, seconds_per_ray
-from radwrap.imaging.diffraction import diffraction, diffraction_warning
-from radwrap.imaging.effects import Effect, bounces, bounces_beyond
-from radwrap.imaging.exposure import radiant_exposure
-from radwrap.imaging.kept_replicates import REPLICATES, kept, write_replicates
-from radwrap.imaging.methods import Made, fixed_method, how, make, viewpoint_plan
-from radwrap.imaging.noise import fixed_pattern, frame_file, frames_in, linear_of, noisy_frame
-from radwrap.imaging.pieces import remove_pieces
-from radwrap.imaging.planner import choose
+from radwrap.imaging.forecast import photo_realistic
+from radwrap.imaging.forecast.cost import Cost, check_size, estimate, seconds_per_ray
+from radwrap.imaging.forecast.effects import Effect, bounces, bounces_beyond
+from radwrap.imaging.mean_radiance import Made, fixed_method, how, make, viewpoint_plan
+from radwrap.imaging.methods.pieces import remove_pieces
+from radwrap.imaging.methods.viewpoints import missing_viewpoints
+from radwrap.imaging.optics.diffraction import diffraction, diffraction_warning
+from radwrap.imaging.optics.view import View
+from radwrap.imaging.relight.basis import BASIS, FOLDER, shining, write_basis
 from radwrap.imaging.render_options import RenderOptions
-from radwrap.imaging.replicates import Work
+from radwrap.imaging.response.exposure import radiant_exposure
+from radwrap.imaging.response.noise import fixed_pattern, frame_file, frames_in, linear_of, noisy_frame
+from radwrap.imaging.response.sensor import gray_levels, image_of_levels
 from radwrap.imaging.run_files import RunManifest
-from radwrap.imaging.sensor import gray_levels, image_of_levels
-from radwrap.imaging.survey import survey
+from radwrap.imaging.tolerance.kept_replicates import REPLICATES, kept, write_replicates
+from radwrap.imaging.tolerance.planner import choose
+from radwrap.imaging.tolerance.replicates import Work
+from radwrap.imaging.tolerance.survey import survey
+from radwrap.imaging.tolerance.uncertainty import seen_magnifications, share_spread, uncertainty
 from radwrap.imaging.tracing import TracedScene, laid_out, scene_sha256
 from radwrap.imaging.truth import central_maps, geometry
-from radwrap.imaging.uncertainty import seen_magnifications, share_spread, uncertainty
-from radwrap.imaging.view import View
-from radwrap.imaging.viewpoints import missing_viewpoints
 from radwrap.manifest import SCHEMA_VERSION, plain, read_manifest, sha256_of_value, versions, write_manifest
 from radwrap.process import Programs, available_cores, children_cpu_time
 from radwrap.progress import Progress
-from radwrap.scene.checks import warnings_of
+from radwrap.scene.look.checks import warnings_of
 from radwrap.scene.scene import Scene
 from radwrap.scene.tolerances import Tolerances
 from radwrap.written import read_back

@@ -11,8 +11,8 @@ from pathlib import Path
 from radwrap.errors import InputError
 from radwrap.files import make_folder
 from radwrap.imaging.banding import banding
+from radwrap.imaging.optics.view import View
 from radwrap.imaging.render_options import RenderOptions
-from radwrap.imaging.view import View
 from radwrap.manifest import sha256_of_value
 from radwrap.process import Limits, Programs, available_cores
 from radwrap.scene.camera import ColourChannel

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.frames import points_to_local, to_world
-from radwrap.imaging.view import PixelPlan, ray_blocks, traced
+from radwrap.imaging.optics.view import PixelPlan, ray_blocks, traced
 from radwrap.scene.camera import Camera
-from radwrap.scene.geometry import in_view, project
+from radwrap.scene.look.geometry import in_view, project
 from radwrap.scene.scene import Scene
 from radwrap.scene.targets import DotBoard, EdgeTarget, Target
 from radwrap.tracers.radiance import RadianceTracer

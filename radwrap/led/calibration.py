@@ -13,7 +13,7 @@ from radwrap.files import write_bytes
 from radwrap.led.drive import decimal
 from radwrap.manifest import json_text
 from radwrap.reading import CSV, csv_rows, read_text, shortened
-from radwrap.scene.ring_calibration import IS, SCHEMA_VERSION, LedTable, RingCalibration, read_calibration
+from radwrap.scene.file.ring_calibration import IS, SCHEMA_VERSION, LedTable, RingCalibration, read_calibration
 from radwrap.units import RADIANT_INTENSITY, parse_quantity
 
 _COLUMNS: Final = ("led", "level", "radiant_intensity")

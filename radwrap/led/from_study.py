@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from radwrap.errors import InputError
-from radwrap.imaging.levels import Levels
+from radwrap.imaging.relight.levels import Levels
 from radwrap.led.from_scene import leds_of
-from radwrap.scene.load import scene_from_document
+from radwrap.scene.file.load import scene_from_document
 from radwrap.scene.scene import Scene
 from radwrap.study.design import Design
 from radwrap.study.runs import runs_of

@@ -18,7 +18,7 @@ from typing import Any, Final
 
 from radwrap.errors import CheckFailed, InputError
 from radwrap.files import write_bytes
-from radwrap.imaging.levels import Levels
+from radwrap.imaging.relight.levels import Levels
 from radwrap.led.ring import Frame, LedRing
 from radwrap.manifest import SCHEMA_VERSION, plain, read_manifest, sha256_of_value, write_manifest
 

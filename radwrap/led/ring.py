@@ -19,7 +19,7 @@ from radwrap.led.connect import open_backend
 from radwrap.led.drive import Drive
 from radwrap.led.guardian import BEAT, MISSED, Guardian
 from radwrap.led.ports import Found
-from radwrap.scene.ring_calibration import RingCalibration
+from radwrap.scene.file.ring_calibration import RingCalibration
 
 # Currents that are written with three digits are the same.
 _SAME_CURRENT: Final = 1e-3

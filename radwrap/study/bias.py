@@ -21,14 +21,14 @@ from radwrap.errors import InputError
 from radwrap.files import write_bytes
 from radwrap.images import ExposureImage, GrayImage
 from radwrap.imaging.render_options import RenderOptions
-from radwrap.imaging.sensor import gray_image
+from radwrap.imaging.response.sensor import gray_image
 from radwrap.imaging.synthesis import render
 from radwrap.imaging.truth import geometry
 from radwrap.manifest import json_text
 from radwrap.measure.dots import Method, find_dots
 from radwrap.measure.edges import measure_edge
 from radwrap.scene.camera import Sensor
-from radwrap.scene.load import with_value
+from radwrap.scene.file.load import with_value
 from radwrap.scene.scene import Scene
 from radwrap.scene.targets import DotBoard
 

@@ -22,14 +22,14 @@ from numpy.typing import NDArray
 from radwrap.errors import InputError
 from radwrap.files import make_folder, sole_owner
 from radwrap.images import RadianceImage
-from radwrap.imaging.cost import check_size
-from radwrap.imaging.exposure import radiant_exposure
-from radwrap.imaging.methods import viewpoint_plan
+from radwrap.imaging.forecast.cost import check_size
+from radwrap.imaging.mean_radiance import viewpoint_plan
+from radwrap.imaging.methods.viewpoints import ViewpointPlan, merge, trace_viewpoints
 from radwrap.imaging.render_options import FixedMethod, RenderOptions
-from radwrap.imaging.sensor import gray_levels
+from radwrap.imaging.response.exposure import radiant_exposure
+from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.tracing import TracedScene
 from radwrap.imaging.truth import central_maps
-from radwrap.imaging.viewpoints import ViewpointPlan, merge, trace_viewpoints
 from radwrap.manifest import sha256_of_value
 from radwrap.process import Limits, Programs, available_cores
 from radwrap.progress import Progress

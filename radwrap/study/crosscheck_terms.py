@@ -16,13 +16,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.imaging.explain import blur_radius
-from radwrap.imaging.preview import look
+from radwrap.imaging.forecast.explain import blur_radius
+from radwrap.imaging.forecast.preview import look
 from radwrap.scene.camera import Camera
-from radwrap.scene.geometry import directions
-from radwrap.scene.intersections import first_hit
+from radwrap.scene.look.geometry import directions
+from radwrap.scene.look.intersections import first_hit
+from radwrap.scene.look.probes import material_number, materials_of
 from radwrap.scene.materials import Lambertian, Material, Specular
-from radwrap.scene.probes import material_number, materials_of
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Emitter, Patch
 from radwrap.scene.targets import RadFile

@@ -15,7 +15,7 @@ from typing import Any, Final, Literal
 from radwrap.errors import InputError
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.reading import FileKind, read_toml
-from radwrap.scene.load import load_scene
+from radwrap.scene.file.load import load_scene
 from radwrap.study.factors import Factor, Level, quantity, read_draw, with_all_leds
 from radwrap.study.responses import KINDS, Response, check_options, unit_of
 

@@ -1,6 +1,6 @@
 """How far a response may be off because the predicted image is: the image's error, carried through the measurement.
 
-An image by an even plan of sampling (`imaging/sampling.py`) has independent replicates. What is measured on images that
+An image by an even plan of sampling (`imaging/tolerance/sampling.py`) has independent replicates. What is measured on images that
 differ from their mean as its own error does tells what noise does to the response; the image with the change that the
 size of the kernel's cells may make tells what they do. Both are the error as it lies in this image, from pixel to
 pixel.
@@ -29,11 +29,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.images import GrayImage
-from radwrap.imaging.explain import blur_radius
-from radwrap.imaging.kept_replicates import KeptReplicates
-from radwrap.imaging.sensor import gray_levels
+from radwrap.imaging.forecast.explain import blur_radius
+from radwrap.imaging.response.sensor import gray_levels
+from radwrap.imaging.tolerance.kept_replicates import KeptReplicates
 from radwrap.scene.camera import Camera, Sensor
-from radwrap.scene.geometry import project
+from radwrap.scene.look.geometry import project
 from radwrap.scene.scene import Scene
 
 Array = NDArray[np.float64]

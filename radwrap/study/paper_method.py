@@ -13,9 +13,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.imaging.aperture import Viewpoints
-from radwrap.imaging.pieces import run_jobs
-from radwrap.imaging.view import PixelPlan, RayBlock, View, pixel_means, ray_blocks, traced
+from radwrap.imaging.methods.pieces import run_jobs
+from radwrap.imaging.optics.aperture import Viewpoints
+from radwrap.imaging.optics.view import PixelPlan, RayBlock, View, pixel_means, ray_blocks, traced
 from radwrap.process import Programs
 
 

@@ -12,8 +12,8 @@ from typing import Any, Final
 from radwrap.errors import InputError
 from radwrap.files import make_folder
 from radwrap.imaging.render_options import RenderOptions
-from radwrap.imaging.replicates import Work
-from radwrap.imaging.sampling import Pilot, SamplingPlan, pilot, sampling_plan, strictest
+from radwrap.imaging.tolerance.replicates import Work
+from radwrap.imaging.tolerance.sampling import Pilot, SamplingPlan, pilot, sampling_plan, strictest
 from radwrap.imaging.tracing import laid_out
 from radwrap.manifest import SCHEMA_VERSION, read_manifest, write_manifest
 from radwrap.process import Programs

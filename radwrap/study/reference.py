@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
-from radwrap.imaging.certificate import PixelErrors, PixelSample, places_of, root
-from radwrap.imaging.rays import PILOT, gray_deviation, plan_rays, sampled_radiance
-from radwrap.imaging.sensor import gray_levels
-from radwrap.imaging.view import View
+from radwrap.imaging.methods.rays import PILOT, gray_deviation, plan_rays, sampled_radiance
+from radwrap.imaging.optics.view import View
+from radwrap.imaging.response.sensor import gray_levels
+from radwrap.imaging.tolerance.certificate import PixelErrors, PixelSample, places_of, root
 
 # Shares of the pixels, by how much their rays differ, and of the sample: nearly all error lies where rays differ.
 _STRATA: Final = ((0.1, 0.5), (0.2, 0.25), (0.7, 0.25))

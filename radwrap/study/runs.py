@@ -14,7 +14,7 @@ import numpy as np
 
 from radwrap.errors import InputError
 from radwrap.manifest import sha256_of_value
-from radwrap.scene.load import scene_from_document, set_key
+from radwrap.scene.file.load import scene_from_document, set_key
 from radwrap.study.design import MOST_RUNS, Analysis, Design, check_render_option, render_options
 from radwrap.study.factors import Draw, Factor, Level, settings
 from radwrap.study.lenth import check_contrasts

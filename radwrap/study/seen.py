@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.images import GrayImage
-from radwrap.imaging.kept_replicates import KeptReplicates
+from radwrap.imaging.tolerance.kept_replicates import KeptReplicates
 from radwrap.measure.dots import SoughtDots
 from radwrap.measure.edges import Edge
 from radwrap.scene.scene import Scene

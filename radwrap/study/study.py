@@ -16,7 +16,7 @@ from radwrap.files import make_folder, sha256_of, sole_owner
 from radwrap.manifest import SCHEMA_VERSION, STUDY_PACKAGES, read_manifest, sha256_of_value, versions, write_manifest
 from radwrap.process import MOST_WORKERS, Programs, available_cores
 from radwrap.progress import Progress
-from radwrap.scene.named_files import named_files
+from radwrap.scene.file.named_files import named_files
 from radwrap.study.design import Design, render_options
 from radwrap.study.journal import RESULTS, Journal
 from radwrap.study.light import reference_levels, split_light, with_levels

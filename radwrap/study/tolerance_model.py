@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
-from radwrap.scene.load import scene_from_document
+from radwrap.scene.file.load import scene_from_document
 from radwrap.study.design import Design
 from radwrap.study.factors import Factor, Level, found, in_si, number_and_unit, written
 

@@ -21,15 +21,15 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.files import make_folder, sole_owner, write_bytes
-from radwrap.imaging.aperture import LAYOUTS, Layout, Viewpoints, central_viewpoint, sub_viewpoints
-from radwrap.imaging.cost import check_size
-from radwrap.imaging.planner import Budget, Demand, choose, render_to_tolerance
+from radwrap.imaging.forecast.cost import check_size
+from radwrap.imaging.optics.aperture import LAYOUTS, Layout, Viewpoints, central_viewpoint, sub_viewpoints
+from radwrap.imaging.optics.view import PixelPlan, PixelSampling, View, trace_rays
 from radwrap.imaging.render_options import RenderOptions
-from radwrap.imaging.replicates import Work
-from radwrap.imaging.sensor import gray_levels
-from radwrap.imaging.survey import survey
+from radwrap.imaging.response.sensor import gray_levels
+from radwrap.imaging.tolerance.planner import Budget, Demand, choose, render_to_tolerance
+from radwrap.imaging.tolerance.replicates import Work
+from radwrap.imaging.tolerance.survey import survey
 from radwrap.imaging.tracing import TracedScene
-from radwrap.imaging.view import PixelPlan, PixelSampling, View, trace_rays
 from radwrap.manifest import json_text, sha256_of_value, versions
 from radwrap.process import Programs, available_cores, children_cpu_time
 from radwrap.progress import Progress

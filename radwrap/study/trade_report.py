@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from radwrap.files import write_bytes
-from radwrap.imaging.cost import duration
+from radwrap.imaging.forecast.cost import duration
 from radwrap.manifest import SCHEMA_VERSION, json_text
 from radwrap.study.trade import Row, Trade
 

@@ -30,14 +30,14 @@ from radwrap.errors import (
 )
 from radwrap.files import make_folder, sha256_of
 from radwrap.images import GrayImage, write_png
-from radwrap.imaging.kept_replicates import REPLICATES, read_replicates
-from radwrap.imaging.relight import read_basis, relit
+from radwrap.imaging.relight.relit import read_basis, relit
 from radwrap.imaging.render_options import RenderOptions
+from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.run_files import RunManifest
-from radwrap.imaging.sensor import gray_levels
 from radwrap.imaging.synthesis import MANIFEST, Rendered, load_result, render
+from radwrap.imaging.tolerance.kept_replicates import REPLICATES, read_replicates
 from radwrap.manifest import read_manifest
-from radwrap.scene.load import scene_from_document
+from radwrap.scene.file.load import scene_from_document
 from radwrap.scene.scene import Scene
 from radwrap.study.image_error import COPIES, ErrorFields, blur_radii, error_fields, image_error, model_error
 from radwrap.study.light import factors

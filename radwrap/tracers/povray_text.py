@@ -25,7 +25,9 @@ import numpy as np
 from radwrap.errors import InputError
 from radwrap.frames import Vector, cross, dot, subtract
 from radwrap.scene.camera import Camera
-from radwrap.scene.geometry import in_view
+from radwrap.scene.look.geometry import in_view
+from radwrap.scene.look.probes import LIT_SHARE
+from radwrap.scene.look.superposed import summed, superposed
 from radwrap.scene.materials import (
     Anisotropic,
     CoefficientTable,
@@ -40,10 +42,8 @@ from radwrap.scene.materials import (
     PrintedSheeting,
     Specular,
 )
-from radwrap.scene.probes import LIT_SHARE
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Emitter, Luminaire, Patch, WideSource
-from radwrap.scene.superposed import summed, superposed
 from radwrap.scene.targets import (
     DiscShape,
     DotBoard,

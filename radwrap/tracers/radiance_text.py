@@ -13,10 +13,10 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from radwrap.frames import Vector
+from radwrap.scene.look.superposed import superposed
 from radwrap.scene.materials import Material
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Emitter, Luminaire, Patch, TableBeam, WideSource, emitters
-from radwrap.scene.superposed import superposed
 from radwrap.scene.targets import (
     DiscShape,
     DotBoard,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.synthesis import Rendered, render
 from radwrap.imaging.tracing import traced_scene
-from radwrap.scene.load import scene_from_document
+from radwrap.scene.file.load import scene_from_document
 from radwrap.scene.scene import Scene
 
 Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any, Final
 
 from radwrap.errors import InputError
-from radwrap.scene.load import scene_from_document
+from radwrap.scene.file.load import scene_from_document
 from radwrap.scene.scene import Scene
 from radwrap.validate import bench as on
 from radwrap.validate.bench import Bench

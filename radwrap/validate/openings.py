@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from radwrap.frames import Pose
-from radwrap.imaging.aperture import LAYOUTS, Layout, Viewpoints, sub_viewpoints
-from radwrap.imaging.view import PixelPlan
-from radwrap.imaging.viewpoints import ViewpointPlan, merge, trace_viewpoints
+from radwrap.imaging.methods.viewpoints import ViewpointPlan, merge, trace_viewpoints
+from radwrap.imaging.optics.aperture import LAYOUTS, Layout, Viewpoints, sub_viewpoints
+from radwrap.imaging.optics.view import PixelPlan
 from radwrap.process import Programs
 from radwrap.progress import Progress
 from radwrap.scene.camera import Aperture, Camera, Sensor

@@ -17,7 +17,7 @@ from radwrap.calibrate.response import fit_response
 from radwrap.errors import InputError
 from radwrap.images import read_image
 from radwrap.imaging.render_options import RenderOptions
-from radwrap.imaging.sensor import gray_levels, radiant_exposure_of
+from radwrap.imaging.response.sensor import gray_levels, radiant_exposure_of
 from radwrap.imaging.synthesis import render
 from radwrap.scene.camera import Sensor
 from radwrap.scene.scene import Scene

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 import radwrap
 from radwrap.errors import InputError
-from radwrap.imaging.sensor import gray_levels
+from radwrap.imaging.response.sensor import gray_levels
 from radwrap.measure.dots import METHODS
 from radwrap.study.image_error import blur_radii, error_fields, image_error
 from radwrap.study.responses import Response, answer

@@ -20,7 +20,7 @@ import numpy as np
 import OpenImageIO as oiio  # noqa: N813  (its own short name)
 import pytest
 
-from radwrap.scene.load import load_scene
+from radwrap.scene.file.load import load_scene
 from tests.cli.conftest import (
     COMMAND,
     SLOWER,

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from radwrap.images import read_image
-from radwrap.imaging.basis import sealed
+from radwrap.imaging.relight.basis import sealed
 from tests.cli.conftest import SLOWER, SMALL, files_in, here, inhabitants, products, run, start, wait_for, write_scene
 
 SECOND: Final = {**SMALL["sources"][0], "name": "second", "position": ["-60 mm", "-90 mm", "450 mm"]}

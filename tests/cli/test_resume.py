@@ -82,7 +82,7 @@ def test_ten_kills_at_random_change_nothing(memory_path: Path, capsys: pytest.Ca
 # A process that kills itself: the command's own code, forked for each moment, so that libraries are loaded once.
 DRIVER: Final = """
 import json, os, pathlib, signal, sys
-import radwrap.files, radwrap.imaging.methods, radwrap.imaging.pieces, radwrap.imaging.synthesis
+import radwrap.files, radwrap.imaging.mean_radiance, radwrap.imaging.methods.pieces, radwrap.imaging.synthesis
 from radwrap.cli.main import main
 
 argv, moments, cores = json.loads(sys.stdin.read())
@@ -94,9 +94,9 @@ def arm(kind, number):
         nonlocal count
         count += kind in kinds
         return kind in kinds and count == number
-    rename, read = pathlib.Path.replace, radwrap.imaging.pieces.read_image
+    rename, read = pathlib.Path.replace, radwrap.imaging.methods.pieces.read_image
     whole = radwrap.imaging.synthesis.remove_pieces
-    merge, unlink = radwrap.imaging.methods.merge, pathlib.Path.unlink
+    merge, unlink = radwrap.imaging.mean_radiance.merge, pathlib.Path.unlink
     def replace(self, target):
         last = at_last("before rename", "half written", "after rename")
         if last and kind == "before rename":
@@ -113,7 +113,7 @@ def arm(kind, number):
             if at_last("merge"):
                 die()
             return read(path)
-        radwrap.imaging.pieces.read_image = reading
+        radwrap.imaging.methods.pieces.read_image = reading
         return merge(*arguments)
     def unlinking(self, missing_ok=False):
         unlink(self, missing_ok=missing_ok)
@@ -127,7 +127,7 @@ def arm(kind, number):
         return whole(folder)
     pathlib.Path.replace, pathlib.Path.unlink = replace, unlinking
     radwrap.imaging.synthesis.remove_pieces = removing
-    radwrap.imaging.methods.merge = merging
+    radwrap.imaging.mean_radiance.merge = merging
 
 sys.stdout.flush()
 status = {}

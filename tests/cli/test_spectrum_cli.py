@@ -15,7 +15,7 @@ import radwrap
 from radwrap.cli.main import main
 from radwrap.errors import InputError
 from radwrap.images import read_image
-from radwrap.scene.checks import warnings_of
+from radwrap.scene.look.checks import warnings_of
 from tests.physics.test_linear_sensor import TABLE as LINEAR
 from tests.physics.test_spectrum import document, write_tables
 

@@ -14,10 +14,10 @@ from trimesh import creation
 
 import radwrap
 from radwrap.cli.main import main
-from radwrap.imaging.view import PixelPlan, ray_blocks, traced
+from radwrap.imaging.optics.view import PixelPlan, ray_blocks, traced
 from radwrap.process import Programs
-from radwrap.scene.geometry import project
-from radwrap.scene.polygons import ears
+from radwrap.scene.look.geometry import project
+from radwrap.scene.mesh_files.polygons import ears
 from radwrap.scene.targets import MeshShape
 from radwrap.tracers.installation import find_radiance
 from radwrap.tracers.radiance import NO_LIGHT, RadianceOptions, RadianceTracer, build, prepare

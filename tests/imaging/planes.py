@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from radwrap.frames import Pose
-from radwrap.imaging.view import View
+from radwrap.imaging.optics.view import View
 from radwrap.scene.camera import Aperture, Camera, Sensor
 
 Array = np.ndarray

@@ -12,16 +12,16 @@ import pytest
 
 import radwrap
 from radwrap.errors import InputError
-from radwrap.imaging.basis import freeze_tile, grid_pixels, shining, write_basis
-from radwrap.imaging.bounds import Bounded, resampling, stratified_mean, stratified_means
-from radwrap.imaging.certificate import certify_by_independent_rays, model_lacks
-from radwrap.imaging.kernel import KernelPlan
-from radwrap.imaging.planner import Outcome, render_to_tolerance
-from radwrap.imaging.relight import Basis, read_basis, relit
+from radwrap.imaging.methods.kernel import KernelPlan
+from radwrap.imaging.optics.view import View
+from radwrap.imaging.relight.basis import freeze_tile, grid_pixels, shining, write_basis
+from radwrap.imaging.relight.relit import Basis, read_basis, relit
 from radwrap.imaging.render_options import RenderOptions
-from radwrap.imaging.replicates import Work
+from radwrap.imaging.tolerance.bounds import Bounded, resampling, stratified_mean, stratified_means
+from radwrap.imaging.tolerance.certificate import certify_by_independent_rays, model_lacks
+from radwrap.imaging.tolerance.planner import Outcome, render_to_tolerance
+from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tracing import TracedScene, traced_scene
-from radwrap.imaging.view import View
 from radwrap.process import Programs
 from radwrap.progress import Progress
 from tests.cli.conftest import SMALL, scene_with

@@ -12,28 +12,28 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
-from radwrap.imaging.bounds import (
+from radwrap.imaging.methods.central import central_rays
+from radwrap.imaging.methods.kernel import decide_tile, gathered_tile, plan_kernel
+from radwrap.imaging.methods.rays import plan_rays, sampled_radiance
+from radwrap.imaging.optics.footprint import reach_px
+from radwrap.imaging.optics.view import RAYS_AT_ONCE, View
+from radwrap.imaging.tolerance.bounds import (
     mean_square_of_differences,
     mean_squares,
     resampling,
     stratified_mean,
     stratified_means,
 )
-from radwrap.imaging.central import central_rays
-from radwrap.imaging.certificate import (
+from radwrap.imaging.tolerance.certificate import (
     PixelSample,
     certify_by_independent_rays,
     draw_pixels,
     model_errors,
     root,
 )
-from radwrap.imaging.footprint import reach_px
-from radwrap.imaging.kernel import decide_tile, gathered_tile, plan_kernel
-from radwrap.imaging.planner import Budget, Demand, Outcome, render_to_tolerance
-from radwrap.imaging.rays import plan_rays, sampled_radiance
-from radwrap.imaging.replicates import Work, trace_replicates
-from radwrap.imaging.survey import predicted_rays
-from radwrap.imaging.view import RAYS_AT_ONCE, View
+from radwrap.imaging.tolerance.planner import Budget, Demand, Outcome, render_to_tolerance
+from radwrap.imaging.tolerance.replicates import Work, trace_replicates
+from radwrap.imaging.tolerance.survey import predicted_rays
 from radwrap.process import Programs
 from radwrap.progress import Progress
 from radwrap.scene.camera import Aperture
@@ -329,7 +329,7 @@ def test_a_budget_of_time_is_kept_within_an_attempt(
 ) -> None:
     """The best image so far comes back with its own error; the third by rays, not given up, would take 4 s more."""
     clock = Clock(Planes(((1.0, disc),)))
-    monkeypatch.setattr("radwrap.imaging.planner.time", clock)
+    monkeypatch.setattr("radwrap.imaging.tolerance.planner.time", clock)
     monkeypatch.setattr("radwrap.tracers.timed.time", clock)
     seen = replace(view(ROUND, (1.0, disc)), tracer=clock)
     outcome = search(seen, tmp_path, Demand(1e-4, method=method, budget=Budget(seconds=seconds)))
@@ -372,9 +372,9 @@ def test_the_first_image_is_given_up_too_and_the_coarsest_made(
 ) -> None:
     """Where the forecast says that all can be afforded, but rays take longer than the survey's did."""
     clock = Clock(Planes(((1.0, disc),)))
-    monkeypatch.setattr("radwrap.imaging.planner.time", clock)
+    monkeypatch.setattr("radwrap.imaging.tolerance.planner.time", clock)
     monkeypatch.setattr("radwrap.tracers.timed.time", clock)
-    monkeypatch.setattr("radwrap.imaging.planner.Search._rays_in_time", lambda _: math.inf)
+    monkeypatch.setattr("radwrap.imaging.tolerance.planner.Search._rays_in_time", lambda _: math.inf)
     seen = replace(view(ROUND, (1.0, disc)), tracer=clock)
     dear = search(seen, tmp_path / "dear", Demand(tolerance, method=method)).plan["rays"]
     clock.seconds = 0.0
@@ -398,7 +398,7 @@ def test_a_kernel_whose_forecast_is_low_keeps_the_budget(tmp_path: Path, monkeyp
         rays, kernel = predicted_rays(*arguments)
         return rays / 10, kernel / 10
 
-    monkeypatch.setattr("radwrap.imaging.planner.predicted_rays", low)
+    monkeypatch.setattr("radwrap.imaging.tolerance.planner.predicted_rays", low)
     demand = Demand(0.004, method="kernel", budget=Budget(rays=first))
     outcome = search(seen, tmp_path / "tight", demand)
     assert outcome.plan["given_up"] == "out of rays" and not outcome.met

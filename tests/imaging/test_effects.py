@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import radwrap
-from radwrap.imaging.effects import Probe, bounces, effects
-from radwrap.imaging.planner import Demand, choose
+from radwrap.imaging.forecast.effects import Probe, bounces, effects
+from radwrap.imaging.optics.view import rays_through
 from radwrap.imaging.render_options import RenderOptions
-from radwrap.imaging.survey import survey
+from radwrap.imaging.tolerance.planner import Demand, choose
+from radwrap.imaging.tolerance.survey import survey
 from radwrap.imaging.tracing import laid_out
-from radwrap.imaging.view import rays_through
 from radwrap.scene.camera import Aperture
 from tests.imaging.planes import Array, gray, view
 

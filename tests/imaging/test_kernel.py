@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from radwrap.errors import InputError
-from radwrap.imaging.footprint import Footprint, folded, footprint, opening_points, reach_px
-from radwrap.imaging.kernel import KernelPlan, decide_tile, gather_some, gathered_tile, plan_kernel
-from radwrap.imaging.rays import plan_rays, sampled_radiance, traced_tile
-from radwrap.imaging.sensor import gray_levels
-from radwrap.imaging.view import View
+from radwrap.imaging.methods.kernel import KernelPlan, decide_tile, gather_some, gathered_tile, plan_kernel
+from radwrap.imaging.methods.rays import plan_rays, sampled_radiance, traced_tile
+from radwrap.imaging.optics.footprint import Footprint, folded, footprint, opening_points, reach_px
+from radwrap.imaging.optics.view import View
+from radwrap.imaging.response.sensor import gray_levels
 from radwrap.scene.camera import Aperture
 from radwrap.scene.pixel_window import PixelWindow, Profile, box, strips
 from tests.imaging.planes import Array, Texture, gray, view

@@ -11,7 +11,7 @@ import pytest
 import radwrap
 from radwrap.cli.main import main
 from radwrap.images import read_gray
-from radwrap.imaging.photo_realistic import Light, one_light, photo_realistic
+from radwrap.imaging.forecast.photo_realistic import Light, one_light, photo_realistic
 
 SCENES = Path(__file__).parents[2] / "rad_scenes"
 ROUNDING = 0.5  # gray level

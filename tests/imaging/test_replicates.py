@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from radwrap.errors import TracerError
-from radwrap.imaging.pieces import CALL_LOG
-from radwrap.imaging.planner import Demand, Outcome, render_to_tolerance
-from radwrap.imaging.replicates import Work
-from radwrap.imaging.view import View
+from radwrap.imaging.methods.pieces import CALL_LOG
+from radwrap.imaging.optics.view import View
+from radwrap.imaging.tolerance.planner import Demand, Outcome, render_to_tolerance
+from radwrap.imaging.tolerance.replicates import Work
 from radwrap.process import Programs
 from radwrap.progress import Progress
 from radwrap.scene.camera import Aperture
@@ -46,8 +46,8 @@ def search(seen: View, folder: Path, demand: Demand) -> Outcome:
 
 @pytest.mark.parametrize("demand", [Demand(0.3, method="kernel"), Demand(3.0, method="rays")], ids=["kernel", "rays"])
 def test_what_is_finished_is_not_traced_again(demand: Demand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("radwrap.imaging.rays._TILE_PIXELS", 256)
-    monkeypatch.setattr("radwrap.imaging.kernel._TILE_ROWS", 40)
+    monkeypatch.setattr("radwrap.imaging.methods.rays._TILE_PIXELS", 256)
+    monkeypatch.setattr("radwrap.imaging.methods.kernel._TILE_ROWS", 40)
     base = view(Aperture("round", 2e-4), (1.0, stripes), rows=20)
     planes = ((1.0, stripes),)
     good = search(base, tmp_path / "good", demand)

@@ -9,9 +9,9 @@ import pytest
 
 import radwrap
 from radwrap.errors import InputError
-from radwrap.imaging.certificate import certify_by_independent_rays
-from radwrap.imaging.cost import check_size, estimate
+from radwrap.imaging.forecast.cost import check_size, estimate
 from radwrap.imaging.synthesis import forecast
+from radwrap.imaging.tolerance.certificate import certify_by_independent_rays
 from radwrap.imaging.tracing import traced_scene
 
 START = Path(__file__).parents[2] / "radwrap" / "data" / "init" / "scene.toml"

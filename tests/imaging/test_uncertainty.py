@@ -10,9 +10,9 @@ import pytest
 
 import radwrap
 from radwrap.images import ExposureImage, read_image
-from radwrap.imaging.noise import fixed_pattern, noisy_frame
-from radwrap.imaging.sensor import gray_levels
-from radwrap.imaging.uncertainty import uncertainty
+from radwrap.imaging.response.noise import fixed_pattern, noisy_frame
+from radwrap.imaging.response.sensor import gray_levels
+from radwrap.imaging.tolerance.uncertainty import uncertainty
 from radwrap.scene.camera import Camera, Lens
 from radwrap.scene.tolerances import Tolerances
 from tests.physics.conftest import Bench

@@ -8,8 +8,8 @@ import pytest
 
 import radwrap
 from radwrap.errors import InputError
-from radwrap.imaging.explain import explain
-from radwrap.imaging.relight import read_basis, relit
+from radwrap.imaging.forecast.explain import explain
+from radwrap.imaging.relight.relit import read_basis, relit
 from radwrap.tracers.povray_text import povray_scene
 from radwrap.tracers.text_frame import users_frame
 from tests.cli.conftest import scene_with

@@ -16,7 +16,7 @@ from radwrap.led.calibration import levels_for, read_table, scaled, write_calibr
 from radwrap.led.drive import Drive
 from radwrap.led.from_scene import check_positions, leds_of, the_ring
 from radwrap.led.ring import LedRing
-from radwrap.scene.ring_calibration import LedTable, RingCalibration, read_calibration
+from radwrap.scene.file.ring_calibration import LedTable, RingCalibration, read_calibration
 from tests.cli.conftest import SMALL, scene_with
 from tests.led.benches import FakeBench
 from tests.led.conformance import COUNT, FIRST, light, there

@@ -17,7 +17,7 @@ import radwrap
 from radwrap.images import read_image
 from radwrap.led.calibration import scaled, write_calibration
 from radwrap.led.from_scene import leds_of
-from radwrap.scene.ring_calibration import RingCalibration, read_calibration
+from radwrap.scene.file.ring_calibration import RingCalibration, read_calibration
 from tests.cli.conftest import PATIENCE, here, inhabitants, run, scene_text, scene_with, start, wait_for
 from tests.led.test_calibration import RING
 from tests.led.test_ring import DRIVE_FILE

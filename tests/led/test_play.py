@@ -15,8 +15,8 @@ from radwrap.led.calibration import scaled
 from radwrap.led.from_study import rows_of
 from radwrap.led.play import Planned, plan, play
 from radwrap.led.ring import LedRing
-from radwrap.scene.load import load_scene
-from radwrap.scene.ring_calibration import RingCalibration
+from radwrap.scene.file.load import load_scene
+from radwrap.scene.file.ring_calibration import RingCalibration
 from radwrap.study.design import read_design
 from tests.cli.conftest import scene_text, scene_with
 from tests.led.benches import FakeBench

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
-from radwrap.imaging.sensor import gray_levels
+from radwrap.imaging.response.sensor import gray_levels
 from radwrap.led.self_calibration import check_dark, factor
 from radwrap.scene.camera import Sensor
 

@@ -13,7 +13,7 @@ from PIL import Image
 from radwrap.cli.main import main
 from radwrap.errors import InputError
 from radwrap.images import ExposureImage, write_png
-from radwrap.imaging.noise import fixed_pattern, linear_of, noisy_frame
+from radwrap.imaging.response.noise import fixed_pattern, linear_of, noisy_frame
 from radwrap.measure.emva import Stack, photon_transfer, read_stacks
 from radwrap.measure.emva.transfer import PhotonTransfer
 from tests.physics.test_linear_sensor import MU_P_OF_H, sensor_of

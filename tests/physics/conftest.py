@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 import radwrap
-from radwrap.imaging.aperture import Viewpoints, central_viewpoint
-from radwrap.imaging.view import PixelPlan, RayBlock, pixel_means, ray_blocks, traced
+from radwrap.imaging.optics.aperture import Viewpoints, central_viewpoint
+from radwrap.imaging.optics.view import PixelPlan, RayBlock, pixel_means, ray_blocks, traced
 from radwrap.process import Programs
 from radwrap.scene.camera import Camera
 from radwrap.tracers.installation import find_radiance

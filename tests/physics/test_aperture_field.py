@@ -12,10 +12,10 @@ from scipy.integrate import dblquad
 import radwrap
 from radwrap.frames import Pose
 from radwrap.images import RadianceImage
-from radwrap.imaging.aperture import LAYOUTS, central_viewpoint, sub_viewpoints
-from radwrap.imaging.exposure import radiant_exposure
-from radwrap.imaging.view import PixelPlan
-from radwrap.imaging.viewpoints import ViewpointPlan, merge, trace_viewpoints
+from radwrap.imaging.methods.viewpoints import ViewpointPlan, merge, trace_viewpoints
+from radwrap.imaging.optics.aperture import LAYOUTS, central_viewpoint, sub_viewpoints
+from radwrap.imaging.optics.view import PixelPlan
+from radwrap.imaging.response.exposure import radiant_exposure
 from radwrap.process import Programs
 from radwrap.progress import Progress
 from radwrap.scene.camera import Aperture, Camera, Sensor

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from radwrap.errors import InputError
-from radwrap.imaging.aperture import LAYOUTS, Viewpoints, sub_viewpoints
+from radwrap.imaging.optics.aperture import LAYOUTS, Viewpoints, sub_viewpoints
 from radwrap.scene.camera import Aperture
 
 UNIT_SUM = 1e-15  # asked for by the validation plan

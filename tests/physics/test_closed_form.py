@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import radwrap
-from radwrap.imaging.closed_form import radiance
-from radwrap.scene.geometry import SurfacePoints
+from radwrap.imaging.forecast.closed_form import radiance
+from radwrap.scene.look.geometry import SurfacePoints
 
 SCENES = Path(__file__).parents[2] / "rad_scenes"
 

@@ -11,11 +11,11 @@ import pytest
 
 import radwrap
 from radwrap.cli.main import main
-from radwrap.imaging.view import stretched_rays
+from radwrap.imaging.optics.view import stretched_rays
 from radwrap.measure.dots import find_dots
 from radwrap.scene.camera import Camera
 from radwrap.scene.distortion import Distortion, bounded, opencv_distortion
-from radwrap.scene.geometry import directions, project
+from radwrap.scene.look.geometry import directions, project
 from tests.physics.conftest import Bench
 
 ROUND_TRIP = 1e-9  # px, asked for; on a sensor of 5000 px focal length

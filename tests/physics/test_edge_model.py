@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import radwrap
-from radwrap.imaging.aperture import Viewpoints, sub_viewpoints
-from radwrap.imaging.view import RayBlock
+from radwrap.imaging.optics.aperture import Viewpoints, sub_viewpoints
+from radwrap.imaging.optics.view import RayBlock
 from radwrap.scene.camera import Aperture, Camera
 
 F = 10.59e-3

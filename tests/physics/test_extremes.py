@@ -11,7 +11,7 @@ import pytest
 import radwrap
 from radwrap.errors import InputError
 from radwrap.images import RadianceImage
-from radwrap.imaging.exposure import radiant_exposure
+from radwrap.imaging.response.exposure import radiant_exposure
 
 START = Path(__file__).parents[2] / "radwrap" / "data" / "init" / "scene.toml"
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from radwrap.frames import Pose
-from radwrap.imaging.rays import rays_over
-from radwrap.imaging.view import rays_through
+from radwrap.imaging.methods.rays import rays_over
+from radwrap.imaging.optics.view import rays_through
 from radwrap.process import Limits, Programs
 from radwrap.scene.camera import Aperture, Camera, Lens, Sensor
 from radwrap.tracers.installation import find_radiance

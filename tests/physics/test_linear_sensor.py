@@ -11,16 +11,16 @@ import pytest
 
 import radwrap
 from radwrap.images import ExposureImage, read_gray
-from radwrap.imaging.footprint import folded
-from radwrap.imaging.noise import fixed_pattern, noise_variance, noisy_frame
-from radwrap.imaging.rays import rays_over
-from radwrap.imaging.relight import _sensor as sensor_from_manifest
-from radwrap.imaging.sensor import gray_levels
+from radwrap.imaging.methods.rays import rays_over
+from radwrap.imaging.optics.footprint import folded
+from radwrap.imaging.relight.relit import _sensor as sensor_from_manifest
+from radwrap.imaging.response.noise import fixed_pattern, noise_variance, noisy_frame
+from radwrap.imaging.response.sensor import gray_levels
 from radwrap.manifest import plain
 from radwrap.scene.camera import Sensor
-from radwrap.scene.data_sheet import with_data_sheet
+from radwrap.scene.file.data_sheet import with_data_sheet
+from radwrap.scene.file.sensor_tables import LinearSensorModel
 from radwrap.scene.pixel_window import PixelWindow, box, strips
-from radwrap.scene.sensor_tables import LinearSensorModel
 from tests.physics.conftest import Bench
 
 EXACT = 1e-12  # a few roundings of float64

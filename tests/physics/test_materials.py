@@ -10,9 +10,9 @@ import pytest
 import radwrap
 from radwrap.errors import InputError
 from radwrap.images import write_png
-from radwrap.imaging.closed_form import radiance
-from radwrap.scene.geometry import SurfacePoints
-from radwrap.scene.material_files import directional_albedo
+from radwrap.imaging.forecast.closed_form import radiance
+from radwrap.scene.file.material_files import directional_albedo
+from radwrap.scene.look.geometry import SurfacePoints
 
 LOBE = 5e-6  # float32, and Radiance's lobe that is wider by the light's solid angle, 1e-10 sr here
 FLOAT32 = 2e-6

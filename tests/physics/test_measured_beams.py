@@ -10,7 +10,7 @@ import pytest
 
 import radwrap
 from radwrap.errors import InputError
-from radwrap.scene.intensity_files import read_luminaire
+from radwrap.scene.file.intensity_files import read_luminaire
 
 POINT_SOURCE = 2e-6  # float32, and spheres of 1 mm at 1 m: (r/d)^2 = 2.5e-7
 QUARTER_DEGREE = 2e-5  # straight lines over 0.25 deg of a cosine: (step^2)/8 = 2.4e-6, and of its square

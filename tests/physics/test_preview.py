@@ -8,8 +8,8 @@ import pytest
 
 import radwrap
 from radwrap.frames import rotation_about_fixed_axes
-from radwrap.imaging.preview import brightest, look
-from radwrap.scene.geometry import directions
+from radwrap.imaging.forecast.preview import brightest, look
+from radwrap.scene.look.geometry import directions
 
 LAMP_BEHIND = 1e-4  # m, of the eye: what it sees is lit, but for slivers along outlines
 # The lamp's disc of 1 mm at 0.3 m and more, (r/z)^2, with the tracer's float32.

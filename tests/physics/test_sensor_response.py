@@ -12,7 +12,7 @@ import pytest
 
 import radwrap
 from radwrap.images import ExposureImage
-from radwrap.imaging.sensor import (
+from radwrap.imaging.response.sensor import (
     GrayWhereAsked,
     gray_image,
     gray_levels,

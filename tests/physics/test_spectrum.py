@@ -14,9 +14,9 @@ from radwrap.imaging.banding import banding
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.tracing import traced_scene
 from radwrap.scene.bands import bands_of, fewest_groups, gray_error, scaled
+from radwrap.scene.file.spectral import flux_of_beam
 from radwrap.scene.materials import GlassBeads, Mirror, PrintedSheeting
 from radwrap.scene.sources import Beam, TableBeam
-from radwrap.scene.spectral import flux_of_beam
 from radwrap.scene.spectrum import Curve, integral, line, lumens_per_watt, luminous_efficiency, normalised_power, preset
 
 Array = np.ndarray

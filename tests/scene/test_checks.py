@@ -11,9 +11,9 @@ import pytest
 
 import radwrap
 from radwrap.errors import InputError
-from radwrap.scene.checks import source_width_error, warnings_of
-from radwrap.scene.geometry import signed_distance
-from radwrap.scene.intersections import first_hit, nearest_point
+from radwrap.scene.look.checks import source_width_error, warnings_of
+from radwrap.scene.look.geometry import signed_distance
+from radwrap.scene.look.intersections import first_hit, nearest_point
 from radwrap.scene.targets import Target
 
 BENCH = Path(__file__).parents[2] / "rad_scenes" / "bench_board" / "scene.toml"

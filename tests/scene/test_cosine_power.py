@@ -9,7 +9,7 @@ import pytest
 
 import radwrap
 from radwrap.errors import InputError
-from radwrap.scene.probes import LIT_SHARE, beam_reach
+from radwrap.scene.look.probes import LIT_SHARE, beam_reach
 from radwrap.scene.sources import Beam, WidthDefinition, cosine_power_spread
 
 SCENE = Path(__file__).parents[2] / "rad_scenes" / "crosscheck" / "cosine_beam" / "scene.toml"

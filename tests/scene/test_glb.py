@@ -12,8 +12,8 @@ import pytest
 import trimesh
 
 from radwrap.errors import InputError
-from radwrap.scene import parts
-from radwrap.scene.parts import read_part_file
+from radwrap.scene.mesh_files import parts
+from radwrap.scene.mesh_files.parts import read_part_file
 
 PLACES = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4").tobytes()
 NUMBERS = np.array([0, 1, 2], "<u4").tobytes()

@@ -10,10 +10,10 @@ import pytest
 
 import radwrap
 from radwrap.errors import InputError
-from radwrap.scene.document import SceneModel
+from radwrap.scene.file.document import SceneModel
+from radwrap.scene.file.sensor_tables import sensor_presets
 from radwrap.scene.materials import CoefficientTable, GlassBeads, PerturbedNormal
 from radwrap.scene.scene import Scene
-from radwrap.scene.sensor_tables import sensor_presets
 from radwrap.scene.sources import Ring, emitters, gaussian_spread
 from radwrap.scene.targets import Box, DotBoard, PolygonShape, RadFile, surfaces
 

@@ -11,12 +11,12 @@ import trimesh
 
 import radwrap
 from radwrap.errors import EnvironmentFailure, InputError
-from radwrap.scene.geometry import signed_distance
-from radwrap.scene.intersections import first_hit, nearest_point
+from radwrap.scene.look.geometry import signed_distance
+from radwrap.scene.look.intersections import first_hit, nearest_point
 from radwrap.scene.mesh import contains, mesh_hit, mesh_of, nearest_on
-from radwrap.scene.parts import MOST_FACES, cleaned, read_part_file
-from radwrap.scene.polygons import triangulated
-from radwrap.scene.winding import wound
+from radwrap.scene.mesh_files.parts import MOST_FACES, cleaned, read_part_file
+from radwrap.scene.mesh_files.polygons import triangulated
+from radwrap.scene.mesh_files.winding import wound
 
 ROUNDING = 1e-9
 BALL = trimesh.creation.icosphere(subdivisions=3, radius=1.0)

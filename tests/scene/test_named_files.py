@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from radwrap.errors import InputError
-from radwrap.scene.named_files import named_files
+from radwrap.scene.file.named_files import named_files
 
 
 def test_files_and_what_they_name_are_found_once(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 import radwrap
-from radwrap.scene.checks import warnings_of
+from radwrap.scene.look.checks import warnings_of
 
 START = Path(__file__).parents[2] / "radwrap" / "data" / "init" / "scene.toml"
 

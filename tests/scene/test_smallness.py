@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 import radwrap
-from radwrap.scene.checks import warnings_of
+from radwrap.scene.look.checks import warnings_of
 from tests.imaging.test_effects import document, lamp
 
 # 20 um pixels, f = 10 mm, 1 m away: a pixel sees 2 mm.

@@ -9,10 +9,10 @@ import pytest
 
 import radwrap
 from radwrap.errors import InputError
-from radwrap.scene.checks import warnings_of
+from radwrap.scene.look.checks import warnings_of
+from radwrap.scene.look.wide_sources import MOST_PATCHES
 from radwrap.scene.sources import Patch, WideSource
 from radwrap.scene.wide_shapes import Annulus, Rectangle, WideShape, Zone, area, corners, first_cells, halves, nodes
-from radwrap.scene.wide_sources import MOST_PATCHES
 
 SIDES = 1e-4  # arcs are drawn with 384 sides a turn: 4.5e-5 of their area
 FLAT = 0.04  # flat patches of a sphere after five halvings

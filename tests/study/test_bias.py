@@ -11,11 +11,11 @@ from scipy.special import erf
 
 from radwrap.errors import InputError
 from radwrap.images import ExposureImage, GrayImage
-from radwrap.imaging.sensor import gray_image
+from radwrap.imaging.response.sensor import gray_image
 from radwrap.imaging.synthesis import RenderOptions
 from radwrap.imaging.truth import geometry
 from radwrap.measure.dots import METHODS
-from radwrap.scene.load import load_scene
+from radwrap.scene.file.load import load_scene
 from radwrap.scene.scene import Scene
 from radwrap.study.bias import BiasPoint, Study, dot_bias, edge_bias, scaled_gray, sweep, write_study
 

@@ -14,7 +14,7 @@ import radwrap
 from radwrap.errors import TracerError
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.scene.camera import Camera
-from radwrap.scene.geometry import directions
+from radwrap.scene.look.geometry import directions
 from radwrap.study.crosscheck import Crosscheck, CrosscheckOptions, crosscheck, gaussian_beams, without_gaussian_beams
 from radwrap.study.crosscheck_report import EXPLAINED, agrees, as_json, explained, picture, write_crosscheck
 

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 
 import radwrap
 from radwrap.images import GrayImage
-from radwrap.imaging.sensor import gray_levels
+from radwrap.imaging.response.sensor import gray_levels
 from radwrap.scene.scene import Scene
 from radwrap.study.image_error import blur_radii, copies_of, error_fields, image_error
 from radwrap.study.responses import KINDS, Response, answer

@@ -8,7 +8,7 @@ import pytest
 
 import radwrap
 from radwrap.measure.parts import find_parts
-from radwrap.scene.geometry import project
+from radwrap.scene.look.geometry import project
 from radwrap.scene.targets import MeshPart, MeshShape, surfaces
 
 SCENES = Path(__file__).parents[2] / "rad_scenes" / "part_presentation"

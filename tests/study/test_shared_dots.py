@@ -9,7 +9,7 @@ import pytest
 
 import radwrap
 from radwrap.images import GrayImage
-from radwrap.imaging.sensor import gray_levels
+from radwrap.imaging.response.sensor import gray_levels
 from radwrap.measure.dots import METHODS, Dots, Method, SoughtDots, find_dots, measured_dots
 from radwrap.scene.targets import DotBoard
 from radwrap.study import responses

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from radwrap.errors import InputError
-from radwrap.imaging.aperture import sub_viewpoints
-from radwrap.imaging.certificate import PixelSample
+from radwrap.imaging.optics.aperture import sub_viewpoints
+from radwrap.imaging.optics.view import PixelPlan
 from radwrap.imaging.synthesis import render
+from radwrap.imaging.tolerance.certificate import PixelSample
 from radwrap.imaging.tracing import traced_scene
-from radwrap.imaging.view import PixelPlan
 from radwrap.process import Programs
-from radwrap.scene.load import load_scene
+from radwrap.scene.file.load import load_scene
 from radwrap.study.paper_method import summed_viewpoints
 from radwrap.study.reference import (
     Distance,

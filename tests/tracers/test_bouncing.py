@@ -11,7 +11,7 @@ import pytest
 
 import radwrap
 from radwrap.errors import InputError
-from radwrap.imaging.effects import bounces, bounces_beyond, effects
+from radwrap.imaging.forecast.effects import bounces, bounces_beyond, effects
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.tracing import laid_out
 from radwrap.scene.materials import Specular

@@ -12,7 +12,7 @@ import pytest
 import radwrap
 from radwrap.errors import EnvironmentFailure, InputError, TracerError
 from radwrap.images import write_exr
-from radwrap.imaging.view import PixelPlan, ray_blocks
+from radwrap.imaging.optics.view import PixelPlan, ray_blocks
 from radwrap.process import Limits, Programs
 from radwrap.tracers.povray import PovrayTracer, find_povray
 from radwrap.tracers.povray_included import included_text, rims

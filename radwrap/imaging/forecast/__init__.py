@@ -1,0 +1,1 @@
+"""What a scene amounts to before it is rendered."""

@@ -1,0 +1,150 @@
+"""The ways to a finite aperture, each from a scene's tracer to mean radiance with its error."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.errors import InputError
+from radwrap.imaging.methods.viewpoints import ViewpointPlan, merge, trace_viewpoints
+from radwrap.imaging.optics.aperture import central_viewpoint, sub_viewpoints
+from radwrap.imaging.optics.view import PixelPlan
+from radwrap.imaging.render_options import FixedMethod, RenderOptions
+from radwrap.imaging.tolerance.certificate import certify_by_independent_rays
+from radwrap.imaging.tolerance.planner import Outcome, render_to_tolerance
+from radwrap.imaging.tolerance.replicates import Work
+from radwrap.imaging.tolerance.sampling import render_by_plan
+from radwrap.scene.scene import Scene
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Made:
+    """What a method made.
+
+    Attributes
+    ----------
+    radiance : ndarray, shape (rows, columns)
+        Mean of L cos^4(theta) over pixel and opening [W m^-2 sr^-1].
+    description : dict
+        What the manifest says of the method.
+    error : dict
+        The manifest's ``error``.
+    reused : int
+        Pieces that were found on the disk.
+    outcome : Outcome or None
+        How it came about, where a tolerance decided.
+    """
+
+    radiance: NDArray[np.float64]
+    description: dict[str, Any]
+    error: dict[str, Any]
+    reused: int
+    outcome: Outcome | None = None
+
+
+def fixed_method(scene: Scene, options: RenderOptions) -> FixedMethod | None:
+    """The method whose rays are fixed beforehand; None where a tolerance decides.
+
+    Raises
+    ------
+    InputError
+        If sub-viewpoints are asked for in an infinitesimal pinhole.
+    """
+    asked = options.fixed_method
+    if asked != "viewpoints" or options.method is not None or not scene.camera.aperture.is_infinitesimal:
+        return asked
+    if options.viewpoints is not None:
+        raise InputError(
+            "there are no sub-viewpoints as the pinhole's diameter is 0", where="--viewpoints", remedy="leave it out"
+        )
+    return "pinhole"
+
+
+def how(scene: Scene, options: RenderOptions) -> dict[str, Any]:
+    """All options that decide the pixels; not where they go, who traces them and how fast."""
+    method = fixed_method(scene, options)
+    if method is None:
+        keys = ("method", "tolerance", "max_error", "budget_rays", "budget_seconds", "seed")
+        # Named only where it is asked for: what a run is known by stays as it was for all others.
+        bounces = {"bounces": options.bounces} if options.bounces else {}
+        sampling = {"sampling": options.sampling} if options.sampling else {}
+        return {key: getattr(options, key) for key in keys} | bounces | sampling
+    pixels = {"samples": options.pixel_samples, "sampling": options.pixel_sampling}
+    opening = {"viewpoints": options.viewpoint_number, "layout": options.layout} if method == "viewpoints" else {}
+    return {"method": method, "seed": options.seed, **pixels, **opening}
+
+
+def viewpoint_plan(scene: Scene, options: RenderOptions, method: FixedMethod, scene_sha256: str) -> ViewpointPlan:
+    """What pinhole and viewpoints trace."""
+    aperture = scene.camera.aperture
+    finite = method == "viewpoints"
+    return ViewpointPlan(
+        camera=scene.camera,
+        viewpoints=sub_viewpoints(aperture, options.viewpoint_number, options.layout)
+        if finite
+        else central_viewpoint(aperture),
+        pixel_plan=PixelPlan(options.pixel_samples, options.pixel_sampling, options.seed),
+        scene_sha256=scene_sha256,
+    )
+
+
+def make(scene: Scene, options: RenderOptions, work: Work) -> Made:
+    """Trace what the options ask for; finished pieces in the folder are used again.
+
+    Raises
+    ------
+    InputError
+        If the method does not fit the scene.
+    TracerError, EnvironmentFailure
+        If the tracer or the disk fails.
+    """
+    method = fixed_method(scene, options)
+    if method is None:
+        return _to_tolerance(options, work)
+    plan = viewpoint_plan(scene, options, method, work.scene_sha256)
+    work.progress.expect(plan.rays)
+    reused = trace_viewpoints(
+        plan,
+        work.view.tracer,
+        work.folder,
+        programs=work.programs,
+        workers=work.view.workers,
+        progress=work.progress,
+    )
+    radiance = merge(plan, work.folder)
+    number = len(plan.viewpoints)
+    description = {
+        "method": method,
+        "layout": options.layout if number > 1 else None,
+        "viewpoints": number,
+        "pixel_samples": options.pixel_samples,
+        "pixel_sampling": options.pixel_sampling,
+        "rays_per_pixel": number * plan.pixel_plan.rays,
+        "rays": plan.rays,
+    }
+    certificate = certify_by_independent_rays(work.view, radiance, options.seed)
+    return Made(radiance, description, certificate.as_manifest(), reused)
+
+
+def _to_tolerance(options: RenderOptions, work: Work) -> Made:
+    if options.sampling is None:
+        outcome = render_to_tolerance(work, options.demand)
+    else:
+        outcome = render_by_plan(work, options.demand, options.sampling)
+    sensor = work.view.camera.sensor
+    description = {
+        "method": outcome.method,
+        "layout": None,
+        "viewpoints": None,
+        "pixel_samples": None,
+        "pixel_sampling": None,
+        "tolerance": options.tolerance,
+        "max_error": options.max_error,
+        "rays_per_pixel": outcome.replicates.rays / sensor.pixels,
+        "rays": outcome.plan["rays"],
+        "plan": outcome.plan,
+    }
+    return Made(outcome.radiance, description, outcome.certificate.as_manifest(), outcome.reused, outcome)

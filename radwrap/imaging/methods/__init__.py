@@ -1,0 +1,1 @@
+"""Ways to a finite aperture."""

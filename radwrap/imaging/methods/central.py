@@ -1,0 +1,337 @@
+"""The central image, what the opening's centre sees, with more rays where it changes.
+
+A grid of base cells, a power of two of pixels each, gets a ray a cell. Where
+neighbours differ a cell is cut in four, again and again, down to the grid's
+cells; where those still differ, a cell is to get n x n rays. Then each cell is
+traced anew, by rays anywhere in it (drawn), so that errors of different cells
+are independent and their means unbiased.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Final, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.imaging.optics.view import View, trace_rays
+from radwrap.imaging.response.sensor import unclipped_gray
+from radwrap.manifest import ONLY_WHERE_USED
+from radwrap.scene.camera import Sensor
+
+_T = TypeVar("_T", bound=np.generic)
+SUB_SAMPLES: Final = (1, 2, 4, 8)
+# A difference between neighbours is passed over where it moves no pixel by more than this share of the aim.
+_PASSED_OVER: Final = 0.25
+_LARGEST_HEIGHT: Final = 1e100  # gray level; its square does not overflow, whatever the sensor's gain
+# Variance of the mean over n x n strata of a cell that an edge of height d crosses is about d^2/(4 n^3): about 1.5 n
+# strata are crossed, each with the variance d^2/6. Of the cells beside an edge about every third is crossed.
+_EDGE_VARIANCE: Final = 12.0
+
+
+@dataclass(frozen=True, slots=True)
+class GridPlan:
+    """How fine the central image is.
+
+    Attributes
+    ----------
+    base : int
+        Base cell [px].
+    levels : int
+        How often a base cell may be cut in two each way; the grid's cell is base / 2^levels.
+    area : float
+        How many square pixels a pixel gathers from.
+    aim : float
+        Rms error to aim at [gray level].
+    exposure_of_radiance : float
+        tau A/f^2: radiant exposure of an even field of radiance 1.
+    sensor : Sensor
+        Response, to tell which differences matter.
+    with_depth : bool
+        Whether each cell's magnification is needed.
+    even : bool, optional
+        True where each grid cell gets one ray whatever is seen there: no light decides where rays go.
+    """
+
+    base: int
+    levels: int
+    area: float
+    aim: float
+    exposure_of_radiance: float
+    sensor: Sensor
+    with_depth: bool
+    even: bool | None = field(default=None, metadata=ONLY_WHERE_USED)
+
+    @property
+    def cell(self) -> float:
+        """Grid cell h [px]."""
+        return math.ldexp(self.base, -self.levels)
+
+    def gray(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Gray level of even fields of the given radiances; without saturation, which blur may undo."""
+        return unclipped_gray(values * self.exposure_of_radiance, self.sensor)
+
+    def threshold(self, size: float) -> float:
+        """Difference between neighbouring cells of a size [px] from which on they are cut [gray level].
+
+        An edge of height d in all the cells of a footprint gives its mean the
+        variance d^2/12 over their number; few have one.
+        """
+        return _PASSED_OVER * self.aim * math.sqrt(12 * max(1.0, self.area / size**2))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cells:
+    """Into which cells a part of the central image is cut.
+
+    Attributes
+    ----------
+    first : tuple of int
+        Row and column of the first grid cell.
+    levels : ndarray of int, shape (rows, columns)
+        For each grid cell how often the base cell was cut to come to the cell that it belongs to; one more where an
+        edge crosses it, which asks for more rays.
+    samples : int
+        n; n x n rays in each of those.
+    predicted_rms : float
+        Error of an image that is gathered from these cells, as predicted from the differences [gray level].
+    rays : int
+        How many were traced to find out.
+    """
+
+    first: tuple[int, int]
+    levels: NDArray[np.int8]
+    samples: int
+    predicted_rms: float
+    rays: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CentralImage:
+    """Part of the central image on the grid.
+
+    Attributes
+    ----------
+    first : tuple of int
+        Row and column of the first grid cell.
+    values : ndarray, shape (rows, columns)
+        Mean of L cos^4(theta) over each cell [W m^-2 sr^-1].
+    magnification : ndarray, shape (rows, columns), optional
+        m of each cell, see `Camera.magnification`.
+    rays : int
+        How many were traced.
+    """
+
+    first: tuple[int, int]
+    values: NDArray[np.float64]
+    magnification: NDArray[np.float64] | None
+    rays: int
+
+
+def decide_cells(
+    view: View,
+    plan: GridPlan,
+    region: tuple[tuple[int, int], tuple[int, int]],
+    *,
+    seed: tuple[int, ...],
+    progress: Callable[[int], None],
+) -> Cells:
+    """Find out where the central image changes, by rays that serve nothing else.
+
+    A value that decided whether a cell is cut must not be the cell's own:
+    what is cut where something was seen, and left where it was missed, would
+    be too dark.
+
+    Parameters
+    ----------
+    view : View
+        Whose.
+    plan : GridPlan
+        How fine.
+    region : tuple
+        First row and column of grid cells that are needed, and how many; the cells hold at least these.
+    seed : tuple of int
+        Where the base grid lies, and where rays go in their cells.
+    progress : callable
+        Is told how many rays were traced.
+    """
+    if plan.even:
+        return Cells(region[0], np.full(region[1], plan.levels, dtype=np.int8), 1, 0.0, 0)
+    random = np.random.default_rng(seed)
+    step = 2**plan.levels
+    # The base grid lies anywhere on the grid of cells.
+    first = tuple(start - int(random.integers(step)) for start in region[0])
+    shape = tuple(
+        -(-(start + size - begin) // step) for start, size, begin in zip(region[0], region[1], first, strict=True)
+    )
+    sampler = _Sampler(view, plan, (first[0], first[1]), progress)
+    rows, columns = np.indices(shape)
+    values = sampler.trace(*sampler.places(rows.ravel(), columns.ravel(), step, random), with_depth=False)[0]
+    values = values.reshape(shape)
+    cut = []
+    for level in range(plan.levels):
+        cut.append(_spread(plan.gray(values)) > plan.threshold(math.ldexp(plan.base, -level)))
+        row, column = _children(*np.nonzero(cut[-1]))
+        values = _doubled(values)
+        size = 2 ** (plan.levels - level - 1)
+        values[row, column] = sampler.trace(*sampler.places(row, column, size, random), with_depth=False)[0]
+    spread = _spread(plan.gray(values))
+    cut.append(spread > plan.threshold(plan.cell))
+    samples, predicted = _samples_needed(plan, spread[cut[-1]], values.size)
+    return Cells((first[0], first[1]), _levels(cut), samples, predicted, sampler.rays)
+
+
+def _levels(cut: list[NDArray[np.bool_]]) -> NDArray[np.int8]:
+    """Level of each grid cell from what is cut at each level; what holds a cut cell is cut too."""
+    for level in range(len(cut) - 1, 0, -1):
+        rows, columns = cut[level - 1].shape
+        cut[level - 1] |= cut[level].reshape(rows, 2, columns, 2).any(axis=(1, 3))
+    levels = cut[0].astype(np.int8)
+    for mask in cut[1:]:
+        levels = _doubled(levels)
+        levels[mask] += 1
+    return levels
+
+
+def central_image(
+    view: View,
+    plan: GridPlan,
+    cells: Cells,
+    *,
+    seed: tuple[int, ...],
+    progress: Callable[[int], None],
+    like: CentralImage | None = None,
+) -> CentralImage:
+    """Trace part of the central image, each cell by rays anywhere in it.
+
+    Parameters
+    ----------
+    view : View
+        Whose.
+    plan : GridPlan
+        How fine.
+    cells : Cells
+        Where how many rays go.
+    seed : tuple of int
+        Decides the rays.
+    progress : callable
+        Is told how many rays were traced.
+    like : CentralImage, optional
+        Traced with the same plan, cells and seed, perhaps in other light: its magnifications are kept, so that the
+        values are linear in the light.
+    """
+    random = np.random.default_rng(seed)
+    sampler = _Sampler(view, plan, cells.first, progress)
+    parts = []
+    for level in range(plan.levels + 1):
+        size = 2 ** (plan.levels - level)
+        row, column = np.nonzero(cells.levels[::size, ::size] == level)
+        parts.append((row, column, size, 1))
+    row, column = np.nonzero(cells.levels == plan.levels + 1)
+    parts.append((row, column, 1, cells.samples))
+    placed = [sampler.strata(row, column, size, n, random) for row, column, size, n in parts]
+    rows, columns = (np.concatenate([part[axis] for part in placed]) for axis in (0, 1))
+    traced = sampler.trace(rows, columns, with_depth=plan.with_depth and like is None)
+    values, magnification = np.empty(cells.levels.shape), np.ones(cells.levels.shape)
+    end = 0
+    for row, column, size, n in parts:
+        start, end = end, end + len(row) * n * n
+        means = _means(*(answer[start:end].reshape(-1, n * n) for answer in traced))
+        for grid, mean in zip((values, magnification), means, strict=True):
+            for down, right in np.ndindex(size, size):
+                grid[row * size + down, column * size + right] = mean
+    depth = like.magnification if like else magnification if plan.with_depth else None
+    return CentralImage(cells.first, values, depth, sampler.rays)
+
+
+def central_rays(plan: GridPlan, cells: Cells) -> int:
+    """How many rays `central_image` will take."""
+    counts: list[int] = np.bincount(cells.levels.ravel(), minlength=plan.levels + 2).tolist()
+    whole = sum(count // 4 ** (plan.levels - level) for level, count in enumerate(counts[:-1]))
+    return int(whole + counts[-1] * cells.samples**2)
+
+
+def _means(
+    values: NDArray[np.float64], magnification: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean over each cell's rays; of m, weighted by the light."""
+    means = values.mean(axis=1)
+    weighted = (values * magnification).sum(axis=1) / np.where(means > 0, values.sum(axis=1), 1.0)
+    return means, np.where(means > 0, weighted, magnification[:, 0])
+
+
+def _doubled(values: NDArray[_T]) -> NDArray[_T]:
+    return np.repeat(np.repeat(values, 2, axis=0), 2, axis=1)
+
+
+def _children(row: NDArray[np.intp], column: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """The four cells into which each cell is cut."""
+    return (
+        (2 * row[:, np.newaxis] + np.array([0, 0, 1, 1])).ravel(),
+        (2 * column[:, np.newaxis] + np.array([0, 1, 0, 1])).ravel(),
+    )
+
+
+def _spread(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Largest less smallest value of each cell and its four neighbours."""
+    framed = np.pad(values, 1, mode="edge")
+    shifted = (framed[:-2, 1:-1], framed[2:, 1:-1], framed[1:-1, :-2], framed[1:-1, 2:])
+    high, low = values, values
+    for other in shifted:
+        high, low = np.maximum(high, other), np.minimum(low, other)
+    return high - low
+
+
+def _samples_needed(plan: GridPlan, heights: NDArray[np.float64], cells: int) -> tuple[int, float]:
+    """Fewest n of `SUB_SAMPLES` whose predicted rms error [gray level] meets the aim, and that error.
+
+    A cell's error spreads over the pixels that gather from it, each of which
+    takes cell^2/area of it.
+    """
+    # Sum over pixels of their squared weights of a cell, over the number of pixels: cell^2 is pixels a cell.
+    share = (plan.cell**2 / plan.area) ** 2 * plan.area / (cells * plan.cell**2)
+    energy = float((np.minimum(heights, _LARGEST_HEIGHT) ** 2).sum()) * share / _EDGE_VARIANCE
+    rms = [math.sqrt(energy / n**3) for n in SUB_SAMPLES]
+    for n, error in zip(SUB_SAMPLES, rms, strict=True):
+        if error <= plan.aim:
+            return n, error
+    return SUB_SAMPLES[-1], rms[-1]
+
+
+class _Sampler:
+    """Rays through cells of a grid, at any level."""
+
+    def __init__(self, view: View, plan: GridPlan, first: tuple[int, int], progress: Callable[[int], None]) -> None:
+        self._view, self._plan, self._progress = view, plan, progress
+        self._first = first
+        self.rays = 0
+
+    def places(
+        self, row: NDArray[np.intp], column: NDArray[np.intp], size: int, random: np.random.Generator
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """A place anywhere in each cell of `size` x `size` grid cells."""
+        return self.strata(row, column, size, 1, random)
+
+    def strata(
+        self, row: NDArray[np.intp], column: NDArray[np.intp], size: int, n: int, random: np.random.Generator
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Rows and columns [grid cell] of n x n places in each cell, one anywhere in each of its strata."""
+        i, j = (a.ravel() for a in np.indices((n, n)))
+        inside = random.random((2, len(row), n * n))
+        rows = (row[:, np.newaxis] + (i + inside[0]) / n) * size
+        columns = (column[:, np.newaxis] + (j + inside[1]) / n) * size
+        return rows.ravel(), columns.ravel()
+
+    def trace(
+        self, rows: NDArray[np.float64], columns: NDArray[np.float64], *, with_depth: bool
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """L cos^4(theta) and m at places [grid cell]."""
+        cell = self._plan.cell
+        u, v = (self._first[1] + columns) * cell - 0.5, (self._first[0] + rows) * cell - 0.5
+        answer = trace_rays(self._view, None, u, v, with_depth=with_depth)
+        self.rays += len(u)
+        self._progress(len(u))
+        return answer

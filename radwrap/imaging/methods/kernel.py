@@ -1,0 +1,366 @@
+"""The finite pinhole from one image: the central image, gathered with the opening's shape.
+
+Exact where radiance does not change over the opening and nothing hides
+anything; the certificate tells how far that holds. Depth enters by layers:
+each cell's light is spread with its own magnification, shared between the two
+layers next to it.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.errors import InputError
+from radwrap.imaging.methods.central import Cells, CentralImage, GridPlan, central_image, decide_cells
+from radwrap.imaging.optics.footprint import Footprint, footprint, reach_px
+from radwrap.imaging.optics.view import View
+from radwrap.imaging.response.sensor import gray_levels
+from radwrap.scene.camera import Camera, Sensor
+
+# Base cells are at most this share of the blur's radius, grid cells a quarter of them; where the blur is smaller than
+# a pixel, grid cells are an eighth of a pixel, for the footprint then has edges as sharp as that.
+_BASE_SHARE: Final = 0.25
+_LEVELS: Final = 1
+_SHARP_LEVELS: Final = 2
+_SHARP_BLUR: Final = 1.5  # px
+_COARSEST: Final = 64.0  # px
+# Base cells of an image, at least: what is smaller than all of them may be missed, and then is only found as noise.
+_BASE_CELLS: Final = 1 << 14
+# Radii of blur [px] that are told apart: one layer does where all lie this close together, else layers this far apart.
+_SAME_RADIUS: Final = 0.02
+_LAYER_STEP: Final = 0.25
+_MOST_LAYERS: Final = 64
+# The error falls as the cells' size to the power 1.5 where edges of light meet edges of the footprint, as its square
+# elsewhere: the slower one gives 1/(2^1.5 - 1) of what twice the size adds.
+_GRID_SHARE: Final = 1 / (2**1.5 - 1)
+# A blur narrower than so many cells is not resolved by them: light comes from beside an edge, and a cell knows its mean
+# alone. Smaller cells help nothing until they resolve it, so that all of what twice the size changes may be left.
+_RESOLVED: Final = 2.0
+# Grid cells of a tile: what a transform of some 30 MiB holds; wide rather than high, so that small images have two.
+_TILE_ROWS, _TILE_COLUMNS = 400, 1600
+
+
+@dataclass(frozen=True, slots=True)
+class KernelPlan:
+    """All that decides an image by the kernel, the scene and the seed aside.
+
+    Attributes
+    ----------
+    camera : Camera
+        The view.
+    grid : GridPlan
+        The central image.
+    layers : tuple of float
+        Magnifications m, see `Camera.magnification`, evenly spaced.
+    tiles : tuple
+        First row, last row + 1, first column, last column + 1 of each tile of the sensor [px].
+    """
+
+    camera: Camera
+    grid: GridPlan
+    layers: tuple[float, ...]
+    tiles: tuple[tuple[int, int, int, int], ...]
+
+    @property
+    def reach_px(self) -> tuple[float, float]:
+        """How far, in columns and rows, a pixel's centre gathers light from at most [px]."""
+        return reach_px(self.camera, max(map(abs, self.layers)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gathered:
+    """A tile of the image.
+
+    Attributes
+    ----------
+    values : ndarray, shape (rows, columns)
+        Mean of L cos^4(theta) over pixel and opening [W m^-2 sr^-1].
+    some : tuple of ndarray of int
+        Rows and columns, from the tile's corner, of pixels that tell what the cells' size changes.
+    change : ndarray, shape (rows, columns)
+        That change at these pixels [W m^-2 sr^-1].
+    central, coarser : CentralImage
+        What they were gathered from.
+    """
+
+    values: NDArray[np.float64]
+    some: tuple[NDArray[np.intp], ...]
+    change: NDArray[np.float64]
+    central: CentralImage
+    coarser: CentralImage
+
+    def grid_square(self, exposure_of_radiance: float, sensor: Sensor) -> float:
+        """Mean square of what the cells' size changes [gray level^2]."""
+        if not self.change.size:
+            return 0.0
+        fine = self.values[self.some]
+        squares = grid_squares(fine, self.change, exposure_of_radiance, sensor)
+        return float(squares.mean())
+
+
+def grid_squares(
+    radiance: NDArray[np.float64], change: NDArray[np.float64], exposure_of_radiance: float, sensor: Sensor
+) -> NDArray[np.float64]:
+    """Squares of what changes of radiance [W m^-2 sr^-1] do to gray levels [gray level^2]."""
+    changed = np.maximum(radiance + change, 0.0)
+    gray, exact = (gray_levels(values * exposure_of_radiance, sensor) for values in (changed, radiance))
+    squares: NDArray[np.float64] = (gray - exact) ** 2
+    return squares
+
+
+def plan_kernel(
+    view: View, magnifications: NDArray[np.float64], aim: float, finer: int = 0, *, even_cell: float | None = None
+) -> KernelPlan:
+    """Choose grid, layers and tiles.
+
+    Parameters
+    ----------
+    view : View
+        For its camera.
+    magnifications : ndarray
+        m of what is in view, from a survey.
+    aim : float
+        Rms error of one replicate to aim at [gray level].
+    finer : int
+        How often the grid's cells are halved, where the usual ones were found too coarse.
+    even_cell : float, optional
+        A power of 2 [px]: one ray in each cell of that size, in place of cells that follow what is seen.
+
+    Raises
+    ------
+    InputError
+        If the scene is too deep for as many layers as are allowed.
+    """
+    camera = view.camera
+    nothing = camera.shear
+    low, high = (float(magnifications.min()), float(magnifications.max())) if magnifications.size else (nothing,) * 2
+    layers = _layers(camera, low, high)
+    # Behind the plane of focus of a lens m is below 0, and in it no opening blurs.
+    least, most = (0.0 if low < 0 < high else min(abs(low), abs(high))), max(abs(low), abs(high))
+    blur = min(reach_px(camera, least))
+    sensor = camera.sensor
+    reach = reach_px(camera, most)
+    covered = (sensor.columns + 2 * reach[0]) * (sensor.rows + 2 * reach[1])
+    coarsest = min(_BASE_SHARE * blur, math.sqrt(covered / _BASE_CELLS), _COARSEST)
+    base = 2 ** math.floor(math.log2(max(1.0, coarsest if even_cell is None else even_cell)))
+    levels = (_LEVELS if blur >= _SHARP_BLUR else _SHARP_LEVELS) + finer
+    opening = camera.aperture.area if not camera.aperture.is_infinitesimal else 0.0
+    grid = GridPlan(
+        base=base,
+        levels=levels if even_cell is None else round(math.log2(base / even_cell)),
+        area=1 + opening * least**2 / (sensor.pixel_width * sensor.pixel_height),
+        aim=aim,
+        exposure_of_radiance=view.exposure_of_radiance,
+        sensor=sensor,
+        with_depth=len(layers) > 1,
+        even=None if even_cell is None else True,
+    )
+    rows, columns = (
+        _cuts(size, max(1, int(most * grid.cell)))
+        for size, most in ((sensor.rows, _TILE_ROWS), (sensor.columns, _TILE_COLUMNS))
+    )
+    tiles = tuple((r0, r1, c0, c1) for r0, r1 in rows for c0, c1 in columns)
+    return KernelPlan(camera, grid, layers, tiles)
+
+
+def _cuts(size: int, side: int) -> list[tuple[int, int]]:
+    number = -(-size // side)
+    bounds = [size * i // number for i in range(number + 1)]
+    return list(itertools.pairwise(bounds))
+
+
+def _layers(camera: Camera, low: float, high: float) -> tuple[float, ...]:
+    """Magnifications between which each cell's light is shared."""
+    spread = max(reach_px(camera, 1.0)) * (high - low)
+    if spread <= _SAME_RADIUS:
+        return ((low + high) / 2,)
+    number = math.ceil(spread / _LAYER_STEP) + 1
+    if number > _MOST_LAYERS:
+        raise InputError(
+            f"the blur's radius differs by {spread:.3g} px over the scene's depth, too much for one central image",
+            where="--method kernel",
+            remedy="use --method rays",
+        )
+    return tuple(np.linspace(low, high, max(2, number)).tolist())
+
+
+def layer_shares(layers: tuple[float, ...], magnification: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Share of each layer in light of the given magnifications; shares sum to 1."""
+    if len(layers) == 1:
+        return [np.ones_like(magnification)]
+    place = np.clip((magnification - layers[0]) / (layers[1] - layers[0]), 0.0, len(layers) - 1.0)
+    return [np.maximum(0.0, 1 - np.abs(place - number)) for number in range(len(layers))]
+
+
+def decide_tile(
+    view: View, plan: KernelPlan, tile: int, seed: tuple[int, ...], progress: Callable[[int], None]
+) -> Cells:
+    """Find out which cells of the central image a tile needs; parameters as in `gathered_tile`."""
+    place, cell = plan.tiles[tile], plan.grid.cell
+    reach = plan.reach_px
+    # One pair of cells more on each side, for the coarser image.
+    spans = [
+        (math.floor((begin - far) / cell) - 2, math.ceil((end + far) / cell) + 2)
+        for begin, end, far in ((*place[:2], reach[1]), (*place[2:], reach[0]))
+    ]
+    region = ((spans[0][0], spans[1][0]), (spans[0][1] - spans[0][0], spans[1][1] - spans[1][0]))
+    return decide_cells(view, plan.grid, region, seed=seed, progress=progress)
+
+
+def gathered_tile(
+    view: View,
+    plan: KernelPlan,
+    tile: int,
+    cells: Cells,
+    *,
+    seed: tuple[int, ...],
+    progress: Callable[[int], None],
+    like: Gathered | None = None,
+) -> Gathered:
+    """Trace what a tile needs of the central image, and gather it.
+
+    Parameters
+    ----------
+    view : View
+        Who traces.
+    plan : KernelPlan
+        What to do.
+    tile : int
+        Number of the tile.
+    cells : Cells
+        What `decide_tile` found.
+    seed : tuple of int
+        Decides the rays.
+    progress : callable
+        Is told how many rays were traced.
+    like : Gathered, optional
+        The same tile, perhaps in other light: the very same rays are traced as for it, see `central_image`.
+    """
+    place, cell = plan.tiles[tile], plan.grid.cell
+    central = central_image(view, plan.grid, cells, seed=seed, progress=progress, like=like.central if like else None)
+    values = gather(plan, central, cell, place)
+    # Cells of twice the size add their error less that of these: so much of it, see `_GRID_SHARE`. Some pixels tell.
+    coarser = _coarser(central)
+    if like:
+        coarser = replace(coarser, magnification=like.coarser.magnification)
+    some, coarse = (gather_all if plan.grid.even else gather_some)(plan, coarser, 2 * cell, place)
+    return Gathered(values, some, _grid_share(plan) * (coarse - values[some]), central, coarser)
+
+
+def _grid_share(plan: KernelPlan) -> float:
+    """What the cells may be off by, over what twice their size changes."""
+    blurs = [max(reach_px(plan.camera, magnification)) for magnification in plan.layers]
+    return 1.0 if any(0 < blur < _RESOLVED * plan.grid.cell for blur in blurs) else _GRID_SHARE
+
+
+def gather(
+    plan: KernelPlan, central: CentralImage, cell: float, place: tuple[int, int, int, int]
+) -> NDArray[np.float64]:
+    """Correlate the central image with the footprint of each pixel of a tile."""
+    result = np.empty((place[1] - place[0], place[3] - place[2]))
+    step = max(1, round(cell))
+    for pixels, values in _by_phase(plan, central, cell, place, np.ndindex(step, step)):
+        result[pixels] = values
+    return result
+
+
+def gather_all(
+    plan: KernelPlan, central: CentralImage, cell: float, place: tuple[int, int, int, int]
+) -> tuple[tuple[NDArray[np.intp], ...], NDArray[np.float64]]:
+    """As `gather_some`, for every pixel."""
+    values = gather(plan, central, cell, place)
+    return np.ix_(*(np.arange(size) for size in values.shape)), values
+
+
+def gather_some(
+    plan: KernelPlan, central: CentralImage, cell: float, place: tuple[int, int, int, int]
+) -> tuple[tuple[NDArray[np.intp], ...], NDArray[np.float64]]:
+    """As `gather`, for the pixels that lie alike in their cells only: where they are in the tile, and their values."""
+    return next(_by_phase(plan, central, cell, place, iter([(0, 0)])))
+
+
+def _by_phase(
+    plan: KernelPlan,
+    central: CentralImage,
+    cell: float,
+    place: tuple[int, int, int, int],
+    phases: Iterator[tuple[int, ...]],
+) -> Iterator[tuple[tuple[NDArray[np.intp], ...], NDArray[np.float64]]]:
+    """Pixels whose corner lies alike in a cell have one footprint; gather them together."""
+    shape = tuple(_fast_length(size) for size in central.values.shape)
+    if central.magnification is None:
+        spectra = [np.fft.rfft2(central.values, shape)]
+    else:
+        shares = layer_shares(plan.layers, central.magnification)
+        spectra = [np.fft.rfft2(central.values * share, shape) for share in shares]
+    for phase in phases:
+        total = sum(
+            spectrum * np.conj(np.fft.rfft2(_laid_out(footprint(plan.camera, layer, cell, phase), shape)))
+            for layer, spectrum in zip(plan.layers, spectra, strict=True)
+        )
+        field = np.fft.irfft2(total, shape)
+        pixels = lattice(cell, place, phase)
+        cells = (np.floor(at / cell).astype(int) - first for at, first in zip(pixels, central.first, strict=True))
+        # The transform leaves rounding errors of 1e-16 of the largest value, of either sign.
+        yield np.ix_(pixels[0] - place[0], pixels[1] - place[2]), np.maximum(field[np.ix_(*cells)], 0.0)
+
+
+def lattice(
+    cell: float, place: tuple[int, int, int, int], phase: tuple[int, ...] = (0, 0)
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns of the sensor in which a tile's pixels lie alike in their cells [px]."""
+    step = max(1, round(cell))
+    rows, columns = (
+        np.arange(begin + (shift - begin) % step, end, step)
+        for begin, end, shift in ((*place[:2], phase[0]), (*place[2:], phase[1]))
+    )
+    return rows, columns
+
+
+def _laid_out(print_: Footprint, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Weights in a field of a shape, those of cells before the pixel's own at the far ends."""
+    weights = np.zeros(shape)
+    places = (
+        np.arange(first, first + size) % whole
+        for first, size, whole in zip(print_.first, print_.weights.shape, shape, strict=True)
+    )
+    weights[np.ix_(*places)] = print_.weights
+    return weights
+
+
+def _coarser(central: CentralImage) -> CentralImage:
+    """Cells of twice the size, on a grid whose corner is the same."""
+    row, column = (first % 2 for first in central.first)
+    rows, columns = ((size - skip) // 2 * 2 for size, skip in zip(central.values.shape, (row, column), strict=True))
+
+    def halved(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        cut = values[row : row + rows, column : column + columns]
+        means: NDArray[np.float64] = cut.reshape(rows // 2, 2, columns // 2, 2).mean(axis=(1, 3))
+        return means
+
+    values = halved(central.values)
+    magnification = None
+    if central.magnification is not None:
+        light = halved(central.values * central.magnification)
+        magnification = np.where(values > 0, light / np.where(values > 0, values, 1.0), halved(central.magnification))
+    first = ((central.first[0] + row) // 2, (central.first[1] + column) // 2)
+    return replace(central, first=first, values=values, magnification=magnification)
+
+
+def _fast_length(size: int) -> int:
+    """Smallest number from `size` on that has no prime factor above 5: transforms of others are slow."""
+    while True:
+        rest = size
+        for factor in (2, 3, 5):
+            while rest % factor == 0:
+                rest //= factor
+        if rest == 1:
+            return size
+        size += 1

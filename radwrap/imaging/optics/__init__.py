@@ -1,0 +1,1 @@
+"""Where light may go: opening, view, footprint, falloff, diffraction."""

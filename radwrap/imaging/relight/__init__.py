@@ -1,0 +1,1 @@
+"""Any levels of the sources without a ray."""

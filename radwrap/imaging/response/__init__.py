@@ -1,0 +1,1 @@
+"""From radiance to gray levels: exposure, sensor, noise."""

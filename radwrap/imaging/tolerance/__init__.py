@@ -1,0 +1,1 @@
+"""From a tolerance to a certified image."""

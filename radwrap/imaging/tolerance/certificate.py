@@ -1,0 +1,339 @@
+"""How far the gray levels of an image are off, measured with rays of its own.
+
+Two ways. A kernel's model error is the mean of differences of PAIRED rays:
+one through a point of the opening, and those through its centre that the
+kernel takes in its place; equal where the model holds, so that few rays tell
+much. Any image can be held against independent rays over pixel and opening:
+two means a, b of them give (a - k)(b - k), whose mean is the squared error of
+k. All on gray levels before rounding, clipped at saturation.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import asdict, dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.imaging.methods.kernel import layer_shares
+from radwrap.imaging.methods.rays import rays_over, sampled_radiance
+from radwrap.imaging.optics.falloff import opening_shares
+from radwrap.imaging.optics.view import View, trace_rays
+from radwrap.imaging.response.sensor import GrayWhereAsked, gray_levels
+from radwrap.imaging.tolerance.bounds import Bounded, mean_squares, resampling
+from radwrap.scene.camera import Sensor
+
+# Shares of the pixels, by how much gray changes around them, and of the sample: nearly all error lies at edges.
+_STRATA: Final[tuple[tuple[float, float], ...]] = ((0.1, 0.5), (0.2, 0.25), (0.7, 0.25))
+# Where something may hide something, up to half of the sample is drawn, in two strata of its own: so many times more
+# than their share of the image.
+_RISKY_STRATA: Final[tuple[tuple[float, float], ...]] = ((0.3, 0.6), (0.7, 0.4))
+_RISKY_SHARE: Final = 0.5
+_RISKY_TIMES: Final = 5.0
+_FEWEST_IN_STRATUM: Final = 8
+_LOOKED_AT: Final = 1 << 16
+
+
+@dataclass(frozen=True, slots=True)
+class Certificate:
+    """How far gray levels may be off.
+
+    Attributes
+    ----------
+    rms_gray : float
+        Estimate of the rms error over the image [gray level].
+    rms_gray_upper95 : float
+        Bound that holds in 95 of 100 images.
+    p99_gray_upper95 : float or None
+        Bound of the error that 99 % of the pixels stay below.
+    model_rms_gray : float
+        Part of the estimate that comes from the method's model.
+    discretisation_rms_gray : float
+        Part that comes from the finite number of rays.
+    certificate_pixels, certificate_rays : int
+        What the certificate took.
+    method : str
+        "pairs and replicates", "replicates" or "independent rays".
+    """
+
+    rms_gray: float
+    rms_gray_upper95: float
+    p99_gray_upper95: float | None
+    model_rms_gray: float
+    discretisation_rms_gray: float
+    certificate_pixels: int
+    certificate_rays: int
+    method: str
+
+    def as_manifest(self) -> dict[str, Any]:
+        """The manifest's ``error``."""
+        return asdict(self)
+
+
+def root(mean_square: float) -> float:
+    """Root of an unbiased mean square, which may be below zero."""
+    return math.sqrt(max(mean_square, 0.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PixelSample:
+    """Pixels drawn in strata.
+
+    Attributes
+    ----------
+    pixels : ndarray of int
+        Numbers, row by row.
+    stratum : ndarray of int
+        Of each.
+    shares : ndarray of float
+        Share of each stratum in the image.
+    pairs : ndarray of int
+        Pairs of rays that each gets where a kernel's model is held against rays; empty where that is not done.
+    """
+
+    pixels: NDArray[np.intp]
+    stratum: NDArray[np.intp]
+    shares: NDArray[np.float64]
+    pairs: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+
+    @property
+    def weights(self) -> NDArray[np.float64]:
+        """Share of the image that each pixel stands for."""
+        each: NDArray[np.float64] = self.shares / np.bincount(self.stratum, minlength=len(self.shares))
+        return each[self.stratum]
+
+
+def places_of(pixels: NDArray[np.intp], columns: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Columns and rows of pixels [px]."""
+    v, u = np.divmod(pixels, columns)
+    return u.astype(np.float64), v.astype(np.float64)
+
+
+def draw_pixels(
+    gray: NDArray[np.float64] | GrayWhereAsked,
+    count: int,
+    seed: tuple[int, ...],
+    *,
+    risky: NDArray[np.bool_] | None = None,
+    pairs: tuple[int, int] = (0, 0),
+) -> PixelSample:
+    """Draw pixels, more where gray changes, and more where they are risky; all where there are not more than `count`.
+
+    Parameters
+    ----------
+    gray : ndarray, shape (rows, columns)
+        The image [gray level].
+    count : int
+        About how many pixels.
+    seed : tuple of int
+        Of what is drawn.
+    risky : ndarray of bool, shape (rows, columns), optional
+        Pixels that form strata of their own.
+    pairs : tuple of int
+        Pairs of rays for each pixel, and for each risky one.
+    """
+    number = math.prod(gray.shape)
+    random = np.random.default_rng(seed)
+    # Of a large image some pixels, drawn evenly, stand for all.
+    drawn = random.choice(number, min(number, _LOOKED_AT), replace=False, shuffle=False)
+    apart = np.zeros(len(drawn), dtype=bool) if risky is None else risky.ravel()[drawn]
+    part_apart = 1.0 if apart.all() else min(_RISKY_SHARE, _RISKY_TIMES * float(apart.mean()))
+    groups = [(drawn[~apart], _STRATA, 1 - part_apart), (drawn[apart], _RISKY_STRATA, part_apart)]
+    chosen: list[NDArray[np.intp]] = []
+    sizes: list[int] = []
+    for group, strata, part in groups:
+        order = group[np.argsort(-_change(gray, group), kind="stable")]
+        bounds = np.rint(np.cumsum([0.0, *(share for share, _ in strata)]) * len(order)).astype(int)
+        for (first, last), (_, wanted) in zip(itertools.pairwise(bounds.tolist()), strata, strict=True):
+            if last > first:
+                size = min(max(round(part * wanted * count), _FEWEST_IN_STRATUM), last - first)
+                chosen.append(random.choice(order[first:last], size, replace=False))
+                sizes.append(last - first)
+    stratum = np.repeat(np.arange(len(chosen)), [len(pixels) for pixels in chosen])
+    pixels = np.concatenate(chosen)
+    numbers = np.full(len(pixels), pairs[0]) if risky is None else np.where(risky.ravel()[pixels], pairs[1], pairs[0])
+    return PixelSample(pixels, stratum, np.array(sizes) / len(drawn), numbers)
+
+
+def _change(gray: NDArray[np.float64] | GrayWhereAsked, pixels: NDArray[np.intp]) -> NDArray[np.float64]:
+    """How much gray changes from each pixel to the next ones."""
+    row, column = np.divmod(pixels, gray.shape[1])
+    here = gray[row, column]
+    change = np.zeros(len(pixels))
+    for down, right in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+        there = gray[np.clip(row + down, 0, gray.shape[0] - 1), np.clip(column + right, 0, gray.shape[1] - 1)]
+        np.maximum(change, np.abs(there - here), out=change)
+    return change
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PixelErrors:
+    """Two independent, unbiased values of the error at each pixel of a sample, in gray levels.
+
+    Attributes
+    ----------
+    first, second : ndarray, shape (n,)
+        Of what the image lacks; first-order in their noise.
+    rays : int
+        How many were traced.
+    """
+
+    first: NDArray[np.float64]
+    second: NDArray[np.float64]
+    rays: int
+
+    def mean_square(self, sample: PixelSample, seed: tuple[int, ...]) -> Bounded:
+        """Mean square over the image."""
+        again = resampling(sample.stratum, sample.shares, seed)
+        return mean_squares(self.first[np.newaxis], self.second[np.newaxis], again)[0]
+
+
+def model_errors(
+    view: View,
+    layers: tuple[float, ...],
+    sample: PixelSample,
+    radiance: NDArray[np.float64],
+    *,
+    seed: tuple[int, ...],
+) -> PixelErrors:
+    """What the kernel's model lacks at some pixels, in gray levels.
+
+    Parameters
+    ----------
+    view, layers, sample, seed
+        As in `model_lacks`.
+    radiance : ndarray, shape (n,)
+        The image's mean radiance at the sample, through which Eq. 5 is taken.
+    """
+    lacks, rays = model_lacks(view, layers, sample, seed=seed)
+    return lacks_in_gray(radiance, lacks, rays, view.exposure_of_radiance, view.camera.sensor)
+
+
+def lacks_in_gray(
+    radiance: NDArray[np.float64], lacks: NDArray[np.float64], rays: int, exposure_of_radiance: float, sensor: Sensor
+) -> PixelErrors:
+    """Two values of what is lacking, shape (2, n) [W m^-2 sr^-1], through Eq. 5 at the image's radiance."""
+    first, second = (_in_gray(radiance, radiance + lack, exposure_of_radiance, sensor) for lack in lacks)
+    return PixelErrors(first, second, rays)
+
+
+def model_lacks(
+    view: View, layers: tuple[float, ...], sample: PixelSample, *, seed: tuple[int, ...]
+) -> tuple[NDArray[np.float64], int]:
+    """What the kernel's model lacks at some pixels, by paired rays; linear in the sources.
+
+    Parameters
+    ----------
+    view : View
+        The camera, and who traces.
+    layers : tuple of float
+        The kernel's magnifications.
+    sample : PixelSample
+        Where, and with how many pairs.
+    seed : tuple of int
+        Of all that is drawn.
+
+    Returns
+    -------
+    lacks : ndarray, shape (2, n)
+        Two independent values of what is lacking [W m^-2 sr^-1].
+    rays : int
+        How many were traced.
+    """
+    # Both halves of all parts in one call, which the workers share.
+    numbers = np.unique(sample.pairs).tolist()
+    parts = [np.flatnonzero(sample.pairs == pairs) for pairs in numbers]
+    drawn = []
+    for part, pairs in zip(parts, numbers, strict=True):
+        u, v = places_of(np.tile(sample.pixels[part], 2), view.camera.sensor.columns)
+        drawn.append(rays_over(view.camera, u, v, pairs, np.random.default_rng((*seed, pairs))))
+    opening, places_u, places_v = (np.concatenate(arrays) for arrays in zip(*drawn, strict=True))
+    differences = _pair_differences(view, layers, opening, places_u, places_v)
+    lacks = np.empty((2, len(sample.pixels)))
+    for part, some in zip(parts, np.split(differences, np.cumsum([len(u) for _, u, _ in drawn])[:-1]), strict=True):
+        lacks[:, part] = some.reshape(2, len(part), -1).mean(axis=2)
+    return lacks, rays_of_lacks(layers, int(sample.pairs.sum()))
+
+
+def rays_of_lacks(layers: tuple[float, ...], pairs: int) -> int:
+    """How many rays `model_lacks` takes, by the sum of all pixels' pairs."""
+    return 2 * (1 + len(layers)) * pairs
+
+
+def _pair_differences(
+    view: View,
+    layers: tuple[float, ...],
+    opening: NDArray[np.float64],
+    u: NDArray[np.float64],
+    v: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Value of each ray less what the kernel takes in its place, shape (n,)."""
+    camera = view.camera
+    difference, _ = trace_rays(view, opening, u, v, alone=True)
+    shares = opening_shares(camera, opening)
+    for number, layer in enumerate(layers):
+        central, magnification = trace_rays(
+            view,
+            None,
+            u + layer * opening[:, 0] / camera.sensor.pixel_width,
+            v + layer * opening[:, 1] / camera.sensor.pixel_height,
+            with_depth=len(layers) > 1,
+            alone=True,
+        )
+        difference -= central * shares * layer_shares(layers, magnification)[number]
+    return difference
+
+
+def independent_errors(
+    view: View, pixels: NDArray[np.intp], radiance: NDArray[np.float64], *, rays: int, seed: tuple[int, ...]
+) -> PixelErrors:
+    """What an image lacks at some pixels, by independent rays over pixel and opening; parameters as `model_errors`."""
+    u, v = places_of(pixels, view.camera.sensor.columns)
+    random = np.random.default_rng(seed)
+    # Both in one call, which the workers share evenly.
+    values = sampled_radiance(view, np.tile(u, 2), np.tile(v, 2), rays, random).mean(axis=1).reshape(2, -1)
+    scale, sensor = view.exposure_of_radiance, view.camera.sensor
+    first, second = (_in_gray(radiance, value, scale, sensor) for value in values)
+    return PixelErrors(first, second, 2 * rays * len(u))
+
+
+def _in_gray(
+    image: NDArray[np.float64], truth: NDArray[np.float64], scale: float, sensor: Sensor
+) -> NDArray[np.float64]:
+    """Difference of gray levels; a mean that noise took below zero counts as dark."""
+    return gray_levels(np.maximum(truth, 0.0) * scale, sensor) - gray_levels(image * scale, sensor)
+
+
+def certify_by_independent_rays(
+    view: View, radiance: NDArray[np.float64], seed: int, pixels: int = 512, rays: int = 64
+) -> Certificate:
+    """Certificate of any image.
+
+    Parameters
+    ----------
+    view : View
+        The camera, and who traces.
+    radiance : ndarray, shape (rows, columns)
+        Mean of L cos^4(theta) of each pixel [W m^-2 sr^-1].
+    seed : int
+        Of all that is drawn.
+    pixels, rays : int
+        Pixels that are held against two means of so many rays each.
+    """
+    gray = GrayWhereAsked(radiance, view.exposure_of_radiance, view.camera.sensor)
+    sample = draw_pixels(gray, pixels, (seed, 3))
+    errors = independent_errors(view, sample.pixels, radiance.ravel()[sample.pixels], rays=rays, seed=(seed, 4))
+    square = errors.mean_square(sample, (seed, 5))
+    return Certificate(
+        rms_gray=root(square.mean),
+        rms_gray_upper95=root(square.upper),
+        p99_gray_upper95=None,
+        model_rms_gray=root(square.mean),
+        discretisation_rms_gray=0.0,
+        certificate_pixels=len(sample.pixels),
+        certificate_rays=errors.rays,
+        method="independent rays",
+    )

@@ -1,0 +1,499 @@
+"""From a tolerance in gray levels to an image that is certified to keep it, by the cheapest method.
+
+All decisions are made by counted rays and measured errors, never by a clock,
+so that the same scene, tolerance and seed give the same bytes. Only a budget
+in seconds breaks that.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.imaging.methods.kernel import KernelPlan, plan_kernel
+from radwrap.imaging.methods.rays import FEWEST, RaysPlan, plan_rays
+from radwrap.imaging.optics.view import View
+from radwrap.imaging.response.sensor import GrayWhereAsked
+from radwrap.imaging.tolerance.bounds import NOTHING, Bounded
+from radwrap.imaging.tolerance.certificate import (
+    Certificate,
+    PixelErrors,
+    PixelSample,
+    draw_pixels,
+    model_errors,
+    rays_of_lacks,
+    root,
+)
+from radwrap.imaging.tolerance.replicates import (
+    Replicates,
+    TooManyRays,
+    Work,
+    discretisation,
+    replicates_needed,
+    trace_replicates,
+)
+from radwrap.imaging.tolerance.survey import AIM_SHARE, Survey, met_by, middle_of, predicted_rays, steps, survey
+from radwrap.manifest import finite
+from radwrap.tracers.timed import OutOfTime, TimedTracer
+
+ToleranceMethod = Literal["kernel", "rays"]
+
+# What costs less than this share of the tolerance is left out: errors add as squares, so it takes 5 % of the tolerance.
+NEGLIGIBLE_SHARE: Final = 0.3
+# Where the model's error takes more than this share of the tolerance, rays are asked instead.
+MODEL_SHARE: Final = 0.85
+# Pixels where that may reach this share of the tolerance are looked at apart.
+_RISK_SHARE: Final = 0.1
+_ATTEMPTS: Final = 8
+# By what the fewest rays of a pixel grow from one attempt by rays to the next, and where that ends.
+_MORE: Final = 4
+_MOST_FEWEST: Final = 1 << 12
+_HALVINGS: Final = 24  # of the accuracy, until a budget suffices
+# Of a budget of time so much goes into rays of the first image, the rest into its certificate and what comes next.
+_TRACED_SHARE: Final = 0.5
+_COARSE_AIM: Final = 16.0  # gray levels; what is made where nothing better was finished in time
+_SHORTEST: Final = 1e-3  # s; a clock may stand still
+# Where the size of the grid's cells takes more than this share of the tolerance they are halved, so often at most.
+_GRID_SHARE: Final = 0.5
+_FINEST: Final = 2
+# Below this tolerance the usual cells are too coarse at any contrast that matters, and so are the fewest pairs: an edge
+# of 100 gray that is shifted by 0.2 differs in one of 500 [gray level].
+_COARSE_TOLERANCE: Final = 0.25
+# Pixels of the model's certificate, and pairs of each: where depth is even, and near steps; tried in turn.
+_EFFORTS: Final = ((512, 4, 16), (1024, 8, 32), (1024, 16, 128), (2048, 64, 1024))
+# A 99 % quantile without an exceedance among so many: 97.5 % sure of each half's 99.5 %.
+_QUANTILE_PIXELS: Final = 1024
+_QUANTILE: Final = 0.995
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """What a run may cost.
+
+    Attributes
+    ----------
+    rays : float
+        Rays in all.
+    seconds : float
+        Wall time [s]; an image that it stops cannot be made again.
+    """
+
+    rays: float = math.inf
+    seconds: float = math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class Demand:
+    """What is asked for.
+
+    Attributes
+    ----------
+    tolerance : float
+        Largest rms error [gray level].
+    max_error : float, optional
+        Largest error of 99 % of the pixels [gray level].
+    method : str, optional
+        "kernel" or "rays"; default the cheapest that will do.
+    budget : Budget
+        What it may cost.
+    """
+
+    tolerance: float
+    max_error: float | None = None
+    method: ToleranceMethod | None = None
+    budget: Budget = Budget()
+
+    def is_met(self, certificate: Certificate) -> bool:
+        """Whether an image keeps the tolerance."""
+        quantile = certificate.p99_gray_upper95
+        return certificate.rms_gray_upper95 <= self.tolerance and (
+            self.max_error is None or (quantile is not None and quantile <= self.max_error)
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """What a survey advises.
+
+    Attributes
+    ----------
+    method : str
+        "kernel" or "rays".
+    why : str
+        The reason.
+    one_layer : bool
+        Whether the spread of depths is left out.
+    model : Bounded
+        Mean square error of that kernel's model [gray level^2].
+    expected_rays : Mapping[str, int or None]
+        What each method is expected to take; None where it cannot be used.
+    """
+
+    method: ToleranceMethod
+    why: str
+    one_layer: bool
+    model: Bounded
+    expected_rays: Mapping[str, int | None]
+
+    def as_manifest(self) -> dict[str, Any]:
+        """What is expected, before an image is made."""
+        known = {key: value for key, value in self.expected_rays.items() if value is not None}
+        return {"expected_rays": known, "expected_model_rms_gray": finite(root(self.model.mean))}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outcome:
+    """An image with its certificate, and how it came about.
+
+    Attributes
+    ----------
+    radiance : ndarray, shape (rows, columns)
+        Mean of L cos^4(theta) [W m^-2 sr^-1].
+    replicates : Replicates
+        Whose mean it is.
+    certificate : Certificate
+        Its error.
+    met : bool
+        Whether it keeps the tolerance.
+    method : str
+        "kernel" or "rays".
+    plan : dict
+        For the manifest: why this method, what was tried.
+    reused : int
+        Pieces that were found on the disk.
+    ray_plan : KernelPlan or RaysPlan
+        What was traced.
+    sample : PixelSample or None
+        Pixels of the model's certificate.
+    """
+
+    radiance: NDArray[np.float64]
+    replicates: Replicates
+    certificate: Certificate
+    met: bool
+    method: ToleranceMethod
+    plan: dict[str, Any]
+    reused: int
+    ray_plan: KernelPlan | RaysPlan
+    sample: PixelSample | None
+
+
+def choose(view: View, found: Survey, demand: Demand) -> Choice:
+    """Pick the cheapest method whose model is expected to hold."""
+    one_layer = root(found.one_layer.upper) <= NEGLIGIBLE_SHARE * demand.tolerance
+    model = found.one_layer if one_layer else found.model
+    rays, kernel = (
+        math.ceil(value) if math.isfinite(value) else None for value in predicted_rays(view, found, demand.tolerance)
+    )
+    method: ToleranceMethod = "rays"
+    if demand.method is not None:
+        method, why = demand.method, "asked for"
+    elif kernel is None or math.isinf(model.mean):
+        why = "the scene is too deep for one central image"
+    elif root(model.mean) > MODEL_SHARE * demand.tolerance:
+        why = f"the kernel's model may be off by {root(model.mean):.3g} gray rms"
+    elif rays is not None and rays < kernel:
+        why = "fewer rays are expected than for the kernel"
+    else:
+        method, why = "kernel", "fewest rays are expected, and its model holds"
+    return Choice(method, why, one_layer, model, {"kernel": kernel, "rays": rays})
+
+
+def render_to_tolerance(work: Work, demand: Demand) -> Outcome:
+    """Make an image whose certified error keeps a tolerance, or the best that the budget allows.
+
+    Raises
+    ------
+    TracerError, EnvironmentFailure
+        If the tracer or the disk fails.
+    """
+    return Search(work, demand).run()
+
+
+class Search:
+    """One search for an image that keeps the tolerance, or a survey and the image by a plan that others made."""
+
+    def __init__(self, work: Work, demand: Demand) -> None:
+        self.work, self.demand, self.view = work, demand, work.view
+        self.tracer = work.view.tracer
+        self.start = time.monotonic()
+        self.found = survey(work.view, work.seed)
+        self.spent = self.found.rays
+        self.choice = choose(work.view, self.found, demand)
+        work.progress.expect(self.choice.expected_rays[self.choice.method] or 1)
+        self.attempts: list[dict[str, Any]] = []
+        self.reused = 0
+        fine = demand.tolerance < _COARSE_TOLERANCE
+        self.finer = 1 if fine else 0
+        self.effort = 1 if fine or demand.max_error is not None else 0
+        self.one_layer = self.choice.one_layer
+        self.fewest = FEWEST
+        self.last_model = NOTHING
+        self.was_over = False
+        self.pairs: dict[int, int] = {}  # of rays that a certificate took, by its effort
+
+    def run(self) -> Outcome:
+        """Try until one image keeps the tolerance, or the budget is spent."""
+        method, why = self.choice.method, self.choice.why
+        share = self._affordable(method, self._first_share(method))
+        best: Outcome | None = None
+        given_up: dict[str, str] = {}
+        if share < _COARSE_AIM:
+            self._limit_time(_TRACED_SHARE)
+        for _ in range(_ATTEMPTS):
+            try:
+                outcome = self._attempt(method, share, why)
+            except OutOfTime:
+                given_up = {"given_up": "out of time"}
+                if best is not None:
+                    break
+                # Some image there must be: the coarsest, whatever it takes.
+                self._limit_time(math.inf)
+                share, self.finer, self.effort = _COARSE_AIM, 0, 0
+                continue
+            except TooManyRays as found:
+                given_up = {"given_up": "out of rays"}
+                self.spent += found.decided
+                if best is not None:
+                    break
+                share = self._coarser(method, share, found.whole)
+                self.finer, self.effort = 0, 0
+                continue
+            self._limit_time(1.0)
+            if best is None or self._rank(outcome) < self._rank(best):
+                best = outcome
+            if outcome.met or self._is_spent(outcome):
+                break
+            method, share, why = self._next(outcome, share, why)
+        assert best is not None  # noqa: S101  (the loop ran)
+        return replace(best, plan={**best.plan, "attempts": self.attempts, "rays": self.spent, **given_up})
+
+    def _limit_time(self, share: float) -> None:
+        """Let what comes next be given up after a share of a budget of time."""
+        deadline = self.start + share * self.demand.budget.seconds
+        tracer = self.tracer if math.isinf(deadline) else TimedTracer(self.tracer, deadline)
+        self.view = replace(self.view, tracer=tracer)
+        self.work = replace(self.work, view=self.view)
+
+    def _forecast(self, method: ToleranceMethod, share: float) -> float:
+        """Rays that are expected for an aim."""
+        rays, kernel = predicted_rays(self.view, self.found, share / AIM_SHARE, self.finer)
+        return rays if method == "rays" else kernel
+
+    def _rank(self, outcome: Outcome) -> float:
+        """How many times what is asked for an image is off; the least is the best, and below 1 one that meets it."""
+        demand, found = self.demand, outcome.certificate
+        off = found.rms_gray_upper95 / demand.tolerance
+        if demand.max_error is None:
+            return off
+        quantile = math.inf if found.p99_gray_upper95 is None else found.p99_gray_upper95
+        return max(off, quantile / demand.max_error)
+
+    @property
+    def model(self) -> Bounded:
+        """Mean square error of the kernel that is planned [gray level^2]."""
+        return self.found.one_layer if self.one_layer else self.found.model
+
+    def _first_share(self, method: ToleranceMethod) -> float:
+        """Rms error of the result to aim at."""
+        model = max(self.model.mean, 0.0) if method == "kernel" else 0.0
+        left = self.demand.tolerance**2 - (model if math.isfinite(model) else 0.0)
+        return AIM_SHARE * math.sqrt(max(left, (0.3 * self.demand.tolerance) ** 2))
+
+    def _affordable(self, method: ToleranceMethod, share: float) -> float:
+        """The aim, or a larger one that is expected to stay within the budget."""
+        budget = min(self.demand.budget.rays - self.spent, self._rays_in_time())
+        if self._forecast(method, share) > budget:
+            self.finer, self.effort = 0, 0
+        # From some aim on, an image takes no fewer rays.
+        fewest = self._forecast(method, share * 2**_HALVINGS)
+        while self._forecast(method, share) > max(budget, fewest):
+            share *= 2
+        return share
+
+    def _coarser(self, method: ToleranceMethod, share: float, whole: int) -> float:
+        """What to aim at once a plan needs more rays than are left: by its share of the forecast, then the coarsest."""
+        often = whole / self._forecast(method, share)
+        left = self.demand.budget.rays - self.spent
+        while share < _COARSE_AIM and (self.was_over or often * self._forecast(method, share) > left):
+            share *= 2
+        self.was_over = True
+        return share
+
+    def _rays_in_time(self) -> float:
+        """How many rays the time left suffices for, by the survey's; few rather than many, for its programs start."""
+        if math.isinf(self.demand.budget.seconds):
+            return math.inf
+        elapsed = time.monotonic() - self.start
+        left = max(self.demand.budget.seconds - elapsed, 0.0)
+        return _TRACED_SHARE * left * self.found.rays / max(elapsed, _SHORTEST)
+
+    def _plan(self, method: ToleranceMethod, aim: float) -> KernelPlan | RaysPlan:
+        if method == "rays":
+            return plan_rays(self.view, aim, self.fewest)
+        met = met_by(self.view, self.found.magnification)
+        return plan_kernel(self.view, middle_of(met) if self.one_layer else met, aim, self.finer)
+
+    def _attempt(self, method: ToleranceMethod, share: float, why: str) -> Outcome:
+        number = replicates_needed(self._plan(method, share))
+        plan = self._plan(method, share * math.sqrt(number))
+        # Some image there must be: the coarsest may take what it takes.
+        most = self.demand.budget.rays - self.spent - self._certificate_rays(plan) if share < _COARSE_AIM else math.inf
+        return self.made(plan, number, why, aim=share, most=most)
+
+    def made(
+        self, plan: KernelPlan | RaysPlan, number: int, why: str, *, aim: float | None = None, most: float = math.inf
+    ) -> Outcome:
+        """The image by a plan, with its certificate."""
+        method: ToleranceMethod = "kernel" if isinstance(plan, KernelPlan) else "rays"
+        replicates = trace_replicates(self.work, plan, number, most)
+        self.reused += replicates.reused
+        self.spent += replicates.rays
+        radiance = replicates.mean
+        certificate, sample = self._certify(plan, replicates, radiance)
+        self.attempts.append(
+            {
+                "method": method,
+                "aim_gray": aim,
+                "replicates": number,
+                "rays": replicates.rays,
+                "rms_gray_upper95": certificate.rms_gray_upper95,
+                "p99_gray_upper95": certificate.p99_gray_upper95,
+            }
+        )
+        met = self.demand.is_met(certificate)
+        return Outcome(
+            radiance=radiance,
+            replicates=replicates,
+            certificate=certificate,
+            met=met,
+            method=method,
+            plan={
+                "method": method,
+                "why": why,
+                **self.choice.as_manifest(),
+                "one_layer_rms_gray": root(self.found.one_layer.mean),
+                "layers": len(plan.layers) if isinstance(plan, KernelPlan) else None,
+                "base_cell_px": plan.grid.base if isinstance(plan, KernelPlan) else None,
+                "grid_cell_px": plan.grid.cell if isinstance(plan, KernelPlan) else None,
+                "met": met,
+                "reproducible": math.isinf(self.demand.budget.seconds),
+            },
+            reused=self.reused,
+            ray_plan=plan,
+            sample=sample,
+        )
+
+    def _certify(
+        self, plan: KernelPlan | RaysPlan, replicates: Replicates, radiance: NDArray[np.float64]
+    ) -> tuple[Certificate, PixelSample | None]:
+        view, seed = self.view, self.work.seed
+        noise, errors = discretisation(view, replicates)
+        if isinstance(plan, RaysPlan) or view.camera.aperture.is_infinitesimal:
+            quantile = noise_quantile(errors, noise) if self.demand.max_error is not None else None
+            return certificate_of(NOTHING, noise, quantile, pixels=0, rays=0), None
+        gray = GrayWhereAsked(radiance, view.exposure_of_radiance, view.camera.sensor)
+        risky = steps(view, self.found.magnification, gray, _RISK_SHARE * self.demand.tolerance)
+        for effort in range(self.effort, len(_EFFORTS)):
+            pixels, pairs = self._pixels_and_pairs(effort)
+            drawn = draw_pixels(gray, pixels, (seed, 10, effort), risky=risky, pairs=pairs)
+            all_pairs = int(drawn.pairs.sum())
+            # The first must be, whatever it takes.
+            if effort > self.effort and self.spent + rays_of_lacks(plan.layers, all_pairs) > self.demand.budget.rays:
+                break
+            self.effort, sample = effort, drawn
+            self.pairs[effort] = all_pairs
+            at = radiance.ravel()[sample.pixels]
+            found = model_errors(view, plan.layers, sample, at, seed=(seed, 11, effort))
+            self.spent += found.rays
+            model = found.mean_square(sample, (seed, 12, effort))
+            wanted = self.demand.tolerance**2
+            enough = model.upper + noise.upper <= wanted or max(model.mean, 0.0) + noise.mean > wanted
+            # More pairs help where the bound is wide, not the error large.
+            if enough or noise.upper > wanted:
+                break
+        self.last_model = model
+        quantile = None
+        if self.demand.max_error is not None:
+            quantile = noise_quantile(errors, noise) + model_quantile(found, sample)
+        return certificate_of(model, noise, quantile, pixels=len(sample.pixels), rays=found.rays), sample
+
+    def _pixels_and_pairs(self, effort: int) -> tuple[int, tuple[int, int]]:
+        pixels, *pairs = _EFFORTS[effort]
+        return pixels if self.demand.max_error is None else max(pixels, _QUANTILE_PIXELS), (pairs[0], pairs[1])
+
+    def _certificate_rays(self, plan: KernelPlan | RaysPlan) -> int:
+        """What a certificate takes as the last one did, or the fewest where there was none."""
+        if isinstance(plan, RaysPlan) or plan.camera.aperture.is_infinitesimal:
+            return 0
+        pixels, (even, _) = self._pixels_and_pairs(self.effort)
+        pairs = self.pairs.get(self.effort, even * min(pixels, plan.camera.sensor.pixels))
+        return rays_of_lacks(plan.layers, pairs)
+
+    def _is_spent(self, outcome: Outcome) -> bool:
+        """Whether another attempt, which takes about twice the rays at least, would pass the budget."""
+        budget = self.demand.budget
+        elapsed = time.monotonic() - self.start
+        if not math.isinf(budget.seconds) and elapsed * (1 + 2 / len(self.attempts)) > budget.seconds:
+            return True
+        return self.spent + 2 * outcome.replicates.rays > budget.rays
+
+    def _next(self, outcome: Outcome, share: float, why: str) -> tuple[ToleranceMethod, float, str]:
+        """What to try after an image that does not keep the tolerance."""
+        certificate, wanted = outcome.certificate, self.demand.tolerance
+        if outcome.method == "rays":
+            # Rays that decide may all have missed what a pixel sees: it then stays at the fewest, whatever the aim.
+            self.fewest = min(_MORE * self.fewest, _MOST_FEWEST)
+            return "rays", share / 2, why
+        grid = math.sqrt(outcome.replicates.grid_square)
+        if grid > _GRID_SHARE * wanted and self.finer < _FINEST:
+            self.finer += 1
+            return "kernel", share, why
+        rest = root(self.last_model.upper)
+        if self.one_layer and rest > NEGLIGIBLE_SHARE * wanted and math.isfinite(self.found.model.mean):
+            self.one_layer = False
+            return "kernel", share, "depths differ more than the survey saw"
+        stuck = certificate.model_rms_gray > MODEL_SHARE * wanted or rest > wanted or grid > _GRID_SHARE * wanted
+        tried = [attempt["rays"] for attempt in self.attempts[-2:] if attempt["method"] == "kernel"]
+        stuck = stuck or (len(tried) == 2 and tried[0] == tried[1])  # a smaller aim changes nothing
+        if self.demand.method is None and (stuck or share < wanted * AIM_SHARE / 4):
+            share = self._affordable("rays", self._first_share("rays"))
+            return "rays", share, "the kernel's certificate did not hold"
+        return "kernel", share / 2, why
+
+
+def certificate_of(model: Bounded, noise: Bounded, quantile: float | None, *, pixels: int, rays: int) -> Certificate:
+    """Certificate from mean squares [gray level^2]: of the model's error, and of what the number of rays adds."""
+    square = Bounded(max(model.mean, 0.0), max(model.upper, 0.0)) + noise
+    return Certificate(
+        rms_gray=root(square.mean),
+        rms_gray_upper95=root(square.upper),
+        p99_gray_upper95=quantile,
+        model_rms_gray=root(model.mean),
+        discretisation_rms_gray=root(noise.mean),
+        certificate_pixels=pixels,
+        certificate_rays=rays,
+        method="pairs and replicates" if pixels else "replicates",
+    )
+
+
+def noise_quantile(errors: NDArray[np.float64], noise: Bounded) -> float:
+    """Error that 99.5 % of the pixels stay below, raised as the rms error's bound is."""
+    scale = math.sqrt(noise.upper / noise.mean) if noise.mean > 0 else 1.0
+    return float(np.quantile(np.abs(errors), _QUANTILE)) * scale
+
+
+def model_quantile(errors: PixelErrors, sample: PixelSample) -> float:
+    """Error of the model that 99.5 % of the pixels stay below: the largest that was seen where few lie above it."""
+    size = (np.abs(errors.first) + np.abs(errors.second)) / 2
+    order = np.argsort(-size)
+    above = np.cumsum(sample.weights[order])
+    # Half of the share that may lie above, for what the sample did not see.
+    place = int(np.searchsorted(above, (1 - _QUANTILE) / 2))
+    return float(size[order[min(place, len(order) - 1)]])

@@ -1,0 +1,338 @@
+"""Independent images of the same scene by kernel or rays: their mean is the result, their differences its noise."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.errors import EnvironmentFailure
+from radwrap.imaging.methods.central import Cells, central_rays
+from radwrap.imaging.methods.kernel import KernelPlan, decide_tile, gathered_tile, grid_squares
+from radwrap.imaging.methods.pieces import log_call, read_piece, remove_halves, run_jobs, write_piece
+from radwrap.imaging.methods.rays import RaysPlan, traced_tile
+from radwrap.imaging.optics.view import View
+from radwrap.imaging.response.sensor import gray_levels
+from radwrap.imaging.tolerance.bounds import Bounded, mean_square_of_differences
+from radwrap.manifest import sha256_of_value
+from radwrap.process import Programs
+from radwrap.progress import Progress
+
+Plan = KernelPlan | RaysPlan
+_LOOKS: Final = 8
+_HANGS_TOGETHER: Final = 1.2
+# Degrees of freedom that are asked for: the bound is then a third above the error at most.
+_DEGREES: Final = 30
+_MOST_REPLICATES: Final = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Replicates:
+    """Images by the same plan, each with its own rays.
+
+    Attributes
+    ----------
+    images : ndarray, shape (replicates, rows, columns)
+        Mean of L cos^4(theta) over pixel and opening [W m^-2 sr^-1], as their files hold it.
+    grid_square : float
+        Mean square of what the size of the kernel's cells changes [gray level^2].
+    rays : int
+        How many were traced for all of them.
+    reused : int
+        How many pieces were found on the disk.
+    block : tuple of int
+        Rows and columns over which errors hang together [px].
+    change : ndarray, shape (rows, columns), optional
+        What the size of the kernel's cells may add to each pixel of the mean [W m^-2 sr^-1]; of an even plan.
+    """
+
+    images: NDArray[np.float32]
+    grid_square: float
+    rays: int
+    reused: int
+    block: tuple[int, int]
+    change: NDArray[np.float64] | None = None
+
+    @property
+    def mean(self) -> NDArray[np.float64]:
+        """The result."""
+        mean: NDArray[np.float64] = self.images.mean(axis=0, dtype=np.float64)
+        return mean
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """Where and by whom a run's pieces are made.
+
+    Attributes
+    ----------
+    view : View
+        The camera, and who traces.
+    folder : Path
+        Where the pieces are.
+    programs : Programs
+        Ended at the first failure.
+    progress : Progress
+        Counts rays.
+    scene_sha256 : str
+        Hash of the scene as the tracer gets it, and of the tracer.
+    seed : int
+        Of all that is drawn.
+    """
+
+    view: View
+    folder: Path
+    programs: Programs
+    progress: Progress
+    scene_sha256: str
+    seed: int
+
+
+class TooManyRays(Exception):
+    """A plan turns out to need more rays than it may.
+
+    Attributes
+    ----------
+    decided : int
+        Rays that were traced to find that out.
+    whole : int
+        Rays that it needs, those included.
+    """
+
+    def __init__(self, decided: int, whole: int) -> None:
+        super().__init__(decided, whole)
+        self.decided, self.whole = decided, whole
+
+
+def trace_replicates(work: Work, plan: Plan, number: int, most: float = math.inf) -> Replicates:
+    """Trace so many replicates, tile by tile; pieces that are finished are not traced again.
+
+    Raises
+    ------
+    TooManyRays
+        If the kernel's cells, once they are decided, ask for more than `most` rays in all.
+    TracerError, EnvironmentFailure
+        If the tracer or the disk fails.
+    """
+    name = sha256_of_value({"scene": work.scene_sha256, "plan": plan, "seed": work.seed})
+    tiles = range(len(plan.tiles))
+    shared = _among(work, len(tiles))
+    decided = [_CellsPiece(shared, plan, name, tile) for tile in tiles] if isinstance(plan, KernelPlan) else []
+    shared = _among(work, number * len(tiles))
+    pieces = [_TilePiece(shared, plan, name, replicate, tile) for replicate in range(number) for tile in tiles]
+    # Pieces of earlier plans stay: a search that is killed goes through them again.
+    remove_halves(work.folder)
+    sensor = work.view.camera.sensor
+    images = np.empty((number, sensor.rows, sensor.columns), dtype=np.float32)
+    change = np.zeros(images.shape[1:]) if _keeps_change(plan) else None
+    told: dict[_TilePiece, Mapping[str, Any]] = {}
+    changes: dict[_TilePiece, NDArray[np.float32]] = {}
+
+    def lay(piece: _TilePiece, found: tuple[NDArray[np.float32], Mapping[str, Any]]) -> None:
+        r0, r1, c0, c1 = plan.tiles[piece.tile]
+        pixels, told[piece] = found
+        images[piece.replicate, r0:r1, c0:c1] = pixels[: r1 - r0]
+        if change is not None:
+            changes[piece] = pixels[r1 - r0 :]
+
+    def make(piece: _TilePiece) -> None:
+        lay(piece, piece.make())
+
+    due = []
+    for piece in pieces:
+        if (found := piece.read()) is None:
+            due.append(piece)
+        else:
+            lay(piece, found)
+    # What is finished counts too: a run that goes on after a kill gives up where it would have without the kill.
+    wanted = {piece.tile for piece in (due if math.isinf(most) else pieces)}
+    run_jobs(
+        [piece.make for piece in decided if piece.tile in wanted and piece.read() is None],
+        work.programs,
+        work.view.workers,
+    )
+    if isinstance(plan, KernelPlan) and math.isfinite(most):
+        cells = [piece.cells() for piece in decided]
+        taken = sum(one.rays for one in cells)
+        whole = taken + number * sum(central_rays(plan.grid, one) for one in cells)
+        if whole > most:
+            raise TooManyRays(taken, whole)
+    run_jobs([partial(make, piece) for piece in due], work.programs, work.view.workers)
+    grid_square, rays = 0.0, 0
+    for piece in pieces:
+        r0, r1, c0, c1 = plan.tiles[piece.tile]
+        rays += int(told[piece]["rays"])
+        grid_square += float(told[piece]["grid_square"]) * (r1 - r0) * (c1 - c0) / images.size
+        if change is not None:  # in the order of the pieces, whoever was finished first
+            change[r0:r1, c0:c1] += changes[piece].astype(np.float64) / number
+    made = Replicates(images, grid_square, rays, len(pieces) - len(due), _block(plan), change)
+    if change is None:
+        return made
+    # What replicates have in common, without the noise of each.
+    squares = grid_squares(made.mean, change, work.view.exposure_of_radiance, sensor)
+    return replace(made, grid_square=float(squares.mean()))
+
+
+def _keeps_change(plan: Plan) -> bool:
+    """Whether each piece holds, below its values, what the size of the kernel's cells changes."""
+    return isinstance(plan, KernelPlan) and bool(plan.grid.even)
+
+
+def _among(work: Work, jobs: int) -> Work:
+    """The work of each of some jobs that run at a time: with its share of the workers."""
+    return replace(work, view=replace(work.view, workers=max(1, work.view.workers // jobs)))
+
+
+def _block(plan: Plan) -> tuple[int, int]:
+    """Rows and columns over which errors hang together [px].
+
+    The correlation of noise that was gathered over a disc of radius R has the
+    integral of its square 1.41 R^2: a square of 1.2 R.
+    """
+    if isinstance(plan, RaysPlan):
+        return (1, 1)
+    reach = plan.reach_px
+    return (math.ceil(_HANGS_TOGETHER * reach[1]) + 1, math.ceil(_HANGS_TOGETHER * reach[0]) + 1)
+
+
+def replicates_needed(plan: Plan) -> int:
+    """How many replicates tell their noise: two, but more where the image is small beside the blur."""
+    sensor, block = plan.camera.sensor, _block(plan)
+    blocks = max(1.0, sensor.rows / block[0]) * max(1.0, sensor.columns / block[1])
+    return min(max(1 + math.ceil(_DEGREES / blocks), 2), _MOST_REPLICATES)
+
+
+class _TilePiece:
+    """A tile of a replicate."""
+
+    def __init__(self, work: Work, plan: Plan, name: str, replicate: int, tile: int) -> None:
+        self.replicate, self.tile = replicate, tile
+        self.path = work.folder / f"piece_{name[:12]}_{replicate:03d}_{tile:05d}.exr"
+        self._work, self._plan, self._name = work, plan, f"{name}-{replicate}-{tile}"
+        self._whole = name
+
+    def read(self) -> tuple[NDArray[np.float32], dict[str, str]] | None:
+        return read_piece(self.path, self._name)
+
+    def make(self) -> tuple[NDArray[np.float32], Mapping[str, Any]]:
+        """Make it, and give it as `read` does; the disk gave it back already when it was written."""
+        work = self._work
+        seed = tile_seed(work.seed, self.replicate, self.tile)
+        log_call(work.folder, self.path.stem)
+        if isinstance(self._plan, RaysPlan):
+            traced = traced_tile(work.view, self._plan, self.tile, seed, work.progress.add)
+            values, found = traced.values, {"rays": traced.rays, "grid_square": 0.0}
+        else:
+            values, found = self._gathered(self._plan, seed)
+        pixels = values.astype(np.float32)
+        write_piece(self.path, pixels, self._name, found)
+        return pixels, found
+
+    def _gathered(self, plan: KernelPlan, seed: tuple[int, ...]) -> tuple[NDArray[np.float64], dict[str, Any]]:
+        work = self._work
+        cells = _CellsPiece(work, plan, self._whole, self.tile).cells()
+        gathered = gathered_tile(work.view, plan, self.tile, cells, seed=seed, progress=work.progress.add)
+        values = gathered.values
+        if plan.grid.even:
+            values = np.concatenate([values, gathered.change])
+        # The rays that decided the cells are counted once.
+        rays = gathered.central.rays + (cells.rays if self.replicate == 0 else 0)
+        grid_square = gathered.grid_square(plan.grid.exposure_of_radiance, plan.camera.sensor)
+        return values, {"rays": rays, "grid_square": repr(grid_square)}
+
+
+class _CellsPiece:
+    """The cells of a tile, which all replicates have in common."""
+
+    def __init__(self, work: Work, plan: KernelPlan, name: str, tile: int) -> None:
+        self.tile = tile
+        self.path = work.folder / f"cells_{name[:12]}_{tile:05d}.exr"
+        self._work, self._plan, self._name = work, plan, f"{name}-cells-{tile}"
+
+    def read(self) -> tuple[NDArray[np.float32], dict[str, str]] | None:
+        return read_piece(self.path, self._name)
+
+    def make(self) -> None:
+        work = self._work
+        log_call(work.folder, self.path.stem)
+        cells = decide_tile(work.view, self._plan, self.tile, cells_seed(work.seed, self.tile), work.progress.add)
+        told = {
+            "first_row": cells.first[0],
+            "first_column": cells.first[1],
+            "samples": cells.samples,
+            "predicted_rms": repr(cells.predicted_rms),
+            "rays": cells.rays,
+        }
+        write_piece(self.path, cells.levels.astype(np.float32), self._name, told)
+
+    def cells(self) -> Cells:
+        found = self.read()
+        if found is None:
+            raise EnvironmentFailure("was changed by somebody else", where=str(self.path), remedy="run again")
+        levels, told = found
+        return Cells(
+            first=(int(told["first_row"]), int(told["first_column"])),
+            levels=levels.astype(np.int8),
+            samples=int(told["samples"]),
+            predicted_rms=float(told["predicted_rms"]),
+            rays=int(told["rays"]),
+        )
+
+
+def cells_seed(seed: int, tile: int) -> tuple[int, ...]:
+    """Seed of all that is drawn to find out a tile's cells."""
+    return (seed, 1, tile)
+
+
+def tile_seed(seed: int, replicate: int, tile: int) -> tuple[int, ...]:
+    """Seed of all that is drawn for a tile of a replicate."""
+    return (seed, 2, replicate, tile)
+
+
+def discretisation(view: View, replicates: Replicates) -> tuple[Bounded, NDArray[np.float64]]:
+    """Mean square error from the finite number of rays, and samples of it for each pixel.
+
+    Returns
+    -------
+    square : Bounded
+        [gray level^2]
+    errors : ndarray, shape (replicates - 1, rows, columns)
+        Each distributed as the error of the mean [gray level].
+    """
+    rows, columns = looks(replicates.block)
+    radiance = replicates.images[:, ::rows, ::columns].astype(np.float64)
+    gray = gray_levels(radiance * view.exposure_of_radiance, view.camera.sensor)
+    noise, errors = noise_of(gray, replicates.block)
+    grid = replicates.grid_square
+    return noise + Bounded(grid, grid), errors
+
+
+def looks(block: tuple[int, int]) -> tuple[int, int]:
+    """Steps between the rows and columns [px] that are looked at, where errors hang together over blocks.
+
+    Neighbours tell the same: an eighth of the distance over which errors hang together is near enough.
+    """
+    return max(1, block[0] // _LOOKS), max(1, block[1] // _LOOKS)
+
+
+def noise_of(gray: NDArray[np.float64], block: tuple[int, int]) -> tuple[Bounded, NDArray[np.float64]]:
+    """Mean square error of the mean of some replicates, and samples of it for each pixel that is looked at.
+
+    Parameters
+    ----------
+    gray : ndarray, shape (replicates, rows, columns)
+        Gray levels at the pixels that `looks` tells.
+    block : tuple of int
+        Rows and columns over which errors hang together [px].
+    """
+    rows, columns = looks(block)
+    number = len(gray)
+    # Helmert's contrasts: independent, each with the variance of the mean of all replicates.
+    errors = np.stack([(gray[:k].mean(axis=0) - gray[k]) * math.sqrt(k / (k + 1) / number) for k in range(1, number)])
+    return mean_square_of_differences(errors, (-(-block[0] // rows), -(-block[1] // columns))), errors

@@ -1,0 +1,233 @@
+"""One way of sampling for many images that are compared: nothing that an image shows decides where its rays go.
+
+A search by each image for itself (`planner`) samples bright images finer than dark ones, as its tolerance is absolute;
+what coarser sampling does to a measurement then looks like an effect of the light. Here pilots say what each image
+needs, the strictest decides, and every image gets as many rays in the same places.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Final
+
+from radwrap.errors import InputError
+from radwrap.imaging.methods.kernel import KernelPlan, plan_kernel
+from radwrap.imaging.methods.rays import FEWEST, MEAN_GAIN, MOST, ORDER, RaysPlan, plan_rays
+from radwrap.imaging.optics.view import View
+from radwrap.imaging.tolerance.certificate import root
+from radwrap.imaging.tolerance.planner import (
+    MODEL_SHARE,
+    NEGLIGIBLE_SHARE,
+    Demand,
+    Outcome,
+    Search,
+    ToleranceMethod,
+    noise_quantile,
+)
+from radwrap.imaging.tolerance.replicates import Replicates, Work, discretisation, trace_replicates
+from radwrap.imaging.tolerance.survey import AIM_SHARE, Survey, met_by, middle_of, survey
+
+# What is measured on them tells its own error by so many less one degrees of freedom: 1.96 of such standard
+# deviations hold 92 % of the errors, where 8 replicates would hold 91 % and 2 would hold 70 %.
+REPLICATES: Final = 12
+# Mean squares of what noise and the cells' size add fall at least as the cube of the cells' size: see `kernel`.
+_FALL: Final = 8.0
+_FINEST_CELL: Final = 1 / 16  # px
+_COARSEST_CELL: Final = 64.0  # px
+_PILOT_REPLICATES: Final = 2
+# Where the model takes nearly all of the tolerance, noise gets so much of it, as in `planner`.
+_LEAST_SHARE: Final = 0.3
+_MOST_REPLICATES: Final = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class SamplingPlan:
+    """How images that are compared are sampled, all alike.
+
+    Attributes
+    ----------
+    method : str
+        "kernel" or "rays".
+    cell : float or None
+        Of the kernel: cell of its grid, each with one ray, a power of 2 [px].
+    layered : bool
+        Of the kernel: whether depths are told apart.
+    rays : int or None
+        Of rays: how many each pixel gets in each replicate, a power of 2.
+    replicates : int
+        Independent images; their mean is the result, their differences its error.
+    """
+
+    method: ToleranceMethod
+    cell: float | None = None
+    layered: bool = False
+    rays: int | None = None
+    replicates: int = REPLICATES
+
+    def __post_init__(self) -> None:
+        if self.method not in ("kernel", "rays"):
+            raise InputError('must be "kernel" or "rays"', where="method")
+        cell_due = self.method == "kernel"
+        if (self.cell is not None) != cell_due or (cell_due and not _is_power(self.cell, _FINEST_CELL, _COARSEST_CELL)):
+            raise InputError(f"must be a power of 2 from {_FINEST_CELL:g} to {_COARSEST_CELL:g} px", where="cell")
+        if (self.rays is not None) == cell_due or not (cell_due or _is_power(self.rays, FEWEST, MOST)):
+            raise InputError(f"must be a power of 2 from {FEWEST} to {MOST}", where="rays")
+        if not isinstance(self.layered, bool):
+            raise InputError("must be true or false", where="layered")
+        if type(self.replicates) is not int or not 2 <= self.replicates <= _MOST_REPLICATES:
+            raise InputError(f"must be a whole number from 2 to {_MOST_REPLICATES}", where="replicates")
+
+    def as_json(self) -> dict[str, Any]:
+        """As `sampling_plan` reads it."""
+        return asdict(self)
+
+
+def sampling_plan(told: Any, where: str) -> SamplingPlan:
+    """Read what `SamplingPlan.as_json` gave.
+
+    Raises
+    ------
+    InputError
+        Naming the key.
+    """
+    keys = set(SamplingPlan.__slots__)
+    if not isinstance(told, Mapping) or set(told) != keys:
+        raise InputError(f"must be a table of {', '.join(sorted(keys))}", where=where)
+    if told["rays"] is not None and type(told["rays"]) is not int:
+        raise InputError("must be a whole number", where=f"{where}.rays")
+    try:
+        return SamplingPlan(**told)
+    except InputError as error:
+        raise InputError(error.what, where=f"{where}.{error.where}") from error
+
+
+def _is_power(value: Any, low: float, high: float) -> bool:
+    """Whether it is a power of 2 between limits."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+        return False
+    return math.frexp(value)[0] == 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Pilot:
+    """What one image needs to keep its tolerance.
+
+    Attributes
+    ----------
+    cell : float or None
+        Of the kernel [px]; None where its model does not hold.
+    layered : bool
+        Whether the kernel must tell depths apart.
+    rays : int
+        Of each pixel and replicate, by rays.
+    pixels, covered : float
+        Pixels of the image, and of what the kernel gathers from.
+    """
+
+    cell: float | None
+    layered: bool
+    rays: int
+    pixels: float
+    covered: float
+
+
+def pilot(work: Work, demand: Demand) -> Pilot:
+    """Look at an image by a survey and by two coarse replicates.
+
+    Raises
+    ------
+    TracerError, EnvironmentFailure
+        If the tracer or the disk fails.
+    """
+    view, found = work.view, survey(work.view, work.seed)
+    sensor = view.camera.sensor
+    layered = root(found.one_layer.upper) > NEGLIGIBLE_SHARE * demand.tolerance
+    model = max((found.model if layered else found.one_layer).mean, 0.0)
+    cell, covered = None, float(sensor.pixels)
+    if math.isfinite(model) and (demand.method == "kernel" or math.sqrt(model) <= MODEL_SHARE * demand.tolerance):
+        usual = _even_kernel(view, found, layered=layered)
+        replicates = trace_replicates(work, usual, _PILOT_REPLICATES)
+        times = _times_too_large(view, replicates, model, demand)
+        # Never coarser than usual: cells that do not resolve the blur do not show what they add either.
+        halvings = max(0, math.ceil(math.log(times, _FALL))) if times > 0 else 0
+        cell = max(math.ldexp(usual.grid.cell, -halvings), _FINEST_CELL)
+        covered = replicates.rays / _PILOT_REPLICATES * usual.grid.cell**2
+    # The error of one replicate's mean, and of the mean of all.
+    spread = MEAN_GAIN * math.sqrt(float((found.deviations**2).mean()) / REPLICATES)
+    wanted = (spread / (AIM_SHARE * demand.tolerance)) ** (1 / ORDER)
+    rays = 2 ** math.ceil(math.log2(min(max(wanted, FEWEST), MOST)))
+    return Pilot(cell, layered, rays, float(sensor.pixels), covered)
+
+
+def _times_too_large(view: View, two: Replicates, model: float, demand: Demand) -> float:
+    """Mean square error that all replicates would have, over what may be left of it."""
+    noise, errors = discretisation(view, two)
+    one = (noise.mean - two.grid_square) * _PILOT_REPLICATES
+    left = (AIM_SHARE * demand.tolerance) ** 2 - model
+    times = (one / REPLICATES + two.grid_square) / max(left, (_LEAST_SHARE * AIM_SHARE * demand.tolerance) ** 2)
+    if demand.max_error is not None:
+        quantile = noise_quantile(errors, noise) / (AIM_SHARE * demand.max_error)
+        times = max(times, quantile**2 * _PILOT_REPLICATES / REPLICATES)
+    return times
+
+
+def strictest(pilots: Sequence[Pilot], demand: Demand) -> SamplingPlan:
+    """The plan by which each of some images is expected to keep its tolerance, as far as the budget goes."""
+    if not pilots:
+        return SamplingPlan("rays", rays=FEWEST)  # every image failed, and will fail again
+    cells = [one.cell for one in pilots if one.cell is not None]
+    rays = max(one.rays for one in pilots)
+    by_rays = SamplingPlan("rays", rays=rays)
+    if demand.method == "rays" or not cells or (len(cells) < len(pilots) and demand.method is None):
+        return _affordable(by_rays, pilots, demand)
+    by_kernel = SamplingPlan("kernel", cell=min(cells), layered=any(one.layered for one in pilots))
+    cheaper = min((by_kernel, by_rays), key=lambda plan: _cost(plan, pilots))
+    return _affordable(by_kernel if demand.method == "kernel" else cheaper, pilots, demand)
+
+
+def _cost(plan: SamplingPlan, pilots: Sequence[Pilot]) -> float:
+    """Rays of the dearest image."""
+    if plan.cell is None:
+        return plan.replicates * (plan.rays or 1) * max(one.pixels for one in pilots)
+    return plan.replicates * max(one.covered for one in pilots) / plan.cell**2
+
+
+def _affordable(plan: SamplingPlan, pilots: Sequence[Pilot], demand: Demand) -> SamplingPlan:
+    while _cost(plan, pilots) > demand.budget.rays:
+        if plan.cell is not None and plan.cell < _COARSEST_CELL:
+            plan = replace(plan, cell=2 * plan.cell)
+        elif plan.rays is not None and plan.rays > FEWEST:
+            plan = replace(plan, rays=plan.rays // 2)
+        else:
+            break
+    return plan
+
+
+def _even_kernel(view: View, found: Survey, *, layered: bool, cell: float | None = None) -> KernelPlan:
+    """A kernel with a ray in each cell; of the usual size where none is said."""
+    met = met_by(view, found.magnification)
+    met = met if layered else middle_of(met)
+    if cell is None:
+        cell = plan_kernel(view, met, 1.0).grid.cell
+    return plan_kernel(view, met, 0.0, even_cell=cell)
+
+
+def render_by_plan(work: Work, demand: Demand, plan: SamplingPlan) -> Outcome:
+    """Make the image by a plan, and say whether it keeps its tolerance; it is not tried again.
+
+    Raises
+    ------
+    TracerError, EnvironmentFailure
+        If the tracer or the disk fails.
+    """
+    search = Search(work, demand)
+    rays: KernelPlan | RaysPlan = (
+        plan_rays(work.view, 0.0, even=plan.rays)
+        if plan.method == "rays"
+        else _even_kernel(work.view, search.found, layered=plan.layered, cell=plan.cell)
+    )
+    outcome = search.made(rays, plan.replicates, "the plan of all images that are compared")
+    told = {**outcome.plan, "sampling": plan.as_json(), "attempts": search.attempts, "rays": search.spent}
+    return replace(outcome, plan=told)

@@ -1,0 +1,171 @@
+"""What a few thousand rays tell of a scene before an image is made: depths, the kernel's model, the spread of rays."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.errors import InputError
+from radwrap.imaging.methods.kernel import plan_kernel
+from radwrap.imaging.methods.rays import ORDER, PILOT, gray_deviation, plan_rays, sampled_radiance
+from radwrap.imaging.optics.footprint import reach_px
+from radwrap.imaging.optics.view import View, magnifications_at
+from radwrap.imaging.response.sensor import GrayWhereAsked
+from radwrap.imaging.tolerance.bounds import NOTHING, Bounded, stratified_mean
+from radwrap.imaging.tolerance.certificate import PixelSample, model_errors, places_of
+from radwrap.imaging.tolerance.replicates import replicates_needed
+
+_SURVEY_SIDE: Final = 128  # rows and columns of the survey's grid of central rays, which are told distances alone
+_SURVEY_PIXELS: Final = 192
+_SURVEY_PAIRS: Final = 4
+# Share of the tolerance that the predicted error takes: the bound lies above the error by 10 to 30 %.
+AIM_SHARE: Final = 0.75
+# A step in depth costs about this share of its difference in magnification and of the contrast (measured).
+_STEP_COST: Final = 0.32
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Survey:
+    """What a few thousand rays tell beforehand.
+
+    Attributes
+    ----------
+    magnification : ndarray, shape (rows, columns)
+        m of what a grid of central rays met, `Camera.shear` where nothing.
+    model : Bounded
+        Mean square error of the kernel's model [gray level^2].
+    one_layer : Bounded
+        The same for a kernel of one magnification, the median: what the spread of depths costs.
+    deviations : ndarray
+        Standard deviation of one ray at pixels drawn at random [gray level].
+    rays : int
+        What it took.
+    """
+
+    magnification: NDArray[np.float64]
+    model: Bounded
+    one_layer: Bounded
+    deviations: NDArray[np.float64]
+    rays: int
+
+
+def survey(view: View, seed: int) -> Survey:
+    """Look at depths, at the kernel's model and at the spread of rays at a few pixels."""
+    sensor = view.camera.sensor
+    rows, columns = (
+        (np.arange(n) + 0.5) / n * size - 0.5
+        for size, n in (
+            (sensor.rows, min(sensor.rows, _SURVEY_SIDE)),
+            (sensor.columns, min(sensor.columns, _SURVEY_SIDE)),
+        )
+    )
+    u, v = (grid.ravel() for grid in np.meshgrid(columns, rows))
+    magnification = magnifications_at(view, u, v).reshape(len(rows), len(columns))
+    drawn = np.random.default_rng((seed, 6)).choice(sensor.pixels, min(sensor.pixels, _SURVEY_PIXELS), replace=False)
+    pilot = sampled_radiance(view, *places_of(drawn, sensor.columns), PILOT, np.random.default_rng((seed, 7)))
+    deviations = gray_deviation(pilot, plan_rays(view, 1.0))
+    rays = magnification.size + pilot.size
+    model = one_layer = NOTHING
+    if not view.camera.aperture.is_infinitesimal:
+        every = np.zeros(len(drawn), dtype=np.intp)
+        sample = PixelSample(drawn, every, np.ones(1), every + _SURVEY_PAIRS)
+
+        def error_of(layers: tuple[float, ...]) -> Bounded:
+            nonlocal rays
+            errors = model_errors(view, layers, sample, pilot.mean(axis=1), seed=(seed, 8))
+            rays += errors.rays
+            # What so few pairs see decides what is tried, not what is certified.
+            return stratified_mean(errors.first * errors.second, sample.stratum, sample.shares, (seed, 9))
+
+        met = met_by(view, magnification)
+        model = one_layer = error_of(plan_kernel(view, middle_of(met), 1.0).layers)
+        try:
+            layers = plan_kernel(view, met, 1.0).layers
+            model = error_of(layers) if len(layers) > 1 else one_layer
+        except InputError:  # too deep for layers
+            model = Bounded(math.inf, math.inf)
+    return Survey(magnification, model, one_layer, deviations, rays)
+
+
+def met_by(view: View, magnification: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Magnifications of what was met."""
+    return magnification[magnification > view.camera.shear]
+
+
+def middle_of(magnification: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Their median alone, where there are any."""
+    return np.median(magnification, keepdims=True) if magnification.size else magnification
+
+
+def steps(
+    view: View, magnification: NDArray[np.float64], gray: NDArray[np.float64] | GrayWhereAsked, least: float
+) -> NDArray[np.bool_]:
+    """Pixels, shape (rows, columns), that gather light across a step in depth that may matter.
+
+    Parameters
+    ----------
+    view : View
+        For its camera.
+    magnification : ndarray, shape (rows, columns)
+        Of the survey's grid.
+    gray : ndarray, shape (rows, columns)
+        The image [gray level].
+    least : float
+        Smallest error that matters [gray level].
+    """
+    places = [_nearest(size, n) for size, n in zip(gray.shape, magnification.shape, strict=True)]
+    seen = gray[np.ix_(*places)]
+    # Where a survey's point lies between pixels, a step hides by so much: the reach, and a point more.
+    reach = reach_px(view.camera, float(np.abs(magnification).max()))[::-1]
+    far = [
+        min(math.ceil(reach[axis] * n / size) + 1, n - 1)
+        for axis, (size, n) in enumerate(zip(gray.shape, magnification.shape, strict=True))
+    ]
+    cost = _STEP_COST * _range_nearby(magnification, far) * _range_nearby(seen, far)
+    back = [np.arange(size) * n // size for size, n in zip(gray.shape, magnification.shape, strict=True)]
+    wide: NDArray[np.bool_] = (cost > least)[np.ix_(*back)]
+    return wide
+
+
+def _nearest(size: int, number: int) -> NDArray[np.intp]:
+    """Pixels in the middle of `number` equal parts of `size`."""
+    return ((np.arange(number) + 0.5) / number * size).astype(np.intp)
+
+
+def _range_nearby(values: NDArray[np.float64], far: list[int]) -> NDArray[np.float64]:
+    """Largest less smallest within so many steps along each axis."""
+    high = low = values
+    for axis, steps_away in enumerate(far):
+        high, low = _extreme(high, axis, steps_away, np.maximum), _extreme(low, axis, steps_away, np.minimum)
+    return high - low
+
+
+def _extreme(values: NDArray[np.float64], axis: int, far: int, choose: np.ufunc) -> NDArray[np.float64]:
+    """Largest or smallest within so many steps along an axis."""
+    values = np.moveaxis(values, axis, 0)
+    framed = np.concatenate([values[:1].repeat(far, axis=0), values, values[-1:].repeat(far, axis=0)])
+    windows = np.lib.stride_tricks.sliding_window_view(framed, 2 * far + 1, axis=0)
+    return np.moveaxis(choose.reduce(windows, axis=-1), 0, axis)
+
+
+def predicted_rays(view: View, found: Survey, tolerance: float, finer: int = 0) -> tuple[float, float]:
+    """Rays that `rays` and `kernel` are expected to take for an rms error: a model, good to a factor of about two.
+
+    `finer` is how often the kernel's cells are halved.
+    """
+    sensor = view.camera.sensor
+    aim = AIM_SHARE * tolerance * math.sqrt(2)
+    numbers = np.clip((found.deviations / aim) ** (1 / ORDER), 4, 1 << 14)
+    rays = 2 * sensor.pixels * (PILOT + float(numbers.mean()))
+    if not math.isfinite(found.model.mean):
+        return rays, math.inf
+    plan = plan_kernel(view, met_by(view, found.magnification), aim, finer)
+    reach = plan.reach_px
+    covered = (sensor.columns + 2 * reach[0]) * (sensor.rows + 2 * reach[1])
+    # About as many again where cells are cut.
+    kernel = 2 * replicates_needed(plan) * covered / plan.grid.base**2
+    return rays, kernel

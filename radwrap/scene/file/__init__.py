@@ -1,0 +1,1 @@
+"""What the user writes, and how it becomes a Scene."""

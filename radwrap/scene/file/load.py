@@ -1,0 +1,300 @@
+"""From a scene file to a Scene: read, override, validate, convert to SI.
+
+Errors name the file and the key path, such as ``scene.toml: targets[0].pitch``.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails, PydanticUndefined
+
+from radwrap.errors import InputError
+from radwrap.reading import FileKind, check_tree, read_toml, shortened, whole_number
+from radwrap.scene.file.border import Model
+from radwrap.scene.file.calibrated import with_calibration
+from radwrap.scene.file.convert import scene_from_model
+from radwrap.scene.file.data_sheet import in_sheet, with_data_sheet
+from radwrap.scene.file.document import SceneModel
+from radwrap.scene.file.material_convert import material_from_table
+from radwrap.scene.file.material_tables import MaterialModel
+from radwrap.scene.look.checks import check_scene, check_shapes
+from radwrap.scene.look.wide_checks import check_beside, check_coaxial
+from radwrap.scene.look.wide_sources import divided
+from radwrap.scene.materials import Glass, Material, Mirror, PrintedImage
+from radwrap.scene.scene import Scene
+
+_SCENE_FILE: Final = FileKind("scene file", 16 << 20, "`radwrap init DIR` writes one to start from")  # written by hand
+# What pydantic calls a wrong kind of value, and what the file must hold there instead.
+_WRONG_KINDS: Final = {
+    "model_type": "a table",
+    "model_attributes_type": "a table",
+    "dict_type": "a table",
+    "tuple_type": "an array",
+    "string_type": "a string",
+    "int_type": "an integer",
+    "int_from_float": "an integer",
+    "float_type": "a number",
+    "bool_type": "true or false",
+}
+_NAMES: Final[Mapping[type, str]] = {dict: "a table", list: "an array"}
+
+
+def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Scene:
+    """Read a scene file.
+
+    Parameters
+    ----------
+    path : str or Path
+        The TOML file.
+    overrides : Mapping[str, Any], optional
+        Key path -> value as the file would hold it, such as
+        ``{"camera.exposure_time": "64 ms", "targets[0].rotation": ["46 deg", "6 deg", "-2 deg"]}``.
+
+    Returns
+    -------
+    Scene
+        Validated, in SI units.
+
+    Raises
+    ------
+    InputError
+        What is wrong, with file and key path.
+    """
+    path = Path(path)
+    document = read_toml(path, _SCENE_FILE)
+    return scene_from_document(document, overrides, origin=path.name, folder=path.parent)
+
+
+class _MaterialsModel(Model):
+    """A file of materials: names as a mesh has them -> tables as a scene has them."""
+
+    materials: dict[str, MaterialModel]
+
+
+def load_materials(path: str | Path) -> dict[str, Material]:
+    """Read a file with ``[materials."NAME"]`` tables as a scene has them; errors as `load_scene`."""
+    path = Path(path)
+    document = read_toml(path, _SCENE_FILE)
+    _checked_json(document, path.name)
+    try:
+        model = _MaterialsModel.model_validate(document)
+    except ValidationError as error:
+        raise _translated(error, path.name, document) from error
+    found = {
+        name: material_from_table(table, f"{path}: materials.{name}", f"materials.{name}", {}, path.parent)
+        for name, table in model.materials.items()
+    }
+    for name, material in found.items():
+        if getattr(model.materials[name], "spectrum", None) is not None:
+            raise InputError(
+                "goes with the spectra of a scene's sources",
+                where=f"{path}: materials.{name}.spectrum",
+                remedy="leave it out here",
+            )
+        if isinstance(material, PrintedImage | Mirror | Glass):
+            raise InputError(
+                "prints, mirrors and glass are for flat targets of a scene", where=f"{path}: materials.{name}"
+            )
+    return found
+
+
+def scene_from_document(
+    document: Mapping[str, Any],
+    overrides: Mapping[str, Any] | None = None,
+    *,
+    origin: str = "scene",
+    folder: Path = Path(),
+) -> Scene:
+    """Make a Scene from the tables of a scene file; arguments, result and errors as `load_scene`."""
+    document = json.loads(_checked_json(document, origin))
+    for key, value in (overrides or {}).items():
+        set_key(document, key, value, origin)
+    text = _checked_json(document, origin)
+    whole = with_calibration(with_data_sheet(document, origin, folder), origin, folder)
+    try:
+        model = SceneModel.model_validate(whole)
+    except ValidationError as error:
+        raise in_sheet(_translated(error, origin, whole), document, whole, origin) from error
+    scene = scene_from_model(model, assumed=dict(_assumed(model)), origin=origin, folder=folder, document=text)
+    check_shapes(scene)
+    check_beside(scene)
+    scene = divided(scene)
+    check_coaxial(scene)
+    check_scene(scene)
+    return scene
+
+
+def with_value(scene: Scene, key: str, value: Any) -> Scene:
+    """A scene that differs in one key, written as the scene file would hold it.
+
+    Examples
+    --------
+    >>> brighter = with_value(scene, "camera.exposure_time", "64 ms")  # doctest: +SKIP
+    """
+    return scene_from_document(json.loads(scene.document), {key: value}, origin=scene.origin, folder=scene.folder)
+
+
+def _checked_json(document: Mapping[str, Any], origin: str) -> str:
+    """JSON of a document; dates and non-finite numbers are no values of a scene."""
+    check_tree(document, origin, finite=True)
+    for key, value in _leaves(document, ""):
+        if not isinstance(value, str | int | float | bool | dict | list):
+            raise InputError(f"a {type(value).__name__} is no value of a scene", where=f"{origin}: {key}")
+    return json.dumps(document, ensure_ascii=False)
+
+
+def _leaves(value: Any, key: str) -> Iterator[tuple[str, Any]]:
+    if isinstance(value, Mapping):
+        for name, item in value.items():
+            yield from _leaves(item, f"{key}.{name}" if key else str(name))
+    elif isinstance(value, list | tuple):
+        for index, item in enumerate(value):
+            yield from _leaves(item, f"{key}[{index}]")
+    else:
+        yield key, value
+
+
+def set_key(document: Any, key: str, value: Any, origin: str) -> None:
+    """Set one key path in a scene's tables; tables on the way are made, list entries must exist.
+
+    Raises
+    ------
+    InputError
+        If there is no such place.
+    """
+    where = f"{origin}: {shortened(key, 200)}"
+    steps: list[str | int] = []
+    for part in key.split("."):
+        name, *indices = part.replace("]", "").split("[")
+        numbers = [number for index in indices if (number := whole_number(index)) is not None]
+        if not name or len(numbers) < len(indices):
+            raise InputError(
+                "is no key path",
+                where=where,
+                remedy='write it as "camera.exposure_time" or "targets[0].pitch"',
+            )
+        steps += [name, *numbers]
+    place = document
+    for step in steps[:-1]:
+        if isinstance(step, str) and isinstance(place, dict):
+            place = place.setdefault(step, {})
+        elif isinstance(step, int) and isinstance(place, list) and step < len(place):
+            place = place[step]
+        else:
+            raise InputError("the scene has no such place", where=where)
+    last = steps[-1]
+    if isinstance(last, str) and isinstance(place, dict):  # noqa: SIM114  (a type checker needs them apart)
+        place[last] = value
+    elif isinstance(last, int) and isinstance(place, list) and last < len(place):
+        place[last] = value
+    else:
+        raise InputError("the scene has no such place", where=where)
+
+
+def _translated(error: ValidationError, origin: str, document: Mapping[str, Any]) -> InputError:
+    """One line for the first thing that is wrong, in the user's words."""
+    details = error.errors(include_url=False)
+    # An unknown key often explains the missing one beside it, so it is told first.
+    details.sort(key=lambda detail: detail["type"] != "extra_forbidden")
+    first = details[0]
+    more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
+    steps = _steps(first)
+    return InputError(_message(first, _written(document, steps)) + more, where=f"{origin}: {_key_path(steps)}")
+
+
+def _steps(detail: ErrorDetails) -> list[int | str]:
+    """Where in the file; the names of alternatives, which pydantic adds, are left out."""
+    steps = list(detail["loc"])
+    if steps and steps[0] in ("sources", "targets", "materials") and len(steps) > 2:
+        del steps[2]
+    if steps[:2] == ["camera", "sensor"] and len(steps) > 2 and steps[2] in ("power_law", "linear"):
+        del steps[2]
+    if detail["type"] in ("union_tag_invalid", "union_tag_not_found"):
+        steps.append("model" if steps == ["camera", "sensor"] else "type")
+    return steps
+
+
+def _key_path(steps: Iterable[int | str]) -> str:
+    """Key path as messages write it."""
+    path = ""
+    for step in steps:
+        path += f"[{step}]" if isinstance(step, int) else f".{step}" if path else step
+    return path or "the file"
+
+
+def _written(document: Any, steps: Iterable[int | str]) -> Any:
+    """What stands at a place of the file, None where nothing does: pydantic tells of what it became."""
+    for step in steps:
+        try:
+            document = document[step]
+        except (KeyError, IndexError, TypeError):
+            return None
+    return document
+
+
+def _message(detail: ErrorDetails, written: Any) -> str:
+    context: Mapping[str, Any] = detail.get("ctx", {})
+    kind = detail["type"]
+    given = detail["input"] if written is None else written
+    # The limits of quantities are in SI, and so that this is clear their values stand there as they were written.
+    si = " (in SI units)" if isinstance(given, str) else ""
+    shown = f"{given!r}" if isinstance(given, str | bool | int | float) else _NAMES.get(type(given), "that")
+    if kind in _WRONG_KINDS:
+        return f"must be {_WRONG_KINDS[kind]}, not {shown}"
+    match kind:
+        case "extra_forbidden":
+            return "unknown key"
+        case "missing":
+            return "is missing"
+        case "value_error":
+            return str(context["error"])
+        case "greater_than":
+            return f"must be above {context['gt']:g}{si}, not {shown}"
+        case "greater_than_equal":
+            return f"must be at least {context['ge']:g}{si}, not {shown}"
+        case "less_than_equal":
+            return f"must be at most {context['le']:g}{si}, not {shown}"
+        case "too_short":
+            return f"must have at least {context['min_length']} entries, not {context['actual_length']}"
+        case "too_long":
+            return f"must have at most {context['max_length']} entries, not {context['actual_length']}"
+        case "literal_error" | "union_tag_invalid":
+            return (
+                f"{context.get('tag', given)!r} is not one of {context.get('expected', context.get('expected_tags'))}"
+            )
+        case "union_tag_not_found":
+            return "is missing"
+        case "string_pattern_mismatch":
+            return f"{given!r} is no name: a letter, then letters, digits, _ or -, at most 64"
+        case "finite_number":
+            return "is not a finite number"
+    return f"{detail['msg'][0].lower()}{detail['msg'][1:]}"
+
+
+def _assumed(model: BaseModel, prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Key path and value of everything that was taken because the file is silent."""
+    for name, field in type(model).model_fields.items():
+        key = f"{prefix}{name}"
+        value = getattr(model, name)
+        if name not in model.model_fields_set and field.default not in (PydanticUndefined, None, (), {}):
+            yield key, _shown(field.default)
+        if isinstance(value, BaseModel):
+            yield from _assumed(value, f"{key}.")
+        elif isinstance(value, tuple):
+            for index, item in enumerate(value):
+                if isinstance(item, BaseModel):
+                    yield from _assumed(item, f"{key}[{index}].")
+        elif isinstance(value, dict):
+            for entry, item in value.items():
+                yield from _assumed(item, f"{key}.{entry}.")
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_shown, value))}]"
+    return str(value)

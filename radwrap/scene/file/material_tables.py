@@ -1,0 +1,159 @@
+"""The scene file's tables of materials as pydantic models."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import ConfigDict, Field, model_validator
+
+from radwrap.scene.file.border import Angle, Coefficient, Model, Name, Share, preset_or_all, read_preset
+from radwrap.scene.file.optics_tables import CurveModel
+
+_PERTURBED = ("reflectance", "roughness")
+_TABLE = ("observation_angles", "entrance_angles", "coefficients", "interpolation")
+_FUNCTION = ("function", "anchor")
+_FILE = ("file", "interpolation")
+Roughness = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-3, le=0.5)]
+FileName = Annotated[str, Field(strict=True, min_length=1, max_length=1000)]
+
+
+class Coloured(Model):
+    """What all materials have in common: a factor on their reflectance over wavelength."""
+
+    spectrum: CurveModel | None = None
+
+
+class LambertianModel(Coloured):
+    """Diffuse material."""
+
+    type: Literal["lambertian"]
+    reflectance: Share
+
+
+class SpecularModel(Coloured):
+    """Gaussian lobe over a diffuse part; two roughnesses are along the target's x and across it."""
+
+    type: Literal["specular"]
+    diffuse_reflectance: Share = 0.0
+    specular_reflectance: Share
+    roughness: Roughness | tuple[Roughness, Roughness]
+
+    @model_validator(mode="after")
+    def _conserves(self) -> SpecularModel:
+        if self.diffuse_reflectance + self.specular_reflectance > 1:
+            raise ValueError("diffuse_reflectance + specular_reflectance must not exceed 1")
+        return self
+
+
+class RetroreflectiveModel(Coloured):
+    """Retroreflector: the paper's perturbed normal, or measured R_A by function, table or file."""
+
+    model_config: ClassVar[ConfigDict] = ConfigDict(json_schema_extra=preset_or_all)
+
+    type: Literal["retroreflective"]
+    preset: Name | None = None
+    model: Literal["perturbed_normal", "coefficient"]
+    reflectance: Share | None = None
+    roughness: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-4, le=0.5)] | None = None
+    function: Literal["glass_beads"] | None = None
+    anchor: Coefficient | None = None
+    observation_angles: tuple[Angle, ...] | None = None
+    entrance_angles: tuple[Angle, ...] | None = None
+    coefficients: tuple[tuple[Coefficient, ...], ...] | None = None
+    interpolation: Literal["linear", "log"] | None = None
+    outside: Literal["refuse", "hold"] | None = None
+    file: FileName | None = None
+    print_coverage: Share | None = None
+    print_reflectance: Share | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_preset(cls, table: Any) -> Any:
+        if not isinstance(table, dict) or not isinstance(table.get("preset"), str):
+            return table
+        return {**read_preset("sheetings", "sheeting", table["preset"]), **table}
+
+    @model_validator(mode="after")
+    def _consistent(self) -> RetroreflectiveModel:
+        if self.model == "perturbed_normal":
+            self._only(_PERTURBED, needed=_PERTURBED)
+        elif self.file is not None:
+            self._only((*_FILE, "outside"), needed=_FILE[:1])
+        elif self.function is not None:
+            self._only((*_FUNCTION, "outside"), needed=_FUNCTION)
+        else:
+            self._only((*_TABLE, "outside"), needed=_TABLE[:3])
+            self._check_table()
+        if (self.print_coverage is None) != (self.print_reflectance is None):
+            raise ValueError("print_coverage and print_reflectance go together")
+        return self
+
+    def _only(self, allowed: tuple[str, ...], needed: tuple[str, ...]) -> None:
+        given = [key for key in (*_PERTURBED, *_FUNCTION, *_TABLE, "file", "outside") if getattr(self, key) is not None]
+        for key in needed:
+            if key not in given:
+                raise ValueError(f'model "{self.model}" needs {key}')
+        for key in given:
+            if key not in allowed:
+                raise ValueError(f"{key} does not go with {' and '.join(needed)}")
+
+    def _check_table(self) -> None:
+        for key in ("observation_angles", "entrance_angles"):
+            angles = [abs(angle) for angle in getattr(self, key)]
+            if len(angles) < 2 or any(a >= b for a, b in pairwise(angles)):
+                raise ValueError(f"{key} needs two or more angles, increasing without regard to sign")
+            if angles[-1] >= 1.55:
+                raise ValueError(f"{key} must stay below 88.8 degrees")
+        rows, columns = len(self.observation_angles or ()), len(self.entrance_angles or ())
+        table = self.coefficients or ()
+        if len(table) != rows or any(len(row) != columns for row in table):
+            raise ValueError(f"coefficients needs {rows} rows (observation) of {columns} values (entrance)")
+
+
+class MirrorModel(Model):
+    """Flat mirror."""
+
+    type: Literal["mirror"]
+    reflectance: Share
+
+
+class GlassModel(Model):
+    """Thin pane."""
+
+    type: Literal["glass"]
+    transmittance: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=1)]
+    refractive_index: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1, le=4)] = 1.52
+
+    @model_validator(mode="after")
+    def _reflects_too(self) -> GlassModel:
+        fresnel = ((self.refractive_index - 1) / (self.refractive_index + 1)) ** 2
+        clear = (1 - fresnel) / (1 + fresnel)
+        if self.transmittance > clear:
+            raise ValueError(
+                f"transmittance: clear glass of that refractive_index has {clear:.4f}, the rest is mirrored"
+            )
+        return self
+
+
+class BrdfModel(Model):
+    """Measured table of f, for direct light."""
+
+    type: Literal["measured_brdf"]
+    file: FileName
+
+
+class PrintModel(Model):
+    """Image printed on a sheet."""
+
+    type: Literal["print"]
+    file: FileName
+    encoding: Literal["linear", "srgb"]
+    black_reflectance: Share
+    white_reflectance: Share
+
+
+MaterialModel = Annotated[
+    LambertianModel | SpecularModel | RetroreflectiveModel | MirrorModel | GlassModel | BrdfModel | PrintModel,
+    Field(discriminator="type"),
+]

@@ -1,0 +1,60 @@
+"""The scene file's tables of lenses and spectra as pydantic models."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from radwrap.scene.file.border import Model, PositiveShare, Size, SizeOrZero, Wavelength
+
+
+class LensModel(Model):
+    """[camera.lens]: a thin lens in the opening's plane."""
+
+    focus_distance: Size
+    f_number: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.1, le=1e6)] | None = None
+    transmission: PositiveShare = 1.0
+    falloff: Literal["cos4", "none"] | None = None
+    relative_illumination: tuple[tuple[SizeOrZero, PositiveShare], ...] | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> LensModel:
+        table = self.relative_illumination
+        if table is None:
+            return self
+        if self.falloff is not None:
+            raise ValueError("relative_illumination takes the place of falloff: give one of them")
+        heights = [height for height, _ in table]
+        if not table or table[0] != (0.0, 1.0):
+            raise ValueError('relative_illumination must begin with ["0 mm", 1.0], the axis')
+        if any(a >= b for a, b in pairwise(heights)):
+            raise ValueError("relative_illumination: heights must increase")
+        return self
+
+
+class CurveModel(Model):
+    """A quantity over wavelength: a table in a file beside the scene."""
+
+    file: Annotated[str, Field(strict=True, min_length=1, max_length=1000)]
+
+
+class SpectrumModel(Model):
+    """Spectrum of a source: a Gaussian line, a CIE illuminant, or a table in a file."""
+
+    line: Wavelength | None = None
+    width: Wavelength | None = None
+    preset: Literal["A", "D65", "E"] | None = None
+    file: Annotated[str, Field(strict=True, min_length=1, max_length=1000)] | None = None
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> SpectrumModel:
+        given = [key for key in ("line", "preset", "file") if getattr(self, key) is not None]
+        if len(given) != 1:
+            raise ValueError(f"needs exactly one of line and preset and file, not {len(given)}")
+        if (self.line is None) != (self.width is None):
+            raise ValueError("line and width (full, at half maximum) go together")
+        if self.line is not None and self.width is not None and not self.width < self.line / 4:
+            raise ValueError("width must be below a quarter of line")
+        return self

@@ -1,0 +1,1 @@
+"""What can be known of a scene without a ray of the tracer."""

@@ -1,0 +1,1 @@
+"""Meshes from files that nobody vouches for."""
