@@ -18,9 +18,10 @@ import numpy as np
 
 import radwrap
 from bench import ROOT, SCENE, finer
+from radwrap.imaging.demand import Demand
 from radwrap.imaging.optics.view import View, trace_rays
 from radwrap.imaging.response.sensor import gray_levels
-from radwrap.imaging.tolerance.planner import Demand, render_to_tolerance
+from radwrap.imaging.tolerance.planner import render_to_tolerance
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tracing import traced_scene
 from radwrap.process import Programs

@@ -26,11 +26,12 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from radwrap.files import write_bytes
+from radwrap.imaging.demand import SamplingPlan
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.synthesis import render
 from radwrap.imaging.tolerance.replicates import Work
-from radwrap.imaging.tolerance.sampling import SamplingPlan, pilot, strictest
+from radwrap.imaging.tolerance.sampling import pilot, strictest
 from radwrap.imaging.tracing import laid_out
 from radwrap.manifest import json_text
 from radwrap.process import Programs

@@ -7,11 +7,10 @@ from dataclasses import dataclass, fields
 from typing import Any, Final, Literal, get_args
 
 from radwrap.errors import InputError
+from radwrap.imaging.demand import Budget, Demand, SamplingPlan, ToleranceMethod
 from radwrap.imaging.optics.aperture import LAYOUTS, Layout
 from radwrap.imaging.optics.view import PixelSampling
 from radwrap.imaging.option_values import choice_of, number_of, switch_of
-from radwrap.imaging.tolerance.planner import Budget, Demand, ToleranceMethod
-from radwrap.imaging.tolerance.sampling import SamplingPlan
 from radwrap.process import MOST_WORKERS
 
 FixedMethod = Literal["pinhole", "viewpoints"]

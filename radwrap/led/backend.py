@@ -11,6 +11,10 @@ from radwrap.errors import EnvironmentFailure
 Kind = Literal["mcp2221a_pca9685", "lamparray"]
 
 
+class PortFailure(EnvironmentFailure):
+    """A device cannot be reached, was lost, or does not answer."""
+
+
 class DeviceFailure(EnvironmentFailure):
     """The device answers, but not as it must."""
 

@@ -11,7 +11,7 @@ import threading
 from dataclasses import dataclass
 from typing import Any, Final
 
-from radwrap.led.ports import PortFailure
+from radwrap.led.backend import PortFailure
 
 WRITE, READ, SET_FEATURE, GET_FEATURE, DESCRIBE, MISBEHAVE, HISTORY = b"w", b"r", b"s", b"g", b"d", b"m", b"h"
 DONE, GONE, STALLED, FROZEN, NOTHING = b"k", b"u", b"s", b"f", b"n"

@@ -12,8 +12,8 @@ import time
 from collections.abc import Sequence
 from typing import Final
 
-from radwrap.led.backend import Capabilities, DeviceFailure
-from radwrap.led.ports import Port, PortFailure
+from radwrap.led.backend import Capabilities, DeviceFailure, PortFailure
+from radwrap.led.ports import Port
 from radwrap.led.report_descriptor import FeatureReport, Field, feature_reports
 
 STEPS: Final = 255

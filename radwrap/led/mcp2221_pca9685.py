@@ -11,8 +11,8 @@ import time
 from collections.abc import Sequence
 from typing import Final
 
-from radwrap.led.backend import Capabilities, DeviceFailure
-from radwrap.led.ports import Port, PortFailure
+from radwrap.led.backend import Capabilities, DeviceFailure, PortFailure
+from radwrap.led.ports import Port
 
 VENDOR, PRODUCT = 0x04D8, 0x00DD
 CHANNELS: Final = 16

@@ -17,14 +17,11 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Final, Protocol
 
-from radwrap.errors import EnvironmentFailure
+from radwrap.led.backend import PortFailure
+from radwrap.led.emulated_port import EmulatedPort
 
 UDEV_RULES: Final = "70-radwrap-led.rules"
 _NO_TEXT: Final = ("", "Success", "hid_error is not implemented yet")
-
-
-class PortFailure(EnvironmentFailure):
-    """A device cannot be reached, was lost, or does not answer."""
 
 
 class Port(Protocol):
@@ -149,8 +146,6 @@ def found(
 
 
 def _emulated(path: str) -> Found:
-    from radwrap.led.emulated_port import EmulatedPort
-
     port = EmulatedPort(path)
     try:
         told = port.told()
@@ -177,8 +172,6 @@ def open_port(path: str) -> Port:
     """
     kind, _, own = path.partition(":")
     if kind == "emulator":
-        from radwrap.led.emulated_port import EmulatedPort
-
         return EmulatedPort(own)
     for module in modules():
         if module.__name__ == kind:

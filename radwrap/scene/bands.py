@@ -13,9 +13,10 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final, assert_never
+from typing import Final, assert_never
 
 from radwrap.errors import InputError
+from radwrap.scene.camera import Sensor
 from radwrap.scene.materials import (
     Anisotropic,
     CoefficientTable,
@@ -31,41 +32,14 @@ from radwrap.scene.materials import (
     Sheeting,
     Specular,
 )
+from radwrap.scene.scene import Scene
 from radwrap.scene.sources import emitters
-
-if TYPE_CHECKING:
-    from radwrap.scene.camera import Sensor
-    from radwrap.scene.scene import Scene
+from radwrap.scene.spectrum import Spectral
 
 # Up to so many kinds of light the fewest bands are found by trying; of more, the first that fits is taken.
 _TRIED: Final = 12
 # Relative error of one band that stands for all, where a verb knows no bands.
 ONE_BAND_ERROR: Final = 1e-3
-
-
-@dataclass(frozen=True, slots=True)
-class Spectral:
-    """What the integrals over wavelength say.
-
-    Attributes
-    ----------
-    sources : tuple of str
-        Names.
-    counts : tuple of float
-        V_i: share of each source's radiance that counts, after filter and sensor.
-    materials : Mapping[str, Material]
-        As they reflect where their spectrum is 1.
-    reflectance : tuple of tuple of float
-        W_ij/V_i: factor on the reflectance of each material (in their order), a row for each source.
-    wavelength : float
-        Mean over the light that counts [m].
-    """
-
-    sources: tuple[str, ...]
-    counts: tuple[float, ...]
-    materials: Mapping[str, Material]
-    reflectance: tuple[tuple[float, ...], ...]
-    wavelength: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from radwrap.scene.bands import Spectral
 from radwrap.scene.camera import Camera
 from radwrap.scene.materials import Material
 from radwrap.scene.sources import Emitter, Source, emitters
+from radwrap.scene.spectrum import Spectral
 from radwrap.scene.targets import RadFile, Surface, Target, surfaces
 from radwrap.scene.tolerances import Tolerances
 

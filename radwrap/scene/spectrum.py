@@ -7,6 +7,7 @@ that of polynomials between the nodes of all, which Gauss' rule gives exactly.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.reading import FileKind, csv_rows, read_text, shortened
+from radwrap.scene.materials import Material
 
 Array = NDArray[np.float64]
 
@@ -67,6 +69,31 @@ class Curve:
     def at(self, wavelengths: Array) -> Array:
         """Values, 0 beyond the nodes."""
         return np.asarray(np.interp(wavelengths, self.wavelengths, self.values, left=0.0, right=0.0), dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class Spectral:
+    """What the integrals over wavelength say.
+
+    Attributes
+    ----------
+    sources : tuple of str
+        Names.
+    counts : tuple of float
+        V_i: share of each source's radiance that counts, after filter and sensor.
+    materials : Mapping[str, Material]
+        As they reflect where their spectrum is 1.
+    reflectance : tuple of tuple of float
+        W_ij/V_i: factor on the reflectance of each material (in their order), a row for each source.
+    wavelength : float
+        Mean over the light that counts [m].
+    """
+
+    sources: tuple[str, ...]
+    counts: tuple[float, ...]
+    materials: Mapping[str, Material]
+    reflectance: tuple[tuple[float, ...], ...]
+    wavelength: float
 
 
 def integral(*curves: Curve) -> float:

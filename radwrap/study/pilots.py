@@ -11,9 +11,10 @@ from typing import Any, Final
 
 from radwrap.errors import InputError
 from radwrap.files import make_folder
+from radwrap.imaging.demand import SamplingPlan, sampling_plan
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.tolerance.replicates import Work
-from radwrap.imaging.tolerance.sampling import Pilot, SamplingPlan, pilot, sampling_plan, strictest
+from radwrap.imaging.tolerance.sampling import Pilot, pilot, strictest
 from radwrap.imaging.tracing import laid_out
 from radwrap.manifest import SCHEMA_VERSION, read_manifest, write_manifest
 from radwrap.process import Programs

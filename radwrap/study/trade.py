@@ -21,12 +21,13 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.files import make_folder, sole_owner, write_bytes
+from radwrap.imaging.demand import Budget, Demand
 from radwrap.imaging.forecast.cost import check_size
 from radwrap.imaging.optics.aperture import LAYOUTS, Layout, Viewpoints, central_viewpoint, sub_viewpoints
 from radwrap.imaging.optics.view import PixelPlan, PixelSampling, View, trace_rays
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.response.sensor import gray_levels
-from radwrap.imaging.tolerance.planner import Budget, Demand, choose, render_to_tolerance
+from radwrap.imaging.tolerance.planner import choose, render_to_tolerance
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.survey import survey
 from radwrap.imaging.tracing import TracedScene

@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
+from radwrap.imaging.demand import Budget, Demand
 from radwrap.imaging.methods.central import central_rays
 from radwrap.imaging.methods.kernel import decide_tile, gathered_tile, plan_kernel
 from radwrap.imaging.methods.rays import plan_rays, sampled_radiance
@@ -31,7 +32,7 @@ from radwrap.imaging.tolerance.certificate import (
     model_errors,
     root,
 )
-from radwrap.imaging.tolerance.planner import Budget, Demand, Outcome, render_to_tolerance
+from radwrap.imaging.tolerance.planner import Outcome, render_to_tolerance
 from radwrap.imaging.tolerance.replicates import Work, trace_replicates
 from radwrap.imaging.tolerance.survey import predicted_rays
 from radwrap.process import Programs

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 import radwrap
+from radwrap.imaging.demand import Demand
 from radwrap.imaging.forecast.effects import Probe, bounces, effects
 from radwrap.imaging.optics.view import rays_through
 from radwrap.imaging.render_options import RenderOptions
-from radwrap.imaging.tolerance.planner import Demand, choose
+from radwrap.imaging.tolerance.planner import choose
 from radwrap.imaging.tolerance.survey import survey
 from radwrap.imaging.tracing import laid_out
 from radwrap.scene.camera import Aperture

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from radwrap.images import RadianceImage
+from radwrap.imaging.demand import Demand
 from radwrap.imaging.methods.kernel import plan_kernel
 from radwrap.imaging.methods.rays import sampled_radiance
 from radwrap.imaging.optics.aperture import sub_viewpoints
 from radwrap.imaging.optics.view import PixelPlan, View, pixel_means, ray_blocks, trace_rays, traced
 from radwrap.imaging.response.exposure import radiant_exposure
 from radwrap.imaging.tolerance.certificate import PixelSample, model_errors, root
-from radwrap.imaging.tolerance.planner import Demand
 from radwrap.scene.camera import Aperture, Lens
 from tests.imaging.planes import Array, Planes, Texture, camera
 from tests.imaging.test_certificate import search, true_rms

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from radwrap.errors import TracerError
+from radwrap.imaging.demand import Demand
 from radwrap.imaging.methods.pieces import CALL_LOG
 from radwrap.imaging.optics.view import View
-from radwrap.imaging.tolerance.planner import Demand, Outcome, render_to_tolerance
+from radwrap.imaging.tolerance.planner import Outcome, render_to_tolerance
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.process import Programs
 from radwrap.progress import Progress

@@ -11,10 +11,10 @@ import pytest
 
 import radwrap
 from radwrap.errors import InputError
+from radwrap.imaging.demand import Budget, Demand, SamplingPlan, sampling_plan
 from radwrap.imaging.relight.relit import read_basis, relit
 from radwrap.imaging.tolerance.kept_replicates import KeptReplicates, read_replicates
-from radwrap.imaging.tolerance.planner import Budget, Demand
-from radwrap.imaging.tolerance.sampling import Pilot, SamplingPlan, sampling_plan, strictest
+from radwrap.imaging.tolerance.sampling import Pilot, strictest
 from radwrap.scene.scene import Scene
 from tests.study.conftest import EDGE
 

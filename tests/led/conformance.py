@@ -11,9 +11,9 @@ from contextlib import contextmanager, suppress
 from typing import Protocol
 
 from radwrap.errors import EnvironmentFailure
-from radwrap.led.backend import Backend, DeviceFailure, Kind
+from radwrap.led.backend import Backend, DeviceFailure, Kind, PortFailure
 from radwrap.led.connect import choose, kind_of
-from radwrap.led.ports import Found, Port, PortFailure
+from radwrap.led.ports import Found, Port
 
 COUNT = 12
 FIRST, SECOND = "UNIT0001", "UNIT0002"

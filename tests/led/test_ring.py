@@ -18,11 +18,12 @@ import pytest
 
 from radwrap.errors import EnvironmentFailure, InputError
 from radwrap.led import claim, emulated_port, guardian, ports
+from radwrap.led.backend import PortFailure
 from radwrap.led.claim import Claim
 from radwrap.led.connect import EmulatorProcess, choose, open_backend
 from radwrap.led.drive import Drive
 from radwrap.led.emulated_port import EmulatedPort
-from radwrap.led.ports import Found, HidPort, PortFailure, found, open_port, udev_rules
+from radwrap.led.ports import Found, HidPort, found, open_port, udev_rules
 from radwrap.led.ring import LedRing, open_ring
 from radwrap.process import Child, start_child
 from tests.cli.conftest import PATIENCE, here, run, start

@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 import radwrap
 from radwrap.errors import InputError
-from radwrap.imaging.tolerance.sampling import SamplingPlan
+from radwrap.imaging.demand import SamplingPlan
 from radwrap.study.design import read_design
 from radwrap.study.effects import analyse
 from radwrap.study.image_error import blur_radii, error_fields

@@ -13,12 +13,13 @@ from radwrap.imaging.optics.diffraction import diffraction, diffraction_warning
 from radwrap.imaging.response.exposure import exposure_of_radiance
 from radwrap.imaging.response.sensor import unclipped_gray
 from radwrap.manifest import SCHEMA_VERSION, finite, plain
-from radwrap.scene.bands import Spectral, scene_bands
+from radwrap.scene.bands import scene_bands
 from radwrap.scene.camera import Camera
 from radwrap.scene.look.checks import warnings_of
 from radwrap.scene.look.geometry import project
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Ring, WideSource, emitters
+from radwrap.scene.spectrum import Spectral
 
 # Below this share of the gray range above dark the image is called dim; the advice aims at the other one.
 _DIM_SHARE: Final = 0.25

@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from radwrap.imaging.demand import FEWEST, MOST
 from radwrap.imaging.methods.sobol import DIMENSIONS, scrambled_points
 from radwrap.imaging.optics.aperture import place, turn
 from radwrap.imaging.optics.view import View, trace_rays
@@ -22,8 +23,6 @@ from radwrap.manifest import ONLY_WHERE_USED
 from radwrap.scene.camera import Camera
 
 PILOT: Final = 8  # rays of a pixel that decide how many it gets
-FEWEST: Final = 4
-MOST: Final = 1 << 14
 # The error of a mean over n scrambled points falls like n^-0.6 at edges (between n^-0.5 of chance and n^-0.75 of two
 # dimensions); 64 to 256 rays on rad_scenes/bench_board gave 0.57.
 ORDER: Final = 0.6

@@ -11,13 +11,14 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from radwrap.imaging.demand import FEWEST, Demand, ToleranceMethod
 from radwrap.imaging.methods.kernel import KernelPlan, plan_kernel
-from radwrap.imaging.methods.rays import FEWEST, RaysPlan, plan_rays
+from radwrap.imaging.methods.rays import RaysPlan, plan_rays
 from radwrap.imaging.optics.view import View
 from radwrap.imaging.response.sensor import GrayWhereAsked
 from radwrap.imaging.tolerance.bounds import NOTHING, Bounded
@@ -41,8 +42,6 @@ from radwrap.imaging.tolerance.replicates import (
 from radwrap.imaging.tolerance.survey import AIM_SHARE, Survey, met_by, middle_of, predicted_rays, steps, survey
 from radwrap.manifest import finite
 from radwrap.tracers.timed import OutOfTime, TimedTracer
-
-ToleranceMethod = Literal["kernel", "rays"]
 
 # What costs less than this share of the tolerance is left out: errors add as squares, so it takes 5 % of the tolerance.
 NEGLIGIBLE_SHARE: Final = 0.3
@@ -70,51 +69,6 @@ _EFFORTS: Final = ((512, 4, 16), (1024, 8, 32), (1024, 16, 128), (2048, 64, 1024
 # A 99 % quantile without an exceedance among so many: 97.5 % sure of each half's 99.5 %.
 _QUANTILE_PIXELS: Final = 1024
 _QUANTILE: Final = 0.995
-
-
-@dataclass(frozen=True, slots=True)
-class Budget:
-    """What a run may cost.
-
-    Attributes
-    ----------
-    rays : float
-        Rays in all.
-    seconds : float
-        Wall time [s]; an image that it stops cannot be made again.
-    """
-
-    rays: float = math.inf
-    seconds: float = math.inf
-
-
-@dataclass(frozen=True, slots=True)
-class Demand:
-    """What is asked for.
-
-    Attributes
-    ----------
-    tolerance : float
-        Largest rms error [gray level].
-    max_error : float, optional
-        Largest error of 99 % of the pixels [gray level].
-    method : str, optional
-        "kernel" or "rays"; default the cheapest that will do.
-    budget : Budget
-        What it may cost.
-    """
-
-    tolerance: float
-    max_error: float | None = None
-    method: ToleranceMethod | None = None
-    budget: Budget = Budget()
-
-    def is_met(self, certificate: Certificate) -> bool:
-        """Whether an image keeps the tolerance."""
-        quantile = certificate.p99_gray_upper95
-        return certificate.rms_gray_upper95 <= self.tolerance and (
-            self.max_error is None or (quantile is not None and quantile <= self.max_error)
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -367,7 +321,7 @@ class Search:
                 "p99_gray_upper95": certificate.p99_gray_upper95,
             }
         )
-        met = self.demand.is_met(certificate)
+        met = self.demand.is_met(certificate.rms_gray_upper95, certificate.p99_gray_upper95)
         return Outcome(
             radiance=radiance,
             replicates=replicates,

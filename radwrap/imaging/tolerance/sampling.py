@@ -8,106 +8,32 @@ needs, the strictest decides, and every image gets as many rays in the same plac
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any, Final
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
 
-from radwrap.errors import InputError
+from radwrap.imaging.demand import (
+    COARSEST_CELL,
+    FEWEST,
+    FINEST_CELL,
+    MOST,
+    REPLICATES,
+    Demand,
+    SamplingPlan,
+)
 from radwrap.imaging.methods.kernel import KernelPlan, plan_kernel
-from radwrap.imaging.methods.rays import FEWEST, MEAN_GAIN, MOST, ORDER, RaysPlan, plan_rays
+from radwrap.imaging.methods.rays import MEAN_GAIN, ORDER, RaysPlan, plan_rays
 from radwrap.imaging.optics.view import View
 from radwrap.imaging.tolerance.certificate import root
-from radwrap.imaging.tolerance.planner import (
-    MODEL_SHARE,
-    NEGLIGIBLE_SHARE,
-    Demand,
-    Outcome,
-    Search,
-    ToleranceMethod,
-    noise_quantile,
-)
+from radwrap.imaging.tolerance.planner import MODEL_SHARE, NEGLIGIBLE_SHARE, Outcome, Search, noise_quantile
 from radwrap.imaging.tolerance.replicates import Replicates, Work, discretisation, trace_replicates
 from radwrap.imaging.tolerance.survey import AIM_SHARE, Survey, met_by, middle_of, survey
 
-# What is measured on them tells its own error by so many less one degrees of freedom: 1.96 of such standard
-# deviations hold 92 % of the errors, where 8 replicates would hold 91 % and 2 would hold 70 %.
-REPLICATES: Final = 12
 # Mean squares of what noise and the cells' size add fall at least as the cube of the cells' size: see `kernel`.
 _FALL: Final = 8.0
-_FINEST_CELL: Final = 1 / 16  # px
-_COARSEST_CELL: Final = 64.0  # px
 _PILOT_REPLICATES: Final = 2
 # Where the model takes nearly all of the tolerance, noise gets so much of it, as in `planner`.
 _LEAST_SHARE: Final = 0.3
-_MOST_REPLICATES: Final = 1000
-
-
-@dataclass(frozen=True, slots=True)
-class SamplingPlan:
-    """How images that are compared are sampled, all alike.
-
-    Attributes
-    ----------
-    method : str
-        "kernel" or "rays".
-    cell : float or None
-        Of the kernel: cell of its grid, each with one ray, a power of 2 [px].
-    layered : bool
-        Of the kernel: whether depths are told apart.
-    rays : int or None
-        Of rays: how many each pixel gets in each replicate, a power of 2.
-    replicates : int
-        Independent images; their mean is the result, their differences its error.
-    """
-
-    method: ToleranceMethod
-    cell: float | None = None
-    layered: bool = False
-    rays: int | None = None
-    replicates: int = REPLICATES
-
-    def __post_init__(self) -> None:
-        if self.method not in ("kernel", "rays"):
-            raise InputError('must be "kernel" or "rays"', where="method")
-        cell_due = self.method == "kernel"
-        if (self.cell is not None) != cell_due or (cell_due and not _is_power(self.cell, _FINEST_CELL, _COARSEST_CELL)):
-            raise InputError(f"must be a power of 2 from {_FINEST_CELL:g} to {_COARSEST_CELL:g} px", where="cell")
-        if (self.rays is not None) == cell_due or not (cell_due or _is_power(self.rays, FEWEST, MOST)):
-            raise InputError(f"must be a power of 2 from {FEWEST} to {MOST}", where="rays")
-        if not isinstance(self.layered, bool):
-            raise InputError("must be true or false", where="layered")
-        if type(self.replicates) is not int or not 2 <= self.replicates <= _MOST_REPLICATES:
-            raise InputError(f"must be a whole number from 2 to {_MOST_REPLICATES}", where="replicates")
-
-    def as_json(self) -> dict[str, Any]:
-        """As `sampling_plan` reads it."""
-        return asdict(self)
-
-
-def sampling_plan(told: Any, where: str) -> SamplingPlan:
-    """Read what `SamplingPlan.as_json` gave.
-
-    Raises
-    ------
-    InputError
-        Naming the key.
-    """
-    keys = set(SamplingPlan.__slots__)
-    if not isinstance(told, Mapping) or set(told) != keys:
-        raise InputError(f"must be a table of {', '.join(sorted(keys))}", where=where)
-    if told["rays"] is not None and type(told["rays"]) is not int:
-        raise InputError("must be a whole number", where=f"{where}.rays")
-    try:
-        return SamplingPlan(**told)
-    except InputError as error:
-        raise InputError(error.what, where=f"{where}.{error.where}") from error
-
-
-def _is_power(value: Any, low: float, high: float) -> bool:
-    """Whether it is a power of 2 between limits."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-        return False
-    return math.frexp(value)[0] == 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +78,7 @@ def pilot(work: Work, demand: Demand) -> Pilot:
         times = _times_too_large(view, replicates, model, demand)
         # Never coarser than usual: cells that do not resolve the blur do not show what they add either.
         halvings = max(0, math.ceil(math.log(times, _FALL))) if times > 0 else 0
-        cell = max(math.ldexp(usual.grid.cell, -halvings), _FINEST_CELL)
+        cell = max(math.ldexp(usual.grid.cell, -halvings), FINEST_CELL)
         covered = replicates.rays / _PILOT_REPLICATES * usual.grid.cell**2
     # The error of one replicate's mean, and of the mean of all.
     spread = MEAN_GAIN * math.sqrt(float((found.deviations**2).mean()) / REPLICATES)
@@ -196,7 +122,7 @@ def _cost(plan: SamplingPlan, pilots: Sequence[Pilot]) -> float:
 
 def _affordable(plan: SamplingPlan, pilots: Sequence[Pilot], demand: Demand) -> SamplingPlan:
     while _cost(plan, pilots) > demand.budget.rays:
-        if plan.cell is not None and plan.cell < _COARSEST_CELL:
+        if plan.cell is not None and plan.cell < COARSEST_CELL:
             plan = replace(plan, cell=2 * plan.cell)
         elif plan.rays is not None and plan.rays > FEWEST:
             plan = replace(plan, rays=plan.rays // 2)

@@ -11,11 +11,20 @@ from typing import TYPE_CHECKING, Final, assert_never
 import numpy as np
 
 from radwrap.errors import InputError
-from radwrap.scene.bands import Spectral, scaled
+from radwrap.scene.bands import scaled
 from radwrap.scene.file.beside import named_file
 from radwrap.scene.file.material_tables import Coloured
 from radwrap.scene.sources import Beam, Source, TableBeam, WideSource, dimmed, emitters
-from radwrap.scene.spectrum import Curve, integral, line, lumens_per_watt, normalised_power, preset, read_curve
+from radwrap.scene.spectrum import (
+    Curve,
+    Spectral,
+    integral,
+    line,
+    lumens_per_watt,
+    normalised_power,
+    preset,
+    read_curve,
+)
 from radwrap.scene.wide_shapes import area
 
 if TYPE_CHECKING:
