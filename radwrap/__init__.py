@@ -2,19 +2,24 @@
 
 The data's way::
 
-    scene file with units                     load_scene
-    -> Radiance text, rtrace                  once for each sub-viewpoint in the pinhole
-    -> float32 images, merged by area         w_i = a_i/A
-    -> radiant exposure on the pixel          Eqs. 1 to 3
-    -> gray level                             Eq. 5: G = K H^gamma + G0
+    scene file with units                                    load_scene, with_value
+    -> what it amounts to, which effects matter              explain, effects
+    -> Radiance text, rtrace: rays in, radiance out          tracers/
+    -> mean radiance of each pixel, to a tolerance           render: kernel or rays, whichever takes fewer
+    -> how far it is off, by rays of its own                 result.manifest["error"]
+    -> radiant exposure on the pixel                         Eqs. 1 to 3
+    -> gray level                                            Eq. 5: G = K H^gamma + G0
+
+The paper's way to the mean radiance is ``render(scene, viewpoints=61)``: images
+of sub-viewpoints in the pinhole, merged by area, w_i = a_i/A.
 
 Examples
 --------
 >>> import radwrap
 >>> scene = radwrap.load_scene("scene.toml")  # doctest: +SKIP
 >>> brighter = radwrap.with_value(scene, "camera.exposure_time", "64 ms")  # doctest: +SKIP
->>> result = radwrap.render(brighter, viewpoints=61)  # doctest: +SKIP
->>> result.gray.values.max(), result.radiant_exposure.values.max()  # doctest: +SKIP
+>>> result = radwrap.render(brighter, tolerance=0.5)  # doctest: +SKIP
+>>> result.gray.values.max(), result.manifest["error"]["rms_gray_upper95"]  # doctest: +SKIP
 """
 
 TYPE_CHECKING = False  # as type checkers know it: to import typing takes longer than the rest

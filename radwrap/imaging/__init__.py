@@ -1,1 +1,21 @@
-"""What the sensor receives: aperture, exposure, sensor."""
+"""What the sensor receives: from a scene to the gray image its camera would give.
+
+The data's way::
+
+    how it is rendered                               render_options, demand
+    + what a value of these may be                   option_values
+    -> the scene laid out for the tracer             tracing (banding: its light in bands)
+    -> rays of a view through the opening            optics
+    -> the mean radiance of each pixel               mean_radiance: one of methods, led by tolerance
+    -> radiant exposure, gray levels, noise          response
+    -> files and manifest                            synthesis (truth: depth, parts, positions)
+
+The wings, each on those before it::
+
+    optics       where light may go: opening, view, footprint, falloff, diffraction
+    response     radiance -> radiant exposure -> gray level
+    methods      ways to a finite aperture
+    tolerance    from a tolerance to a certified image
+    relight      any levels of the sources, without a ray
+    forecast     what a scene amounts to before it is rendered
+"""
