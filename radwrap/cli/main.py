@@ -109,6 +109,10 @@ class _Parser(argparse.ArgumentParser):
     def __init__(self, **more: Any) -> None:
         super().__init__(allow_abbrev=False, **more)
 
+    def format_help(self) -> str:
+        """Help without the mark-up of the docstrings that it is made of."""
+        return super().format_help().replace("``", "")
+
     def error(self, message: str) -> NoReturn:
         raise InputError(message, remedy=f"see `{self.prog} --help`")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import fcntl
 import json
 import math
@@ -20,6 +21,7 @@ import numpy as np
 import OpenImageIO as oiio  # noqa: N813  (its own short name)
 import pytest
 
+from radwrap.cli.main import _parser
 from radwrap.scene.file.load import load_scene
 from tests.cli.conftest import (
     COMMAND,
@@ -33,10 +35,19 @@ from tests.cli.conftest import (
 )
 
 REPOSITORY: Final = Path(__file__).parents[2]
-VERBS: Final = ("init", "schema", "render", "explain", "trade", "convert", "validate", "doctor")
 EXIT_CODES: Final = (
     "0 done, 1 a check failed, 2 bad input, 3 tolerance not met, 4 environment or tracer, 130 interrupted"
 )
+
+
+def _verbs() -> dict[str, list[str]]:
+    """Verbs that the parser knows, each with the verbs below it."""
+    return {verb: list(_below(_below(_parser([verb]))[verb])) for verb in _below(_parser([]))}
+
+
+def _below(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
+    found = [action.choices for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
+    return dict(found[0]) if found else {}
 
 
 def _words(text: str) -> str:
@@ -49,14 +60,29 @@ def _words(text: str) -> str:
 def test_help_tells_verbs_options_and_exit_codes(capsys: pytest.CaptureFixture[str]) -> None:
     top = here(["--help"], capsys).success()
     assert EXIT_CODES in _words(top.stdout)
-    for verb in VERBS:
-        assert re.search(rf"^ +{verb} +\w", top.stdout, re.MULTILINE)
+    for verb, below in _verbs().items():
+        assert re.search(rf"^ +{verb}\s+\w", top.stdout, re.MULTILINE)
         told = here([verb, "--help"], capsys).success()
         assert told.stdout.startswith(f"usage: radwrap {verb}")
         assert told.stderr == top.stderr == ""
         # Prose for people, no mark-up for machines.
-        assert "``" not in told.stdout
+        shown = [told, *(here([verb, word, "--help"], capsys).success() for word in below)]
+        assert not [help_ for help_ in shown if "``" in help_.stdout]
     assert here(["--version"], capsys).success().stdout == f"radwrap {version('radwrap')}\n"
+
+
+def test_readme_names_every_verb_and_no_other() -> None:
+    """A row for each in the table of verbs, with the verbs below it; and no command in README that is none."""
+    text = (REPOSITORY / "README.md").read_text("utf-8")
+    verbs = _verbs()
+    assert len(verbs) > 8 and verbs["study"]
+    for verb, below in verbs.items():
+        rows = re.findall(rf"^\| (`radwrap {verb}\b.*?) \|", text, re.MULTILINE)
+        assert rows, f"README has no row of {verb}"
+        for word in below:
+            assert any(re.search(rf"[` ]{word}[` ]", row) for row in rows), f"README does not name {verb} {word}"
+    named = re.findall(r"(?:`|^ +\.venv/bin/)radwrap ([a-z]+)", text, re.MULTILINE)
+    assert set(named) == verbs.keys()
 
 
 def test_the_installed_command_answers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
