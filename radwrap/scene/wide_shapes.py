@@ -82,7 +82,9 @@ def first_cells(shape: WideShape) -> list[Cell]:
         case Zone():
             count, low, high = _ZONE_CELLS, shape.least, shape.most
     turns = [2 * math.pi * k / count for k in range(count + 1)]
-    return [(low, high, start, end) for start, end in pairwise(turns)]
+    # From pole to pole the flat patch of a cell has no area.
+    heights = (low, high) if low > 0 or high < math.pi else (low, (low + high) / 2, high)
+    return [(*rise, *turn) for rise in pairwise(heights) for turn in pairwise(turns)]
 
 
 def halves(shape: WideShape, cell: Cell) -> tuple[Cell, Cell]:

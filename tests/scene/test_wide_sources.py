@@ -97,6 +97,15 @@ def test_a_disc_asked_for_an_error_is_cut() -> None:
     assert all(isinstance(emitter, Patch) for emitter in scene({**disc, "irradiance_error": 0.01}).emitters)
 
 
+@pytest.mark.parametrize("shape", SHAPES)
+def test_even_the_first_cells_have_an_area(shape: WideShape) -> None:
+    """A cell from pole to pole had none but by rounding, and far from the origin not even that."""
+    for cell in first_cells(shape):
+        ends = corners(shape, cell)
+        doubled = np.sum(np.cross(ends, np.roll(ends, -1, axis=0)), axis=0)
+        assert np.linalg.norm(doubled) / 2 > 0.01 * area(shape) / len(first_cells(shape))
+
+
 def test_a_surround_holds_everything() -> None:
     made = scene({"type": "surround", "name": "sky", "radiance": "1 W/m^2/sr"})
     (sky,) = made.sources
