@@ -24,7 +24,7 @@ ROOMS = {
         *("mesh_files", "look", "file"),
     ],
     "imaging": [
-        *("optics", "response"),
+        *("response", "optics", "run_files"),
         *("option_values", "demand", "render_options", "banding", "tracing", "truth"),
         *("methods", "tolerance", "mean_radiance", "relight", "forecast", "synthesis"),
     ],

@@ -9,11 +9,12 @@ The data's way::
     -> the mean radiance of each pixel               mean_radiance: one of methods, led by tolerance
     -> radiant exposure, gray levels, noise          response
     -> files and manifest                            synthesis (truth: depth, parts, positions)
+    + what of them is read again                     run_files
 
 The wings, each on those before it::
 
-    optics       where light may go: opening, view, footprint, falloff, diffraction
     response     radiance -> radiant exposure -> gray level
+    optics       where light may go: opening, view, footprint, falloff, diffraction
     methods      ways to a finite aperture
     tolerance    from a tolerance to a certified image
     relight      any levels of the sources, without a ray

@@ -7,7 +7,7 @@ The data's way::
     -> how all are sampled, by the strictest of pilots     pilots, sampled
     -> jobs on this machine or on many                     study, runner, pool
     -> which machines may help                             seal
-    -> an image, measured, with its error bar              worker, responses, image_error
+    -> an image, measured, with its error bar              worker, responses (seen), image_error
     -> a row for each run                                  journal, table
     -> effects, and how sure they are                      levels, effects (lenth, variance)
     -> plots, one HTML file                                figures, report

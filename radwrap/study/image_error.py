@@ -1,18 +1,17 @@
 """How far a response may be off because the predicted image is: the image's error, carried through the measurement.
 
-An image by an even plan of sampling (`imaging/tolerance/sampling.py`) has independent replicates. What is measured on images that
-differ from their mean as its own error does tells what noise does to the response; the image with the change that the
-size of the kernel's cells may make tells what they do. Both are the error as it lies in this image, from pixel to
-pixel.
+An image by an even plan of sampling (`imaging/tolerance/sampling.py`) has independent replicates. What is measured on
+images that differ from their mean as its own error does tells what noise does to the response; the image with the
+change that the size of the kernel's cells may make tells what they do. Both are the error as it lies in this image,
+from pixel to pixel.
 
 Of the error of the kernel's model, and of images by the paper's method, a certificate gives the rms error of the gray
 levels before rounding. How that error lies in the image is taken to be
 
 - where gray changes: its standard deviation is proportional to the local slope (across the edge of Fig. 11 it is 0.69
-  gray levels on the flank and 0.03 beside it; on the bench board the steepest tenth of the pixels holds half of the
-  variance, and the flat half none);
-- smooth as the blur: white noise averaged over the disc of the opening's projection, as an image gathered with that
-  disc has it.
+gray levels on the flank and 0.03 beside it; on the bench board the steepest tenth of the pixels holds half of the
+variance, and the flat half none); - smooth as the blur: white noise averaged over the disc of the opening's projection,
+as an image gathered with that disc has it.
 
 Copies of the image with such errors are measured again. The response's error is the rms change by each cause, added as
 squares.
