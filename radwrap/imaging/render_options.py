@@ -97,7 +97,7 @@ class RenderOptions:
     max_pixels : int
         Largest sensor.
     tracer_timeout : float
-        Longest silence of a tracer [s].
+        Longest silence of a tracer, and longest time of any other program [s].
     progress : bool
         Show progress on stderr.
     """

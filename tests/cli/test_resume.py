@@ -162,10 +162,12 @@ def _carry_out(argv: Sequence[object], moments: Sequence[tuple[str, str, int]]) 
     return status
 
 
-RENAMES: Final = ("viewpoint 0", "1", "2", "exposure", "gray", "depth", "mask", "truth", "manifest")
+# Sub-viewpoints, then each file of the run as it is made, and as it takes an older run's place.
+MADE: Final = ("exposure", "gray", "depth", "mask", "truth", "manifest")
+RENAMES: Final = ("viewpoint 0", "1", "2", *MADE, *MADE)
 MOMENTS: Final = [
-    *(("after rename", number) for number in range(1, 10)),
-    *(("before rename", number) for number in (1, 9)),
+    *(("after rename", number) for number in range(1, len(RENAMES) + 1)),
+    *(("before rename", number) for number in (1, 9, len(RENAMES))),
     *(("half written", number) for number in (1, 4, 5, 9)),
     *(("merge", number) for number in (1, 3)),
     ("clean-up", 2),
@@ -207,7 +209,7 @@ def test_killed_while_replacing_another_result(memory_path: Path, capsys: pytest
     """From the first new image on there is no manifest, and so nobody takes old and new for one result."""
     old, scene = write_scene(memory_path / "old", {"targets.0.rotation": REST}), write_scene(memory_path / "new")
     here(_argv(scene, memory_path / "good"), capsys).success()
-    kinds = [("old manifest removed", 1), *(("after rename", number) for number in (7, 8, 10))]
+    kinds = [("old manifest removed", 1), *(("after rename", number) for number in (7, 10, 11, 13))]
     moments = [(f"{kind} {number}", kind, number) for kind, number in kinds]
     for name, _, _ in moments:
         here(_argv(old, memory_path / name), capsys).success()
@@ -216,9 +218,9 @@ def test_killed_while_replacing_another_result(memory_path: Path, capsys: pytest
     assert _carry_out(argv, moments) == [signal.SIGKILL] * len(moments)
     for name, _, number in moments:
         left = products(memory_path / name)
-        if number == 7:  # the last sub-viewpoint: the old result stands, all of it
+        if number in (7, 10):  # the last sub-viewpoint, the new manifest beside: the old result stands, all of it
             assert left == before
-        elif number == 10:
+        elif number == 13:
             assert left == products(memory_path / "good")
         else:
             assert "manifest.json" not in left
