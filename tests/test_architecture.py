@@ -54,6 +54,13 @@ DOORS = {
         "scene/file/optics_tables.py": BORDER,
         "scene/file/sensor_tables.py": BORDER,
         "scene/file/source_tables.py": BORDER,
+        "imaging/run_files.py": "types of what a run leaves as JSON",
+        "written.py": "checks JSON that is read back",
+    },
+    "tomllib": {
+        "reading.py": "TOML of users, judged before it is parsed",
+        "scene/file/border.py": "reads tables of our own",
+        "scene/file/sensor_tables.py": "reads presets of our own",
     },
     "pydantic_core": {"scene/file/load.py": "turns pydantic's errors into ours"},
     "trimesh": {
