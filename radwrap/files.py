@@ -48,14 +48,17 @@ def check_result(path: Path) -> None:
     ------
     InputError
         If a device, a pipe, a link or a folder has that name, or the name cannot be a file's.
+    EnvironmentFailure
+        If the disk has no room for such a name.
     """
     try:
         taken = path.lstat().st_mode
     except (FileNotFoundError, NotADirectoryError):
         return
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or str(error)
-        raise InputError(f"cannot be written: {why}", where=str(path), remedy="choose another name") from error
+    except OSError as error:
+        raise disk_failure(path, error) from error
+    except ValueError as error:
+        raise InputError(f"cannot be written: {error}", where=str(path), remedy="choose another name") from error
     if not stat.S_ISREG(taken):
         raise InputError("is not a regular file", where=str(path), remedy="give a new name, or that of a regular file")
 
