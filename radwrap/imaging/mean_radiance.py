@@ -58,7 +58,7 @@ def fixed_method(scene: Scene, options: RenderOptions) -> FixedMethod | None:
         return asked
     if options.viewpoints is not None:
         raise InputError(
-            "there are no sub-viewpoints as the pinhole's diameter is 0", where="--viewpoints", remedy="leave it out"
+            "there are no sub-viewpoints as the pinhole's diameter is 0", where="viewpoints", remedy="leave it out"
         )
     return "pinhole"
 

@@ -119,7 +119,7 @@ class TracedScene:
         if self.scene.spectral is not None:
             raise InputError(
                 "the scene has spectra, and light that goes from surface to surface changes its colour each time",
-                where="--bounces",
+                where="bounces",
                 remedy="render without bounces, or leave out the spectra",
             )
         materials = reflecting_parts(self.scene, self.prepared.parts)

@@ -156,9 +156,7 @@ class LedRing:
             If there is no calibration, or it does not reach so far.
         """
         if self._calibration is None:
-            raise InputError(
-                "radiant intensities need a calibration", remedy="give --calibration or --full-scale, or levels"
-            )
+            raise InputError("radiant intensities need a calibration", remedy="give `calibration`, or levels")
         return levels_for(self._calibration, radiant_intensity)
 
     def frame_of(self, levels: Sequence[float]) -> Frame:
@@ -176,9 +174,7 @@ class LedRing:
         elif len(wanted) == told.count and not any(wanted):
             steps = (0,) * told.count
         else:
-            raise InputError(
-                "the LEDs' rated current is not known, so there must be no light", remedy="give --drive DRIVE.toml"
-            )
+            raise InputError("the LEDs' rated current is not known, so there must be no light", remedy="give `drive`")
         return Frame(wanted, steps, tuple(step / told.steps for step in steps), told.readback, told.emulated)
 
     def off(self) -> None:
@@ -320,7 +316,7 @@ def open_ring(
         If the device cannot be reached, or another program drives it.
     """
     if drive is not None and drive.count != count:
-        raise InputError(f"is for {drive.count} LEDs, the ring has {count}", where="--drive")
+        raise InputError(f"is for {drive.count} LEDs, the ring has {count}", where="drive")
     claim = Claim(device.path)
     guardian = backend = None
     try:

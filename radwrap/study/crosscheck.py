@@ -72,11 +72,11 @@ class CrosscheckOptions:
 
     def __post_init__(self) -> None:
         if not 1e-4 <= self.tolerance <= 1:
-            raise InputError("must lie between 1e-4 and 1", where="--tolerance")
+            raise InputError("must lie between 1e-4 and 1", where="tolerance")
         if self.area_samples != 0 and not 2 <= self.area_samples <= _LARGEST_GRID:
-            raise InputError(f"must be 0, or lie between 2 and {_LARGEST_GRID}", where="--area-samples")
+            raise InputError(f"must be 0, or lie between 2 and {_LARGEST_GRID}", where="area_samples")
         if self.render.pixel_sampling != "centre":
-            raise InputError("POV-Ray samples the centres of pixels' strata", where="--pixel-sampling")
+            raise InputError("POV-Ray samples the centres of pixels' strata", where="pixel_sampling")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -97,8 +97,8 @@ def check_reference(pixels: int, rays: int) -> None:
         If one is out of range.
     """
     for name, value, low, high in (
-        ("--reference-pixels", pixels, _FEWEST_PIXELS, _MOST_PIXELS),
-        ("--reference-rays", rays, _FEWEST_RAYS, _MOST_RAYS),
+        ("reference_pixels", pixels, _FEWEST_PIXELS, _MOST_PIXELS),
+        ("reference_rays", rays, _FEWEST_RAYS, _MOST_RAYS),
     ):
         if not low <= value <= high:
             raise InputError(f"must lie between {low} and {high}, not {value}", where=name)

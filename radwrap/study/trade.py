@@ -170,7 +170,7 @@ class TradeOptions:
     def __post_init__(self) -> None:
         low, high = _LONGEST_LIMITS
         if not low <= self.longest <= high:
-            raise InputError(f"must lie between {low:g} and {high:g} s, not {self.longest:g}", where="--longest")
+            raise InputError(f"must lie between {low:g} and {high:g} s, not {self.longest:g}", where="longest")
         check_reference(self.reference_pixels, self.reference_rays)
 
     @property

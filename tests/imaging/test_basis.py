@@ -236,7 +236,7 @@ def test_an_included_file_that_shines_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("how", [{"method": "pinhole"}, {"method": "viewpoints"}, {"viewpoints": 7}])
 def test_methods_without_a_ray_plan_are_refused(how: dict[str, Any]) -> None:
-    with pytest.raises(InputError, match="--basis: needs an image to tolerance"):
+    with pytest.raises(InputError, match="basis: needs an image to tolerance"):
         RenderOptions(basis=True, **how)
 
 

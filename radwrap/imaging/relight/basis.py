@@ -121,7 +121,7 @@ def _chosen(plan: Plan, tile: int, size: int) -> NDArray[np.intp]:
     return np.sort(np.random.default_rng((tile, 16)).choice(size, count, replace=False))
 
 
-def shining(scene: Scene, prepared: PreparedScene, asked_by: str = "--basis") -> tuple[str, ...]:
+def shining(scene: Scene, prepared: PreparedScene, asked_by: str = "basis") -> tuple[str, ...]:
     """Names of the sources of a basis: LEDs and wide sources that are not dark; errors name who asked.
 
     Raises
@@ -133,7 +133,7 @@ def shining(scene: Scene, prepared: PreparedScene, asked_by: str = "--basis") ->
         raise InputError(
             f'the included file of "{prepared.shining_files[0]}" holds light of its own, which has no name',
             where=asked_by,
-            remedy=f"describe it in [[sources]], or leave out {asked_by}",
+            remedy=f"describe it in [[sources]], or leave out `{asked_by}`",
         )
     return tuple(dict.fromkeys(emitter.source for emitter in scene.emitters if emitter.radiance > 0))
 
