@@ -17,6 +17,7 @@ import numpy as np
 
 from radwrap.errors import InputError
 from radwrap.files import sole_owner
+from radwrap.random_streams import generator
 from radwrap.study.design import Design
 from radwrap.study.factors import Draw, Factor, Level, number_and_unit
 from radwrap.study.fresh import FRESH_ROW, FreshRenders, nominal_level
@@ -251,7 +252,7 @@ class Search:
         corrected = _corrected(model, found)
         scales = np.linspace(1.0, 0.02, 99)
         scale = next((s for s in scales if self._inside(corrected, tolerances, s, bound) >= self.share), scales[-1])
-        random = np.random.default_rng((self.design.seed, FRESH_ROW))
+        random = generator(self.design.seed, FRESH_ROW)
         systems = []
         for _ in range(self.systems):
             levels = list(self.base)

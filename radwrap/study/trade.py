@@ -34,6 +34,7 @@ from radwrap.imaging.tracing import TracedScene
 from radwrap.manifest import json_text, sha256_of_value, versions
 from radwrap.process import Programs, available_cores, children_cpu_time
 from radwrap.progress import Progress
+from radwrap.random_streams import generator
 from radwrap.reading import read_json
 from radwrap.scene.scene import Scene
 from radwrap.study.paper_method import summed_viewpoints
@@ -413,7 +414,7 @@ class _Sweep:
 def _seconds_per_ray(view: View) -> float:
     """Wall time of a ray with all workers busy [s]."""
     sensor = view.camera.sensor
-    u, v = np.random.default_rng(0).random((2, _TIMED_RAYS)) * [[sensor.columns], [sensor.rows]] - 0.5
+    u, v = generator(0).random((2, _TIMED_RAYS)) * [[sensor.columns], [sensor.rows]] - 0.5
     start = time.monotonic()
     trace_rays(view, None, u, v)
     return (time.monotonic() - start) / _TIMED_RAYS

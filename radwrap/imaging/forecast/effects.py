@@ -26,6 +26,7 @@ from radwrap.imaging.tolerance.certificate import PixelSample, lacks_in_gray, pl
 from radwrap.imaging.tolerance.planner import NEGLIGIBLE_SHARE, choose
 from radwrap.imaging.tolerance.survey import Survey, survey
 from radwrap.imaging.tracing import TracedScene, laid_out, of_channel, with_bounces
+from radwrap.random_streams import Rendering, generator
 from radwrap.scene.camera import ColourChannel
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Emitter, Ring, SingleSource, Source, emitters
@@ -104,7 +105,7 @@ class Probe:
     def of(cls, view: View, seed: int) -> Probe:
         """Draw paths and trace them."""
         sensor = view.camera.sensor
-        random = np.random.default_rng((seed, 14))
+        random = generator(seed, Rendering.EFFECT_PATHS)
         pixels = random.choice(sensor.pixels, min(sensor.pixels, _PIXELS), replace=False)
         places = places_of(pixels, sensor.columns)
         paths = [rays_over(view.camera, *places, _RAYS, random) for _ in range(2)]
@@ -136,7 +137,7 @@ class Probe:
         scale, sensor = self.view.exposure_of_radiance, self.view.camera.sensor
         seen = self.seen
         errors = lacks_in_gray(seen.mean(axis=0), other - seen, len(self.u), scale, sensor)
-        return errors.mean_square(self.sample, (self.seed, 15))
+        return errors.mean_square(self.sample, (self.seed, Rendering.EFFECT_RESAMPLES))
 
 
 def _by_set(values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -30,6 +30,7 @@ from radwrap.imaging.tolerance.certificate import PixelSample, model_lacks
 from radwrap.imaging.tolerance.planner import Outcome
 from radwrap.imaging.tolerance.replicates import Plan, Work, cells_seed, tile_seed
 from radwrap.manifest import SCHEMA_VERSION, plain, sha256_of_value, write_manifest
+from radwrap.random_streams import Relighting, generator
 from radwrap.scene.scene import Scene
 from radwrap.tracers.radiance import PreparedScene
 
@@ -118,7 +119,7 @@ def _chosen(plan: Plan, tile: int, size: int) -> NDArray[np.intp]:
     count = -(-_GRID_PIXELS * (r1 - r0) * (c1 - c0) // plan.camera.sensor.pixels)
     if size <= count:
         return np.arange(size)
-    return np.sort(np.random.default_rng((tile, 16)).choice(size, count, replace=False))
+    return np.sort(generator(tile, Relighting.KEPT_PIXELS).choice(size, count, replace=False))
 
 
 def shining(scene: Scene, prepared: PreparedScene, asked_by: str = "basis") -> tuple[str, ...]:
@@ -210,7 +211,7 @@ class _Maker:
             raise TypeError("only the kernel has a model")
         log_call(self.folder, f"model {number}")
         view = _alone(list(self.views.values())[number])
-        seed = (self.work.seed, 15)
+        seed = (self.work.seed, Relighting.MODEL_RAYS)
         lacks, rays = model_lacks(view, self.plan.layers, self.sample, seed=seed)
         self.work.progress.add(rays)
         self.write("model", number, lacks)

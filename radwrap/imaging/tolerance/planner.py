@@ -41,6 +41,7 @@ from radwrap.imaging.tolerance.replicates import (
 )
 from radwrap.imaging.tolerance.survey import AIM_SHARE, Survey, met_by, middle_of, predicted_rays, steps, survey
 from radwrap.manifest import finite
+from radwrap.random_streams import Rendering
 from radwrap.tracers.timed import OutOfTime, TimedTracer
 
 # What costs less than this share of the tolerance is left out: errors add as squares, so it takes 5 % of the tolerance.
@@ -356,7 +357,7 @@ class Search:
         risky = steps(view, self.found.magnification, gray, _RISK_SHARE * self.demand.tolerance)
         for effort in range(self.effort, len(_EFFORTS)):
             pixels, pairs = self._pixels_and_pairs(effort)
-            drawn = draw_pixels(gray, pixels, (seed, 10, effort), risky=risky, pairs=pairs)
+            drawn = draw_pixels(gray, pixels, (seed, Rendering.MODEL_PIXELS, effort), risky=risky, pairs=pairs)
             all_pairs = int(drawn.pairs.sum())
             # The first must be, whatever it takes.
             if effort > self.effort and self.spent + rays_of_lacks(plan.layers, all_pairs) > self.demand.budget.rays:
@@ -364,9 +365,9 @@ class Search:
             self.effort, sample = effort, drawn
             self.pairs[effort] = all_pairs
             at = radiance.ravel()[sample.pixels]
-            found = model_errors(view, plan.layers, sample, at, seed=(seed, 11, effort))
+            found = model_errors(view, plan.layers, sample, at, seed=(seed, Rendering.MODEL_RAYS, effort))
             self.spent += found.rays
-            model = found.mean_square(sample, (seed, 12, effort))
+            model = found.mean_square(sample, (seed, Rendering.MODEL_RESAMPLES, effort))
             wanted = self.demand.tolerance**2
             enough = model.upper + noise.upper <= wanted or max(model.mean, 0.0) + noise.mean > wanted
             # More pairs help where the bound is wide, not the error large.

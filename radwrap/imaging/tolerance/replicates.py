@@ -23,6 +23,7 @@ from radwrap.imaging.tolerance.bounds import Bounded, mean_square_of_differences
 from radwrap.manifest import sha256_of_value
 from radwrap.process import Programs
 from radwrap.progress import Progress
+from radwrap.random_streams import Rendering
 
 Plan = KernelPlan | RaysPlan
 _LOOKS: Final = 8
@@ -287,12 +288,12 @@ class _CellsPiece:
 
 def cells_seed(seed: int, tile: int) -> tuple[int, ...]:
     """Seed of all that is drawn to find out a tile's cells."""
-    return (seed, 1, tile)
+    return (seed, Rendering.CELLS, tile)
 
 
 def tile_seed(seed: int, replicate: int, tile: int) -> tuple[int, ...]:
     """Seed of all that is drawn for a tile of a replicate."""
-    return (seed, 2, replicate, tile)
+    return (seed, Rendering.TILE, replicate, tile)
 
 
 def discretisation(view: View, replicates: Replicates) -> tuple[Bounded, NDArray[np.float64]]:
