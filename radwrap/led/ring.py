@@ -137,7 +137,7 @@ class LedRing:
         lit = any(frame.steps)
         with self._careful():
             if lit and self._guardian is not None:
-                self._guardian.watch(self._longest)
+                self._guardian.watch(self._max_on_time)
             if lit:
                 # Before it is sent: interrupted within, it may shine, and only `off` knows that it does not.
                 self._lit_since = time.monotonic()
@@ -241,7 +241,7 @@ class LedRing:
                 self._busy_since = None
 
     @property
-    def _longest(self) -> float:
+    def _max_on_time(self) -> float:
         return math.inf if self._drive is None else self._drive.max_on_time
 
     def _turn_off(self) -> None:
@@ -263,9 +263,9 @@ class LedRing:
             busy, lit = self._busy_since, self._lit_since
             if busy is not None and now - busy > MISSED:
                 continue  # the device does not answer: that is for the guardian
-            if lit is not None and now - lit > self._longest:
+            if lit is not None and now - lit > self._max_on_time:
                 trouble = EnvironmentFailure(
-                    f"was lit for max_on_time, {self._longest:g} s, and was turned off", where="LED ring"
+                    f"was lit for max_on_time, {self._max_on_time:g} s, and was turned off", where="LED ring"
                 )
             elif self._guardian is not None:
                 try:

@@ -21,7 +21,7 @@ from radwrap.imaging.tolerance.bounds import Bounded, resampling, stratified_mea
 from radwrap.imaging.tolerance.certificate import certify_by_independent_rays, model_lacks
 from radwrap.imaging.tolerance.planner import Outcome, render_to_tolerance
 from radwrap.imaging.tolerance.replicates import Work
-from radwrap.imaging.tracing import TracedScene, traced_scene
+from radwrap.imaging.tracing import LaidOutScene, traced_scene
 from radwrap.process import Programs
 from radwrap.progress import Progress
 from tests.cli.conftest import SMALL, scene_with
@@ -104,7 +104,7 @@ def made(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     for name in ("work", "pieces", "out"):
         (folder / name).mkdir()
     with Programs() as programs:
-        traced = TracedScene(room, options, programs, folder / "work")
+        traced = LaidOutScene(room, options, programs, folder / "work")
         progress = Progress("", 1, shown=False)
         work = Work(traced.view(), folder / "pieces", programs, progress, traced.sha256(), SEED)
         outcome = render_to_tolerance(work, options.demand)

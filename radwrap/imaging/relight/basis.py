@@ -304,7 +304,7 @@ def _maker(work: Work, views: Mapping[str, View], outcome: Outcome) -> _Maker:
     sample = outcome.sample
     if sample is not None:
         sample = replace(sample, pairs=np.maximum(sample.pairs, _LEAST_PAIRS))
-    what = {"scene": work.scene_sha256, "plan": outcome.ray_plan, "seed": work.seed, "sources": list(views)}
+    what = {"scene": work.traced_sha256, "plan": outcome.ray_plan, "seed": work.seed, "sources": list(views)}
     name = sha256_of_value(
         {**what, "sample": None if sample is None else [sample.pixels.tolist(), sample.pairs.tolist()]}
     )

@@ -81,7 +81,7 @@ class Work:
         Ended at the first failure.
     progress : Progress
         Counts rays.
-    scene_sha256 : str
+    traced_sha256 : str
         Hash of the scene as the tracer gets it, and of the tracer.
     seed : int
         Of all that is drawn.
@@ -91,7 +91,7 @@ class Work:
     folder: Path
     programs: Programs
     progress: Progress
-    scene_sha256: str
+    traced_sha256: str
     seed: int
 
 
@@ -121,7 +121,7 @@ def trace_replicates(work: Work, plan: Plan, number: int, most: float = math.inf
     TracerError, EnvironmentFailure
         If the tracer or the disk fails.
     """
-    name = sha256_of_value({"scene": work.scene_sha256, "plan": plan, "seed": work.seed})
+    name = sha256_of_value({"scene": work.traced_sha256, "plan": plan, "seed": work.seed})
     tiles = range(len(plan.tiles))
     shared = _among(work, len(tiles))
     decided = [_CellsPiece(shared, plan, name, tile) for tile in tiles] if isinstance(plan, KernelPlan) else []
