@@ -139,12 +139,12 @@ def make_folder(path: Path) -> None:
     try:
         str(path).encode()
     except UnicodeEncodeError as error:
-        raise InputError("its name is not UTF-8", where=repr(str(path)), remedy="choose another --out") from error
+        raise InputError("its name is not UTF-8", where=repr(str(path)), remedy="choose another `out`") from error
     try:
         path.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError) as error:
         raise InputError(
-            "a file stands where a folder is needed", where=str(path), remedy="choose another --out"
+            "a file stands where a folder is needed", where=str(path), remedy="choose another `out`"
         ) from error
     except OSError as error:
         raise disk_failure(path, error) from error
@@ -170,7 +170,7 @@ def sole_owner(folder: Path) -> Iterator[None]:
             _lock(stream.fileno())
         except OSError as error:
             raise FolderTaken(
-                "another run is writing here", where=str(folder), remedy="wait for it or choose another --out"
+                "another run is writing here", where=str(folder), remedy="wait for it or choose another `out`"
             ) from error
         yield
 

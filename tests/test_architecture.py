@@ -1,6 +1,7 @@
 """The layout is a promise: data flows one way, and each foreign package has one door."""
 
 import ast
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -80,6 +81,19 @@ DOORS = {
     "pyradiance": {},  # its programs are used; importing it changes PATH
     "EasyMCP2221": {},  # tests hold our own driver against it
     "ctypes": {},  # nothing here calls C
+}
+# Who writes words of the command line outside cli/, and why.
+OPTION = re.compile(r"(?<![\w-])--[a-z]")
+SPELLERS = {
+    "led/connect.py": "arguments of the emulator, a program of its own",
+    "led/emulator/__main__.py": "the same",
+    "led/ports.py": "names a command to be copied as it is",
+    "scene/file/calibration_file.py": "names a command to be copied as it is",
+    "scene/look/smallness.py": "a warning of the manifest",
+    "study/tolerate.py": "a note of the report",
+    "study/trade.py": "settings, told as commands to be copied as they are",
+    "study/trade_report.py": "the same",
+    "tracers/povray.py": "arguments of POV-Ray",
 }
 LONGEST_MODULE = 500  # lines; a longer one becomes a folder
 
@@ -198,6 +212,21 @@ def test_each_foreign_package_has_one_door() -> None:
     assert not wrong
     assert used == {(package, inside) for package, doors in DOORS.items() for inside in doors}, "a door nobody uses"
     assert all(reason for doors in DOORS.values() for reason in doors.values())
+
+
+def spelled(path: Path) -> Iterator[str]:
+    """Strings that name options of the command line; docstrings are for people."""
+    tree = ast.parse(path.read_text("utf-8"))
+    told = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    for node in ast.walk(tree):
+        text = node.value if isinstance(node, ast.Constant) and id(node) not in told else None
+        if isinstance(text, str) and OPTION.search(text):
+            yield text
+
+
+def test_only_the_command_line_knows_its_words() -> None:
+    spelling = {path.relative_to(PACKAGE).as_posix() for path in modules() if any(spelled(path))}
+    assert {path for path in spelling if not path.startswith("cli/")} == SPELLERS.keys()
 
 
 def test_no_module_is_too_long() -> None:

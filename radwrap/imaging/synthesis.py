@@ -49,7 +49,7 @@ from radwrap.imaging.tolerance.planner import choose
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.survey import survey
 from radwrap.imaging.tolerance.uncertainty import seen_magnifications, share_spread, uncertainty
-from radwrap.imaging.tracing import TracedScene, laid_out, scene_sha256
+from radwrap.imaging.tracing import LaidOutScene, laid_out, scene_sha256
 from radwrap.imaging.truth import central_maps, geometry
 from radwrap.manifest import SCHEMA_VERSION, plain, read_manifest, sha256_of_value, versions, write_manifest
 from radwrap.process import Programs, available_cores, children_cpu_time
@@ -232,7 +232,7 @@ class _Run:
         self.made = work / _MADE
         self.options = options
         self.programs = programs
-        self.traced = TracedScene(scene, options, programs, work)
+        self.traced = LaidOutScene(scene, options, programs, work)
         self.versions = {**versions(), "radiance": self.traced.version}
         self.traced_sha256 = self.traced.sha256()
         if options.frames:
