@@ -294,7 +294,7 @@ class _Run:
         summary, files = self._write_images(made.radiance)
         files += basis
         if made.outcome is not None and self.options.sampling is not None:
-            files += write_replicates(self.out, kept(made.outcome.replicates, view.exposure_of_radiance))
+            files += write_replicates(self.made, kept(made.outcome.replicates, view.exposure_of_radiance))
         told, more = self._write_uncertainty(made.error["rms_gray"], spread, magnification)
         files += [*more, *self._write_frames()]
         if self.options.truth:
