@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any, Final, TypeVar
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, Final, TypeVar, get_args
 
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
@@ -52,9 +52,18 @@ def validated(shape: type[AnyModel], table: Mapping[str, Any], origin: str, reme
         return shape.model_validate(table)
     except ValidationError as error:
         found = fault(error, origin, table)
-        known = ", ".join(shape.model_fields)
-        unknown = found.what.startswith(_UNKNOWN)
-        raise InputError(found.what, where=found.where, remedy=f"known are {known}" if unknown else remedy) from error
+        unknown = [detail for detail in error.errors(include_url=False) if detail["type"] == "extra_forbidden"]
+        if unknown and (known := _known(shape, unknown[0]["loc"])):
+            remedy = f"known are {', '.join(known)}"
+        raise InputError(found.what, where=found.where, remedy=remedy) from error
+
+
+def _known(shape: Any, steps: Sequence[int | str]) -> tuple[str, ...]:
+    """Keys of the table in which the last step is unknown, through tables and arrays of tables."""
+    for step in steps[:-1]:
+        inside = isinstance(shape, type) and issubclass(shape, Model)
+        shape = shape.model_fields[step].annotation if inside else get_args(shape)[-1]
+    return tuple(shape.model_fields) if isinstance(shape, type) and issubclass(shape, Model) else ()
 
 
 def _as_told(detail: ErrorDetails) -> list[int | str]:
