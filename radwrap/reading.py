@@ -234,11 +234,6 @@ def _too_deep(where: str) -> InputError:
     return InputError(f"is nested more than {_DEEPEST} levels deep", where=where, remedy="make it flatter")
 
 
-def read_rows(path: Path, kind: FileKind = CSV) -> list[tuple[int, list[str]]]:
-    """Rows of a CSV file that a user named, each with its line from 1; errors as `read_text` and `csv_rows`."""
-    return list(csv_rows(read_text(path, kind), str(path)))
-
-
 def csv_rows(text: str, where: str, *, initial_space: bool = False) -> Iterator[tuple[int, list[str]]]:
     """Rows of a CSV text that hold anything, each with its line from 1.
 

@@ -50,11 +50,13 @@ DOORS = {
     "pydantic": {
         "scene/file/border.py": "types of the scene file's values",
         "scene/file/document.py": BORDER,
-        "scene/file/load.py": "turns pydantic's errors into ours",
+        "scene/file/faults.py": "turns pydantic's errors into ours",
+        "scene/file/load.py": "reads a scene's tables, and what they left out",
         "scene/file/material_tables.py": BORDER,
         "scene/file/optics_tables.py": BORDER,
         "scene/file/sensor_tables.py": BORDER,
         "scene/file/source_tables.py": BORDER,
+        "study/design_tables.py": "tables of a design file: pydantic goes no further",
         "imaging/run_files.py": "types of what a run leaves as JSON",
         "written.py": "checks JSON that is read back",
     },
@@ -63,7 +65,10 @@ DOORS = {
         "scene/file/border.py": "reads tables of our own",
         "scene/file/sensor_tables.py": "reads presets of our own",
     },
-    "pydantic_core": {"scene/file/load.py": "turns pydantic's errors into ours"},
+    "pydantic_core": {
+        "scene/file/faults.py": "turns pydantic's errors into ours",
+        "scene/file/load.py": "knows where a detail belongs, and what was left out",
+    },
     "trimesh": {
         "scene/mesh_files/parts.py": "reads mesh files for scenes",
         "convert/preview_files.py": "writes binary glTF",

@@ -15,25 +15,20 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from radwrap.errors import InputError
 from radwrap.reading import FileKind, read_toml
-from radwrap.units import CURRENT, LENGTH, TIME, Dimension, parse_quantity
+from radwrap.scene.file.border import Current, Duration, Model, Number, Size, Whole
+from radwrap.scene.file.faults import validated
 
 _DRIVE_FILE: Final = FileKind(
     "drive file", 1 << 20, "without the LEDs' rated current there is no light: docs/led.md shows a drive file"
 )
-_QUANTITIES: Final = {
-    "wavelength": LENGTH,
-    "rated_current": CURRENT,
-    "drive_current": CURRENT,
-    "max_on_time": TIME,
-}
-_NUMBERS: Final = ("max_level", "max_sum")
+_REMEDY: Final = "docs/led.md shows a drive file"
 _DECIMAL: Final = re.compile(r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 # From the shortest ultraviolet to the longest infrared of LEDs: beyond, a unit is wrong.
 _SHORTEST, _LONGEST_WAVE = 200e-9, 20e-6  # m
@@ -42,6 +37,18 @@ _RIPPLE_TOLD: Final = 0.01
 _RIPPLE_REFUSED: Final = 0.1
 # Sums of levels that were rounded to steps may exceed a limit by as much.
 _ROUNDING: Final = 1e-9
+
+
+class _DriveModel(Model):
+    """A drive file: kinds of values, whose ranges `Drive` knows."""
+
+    count: Whole
+    wavelength: Size
+    rated_current: Current
+    drive_current: Current
+    max_level: Number
+    max_sum: Number
+    max_on_time: Duration
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,38 +181,11 @@ def read_drive(path: str | Path) -> Drive:
         What is wrong, with file and key.
     """
     path = Path(path)
-    return _drive(read_toml(path, _DRIVE_FILE), str(path))
-
-
-def _drive(table: Mapping[str, Any], where: str) -> Drive:
-    known = ("count", *_QUANTITIES, *_NUMBERS)
-    for key in table:
-        if key not in known:
-            raise InputError("unknown key", where=f"{where}: {key}", remedy=f"known are {', '.join(known)}")
-    for key in known:
-        if key not in table:
-            raise InputError("is missing", where=f"{where}: {key}", remedy="docs/led.md shows a drive file")
-    count = table["count"]
-    if not isinstance(count, int) or isinstance(count, bool):
-        raise InputError(f"must be an integer, not {count!r}", where=f"{where}: count")
+    told = validated(_DriveModel, read_toml(path, _DRIVE_FILE), str(path), _REMEDY)
     try:
-        values = {key: _quantity(table[key], dimension, key) for key, dimension in _QUANTITIES.items()}
-        return Drive(count=count, **values, **{key: _number(table[key], key) for key in _NUMBERS})
+        return Drive(**dict(told))
     except InputError as error:
-        raise InputError(error.what, where=f"{where}: {error.where}", remedy=error.remedy) from error
-
-
-def _quantity(text: object, dimension: Dimension, key: str) -> float:
-    try:
-        return parse_quantity(text, dimension)
-    except InputError as error:
-        raise InputError(error.what, where=key, remedy=error.remedy) from error
-
-
-def _number(value: object, key: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(f"must be a number, not {value!r}", where=key)
-    return float(value)
+        raise InputError(error.what, where=f"{path}: {error.where}", remedy=error.remedy) from error
 
 
 def ripple(levels: Sequence[float], pwm_frequency: float, exposure_time: float) -> float:

@@ -10,19 +10,20 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, cast
 
 from radwrap.errors import InputError
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.reading import FileKind, read_toml
+from radwrap.scene.file.faults import validated
 from radwrap.scene.file.load import load_scene
+from radwrap.study.design_tables import MOST_RUNS, DesignModel, FactorModel
 from radwrap.study.factors import Factor, Level, quantity, read_draw, with_all_leds
 from radwrap.study.responses import KINDS, Response, check_options, unit_of
 
 Kind = Literal["full", "fractional", "latin_hypercube", "list"]
 Analysis = Literal["lenth", "anova", "none"]
 
-_TOP: Final = ("title", "scene", "set", "seed", "replicates", "design", "render", "factors", "responses", "analysis")
 _OF_KIND: Final[Mapping[str, tuple[str, ...]]] = {
     "full": (),
     "fractional": ("generators",),
@@ -47,8 +48,6 @@ _CHOICES: Final[Mapping[str, tuple[str, ...]]] = {
     "pixel_sampling": ("centre", "jitter"),
 }
 _DESIGN_FILE: Final = FileKind("design file", 64 << 20)
-_LARGEST_SEED: Final = 2**32 - 1
-MOST_RUNS: Final = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,37 +108,29 @@ def read_design(path: Path) -> Design:
     InputError
         What is wrong, with file and key.
     """
-    table = read_toml(path, _DESIGN_FILE)
     origin = path.name
-    _only(table, _TOP, origin)
-    for key in ("scene", "design", "factors", "responses"):
-        if key not in table:
-            raise InputError("is missing", where=f"{origin}: {key}")
-    scene_path = path.parent / _text(table["scene"], f"{origin}: scene")
-    scene = load_scene(scene_path, _table(table.get("set", {}), f"{origin}: set"))
-    kind, plan = _plan(_table(table["design"], f"{origin}: design"), f"{origin}: design")
-    responses = _responses(_table(table["responses"], f"{origin}: responses"), f"{origin}: responses")
-    factors = _factors(_table(table["factors"], f"{origin}: factors"), kind, f"{origin}: factors")
+    told = validated(DesignModel, read_toml(path, _DESIGN_FILE), origin, "docs/study.md shows a design file")
+    scene = load_scene(path.parent / told.scene, told.set)
+    kind, plan = _plan(told.design, f"{origin}: design")
+    responses = _responses(told.responses, f"{origin}: responses")
+    factors = _factors(told.factors, kind, f"{origin}: factors")
     _check_names(factors, responses, origin)
-    render, basis = _render(_table(table.get("render", {}), f"{origin}: render"), f"{origin}: render")
-    analysis = table.get("analysis")
-    if analysis not in (None, "lenth", "anova", "none"):
-        raise InputError('must be "lenth", "anova" or "none"', where=f"{origin}: analysis")
+    render, basis = _render(told.render, f"{origin}: render")
     return Design(
-        title=_text(table.get("title", path.stem), f"{origin}: title"),
+        title=told.title or path.stem,
         origin=origin,
         folder=scene.folder,
         scene_origin=scene.origin,
         document=with_all_leds(json.loads(scene.document), [key for factor in factors for key in factor.keys]),
-        seed=_count(table.get("seed", 0), f"{origin}: seed", 0, _LARGEST_SEED),
-        replicates=_count(table.get("replicates", 1), f"{origin}: replicates", 1, MOST_RUNS),
+        seed=told.seed,
+        replicates=told.replicates,
         kind=kind,
         plan=_with_file(plan, path.parent, factors, f"{origin}: design.runs"),
         render=render,
         basis=basis,
         factors=factors,
         responses=responses,
-        analysis=analysis,
+        analysis=cast("Analysis | None", told.analysis),
     )
 
 
@@ -178,36 +169,24 @@ def _with_file(plan: Mapping[str, Any], folder: Path, factors: tuple[Factor, ...
 # --------------------------------------------------------------------------------------------------------- the factors
 
 
-def _factors(tables: Mapping[str, Any], kind: Kind, where: str) -> tuple[Factor, ...]:
+def _factors(tables: Mapping[str, FactorModel], kind: Kind, where: str) -> tuple[Factor, ...]:
     if not tables:
         raise InputError("there is none", where=where)
-    return tuple(
-        _factor(name, _table(table, f"{where}.{name}"), kind, f"{where}.{name}") for name, table in tables.items()
-    )
+    return tuple(_factor(name, told, kind, f"{where}.{name}") for name, told in tables.items())
 
 
-def _factor(name: str, table: Mapping[str, Any], kind: Kind, where: str) -> Factor:
-    _only(table, ("label", "key", "keys", "levels", "range", "draws"), where)
-    if ("key" in table) == ("keys" in table):
-        raise InputError("needs exactly one of key and keys", where=where)
-    keys = table["keys"] if "keys" in table else [table["key"]]
-    if not isinstance(keys, list) or not keys or not all(isinstance(key, str) and key for key in keys):
-        raise InputError("must be an array of key paths", where=f"{where}.keys")
-    if ("levels" in table) == ("range" in table):
-        raise InputError("needs exactly one of levels and range", where=where)
-    draws = table.get("draws", "each run")
-    if draws not in ("each run", "once"):
-        raise InputError('must be "each run" or "once"', where=f"{where}.draws")
-    label = _text(table.get("label", name), f"{where}.label")
-    if "range" in table:
+def _factor(name: str, told: FactorModel, kind: Kind, where: str) -> Factor:
+    keys = (told.key,) if told.key is not None else told.keys or ()
+    label = told.label or name
+    if told.range is not None:
         if kind != "latin_hypercube":
             raise InputError(f"{kind} needs levels", where=f"{where}.range", remedy='or kind = "latin_hypercube"')
-        span, unit = _range(table["range"], f"{where}.range")
-        return Factor(name, label, tuple(keys), (), span, unit)
+        span, unit = _range(told.range, f"{where}.range")
+        return Factor(name, label, keys, (), span, unit)
     if kind == "latin_hypercube":
         raise InputError('latin_hypercube needs range = ["LOW", "HIGH"]', where=where)
-    levels = _levels(table["levels"], len(keys), f"{where}.levels", is_list="keys" in table)
-    return Factor(name, label, tuple(keys), levels, draw_once=draws == "once")
+    levels = _levels(told.levels, len(keys), f"{where}.levels", is_list=told.keys is not None)
+    return Factor(name, label, keys, levels, draw_once=told.draws == "once")
 
 
 def _range(pair: Any, where: str) -> tuple[tuple[float, float], str]:
@@ -252,13 +231,13 @@ def _values(value: Any, keys: int, where: str, *, is_list: bool) -> tuple[Any, .
 # -------------------------------------------------------------------------------------------- the rest of what is asked
 
 
-def _responses(tables: Mapping[str, Any], where: str) -> tuple[Response, ...]:
+def _responses(tables: Mapping[str, Mapping[str, Any]], where: str) -> tuple[Response, ...]:
     if not tables:
         raise InputError("there is none", where=where)
     found = []
     for name, given in tables.items():
         place = f"{where}.{name}"
-        table = dict(_table(given, place))
+        table = dict(given)
         kind = table.pop("measure", None)
         if not isinstance(kind, str) or kind not in KINDS:
             raise InputError(f"must be one of {', '.join(KINDS)}", where=f"{place}.measure")
@@ -328,12 +307,6 @@ def _only(table: Mapping[str, Any], known: tuple[str, ...], where: str) -> None:
                 where=f"{where}: {key}" if ":" not in where else f"{where}.{key}",
                 remedy=(f"known are {', '.join(known)}"),
             )
-
-
-def _table(value: Any, where: str) -> Mapping[str, Any]:
-    if not isinstance(value, dict):
-        raise InputError("must be a table", where=where)
-    return value
 
 
 def _text(value: Any, where: str) -> str:

@@ -37,11 +37,15 @@ BAD: Final = {
     'rated_current = "100 mA"': ("", "drive.toml: rated_current: is missing"),
     '"50 mA"': ('"150 mA"', "drive_current: is 0.15 A, the LEDs are rated for 0.1 A"),
     "max_level = 0.5": ("max_level = 1.5", "max_level: must lie above 0 and not above 1"),
-    "max_sum = 3.0": ("max_sum = nan", "max_sum: must be above zero"),
+    "max_sum = 3.0": ("max_sum = nan", "max_sum: is not a finite number"),
     '"20 s"': ("20", "max_on_time: 20 has no unit"),
     "count = 12": ("count = 12.0", "count: must be an integer"),
     '"850 nm"': ('"850 nm"\ncolour = 1', "colour: unknown key"),
     'wavelength = "850 nm"': ('wavelength = "850 mm"', "wavelength: 0.85 m is no wavelength of an LED"),
+    "max_sum = 3": ("max_sum = -3", "max_sum: must be above zero"),
+    "= 0.5": ('= "0.5"', "max_level: must be a number, not '0.5'"),
+    '"50 mA"\nmax': ('"0 mA"\nmax', "drive_current: must be above zero"),
+    "count =": ("cont =", "known are count, wavelength"),
     "max_level =": ("max_level ==", "is not TOML"),
 }
 

@@ -13,6 +13,7 @@ from radwrap.errors import InputError
 from radwrap.units import (
     ANGLE,
     COEFFICIENT_OF_RETROREFLECTION,
+    CURRENT,
     CURVATURE,
     EFFICACY,
     ELECTRON_RATE,
@@ -90,6 +91,7 @@ Temperature = Annotated[float, Field(ge=-273.15, le=1e3), BeforeValidator(_reade
 TemperatureDifference = Annotated[
     float, Field(ge=0.1, le=1e3), BeforeValidator(_reader(TEMPERATURE_DIFFERENCE)), _schema(TEMPERATURE_DIFFERENCE)
 ]
+Current = Annotated[float, Field(ge=0, le=1e9), BeforeValidator(_reader(CURRENT)), _schema(CURRENT)]
 Curvature = Annotated[float, Field(ge=-1e12, le=1e12), BeforeValidator(_reader(CURVATURE)), _schema(CURVATURE)]
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
@@ -97,6 +99,7 @@ Share = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=1)]
 PositiveShare = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=1)]
 Factor = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=1e6)]
 Count = Annotated[int, Field(strict=True, ge=1, le=1_000_000)]
+Whole = Annotated[int, Field(strict=True)]
 Flag = Annotated[bool, Field(strict=True)]
 # Names become identifiers of Radiance's text.
 Name = Annotated[str, Field(strict=True, pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")]

@@ -6,7 +6,7 @@ Errors name the file and the key path, such as ``scene.toml: targets[0].pitch``.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,6 +20,7 @@ from radwrap.scene.file.calibrated import with_calibration
 from radwrap.scene.file.convert import scene_from_model
 from radwrap.scene.file.data_sheet import in_sheet, with_data_sheet
 from radwrap.scene.file.document import SceneModel
+from radwrap.scene.file.faults import fault
 from radwrap.scene.file.material_convert import material_from_table
 from radwrap.scene.file.material_tables import MaterialModel
 from radwrap.scene.look.checks import check_scene, check_shapes
@@ -29,19 +30,6 @@ from radwrap.scene.materials import Glass, Material, Mirror, PrintedImage
 from radwrap.scene.scene import Scene
 
 _SCENE_FILE: Final = FileKind("scene file", 16 << 20, "`radwrap init DIR` writes one to start from")  # written by hand
-# What pydantic calls a wrong kind of value, and what the file must hold there instead.
-_WRONG_KINDS: Final = {
-    "model_type": "a table",
-    "model_attributes_type": "a table",
-    "dict_type": "a table",
-    "tuple_type": "an array",
-    "string_type": "a string",
-    "int_type": "an integer",
-    "int_from_float": "an integer",
-    "float_type": "a number",
-    "bool_type": "true or false",
-}
-_NAMES: Final[Mapping[type, str]] = {dict: "a table", list: "an array"}
 
 
 def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Scene:
@@ -84,7 +72,7 @@ def load_materials(path: str | Path) -> dict[str, Material]:
     try:
         model = _MaterialsModel.model_validate(document)
     except ValidationError as error:
-        raise _translated(error, path.name, document) from error
+        raise fault(error, path.name, document, _steps) from error
     found = {
         name: material_from_table(table, f"{path}: materials.{name}", f"materials.{name}", {}, path.parent)
         for name, table in model.materials.items()
@@ -119,7 +107,7 @@ def scene_from_document(
     try:
         model = SceneModel.model_validate(whole)
     except ValidationError as error:
-        raise in_sheet(_translated(error, origin, whole), document, whole, origin) from error
+        raise in_sheet(fault(error, origin, whole, _steps), document, whole, origin) from error
     scene = scene_from_model(model, assumed=dict(_assumed(model)), origin=origin, folder=folder, document=text)
     check_shapes(scene)
     check_beside(scene)
@@ -196,17 +184,6 @@ def set_key(document: Any, key: str, value: Any, origin: str) -> None:
         raise InputError("the scene has no such place", where=where)
 
 
-def _translated(error: ValidationError, origin: str, document: Mapping[str, Any]) -> InputError:
-    """One line for the first thing that is wrong, in the user's words."""
-    details = error.errors(include_url=False)
-    # An unknown key often explains the missing one beside it, so it is told first.
-    details.sort(key=lambda detail: detail["type"] != "extra_forbidden")
-    first = details[0]
-    more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
-    steps = _steps(first)
-    return InputError(_message(first, _written(document, steps)) + more, where=f"{origin}: {_key_path(steps)}")
-
-
 def _steps(detail: ErrorDetails) -> list[int | str]:
     """Where in the file; the names of alternatives, which pydantic adds, are left out."""
     steps = list(detail["loc"])
@@ -217,63 +194,6 @@ def _steps(detail: ErrorDetails) -> list[int | str]:
     if detail["type"] in ("union_tag_invalid", "union_tag_not_found"):
         steps.append("model" if steps == ["camera", "sensor"] else "type")
     return steps
-
-
-def _key_path(steps: Iterable[int | str]) -> str:
-    """Key path as messages write it."""
-    path = ""
-    for step in steps:
-        path += f"[{step}]" if isinstance(step, int) else f".{step}" if path else step
-    return path or "the file"
-
-
-def _written(document: Any, steps: Iterable[int | str]) -> Any:
-    """What stands at a place of the file, None where nothing does: pydantic tells of what it became."""
-    for step in steps:
-        try:
-            document = document[step]
-        except (KeyError, IndexError, TypeError):
-            return None
-    return document
-
-
-def _message(detail: ErrorDetails, written: Any) -> str:
-    context: Mapping[str, Any] = detail.get("ctx", {})
-    kind = detail["type"]
-    given = detail["input"] if written is None else written
-    # The limits of quantities are in SI, and so that this is clear their values stand there as they were written.
-    si = " (in SI units)" if isinstance(given, str) else ""
-    shown = f"{given!r}" if isinstance(given, str | bool | int | float) else _NAMES.get(type(given), "that")
-    if kind in _WRONG_KINDS:
-        return f"must be {_WRONG_KINDS[kind]}, not {shown}"
-    match kind:
-        case "extra_forbidden":
-            return "unknown key"
-        case "missing":
-            return "is missing"
-        case "value_error":
-            return str(context["error"])
-        case "greater_than":
-            return f"must be above {context['gt']:g}{si}, not {shown}"
-        case "greater_than_equal":
-            return f"must be at least {context['ge']:g}{si}, not {shown}"
-        case "less_than_equal":
-            return f"must be at most {context['le']:g}{si}, not {shown}"
-        case "too_short":
-            return f"must have at least {context['min_length']} entries, not {context['actual_length']}"
-        case "too_long":
-            return f"must have at most {context['max_length']} entries, not {context['actual_length']}"
-        case "literal_error" | "union_tag_invalid":
-            return (
-                f"{context.get('tag', given)!r} is not one of {context.get('expected', context.get('expected_tags'))}"
-            )
-        case "union_tag_not_found":
-            return "is missing"
-        case "string_pattern_mismatch":
-            return f"{given!r} is no name: a letter, then letters, digits, _ or -, at most 64"
-        case "finite_number":
-            return "is not a finite number"
-    return f"{detail['msg'][0].lower()}{detail['msg'][1:]}"
 
 
 def _assumed(model: BaseModel, prefix: str = "") -> Iterator[tuple[str, str]]:

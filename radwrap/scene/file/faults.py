@@ -1,0 +1,155 @@
+"""What is wrong with the tables of a file, in the user's words: the file, the key, what it must hold there instead."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, Final, TypeVar, get_args
+
+from pydantic import ValidationError
+from pydantic_core import ErrorDetails
+
+from radwrap.errors import InputError
+from radwrap.scene.file.border import Model
+
+AnyModel = TypeVar("AnyModel", bound=Model)
+
+# What pydantic calls a wrong kind of value, and what the file must hold there instead.
+_WRONG_KINDS: Final = {
+    "model_type": "a table",
+    "model_attributes_type": "a table",
+    "dict_type": "a table",
+    "tuple_type": "an array",
+    "string_type": "a string",
+    "int_type": "an integer",
+    "int_from_float": "an integer",
+    "float_type": "a number",
+    "bool_type": "true or false",
+}
+_NAMES: Final[Mapping[type, str]] = {dict: "a table", list: "an array"}
+_UNKNOWN: Final = "unknown key"
+
+
+def validated(shape: type[AnyModel], table: Mapping[str, Any], origin: str, remedy: str = "") -> AnyModel:
+    """Tables as a model, which need not be a scene's.
+
+    Parameters
+    ----------
+    shape : type
+        The model.
+    table : Mapping
+        As `read_toml` gave it.
+    origin : str
+        File, for messages.
+    remedy : str
+        Where to see what belongs there.
+
+    Raises
+    ------
+    InputError
+        What is wrong first, with file and key.
+    """
+    try:
+        return shape.model_validate(table)
+    except ValidationError as error:
+        found = fault(error, origin, table)
+        unknown = [detail for detail in error.errors(include_url=False) if detail["type"] == "extra_forbidden"]
+        if unknown and (known := _known(shape, unknown[0]["loc"])):
+            remedy = f"known are {', '.join(known)}"
+        raise InputError(found.what, where=found.where, remedy=remedy) from error
+
+
+def _known(shape: Any, steps: Sequence[int | str]) -> tuple[str, ...]:
+    """Keys of the table in which the last step is unknown, through tables and arrays of tables."""
+    for step in steps[:-1]:
+        inside = isinstance(shape, type) and issubclass(shape, Model)
+        shape = shape.model_fields[step].annotation if inside else get_args(shape)[-1]
+    return tuple(shape.model_fields) if isinstance(shape, type) and issubclass(shape, Model) else ()
+
+
+def _as_told(detail: ErrorDetails) -> list[int | str]:
+    return list(detail["loc"])
+
+
+def fault(
+    error: ValidationError,
+    origin: str,
+    document: Mapping[str, Any],
+    steps_of: Callable[[ErrorDetails], list[int | str]] = _as_told,
+) -> InputError:
+    """One line for the first thing that is wrong, in the user's words.
+
+    Parameters
+    ----------
+    error : ValidationError
+        What pydantic says.
+    origin : str
+        File.
+    document : Mapping
+        Its tables.
+    steps_of : callable
+        Where in the file a detail is, where that is not what pydantic says.
+    """
+    details = error.errors(include_url=False)
+    # An unknown key often explains the missing one beside it, so it is told first.
+    details.sort(key=lambda detail: detail["type"] != "extra_forbidden")
+    first = details[0]
+    more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
+    steps = steps_of(first)
+    return InputError(_message(first, _written(document, steps)) + more, where=f"{origin}: {_key_path(steps)}")
+
+
+def _key_path(steps: Iterable[int | str]) -> str:
+    """Key path as messages write it."""
+    path = ""
+    for step in steps:
+        path += f"[{step}]" if isinstance(step, int) else f".{step}" if path else step
+    return path or "the file"
+
+
+def _written(document: Any, steps: Iterable[int | str]) -> Any:
+    """What stands at a place of the file, None where nothing does: pydantic tells of what it became."""
+    for step in steps:
+        try:
+            document = document[step]
+        except (KeyError, IndexError, TypeError):
+            return None
+    return document
+
+
+def _message(detail: ErrorDetails, written: Any) -> str:
+    context: Mapping[str, Any] = detail.get("ctx", {})
+    kind = detail["type"]
+    given = detail["input"] if written is None else written
+    # The limits of quantities are in SI, and so that this is clear their values stand there as they were written.
+    si = " (in SI units)" if isinstance(given, str) else ""
+    shown = f"{given!r}" if isinstance(given, str | bool | int | float) else _NAMES.get(type(given), "that")
+    if kind in _WRONG_KINDS:
+        return f"must be {_WRONG_KINDS[kind]}, not {shown}"
+    match kind:
+        case "extra_forbidden":
+            return _UNKNOWN
+        case "missing":
+            return "is missing"
+        case "value_error":
+            return str(context["error"])
+        case "greater_than":
+            return f"must be above {context['gt']:g}{si}, not {shown}"
+        case "greater_than_equal":
+            return f"must be at least {context['ge']:g}{si}, not {shown}"
+        case "less_than_equal":
+            return f"must be at most {context['le']:g}{si}, not {shown}"
+        case "too_short":
+            return f"must have at least {context['min_length']} entries, not {context['actual_length']}"
+        case "too_long":
+            return f"must have at most {context['max_length']} entries, not {context['actual_length']}"
+        case "literal_error" | "union_tag_invalid":
+            return (
+                f"{context.get('tag', given)!r} is not one of {context.get('expected', context.get('expected_tags'))}"
+            )
+        case "union_tag_not_found":
+            return "is missing"
+        case "string_pattern_mismatch":
+            return f"{given!r} is no name: a letter, then letters, digits, _ or -, at most 64"
+        case "finite_number":
+            return "is not a finite number"
+    return f"{detail['msg'][0].lower()}{detail['msg'][1:]}"
