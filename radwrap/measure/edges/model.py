@@ -145,7 +145,7 @@ class Model:
             columns = [fixed + third * splines + int(knot) + np.arange(near) for third in range(3)]
             part[:, np.concatenate([np.arange(fixed), *columns, [-1]])] = triangle
             parts.append(part)
-        whole = np.linalg.qr(np.concatenate(parts), mode="r")
+        whole: Array = np.asarray(np.linalg.qr(np.concatenate(parts), mode="r"))
         return whole[:, :-1], whole[:, -1]
 
     def _slopes(self, parameters: Array) -> Array:
