@@ -14,6 +14,9 @@ from radwrap.errors import InputError
 from radwrap.images import GrayImage, write_png
 from radwrap.measure.edges import Edge, disc_edge, measure_edge, pixel_edge
 from radwrap.measure.edges.correlation import variance_factor
+from radwrap.measure.edges.fit import _strip
+from radwrap.measure.edges.model import Model, splines_along
+from radwrap.measure.edges.search import find_line
 
 Array = NDArray[np.float64]
 
@@ -352,3 +355,28 @@ def test_errors_of_the_command_name_file_or_option(tmp_path: Path) -> None:
     output.close()
     with pytest.raises(InputError, match="is in colour"):
         run(str(colour))
+
+
+def test_the_reduced_fit_knows_all_that_least_squares_ask_for() -> None:
+    """J^T J, J^T f and f^T f of the banded decomposition, against the whole Jacobian of an edge of 300 px."""
+    image = gray(share(0.3, 100.0, 2.0, shape=(300, 120))).values
+    line = find_line(image)
+    strip = _strip(image, image < 179.99, line)  # some pixels are saturated
+    s = line.along(strip.u, strip.v)
+    base = np.column_stack([np.ones_like(s), s / 300])
+    model = Model(strip, line, 1.0, None, 160.0, splines_along(s, float(s.min()), float(s.max())), base)
+    splines = model.along
+    parameters = np.random.default_rng(1).uniform(0.9, 1.1, 4 + 2 + 3 * splines.count)
+    local = model._slopes(parameters)
+    whole = np.zeros((len(s), len(parameters)))
+    whole[:, :6] = local[:, :6]
+    for third in range(3):
+        columns = 6 + third * splines.count + splines.first[:, None] + np.arange(4)
+        np.put_along_axis(whole, columns, local[:, 6 + 4 * third : 10 + 4 * third], axis=1)
+    whole, residual = whole[strip.usable], model.residual(parameters)
+    jacobian, left = model.reduced(parameters)
+    assert 0 < strip.usable.sum() < len(s) and splines.count > 8 and len(jacobian) <= len(parameters) + 1
+    scale = float(np.abs(whole.T @ whole).max())
+    assert jacobian.T @ jacobian == pytest.approx(whole.T @ whole, rel=1e-10, abs=1e-14 * scale)
+    assert jacobian.T @ left == pytest.approx(whole.T @ residual, rel=1e-10)
+    assert left @ left == pytest.approx(residual @ residual, rel=1e-13)

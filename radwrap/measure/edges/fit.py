@@ -13,7 +13,7 @@ from radwrap.errors import InputError
 from radwrap.images import GrayImage
 from radwrap.measure.background import QUANTISATION
 from radwrap.measure.edges.correlation import variance_factor
-from radwrap.measure.edges.model import KNOT_SPACING, Model, Pixels, splines_along
+from radwrap.measure.edges.model import Model, Pixels, splines_along
 from radwrap.measure.edges.search import Line, find_line, normal_angle
 
 Array = NDArray[np.float64]
@@ -22,8 +22,9 @@ Region = tuple[int, int, int, int]
 SMALLEST_SIDE: Final = 12  # px; less holds no edge with both of its levels
 LEVEL_PIXELS: Final = 3  # beyond the blur, on each side, in every row: level, slope and curvature hang on them
 LARGEST_SATURATED: Final = 0.05  # share of the strip; beyond it the bright level is not known
-_COPIES: Final = 8  # of the Jacobian that live at a time, as measured
+_BYTES: Final = 1000  # a pixel of the strip, an estimate: its 20 columns that are not 0, and some copies
 _MOST_BYTES: Final = 1 << 31
+_BAND: Final = 64  # rows
 LARGEST_RESIDUAL: Final = 0.15  # of the contrast; a straight edge between smooth sides leaves less
 LARGEST_GAMMA_ERROR: Final = 0.3  # a gamma known worse than that tells nothing, and spoils the position
 NARROWEST: Final = 1e-3  # px; blur below this is the sharp step
@@ -151,10 +152,9 @@ def measure_edge(
     if low == high:
         raise InputError(f"is blank: gray {low:g} all over", where="the image", remedy="aim at an edge")
     start = find_line(values)
-    seen = Pixels.of(values, usable)
     found = start
     for tolerance in (1e-4, 1e-10, 1e-10, 1e-10):  # the strip follows the blur; it stands after two or three rounds
-        strip = _strip(seen, found, values.shape)
+        strip = _strip(values, usable, found)
         last = found
         found, edge = _fit(strip, found, dark, gamma, aspect=pixel_aspect, tolerance=tolerance)
         if abs(found.half_width - last.half_width) < 1.0 and abs(found.shift_from(last)) < 0.05:
@@ -190,10 +190,9 @@ def _cut(image: GrayImage, region: Region | None) -> tuple[Array, tuple[int, int
     return image.values[v0 : v1 + 1, u0 : u1 + 1], (u0, v0)
 
 
-def _strip(seen: Pixels, line: Line, shape: tuple[int, int]) -> Pixels:
+def _strip(values: Array, usable: NDArray[np.bool_], line: Line) -> Pixels:
     """Pixels near the edge that see it; ends inside the image are kept clear of what ends there."""
-    d, s = line.across(seen.u, seen.v), line.along(seen.u, seen.v)
-    inside = np.abs(d) <= line.half_width
+    shape = values.shape
     first, last = line.ends
     clear = line.radius + 3.0
     reach_u = [line.centre[0] - end * math.sin(line.angle) for end in (first, last)]
@@ -203,17 +202,22 @@ def _strip(seen: Pixels, line: Line, shape: tuple[int, int]) -> Pixels:
     ]
     first = first + clear if margins[0] else -math.inf
     last = last - clear if margins[1] else math.inf
-    inside &= (s >= first) & (s <= last)
-    here = inside & seen.usable
-    length = float(np.ptp(s[here])) if here.any() else 0.0
-    sides = min((d[inside] > line.radius).sum(), (d[inside] < -line.radius).sum())
+    bands = []
+    for top in range(0, shape[0], _BAND):  # places of all pixels of a large picture take gigabytes
+        part = Pixels.of(values[top : top + _BAND], usable[top : top + _BAND], top)
+        s = line.along(part.u, part.v)
+        bands.append(part.only((np.abs(line.across(part.u, part.v)) <= line.half_width) & (s >= first) & (s <= last)))
+    strip = Pixels.joined(bands)
+    d, s = line.across(strip.u, strip.v), line.along(strip.u, strip.v)
+    length = float(np.ptp(s[strip.usable])) if strip.usable.any() else 0.0
+    sides = min((d > line.radius).sum(), (d < -line.radius).sum())
     if length < SMALLEST_SIDE / 2 or sides < LEVEL_PIXELS * length:
         raise InputError(
             "shows no whole edge: too few pixels on one of its sides",
             where="the image",
             remedy="bring the edge and both of its sides into the image or region",
         )
-    return Pixels(seen.u[inside], seen.v[inside], seen.gray[inside], seen.usable[inside])
+    return strip
 
 
 def _fit(
@@ -242,7 +246,7 @@ def _fit(
     width, length = line.half_width, max(float(np.ptp(s)), 1.0)
     base = np.column_stack([np.ones_like(d), d / width, s / length, (s / length) ** 2])
     model = Model(strip, line, aspect, dark, contrast, splines_along(s, float(s.min()), float(s.max())), base)
-    splines = model.along.shape[1]
+    splines = model.along.count
     start = np.concatenate(
         [[0.0, 0.0, line.radius, gamma or 1.0], [low, 0, 0, 0], np.ones(splines), np.zeros(2 * splines)]
     )
@@ -262,10 +266,19 @@ def _fit(
         full[free] = p
         return full
 
+    # Both come of one decomposition, and the solver asks for the Jacobian where it has just had the residual.
+    here = start[free], *model.reduced(start)
+
+    def at(p: Array) -> tuple[Array, Array]:
+        nonlocal here
+        if not np.array_equal(p, here[0]):
+            here = p.copy(), *model.reduced(whole(p))
+        return here[1], here[2]
+
     solved = least_squares(
-        lambda p: model.residual(whole(p)),
+        lambda p: at(p)[1],
         start[free],
-        jac=lambda p: model.jacobian(whole(p))[:, free],
+        jac=lambda p: at(p)[0][:, free],
         bounds=bounds[:, free],
         x_scale="jac",
         ftol=tolerance,
@@ -278,13 +291,13 @@ def _fit(
 
 
 def _check_size(pixels: int, length: float) -> None:
-    """Refuse an edge whose Jacobian, its decomposition and copies would not fit."""
-    need = pixels * (8 + 3 * (length / KNOT_SPACING + 3)) * 8 * _COPIES
+    """Refuse an edge whose fit would not fit."""
+    need = pixels * _BYTES
     if need > _MOST_BYTES:
         raise InputError(
             f"shows an edge of {length:.0f} px, whose fit takes {need / 2**30:.1f} GiB of memory",
             where="the image",
-            remedy=f"name a region, some {length * (_MOST_BYTES / need) ** 0.5 / 2:.0f} px long",
+            remedy=f"name a region, some {length * _MOST_BYTES / need / 2:.0f} px long",
         )
 
 
@@ -297,7 +310,7 @@ def _refined(line: Line, parameters: Array) -> Line:
 
 def _edge(model: Model, parameters: Array, free: NDArray[np.bool_], saturated: int) -> Edge:
     """Standard errors from the Jacobian and the residual; refuses what is no straight edge."""
-    jacobian = model.jacobian(parameters)[:, free]
+    jacobian = model.reduced(parameters)[0][:, free]
     residual = model.residual(parameters)
     count = residual.size
     # The levels' columns can be all but dependent where light is even: the pseudo-inverse leaves out what is not there.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -30,10 +30,44 @@ class Pixels:
     usable: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, values: Array, usable: NDArray[np.bool_]) -> Pixels:
-        """All pixels of an image."""
+    def of(cls, values: Array, usable: NDArray[np.bool_], top: int = 0) -> Pixels:
+        """All pixels of some rows of an image, the first of which is `top`."""
         v, u = np.indices(values.shape, dtype=np.float64)
-        return cls(u.ravel(), v.ravel(), values.ravel(), usable.ravel())
+        return cls(u.ravel(), v.ravel() + top, values.ravel(), usable.ravel())
+
+    @classmethod
+    def joined(cls, parts: Sequence[Pixels]) -> Pixels:
+        """One list of several."""
+        names = ("u", "v", "gray", "usable")
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+    def only(self, some: NDArray[np.bool_]) -> Pixels:
+        """Those that are flagged."""
+        return Pixels(self.u[some], self.v[some], self.gray[some], self.usable[some])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Splines:
+    """B-splines along the edge at some places; of many only neighbours differ from 0 at any one.
+
+    Attributes
+    ----------
+    values : ndarray, shape (places, neighbours)
+        Of those that differ from 0.
+    first : ndarray of int, shape (places,)
+        Number of the first of them.
+    count : int
+        How many splines there are.
+    """
+
+    values: Array
+    first: NDArray[np.intp]
+    count: int
+
+    def sum(self, levels: Array) -> Array:
+        """Sum of the splines times one level each, at all places."""
+        near = levels[self.first[:, None] + np.arange(self.values.shape[1])]
+        return np.asarray((self.values * near).sum(axis=1), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +84,7 @@ class Model:
     aspect: float
     dark: float | None
     contrast: float
-    along: Array  # (pixels, splines)
+    along: Splines  # at the pixels
     base: Array  # (pixels, dark levels)
 
     def means(self, shape: Array) -> list[Array]:
@@ -65,15 +99,15 @@ class Model:
 
     def bright(self, levels: Array, means: list[Array]) -> Array:
         """Light of the bright side: value, slope and curvature across the edge, and what these imply beyond."""
-        parts = [self.along @ part for part in levels.reshape(3, -1)]
+        parts = [self.along.sum(part) for part in levels.reshape(3, -1)]
         light = np.stack([*parts, *_higher(*parts)]) * np.stack(means)
         return np.asarray(light.sum(axis=0), dtype=np.float64)
 
     def bright_columns(self, levels: Array, means: list[Array]) -> Array:
-        """Derivatives of the bright side's light by its levels."""
-        slopes = _higher_slopes(*(self.along @ part for part in levels.reshape(3, -1)))
+        """Derivatives of the bright side's light by its levels, of each third those that differ from 0."""
+        slopes = _higher_slopes(*(self.along.sum(part) for part in levels.reshape(3, -1)))
         weights = [mean + c * means[3] + d * means[4] for mean, (c, d) in zip(means[:3], slopes, strict=True)]
-        return np.concatenate([self.along * weight[:, None] for weight in weights], axis=1)
+        return np.concatenate([self.along.values * weight[:, None] for weight in weights], axis=1)
 
     def gray(self, parameters: Array, means: list[Array] | None = None) -> tuple[Array, Array, Array]:
         """Gray levels, light h, and dG/dh."""
@@ -92,8 +126,30 @@ class Model:
         left: Array = self.gray(parameters)[0] - self.strip.gray
         return left[self.strip.usable]
 
-    def jacobian(self, parameters: Array) -> Array:
-        """Levels and gamma in closed form; shift, turn and radius by differences."""
+    def reduced(self, parameters: Array) -> tuple[Array, Array]:
+        """Jacobian J and residual f of fewer rows, with the same J^T J, J^T f and f^T f.
+
+        Least squares know no more of them. Along the edge J is banded: pixels between two knots share all columns that
+        differ from 0, so each such group goes through a QR decomposition of its own, and what is left through one more.
+        """
+        used = self.strip.usable
+        rows = np.column_stack([self._slopes(parameters), self.gray(parameters)[0] - self.strip.gray])[used]
+        first, splines = self.along.first[used], self.along.count
+        order = np.argsort(first, kind="stable")
+        knots, starts = np.unique(first[order], return_index=True)
+        fixed, near = 4 + int(self.base.shape[1]), int(self.along.values.shape[1])
+        parts = []
+        for knot, group in zip(knots, np.split(order, starts[1:]), strict=True):
+            triangle = np.linalg.qr(rows[group], mode="r")
+            part = np.zeros((len(triangle), fixed + 3 * splines + 1))
+            columns = [fixed + third * splines + int(knot) + np.arange(near) for third in range(3)]
+            part[:, np.concatenate([np.arange(fixed), *columns, [-1]])] = triangle
+            parts.append(part)
+        whole: Array = np.asarray(np.linalg.qr(np.concatenate(parts), mode="r"))
+        return whole[:, :-1], whole[:, -1]
+
+    def _slopes(self, parameters: Array) -> Array:
+        """Levels and gamma in closed form; shift, turn and radius by differences; of the splines those not 0."""
         means = self.means(parameters[:4])
         here, light, slope = self.gray(parameters, means)
         gamma = parameters[3]
@@ -106,18 +162,16 @@ class Model:
         by_gamma = self.contrast * lit ** (gamma - 1) * light * np.log(lit)
         dark = self.base if self.dark is None else self.base * slope[:, None]
         bright = self.bright_columns(parameters[4 + self.base.shape[1] :], means)
-        whole = np.column_stack([*parts, by_gamma, dark, bright * slope[:, None]])
-        kept: Array = whole[self.strip.usable]
-        return kept
+        return np.column_stack([*parts, by_gamma, dark, bright * slope[:, None]])
 
     def levels(self, parameters: Array) -> tuple[Array, Callable[[Array], Array]]:
         """Low and high gray at the centre, and how they hang on the parameters."""
-        middle = splines_along(np.zeros(1), *self._span)[0]
+        middle = splines_along(np.zeros(1), *self._span)
         split = 4 + self.base.shape[1]
 
         def both(p: Array) -> Array:
             floor, gamma = float(p[4]), p[3]
-            top = float(middle @ p[split : split + middle.size])
+            top = float(middle.sum(p[split : split + middle.count])[0])
             if self.dark is None:
                 return np.array([floor, floor + self.contrast * max(top, 0.0) ** gamma])
             lights = np.maximum([floor, floor + top], 0.0)
@@ -152,7 +206,7 @@ def _higher_slopes(a: Array, b: Array, q: Array) -> list[tuple[Array, Array]]:
     return [(is_lit * by_a[0], is_lit * by_a[1]), by_b, by_r]
 
 
-def splines_along(s: Array, first: float, last: float) -> Array:
+def splines_along(s: Array, first: float, last: float) -> Splines:
     """Cubic B-splines along the edge; few enough to be held by few rows, many enough for a blob of light."""
     from scipy.interpolate import BSpline
 
@@ -160,5 +214,6 @@ def splines_along(s: Array, first: float, last: float) -> Array:
     degree = 3 if last - first > KNOT_SPACING / 2 else 2
     inner = np.linspace(first, last, pieces + 1)
     knots = np.concatenate([np.full(degree, first), inner, np.full(degree, last)])
-    matrix: Array = BSpline.design_matrix(np.clip(s, first, last), knots, degree).toarray()
-    return matrix
+    matrix = BSpline.design_matrix(np.clip(s, first, last), knots, degree)
+    numbers = np.asarray(matrix.indices, dtype=np.intp).reshape(-1, degree + 1)[:, 0]
+    return Splines(matrix.data.reshape(-1, degree + 1), numbers, len(knots) - degree - 1)
