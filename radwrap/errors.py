@@ -24,11 +24,11 @@ class RadwrapError(Exception):
     Parameters
     ----------
     what : str
-        What is wrong.
+        What is wrong; parameters stand in backquotes, such as `trust=True`.
     where : str
-        File and key path, or program; empty where there is no such place.
+        File and key path, parameter or program; empty where there is no such place.
     remedy : str
-        What the user can do; empty where ``what`` already says it.
+        What the user can do, with parameters as in ``what``; empty where ``what`` already says it.
     """
 
     exit_code = 1

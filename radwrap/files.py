@@ -48,14 +48,17 @@ def check_result(path: Path) -> None:
     ------
     InputError
         If a device, a pipe, a link or a folder has that name, or the name cannot be a file's.
+    EnvironmentFailure
+        If the disk has no room for such a name.
     """
     try:
         taken = path.lstat().st_mode
     except (FileNotFoundError, NotADirectoryError):
         return
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or str(error)
-        raise InputError(f"cannot be written: {why}", where=str(path), remedy="choose another name") from error
+    except OSError as error:
+        raise disk_failure(path, error) from error
+    except ValueError as error:
+        raise InputError(f"cannot be written: {error}", where=str(path), remedy="choose another name") from error
     if not stat.S_ISREG(taken):
         raise InputError("is not a regular file", where=str(path), remedy="give a new name, or that of a regular file")
 
@@ -136,12 +139,12 @@ def make_folder(path: Path) -> None:
     try:
         str(path).encode()
     except UnicodeEncodeError as error:
-        raise InputError("its name is not UTF-8", where=repr(str(path)), remedy="choose another --out") from error
+        raise InputError("its name is not UTF-8", where=repr(str(path)), remedy="choose another `out`") from error
     try:
         path.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError) as error:
         raise InputError(
-            "a file stands where a folder is needed", where=str(path), remedy="choose another --out"
+            "a file stands where a folder is needed", where=str(path), remedy="choose another `out`"
         ) from error
     except OSError as error:
         raise disk_failure(path, error) from error
@@ -167,7 +170,7 @@ def sole_owner(folder: Path) -> Iterator[None]:
             _lock(stream.fileno())
         except OSError as error:
             raise FolderTaken(
-                "another run is writing here", where=str(folder), remedy="wait for it or choose another --out"
+                "another run is writing here", where=str(folder), remedy="wait for it or choose another `out`"
             ) from error
         yield
 

@@ -53,7 +53,7 @@ class Limits:
     silence: float = 600.0
     total: float = math.inf
     memory: int = 16 << 30
-    remedy: str = "raise --tracer-timeout if the scene needs longer"
+    remedy: str = "raise `tracer_timeout` if the scene needs longer"
 
 
 class Programs:

@@ -25,7 +25,7 @@ from radwrap.imaging.relight.relit import Basis, read_basis, relit
 from radwrap.imaging.tolerance.certificate import certify_by_independent_rays
 from radwrap.imaging.tolerance.planner import render_to_tolerance
 from radwrap.imaging.tolerance.replicates import Work
-from radwrap.imaging.tracing import TracedScene, traced_scene
+from radwrap.imaging.tracing import LaidOutScene, traced_scene
 from radwrap.process import Programs
 from radwrap.progress import Progress
 from radwrap.scene.sources import LedChange, Ring
@@ -99,7 +99,7 @@ def off_linear(folder: Path, levels: np.ndarray) -> float:
     for name in ("work", "pieces", "frozen"):
         (folder / name).mkdir()
     with Programs() as programs:
-        traced = TracedScene(scene, options, programs, folder / "work")
+        traced = LaidOutScene(scene, options, programs, folder / "work")
         work = Work(traced.view(), folder / "pieces", programs, Progress("", 1, shown=False), traced.sha256(), 0)
         outcome = render_to_tolerance(work, options.demand)
         views = {name: traced.view_of(name) for name in shining(scene, traced.prepared)}

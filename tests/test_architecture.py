@@ -1,6 +1,7 @@
 """The layout is a promise: data flows one way, and each foreign package has one door."""
 
 import ast
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -80,6 +81,59 @@ DOORS = {
     "pyradiance": {},  # its programs are used; importing it changes PATH
     "EasyMCP2221": {},  # tests hold our own driver against it
     "ctypes": {},  # nothing here calls C
+}
+# Who writes words of the command line outside cli/, and why.
+OPTION = re.compile(r"(?<![\w-])--[a-z]")
+SPELLERS = {
+    "led/connect.py": "arguments of the emulator, a program of its own",
+    "led/emulator/__main__.py": "the same",
+    "led/ports.py": "names a command to be copied as it is",
+    "scene/file/calibration_file.py": "names a command to be copied as it is",
+    "scene/look/smallness.py": "a warning of the manifest",
+    "study/tolerate.py": "a note of the report",
+    "study/trade.py": "settings, told as commands to be copied as they are",
+    "study/trade_report.py": "the same",
+    "tracers/povray.py": "arguments of POV-Ray",
+}
+# Files that users name are read through reading.py. What else opens a file, in the words of the source, and why it may.
+SHIPPED = "files('radwrap')"  # files of the package itself, which nobody names
+OPENERS = {"open", "fdopen", "read_bytes", "read_text", "fromfile", "genfromtxt", "loadtxt", "memmap", "imread"}
+READ_ELSEWHERE = {
+    "cli/main.py": {"os.open": "the null device, for a stdout that is gone"},
+    "cli/streams.py": {
+        "os.fdopen": "the process's own streams",
+        "os.open": "the null device, for streams that were closed",
+    },
+    "convert/ies_files.py": {"file.read_bytes": "what ies2rad left in a folder of our own"},
+    "descendants.py": {"(place / 'environ').read_bytes": "processes of this machine"},
+    "files.py": {
+        "os.open": "flushes to the disk what was just written",
+        "path.open": "hashes the files that a basis lists",
+        "(folder / LOCK_NAME).open": "the lock of a folder that is written to",
+        "temporary.read_bytes": "reads back what was just written",
+    },
+    "images.py": {
+        "_without_threads().ImageInput.open": "pictures that the door has let in, or that were just written",
+        "output.open": "writes",
+        "path.open": "the header of a picture that the door has let in",
+        "path.read_bytes": "a PNG that was just written",
+    },
+    "imaging/methods/pieces.py": {"(folder / CALL_LOG).open": "appends to a log"},
+    "led/claim.py": {
+        "os.open": "locks, which hold nothing",
+        "(process / 'cmdline').read_bytes": "processes of this machine",
+        "(process / 'fdinfo' / own.name).read_text": "processes of this machine",
+    },
+    "led/emulator/server.py": {"self._handles.open": "a handle of the emulated device"},
+    "reading.py": {"os.open": "the door", "os.fdopen": "the door"},
+    "scene/mesh_files/parts.py": {"made.read_bytes": "what the STEP reader left in a folder of our own"},
+    "study/journal.py": {"os.open": "appends to a table"},
+    "study/report.py": {"path.read_bytes": "thumbnails of the study's own runs"},
+    "study/seal.py": {
+        "Path(seal.mark).read_text": "the mark that the study's runner has set",
+        "entry.read_bytes": "the package's own files, for their hash",
+    },
+    "study/worker.py": {"os.open": "appends to a log"},
 }
 LONGEST_MODULE = 500  # lines; a longer one becomes a folder
 
@@ -198,6 +252,54 @@ def test_each_foreign_package_has_one_door() -> None:
     assert not wrong
     assert used == {(package, inside) for package, doors in DOORS.items() for inside in doors}, "a door nobody uses"
     assert all(reason for doors in DOORS.values() for reason in doors.values())
+
+
+def spelled(path: Path) -> Iterator[str]:
+    """Strings that name options of the command line; docstrings are for people."""
+    tree = ast.parse(path.read_text("utf-8"))
+    told = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    for node in ast.walk(tree):
+        text = node.value if isinstance(node, ast.Constant) and id(node) not in told else None
+        if isinstance(text, str) and OPTION.search(text):
+            yield text
+
+
+def test_only_the_command_line_knows_its_words() -> None:
+    spelling = {path.relative_to(PACKAGE).as_posix() for path in modules() if any(spelled(path))}
+    assert {path for path in spelling if not path.startswith("cli/")} == SPELLERS.keys()
+
+
+def openings(text: str) -> set[str]:
+    """Whatever a module's text calls to open a file, as it stands there; the package's own data aside."""
+    calls = [node.func for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Call)]
+    through_the_door = {"read_bytes", "read_text"}  # as plain names they are reading.py's
+    found = {
+        ast.unparse(call)
+        for call in calls
+        if (isinstance(call, ast.Attribute) and call.attr in OPENERS)
+        or (isinstance(call, ast.Name) and call.id in OPENERS - through_the_door)
+    }
+    return {call for call in found if SHIPPED not in call}
+
+
+def test_files_of_users_are_read_through_one_door() -> None:
+    found = {path.relative_to(PACKAGE).as_posix(): openings(path.read_text("utf-8")) for path in modules()}
+    assert {path: calls for path, calls in found.items() if calls} == {
+        path: set(reasons) for path, reasons in READ_ELSEWHERE.items()
+    }
+    assert all(reason for reasons in READ_ELSEWHERE.values() for reason in reasons.values())
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["Path(name).read_text()", "open(name)", "path.open()", "io.open(name)", "np.loadtxt(name)", "os.open(name, 0)"],
+)
+def test_the_rule_of_the_door_catches_a_way_round_it(text: str) -> None:
+    assert openings(text)
+
+
+def test_the_rule_of_the_door_lets_the_door_and_our_own_data_pass() -> None:
+    assert not openings("read_bytes(path, KIND)\n(files('radwrap') / 'data').read_text()")
 
 
 def test_no_module_is_too_long() -> None:

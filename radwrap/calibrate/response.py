@@ -211,7 +211,9 @@ def fit_response(
     _check(exposure, gray, [quantisation, *(value for value in (noise, dark, saturation) if value is not None)])
     groups = Groups(exposure, gray, quantisation)
     if dark is None and not groups.is_dark.any():
-        raise InputError("no frame has the exposure 0, so the dark gray level is unknown", remedy="add one or --dark G")
+        raise InputError(
+            "no frame has the exposure 0, so the dark gray level is unknown", remedy="add one, or give `dark`"
+        )
     first_dark = dark if dark is not None else float(groups.mean[groups.is_dark][0])
     if saturation is None:
         level, plateau = groups.plateau()

@@ -163,7 +163,7 @@ class Groups:
 def no_plateau() -> InputError:
     """The error where nothing tells the saturation."""
     return InputError(
-        "the frames show no plateau, so saturation is unknown", remedy="add two longer exposures or --saturation G"
+        "the frames show no plateau, so saturation is unknown", remedy="add two longer exposures or give `saturation`"
     )
 
 

@@ -136,13 +136,19 @@ def check_points(
 
 def _check_duplicates(values: Array, where: str) -> None:
     """Refuse the same point twice: an error of the list, and no evidence."""
+    from scipy.spatial import KDTree
+
     limit = DUPLICATE * float(np.ptp(values, axis=0).max())
-    for i in range(len(values) - 1):
-        near = np.flatnonzero(np.max(np.abs(values[i + 1 :] - values[i]), axis=1) <= limit)
-        if near.size:
-            raise InputError(
-                f"points {i + 1} and {i + 2 + int(near[0])} are the same", where=where, remedy="each point once"
-            )
+    # Equal points, which a tree cannot part, would each be held against all others.
+    distinct, place, times = np.unique(values, axis=0, return_inverse=True, return_counts=True)
+    close = times > 1
+    if len(distinct) > 1:
+        close |= KDTree(distinct).query(distinct, k=2, p=np.inf)[0][:, 1] <= limit
+    if not close.any():
+        return
+    first = int(close[place.ravel()].argmax())
+    second = first + 1 + int((np.max(np.abs(values[first + 1 :] - values[first]), axis=1) <= limit).argmax())
+    raise InputError(f"points {first + 1} and {second + 1} are the same", where=where, remedy="each point once")
 
 
 def _check_flat(free: frozenset[str], kappa1: float) -> None:

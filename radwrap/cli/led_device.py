@@ -29,7 +29,12 @@ _KINDS: dict[str, Kind] = {"mcp2221a_pca9685": "mcp2221a_pca9685", "lamparray": 
 
 def add_device(parser: argparse.ArgumentParser) -> None:
     """--device, --emulate, --emulator and --count."""
-    parser.add_argument("--device", metavar="WHICH", help="serial number or path of the ring, where there are several")
+    parser.add_argument(
+        "--device",
+        dest="which",
+        metavar="WHICH",
+        help="serial number or path of the ring, where there are several",
+    )
     parser.add_argument(
         "--emulate",
         metavar="KIND",
@@ -115,7 +120,7 @@ def _device(arguments: argparse.Namespace, count: int, scene: Scene | None, stac
             shape = (ring.diameter, ring.first_angle)
         emulator = stack.enter_context(EmulatorProcess(_KINDS[arguments.emulate], count, ring=shape))
         return choose(found([emulator.socket], only_emulators=True))
-    return choose(found(arguments.emulator, only_emulators=bool(arguments.emulator)), arguments.device)
+    return choose(found(arguments.emulator, only_emulators=bool(arguments.emulator)), arguments.which)
 
 
 def _calibration(

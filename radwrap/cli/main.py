@@ -17,6 +17,7 @@ from typing import Any, Final, NoReturn
 
 from radwrap.cli.address_space import check_address_space, is_lack_of_memory
 from radwrap.cli.interrupts import Interrupts, tell_interrupted
+from radwrap.cli.spelling import spell
 from radwrap.errors import EnvironmentFailure, InputError, RadwrapError, one_line
 
 _EPILOG = (
@@ -72,7 +73,11 @@ def _carried_out(given: list[str], interrupts: Interrupts) -> int:
     except SystemExit as end:  # --help and --version, which are told
         return int(end.code or 0)
     interrupts.begin_work()
-    code: int = parsed.run(parsed)
+    try:
+        code: int = parsed.run(parsed)
+    except RadwrapError as error:
+        spell(error, parsed.parser.options)
+        raise
     return code
 
 
@@ -108,6 +113,12 @@ class _Parser(argparse.ArgumentParser):
 
     def __init__(self, **more: Any) -> None:
         super().__init__(allow_abbrev=False, **more)
+        self.set_defaults(parser=self)  # the innermost is left: that of the verb
+
+    @property
+    def options(self) -> dict[str, str]:
+        """Spelling of each option by the name that its value goes by."""
+        return {action.dest: action.option_strings[-1] for action in self._actions if action.option_strings}
 
     def format_help(self) -> str:
         """Help without the mark-up of the docstrings that it is made of."""

@@ -87,15 +87,13 @@ def _gamma(text: str) -> float | None:
     try:
         return float(text)
     except ValueError as error:
-        raise InputError(f'"{text}" is neither a number nor "fitted"', where="--gamma") from error
+        raise InputError(f'"{text}" is neither a number nor "fitted"', where="gamma") from error
 
 
 def _located(error: InputError, path: Path) -> InputError:
     """The file's name, or the option's, where the function speaks of its arguments."""
     options = ("region", "gamma", "dark", "pixel_aspect", "saturation")
-    names = {name: f"--{name.replace('_', '-')}" for name in options}
-    where = error.where if error.where.startswith("--") else names.get(error.where, str(path))
-    return InputError(error.what, where=where, remedy=error.remedy)
+    return InputError(error.what, where=error.where if error.where in options else str(path), remedy=error.remedy)
 
 
 def _json(edge: Edge, arguments: argparse.Namespace) -> dict[str, Any]:

@@ -82,9 +82,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _located(error: InputError, path: Path) -> InputError:
     """The file's name, or the option's, where the function speaks of its arguments."""
-    names = {name: f"--{name.replace('_', '-')}" for name in ("threshold", "min_area", "gamma", "dark", "pixel_aspect")}
-    where = error.where if error.where.startswith("--") else names.get(error.where, str(path))
-    return InputError(error.what, where=where, remedy=error.remedy)
+    options = ("threshold", "min_area", "gamma", "dark", "pixel_aspect")
+    return InputError(error.what, where=error.where if error.where in options else str(path), remedy=error.remedy)
 
 
 def _json(found: Parts, arguments: argparse.Namespace) -> dict[str, Any]:

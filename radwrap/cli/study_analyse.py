@@ -22,7 +22,12 @@ def add_to(kinds: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument("--response", metavar="COLUMN", required=True, help="with or without its unit")
     parser.add_argument("--factors", metavar="A,B,C", default="", help="columns of the factors (default: the study's)")
     parser.add_argument(
-        "--label", metavar="A=TEXT", action="append", default=[], help="what a factor is; may be repeated"
+        "--label",
+        dest="labels",
+        metavar="A=TEXT",
+        action="append",
+        default=[],
+        help="what a factor is; may be repeated",
     )
     parser.add_argument(
         "--alpha", metavar="A", type=shared.number(), default=0.05, help="share of false alarms (default 0.05)"
@@ -38,7 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
     from radwrap.study.levels import read_data
 
     names = [name.strip() for name in arguments.factors.split(",") if name.strip()]
-    data = read_data(arguments.results, arguments.response, names, dict(map(_label, arguments.label)))
+    data = read_data(arguments.results, arguments.response, names, dict(map(_label, arguments.labels)))
     analysis = analyse(data, arguments.alpha)
     if arguments.out:
         from radwrap.study.figures import write_figures

@@ -24,6 +24,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser = verbs.add_parser("validate", description=_DESCRIPTION)
     parser.add_argument(
         "--only",
+        dest="names",
         metavar="NAME",
         action="append",
         default=[],
@@ -46,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
     options = RenderOptions(
         seed=arguments.seed, workers=arguments.workers, **shared.tracer_options(arguments), progress=True
     )
-    card = validate(options, arguments.only)
+    card = validate(options, arguments.names)
     if arguments.out:
         write_card(card, Path(arguments.out))
     print(json_text(card.as_json()) if arguments.json else "\n".join(lines(card)) + "\n", end="")

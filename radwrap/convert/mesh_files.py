@@ -147,12 +147,12 @@ def write_mesh(
     if unknown:
         raise InputError(
             f'the mesh has no material "{unknown[0]}"',
-            where="--materials",
+            where="materials",
             remedy=f"it has: {', '.join(group.name for group in groups)}",
         )
     number = sum(len(group.faces) for group in groups)
     if polygons and number > MOST_POLYGONS:
-        raise InputError(f"{number} polygons are too many", where="--polygons", remedy="leave it out")
+        raise InputError(f"{number} polygons are too many", where="polygons", remedy="leave it out")
     stem, frame = side_stem(out), TextFrame()
     functions, files = function_file(stem)
     parts = [f"# Radiance mesh written by radwrap. Lengths in mm.\n# {number} triangles\n"]

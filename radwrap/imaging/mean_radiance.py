@@ -84,7 +84,7 @@ def fixed_method(scene: Scene, options: RenderOptions) -> FixedMethod | None:
         return asked
     if options.viewpoints is not None:
         raise InputError(
-            "there are no sub-viewpoints as the pinhole's diameter is 0", where="--viewpoints", remedy="leave it out"
+            "there are no sub-viewpoints as the pinhole's diameter is 0", where="viewpoints", remedy="leave it out"
         )
     return "pinhole"
 
@@ -103,7 +103,7 @@ def how(scene: Scene, options: RenderOptions) -> dict[str, Any]:
     return {"method": method, "seed": options.seed, **pixels, **opening}
 
 
-def viewpoint_plan(scene: Scene, options: RenderOptions, method: FixedMethod, scene_sha256: str) -> ViewpointPlan:
+def viewpoint_plan(scene: Scene, options: RenderOptions, method: FixedMethod, traced_sha256: str) -> ViewpointPlan:
     """What pinhole and viewpoints trace."""
     aperture = scene.camera.aperture
     finite = method == "viewpoints"
@@ -113,7 +113,7 @@ def viewpoint_plan(scene: Scene, options: RenderOptions, method: FixedMethod, sc
         if finite
         else central_viewpoint(aperture),
         pixel_plan=PixelPlan(options.pixel_samples, options.pixel_sampling, options.seed),
-        scene_sha256=scene_sha256,
+        traced_sha256=traced_sha256,
     )
 
 
@@ -130,7 +130,7 @@ def make(scene: Scene, options: RenderOptions, work: Work) -> Made:
     method = fixed_method(scene, options)
     if method is None:
         return _to_tolerance(options, work)
-    plan = viewpoint_plan(scene, options, method, work.scene_sha256)
+    plan = viewpoint_plan(scene, options, method, work.traced_sha256)
     work.progress.expect(plan.rays)
     reused = trace_viewpoints(
         plan,

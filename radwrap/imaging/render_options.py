@@ -22,7 +22,7 @@ _VIEWPOINTS: Final = 37
 _FINEST: Final = 1e-3  # gray levels; the float32 of the tracer ends near there
 
 _PIXEL_SAMPLINGS: Final = get_args(PixelSampling)
-# Least and largest of each number, and what an error calls it where that is not its own name.
+# Least and largest of each number.
 _WHOLE: Final = {
     "viewpoints": (1, 100_000),
     "pixel_samples": (1, 100),
@@ -41,7 +41,6 @@ _REAL: Final = {
 }
 _NAMES: Final = {"method": METHODS, "layout": LAYOUTS, "pixel_sampling": _PIXEL_SAMPLINGS, "bounces": ("all", "auto")}
 _SWITCHES: Final = ("keep_viewpoints", "truth", "basis", "trust", "progress")
-_CALLED: Final = {"budget_rays": "budget", "budget_seconds": "budget seconds"}
 
 # Gray levels rms, where nothing else is asked for.
 TOLERANCE: Final = 0.5
@@ -132,23 +131,23 @@ class RenderOptions:
                 object.__setattr__(self, field.name, _checked(field.name, value))
         if self.viewpoints is not None and self.method not in {None, "viewpoints"}:
             raise InputError(
-                f"there are no sub-viewpoints with --method {self.method}", where="--viewpoints", remedy="leave it out"
+                f'there are no sub-viewpoints with `method="{self.method}"`', where="viewpoints", remedy="leave it out"
             )
 
         if self.fixed_method is not None:
-            asked = {"max-error": self.max_error, "budget": self.budget_rays or self.budget_seconds}
-            for option, wanted in asked.items():
-                if wanted is not None:
+            names = ("max_error", "budget_rays", "budget_seconds")
+            for name in names:
+                if getattr(self, name) is not None:
                     raise InputError(
                         f"{self.fixed_method} has a fixed number of rays and keeps no tolerance",
-                        where=f"--{option}",
+                        where=name,
                         remedy="leave it out, or leave out the method and its options",
                     )
         self._check_bounces()
         if self.basis and self.fixed_method is not None:
             raise InputError(
                 f"needs an image to tolerance, not {self.fixed_method}",
-                where="--basis",
+                where="basis",
                 remedy="leave out the method and its options, or name kernel or rays",
             )
 
@@ -159,11 +158,11 @@ class RenderOptions:
         if method not in {None, "rays"}:
             raise InputError(
                 f"{method} has one ray at each place, which does not average walks of light: bounces need rays",
-                where="--bounces",
-                remedy="leave out the method and its options, or say --method rays",
+                where="bounces",
+                remedy='leave out the method and its options, or say `method="rays"`',
             )
         if self.basis:
-            raise InputError("does not go with bounces yet", where="--basis", remedy="render each light by itself")
+            raise InputError("does not go with bounces yet", where="basis", remedy="render each light by itself")
 
     @property
     def viewpoint_number(self) -> int:
@@ -197,11 +196,10 @@ class RenderOptions:
 
 def _checked(name: str, value: Any) -> Any:
     """The value of an option, as JSON can hold it; those of other kinds are checked where they are used."""
-    where = f"--{_CALLED.get(name, name.replace('_', '-'))}"
     if name in _NAMES and not (name in _WHOLE and not isinstance(value, str)):
-        return choice_of(value, where, _NAMES[name])
+        return choice_of(value, name, _NAMES[name])
     if name in _WHOLE:
-        return number_of(value, where, *_WHOLE[name], whole=True)
+        return number_of(value, name, *_WHOLE[name], whole=True)
     if name in _REAL:
-        return number_of(value, where, *_REAL[name], whole=False)
-    return switch_of(value, where) if name in _SWITCHES else value
+        return number_of(value, name, *_REAL[name], whole=False)
+    return switch_of(value, name) if name in _SWITCHES else value

@@ -50,7 +50,7 @@ from radwrap.imaging.tolerance.planner import choose
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.survey import survey
 from radwrap.imaging.tolerance.uncertainty import seen_magnifications, share_spread
-from radwrap.imaging.tracing import TracedScene, laid_out
+from radwrap.imaging.tracing import LaidOutScene, laid_out
 from radwrap.manifest import plain, read_manifest, sha256_of_value
 from radwrap.process import Programs, available_cores, children_cpu_time
 from radwrap.progress import Progress
@@ -183,7 +183,7 @@ def _render_into(scene: Scene, out: Path, options: RenderOptions) -> Rendered:
             leftover.unlink(missing_ok=True)
         make_folder(work)
         try:
-            traced = TracedScene(scene, options, programs, work)
+            traced = LaidOutScene(scene, options, programs, work)
             run = _Run(scene, options, programs, traced, identity_of(scene, options, traced), out, work / _MADE)
             if not _is_finished(run):
                 _carry_out(run, start, cpu)
@@ -215,7 +215,7 @@ class _Run:
     scene: Scene
     options: RenderOptions
     programs: Programs
-    traced: TracedScene
+    traced: LaidOutScene
     identity: Identity
     out: Path
     made: Path

@@ -28,7 +28,7 @@ from radwrap.tracers.summed import SummedTracer
 from radwrap.tracers.tracer import Tracer
 
 
-class TracedScene:
+class LaidOutScene:
     """A scene's text and files, and the tracers that are built from them in a working folder.
 
     Raises
@@ -119,7 +119,7 @@ class TracedScene:
         if self.scene.spectral is not None:
             raise InputError(
                 "the scene has spectra, and light that goes from surface to surface changes its colour each time",
-                where="--bounces",
+                where="bounces",
                 remedy="render without bounces, or leave out the spectra",
             )
         materials = reflecting_parts(self.scene, self.prepared.parts)
@@ -197,10 +197,10 @@ def scene_sha256(scene: Scene, prepared: PreparedScene) -> str:
 
 
 @contextmanager
-def laid_out(scene: Scene, options: RenderOptions) -> Iterator[TracedScene]:
+def laid_out(scene: Scene, options: RenderOptions) -> Iterator[LaidOutScene]:
     """A scene laid out for probes; its files and programs are gone at the end of the block."""
     with tempfile.TemporaryDirectory(prefix="radwrap-") as folder, Programs() as programs:
-        yield TracedScene(scene, options, programs, Path(folder))
+        yield LaidOutScene(scene, options, programs, Path(folder))
 
 
 @contextmanager

@@ -67,11 +67,11 @@ def choose(devices: Sequence[Found], which: str | None = None) -> tuple[Found, K
         return fitting[0]
     listed = ", ".join(f"{device.path} (serial {device.serial or 'none'})" for device, _ in rings) or "none"
     if fitting:
-        raise InputError(f"several rings fit: {listed}", where="--device", remedy="name one by its serial or path")
+        raise InputError(f"several rings fit: {listed}", where="which", remedy="name one by its serial or path")
     raise EnvironmentFailure(
         f"no such ring is there; found: {listed}",
         where=which or "LED ring",
-        remedy="is it plugged in, with a cable that carries data? --emulate needs none",
+        remedy="is it plugged in, with a cable that carries data? an emulated ring needs none",
     )
 
 

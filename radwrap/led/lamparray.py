@@ -110,7 +110,7 @@ class LampArray:
         lamps, _, _, _, _, interval = struct.unpack("<H5I", self._get(_ATTRIBUTES))
         self._interval = interval * _MICRO
         if lamps != count or not 1 <= lamps <= _MOST_LAMPS:
-            raise DeviceFailure(f"has {lamps} lamps, not {count}", where="LampArray", remedy=f"give --count {lamps}")
+            raise DeviceFailure(f"has {lamps} lamps, not {count}", where="LampArray", remedy=f"give `count={lamps}`")
         if self._interval > _LONGEST_INTERVAL:
             raise DeviceFailure(f"takes {self._interval:g} s from frame to frame", where="LampArray")
         self._count = count

@@ -181,7 +181,7 @@ def _done(out: Path, record: Mapping[str, Any], ring: LedRing, frames: Sequence[
     old = read_manifest(out / RECORD)
     if old.get("sequence_sha256") != record["sequence_sha256"]:
         raise InputError(
-            "holds the play of another sequence, ring or calibration", where=str(out), remedy="choose another --out"
+            "holds the play of another sequence, ring or calibration", where=str(out), remedy="choose another `out`"
         )
     shown, timing = old.get("frames"), old.get("timing")
     begins = timing.get("begin") if isinstance(timing, dict) else None
@@ -193,7 +193,9 @@ def _done(out: Path, record: Mapping[str, Any], ring: LedRing, frames: Sequence[
                 done[frame.name] = _entry(frame, ring.frame_of(frame.levels), begin)
         if shown == {name: _without_time(entry) for name, entry in done.items()}:
             return done
-    raise InputError("is no whole record of this play", where=str(out / RECORD), remedy="remove it, or choose --out")
+    raise InputError(
+        "is no whole record of this play", where=str(out / RECORD), remedy="remove it, or choose another `out`"
+    )
 
 
 def _without_time(entry: Mapping[str, Any]) -> dict[str, Any]:

@@ -127,7 +127,7 @@ def found(
     if module is None:
         if there:
             return there
-        raise PortFailure("hidapi cannot be loaded", remedy="pip install hidapi, or use --emulate")
+        raise PortFailure("hidapi cannot be loaded", remedy="pip install hidapi, or use an emulated ring")
     for entry in module.enumerate():
         own = entry["path"].decode(errors="surrogateescape")
         there.append(

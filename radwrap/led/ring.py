@@ -137,7 +137,7 @@ class LedRing:
         lit = any(frame.steps)
         with self._careful():
             if lit and self._guardian is not None:
-                self._guardian.watch(self._longest)
+                self._guardian.watch(self._max_on_time)
             if lit:
                 # Before it is sent: interrupted within, it may shine, and only `off` knows that it does not.
                 self._lit_since = time.monotonic()
@@ -156,9 +156,7 @@ class LedRing:
             If there is no calibration, or it does not reach so far.
         """
         if self._calibration is None:
-            raise InputError(
-                "radiant intensities need a calibration", remedy="give --calibration or --full-scale, or levels"
-            )
+            raise InputError("radiant intensities need a calibration", remedy="give `calibration`, or levels")
         return levels_for(self._calibration, radiant_intensity)
 
     def frame_of(self, levels: Sequence[float]) -> Frame:
@@ -176,9 +174,7 @@ class LedRing:
         elif len(wanted) == told.count and not any(wanted):
             steps = (0,) * told.count
         else:
-            raise InputError(
-                "the LEDs' rated current is not known, so there must be no light", remedy="give --drive DRIVE.toml"
-            )
+            raise InputError("the LEDs' rated current is not known, so there must be no light", remedy="give `drive`")
         return Frame(wanted, steps, tuple(step / told.steps for step in steps), told.readback, told.emulated)
 
     def off(self) -> None:
@@ -245,7 +241,7 @@ class LedRing:
                 self._busy_since = None
 
     @property
-    def _longest(self) -> float:
+    def _max_on_time(self) -> float:
         return math.inf if self._drive is None else self._drive.max_on_time
 
     def _turn_off(self) -> None:
@@ -267,9 +263,9 @@ class LedRing:
             busy, lit = self._busy_since, self._lit_since
             if busy is not None and now - busy > MISSED:
                 continue  # the device does not answer: that is for the guardian
-            if lit is not None and now - lit > self._longest:
+            if lit is not None and now - lit > self._max_on_time:
                 trouble = EnvironmentFailure(
-                    f"was lit for max_on_time, {self._longest:g} s, and was turned off", where="LED ring"
+                    f"was lit for max_on_time, {self._max_on_time:g} s, and was turned off", where="LED ring"
                 )
             elif self._guardian is not None:
                 try:
@@ -320,7 +316,7 @@ def open_ring(
         If the device cannot be reached, or another program drives it.
     """
     if drive is not None and drive.count != count:
-        raise InputError(f"is for {drive.count} LEDs, the ring has {count}", where="--drive")
+        raise InputError(f"is for {drive.count} LEDs, the ring has {count}", where="drive")
     claim = Claim(device.path)
     guardian = backend = None
     try:

@@ -170,7 +170,7 @@ def compare(
         sizes = [f"{image.values.shape[1]} x {image.values.shape[0]}" for image in (captured, predicted)]
         raise InputError(
             f"the captured image has {sizes[0]} pixels, the predicted one {sizes[1]}",
-            remedy="cut one, or use --register homography",
+            remedy='cut one, or use `register="homography"`',
         )
     warp = registration(captured.values, predicted.values, register)
     moved = warped(captured.values, warp, predicted.values.shape)
@@ -254,7 +254,7 @@ def registration(captured: Array, predicted: Array, kind: Registration) -> Array
     # Pixel centres, not corners, are whole numbers: scaling keeps the corner (-0.5, -0.5).
     warp[:2, 2] = 0.5 * (np.diag(warp)[:2] - 1)
     if np.ptp(captured) == 0 or np.ptp(predicted) == 0:
-        raise InputError("an even image cannot be registered", remedy="use --register none")
+        raise InputError("an even image cannot be registered", remedy='use `register="none"`')
     rough = warped(captured, warp, predicted.shape)
     filled = np.where(np.isfinite(rough), rough, float(np.nanmean(rough)))
     window = cv2.createHanningWindow((predicted.shape[1], predicted.shape[0]), cv2.CV_64F)
@@ -265,7 +265,7 @@ def registration(captured: Array, predicted: Array, kind: Registration) -> Array
     if correlation < LEAST_CORRELATION:
         raise InputError(
             f"the images cannot be registered: their correlation is {correlation:.2f}",
-            remedy="compare images of one scene, nearly from one place, or use --register none",
+            remedy='compare images of one scene, nearly from one place, or use `register="none"`',
         )
     return best
 

@@ -28,7 +28,7 @@ from radwrap.imaging.methods.viewpoints import ViewpointPlan, merge, trace_viewp
 from radwrap.imaging.render_options import FixedMethod, RenderOptions
 from radwrap.imaging.response.exposure import radiant_exposure
 from radwrap.imaging.response.sensor import gray_levels
-from radwrap.imaging.tracing import TracedScene
+from radwrap.imaging.tracing import LaidOutScene
 from radwrap.imaging.truth import central_maps
 from radwrap.manifest import sha256_of_value
 from radwrap.process import Limits, Programs, available_cores
@@ -72,11 +72,11 @@ class CrosscheckOptions:
 
     def __post_init__(self) -> None:
         if not 1e-4 <= self.tolerance <= 1:
-            raise InputError("must lie between 1e-4 and 1", where="--tolerance")
+            raise InputError("must lie between 1e-4 and 1", where="tolerance")
         if self.area_samples != 0 and not 2 <= self.area_samples <= _LARGEST_GRID:
-            raise InputError(f"must be 0, or lie between 2 and {_LARGEST_GRID}", where="--area-samples")
+            raise InputError(f"must be 0, or lie between 2 and {_LARGEST_GRID}", where="area_samples")
         if self.render.pixel_sampling != "centre":
-            raise InputError("POV-Ray samples the centres of pixels' strata", where="--pixel-sampling")
+            raise InputError("POV-Ray samples the centres of pixels' strata", where="pixel_sampling")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,7 +145,7 @@ def crosscheck(scene: Scene, out: Path, options: CrosscheckOptions) -> Crosschec
         number = 1 if method == "pinhole" else options.render.viewpoint_number
         workers = options.render.workers or available_cores()
         check_size(scene, options.render.max_pixels, number * options.render.pixel_samples**2, workers)
-        traced = TracedScene(scene, options.render, programs, Path(folder))
+        traced = LaidOutScene(scene, options.render, programs, Path(folder))
         frame = traced.prepared.scene.frame
         text = povray_scene(scene, traced.prepared.included, frame, area_samples=options.area_samples)
         plan = viewpoint_plan(scene, options.render, method, traced.sha256())
@@ -167,7 +167,7 @@ def crosscheck(scene: Scene, out: Path, options: CrosscheckOptions) -> Crosschec
                 limits=Limits(silence=options.render.tracer_timeout),
             )
             told = sha256_of_value({"text": text, "povray": installation.sha256})
-            povray = runs.image("povray", replace(plan, scene_sha256=told), witness, _PICTURES_AT_ONCE)
+            povray = runs.image("povray", replace(plan, traced_sha256=told), witness, _PICTURES_AT_ONCE)
         finally:
             progress.close()
         seen = sees(scene, options.area_samples, radiance, (depth, parts), traced.prepared)

@@ -317,7 +317,7 @@ def render_options(options: Mapping[str, Any], where: str, **more: Any) -> Rende
     try:
         return RenderOptions(**options, **more)
     except InputError as error:
-        raise InputError(error.what, where=f"{where}.{error.where.removeprefix('--').replace('-', '_')}") from error
+        raise InputError(error.what, where=f"{where}.{error.where}") from error
 
 
 def _only(table: Mapping[str, Any], known: tuple[str, ...], where: str) -> None:

@@ -112,7 +112,7 @@ def analyse(data: Data, alpha: float = 0.05) -> Analysis:
         If alpha is no share, or the response is the same everywhere.
     """
     if not 0 < alpha < 1:
-        raise InputError(f"{alpha:g} is no share between 0 and 1", where="--alpha")
+        raise InputError(f"{alpha:g} is no share between 0 and 1", where="alpha")
     if np.ptp(data.values) == 0:
         raise InputError("is the same in all runs", where=data.response, remedy="choose another response")
     notes = list(_notes(data))

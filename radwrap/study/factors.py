@@ -21,6 +21,7 @@ from typing import Any, Final
 import numpy as np
 
 from radwrap.errors import InputError
+from radwrap.random_streams import generator
 from radwrap.units import DIMENSIONS, Dimension, parse_gain, parse_quantity
 
 _DRAWS: Final = ("uniform", "normal")
@@ -131,7 +132,7 @@ class Factor:
     def random(self, seed: int, replicate: int, row: int) -> np.random.Generator:
         """Where its draws for a run come from; the same whatever else the study varies."""
         name = zlib.crc32(self.name.encode())
-        return np.random.default_rng((seed, replicate, name, *(() if self.draw_once else (row,))))
+        return generator(seed, replicate, name, *(() if self.draw_once else (row,)))
 
 
 def written(value: float, unit: str) -> Any:

@@ -9,6 +9,7 @@ from typing import Final
 
 from radwrap.errors import InputError
 from radwrap.progress import Progress
+from radwrap.random_streams import Studying
 from radwrap.study.design import Design
 from radwrap.study.factors import Draw, Factor, Level
 from radwrap.study.pilots import Plans
@@ -20,7 +21,7 @@ from radwrap.study.sampled import sampled, with_pilots
 from radwrap.study.study import StudyOptions, plan_steps
 from radwrap.study.worker import Outcome
 
-FRESH_ROW: Final = 1 << 20  # of draws: none that a study made
+FRESH_ROW: Final = int(Studying.FRESH_ROW)
 
 # Levels of all factors, and the row that decides what random ones draw.
 System = tuple[tuple[Level, ...], int]

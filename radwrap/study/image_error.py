@@ -31,6 +31,7 @@ from radwrap.images import GrayImage
 from radwrap.imaging.forecast.explain import blur_radius
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.tolerance.kept_replicates import KeptReplicates
+from radwrap.random_streams import Studying, generator
 from radwrap.scene.camera import Camera, Sensor
 from radwrap.scene.look.geometry import project
 from radwrap.scene.scene import Scene
@@ -38,7 +39,6 @@ from radwrap.scene.scene import Scene
 Array = NDArray[np.float64]
 
 COPIES: Final = 8  # the rms of so many is known to 25 %
-_SEED: Final = 41
 _LARGEST_BLUR: Final = 200.0  # px
 # Of the rms error by noise; what is smaller adds half a percent to an error bar, and eight measurements.
 _NEGLIGIBLE: Final = 0.1
@@ -134,7 +134,7 @@ def error_fields(shape: tuple[int, int], radii: tuple[float, float], copies: int
     v, u = (np.minimum(np.arange(size), size - np.arange(size)) for size in shape)
     disc = ((u / radii[0]) ** 2 + (v[:, np.newaxis] / radii[1]) ** 2 <= 1).astype(np.float64)
     disc /= math.sqrt(float((disc**2).sum()))
-    white = np.random.default_rng((_SEED, *shape)).standard_normal((copies, *shape))
+    white = generator(Studying.IMAGE_ERROR, *shape).standard_normal((copies, *shape))
     return ErrorFields(np.fft.irfft2(np.fft.rfft2(white) * np.fft.rfft2(disc), s=shape))
 
 

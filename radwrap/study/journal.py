@@ -68,7 +68,7 @@ class Journal:
                 raise InputError(
                     f"row {number} is not as the study wrote it: {fault}",
                     where=str(self.path),
-                    remedy="delete the row, and its run is done again, or choose another --out",
+                    remedy="delete the row, and its run is done again, or choose another `out`",
                 )
             found[index] = row
         return found
@@ -102,7 +102,7 @@ class Journal:
             content = read_bytes(path, TABLE)
             whole = content[: content.rfind(b"\n") + 1]
             if not whole.startswith(csv_text(columns, ()).encode()):
-                raise InputError("is not the table of this study", where=str(path), remedy="choose another --out")
+                raise InputError("is not the table of this study", where=str(path), remedy="choose another `out`")
             if whole != content:
                 write_bytes(path, whole)
 

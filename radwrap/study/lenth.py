@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from radwrap.errors import InputError
+from radwrap.random_streams import Studying, generator
 
 # With fewer contrasts t has less than 7/3 degrees of freedom, and the median hangs on one or two of them.
 FEWEST_CONTRASTS: Final = 7
@@ -21,7 +22,6 @@ _OUTLYING: Final = 2.5
 _TO_SIGMA: Final = 1.5  # median of |z| is 0.6745 sigma
 # Draws of the reference; its quantiles are then known to 1 %.
 _DRAWS: Final = 40_000
-_SEED: Final = 1989
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +92,7 @@ def lenth(contrasts: ArrayLike, alpha: float = 0.05) -> Lenth:
     values = np.asarray(contrasts, dtype=np.float64)
     check_contrasts(len(values))
     if not 0 < alpha < 1:
-        raise InputError(f"{alpha:g} is no share between 0 and 1", where="--alpha")
+        raise InputError(f"{alpha:g} is no share between 0 and 1", where="alpha")
     if not np.isfinite(values).all():
         raise InputError("an effect is not finite", where="the responses")
     pse = float(pseudo_standard_error(values))
@@ -137,7 +137,7 @@ def _quantile(share: float, freedom: float) -> float:
 
 def _simulated(count: int, alpha: float) -> tuple[float, float]:
     """Limits of one contrast and of all, from contrasts that are nothing but noise."""
-    random = np.random.default_rng((_SEED, count))
+    random = generator(Studying.LENTH, count)
     batch = max(1, (1 << 22) // count)
     ratios = []
     for first in range(0, _DRAWS, batch):

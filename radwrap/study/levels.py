@@ -112,11 +112,11 @@ def read_data(path: Path, response: str, factors: Sequence[str] = (), labels: Ma
     except InputError as error:
         raise InputError(error.what, where=str(path), remedy=error.remedy) from error
     if column in names:
-        raise InputError("is the response", where="--factors")
+        raise InputError("is the response", where="factors")
     rows = [row for row in table.rows if row[column]]
     if not rows or not names:
         what = "holds no response" if not rows else "has no column of a factor"
-        raise InputError(what, where=f"{path}: {column}", remedy="name columns with --response and --factors")
+        raise InputError(what, where=f"{path}: {column}", remedy="name columns with `response` and `factors`")
     listed = {str(factor["name"]): factor for factor in plan.get("design", {}).get("factors", ())}
     _check_labels(labels or {}, names)
     told = {name: str(factor["label"]) for name, factor in listed.items()} | dict(labels or {})
@@ -142,7 +142,7 @@ def _check_labels(labels: Mapping[str, str], names: Sequence[str]) -> None:
     known = [bare(name) for name in names]
     for name in labels:
         if name not in known:
-            raise InputError(f'no factor "{name}"', where="--label", remedy=f"factors are {', '.join(known)}")
+            raise InputError(f'no factor "{name}"', where="labels", remedy=f"factors are {', '.join(known)}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -110,4 +110,4 @@ def _kind(told: Mapping[str, Any], where: str) -> RenderOptions:
     try:
         return RenderOptions(**told)
     except InputError as error:
-        raise InputError(error.what, where=f"{where}.{error.where.removeprefix('--').replace('-', '_')}") from error
+        raise InputError(error.what, where=f"{where}.{error.where}") from error

@@ -150,16 +150,14 @@ class DaskPool:
             from distributed import Client
         except ImportError as error:
             raise EnvironmentFailure(
-                "Dask is not installed", where="--dask", remedy="pip install radwrap[cluster]"
+                "Dask is not installed", where=f"dask={address}", remedy="pip install radwrap[cluster]"
             ) from error
         _check_scheduler(address)
         _silence_dask()
         try:
             self._client = Client(address, timeout="10 s", set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
-            raise InputError(
-                f"no scheduler at {address}", where="--dask", remedy="start one: dask scheduler"
-            ) from error
+            raise InputError(f"no scheduler at {address}", where="dask", remedy="start one: dask scheduler") from error
         self._address = address
         self._seal = seal_of(folder, radiance)
         self._executors: list[Executor] = []
@@ -261,8 +259,8 @@ def _check_scheduler(address: str) -> None:
     except ValueError:
         host, port = None, None
     if host is None or port is None:
-        raise InputError(f'"{address}" is no address', where="--dask", remedy='write "tcp://HOST:8786"')
+        raise InputError(f'"{address}" is no address', where="dask", remedy='write "tcp://HOST:8786"')
     try:
         socket.create_connection((host, port), _GRACE).close()
     except OSError as error:
-        raise InputError(f"no scheduler at {address}", where="--dask", remedy="start one: dask scheduler") from error
+        raise InputError(f"no scheduler at {address}", where="dask", remedy="start one: dask scheduler") from error

@@ -21,6 +21,7 @@ from radwrap.imaging.methods.rays import PILOT, gray_deviation, plan_rays, sampl
 from radwrap.imaging.optics.view import View
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.tolerance.certificate import PixelErrors, PixelSample, places_of, root
+from radwrap.random_streams import Trading, generator
 
 # Shares of the pixels, by how much their rays differ, and of the sample: nearly all error lies where rays differ.
 _STRATA: Final = ((0.1, 0.5), (0.2, 0.25), (0.7, 0.25))
@@ -97,8 +98,8 @@ def check_reference(pixels: int, rays: int) -> None:
         If one is out of range.
     """
     for name, value, low, high in (
-        ("--reference-pixels", pixels, _FEWEST_PIXELS, _MOST_PIXELS),
-        ("--reference-rays", rays, _FEWEST_RAYS, _MOST_RAYS),
+        ("reference_pixels", pixels, _FEWEST_PIXELS, _MOST_PIXELS),
+        ("reference_rays", rays, _FEWEST_RAYS, _MOST_RAYS),
     ):
         if not low <= value <= high:
             raise InputError(f"must lie between {low} and {high}, not {value}", where=name)
@@ -132,7 +133,7 @@ def take_reference(
     sample, spent = _draw(view, pixels, seed)
     tell(spent)
     u, v = places_of(sample.pixels, view.camera.sensor.columns)
-    random = np.random.default_rng((seed, 22))
+    random = generator(seed, Trading.RAYS)
     values = np.empty((2, len(u)))
     step = max(1, _RAYS_AT_ONCE // rays)
     for which in range(2):
@@ -149,10 +150,10 @@ def _draw(view: View, count: int, seed: int) -> tuple[PixelSample, int]:
     sensor = view.camera.sensor
     if sensor.pixels <= count:
         return PixelSample(np.arange(sensor.pixels), np.zeros(sensor.pixels, dtype=np.intp), np.ones(1)), 0
-    random = np.random.default_rng((seed, 20))
+    random = generator(seed, Trading.PIXELS)
     looked = random.choice(sensor.pixels, min(sensor.pixels, _LOOKED_AT * count), replace=False, shuffle=False)
     v, u = np.divmod(looked.astype(np.float64), sensor.columns)
-    pilot = sampled_radiance(view, u, v, PILOT, np.random.default_rng((seed, 21)))
+    pilot = sampled_radiance(view, u, v, PILOT, generator(seed, Trading.PILOT))
     order = looked[np.argsort(-gray_deviation(pilot, plan_rays(view, 1.0)), kind="stable")]
     bounds = np.rint(np.cumsum([0.0, *(share for share, _ in _STRATA)]) * len(order)).astype(int)
     chosen = [
@@ -174,7 +175,7 @@ def distance(reference: Reference, gray: NDArray[np.float64]) -> Distance:
         Gray levels of the image at the reference's pixels, before rounding and clipped at saturation.
     """
     errors = PixelErrors(reference.first - gray, reference.second - gray, 0)
-    square = errors.mean_square(reference.sample, (reference.seed, 23))
+    square = errors.mean_square(reference.sample, (reference.seed, Trading.RESAMPLES))
     sizes = np.sqrt(np.maximum(errors.first * errors.second, 0.0))
     order = np.argsort(sizes)
     below = np.cumsum(reference.sample.weights[order])

@@ -25,6 +25,7 @@ from radwrap.imaging.truth import geometry
 from radwrap.measure.dots import METHODS, Dots, measured_dots, seek_dots
 from radwrap.measure.edges import Edge, measure_edge
 from radwrap.measure.parts import find_parts
+from radwrap.random_streams import Studying, generator
 from radwrap.scene.scene import Scene
 from radwrap.scene.targets import DotBoard, EdgeTarget
 from radwrap.study.image_error import Cause, ImageError
@@ -36,7 +37,6 @@ _T = TypeVar("_T", DotBoard, EdgeTarget)
 
 _DRAWS: Final = 24  # of dot centres; the scatter of so many is known to 15 %
 _FEWEST_DRAWS: Final = 4
-_SEED: Final = 43
 _DOT_REACH: Final = 1.3  # of a dot's radius: where the errors lie that move its centre
 SENSOR: Final = "sensor"  # as an option: what the scene's sensor has
 
@@ -238,7 +238,7 @@ def centre_covariances(dots: Dots, error: ImageError) -> Array:
 
 def _drawn_centres(dots: Dots, error: ImageError, draws: int) -> Array:
     """Centres as they may be, shape (draws, n, 2) [px]."""
-    random = np.random.default_rng((_SEED, len(dots.dots)))
+    random = generator(Studying.DOT_CENTRES, len(dots.dots))
     roots = np.linalg.cholesky(centre_covariances(dots, error) + 1e-30 * np.eye(2))
     drawn: Array = dots.centres + np.einsum("nij,dnj->dni", roots, random.standard_normal((draws, len(roots), 2)))
     return drawn

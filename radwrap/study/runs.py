@@ -10,10 +10,9 @@ from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, Final
 
-import numpy as np
-
 from radwrap.errors import InputError
 from radwrap.manifest import sha256_of_value
+from radwrap.random_streams import generator
 from radwrap.scene.file.load import scene_from_document, set_key
 from radwrap.study.design import MOST_RUNS, Analysis, Design, check_render_option, render_options
 from radwrap.study.factors import Draw, Factor, Level, settings
@@ -234,7 +233,7 @@ def _check_level(design: Design, factor: Factor, level: Level, options: Mapping[
     for values in _ends(level):
         document: dict[str, Any] = deepcopy(dict(design.document))
         render = dict(design.render)
-        for key, value in settings(factor, Level(level.name, values), design.document, np.random.default_rng(0)):
+        for key, value in settings(factor, Level(level.name, values), design.document, generator(0)):
             if key.startswith(_RENDER):
                 check_render_option(key.removeprefix(_RENDER), value, where)
                 render[key.removeprefix(_RENDER)] = value

@@ -67,9 +67,9 @@ class StudyOptions:
 
     def __post_init__(self) -> None:
         if self.workers is not None and not 1 <= self.workers <= MOST_WORKERS:
-            raise InputError(f"must lie between 1 and {MOST_WORKERS}, not {self.workers}", where="--workers")
+            raise InputError(f"must lie between 1 and {MOST_WORKERS}, not {self.workers}", where="workers")
         if self.workers is not None and self.dask is not None:
-            raise InputError("the cluster has its own workers", where="--workers", remedy="leave it out with --dask")
+            raise InputError("the cluster has its own workers", where="workers", remedy="leave it out with `dask`")
 
     @property
     def of_render(self) -> dict[str, Any]:
@@ -185,11 +185,11 @@ def take_possession(out: Path, design: Design, runs: Sequence[Run], options: Stu
             raise InputError(
                 "holds another study, or one whose files were others, or its programs",
                 where=str(out),
-                remedy="choose another --out",
+                remedy="choose another `out`",
             )
         return
     if (out / RESULTS).exists():
-        raise InputError(f"holds a {RESULTS} of something else", where=str(out), remedy="choose another --out")
+        raise InputError(f"holds a {RESULTS} of something else", where=str(out), remedy="choose another `out`")
     write_manifest(out / PLAN, told)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
+from radwrap.random_streams import Studying, generator
 from radwrap.scene.file.load import scene_from_document
 from radwrap.study.design import Design
 from radwrap.study.factors import Factor, Level, found, in_si, number_and_unit, written
@@ -19,7 +20,6 @@ Array = NDArray[np.float64]
 
 _STEPS: Final = 4000  # in which the range is searched for the first place beyond the bounds
 _DRAWS: Final = 20_000
-_SEED: Final = 47
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,7 +193,7 @@ class Model:
 
     def share_inside(self, tolerances: Sequence[float], bound: float) -> float:
         """Share of systems within the bound, each deviation drawn evenly within its tolerance."""
-        random = np.random.default_rng(_SEED)
+        random = generator(Studying.TOLERANCE_MODEL)
         x = np.empty((_DRAWS, len(self.deviations)))
         for number, (deviation, tolerance) in enumerate(zip(self.deviations, tolerances, strict=True)):
             low = -tolerance if -1.0 in deviation.sides else 0.0

@@ -17,6 +17,7 @@ import numpy as np
 
 from radwrap.errors import InputError
 from radwrap.files import sole_owner
+from radwrap.random_streams import generator
 from radwrap.study.design import Design
 from radwrap.study.factors import Draw, Factor, Level, number_and_unit
 from radwrap.study.fresh import FRESH_ROW, FreshRenders, nominal_level
@@ -41,7 +42,7 @@ _REFUTED: Final = 0.1
 
 
 def read_bound(design: Design, response: str, within: str) -> Bound:
-    """Read ``--within``: a share of the nominal response, or a change in its unit.
+    """Read what a response may change by: a share of the nominal response, or a change in its unit.
 
     Raises
     ------
@@ -51,7 +52,7 @@ def read_bound(design: Design, response: str, within: str) -> Bound:
     one = next((known for known in design.responses if known.name == response), None)
     if one is None:
         known_names = ", ".join(known.name for known in design.responses)
-        raise InputError(f'no response "{response}"', where="--response", remedy=f"the design has {known_names}")
+        raise InputError(f'no response "{response}"', where="response", remedy=f"the design has {known_names}")
     text = within.strip()
     dimension = KINDS[one.kind].dimension
     try:
@@ -62,12 +63,12 @@ def read_bound(design: Design, response: str, within: str) -> Bound:
             relative = None
             absolute = float(text) if dimension is None else parse_quantity(text, dimension) / one.scale
     except ValueError as error:
-        raise InputError(f'"{within}" is no bound', where="--within", remedy='say "0.1%"') from error
+        raise InputError(f'"{within}" is no bound', where="within", remedy='say "0.1%"') from error
     except InputError as error:
-        raise InputError(f"{error.what}", where="--within", remedy=f'{error.remedy}, or say "0.1%"') from error
+        raise InputError(f"{error.what}", where="within", remedy=f'{error.remedy}, or say "0.1%"') from error
     size = relative if absolute is None else absolute
     if size is None or not (math.isfinite(size) and size > 0):
-        raise InputError("must be above zero", where="--within")
+        raise InputError("must be above zero", where="within")
     return Bound(one, relative, absolute)
 
 
@@ -251,7 +252,7 @@ class Search:
         corrected = _corrected(model, found)
         scales = np.linspace(1.0, 0.02, 99)
         scale = next((s for s in scales if self._inside(corrected, tolerances, s, bound) >= self.share), scales[-1])
-        random = np.random.default_rng((self.design.seed, FRESH_ROW))
+        random = generator(self.design.seed, FRESH_ROW)
         systems = []
         for _ in range(self.systems):
             levels = list(self.base)
@@ -346,11 +347,11 @@ def tolerate(
         measured.
     """
     if not 1 <= repeats <= 1000:
-        raise InputError("must lie between 1 and 1000", where="--repeats")
+        raise InputError("must lie between 1 and 1000", where="repeats")
     if not 0.5 <= share < 1:
-        raise InputError("must lie between 0.5 and 1", where="--share")
+        raise InputError("must lie between 0.5 and 1", where="share")
     if not 4 <= systems <= 10_000:
-        raise InputError("must lie between 4 and 10000", where="--systems")
+        raise InputError("must lie between 4 and 10000", where="systems")
     check_design(design, options.of_render)
     search = Search(design, share=share, systems=systems)
     if not search.deviations and not search.scatters:
@@ -383,7 +384,7 @@ def largest_change(bound: Bound, nominal: float) -> float:
         unit = f" {bound.response.unit}" if bound.response.unit else ""
         raise InputError(
             f"{bound.response.name} is {nominal:g} nominally, of which no share is a bound",
-            where="--within",
+            where="within",
             remedy=f'give the change itself, such as "0.05{unit}"',
         )
     return largest

@@ -30,10 +30,11 @@ from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.tolerance.planner import choose, render_to_tolerance
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.survey import survey
-from radwrap.imaging.tracing import TracedScene
+from radwrap.imaging.tracing import LaidOutScene
 from radwrap.manifest import json_text, sha256_of_value, versions
 from radwrap.process import Programs, available_cores, children_cpu_time
 from radwrap.progress import Progress
+from radwrap.random_streams import generator
 from radwrap.reading import read_json
 from radwrap.scene.scene import Scene
 from radwrap.study.paper_method import summed_viewpoints
@@ -170,7 +171,7 @@ class TradeOptions:
     def __post_init__(self) -> None:
         low, high = _LONGEST_LIMITS
         if not low <= self.longest <= high:
-            raise InputError(f"must lie between {low:g} and {high:g} s, not {self.longest:g}", where="--longest")
+            raise InputError(f"must lie between {low:g} and {high:g} s, not {self.longest:g}", where="longest")
         check_reference(self.reference_pixels, self.reference_rays)
 
     @property
@@ -243,12 +244,12 @@ class _Sweep:
 
     def __init__(self, scene: Scene, rows: Path, work: Path, options: TradeOptions, programs: Programs) -> None:
         self.scene, self.folder, self.work, self.options, self.programs = scene, rows, work, options, programs
-        traced = TracedScene(scene, options.render, programs, work, exact_bands=True)
+        traced = LaidOutScene(scene, options.render, programs, work, exact_bands=True)
         self.view = traced.view()
-        self.scene_sha256 = traced.sha256()
+        self.traced_sha256 = traced.sha256()
         self.sha256 = sha256_of_value(
             {
-                "traced": self.scene_sha256,
+                "traced": self.traced_sha256,
                 "camera": scene.camera,
                 "reference": [options.reference_pixels, options.reference_rays],
                 "seed": options.render.seed,
@@ -388,7 +389,7 @@ class _Sweep:
         make_folder(folder)
         quiet = Progress("", 1, shown=False)
         outcome = render_to_tolerance(
-            Work(self.view, folder, self.programs, quiet, self.scene_sha256, self.options.render.seed),
+            Work(self.view, folder, self.programs, quiet, self.traced_sha256, self.options.render.seed),
             Demand(setting.tolerance, method=method, budget=Budget(rays=self._patience(expected))),
         )
         shutil.rmtree(folder, ignore_errors=True)
@@ -413,7 +414,7 @@ class _Sweep:
 def _seconds_per_ray(view: View) -> float:
     """Wall time of a ray with all workers busy [s]."""
     sensor = view.camera.sensor
-    u, v = np.random.default_rng(0).random((2, _TIMED_RAYS)) * [[sensor.columns], [sensor.rows]] - 0.5
+    u, v = generator(0).random((2, _TIMED_RAYS)) * [[sensor.columns], [sensor.rows]] - 0.5
     start = time.monotonic()
     trace_rays(view, None, u, v)
     return (time.monotonic() - start) / _TIMED_RAYS

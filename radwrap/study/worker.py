@@ -143,7 +143,7 @@ def carry_out(job: Job) -> list[Outcome]:
         except OSError as error:
             raise EnvironmentFailure(error.strerror or str(error), where=str(error.filename or job.study)) from error
         except MemoryError as error:
-            raise EnvironmentFailure("not enough memory", where=job.name, remedy="use fewer --workers") from error
+            raise EnvironmentFailure("not enough memory", where=job.name, remedy="use fewer `workers`") from error
 
 
 def _raise(error: RadwrapError) -> list[Outcome]:

@@ -26,7 +26,7 @@ _FILE_NAME: Final = re.compile(r"[A-Za-z0-9_.+-]+(?:/[A-Za-z0-9_.+-]+)*")
 _LONGEST_NAME: Final = 80
 _OCTREES: Final = (".oct", ".rtm")
 _NO_FUNCTION_FILE: Final = "."
-_TRUST: Final = "or pass --trust if you trust the file"
+_TRUST: Final = "or pass `trust=True` if you trust the file"
 
 # Of Path.resolve: links in a circle (before Python 3.13), a NUL in the name.
 _UNRESOLVED: Final = (RuntimeError, ValueError)

@@ -79,7 +79,7 @@ def find_radiance(folder: str | Path | None = None) -> Installation:
         If there is none, or the named one is not whole.
     """
     if folder is not None:
-        return _checked(Path(folder), f"--radiance {folder}")
+        return _checked(Path(folder), f"radiance={folder}")
     if named := os.environ.get(VARIABLE):
         return _checked(Path(named), f"{VARIABLE}={named}")
     # Found without importing it: the import changes PATH and RAYPATH of this process.
@@ -93,7 +93,7 @@ def find_radiance(folder: str | Path | None = None) -> Installation:
                 return Installation(programs, library, "PATH")
     raise EnvironmentFailure(
         "Radiance is not installed",
-        remedy=f"pip install pyradiance, or name a Radiance folder with --radiance or {VARIABLE}",
+        remedy=f"pip install pyradiance, or name a Radiance folder with `radiance` or {VARIABLE}",
     )
 
 

@@ -76,8 +76,8 @@ def find_povray(programs: Programs, named: str | None = None) -> PovrayInstallat
     if place is None:
         raise EnvironmentFailure(
             "no such program" if named else "POV-Ray is not installed",
-            where=f"--povray {named}" if named else "",
-            remedy=f"{_REMEDY}, or name it with --povray",
+            where=f"povray={named}" if named else "",
+            remedy=f"{_REMEDY}, or name it with `povray`",
         )
     folder = Path(place).resolve().parent
     answer, said = programs.run(
@@ -89,7 +89,7 @@ def find_povray(programs: Programs, named: str | None = None) -> PovrayInstallat
         raise EnvironmentFailure(
             f"is not POV-Ray 3.7; it says {told.strip()[:80]!r}",
             where=place,
-            remedy=f"{_REMEDY}, or name it with --povray",
+            remedy=f"{_REMEDY}, or name it with `povray`",
         )
     try:
         sha256 = sha256_of(Path(place))

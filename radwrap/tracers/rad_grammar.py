@@ -432,7 +432,7 @@ def _primitive(reader: _Reader, defined: set[str]) -> Primitive:
     form = ALLOWED.get(kind)
     if form is None:
         reason = _REFUSED.get(kind, "is no type of primitive that may stand here")
-        raise reader.fault(f"{shown(kind)} {reason}", "remove it, or pass --trust if you trust the file")
+        raise reader.fault(f"{shown(kind)} {reason}", "remove it, or pass `trust=True` if you trust the file")
     if modifier not in defined and (modifier, kind) != (_INHERIT, _ALIAS):
         raise reader.fault(
             f'modifier "{modifier}" is not defined before', "define it earlier in this file, or write void"

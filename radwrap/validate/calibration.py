@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from radwrap.calibrate.tsai import CameraCalibration, calibrate_camera
+from radwrap.random_streams import generator
 from radwrap.study.effects import analyse
 from radwrap.study.levels import read_data
 from radwrap.study.table import csv_text
@@ -63,7 +64,7 @@ def _tsai(bench: Bench) -> Iterator[Finding]:
     yield Case("8.tsai_f", "synthetic exact points", _F, exact.focal_length, _EXACT)
     yield Case("8.tsai_depth", "synthetic exact points", 0.79, exact.translation[2], _EXACT)
     bench.tick()
-    random = np.random.default_rng(7)
+    random = generator(7)
     pulls = []
     for _ in range(_TRIALS):
         found = _calibrated(points, image + _NOISE * random.standard_normal(image.shape))

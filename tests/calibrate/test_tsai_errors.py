@@ -3,6 +3,7 @@
 import argparse
 import json
 import math
+import time
 from pathlib import Path
 from typing import Any
 
@@ -88,6 +89,15 @@ def test_duplicate_points_and_images() -> None:
     twice = IMAGE.copy()
     twice[7] = twice[3]
     assert "image: points 4 and 8" in refused(BOARD, twice)
+
+
+def test_nearly_equal_points_are_found_among_many_without_holding_each_against_all() -> None:
+    points = np.random.default_rng(2).uniform(-1.0, 1.0, (100_000, 3))
+    points[99_000] = points[3] + 1e-7
+    began = time.process_time()
+    assert "points 4 and 99001 are the same" in refused(points, points[:, :2])
+    assert "points 1 and 2 are the same" in refused(points[[*[5] * 50_000, *range(50_000)]], points[:, :2])
+    assert time.process_time() - began < 10.0  # each against all: two minutes
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])

@@ -40,7 +40,7 @@ def test_disagreement_is_exit_code_1(tmp_path: Path, capsys: pytest.CaptureFixtu
         (["--povray", "no-such-povray"], 4, "no such program"),
         (["--povray", "true"], 4, "is not POV-Ray 3.7"),
         (["--area-samples", "1"], 2, "--area-samples: must be 0"),
-        (["--tolerance", "nan"], 2, "--tolerance: must lie between"),
+        (["--tolerance", "nan"], 2, "--tolerance: must be a number"),
         (["--pixel-samples", "0"], 2, "--pixel-samples: must lie between"),
     ],
 )

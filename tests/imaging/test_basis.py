@@ -21,7 +21,7 @@ from radwrap.imaging.tolerance.bounds import Bounded, resampling, stratified_mea
 from radwrap.imaging.tolerance.certificate import certify_by_independent_rays, model_lacks
 from radwrap.imaging.tolerance.planner import Outcome, render_to_tolerance
 from radwrap.imaging.tolerance.replicates import Work
-from radwrap.imaging.tracing import TracedScene, traced_scene
+from radwrap.imaging.tracing import LaidOutScene, traced_scene
 from radwrap.process import Programs
 from radwrap.progress import Progress
 from tests.cli.conftest import SMALL, scene_with
@@ -104,7 +104,7 @@ def made(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     for name in ("work", "pieces", "out"):
         (folder / name).mkdir()
     with Programs() as programs:
-        traced = TracedScene(room, options, programs, folder / "work")
+        traced = LaidOutScene(room, options, programs, folder / "work")
         progress = Progress("", 1, shown=False)
         work = Work(traced.view(), folder / "pieces", programs, progress, traced.sha256(), SEED)
         outcome = render_to_tolerance(work, options.demand)
@@ -236,7 +236,7 @@ def test_an_included_file_that_shines_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("how", [{"method": "pinhole"}, {"method": "viewpoints"}, {"viewpoints": 7}])
 def test_methods_without_a_ray_plan_are_refused(how: dict[str, Any]) -> None:
-    with pytest.raises(InputError, match="--basis: needs an image to tolerance"):
+    with pytest.raises(InputError, match="basis: needs an image to tolerance"):
         RenderOptions(basis=True, **how)
 
 

@@ -158,7 +158,7 @@ def test_layers_keep_the_light_of_a_slanted_depth() -> None:
 
 def test_a_scene_too_deep_for_layers_is_refused() -> None:
     seen = view(Aperture("round", 5e-3), (1.0, edge(0.0)))
-    with pytest.raises(InputError, match="--method rays"):
+    with pytest.raises(InputError, match='`method="rays"`'):
         plan_kernel(seen, np.array([1.1, 2.0]), 0.5)
 
 

@@ -300,10 +300,11 @@ def test_a_table_becomes_a_calibration(bench: Path, tmp_path: Path, capsys: pyte
     argv = ["led", "calibrate", "--table", tmp_path / "table.csv", "--out", tmp_path / "ring.json"]
     assert "needs the current" in here(argv, capsys).refusal(2)
     argv += ["--drive", bench / "drive.toml", "--serial", "EMULATED01", "--temperature", 23, "--date", "2026-01-01"]
-    for cold in ("nan", "inf", "-273.15", "-500"):
-        words = [cold if word == 23 else word for word in argv]
-        words[words.index("--temperature") : words.index("--date")] = [f"--temperature={cold}"]
-        assert "no temperature in degrees Celsius" in here(words, capsys).refusal(2)
+    cold = "no temperature in degrees Celsius"
+    for degrees, told in {"nan": "must be a number", "inf": "must be a number", "-273.15": cold, "-500": cold}.items():
+        words = [degrees if word == 23 else word for word in argv]
+        words[words.index("--temperature") : words.index("--date")] = [f"--temperature={degrees}"]
+        assert told in here(words, capsys).refusal(2)
     here(argv, capsys).success()
     expected = RingCalibration(
         leds=scaled([float(f"0.0{50 + n}") for n in range(LEDS)], [0.0] * LEDS, [1.0] * LEDS),

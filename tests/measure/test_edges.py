@@ -335,10 +335,10 @@ def test_errors_of_the_command_name_file_or_option(tmp_path: Path) -> None:
         run(str(path))
     with pytest.raises(InputError) as caught:
         run(str(path), "--gamma", "two")
-    assert caught.value.where == "--gamma"
+    assert caught.value.where == "gamma"
     with pytest.raises(InputError) as caught:
         run(str(path), "--region", "0", "0", "50", "50")
-    assert caught.value.where == "--region"
+    assert caught.value.where == "region", "which the command spells as its option"
     cut = tmp_path / "cut.png"
     cut.write_bytes(path.read_bytes()[:-30])
     with pytest.raises(InputError, match=r"cut\.png"):

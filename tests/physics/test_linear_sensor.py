@@ -13,7 +13,6 @@ import radwrap
 from radwrap.images import ExposureImage, read_gray
 from radwrap.imaging.methods.rays import rays_over
 from radwrap.imaging.optics.footprint import folded
-from radwrap.imaging.relight.relit import _sensor as sensor_from_manifest
 from radwrap.imaging.response.noise import fixed_pattern, noise_variance, noisy_frame
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.manifest import plain
@@ -21,6 +20,7 @@ from radwrap.scene.camera import Sensor
 from radwrap.scene.file.data_sheet import with_data_sheet
 from radwrap.scene.file.sensor_tables import LinearSensorModel
 from radwrap.scene.pixel_window import PixelWindow, box, strips
+from radwrap.written import read_back
 from tests.physics.conftest import Bench
 
 EXACT = 1e-12  # a few roundings of float64
@@ -300,7 +300,7 @@ def test_a_data_sheet_gives_what_the_scene_does_not_say(tmp_path: Path) -> None:
         radwrap.scene_from_document(document, folder=tmp_path)
     document["camera"]["sensor"] = table
     (tmp_path / "sheet.toml").write_text("rows = ")
-    with pytest.raises(radwrap.InputError, match=r'data_sheet: "sheet.toml" is no TOML file'):
+    with pytest.raises(radwrap.InputError, match=r'data_sheet: "sheet.toml": is not TOML'):
         radwrap.scene_from_document(document, folder=tmp_path)
 
 
@@ -324,7 +324,7 @@ def test_a_sheets_efficiency_gives_way_and_holds_at_its_wavelength_alone(tmp_pat
 
 def test_a_sensor_comes_back_from_a_manifest() -> None:
     for sensor in (sensor_of(), sensor_of(fill_width=0.5, sensitivity_down=[1.0, 3.0])):
-        assert sensor_from_manifest(plain(sensor)) == sensor
+        assert read_back(plain(sensor), Sensor, "manifest") == sensor
 
 
 # ------------------------------------------------------------------------------------------------ Spatial response

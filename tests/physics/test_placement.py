@@ -135,3 +135,23 @@ def test_sources_in_one_place_add_up(bench: Any) -> None:
         for name, level in (("led0", 5.0), ("led1", 3.0)):
             (alone,) = scene.view_of(name).tracer.trace([rays])
             assert alone == pytest.approx(whole * level / 8, rel=FLOAT32)
+
+
+@pytest.mark.parametrize("gap", [1e-9, 1e-7, 1e-5])
+def test_a_plane_may_hold_the_camera_s_place(bench: Any, gap: float) -> None:
+    """The text's origin: there Radiance holds rounded corners against a distance of next to nothing."""
+    turn = bench.degrees(90, 33.3, 12.7)
+    beside = {"name": "beside", "type": "sheet", "material": "m", "size": bench.metres(0.4, 0.3), "rotation": turn}
+    sheet = {"name": "sheet", "type": "sheet", "material": "m", "size": bench.metres(0.1, 0.1)}
+    paint = {"m": {"type": "lambertian", "reflectance": 0.5}}
+    camera, lamp = bench.camera((0, 0, 0.5), rows=4, columns=4), bench.lamp((0.1, 0.05, 0.5))
+    far = {"position": bench.metres(5, 5, 5)}
+    axes = np.asarray(bench.scene(camera, [lamp], paint, [sheet, beside | far]).targets[1].pose.rotation)
+    place = np.array([0.0, 0.0, 0.5]) + axes @ np.array([0.31, 0.27, gap])
+    scene = bench.scene(camera, [lamp], paint, [sheet, beside | {"position": bench.metres(*place)}])
+    points = np.array([(0.0, 0.0, 0.0), (0.01, 0.02, 0.0)])
+    alone = bench.radiance(bench.scene(camera, [lamp], paint, [sheet]), (0, 0, 0.5), points)
+    assert bench.radiance(scene, (0, 0, 0.5), points) == pytest.approx(alone, rel=FLOAT32)
+    edge_on = place + axes @ np.array([0.05, 0.02, 0.0])
+    towards = edge_on + 0.1 * axes[:, 2]
+    assert bench.radiance(scene, towards, edge_on[np.newaxis])[0] >= 0.0

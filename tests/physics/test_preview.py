@@ -10,6 +10,7 @@ import radwrap
 from radwrap.frames import rotation_about_fixed_axes
 from radwrap.imaging.forecast.preview import brightest, look
 from radwrap.scene.look.geometry import directions
+from radwrap.scene.look.intersections import first_hit, reached
 
 LAMP_BEHIND = 1e-4  # m, of the eye: what it sees is lit, but for slivers along outlines
 # The lamp's disc of 1 mm at 0.3 m and more, (r/z)^2, with the tracer's float32.
@@ -72,6 +73,24 @@ def test_every_ray_sees_what_the_tracer_sees(bench: Any, names: list[str]) -> No
     assert {name for number, name in enumerate(seen.names) if (seen.number == number).sum() > 20} == {
         (name, material) for name in names for material in (("a", "b") if name in ("board", "edge") else ("a",))
     } | {("facing", "light")}
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_no_ray_that_meets_a_target_is_left_out_beforehand(bench: Any, name: str) -> None:
+    random = np.random.default_rng(3)
+    scene = bench.scene(
+        camera(bench, np.array([0.05, -0.1, 0.4])), [bench.lamp((0.0, 0.0, 0.5))], MATERIALS, [TARGETS[name]]
+    )
+    (target,) = scene.targets
+    for eye in random.uniform(-0.05, 0.05, (20, 3)):  # outside and inside
+        rays = random.normal(size=(500, 3))
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        met = np.isfinite(first_hit(target, eye, rays)[0])
+        numbers = [number for _, found in reached(scene.targets, tuple(eye), rays) for number in found]
+        assert set(np.flatnonzero(met)) <= set(numbers)
+    far = np.array([[0.0, 0.0, 1.0]])
+    assert not list(reached(scene.targets, (0.0, 0.0, 1.0), far))  # behind
+    assert not list(reached(scene.targets, (1.0, 0.0, -1.0), far))  # beside
 
 
 @pytest.mark.parametrize("name", TARGETS)

@@ -3,6 +3,7 @@
 import copy
 import json
 import struct
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import trimesh
 
 from radwrap.errors import InputError
 from radwrap.scene.mesh_files import parts
+from radwrap.scene.mesh_files.glb_checks import MOST_NODES
 from radwrap.scene.mesh_files.parts import read_part_file
 
 PLACES = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4").tobytes()
@@ -111,3 +113,12 @@ def test_placed_triangles_are_counted_before_they_are_placed(tmp_path: Path, mon
     monkeypatch.setattr(trimesh.Scene, "dump", lambda _: pytest.fail("placed before they were counted"))
     with pytest.raises(InputError, match="more than 8 triangles"):
         read(laid(tmp_path, many))
+
+
+def test_nodes_are_counted_before_they_are_walked(tmp_path: Path) -> None:
+    path = laid(tmp_path, lambda tree: tree["nodes"].extend({} for _ in range(MOST_NODES)))
+    began = time.process_time()
+    with pytest.raises(InputError, match=f"holds {MOST_NODES + 1} nodes"):
+        read(path)
+    assert time.process_time() - began < 2.0
+    assert read(laid(tmp_path, lambda tree: tree["nodes"].append({})))

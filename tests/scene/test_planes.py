@@ -2,15 +2,20 @@
 
 import json
 import math
+import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import trimesh
 
 import radwrap
 from radwrap.errors import InputError
 from radwrap.frames import rotation_about_fixed_axes
+from radwrap.scene.look import planes
+from radwrap.scene.look.planes import check_planes
 from tests.scene.test_sight import SHEET, led, metres, scene
 
 LAMP = led(0.4, 2.0, 0, name="far", diameter="1 mm")
@@ -129,3 +134,31 @@ def test_a_mesh_is_held_against_planes(tmp_path: Path) -> None:
     with pytest.raises(InputError, match='"cube" and "sheet" overlap in one plane'):
         made(-0.03)
     made(-0.03, 0.001)
+
+
+def test_pairs_are_those_of_each_against_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    random = np.random.default_rng(4)
+    middles, reach = random.uniform(-1, 1, (80, 3)) * [0.3, 1.0, 0.5], random.uniform(0, 0.2, 80)
+    reach[7] = 3.0  # one that meets all
+    monkeypatch.setattr(planes, "_MOST_PAIRS", 50)
+    found = [tuple(pair) for pairs in planes._beside_each_other(middles, reach) for pair in pairs.tolist()]
+    gap = np.abs(middles[:, 1] - middles[:, np.newaxis, 1])
+    a, b = np.nonzero(np.triu(gap <= reach + reach[:, np.newaxis], 1))
+    assert sorted(found) == list(zip(a.tolist(), b.tolist(), strict=True))
+
+
+def test_thousands_of_sheets_in_one_plane_are_held_against_their_neighbours_only() -> None:
+    few = scene([LAMP], [SHEET])
+    (sheet,) = few.targets
+    side = 65
+    spread = [(0.5 * (number % side), 0.5 * (number // side), 0.0) for number in range(side**2)]
+    sheets = [
+        replace(sheet, name=f"s{number}", pose=replace(sheet.pose, position=place))
+        for number, place in enumerate(spread)
+    ]
+    began = time.process_time()
+    check_planes(replace(few, targets=tuple(sheets)))
+    assert time.process_time() - began < 5.0  # each against all: minutes
+    sheets[-1] = replace(sheets[-1], pose=replace(sheet.pose, position=(0.5, 0.51, 0.0)))
+    with pytest.raises(InputError, match=f'"s{side + 1}" and "s{side**2 - 1}" overlap'):
+        check_planes(replace(few, targets=tuple(sheets)))

@@ -105,7 +105,7 @@ def no_tracing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> dict[str, Any
     said: dict[str, Any] = {"program": str(program), "radiance": 0.0, "povray": 0.0, "part": 0, "asked": {}}
 
     def image(self: Any, name: str, plan: Any, *_: Any) -> np.ndarray:
-        said["asked"][name] = plan.scene_sha256
+        said["asked"][name] = plan.traced_sha256
         return np.full(SHAPE, said[name])
 
     monkeypatch.setattr(module._Runs, "image", image)

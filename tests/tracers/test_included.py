@@ -256,7 +256,7 @@ def test_oconv_xform_and_rtrace_take_each_permitted_type(tmp_path: Path, kind: s
 )
 def test_a_command_is_refused_wherever_it_stands(tmp_path: Path, text: str, line: int) -> None:
     message = _refused(tmp_path, text, f'line {line}: holds a "!"')
-    assert "--trust" in message
+    assert "`trust=True`" in message
 
 
 @pytest.mark.parametrize(
@@ -280,7 +280,7 @@ def test_a_command_is_refused_wherever_it_stands(tmp_path: Path, text: str, line
 )
 def test_a_type_that_opens_more_is_refused(tmp_path: Path, kind: str, reason: str) -> None:
     message = _refused(tmp_path, f"\nvoid {kind} i 1 room.oct 0 0\n", reason)
-    assert "line 2" in message and f'"{kind}"' in message and "--trust" in message
+    assert "line 2" in message and f'"{kind}"' in message and "`trust=True`" in message
 
 
 BAD_NAMES = [

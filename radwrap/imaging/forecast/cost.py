@@ -99,8 +99,8 @@ def check_size(scene: Scene, max_pixels: int, rays_per_pixel: int, workers: int)
     pixels = scene.camera.sensor.pixels
     if pixels > max_pixels:
         raise InputError(
-            f"{pixels:.4g} pixels are more than --max-pixels {max_pixels:.4g}; this would take "
+            f"{pixels:.4g} pixels are more than `max_pixels={max_pixels:.4g}`; this would take "
             f"{estimate(scene, pixels * rays_per_pixel, workers)}",
             where=f"{scene.origin}: camera.sensor",
-            remedy="raise --max-pixels if that is meant",
+            remedy="raise `max_pixels` if that is meant",
         )

@@ -25,7 +25,8 @@ from radwrap.imaging.tolerance.bounds import NOTHING, Bounded
 from radwrap.imaging.tolerance.certificate import PixelSample, lacks_in_gray, places_of, root
 from radwrap.imaging.tolerance.planner import NEGLIGIBLE_SHARE, choose
 from radwrap.imaging.tolerance.survey import Survey, survey
-from radwrap.imaging.tracing import TracedScene, laid_out, of_channel, with_bounces
+from radwrap.imaging.tracing import LaidOutScene, laid_out, of_channel, with_bounces
+from radwrap.random_streams import Rendering, generator
 from radwrap.scene.camera import ColourChannel
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Emitter, Ring, SingleSource, Source, emitters
@@ -104,7 +105,7 @@ class Probe:
     def of(cls, view: View, seed: int) -> Probe:
         """Draw paths and trace them."""
         sensor = view.camera.sensor
-        random = np.random.default_rng((seed, 14))
+        random = generator(seed, Rendering.EFFECT_PATHS)
         pixels = random.choice(sensor.pixels, min(sensor.pixels, _PIXELS), replace=False)
         places = places_of(pixels, sensor.columns)
         paths = [rays_over(view.camera, *places, _RAYS, random) for _ in range(2)]
@@ -136,7 +137,7 @@ class Probe:
         scale, sensor = self.view.exposure_of_radiance, self.view.camera.sensor
         seen = self.seen
         errors = lacks_in_gray(seen.mean(axis=0), other - seen, len(self.u), scale, sensor)
-        return errors.mean_square(self.sample, (self.seed, 15))
+        return errors.mean_square(self.sample, (self.seed, Rendering.EFFECT_RESAMPLES))
 
 
 def _by_set(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -182,7 +183,7 @@ def bounces(
     tolerance: float,
     probe: Probe | None = None,
     *,
-    traced: TracedScene | None = None,
+    traced: LaidOutScene | None = None,
 ) -> Effect:
     """What light that goes from one surface to another adds; no ray is traced where a scene cannot have any.
 
@@ -198,7 +199,7 @@ def bounces(
         That decides what is needed [gray level].
     probe : Probe, optional
         Of that view and seed, where it is there already.
-    traced : TracedScene, optional
+    traced : LaidOutScene, optional
         Of that view: with many sources walks take an eighth of the time of the tracer's own interreflection.
     """
     square, rays = NOTHING, 0
@@ -213,7 +214,7 @@ def bounces(
     return _effect("bounces", "surfaces do not light each other", square, rays, tolerance)
 
 
-def bounces_beyond(traced: TracedScene, orders: int, seed: int, tolerance: float) -> Effect:
+def bounces_beyond(traced: LaidOutScene, orders: int, seed: int, tolerance: float) -> Effect:
     """What light adds that was reflected more often than a number of times before it reached what is seen.
 
     The same walks with and without that limit: up to it they are alike, and what they have in common adds no noise.
@@ -221,7 +222,7 @@ def bounces_beyond(traced: TracedScene, orders: int, seed: int, tolerance: float
     Raises
     ------
     InputError
-        As `TracedScene.bouncing_view`.
+        As `LaidOutScene.bouncing_view`.
     """
     probe = Probe.of(traced.bouncing_view(orders), seed)
     square = probe.mean_square(probe.traced(traced.bouncing_view(None, max(SURE_STEPS, orders))))
@@ -229,7 +230,7 @@ def bounces_beyond(traced: TracedScene, orders: int, seed: int, tolerance: float
     return _effect(f"bounces_beyond_{orders}", left_out, square, 2 * len(probe.u), tolerance)
 
 
-def _measured(traced: TracedScene, view: View, found: Survey, tolerance: float, seed: int) -> Iterator[Effect]:
+def _measured(traced: LaidOutScene, view: View, found: Survey, tolerance: float, seed: int) -> Iterator[Effect]:
     scene = traced.scene
     probe = Probe.of(view, seed)
     rays = len(probe.u)
@@ -266,7 +267,7 @@ def _measured(traced: TracedScene, view: View, found: Survey, tolerance: float, 
         yield _effect("led_differences", "each ring with LEDs that are all alike", square, 2 * rays, tolerance)
 
 
-def _bands(traced: TracedScene, probe: Probe, tolerance: float) -> Effect:
+def _bands(traced: LaidOutScene, probe: Probe, tolerance: float) -> Effect:
     """What colours are worth: of spectra, one band for all light; of an included file, the mean of its channels."""
     rays, view = len(probe.u), probe.view
     left_out = "the mean of the three channels"

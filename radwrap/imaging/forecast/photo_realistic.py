@@ -119,7 +119,7 @@ def check_drawable(scene: Scene) -> dict[str, _Phong]:
         raise InputError(
             "what an included file holds cannot be drawn this way",
             where=f'{scene.origin}: target "{scene.included[0].name}"',
-            remedy="leave out --photo-realistic, or the file",
+            remedy="leave out the photo-realistic image, or the file",
         )
     return {name: _phong(material, f"{scene.origin}: materials.{name}") for name, material in scene.materials.items()}
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from radwrap.imaging.forecast.closed_form import radiance
 from radwrap.imaging.optics.view import central_weights
 from radwrap.scene.look.geometry import SurfacePoints, directions, in_view, project
-from radwrap.scene.look.intersections import first_hit, in_polygon
+from radwrap.scene.look.intersections import first_hit, in_polygon, reached
 from radwrap.scene.look.probes import lit_points, material_number, materials_of, surface_points
 from radwrap.scene.look.superposed import summed, superposed
 from radwrap.scene.materials import Anisotropic, Glass, Specular
@@ -31,6 +31,7 @@ Array = NDArray[np.float64]
 _MOST_RAYS: Final = 20_000  # of the search's first look at the sensor, and from special places
 _MOST_VALUES: Final = 2_000_000  # rays times sources of a first look: a few seconds
 _MOST_BEAMS: Final = 200  # sources, spread over all, whose beams are followed
+_MOST_PAIRS: Final = 20_000  # of targets and sources whose beams are followed to them: a few seconds
 _STARTS: Final = 8  # brightest rays from which the search goes on
 _FINER: Final = 9  # rays along each side of a finer look, which is a quarter as wide as the one before
 _LOOKS: Final = 7
@@ -90,19 +91,24 @@ def look(scene: Scene, rays: Array, weights: Array | None = None) -> Seen:
     value = np.full(len(rays), math.nan)
     number = np.full(len(rays), -1, dtype=np.intp)
     names: list[tuple[str, str]] = []
-    for target, distance, normals in _hits(scene, rays):
-        closer = distance < nearest
-        nearest[closer] = distance[closer]
-        points = eye + np.where(closer, distance, 0.0)[:, np.newaxis] * rays
+    lit = _lit(scene)
+    panes = {name for name, material in scene.materials.items() if isinstance(material, Glass)}
+    solid = [target for target in scene.targets if panes.isdisjoint(materials_of(target))]
+    for target, numbers in reached(solid, scene.camera.pose.position, rays):
+        distance, normals = first_hit(target, eye, rays[numbers])
+        closer = distance < nearest[numbers]
+        met, distance, normals = numbers[closer], distance[closer], normals[closer]
+        nearest[met] = distance
+        points = eye + distance[:, np.newaxis] * rays[met]
         which = material_number(target, points)
         for index, material in enumerate(materials_of(target)):
-            of = closer & (which == index)
+            of = which == index
             if of.any():
                 group = SurfacePoints(target.name, material, points[of], normals[of], target.pose.x_axis)
-                value[of] = _reflected(scene, group, eye)
-                number[of] = len(names)
+                value[met[of]] = _reflected(scene, lit, group, eye)
+                number[met[of]] = len(names)
             names.append((target.name, material))
-    for emitter in _lit(scene):
+    for emitter in lit:
         distance, shown = _disc(emitter, eye, rays)
         closer = distance < nearest
         nearest[closer], value[closer], number[closer] = distance[closer], shown[closer], len(names)
@@ -112,18 +118,10 @@ def look(scene: Scene, rays: Array, weights: Array | None = None) -> Seen:
     return Seen(value * weights, number, tuple(names))
 
 
-def _hits(scene: Scene, rays: Array) -> list[tuple[Target, Array, Array]]:
-    eye = np.asarray(scene.camera.pose.position)
-    panes = {name for name, material in scene.materials.items() if isinstance(material, Glass)}
-    return [
-        (target, *first_hit(target, eye, rays)) for target in scene.targets if panes.isdisjoint(materials_of(target))
-    ]
-
-
-def _reflected(scene: Scene, group: SurfacePoints, eye: Array) -> Array:
+def _reflected(scene: Scene, lit: list[Emitter], group: SurfacePoints, eye: Array) -> Array:
     material = scene.materials[group.material]
     total = np.zeros(len(group.points))
-    for emitter in _lit(scene):
+    for emitter in lit:
         total += radiance(material, group, emitter, eye)
     return total
 
@@ -229,7 +227,8 @@ def _special_places(scene: Scene) -> Array:
     """Where sources, what they light, and their mirror images are seen, (column, row) [px]."""
     camera = scene.camera
     lit = _lit(scene)
-    beams = lit[:: math.ceil(max(len(lit), 1) / _MOST_BEAMS)]
+    most = max(1, min(_MOST_BEAMS, _MOST_PAIRS // max(len(scene.targets), 1)))
+    beams = lit[:: math.ceil(max(len(lit), 1) / most)]
     points = [np.array([emitter.position for emitter in lit]).reshape(-1, 3)]
     for target in scene.targets:
         groups = surface_points(target, camera.pose.position)

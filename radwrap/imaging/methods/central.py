@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from radwrap.imaging.optics.view import View, trace_rays
 from radwrap.imaging.response.sensor import unclipped_gray
 from radwrap.manifest import ONLY_WHERE_USED
+from radwrap.random_streams import generator
 from radwrap.scene.camera import Sensor
 
 _T = TypeVar("_T", bound=np.generic)
@@ -160,7 +161,7 @@ def decide_cells(
     """
     if plan.even:
         return Cells(region[0], np.full(region[1], plan.levels, dtype=np.int8), 1, 0.0, 0)
-    random = np.random.default_rng(seed)
+    random = generator(*seed)
     step = 2**plan.levels
     # The base grid lies anywhere on the grid of cells.
     first = tuple(start - int(random.integers(step)) for start in region[0])
@@ -223,7 +224,7 @@ def central_image(
         Traced with the same plan, cells and seed, perhaps in other light: its magnifications are kept, so that the
         values are linear in the light.
     """
-    random = np.random.default_rng(seed)
+    random = generator(*seed)
     sampler = _Sampler(view, plan, cells.first, progress)
     parts = []
     for level in range(plan.levels + 1):

@@ -185,8 +185,8 @@ def _layers(camera: Camera, low: float, high: float) -> tuple[float, ...]:
     if number > _MOST_LAYERS:
         raise InputError(
             f"the blur's radius differs by {spread:.3g} px over the scene's depth, too much for one central image",
-            where="--method kernel",
-            remedy="use --method rays",
+            where='method="kernel"',
+            remedy='use `method="rays"`',
         )
     return tuple(np.linspace(low, high, max(2, number)).tolist())
 

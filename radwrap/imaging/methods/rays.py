@@ -20,6 +20,7 @@ from radwrap.imaging.optics.aperture import place, turn
 from radwrap.imaging.optics.view import View, trace_rays
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.manifest import ONLY_WHERE_USED
+from radwrap.random_streams import generator
 from radwrap.scene.camera import Camera
 
 PILOT: Final = 8  # rays of a pixel that decide how many it gets
@@ -127,7 +128,7 @@ def traced_tile(
     shape = (r1 - r0, c1 - c0)
     rows, columns = np.indices(shape)
     u, v = (columns + c0).ravel().astype(np.float64), (rows + r0).ravel().astype(np.float64)
-    random = np.random.default_rng(seed)
+    random = generator(*seed)
     rays = 0
     if plan.even is not None:
         numbers = np.full(len(u), plan.even, dtype=np.intp)

@@ -38,21 +38,21 @@ class ViewpointPlan:
         Where the sub-viewpoints lie.
     pixel_plan : PixelPlan
         Rays of each pixel.
-    scene_sha256 : str
+    traced_sha256 : str
         Hash of the scene as the tracer gets it, and of the tracer itself.
     """
 
     camera: Camera
     viewpoints: Viewpoints
     pixel_plan: PixelPlan
-    scene_sha256: str
+    traced_sha256: str
 
     def sha256(self) -> str:
         """Hash of all that the pixels depend on; exposure and sensor response are not among it."""
         camera = self.camera
         return sha256_of_value(
             {
-                "scene": self.scene_sha256,
+                "scene": self.traced_sha256,
                 "pose": camera.pose,
                 "focal_length": camera.focal_length,
                 "principal_point": camera.principal_point,

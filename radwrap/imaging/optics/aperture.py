@@ -84,9 +84,9 @@ def sub_viewpoints(aperture: Aperture, count: int, layout: Layout = "rings") -> 
         If the opening is infinitesimal, or no such lattice has `count` points.
     """
     if aperture.is_infinitesimal:
-        raise InputError("an infinitesimal pinhole has no sub-viewpoints", remedy="use --method pinhole")
+        raise InputError("an infinitesimal pinhole has no sub-viewpoints", remedy='use `method="pinhole"`')
     if count < 1:
-        raise InputError(f"cannot divide a pinhole into {count} parts", remedy="use --viewpoints 1 or more")
+        raise InputError(f"cannot divide a pinhole into {count} parts", remedy="use `viewpoints=1` or more")
     match layout:
         case "sunflower":
             points, weights = _sunflower(aperture, count)
@@ -230,7 +230,7 @@ def _lattice(aperture: Aperture, count: int) -> tuple[NDArray[np.float64], NDArr
         nearest[start : start + block] = np.argmin((seeds**2).sum(axis=1) - 2 * part @ seeds.T, axis=1)
     sizes = np.bincount(nearest, minlength=count).astype(np.float64)
     if (sizes == 0).any():
-        raise InputError(f"{count} sub-viewpoints are too many for the hexagonal layout", remedy="use --layout rings")
+        raise InputError(f"{count} sub-viewpoints are too many for the hexagonal layout", remedy='use `layout="rings"`')
     points = np.column_stack([np.bincount(nearest, samples[:, axis], count) / sizes for axis in (0, 1)])
     return points, sizes
 
@@ -249,7 +249,7 @@ def _lattice_points(aperture: Aperture, count: int) -> NDArray[np.float64]:
         near = sorted(set(numbers[numbers > 0].tolist()), key=lambda number: (abs(number - count), number))[:4]
         raise InputError(
             f"no hexagonal layout has {count} sub-viewpoints",
-            remedy=f"use --viewpoints {', '.join(map(str, sorted(near)))}, or --layout rings",
+            remedy=f'use `viewpoints` {", ".join(map(str, sorted(near)))}, or `layout="rings"`',
         )
     spacing = spacings[right[np.argmin(np.abs(np.log(spacings[right] / ideal)))]]
     points = unit * spacing

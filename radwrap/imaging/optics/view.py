@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from radwrap.imaging.optics.falloff import falloff, whole_falloff
 from radwrap.imaging.response.exposure import exposure_of_radiance
+from radwrap.random_streams import generator
 from radwrap.scene.camera import Camera
 from radwrap.tracers.tracer import Tracer
 
@@ -118,7 +119,7 @@ def ray_blocks(
         indices = np.arange(first, last) if pixels is None else pixels[first:last]
         row, column = np.divmod(indices, sensor.columns)
         if plan.sampling == "jitter":
-            inside = np.random.default_rng([plan.seed, viewpoint, number]).random((len(indices), plan.rays, 2))
+            inside = generator(plan.seed, viewpoint, number).random((len(indices), plan.rays, 2))
         else:
             inside = np.full((1, 1, 2), 0.5)
         shares = (strata + inside) / k

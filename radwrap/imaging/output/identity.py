@@ -9,7 +9,7 @@ from radwrap.imaging.mean_radiance import how
 from radwrap.imaging.relight.basis import shining
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.response.noise import linear_of
-from radwrap.imaging.tracing import TracedScene, scene_sha256
+from radwrap.imaging.tracing import LaidOutScene, scene_sha256
 from radwrap.manifest import sha256_of_value, versions
 from radwrap.scene.scene import Scene
 
@@ -39,7 +39,7 @@ class Identity:
     versions: Mapping[str, str]
 
 
-def identity_of(scene: Scene, options: RenderOptions, traced: TracedScene) -> Identity:
+def identity_of(scene: Scene, options: RenderOptions, traced: LaidOutScene) -> Identity:
     """What a run of a scene is known by.
 
     Raises

@@ -30,6 +30,7 @@ from radwrap.imaging.tolerance.certificate import PixelSample, model_lacks
 from radwrap.imaging.tolerance.planner import Outcome
 from radwrap.imaging.tolerance.replicates import Plan, Work, cells_seed, tile_seed
 from radwrap.manifest import SCHEMA_VERSION, plain, sha256_of_value, write_manifest
+from radwrap.random_streams import Relighting, generator
 from radwrap.scene.scene import Scene
 from radwrap.tracers.radiance import PreparedScene
 
@@ -118,10 +119,10 @@ def _chosen(plan: Plan, tile: int, size: int) -> NDArray[np.intp]:
     count = -(-_GRID_PIXELS * (r1 - r0) * (c1 - c0) // plan.camera.sensor.pixels)
     if size <= count:
         return np.arange(size)
-    return np.sort(np.random.default_rng((tile, 16)).choice(size, count, replace=False))
+    return np.sort(generator(tile, Relighting.KEPT_PIXELS).choice(size, count, replace=False))
 
 
-def shining(scene: Scene, prepared: PreparedScene, asked_by: str = "--basis") -> tuple[str, ...]:
+def shining(scene: Scene, prepared: PreparedScene, asked_by: str = "basis") -> tuple[str, ...]:
     """Names of the sources of a basis: LEDs and wide sources that are not dark; errors name who asked.
 
     Raises
@@ -133,7 +134,7 @@ def shining(scene: Scene, prepared: PreparedScene, asked_by: str = "--basis") ->
         raise InputError(
             f'the included file of "{prepared.shining_files[0]}" holds light of its own, which has no name',
             where=asked_by,
-            remedy=f"describe it in [[sources]], or leave out {asked_by}",
+            remedy=f"describe it in [[sources]], or leave out `{asked_by}`",
         )
     return tuple(dict.fromkeys(emitter.source for emitter in scene.emitters if emitter.radiance > 0))
 
@@ -210,7 +211,7 @@ class _Maker:
             raise TypeError("only the kernel has a model")
         log_call(self.folder, f"model {number}")
         view = _alone(list(self.views.values())[number])
-        seed = (self.work.seed, 15)
+        seed = (self.work.seed, Relighting.MODEL_RAYS)
         lacks, rays = model_lacks(view, self.plan.layers, self.sample, seed=seed)
         self.work.progress.add(rays)
         self.write("model", number, lacks)
@@ -303,7 +304,7 @@ def _maker(work: Work, views: Mapping[str, View], outcome: Outcome) -> _Maker:
     sample = outcome.sample
     if sample is not None:
         sample = replace(sample, pairs=np.maximum(sample.pairs, _LEAST_PAIRS))
-    what = {"scene": work.scene_sha256, "plan": outcome.ray_plan, "seed": work.seed, "sources": list(views)}
+    what = {"scene": work.traced_sha256, "plan": outcome.ray_plan, "seed": work.seed, "sources": list(views)}
     name = sha256_of_value(
         {**what, "sample": None if sample is None else [sample.pixels.tolist(), sample.pairs.tolist()]}
     )

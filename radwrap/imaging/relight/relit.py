@@ -29,6 +29,7 @@ from radwrap.imaging.tolerance.kept_replicates import KeptReplicates
 from radwrap.imaging.tolerance.planner import certificate_of, model_quantile, noise_quantile
 from radwrap.imaging.tolerance.replicates import looks, noise_of
 from radwrap.manifest import read_manifest
+from radwrap.random_streams import Relighting
 from radwrap.scene.camera import Camera, Sensor
 from radwrap.scene.tolerances import Tolerances
 from radwrap.written import read_back
@@ -39,7 +40,6 @@ _TOGETHER: Final = 16
 _VALUES_HELD: Final = 1 << 24  # 128 MiB
 _SURE: Final = 1.959963985  # normal quantile of 0.975
 _LARGEST_FLOAT32: Final = float(np.finfo(np.float32).max)
-_RESAMPLING_SEED: Final = (17,)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -270,9 +270,8 @@ class _Relighter:
 
     def __init__(self, basis: Basis) -> None:
         self._basis = basis
-        self._again = (
-            None if basis.sample is None else resampling(basis.sample.stratum, basis.sample.shares, _RESAMPLING_SEED)
-        )
+        sample, key = basis.sample, (Relighting.RESAMPLES,)
+        self._again = None if sample is None else resampling(sample.stratum, sample.shares, key)
 
     def images(self, levels: NDArray[np.float64], count: int) -> Iterator[Relit]:
         """The first `count` images for some levels."""

@@ -23,13 +23,12 @@ from numpy.typing import NDArray
 from radwrap.errors import InputError
 from radwrap.images import ExposureImage, GrayImage
 from radwrap.imaging.response.sensor import gray_levels
+from radwrap.random_streams import Camera, generator
 from radwrap.scene.camera import Sensor
 from radwrap.scene.linear_sensor import LinearSensor
 
 Array = NDArray[np.float64]
 
-_PATTERN_STREAM: Final = 21  # tells the streams of random numbers of one seed apart
-_FRAME_STREAM: Final = 22
 # A mean so many standard deviations above the full well fills it always: the largest mean that is drawn.
 _CERTAINLY_FULL: Final = 40.0
 _FRAME: Final = re.compile(r"frame_[0-9]{4}\.png")
@@ -76,7 +75,7 @@ def linear_of(sensor: Sensor) -> LinearSensor:
 def fixed_pattern(sensor: Sensor) -> FixedPattern:
     """Draw a specimen; the same one for the same `device_seed`."""
     linear = linear_of(sensor)
-    random = np.random.default_rng([linear.device_seed, _PATTERN_STREAM])
+    random = generator(linear.device_seed, Camera.PATTERN)
     shape = (sensor.rows, sensor.columns)
     responsivity = np.maximum(1 + linear.prnu * random.standard_normal(shape), 0.0)
     dark = linear.dsnu * random.standard_normal(shape)
@@ -105,7 +104,7 @@ def noisy_frame(exposure: ExposureImage, sensor: Sensor, pattern: FixedPattern, 
         If the sensor is no linear camera.
     """
     linear = linear_of(sensor)
-    random = np.random.default_rng([seed, number, _FRAME_STREAM])
+    random = generator(seed, number, Camera.FRAME)
     light = exposure.values * linear.electrons_of_exposure(sensor.pixel_area) * pattern.responsivity
     mean = np.where(pattern.dead, 0.0, light) + linear.dark_signal
     full = linear.full_well

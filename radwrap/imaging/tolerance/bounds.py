@@ -15,6 +15,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from radwrap.random_streams import generator
+
 _NORMAL_QUANTILE: Final = 1.959963985  # of 0.975
 _TAIL: Final = 0.025
 _RESAMPLES: Final = 999
@@ -68,7 +70,7 @@ class Resampling:
 
 def resampling(stratum: NDArray[np.intp], shares: NDArray[np.float64], seed: tuple[int, ...]) -> Resampling:
     """Draw the resamples of a stratified sample; parameters as in `stratified_mean`."""
-    random = np.random.default_rng(seed)
+    random = generator(*seed)
     members = tuple(np.flatnonzero(stratum == k) for k in range(len(shares)))
     drawn = []
     for places in members:

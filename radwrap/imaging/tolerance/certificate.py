@@ -25,6 +25,7 @@ from radwrap.imaging.optics.view import View, trace_rays
 from radwrap.imaging.response.sensor import GrayWhereAsked, gray_levels
 from radwrap.imaging.tolerance.bounds import Bounded, mean_squares, resampling
 from radwrap.manifest import ONLY_WHERE_USED
+from radwrap.random_streams import Rendering, generator
 from radwrap.scene.camera import Sensor
 from radwrap.written import NotNegative, Rays
 
@@ -143,7 +144,7 @@ def draw_pixels(
         Pairs of rays for each pixel, and for each risky one.
     """
     number = math.prod(gray.shape)
-    random = np.random.default_rng(seed)
+    random = generator(*seed)
     # Of a large image some pixels, drawn evenly, stand for all.
     drawn = random.choice(number, min(number, _LOOKED_AT), replace=False, shuffle=False)
     apart = np.zeros(len(drawn), dtype=bool) if risky is None else risky.ravel()[drawn]
@@ -256,7 +257,7 @@ def model_lacks(
     drawn = []
     for part, pairs in zip(parts, numbers, strict=True):
         u, v = places_of(np.tile(sample.pixels[part], 2), view.camera.sensor.columns)
-        drawn.append(rays_over(view.camera, u, v, pairs, np.random.default_rng((*seed, pairs))))
+        drawn.append(rays_over(view.camera, u, v, pairs, generator(*seed, pairs)))
     opening, places_u, places_v = (np.concatenate(arrays) for arrays in zip(*drawn, strict=True))
     differences = _pair_differences(view, layers, opening, places_u, places_v)
     lacks = np.empty((2, len(sample.pixels)))
@@ -299,7 +300,7 @@ def independent_errors(
 ) -> PixelErrors:
     """What an image lacks at some pixels, by independent rays over pixel and opening; parameters as `model_errors`."""
     u, v = places_of(pixels, view.camera.sensor.columns)
-    random = np.random.default_rng(seed)
+    random = generator(*seed)
     # Both in one call, which the workers share evenly.
     values = sampled_radiance(view, np.tile(u, 2), np.tile(v, 2), rays, random).mean(axis=1).reshape(2, -1)
     scale, sensor = view.exposure_of_radiance, view.camera.sensor
@@ -331,9 +332,11 @@ def certify_by_independent_rays(
         Pixels that are held against two means of so many rays each.
     """
     gray = GrayWhereAsked(radiance, view.exposure_of_radiance, view.camera.sensor)
-    sample = draw_pixels(gray, pixels, (seed, 3))
-    errors = independent_errors(view, sample.pixels, radiance.ravel()[sample.pixels], rays=rays, seed=(seed, 4))
-    square = errors.mean_square(sample, (seed, 5))
+    sample = draw_pixels(gray, pixels, (seed, Rendering.CERTIFIED_PIXELS))
+    errors = independent_errors(
+        view, sample.pixels, radiance.ravel()[sample.pixels], rays=rays, seed=(seed, Rendering.CERTIFIED_RAYS)
+    )
+    square = errors.mean_square(sample, (seed, Rendering.CERTIFIED_RESAMPLES))
     return Certificate(
         rms_gray=root(square.mean),
         rms_gray_upper95=root(square.upper),

@@ -42,6 +42,7 @@ from radwrap.imaging.tolerance.replicates import (
 from radwrap.imaging.tolerance.search_record import Attempt, GivenUp, SearchRecord
 from radwrap.imaging.tolerance.survey import AIM_SHARE, Survey, met_by, middle_of, predicted_rays, steps, survey
 from radwrap.manifest import finite
+from radwrap.random_streams import Rendering
 from radwrap.tracers.timed import OutOfTime, TimedTracer
 
 # What costs less than this share of the tolerance is left out: errors add as squares, so it takes 5 % of the tolerance.
@@ -196,28 +197,28 @@ class Search:
     def run(self) -> Outcome:
         """Try until one image keeps the tolerance, or the budget is spent."""
         method, why = self.choice.method, self.choice.why
-        share = self._affordable(method, self._first_share(method))
+        aim = self._affordable(method, self._first_aim(method))
         best: Outcome | None = None
         given_up: GivenUp | None = None
-        if share < _COARSE_AIM:
+        if aim < _COARSE_AIM:
             self._limit_time(_TRACED_SHARE)
         for _ in range(_ATTEMPTS):
             try:
-                outcome = self._attempt(method, share, why)
+                outcome = self._attempt(method, aim, why)
             except OutOfTime:
                 given_up = "out of time"
                 if best is not None:
                     break
                 # Some image there must be: the coarsest, whatever it takes.
                 self._limit_time(math.inf)
-                share, self.finer, self.effort = _COARSE_AIM, 0, 0
+                aim, self.finer, self.effort = _COARSE_AIM, 0, 0
                 continue
             except TooManyRays as found:
                 given_up = "out of rays"
                 self.spent += found.decided
                 if best is not None:
                     break
-                share = self._coarser(method, share, found.whole)
+                aim = self._coarser(method, aim, found.whole)
                 self.finer, self.effort = 0, 0
                 continue
             self._limit_time(1.0)
@@ -225,7 +226,7 @@ class Search:
                 best = outcome
             if outcome.met or self._is_spent(outcome):
                 break
-            method, share, why = self._next(outcome, share, why)
+            method, aim, why = self._next(outcome, aim, why)
         assert best is not None  # noqa: S101  (the loop ran)
         return replace(best, record=self.recorded(best.record, given_up=given_up))
 
@@ -242,9 +243,9 @@ class Search:
         self.view = replace(self.view, tracer=tracer)
         self.work = replace(self.work, view=self.view)
 
-    def _forecast(self, method: ToleranceMethod, share: float) -> float:
+    def _forecast(self, method: ToleranceMethod, aim: float) -> float:
         """Rays that are expected for an aim."""
-        rays, kernel = predicted_rays(self.view, self.found, share / AIM_SHARE, self.finer)
+        rays, kernel = predicted_rays(self.view, self.found, aim / AIM_SHARE, self.finer)
         return rays if method == "rays" else kernel
 
     def _rank(self, outcome: Outcome) -> float:
@@ -261,31 +262,31 @@ class Search:
         """Mean square error of the kernel that is planned [gray level^2]."""
         return self.found.one_layer if self.one_layer else self.found.model
 
-    def _first_share(self, method: ToleranceMethod) -> float:
+    def _first_aim(self, method: ToleranceMethod) -> float:
         """Rms error of the result to aim at."""
         model = max(self.model.mean, 0.0) if method == "kernel" else 0.0
         left = self.demand.tolerance**2 - (model if math.isfinite(model) else 0.0)
         return AIM_SHARE * math.sqrt(max(left, (0.3 * self.demand.tolerance) ** 2))
 
-    def _affordable(self, method: ToleranceMethod, share: float) -> float:
+    def _affordable(self, method: ToleranceMethod, aim: float) -> float:
         """The aim, or a larger one that is expected to stay within the budget."""
         budget = min(self.demand.budget.rays - self.spent, self._rays_in_time())
-        if self._forecast(method, share) > budget:
+        if self._forecast(method, aim) > budget:
             self.finer, self.effort = 0, 0
         # From some aim on, an image takes no fewer rays.
-        fewest = self._forecast(method, share * 2**_HALVINGS)
-        while self._forecast(method, share) > max(budget, fewest):
-            share *= 2
-        return share
+        fewest = self._forecast(method, aim * 2**_HALVINGS)
+        while self._forecast(method, aim) > max(budget, fewest):
+            aim *= 2
+        return aim
 
-    def _coarser(self, method: ToleranceMethod, share: float, whole: int) -> float:
+    def _coarser(self, method: ToleranceMethod, aim: float, whole: int) -> float:
         """What to aim at once a plan needs more rays than are left: by its share of the forecast, then the coarsest."""
-        often = whole / self._forecast(method, share)
+        often = whole / self._forecast(method, aim)
         left = self.demand.budget.rays - self.spent
-        while share < _COARSE_AIM and (self.was_over or often * self._forecast(method, share) > left):
-            share *= 2
+        while aim < _COARSE_AIM and (self.was_over or often * self._forecast(method, aim) > left):
+            aim *= 2
         self.was_over = True
-        return share
+        return aim
 
     def _rays_in_time(self) -> float:
         """How many rays the time left suffices for, by the survey's; few rather than many, for its programs start."""
@@ -301,12 +302,12 @@ class Search:
         met = met_by(self.view, self.found.magnification)
         return plan_kernel(self.view, middle_of(met) if self.one_layer else met, aim, self.finer)
 
-    def _attempt(self, method: ToleranceMethod, share: float, why: str) -> Outcome:
-        number = replicates_needed(self._plan(method, share))
-        plan = self._plan(method, share * math.sqrt(number))
+    def _attempt(self, method: ToleranceMethod, aim: float, why: str) -> Outcome:
+        number = replicates_needed(self._plan(method, aim))
+        plan = self._plan(method, aim * math.sqrt(number))
         # Some image there must be: the coarsest may take what it takes.
-        most = self.demand.budget.rays - self.spent - self._certificate_rays(plan) if share < _COARSE_AIM else math.inf
-        return self.made(plan, number, why, aim=share, most=most)
+        most = self.demand.budget.rays - self.spent - self._certificate_rays(plan) if aim < _COARSE_AIM else math.inf
+        return self.made(plan, number, why, aim=aim, most=most)
 
     def made(
         self, plan: KernelPlan | RaysPlan, number: int, why: str, *, aim: float | None = None, most: float = math.inf
@@ -363,7 +364,7 @@ class Search:
         risky = steps(view, self.found.magnification, gray, _RISK_SHARE * self.demand.tolerance)
         for effort in range(self.effort, len(_EFFORTS)):
             pixels, pairs = self._pixels_and_pairs(effort)
-            drawn = draw_pixels(gray, pixels, (seed, 10, effort), risky=risky, pairs=pairs)
+            drawn = draw_pixels(gray, pixels, (seed, Rendering.MODEL_PIXELS, effort), risky=risky, pairs=pairs)
             all_pairs = int(drawn.pairs.sum())
             # The first must be, whatever it takes.
             if effort > self.effort and self.spent + rays_of_lacks(plan.layers, all_pairs) > self.demand.budget.rays:
@@ -371,9 +372,9 @@ class Search:
             self.effort, sample = effort, drawn
             self.pairs[effort] = all_pairs
             at = radiance.ravel()[sample.pixels]
-            found = model_errors(view, plan.layers, sample, at, seed=(seed, 11, effort))
+            found = model_errors(view, plan.layers, sample, at, seed=(seed, Rendering.MODEL_RAYS, effort))
             self.spent += found.rays
-            model = found.mean_square(sample, (seed, 12, effort))
+            model = found.mean_square(sample, (seed, Rendering.MODEL_RESAMPLES, effort))
             wanted = self.demand.tolerance**2
             enough = model.upper + noise.upper <= wanted or max(model.mean, 0.0) + noise.mean > wanted
             # More pairs help where the bound is wide, not the error large.
@@ -405,28 +406,28 @@ class Search:
             return True
         return self.spent + 2 * outcome.replicates.rays > budget.rays
 
-    def _next(self, outcome: Outcome, share: float, why: str) -> tuple[ToleranceMethod, float, str]:
+    def _next(self, outcome: Outcome, aim: float, why: str) -> tuple[ToleranceMethod, float, str]:
         """What to try after an image that does not keep the tolerance."""
         certificate, wanted = outcome.certificate, self.demand.tolerance
         if outcome.method == "rays":
             # Rays that decide may all have missed what a pixel sees: it then stays at the fewest, whatever the aim.
             self.fewest = min(_MORE * self.fewest, _MOST_FEWEST)
-            return "rays", share / 2, why
+            return "rays", aim / 2, why
         grid = math.sqrt(outcome.replicates.grid_square)
         if grid > _GRID_SHARE * wanted and self.finer < _FINEST:
             self.finer += 1
-            return "kernel", share, why
+            return "kernel", aim, why
         rest = root(self.last_model.upper)
         if self.one_layer and rest > NEGLIGIBLE_SHARE * wanted and math.isfinite(self.found.model.mean):
             self.one_layer = False
-            return "kernel", share, "depths differ more than the survey saw"
+            return "kernel", aim, "depths differ more than the survey saw"
         stuck = certificate.model_rms_gray > MODEL_SHARE * wanted or rest > wanted or grid > _GRID_SHARE * wanted
         tried = [attempt.rays for attempt in self.attempts[-2:] if attempt.method == "kernel"]
         stuck = stuck or (len(tried) == 2 and tried[0] == tried[1])  # a smaller aim changes nothing
-        if self.demand.method is None and (stuck or share < wanted * AIM_SHARE / 4):
-            share = self._affordable("rays", self._first_share("rays"))
-            return "rays", share, "the kernel's certificate did not hold"
-        return "kernel", share / 2, why
+        if self.demand.method is None and (stuck or aim < wanted * AIM_SHARE / 4):
+            aim = self._affordable("rays", self._first_aim("rays"))
+            return "rays", aim, "the kernel's certificate did not hold"
+        return "kernel", aim / 2, why
 
 
 def certificate_of(model: Bounded, noise: Bounded, quantile: float | None, *, pixels: int, rays: int) -> Certificate:

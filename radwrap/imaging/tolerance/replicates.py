@@ -23,6 +23,7 @@ from radwrap.imaging.tolerance.bounds import Bounded, mean_square_of_differences
 from radwrap.manifest import sha256_of_value
 from radwrap.process import Programs
 from radwrap.progress import Progress
+from radwrap.random_streams import Rendering
 
 Plan = KernelPlan | RaysPlan
 _LOOKS: Final = 8
@@ -80,7 +81,7 @@ class Work:
         Ended at the first failure.
     progress : Progress
         Counts rays.
-    scene_sha256 : str
+    traced_sha256 : str
         Hash of the scene as the tracer gets it, and of the tracer.
     seed : int
         Of all that is drawn.
@@ -90,7 +91,7 @@ class Work:
     folder: Path
     programs: Programs
     progress: Progress
-    scene_sha256: str
+    traced_sha256: str
     seed: int
 
 
@@ -120,7 +121,7 @@ def trace_replicates(work: Work, plan: Plan, number: int, most: float = math.inf
     TracerError, EnvironmentFailure
         If the tracer or the disk fails.
     """
-    name = sha256_of_value({"scene": work.scene_sha256, "plan": plan, "seed": work.seed})
+    name = sha256_of_value({"scene": work.traced_sha256, "plan": plan, "seed": work.seed})
     tiles = range(len(plan.tiles))
     shared = _among(work, len(tiles))
     decided = [_CellsPiece(shared, plan, name, tile) for tile in tiles] if isinstance(plan, KernelPlan) else []
@@ -287,12 +288,12 @@ class _CellsPiece:
 
 def cells_seed(seed: int, tile: int) -> tuple[int, ...]:
     """Seed of all that is drawn to find out a tile's cells."""
-    return (seed, 1, tile)
+    return (seed, Rendering.CELLS, tile)
 
 
 def tile_seed(seed: int, replicate: int, tile: int) -> tuple[int, ...]:
     """Seed of all that is drawn for a tile of a replicate."""
-    return (seed, 2, replicate, tile)
+    return (seed, Rendering.TILE, replicate, tile)
 
 
 def discretisation(view: View, replicates: Replicates) -> tuple[Bounded, NDArray[np.float64]]:

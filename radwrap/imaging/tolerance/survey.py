@@ -18,6 +18,7 @@ from radwrap.imaging.response.sensor import GrayWhereAsked
 from radwrap.imaging.tolerance.bounds import NOTHING, Bounded, stratified_mean
 from radwrap.imaging.tolerance.certificate import PixelSample, model_errors, places_of
 from radwrap.imaging.tolerance.replicates import replicates_needed
+from radwrap.random_streams import Rendering, generator
 
 _SURVEY_SIDE: Final = 128  # rows and columns of the survey's grid of central rays, which are told distances alone
 _SURVEY_PIXELS: Final = 192
@@ -65,8 +66,10 @@ def survey(view: View, seed: int) -> Survey:
     )
     u, v = (grid.ravel() for grid in np.meshgrid(columns, rows))
     magnification = magnifications_at(view, u, v).reshape(len(rows), len(columns))
-    drawn = np.random.default_rng((seed, 6)).choice(sensor.pixels, min(sensor.pixels, _SURVEY_PIXELS), replace=False)
-    pilot = sampled_radiance(view, *places_of(drawn, sensor.columns), PILOT, np.random.default_rng((seed, 7)))
+    drawn = generator(seed, Rendering.SURVEYED_PIXELS).choice(
+        sensor.pixels, min(sensor.pixels, _SURVEY_PIXELS), replace=False
+    )
+    pilot = sampled_radiance(view, *places_of(drawn, sensor.columns), PILOT, generator(seed, Rendering.SURVEYED_RAYS))
     deviations = gray_deviation(pilot, plan_rays(view, 1.0))
     rays = magnification.size + pilot.size
     model = one_layer = NOTHING
@@ -76,10 +79,12 @@ def survey(view: View, seed: int) -> Survey:
 
         def error_of(layers: tuple[float, ...]) -> Bounded:
             nonlocal rays
-            errors = model_errors(view, layers, sample, pilot.mean(axis=1), seed=(seed, 8))
+            errors = model_errors(view, layers, sample, pilot.mean(axis=1), seed=(seed, Rendering.SURVEYED_MODEL))
             rays += errors.rays
             # What so few pairs see decides what is tried, not what is certified.
-            return stratified_mean(errors.first * errors.second, sample.stratum, sample.shares, (seed, 9))
+            return stratified_mean(
+                errors.first * errors.second, sample.stratum, sample.shares, (seed, Rendering.SURVEYED_RESAMPLES)
+            )
 
         met = met_by(view, magnification)
         model = one_layer = error_of(plan_kernel(view, middle_of(met), 1.0).layers)

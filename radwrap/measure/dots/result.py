@@ -14,7 +14,7 @@ from radwrap.measure.dots.plane import Matrix
 
 Field = NDArray[np.float64]
 
-REMEDY: Final = "check --grid, and that the whole board is in view, lit and in focus"
+REMEDY: Final = "check the numbers of rows and columns, and that the whole board is in view, lit and in focus"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,5 +134,5 @@ def too_many(shape: tuple[int, int], side: str, places: Field) -> DotsNotFound:
         f"found {shape[0]} x {shape[1]} dots, but dots go on {side} the grid",
         places,
         np.empty((0, 2)),
-        remedy="give the whole board's rows x columns with --grid",
+        remedy="give the whole board's rows and columns",
     )

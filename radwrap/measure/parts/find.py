@@ -94,7 +94,7 @@ def find_parts(
         raise InputError(
             f"shows no part of {min_area:g} px^2 or more above its noise",
             where="the image",
-            remedy="raise the contrast, or lower --min-area",
+            remedy="raise the contrast, or lower `min_area`",
         )
     return Parts(kind, tuple(sorted(kept, key=lambda part: (part.v, part.u))))
 

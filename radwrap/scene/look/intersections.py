@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from typing import Final, assert_never
 
 import numpy as np
@@ -29,6 +30,59 @@ Array = NDArray[np.float64]
 
 # A ray that starts on a surface does not meet it there [m]; no scene has parts as small.
 _START: Final = 1e-12
+_MOST_PAIRS: Final = 1_000_000  # of targets and rays that are looked at together
+_ROUNDING: Final = 1e-12  # of a squared distance, which is a difference of squares
+
+
+def reached(targets: Sequence[Target], origin: Vector, rays: Array) -> Iterator[tuple[Target, NDArray[np.intp]]]:
+    """Targets that rays from one point may meet, each with the numbers of these rays.
+
+    Most rays pass most targets by: a sphere that holds the target says so at once.
+
+    Parameters
+    ----------
+    targets : sequence of Target
+        Of a Radiance file nothing is known: it is not among those met.
+    origin : Vector
+        In the world [m].
+    rays : ndarray, shape (n, 3)
+        Unit vectors.
+    """
+    known = [target for target in targets if not isinstance(target, RadFile)]
+    away = np.array([target.pose.position for target in known]).reshape(-1, 3) - np.asarray(origin)
+    square = (away**2).sum(axis=1)
+    size = np.array([_reach(target) ** 2 for target in known]) + _ROUNDING * square
+    step = max(1, _MOST_PAIRS // max(len(rays), 1))
+    for first in range(0, len(known), step):
+        some = slice(first, first + step)
+        ahead = away[some] @ rays.T
+        # Those behind the origin are passed by too, unless it lies within the sphere.
+        squares, sizes = square[some, np.newaxis], size[some, np.newaxis]
+        near = (squares - ahead**2 <= sizes) & ((ahead > 0) | (squares <= sizes))
+        for target, row in zip(known[some], near, strict=True):
+            if (numbers := np.flatnonzero(row)).size:
+                yield target, numbers
+
+
+def _reach(target: Target) -> float:
+    """Radius of a sphere about a target's origin that holds it [m]."""
+    match target:
+        case Sheet() | DotBoard() | EdgeTarget():
+            return math.hypot(target.width, target.height) / 2
+        case Disc() | Sphere():
+            return target.diameter / 2
+        case Polygon():
+            return max(math.hypot(*vertex) for vertex in target.vertices)
+        case Cylinder():
+            return math.hypot(target.diameter, target.length) / 2
+        case Box():
+            return math.hypot(*target.size) / 2
+        case MeshPart():
+            return float(np.linalg.norm(target.mesh.vertices, axis=1).max())
+        case RadFile():
+            return 0.0
+        case _:
+            assert_never(target)
 
 
 def first_hit(target: Target, origins: Array, directions: Array) -> tuple[Array, Array]:

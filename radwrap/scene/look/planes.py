@@ -42,6 +42,7 @@ _ROUND: Final = 32  # points on a circle
 _INNER: Final = 15
 # Files of meshes hold float32: of their corners so large a share is chance.
 _FLOAT32: Final = 1e-7
+_MOST_PAIRS: Final = 1_000_000  # of faces that are looked at together
 # Triangles in a face's plane that are held against it one by one; of more, only their middles are.
 _MOST_TRIANGLES: Final = 2000
 
@@ -144,17 +145,47 @@ def _check_luminaires(scene: Scene, shining: list[tuple[str, Emitter]]) -> None:
 
 
 def _in_one_plane(faces: list[_Face]) -> Iterator[tuple[_Face, _Face]]:
-    """Pairs of faces of two owners that may lie in one plane."""
+    """Pairs of faces of two owners that may lie in one plane, near enough to meet; in the order of the faces."""
     middles = np.array([face.corners.mean(axis=0) for face in faces]).reshape(-1, 3)
+    normals = np.array([face.normal for face in faces]).reshape(-1, 3)
+    reach = np.array(
+        [np.linalg.norm(face.corners - middle, axis=1).max() for face, middle in zip(faces, middles, strict=True)]
+    )
     owners = np.unique([face.owner for face in faces], return_inverse=True)[1]
-    # Owners come one after the other, so the last one's faces (often thousands of patches) have no pairs to come.
-    last = int(np.flatnonzero(owners != owners[-1]).max(initial=-1)) if faces else -1
-    for number, face in enumerate(faces[: last + 1]):
-        reach = np.linalg.norm(face.corners - middles[number], axis=1).max()
-        away = np.abs((middles[number + 1 :] - middles[number]) @ face.normal)
+    found = [np.empty((0, 2), dtype=np.intp)]
+    for pairs in _beside_each_other(middles, reach):
+        a, b = pairs[owners[pairs[:, 0]] != owners[pairs[:, 1]]].T
+        gap = middles[b] - middles[a]
         # A plane through a face's corners holds their mean too.
-        near = (away <= _ONE_PLANE + _ENDS * reach) & (owners[number + 1 :] != owners[number])
-        yield from ((face, faces[number + 1 + index]) for index in np.flatnonzero(near))
+        flat = np.abs((gap * normals[a]).sum(axis=1)) <= _ONE_PLANE + _ENDS * reach[a]
+        near = np.linalg.norm(gap, axis=1) <= reach[a] + reach[b] + _ONE_PLANE
+        found.append(np.stack([a, b], axis=1)[flat & near])
+    together = np.concatenate(found)
+    for first, second in together[np.lexsort((together[:, 1], together[:, 0]))]:
+        yield faces[first], faces[second]
+
+
+def _beside_each_other(middles: Array, reach: Array) -> Iterator[NDArray[np.intp]]:
+    """Pairs of numbers, shape (n, 2), the lower first, of spheres that overlap along the axis of their largest spread.
+
+    Of many faces few do, where each against all others takes minutes.
+    """
+    if len(middles) < 2:
+        return
+    axis = int(np.ptp(middles, axis=0).argmax())
+    order = np.argsort(middles[:, axis] - reach, kind="stable")
+    low, high = ((middles[:, axis] + side * (reach + _ONE_PLANE))[order] for side in (-1, 1))
+    counts = np.searchsorted(low, high, side="right") - np.arange(1, len(order) + 1)
+    ends = np.cumsum(counts)
+    start = 0
+    while start < len(order):
+        done = ends[start - 1] if start else 0
+        stop = max(start + 1, int(np.searchsorted(ends, done + _MOST_PAIRS, side="right")))
+        each = counts[start:stop]
+        one = np.repeat(np.arange(start, stop), each)
+        other = one + 1 + np.arange(len(one)) - np.repeat(ends[start:stop] - each - done, each)
+        yield np.sort(np.stack([order[one], order[other]], axis=1), axis=1)
+        start = stop
 
 
 def _compete(first: _Face, second: _Face) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.scene.look.geometry import directions, project
-from radwrap.scene.look.intersections import first_hit
+from radwrap.scene.look.intersections import first_hit, reached
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Emitter, Source, WideSource, emitters
 
@@ -61,11 +61,17 @@ def _behind(scene: Scene, emitter: Emitter) -> str | None:
     points = _in_sight(scene, emitter)
     away = points - eye
     distance = np.linalg.norm(away, axis=1)
-    met = {target.name: first_hit(target, eye, away / distance[:, np.newaxis])[0] for target in scene.targets}
-    seen = np.all([distance < further for further in met.values()], axis=0)
+    rays = away / distance[:, np.newaxis]
+    met = [
+        (target.name, numbers, first_hit(target, eye, rays[numbers])[0])
+        for target, numbers in reached(scene.targets, scene.camera.pose.position, rays)
+    ]
+    seen = np.ones(len(points), dtype=bool)
+    for _, numbers, further in met:
+        seen[numbers] &= distance[numbers] < further
     if not seen.any():
         return None
-    return next((name for name, further in met.items() if np.isfinite(further[seen]).any()), "")
+    return next((name for name, numbers, further in met if np.isfinite(further[seen[numbers]]).any()), "")
 
 
 def _in_sight(scene: Scene, emitter: Emitter) -> Array:

@@ -14,6 +14,7 @@ _HARMLESS: Final = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "EXT_textur
 _TRIANGLES: Final = (4, 5)  # a list, a strip
 _MODES: Final = {0: "points", 1: "lines", 2: "a loop of lines", 3: "a strip of lines", 6: "a fan of triangles"}
 _FLOAT: Final = 5126
+MOST_NODES: Final = 100_000  # the library walks them one by one, a million in minutes
 
 
 def check_glb(content: bytes, where: str) -> None:
@@ -22,14 +23,19 @@ def check_glb(content: bytes, where: str) -> None:
     Raises
     ------
     InputError
-        If it or a node needs an extension, or it holds lines, points, fans, skins, morph targets, or sparse, scaled or
-        packed numbers; or is no glTF 2 file.
+        If it holds more than `MOST_NODES` nodes, it or a node needs an extension, or it holds lines, points, fans,
+        skins, morph targets, or sparse, scaled or packed numbers; or is no glTF 2 file.
     """
     try:
         tree = _tree(content)
+        count = len(tree.get("nodes", ()))
         found = next(_faults(tree), None)
     except (ValueError, TypeError, KeyError, IndexError, AttributeError, RecursionError, struct.error) as error:
         raise InputError(f"is no whole GLB file: {str(error)[:100]}", where=where) from error
+    if count > MOST_NODES:
+        raise InputError(
+            f"holds {count} nodes, the limit is {MOST_NODES}", where=where, remedy="join its nodes into fewer meshes"
+        )
     if found:
         raise InputError(f"{found}: that is not read here", where=where, remedy="export plain triangles")
 
