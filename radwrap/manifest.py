@@ -55,19 +55,20 @@ def _platform() -> str:
     return "-".join(known)
 
 
-def plain(value: Any) -> Any:
-    """Turn frozen dataclasses into what JSON can hold; the type's name goes along.
+def plain(value: Any, *, named: bool = True) -> Any:
+    """Turn frozen dataclasses into what JSON can hold; the type's name goes along, unless it is not to be `named`.
 
     Left out are fields that are not compared, and those with the metadata
     ``only_where_used`` that are None: a new field changes no hash of what has none.
     """
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        fields = {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value) if _is_told(f, value)}
-        return {"is": type(value).__name__, **fields}
+        told = [field for field in dataclasses.fields(value) if _is_told(field, value)]
+        values = {field.name: plain(getattr(value, field.name), named=named) for field in told}
+        return {"is": type(value).__name__, **values} if named else values
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): plain(item, named=named) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [plain(item, named=named) for item in value]
     if isinstance(value, Path):
         return str(value)
     return value

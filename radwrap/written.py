@@ -11,9 +11,11 @@ from pydantic import Field, TypeAdapter, ValidationError
 from radwrap.errors import InputError
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Count = Annotated[int, Field(ge=1, le=2**31 - 1)]
 Index = Annotated[int, Field(ge=0, le=2**31 - 1)]
+Rays = Annotated[int, Field(ge=0)]  # more than fit into 32 bits
 Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 # Beside the JSON file or below: nothing leads out of its folder.
 InnerName = Annotated[str, Field(pattern=r"^[^/\\.\x00][^/\\\x00]*(/[^/\\.\x00][^/\\\x00]*)*$", max_length=1024)]
@@ -41,6 +43,8 @@ def read_back(told: Any, shape: Any, where: str) -> Any:
     try:
         # As JSON, where an array may be a tuple, but a string is no number.
         return TypeAdapter(shape).validate_json(json.dumps(told, allow_nan=False), strict=True)
+    except InputError as error:  # by a value that checks itself
+        raise InputError(error.what, where=f"{where}: {error.where}", remedy=_REMEDY) from error
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         what = str(first["ctx"]["error"]) if first["type"] == "value_error" else first["msg"]

@@ -29,6 +29,7 @@ from radwrap.images import RadianceImage, read_image, write_exr, write_png
 from radwrap.imaging.methods.kernel import plan_kernel
 from radwrap.imaging.optics.aperture import LAYOUTS, Layout, sub_viewpoints
 from radwrap.imaging.optics.view import PixelPlan, PixelSampling, View
+from radwrap.imaging.output.run_manifest import run_manifest_of
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.response.exposure import radiant_exposure
 from radwrap.imaging.response.sensor import GrayWhereAsked, gray_image, gray_levels
@@ -158,18 +159,18 @@ def commanded(overrides: dict[str, object], tolerance: float, reference: Referen
             wall = time.perf_counter() - start
             if wall > best["command_s"]:
                 continue
-            manifest = json.loads(done.stdout)
+            made = run_manifest_of(json.loads(done.stdout), "the command's output")
             exposure = read_image(Path(out) / "radiant_exposure.exr")[0].astype(np.float64)
         sensor = radwrap.load_scene(SCENE, overrides).camera.sensor
         seen = distance(reference, gray_levels(exposure.ravel()[reference.sample.pixels], sensor))
         best = {
             "command_s": wall,
-            "without_start_s": manifest["timing"]["wall_s"],
-            "start_s": wall - manifest["timing"]["wall_s"],
-            "rays": manifest["rays"],
+            "without_start_s": made.timing.wall_s,
+            "start_s": wall - made.timing.wall_s,
+            "rays": made.rays,
             "rms_gray": seen.rms_gray,
             "p99_gray": seen.p99_gray,
-            "rms_gray_upper95": manifest["error"]["rms_gray_upper95"],
+            "rms_gray_upper95": made.error.rms_gray_upper95,
         }
     return best
 
@@ -309,15 +310,15 @@ def cost(size: tuple[int, int], leds: int) -> dict[str, Any]:
             words = [*command(overrides, "--tolerance", repr(JUDGED)), "--out", out]
             done = subprocess.run(words, capture_output=True, check=True, text=True)
             wall = min(wall, time.perf_counter() - start)
-            manifest = json.loads(done.stdout)
-            without = min(without, manifest["timing"]["wall_s"])
+            made = run_manifest_of(json.loads(done.stdout), "the command's output")
+            without = min(without, made.timing.wall_s)
     row = {
         "size": size,
         "leds": leds,
         "command_s": wall,
         "without_start_s": without,
         "seconds_per_megapixel": without / (size[0] * size[1] / 1e6),
-        "rays": manifest["rays"],
+        "rays": made.rays,
         "peak_memory_bytes": peak_memory(overrides, "--tolerance", repr(JUDGED)),
         "stages_s": {"start": wall - without, **profile(overrides)},
     }

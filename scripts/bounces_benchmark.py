@@ -33,8 +33,8 @@ def main() -> int:
         wall, cpu = (time.monotonic() - start) / 2, (_cpu() - before) / 2
         first, second = (image.gray.values for image in images)
         got = float(np.sqrt(((first - second) ** 2).mean() / 2))
-        certified = max(image.manifest["error"]["rms_gray_upper95"] for image in images)
-        rays = images[0].manifest["rays"]
+        certified = max(image.run.error.rms_gray_upper95 for image in images)
+        rays = images[0].run.rays
         print(
             f"{tolerance:6g} {certified:9.3g} {got:6.3g} {first.mean():9.1f} {rays:9.3g} {wall:6.1f}s {cpu:6.1f}s",
             flush=True,

@@ -30,6 +30,7 @@ from radwrap.imaging.optics.view import View, trace_rays
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.tolerance.certificate import draw_pixels, independent_errors, root
 from radwrap.imaging.tracing import traced_scene
+from radwrap.manifest import plain
 
 OUT = Path(__file__).resolve().parent.parent / "out" / "certificates.json"
 COVERAGE = 0.91
@@ -181,11 +182,12 @@ def judged(number: int, budget: float) -> dict[str, Any] | None:
     with tempfile.TemporaryDirectory() as out:
         result = radwrap.render(scene, out, tolerance=tolerance, budget_rays=budget, seed=number)
     wall = time.monotonic() - start
-    error, plan = result.manifest["error"], result.manifest["plan"]
+    error, plan = result.run.error, result.run.plan
+    assert plan is not None  # noqa: S101  (there is a tolerance)
     with traced_scene(scene) as view:
         radiance = result.radiant_exposure.values / view.exposure_of_radiance
         gray = gray_levels(radiance * view.exposure_of_radiance, scene.camera.sensor)
-        square, noise = true_square(view, gray, result.manifest["error"]["rms_gray_upper95"], 1000 + number)
+        square, noise = true_square(view, gray, error.rms_gray_upper95, 1000 + number)
         truth = root(square)
         # How the certificate of independent rays sees an image that is 1 % too bright.
         sample = draw_pixels(gray, 512, (number, 1))
@@ -198,15 +200,15 @@ def judged(number: int, budget: float) -> dict[str, Any] | None:
     return {
         "number": number,
         "tolerance": tolerance,
-        "method": result.manifest["method"],
-        "met": plan["met"],
-        "attempts": [(a["method"], a["rays"]) for a in plan["attempts"]],
-        "expected_model_rms_gray": plan["expected_model_rms_gray"],
+        "method": result.run.method,
+        "met": plan.met,
+        "attempts": [(attempt.method, attempt.rays) for attempt in plan.attempts],
+        "expected_model_rms_gray": plan.expected_model_rms_gray,
         "true_rms_gray": truth,
         "truth_standard_error_gray": noise / (2 * max(truth, 1e-3)),
-        "error": error,
-        "holds": truth <= error["rms_gray_upper95"],
-        "ratio": error["rms_gray_upper95"] / max(truth, 1e-9),
+        "error": plain(error, named=False),
+        "holds": truth <= error.rms_gray_upper95,
+        "ratio": error.rms_gray_upper95 / max(truth, 1e-9),
         "planted": -sum(parts) / 2,
         "planted_spread": abs(parts[0] - parts[1]) / 2,
         "wall_s": wall,

@@ -82,7 +82,7 @@ def measured(position: float, options: dict[str, Any]) -> dict[str, tuple[float,
     with tempfile.TemporaryDirectory() as out:
         rendered = radwrap.render(scene, out, workers=1, **options)
     gray = gray_levels(rendered.radiant_exposure.values, scene.camera.sensor)
-    shift = shift_of_render(gray, rendered.manifest["error"]["rms_gray_upper95"])
+    shift = shift_of_render(gray, rendered.run.error.rms_gray_upper95)
     truth = next(target["edge"] for target in geometry(scene, ())["targets"].values() if "edge" in target)
     normal = np.array([math.cos(truth["angle"]), math.sin(truth["angle"])])
     found, given = {}, math.inf

@@ -28,7 +28,7 @@ from radwrap.imaging.relight.relit import read_basis
 from radwrap.imaging.response.noise import fixed_pattern, linear_of, noisy_frame
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.synthesis import render
-from radwrap.manifest import json_text
+from radwrap.manifest import json_text, plain
 from radwrap.scene.file.load import load_scene, with_value
 from radwrap.scene.scene import Scene
 from radwrap.scene.tolerances import TO_STANDARD, Tolerances
@@ -164,7 +164,7 @@ def main() -> int:
         "lit_pixels": int(lit.sum()),
         "largest_gray": float(expected.max()),
         "coverage": found,
-        "uncertainty": prediction.manifest["uncertainty"],
+        "uncertainty": plain(prediction.run.uncertainty, named=False),
         "tolerances": SCENES[arguments.scene]["tolerances"],
     }
     if arguments.out:

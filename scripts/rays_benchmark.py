@@ -68,7 +68,7 @@ def main() -> int:
         work = Work(view, Path(folder), programs, Progress("", 1, shown=False), "bench", 0)
         start = time.perf_counter()
         outcome = render_to_tolerance(work, Demand(TOLERANCE, method="rays"))
-        ours = {"seconds": time.perf_counter() - start, "rays": float(outcome.plan["rays"])}
+        ours = {"seconds": time.perf_counter() - start, "rays": float(outcome.record.rays)}
         ours |= {"rms_gray": rms(view, reference, outcome.radiance.ravel()[pixels])}
         ours |= {"rms_gray_upper95": outcome.certificate.rms_gray_upper95}
         first = rms(view, reference, plain(view, pixels, PILOT, 2))

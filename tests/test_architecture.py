@@ -27,7 +27,7 @@ ROOMS = {
     "imaging": [
         *("response", "optics", "run_files"),
         *("option_values", "demand", "render_options", "banding", "tracing", "truth"),
-        *("methods", "tolerance", "mean_radiance", "relight", "forecast", "synthesis"),
+        *("methods", "tolerance", "mean_radiance", "relight", "forecast", "output", "synthesis"),
     ],
 }
 
@@ -57,7 +57,7 @@ DOORS = {
         "scene/file/sensor_tables.py": BORDER,
         "scene/file/source_tables.py": BORDER,
         "study/design_tables.py": "tables of a design file: pydantic goes no further",
-        "imaging/run_files.py": "types of what a run leaves as JSON",
+        "imaging/run_files.py": "ranges of numbers in what a run leaves as JSON",
         "written.py": "checks JSON that is read back",
     },
     "tomllib": {

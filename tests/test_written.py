@@ -9,7 +9,8 @@ from typing import Any, Final
 import pytest
 
 from radwrap.errors import InputError
-from radwrap.imaging.run_files import BasisFile, RunManifest
+from radwrap.imaging.output.run_manifest import RunManifest
+from radwrap.imaging.run_files import BasisFile
 from radwrap.manifest import plain
 from radwrap.scene.file.load import scene_from_document
 from radwrap.written import read_back
@@ -100,5 +101,7 @@ def test_ranges_of_a_basis(path: tuple[Any, ...], value: Any, says: str) -> None
 
 
 def test_a_manifest_without_a_key_is_none() -> None:
-    with pytest.raises(InputError, match=r"manifest\.json: run_sha256: field required \(and 9 more\); .*make it again"):
+    with pytest.raises(
+        InputError, match=r"manifest\.json: scene_sha256: field required \(and \d\d more\); .*make it again"
+    ):
         read_back({}, RunManifest, "manifest.json")

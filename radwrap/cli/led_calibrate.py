@@ -13,7 +13,6 @@ from typing import Any, Final
 from radwrap.cli import options as shared
 from radwrap.errors import InputError
 from radwrap.files import check_result
-from radwrap.imaging.run_files import RunManifest
 from radwrap.led.calibration import read_table, scaled, write_calibration
 from radwrap.led.drive import read_drive
 from radwrap.led.play import DARK, RECORD, led_name
@@ -116,6 +115,7 @@ def _from_table(arguments: argparse.Namespace) -> tuple[RingCalibration, list[di
 
 def _from_captures(arguments: argparse.Namespace) -> tuple[RingCalibration, list[dict[str, Any]]]:
     from radwrap.images import read_gray
+    from radwrap.imaging.output.run_manifest import read_run_manifest
     from radwrap.imaging.relight.relit import read_basis, relit
     from radwrap.led.from_scene import leds_of
     from radwrap.led.self_calibration import check_dark, factor
@@ -128,8 +128,7 @@ def _from_captures(arguments: argparse.Namespace) -> tuple[RingCalibration, list
     record = read_manifest(folder / RECORD)
     read_back(record, _Record, str(folder / RECORD))
     basis = read_basis(Path(arguments.basis))
-    path = Path(arguments.basis) / "manifest.json"
-    manifest: RunManifest = read_back(read_manifest(path), RunManifest, str(path))
+    manifest = read_run_manifest(Path(arguments.basis))
     scene = scene_from_document(
         parse_json(manifest.scene, "the basis' scene"), origin="the basis' scene", folder=Path(arguments.basis)
     )

@@ -16,7 +16,7 @@ from radwrap.images import write_exr, write_png
 from radwrap.imaging.relight.levels import Levels, read_levels
 from radwrap.imaging.relight.relit import Basis, Relit, read_basis, relit
 from radwrap.imaging.relight.relit_uncertainty import relit_uncertainty
-from radwrap.manifest import SCHEMA_VERSION, json_text, write_manifest
+from radwrap.manifest import SCHEMA_VERSION, json_text, plain, write_manifest
 
 RESULT: Final = "relight.json"
 SIGMAS: Final = "gray_sigma"  # a folder: no image's name can be that of another's file
@@ -87,7 +87,7 @@ def _write(out: Path, basis: Basis, levels: Levels, *, with_exposure: bool) -> d
         images[name] = {
             "levels": dict(zip(basis.sources, factors.tolist(), strict=True)),
             **_summary(image),
-            **({} if unsure is None else {"uncertainty": unsure.as_manifest()}),
+            **({} if unsure is None else {"uncertainty": plain(unsure.summary(), named=False)}),
             "met": image.keeps(basis),
             "files": {file: sha256_of(out / file) for file in files},
         }
@@ -107,5 +107,5 @@ def _summary(image: Relit) -> dict[str, Any]:
     return {
         "gray": {"min": float(gray.min()), "max": float(gray.max()), "mean": float(gray.mean())},
         "saturated_fraction": image.saturated_fraction,
-        "error": image.certificate.as_manifest(),
+        "error": plain(image.certificate, named=False),
     }

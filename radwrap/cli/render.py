@@ -12,6 +12,7 @@ from typing import Any
 from radwrap.cli import options as shared
 from radwrap.errors import InputError, ToleranceNotMet
 from radwrap.imaging.forecast.photo_realistic import check_drawable, write_beside
+from radwrap.imaging.output.run_manifest import RunManifest
 from radwrap.imaging.render_options import METHODS, TOLERANCE, RenderOptions
 from radwrap.imaging.synthesis import forecast, render
 from radwrap.manifest import json_text
@@ -122,34 +123,34 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.photo_realistic:
         check_drawable(scene)
     result = render(scene, shared.out_folder(arguments, "images"), options)
-    manifest = result.manifest
-    for warning in manifest["warnings"]:
+    told: Mapping[str, Any] = result.manifest
+    for warning in result.run.warnings:
         print(f"radwrap: warning: {warning}", file=sys.stderr)
-    met = manifest.get("plan", {}).get("met", True)
+    drawn = None
     if arguments.photo_realistic:
         drawn = write_beside(
-            scene, Path(arguments.out), result.gray.codes, arguments.photo_realistic, manifest["run_sha256"]
+            scene, Path(arguments.out), result.gray.codes, arguments.photo_realistic, result.run.run_sha256
         )
-        manifest = {**manifest, "photo_realistic": drawn}
+        told = {**told, "photo_realistic": drawn}
     if arguments.json:
-        print(json_text(manifest), end="")
+        print(json_text(told), end="")
     else:
-        _summarise(arguments, manifest)
-    if not met:
+        _summarise(arguments, result.run, drawn)
+    if not result.run.met:
         raise ToleranceNotMet("the tolerance was not met; this is the best image that was found")
     return 0
 
 
-def _summarise(arguments: argparse.Namespace, manifest: Mapping[str, Any]) -> None:
-    gray, error = manifest["gray"], manifest["error"]
+def _summarise(arguments: argparse.Namespace, made: RunManifest, drawn: Mapping[str, Any] | None) -> None:
+    gray, error = made.gray, made.error
     print(
-        f"{arguments.out}/gray.png: gray {gray['min']:g} to {gray['max']:g}, mean {gray['mean']:.1f}; "
-        f"{manifest['saturated_fraction']:.1%} saturated, {manifest['dark_fraction']:.1%} dark\n"
-        f"error in gray levels before rounding: {error['rms_gray']:.2g} rms, below {error['rms_gray_upper95']:.2g} "
-        f"(95 %), by {error['method']}; method {manifest['method']}, {manifest['rays']:.3g} rays"
+        f"{arguments.out}/gray.png: gray {gray.min:g} to {gray.max:g}, mean {gray.mean:.1f}; "
+        f"{made.saturated_fraction:.1%} saturated, {made.dark_fraction:.1%} dark\n"
+        f"error in gray levels before rounding: {error.rms_gray:.2g} rms, below {error.rms_gray_upper95:.2g} "
+        f"(95 %), by {error.method}; method {made.method}, {made.rays:.3g} rays"
     )
-    if arguments.photo_realistic:
-        apart = manifest["photo_realistic"]["gray_difference"]
+    if drawn is not None:
+        apart = drawn["gray_difference"]
         print(
             f"{arguments.out}/comparison.png: drawn with a {arguments.photo_realistic} light, {apart['rms']:.1f} gray "
             f"rms from the predicted image (at most {apart['largest']:.0f})"

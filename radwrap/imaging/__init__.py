@@ -8,8 +8,8 @@ The data's way::
     -> rays of a view through the opening            optics
     -> the mean radiance of each pixel               mean_radiance: one of methods, led by tolerance
     -> radiant exposure, gray levels, noise          response
-    -> files and manifest                            synthesis (truth: depth, parts, positions)
-    + what of them is read again                     run_files
+    -> files and manifest                            output (truth: depth, parts, positions), led by synthesis
+    + what else is read again                        run_files
 
 The wings, each on those before it::
 
@@ -19,4 +19,5 @@ The wings, each on those before it::
     tolerance    from a tolerance to a certified image
     relight      any levels of the sources, without a ray
     forecast     what a scene amounts to before it is rendered
+    output       what a run leaves in its folder, and its manifest
 """

@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.scene.bands import Bands, allowed_error, gray_error, scene_bands
 from radwrap.scene.scene import Scene
+from radwrap.written import NotNegative
 
 # Share of the tolerance that bands may take, at every pixel alike.
 _SHARE: Final = 0.1
 # Where sources are to be relit one by one bands must be exact: rounding apart.
 _EXACT: Final = 1e-9
-_BOUNDS: Final = ("rms_gray_upper95", "p99_gray_upper95")
+
+
+@dataclass(frozen=True, slots=True)
+class BandsSummary:
+    """Which sources share a band, and what bands change at most; the manifest's ``bands``."""
+
+    sources: tuple[tuple[str, ...], ...]
+    relative_error: NotNegative
+    gray: NotNegative
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,19 +47,12 @@ class Banding:
         largest = None if options.max_error is None else options.max_error - self.gray
         return replace(options, tolerance=options.tolerance - self.gray, max_error=largest)
 
-    def raised(self, error: Mapping[str, Any]) -> dict[str, Any]:
-        """A certificate that holds with the error of bands."""
+    def summary(self) -> BandsSummary | None:
+        """What the manifest says; None where the scene tells no spectra."""
         if self.bands is None:
-            return dict(error)
-        bounds = {key: error[key] + self.gray for key in _BOUNDS if error.get(key) is not None}
-        return {**error, **bounds, "bands_gray": self.gray}
-
-    def as_manifest(self) -> dict[str, Any]:
-        """The manifest's ``bands``; nothing where the scene tells no spectra."""
-        if self.bands is None:
-            return {}
-        groups = [list(band.sources) for band in self.bands.bands]
-        return {"bands": {"sources": groups, "relative_error": self.bands.error, "gray": self.gray}}
+            return None
+        groups = tuple(tuple(band.sources) for band in self.bands.bands)
+        return BandsSummary(sources=groups, relative_error=self.bands.error, gray=self.gray)
 
 
 def banding(scene: Scene, options: RenderOptions, *, exact: bool = False) -> Banding:

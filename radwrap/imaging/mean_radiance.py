@@ -10,14 +10,40 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.imaging.methods.viewpoints import ViewpointPlan, merge, trace_viewpoints
-from radwrap.imaging.optics.aperture import central_viewpoint, sub_viewpoints
-from radwrap.imaging.optics.view import PixelPlan
-from radwrap.imaging.render_options import FixedMethod, RenderOptions
-from radwrap.imaging.tolerance.certificate import certify_by_independent_rays
+from radwrap.imaging.optics.aperture import Layout, central_viewpoint, sub_viewpoints
+from radwrap.imaging.optics.view import PixelPlan, PixelSampling
+from radwrap.imaging.render_options import FixedMethod, Method, RenderOptions
+from radwrap.imaging.tolerance.certificate import Certificate, certify_by_independent_rays
 from radwrap.imaging.tolerance.planner import Outcome, render_to_tolerance
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.sampling import render_by_plan
 from radwrap.scene.scene import Scene
+from radwrap.written import Count, NotNegative, Rays
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MethodUsed:
+    """The way to the opening that was taken; in the manifest under these names.
+
+    Attributes
+    ----------
+    method : str
+        "pinhole", "viewpoints", "kernel" or "rays".
+    layout, viewpoints, pixel_samples, pixel_sampling : str or int, optional
+        Options of a method whose rays are fixed beforehand.
+    rays_per_pixel : float
+        Of the image, on average.
+    rays : int
+        In all.
+    """
+
+    method: Method
+    layout: Layout | None = None
+    viewpoints: Count | None = None
+    pixel_samples: Count | None = None
+    pixel_sampling: PixelSampling | None = None
+    rays_per_pixel: NotNegative
+    rays: Rays
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,10 +54,10 @@ class Made:
     ----------
     radiance : ndarray, shape (rows, columns)
         Mean of L cos^4(theta) over pixel and opening [W m^-2 sr^-1].
-    description : dict
-        What the manifest says of the method.
-    error : dict
-        The manifest's ``error``.
+    used : MethodUsed
+        How.
+    certificate : Certificate
+        Its error.
     reused : int
         Pieces that were found on the disk.
     outcome : Outcome or None
@@ -39,8 +65,8 @@ class Made:
     """
 
     radiance: NDArray[np.float64]
-    description: dict[str, Any]
-    error: dict[str, Any]
+    used: MethodUsed
+    certificate: Certificate
     reused: int
     outcome: Outcome | None = None
 
@@ -116,17 +142,16 @@ def make(scene: Scene, options: RenderOptions, work: Work) -> Made:
     )
     radiance = merge(plan, work.folder)
     number = len(plan.viewpoints)
-    description = {
-        "method": method,
-        "layout": options.layout if number > 1 else None,
-        "viewpoints": number,
-        "pixel_samples": options.pixel_samples,
-        "pixel_sampling": options.pixel_sampling,
-        "rays_per_pixel": number * plan.pixel_plan.rays,
-        "rays": plan.rays,
-    }
-    certificate = certify_by_independent_rays(work.view, radiance, options.seed)
-    return Made(radiance, description, certificate.as_manifest(), reused)
+    used = MethodUsed(
+        method=method,
+        layout=options.layout if number > 1 else None,
+        viewpoints=number,
+        pixel_samples=options.pixel_samples,
+        pixel_sampling=options.pixel_sampling,
+        rays_per_pixel=number * plan.pixel_plan.rays,
+        rays=plan.rays,
+    )
+    return Made(radiance, used, certify_by_independent_rays(work.view, radiance, options.seed), reused)
 
 
 def _to_tolerance(options: RenderOptions, work: Work) -> Made:
@@ -135,16 +160,6 @@ def _to_tolerance(options: RenderOptions, work: Work) -> Made:
     else:
         outcome = render_by_plan(work, options.demand, options.sampling)
     sensor = work.view.camera.sensor
-    description = {
-        "method": outcome.method,
-        "layout": None,
-        "viewpoints": None,
-        "pixel_samples": None,
-        "pixel_sampling": None,
-        "tolerance": options.tolerance,
-        "max_error": options.max_error,
-        "rays_per_pixel": outcome.replicates.rays / sensor.pixels,
-        "rays": outcome.plan["rays"],
-        "plan": outcome.plan,
-    }
-    return Made(outcome.radiance, description, outcome.certificate.as_manifest(), outcome.reused, outcome)
+    per_pixel = outcome.replicates.rays / sensor.pixels
+    used = MethodUsed(method=outcome.method, rays_per_pixel=per_pixel, rays=outcome.record.rays)
+    return Made(outcome.radiance, used, outcome.certificate, outcome.reused, outcome)

@@ -1,4 +1,4 @@
-"""What a run leaves as JSON, as its readers need it: manifest, truth and light basis."""
+"""What a run leaves as JSON beside its manifest, as its readers need it: truth and light basis."""
 
 from __future__ import annotations
 
@@ -9,45 +9,10 @@ from pydantic import Field
 
 from radwrap.scene.camera import Camera
 from radwrap.scene.tolerances import Tolerances
-from radwrap.written import Count, Hashes, Index, Positive, Sha256, Share
+from radwrap.written import Count, Hashes, Index, Positive, Rays, Sha256, Share
 
 _MOST_REPLICATES: Final = 1024
 _MOST_PIXELS: Final = 1 << 28
-
-
-@dataclass(frozen=True, slots=True)
-class _Gray:
-    min: float
-    max: float
-    mean: float
-
-
-@dataclass(frozen=True, slots=True)
-class _Error:
-    method: str
-    rms_gray_upper95: Annotated[float, Field(ge=0)]
-
-
-@dataclass(frozen=True, slots=True)
-class _Plan:
-    met: bool = True
-
-
-@dataclass(frozen=True, slots=True)
-class RunManifest:
-    """Of manifest.json what is read again."""
-
-    run_sha256: Sha256
-    scene: str
-    files: Hashes
-    gray: _Gray
-    error: _Error
-    method: str
-    rays: Annotated[float, Field(ge=0)]
-    saturated_fraction: Share
-    dark_fraction: Share
-    warnings: list[str]
-    plan: _Plan | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +30,7 @@ class SampleFile:
     stratum: list[Index]
     shares: list[Share]
     pairs: list[Count]
-    rays: Annotated[int, Field(ge=0)]
+    rays: Rays
 
     def __post_init__(self) -> None:
         if not len(self.pixels) == len(self.stratum) == len(self.pairs):

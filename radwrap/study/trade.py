@@ -393,7 +393,7 @@ class _Sweep:
             Demand(setting.tolerance, method=method, budget=Budget(rays=self._patience(expected))),
         )
         shutil.rmtree(folder, ignore_errors=True)
-        return outcome.radiance, outcome.plan["rays"], outcome.met, outcome.certificate.rms_gray_upper95
+        return outcome.radiance, outcome.record.rays, outcome.met, outcome.certificate.rms_gray_upper95
 
     def _patience(self, expected: float) -> float:
         return min(_PATIENCE * expected, self.options.longest / self.seconds_per_ray)

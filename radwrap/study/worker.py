@@ -28,15 +28,14 @@ from radwrap.errors import (
     TracerError,
     one_line,
 )
-from radwrap.files import make_folder, sha256_of
+from radwrap.files import make_folder
 from radwrap.images import GrayImage, write_png
+from radwrap.imaging.output.folder import is_whole
 from radwrap.imaging.relight.relit import read_basis, relit
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.response.sensor import gray_levels
-from radwrap.imaging.run_files import RunManifest
-from radwrap.imaging.synthesis import MANIFEST, Rendered, load_result, render
+from radwrap.imaging.synthesis import Rendered, load_result, render
 from radwrap.imaging.tolerance.kept_replicates import REPLICATES, read_replicates
-from radwrap.manifest import read_manifest
 from radwrap.scene.file.load import scene_from_document
 from radwrap.scene.scene import Scene
 from radwrap.study.image_error import COPIES, ErrorFields, blur_radii, error_fields, image_error, model_error
@@ -44,7 +43,6 @@ from radwrap.study.light import factors
 from radwrap.study.pilots import write_pilot
 from radwrap.study.responses import KINDS, Response, answer
 from radwrap.study.seen import Answer, Seen
-from radwrap.written import read_back
 
 STARTED: Final = "started.log"
 THUMBNAILS: Final = "thumbnails"
@@ -201,9 +199,8 @@ def _outcomes(job: Job, start: float) -> Iterator[Outcome]:
         return
     result = load_result(scene, out)
     seen = seen_of(scene, result, out, _fields(job, scene, blur_radii(scene)))
-    met = bool(result.manifest.get("plan", {}).get("met", True))
     for run in job.runs:
-        yield _outcome(job, run, seen, met=met, wall_s=time.monotonic() - start)
+        yield _outcome(job, run, seen, met=result.run.met, wall_s=time.monotonic() - start)
 
 
 def _make(job: Job, scene: Scene, out: Path) -> None:
@@ -211,7 +208,7 @@ def _make(job: Job, scene: Scene, out: Path) -> None:
 
     Its errors are those of this job; the folder is left as far as it came, and goes on there another time.
     """
-    while not _is_whole(out):
+    while not is_whole(out):  # of whatever run: the folder's name says of what
         try:
             render(scene, out, job.options)
             return
@@ -222,22 +219,13 @@ def _make(job: Job, scene: Scene, out: Path) -> None:
 def seen_of(scene: Scene, result: Rendered, out: Path, fields: ErrorFields) -> Seen:
     """What is measured of an image that lies in a folder."""
     gray = gray_levels(result.radiant_exposure.values, scene.camera.sensor)
-    error, radii = result.manifest["error"], blur_radii(scene)
-    seen = Seen(scene, result.gray, gray, image_error(gray, float(error["rms_gray_upper95"]), radii), fields)
-    if REPLICATES not in result.manifest["files"]:
+    error, radii = result.run.error, blur_radii(scene)
+    seen = Seen(scene, result.gray, gray, image_error(gray, error.rms_gray_upper95, radii), fields)
+    if REPLICATES not in result.run.files:
         return seen
     kept = read_replicates(out, scene.camera.sensor.rows)
-    model = model_error(gray, float(error["model_rms_gray"]), float(error["discretisation_rms_gray"]), radii)
+    model = model_error(gray, error.model_rms_gray, error.discretisation_rms_gray, radii)
     return replace(seen, replicates=kept, exposure=result.radiant_exposure.values, model=model)
-
-
-def _is_whole(out: Path) -> bool:
-    """Whether an image lies there, every file of it; its folder's name says of what."""
-    try:
-        files = read_back(read_manifest(out / MANIFEST), RunManifest, MANIFEST).files
-        return all(sha256_of(out / name) == known for name, known in files.items())
-    except (InputError, OSError, KeyError):
-        return False
 
 
 def _relit(job: Job, scene: Scene, out: Path, start: float) -> Iterator[Outcome]:

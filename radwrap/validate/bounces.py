@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
 from radwrap.imaging.render_options import RenderOptions
+from radwrap.imaging.tolerance.certificate import Certificate
 from radwrap.scene.scene import Scene
 from radwrap.validate import bench as on
 from radwrap.validate.bench import Bench
@@ -67,26 +68,26 @@ def _cube(reflectance: float, level: float) -> Scene:
     return on.scene(camera, lamps, {"wall": on.lambertian(reflectance)}, targets)
 
 
-def _irradiance(bench: Bench, scene: Scene, reflectance: float, **how: Any) -> tuple[Array, dict[str, Any]]:
-    """E over the face, shape (rows, columns), and what the manifest says of its error."""
+def _irradiance(bench: Bench, scene: Scene, reflectance: float, **how: Any) -> tuple[Array, Certificate]:
+    """E over the face, shape (rows, columns), and how far it may be off."""
     result = bench.render(scene, **how)
     fine = (np.arange(_PIXELS * _FINE) + 0.5) / _FINE * _SIDE / _PIXELS - _SIDE / 2
     x, y = np.meshgrid(fine, fine)
     cos4 = 1 / (1 + (x**2 + y**2) / (_SIDE / 2 - _EYE) ** 2) ** 2
     mean = cos4.reshape(_PIXELS, _FINE, _PIXELS, _FINE).mean(axis=(1, 3))
     found = on.radiances(scene, result.radiant_exposure.values) / mean
-    return found * math.pi / reflectance, dict(result.manifest)
+    return found * math.pi / reflectance, result.run.error
 
 
-def _lit(bench: Bench, reflectance: float, asked: float) -> tuple[Array, Array, dict[str, Any]]:
+def _lit(bench: Bench, reflectance: float, asked: float) -> tuple[Array, Array, Certificate]:
     """Direct and all light on the face."""
     if "bounces" not in RenderOptions.__dataclass_fields__:
         raise Missing("interreflection")
     scene = _cube(reflectance, _DIRECT / (1 - reflectance))
     direct, _ = _irradiance(bench, scene, reflectance, method="pinhole", pixel_samples=8)
     how: dict[str, Any] = {"bounces": "all", "tolerance": asked * _MEAN_GRAY}
-    whole, manifest = _irradiance(bench, scene, reflectance, **how)
-    return direct, whole, manifest
+    whole, certificate = _irradiance(bench, scene, reflectance, **how)
+    return direct, whole, certificate
 
 
 def _name(reflectance: float) -> str:
@@ -96,9 +97,9 @@ def _name(reflectance: float) -> str:
 def _cie(reflectance: float) -> Check:
     def run(bench: Bench) -> Iterator[Finding]:
         limit, error = _ASKED[reflectance]
-        direct, whole, manifest = _lit(bench, reflectance, error)
+        direct, whole, certificate = _lit(bench, reflectance, error)
         expected = _DIRECT * reflectance / (1 - reflectance)
-        asked = f"asked {error:.1%} a pixel, certified {manifest['error']['rms_gray_upper95'] / _MEAN_GRAY:.1%}"
+        asked = f"asked {error:.1%} a pixel, certified {certificate.rms_gray_upper95 / _MEAN_GRAY:.1%}"
         ours = float((whole - direct).mean())
         yield Case(_name(reflectance), "CIE 171:2006 5.8", expected, ours, limit, note=asked)
 

@@ -46,7 +46,7 @@ class Shown:
     gray: Array
     bound: float
     wide: float
-    manifest: dict[str, Any]
+    method: str
 
 
 def shown(written: Written, tolerance: float, seed: int) -> Shown:
@@ -70,7 +70,7 @@ def shown(written: Written, tolerance: float, seed: int) -> Shown:
     share = max((float(source.get("irradiance_error", 0.0)) for source in written.sources), default=0.0)
     signal = np.where(gray < gray.max() if _saturates(gray, sensor) else True, gray - sensor.dark_gray, 0.0)
     wide = share * sensor.gamma * math.sqrt(float((signal**2).mean()))
-    return Shown(written, gray, float(result.manifest["error"]["rms_gray_upper95"]), wide, dict(result.manifest))
+    return Shown(written, gray, result.run.error.rms_gray_upper95, wide, result.run.method)
 
 
 def _saturates(gray: Array, sensor: Any) -> bool:
@@ -141,7 +141,7 @@ def _held(relation: Relation, first: Shown, expected: Array, second: Shown) -> T
         "same_bytes": same,
         "holds": same if relation.holds == "to the byte" else difference <= allowed,
         "gross": not same if relation.holds == "to the byte" else difference > GROSS * allowed,
-        "methods": [first.manifest["method"], second.manifest["method"]],
+        "methods": [first.method, second.method],
     }
 
 

@@ -72,7 +72,7 @@ def predicted(
     how = {"seed": SEED, **({} if "method" in options else {"tolerance": TOLERANCE}), **options}
     result = radwrap.render(loaded, out / "renders" / name, **how)
     gray = gray_levels(result.radiant_exposure.values, loaded.camera.sensor)
-    return Image(loaded, result, gray, float(result.manifest["error"]["rms_gray_upper95"]))
+    return Image(loaded, result, gray, result.run.error.rms_gray_upper95)
 
 
 def focal_lengths(image: Image, *, quick: bool) -> dict[str, Answer]:

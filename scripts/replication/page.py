@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from radwrap.errors import InputError
 from radwrap.files import make_folder, write_bytes
+from radwrap.imaging.output.run_manifest import read_run_manifest
 from radwrap.manifest import read_manifest
 from radwrap.study.table import read_table
 from replication.figure import figure, png, style
@@ -69,7 +70,7 @@ def _part(figures: Path, name: str) -> dict[str, Any]:
 
 def spent(figures: Path) -> dict[str, float]:
     """What the images and studies that lie there took when they were made [s]."""
-    images = [read_manifest(path)["timing"]["wall_s"] for path in sorted(figures.glob("renders/*/manifest.json"))]
+    images = [read_run_manifest(path.parent).timing.wall_s for path in sorted(figures.glob("renders/*/manifest.json"))]
     tables = [read_table(path) for path in sorted(figures.glob("studies*/*/*/study/timings.csv"))]
     return {"images": sum(images), "studies": sum(float(row["wall_s"]) for table in tables for row in table.rows)}
 

@@ -207,10 +207,10 @@ def test_the_planner_notices_where_the_kernel_does_not_hold(tmp_path: Path) -> N
 def test_a_budget_ends_the_search_with_the_best_image_and_its_error(tmp_path: Path) -> None:
     seen = view(ROUND, (1.0, disc))
     outcome = search(seen, tmp_path, Demand(0.005, budget=Budget(rays=1e5)))
-    assert not outcome.met and not outcome.plan["met"]
+    assert not outcome.met and not outcome.record.met
     assert outcome.certificate.rms_gray_upper95 > 0.005
-    assert outcome.plan["reproducible"]
-    assert not search(seen, tmp_path, Demand(2.0, budget=Budget(seconds=60))).plan["reproducible"]
+    assert outcome.record.reproducible
+    assert not search(seen, tmp_path, Demand(2.0, budget=Budget(seconds=60))).record.reproducible
 
 
 def test_a_quantile_is_stated_where_it_is_asked_for(tmp_path: Path) -> None:
@@ -253,7 +253,7 @@ def test_rays_find_what_the_deciding_rays_missed(tmp_path: Path) -> None:
     """Lines that eight rays of a pixel mostly miss: more rays in each attempt, until the bound is met and true."""
     seen = view(Aperture("round", 0.0), (1.0, wires))
     outcome = search(seen, tmp_path / "work", Demand(2.0, method="rays"))
-    assert outcome.met and len(outcome.plan["attempts"]) > 1
+    assert outcome.met and len(outcome.record.attempts) > 1
     assert true_rms(seen, outcome.radiance) <= outcome.certificate.rms_gray_upper95
 
 

@@ -282,7 +282,7 @@ def write_basis(
     ours = {maker.path(kind, number).name for kind in maker.kinds() for number in range(len(views))}
     remove_strangers(maker.folder, ours)
     rays = outcome.replicates.rays * (1 + len(views)) + maker.model_rays() * len(views)
-    work.progress.expect(outcome.plan["rays"] + rays)
+    work.progress.expect(outcome.record.rays + rays)
     run_jobs(list(maker.jobs()), work.programs, work.view.workers)
     make_folder(out / FOLDER)
     files = [name for number, source in enumerate(views) for name in _write_source(out, maker, number, source)]

@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import asdict, dataclass, field
-from typing import Any, Final
+from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +24,10 @@ from radwrap.imaging.optics.falloff import opening_shares
 from radwrap.imaging.optics.view import View, trace_rays
 from radwrap.imaging.response.sensor import GrayWhereAsked, gray_levels
 from radwrap.imaging.tolerance.bounds import Bounded, mean_squares, resampling
+from radwrap.manifest import ONLY_WHERE_USED
 from radwrap.random_streams import Rendering, generator
 from radwrap.scene.camera import Sensor
+from radwrap.written import NotNegative, Rays
 
 # Shares of the pixels, by how much gray changes around them, and of the sample: nearly all error lies at edges.
 _STRATA: Final[tuple[tuple[float, float], ...]] = ((0.1, 0.5), (0.2, 0.25), (0.7, 0.25))
@@ -58,20 +60,25 @@ class Certificate:
         What the certificate took.
     method : str
         "pairs and replicates", "replicates" or "independent rays".
+    bands_gray : float or None
+        What the bands of the light may add, in the bounds already; None where the scene tells no spectra.
     """
 
-    rms_gray: float
-    rms_gray_upper95: float
-    p99_gray_upper95: float | None
-    model_rms_gray: float
-    discretisation_rms_gray: float
-    certificate_pixels: int
-    certificate_rays: int
+    rms_gray: NotNegative
+    rms_gray_upper95: NotNegative
+    p99_gray_upper95: NotNegative | None
+    model_rms_gray: NotNegative
+    discretisation_rms_gray: NotNegative
+    certificate_pixels: Rays
+    certificate_rays: Rays
     method: str
+    bands_gray: NotNegative | None = field(default=None, metadata=ONLY_WHERE_USED)
 
-    def as_manifest(self) -> dict[str, Any]:
-        """The manifest's ``error``."""
-        return asdict(self)
+    def with_bands(self, gray: float) -> Certificate:
+        """The certificate that holds where bands change each pixel by so much at most [gray level]."""
+        quantile = None if self.p99_gray_upper95 is None else self.p99_gray_upper95 + gray
+        bound = self.rms_gray_upper95 + gray
+        return replace(self, rms_gray_upper95=bound, p99_gray_upper95=quantile, bands_gray=gray)
 
 
 def root(mean_square: float) -> float:

@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.imaging.demand import FEWEST, Demand, ToleranceMethod
+from radwrap.imaging.demand import FEWEST, Demand, SamplingPlan, ToleranceMethod
 from radwrap.imaging.methods.kernel import KernelPlan, plan_kernel
 from radwrap.imaging.methods.rays import RaysPlan, plan_rays
 from radwrap.imaging.optics.view import View
@@ -39,6 +39,7 @@ from radwrap.imaging.tolerance.replicates import (
     replicates_needed,
     trace_replicates,
 )
+from radwrap.imaging.tolerance.search_record import Attempt, GivenUp, SearchRecord
 from radwrap.imaging.tolerance.survey import AIM_SHARE, Survey, met_by, middle_of, predicted_rays, steps, survey
 from radwrap.manifest import finite
 from radwrap.random_streams import Rendering
@@ -118,8 +119,8 @@ class Outcome:
         Whether it keeps the tolerance.
     method : str
         "kernel" or "rays".
-    plan : dict
-        For the manifest: why this method, what was tried.
+    record : SearchRecord
+        Why this method, what was tried.
     reused : int
         Pieces that were found on the disk.
     ray_plan : KernelPlan or RaysPlan
@@ -133,7 +134,7 @@ class Outcome:
     certificate: Certificate
     met: bool
     method: ToleranceMethod
-    plan: dict[str, Any]
+    record: SearchRecord
     reused: int
     ray_plan: KernelPlan | RaysPlan
     sample: PixelSample | None
@@ -182,7 +183,7 @@ class Search:
         self.spent = self.found.rays
         self.choice = choose(work.view, self.found, demand)
         work.progress.expect(self.choice.expected_rays[self.choice.method] or 1)
-        self.attempts: list[dict[str, Any]] = []
+        self.attempts: list[Attempt] = []
         self.reused = 0
         fine = demand.tolerance < _COARSE_TOLERANCE
         self.finer = 1 if fine else 0
@@ -198,14 +199,14 @@ class Search:
         method, why = self.choice.method, self.choice.why
         aim = self._affordable(method, self._first_aim(method))
         best: Outcome | None = None
-        given_up: dict[str, str] = {}
+        given_up: GivenUp | None = None
         if aim < _COARSE_AIM:
             self._limit_time(_TRACED_SHARE)
         for _ in range(_ATTEMPTS):
             try:
                 outcome = self._attempt(method, aim, why)
             except OutOfTime:
-                given_up = {"given_up": "out of time"}
+                given_up = "out of time"
                 if best is not None:
                     break
                 # Some image there must be: the coarsest, whatever it takes.
@@ -213,7 +214,7 @@ class Search:
                 aim, self.finer, self.effort = _COARSE_AIM, 0, 0
                 continue
             except TooManyRays as found:
-                given_up = {"given_up": "out of rays"}
+                given_up = "out of rays"
                 self.spent += found.decided
                 if best is not None:
                     break
@@ -227,7 +228,13 @@ class Search:
                 break
             method, aim, why = self._next(outcome, aim, why)
         assert best is not None  # noqa: S101  (the loop ran)
-        return replace(best, plan={**best.plan, "attempts": self.attempts, "rays": self.spent, **given_up})
+        return replace(best, record=self.recorded(best.record, given_up=given_up))
+
+    def recorded(
+        self, record: SearchRecord, *, given_up: GivenUp | None = None, sampling: SamplingPlan | None = None
+    ) -> SearchRecord:
+        """An image's record, with all that was tried until now."""
+        return replace(record, attempts=tuple(self.attempts), rays=self.spent, given_up=given_up, sampling=sampling)
 
     def _limit_time(self, share: float) -> None:
         """Let what comes next be given up after a share of a budget of time."""
@@ -313,14 +320,14 @@ class Search:
         radiance = replicates.mean
         certificate, sample = self._certify(plan, replicates, radiance)
         self.attempts.append(
-            {
-                "method": method,
-                "aim_gray": aim,
-                "replicates": number,
-                "rays": replicates.rays,
-                "rms_gray_upper95": certificate.rms_gray_upper95,
-                "p99_gray_upper95": certificate.p99_gray_upper95,
-            }
+            Attempt(
+                method=method,
+                aim_gray=aim,
+                replicates=number,
+                rays=replicates.rays,
+                rms_gray_upper95=certificate.rms_gray_upper95,
+                p99_gray_upper95=certificate.p99_gray_upper95,
+            )
         )
         met = self.demand.is_met(certificate.rms_gray_upper95, certificate.p99_gray_upper95)
         return Outcome(
@@ -329,17 +336,17 @@ class Search:
             certificate=certificate,
             met=met,
             method=method,
-            plan={
-                "method": method,
-                "why": why,
+            record=SearchRecord(
+                method=method,
+                why=why,
                 **self.choice.as_manifest(),
-                "one_layer_rms_gray": root(self.found.one_layer.mean),
-                "layers": len(plan.layers) if isinstance(plan, KernelPlan) else None,
-                "base_cell_px": plan.grid.base if isinstance(plan, KernelPlan) else None,
-                "grid_cell_px": plan.grid.cell if isinstance(plan, KernelPlan) else None,
-                "met": met,
-                "reproducible": math.isinf(self.demand.budget.seconds),
-            },
+                one_layer_rms_gray=root(self.found.one_layer.mean),
+                layers=len(plan.layers) if isinstance(plan, KernelPlan) else None,
+                base_cell_px=plan.grid.base if isinstance(plan, KernelPlan) else None,
+                grid_cell_px=plan.grid.cell if isinstance(plan, KernelPlan) else None,
+                met=met,
+                reproducible=math.isinf(self.demand.budget.seconds),
+            ),
             reused=self.reused,
             ray_plan=plan,
             sample=sample,
@@ -415,7 +422,7 @@ class Search:
             self.one_layer = False
             return "kernel", aim, "depths differ more than the survey saw"
         stuck = certificate.model_rms_gray > MODEL_SHARE * wanted or rest > wanted or grid > _GRID_SHARE * wanted
-        tried = [attempt["rays"] for attempt in self.attempts[-2:] if attempt["method"] == "kernel"]
+        tried = [attempt.rays for attempt in self.attempts[-2:] if attempt.method == "kernel"]
         stuck = stuck or (len(tried) == 2 and tried[0] == tried[1])  # a smaller aim changes nothing
         if self.demand.method is None and (stuck or aim < wanted * AIM_SHARE / 4):
             aim = self._affordable("rays", self._first_aim("rays"))

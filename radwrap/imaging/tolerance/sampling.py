@@ -155,5 +155,4 @@ def render_by_plan(work: Work, demand: Demand, plan: SamplingPlan) -> Outcome:
         else _even_kernel(work.view, search.found, layered=plan.layered, cell=plan.cell)
     )
     outcome = search.made(rays, plan.replicates, "the plan of all images that are compared")
-    told = {**outcome.plan, "sampling": plan.as_json(), "attempts": search.attempts, "rays": search.spent}
-    return replace(outcome, plan=told)
+    return replace(outcome, record=search.recorded(outcome.record, sampling=plan))

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,12 +28,21 @@ from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.tolerance.certificate import places_of
 from radwrap.scene.camera import Camera, Sensor
 from radwrap.scene.tolerances import TO_STANDARD, Tolerances
+from radwrap.written import NotNegative
 
 Array = NDArray[np.float64]
 # Of the mean square of the rays' error, what is laid on all pixels by their light alone.
 _EVEN_SHARE: Final = 0.02
 _FEWEST_FOR_BLUR: Final = 3  # pixels each way
 _RINGS: Final = 40  # of points that stand for the opening
+
+
+@dataclass(frozen=True, slots=True)
+class UncertaintySummary:
+    """Root mean squares over the image, of all causes and of each; the manifest's ``uncertainty`` [gray level]."""
+
+    sigma_rms_gray: NotNegative
+    parts_rms_gray: Mapping[str, NotNegative]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,10 +60,9 @@ class Uncertainty:
     sigma: Array
     parts: Mapping[str, float]
 
-    def as_manifest(self) -> dict[str, Any]:
+    def summary(self) -> UncertaintySummary:
         """What the manifest says."""
-        rms = float(np.sqrt(np.mean(self.sigma**2)))
-        return {"sigma_rms_gray": rms, "parts_rms_gray": dict(self.parts)}
+        return UncertaintySummary(float(np.sqrt(np.mean(self.sigma**2))), dict(self.parts))
 
 
 def uncertainty(

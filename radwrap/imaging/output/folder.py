@@ -1,0 +1,49 @@
+"""The folder of a run: whether it is whole, and how a new run's files take the place of an older one's."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from radwrap.errors import InputError
+from radwrap.files import move_files, sha256_of
+from radwrap.imaging.forecast import photo_realistic
+from radwrap.imaging.methods.pieces import remove_pieces
+from radwrap.imaging.output.image_files import EXPOSURE, GRAY, UNROUNDED
+from radwrap.imaging.output.run_manifest import MANIFEST, read_run_manifest
+from radwrap.imaging.output.sigma_file import SIGMA
+from radwrap.imaging.output.truth_files import DEPTH, PARTS, TRUTH
+from radwrap.imaging.relight.basis import BASIS, FOLDER
+from radwrap.imaging.response.noise import frames_in
+from radwrap.imaging.tolerance.kept_replicates import REPLICATES
+
+# What every run leaves, and what some do.
+ALWAYS: Final = (EXPOSURE, GRAY, MANIFEST)
+_SOMETIMES: Final = (UNROUNDED, SIGMA, DEPTH, PARTS, TRUTH, REPLICATES, *photo_realistic.FILES)
+
+
+def is_whole(folder: Path, run_sha256: str | None = None) -> bool:
+    """Whether a run lies there, every file of it as its manifest says: any run, or the one of this hash."""
+    try:
+        known = read_run_manifest(folder)
+        if run_sha256 not in (None, known.run_sha256):
+            return False
+        return all(sha256_of(folder / name) == sha256 for name, sha256 in known.files.items())
+    except (InputError, OSError):
+        return False
+
+
+def publish(made: Path, folder: Path, files: Sequence[str]) -> None:
+    """Put whole files in place of an older run's, which stood until now: a disk that fills loses none."""
+    _remove_old(folder)
+    move_files(made, folder, files)
+    move_files(made, folder, [MANIFEST])
+
+
+def _remove_old(folder: Path) -> None:
+    """From here on an old manifest no longer fits the files, and what only an older run wrote fits nothing."""
+    if (folder / BASIS).exists():
+        remove_pieces(folder / FOLDER)
+    for name in (MANIFEST, BASIS, *_SOMETIMES, *frames_in(folder)):
+        (folder / name).unlink(missing_ok=True)

@@ -1,0 +1,86 @@
+"""Radiant exposure and gray image, as files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.images import ExposureImage, GrayImage, RadianceImage, read_image, write_exr, write_png
+from radwrap.imaging.output.run_manifest import Extent
+from radwrap.imaging.response.exposure import radiant_exposure
+from radwrap.imaging.response.sensor import gray_levels, image_of_levels
+from radwrap.scene.camera import Camera, Sensor
+
+EXPOSURE: Final = "radiant_exposure.exr"
+GRAY: Final = "gray.png"
+UNROUNDED: Final = "gray.exr"
+_UNIT: Final = {"radwrap:unit": "J m^-2"}
+
+
+@dataclass(frozen=True, slots=True)
+class ImageSummary:
+    """What the manifest says of the images.
+
+    Attributes
+    ----------
+    radiant_exposure, gray : Extent
+        Of their values [J m^-2] and [gray level].
+    saturated_fraction, dark_fraction : float
+        Shares of the pixels.
+    """
+
+    radiant_exposure: Extent
+    gray: Extent
+    saturated_fraction: float
+    dark_fraction: float
+
+
+def write_images(folder: Path, radiance: NDArray[np.float64], camera: Camera) -> tuple[ImageSummary, list[str]]:
+    """Write both, and gray levels in full where the sensor does not round.
+
+    Returns
+    -------
+    summary : ImageSummary
+        What they hold.
+    files : list of str
+        Their names.
+    """
+    sensor = camera.sensor
+    exact = radiant_exposure(RadianceImage(radiance), camera)
+    # The gray image is Eq. 5 of the exposure as the file holds it, so that anybody can compute it again.
+    stored = exact.values.astype(np.float32)
+    exposure = ExposureImage(stored.astype(np.float64))
+    with ThreadPoolExecutor() as pool:  # one file is compressed while the other one's levels are computed
+        exr = pool.submit(write_exr, folder / EXPOSURE, stored, channel="radiant_exposure", metadata=_UNIT)
+        levels = gray_levels(exposure.values, sensor)
+        gray = image_of_levels(levels, sensor, exposure.provenance)
+        write_png(folder / GRAY, gray.codes)
+        exr.result()
+    files = [EXPOSURE, GRAY]
+    if not sensor.rounding:
+        write_exr(folder / UNROUNDED, gray.values.astype(np.float32), channel="gray")
+        files.append(UNROUNDED)
+    summary = ImageSummary(
+        radiant_exposure=Extent.of(exposure.values),
+        gray=Extent.of(gray.values),
+        saturated_fraction=float(np.mean(levels >= sensor.saturation_gray)),
+        dark_fraction=float(np.mean(levels < sensor.dark_gray + 0.5)),
+    )
+    return summary, files
+
+
+def read_exposure(folder: Path, provenance: Mapping[str, Any] | None = None) -> ExposureImage:
+    """Radiant exposure as its file holds it."""
+    return ExposureImage(read_image(folder / EXPOSURE)[0].astype(np.float64), provenance or {})
+
+
+def read_gray_levels(folder: Path, sensor: Sensor, provenance: Mapping[str, Any]) -> GrayImage:
+    """Gray levels; the PNG holds them rounded, and a sensor that does not round has a file of its own."""
+    name = GRAY if sensor.rounding else UNROUNDED
+    return GrayImage(read_image(folder / name)[0].astype(np.float64), sensor.bit_depth, provenance)

@@ -1,0 +1,175 @@
+"""The manifest of a run: what was made, of what, with what, and how far it is off."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.imaging.banding import BandsSummary
+from radwrap.imaging.forecast.effects import Effect
+from radwrap.imaging.optics.aperture import Layout
+from radwrap.imaging.optics.view import PixelSampling
+from radwrap.imaging.render_options import Method
+from radwrap.imaging.tolerance.certificate import Certificate
+from radwrap.imaging.tolerance.search_record import SearchRecord
+from radwrap.imaging.tolerance.uncertainty import UncertaintySummary
+from radwrap.manifest import ONLY_WHERE_USED, SCHEMA_VERSION, plain, read_manifest, write_manifest
+from radwrap.written import Count, Hashes, NotNegative, Positive, Rays, Sha256, Share, read_back
+
+MANIFEST: Final = "manifest.json"
+
+Bounces = int | Literal["all"]
+
+
+@dataclass(frozen=True, slots=True)
+class Extent:
+    """Least, largest and mean value of an image."""
+
+    min: float
+    max: float
+    mean: float
+
+    @classmethod
+    def of(cls, values: NDArray[np.float64]) -> Extent:
+        """Of an image's values."""
+        return cls(float(values.min()), float(values.max()), float(values.mean()))
+
+
+@dataclass(frozen=True, slots=True)
+class BouncesTraced:
+    """Light from surface to surface that was traced: how often it goes at most, and about what it changes."""
+
+    orders: Rays | Literal["all"]
+    about_rms_gray: NotNegative
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """What a run took: the one part of a manifest that differs between equal runs."""
+
+    wall_s: NotNegative
+    tracer_cpu_s: NotNegative
+    workers: Count
+    reused_viewpoints: Rays
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunManifest:
+    """What manifest.json holds, under the same names.
+
+    Attributes
+    ----------
+    schema_version : int
+        Another version's manifest is not read.
+    scene_sha256, run_sha256 : str
+        Hash of the scene, and of all that decides any file.
+    method, layout, viewpoints, pixel_samples, pixel_sampling, rays_per_pixel, rays
+        As in `MethodUsed`.
+    tolerance, max_error : float or None
+        That the image was made to [gray level]; None where the rays were fixed beforehand.
+    plan : SearchRecord or None
+        How the image to that tolerance came about.
+    seed : int
+        Of all that is drawn.
+    trust : bool
+        Whether included files may run programs.
+    versions, assumed : Mapping[str, str]
+        Of everything that a file depends on; key of the scene -> default that was taken.
+    camera : Mapping
+        As `radwrap.manifest.plain` gives it.
+    scene : str
+        The scene's document, as JSON.
+    warnings : tuple of str
+        For the user.
+    radiant_exposure, gray : Extent
+        Of the image [J m^-2] and [gray level].
+    saturated_fraction, dark_fraction : float
+        Shares of the pixels.
+    error : Certificate
+        How far the gray levels may be off, before rounding.
+    uncertainty : UncertaintySummary or None
+        How far a captured frame may be off, where the scene states tolerances or noise.
+    bands : BandsSummary or None
+        Where the scene tells spectra.
+    left_out : Mapping[str, Effect]
+        Effect -> what leaving it out costs.
+    bounces : BouncesTraced or None
+        Where light from surface to surface was traced.
+    files : Mapping[str, str]
+        File -> its SHA-256.
+    timing : Timing
+        What it took.
+    """
+
+    schema_version: int = SCHEMA_VERSION
+    scene_sha256: Sha256
+    run_sha256: Sha256
+    method: Method
+    layout: Layout | None
+    viewpoints: Count | None
+    pixel_samples: Count | None
+    pixel_sampling: PixelSampling | None
+    tolerance: Positive | None = field(default=None, metadata=ONLY_WHERE_USED)
+    max_error: Positive | None = None
+    rays_per_pixel: NotNegative
+    rays: Rays
+    plan: SearchRecord | None = field(default=None, metadata=ONLY_WHERE_USED)
+    seed: int
+    trust: bool
+    versions: Mapping[str, str]
+    assumed: Mapping[str, str]
+    camera: Mapping[str, Any]
+    scene: str
+    warnings: tuple[str, ...]
+    radiant_exposure: Extent
+    gray: Extent
+    saturated_fraction: Share
+    dark_fraction: Share
+    error: Certificate
+    uncertainty: UncertaintySummary | None = field(default=None, metadata=ONLY_WHERE_USED)
+    bands: BandsSummary | None = field(default=None, metadata=ONLY_WHERE_USED)
+    left_out: Mapping[str, Effect]
+    bounces: BouncesTraced | None = field(default=None, metadata=ONLY_WHERE_USED)
+    files: Hashes
+    timing: Timing
+
+    @property
+    def met(self) -> bool:
+        """Whether the tolerance is kept; what has none keeps it."""
+        return self.plan is None or self.plan.met
+
+
+def write_run_manifest(folder: Path, manifest: RunManifest) -> None:
+    """Write manifest.json, whole or not at all."""
+    told = plain(manifest, named=False)
+    if manifest.plan is None:  # None is also what a tolerance without a largest error says
+        del told["max_error"]
+    write_manifest(folder / MANIFEST, told)
+
+
+def run_manifest_of(told: Mapping[str, Any], where: str) -> RunManifest:
+    """The values of a manifest.json that was read; keys that are not known are left out.
+
+    Raises
+    ------
+    InputError
+        If it is damaged, with the key.
+    """
+    found: RunManifest = read_back(told, RunManifest, where)
+    return found
+
+
+def read_run_manifest(folder: Path) -> RunManifest:
+    """Read the manifest.json of a folder.
+
+    Raises
+    ------
+    InputError
+        If there is none of this schema version, or it is damaged.
+    """
+    return run_manifest_of(read_manifest(folder / MANIFEST), str(folder / MANIFEST))

@@ -1,0 +1,126 @@
+"""What tracing found: a frozen value from which a run's files and its manifest are written."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.imaging.banding import Banding
+from radwrap.imaging.forecast.effects import Effect
+from radwrap.imaging.mean_radiance import Made
+from radwrap.imaging.optics.diffraction import diffraction, diffraction_warning
+from radwrap.imaging.output.identity import Identity
+from radwrap.imaging.output.image_files import ImageSummary
+from radwrap.imaging.output.run_manifest import Bounces, BouncesTraced, RunManifest, Timing
+from radwrap.imaging.render_options import RenderOptions
+from radwrap.imaging.tolerance.uncertainty import UncertaintySummary
+from radwrap.manifest import plain
+from radwrap.scene.look.checks import warnings_of
+from radwrap.scene.scene import Scene
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TracedRun:
+    """What tracing found.
+
+    Attributes
+    ----------
+    scene, options, identity
+        What was traced, how, and what it is known by.
+    made : Made
+        Mean radiance, with its error.
+    banding : Banding
+        Bands of the light.
+    orders : int or "all"
+        How often light went from surface to surface at most.
+    left_out, beyond : Effect
+        What leaving that out costs, and what leaving out more of it does where `orders` is a number above 0.
+    exposure_of_radiance : float
+        Radiant exposure over mean radiance [s sr].
+    spread : ndarray, shape (sources, rows, columns), optional
+        How the light of each pixel is shared among sources, where each has a tolerance of its own.
+    magnification : ndarray, shape (rows, columns), optional
+        How much a wider opening blurs each pixel, where a lens has one that is not sure.
+    """
+
+    scene: Scene
+    options: RenderOptions
+    identity: Identity
+    made: Made
+    banding: Banding
+    orders: Bounces
+    left_out: Effect
+    beyond: Effect | None
+    exposure_of_radiance: float
+    spread: NDArray[np.float64] | None
+    magnification: NDArray[np.float64] | None
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the user should know, whatever the image looks like."""
+        lens = diffraction_warning(diffraction(self.scene)) if self.scene.camera.lens else ()
+        bounces: tuple[str, ...] = ()
+        if not self.orders:
+            bounces = _warnings_of(self.left_out, "goes from one surface to another")
+        elif self.beyond is not None:
+            bounces = _warnings_of(self.beyond, f"is reflected more than {self.orders} times on its way")
+        return (*warnings_of(self.scene), *lens, *bounces)
+
+    def manifest(
+        self,
+        images: ImageSummary,
+        uncertainty: UncertaintySummary | None,
+        files: Mapping[str, str],
+        timing: Timing,
+    ) -> RunManifest:
+        """All that is known, with the hashes of the files that were written."""
+        used, options = self.made.used, self.options
+        outcome, certificate = self.made.outcome, self.made.certificate
+        return RunManifest(
+            scene_sha256=self.identity.scene_sha256,
+            run_sha256=self.identity.run_sha256,
+            method=used.method,
+            layout=used.layout,
+            viewpoints=used.viewpoints,
+            pixel_samples=used.pixel_samples,
+            pixel_sampling=used.pixel_sampling,
+            tolerance=options.tolerance if outcome else None,
+            max_error=options.max_error if outcome else None,
+            rays_per_pixel=used.rays_per_pixel,
+            rays=used.rays,
+            plan=outcome.record if outcome else None,
+            seed=options.seed,
+            trust=options.trust,
+            versions=self.identity.versions,
+            assumed=dict(sorted(self.scene.assumed.items())),
+            camera=plain(self.scene.camera),
+            scene=self.scene.document,
+            warnings=self.warnings,
+            radiant_exposure=images.radiant_exposure,
+            gray=images.gray,
+            saturated_fraction=images.saturated_fraction,
+            dark_fraction=images.dark_fraction,
+            error=certificate if self.banding.bands is None else certificate.with_bands(self.banding.gray),
+            uncertainty=uncertainty,
+            bands=self.banding.summary(),
+            left_out=self._left_out(),
+            bounces=BouncesTraced(self.orders, self.left_out.rms_gray) if self.orders else None,
+            files=dict(files),
+            timing=timing,
+        )
+
+    def _left_out(self) -> dict[str, Effect]:
+        left = self.beyond if self.orders else self.left_out
+        return {} if left is None else {left.name: left}
+
+
+def _warnings_of(left_out: Effect, how: str) -> tuple[str, ...]:
+    if not left_out.needed:
+        return ()
+    return (
+        f"light that {how} is left out: it would change the image by about "
+        f"{left_out.rms_gray:.2g} gray rms (at most {left_out.rms_gray_upper95:.2g})",
+    )
