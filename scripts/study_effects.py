@@ -55,7 +55,7 @@ RESPONSES: Final = (
     Response("mean", "mean_gray"),
     Response("contrast", "contrast"),
 )
-SHIFTS: Final = 0.1  # m; by at most so much the whole scene is moved
+SHIFTS: Final = 10.0  # m; by at most so much the whole scene is moved
 STUDIES: Final = 12  # of each of three kinds of null factors: 204 in all
 PLANTED: Final = 25
 SCENES, SEEDS = 25, 8

@@ -57,6 +57,7 @@ class BasisFile:
     scene_sha256: Sha256
     tolerances: Tolerances | None
     even: bool = False
+    smooth_share: Annotated[float, Field(gt=0, le=1)] = 1.0
 
     def __post_init__(self) -> None:
         sensor = self.camera.sensor

@@ -1,9 +1,12 @@
 """How far a response may be off because the predicted image is: the image's error, carried through the measurement.
 
 An image by an even plan of sampling (`imaging/tolerance/sampling.py`) has independent replicates. What is measured on
-images that differ from their mean as its own error does tells what noise does to the response; the image with the
-change that the size of the kernel's cells may make tells what they do. Both are the error as it lies in this image,
-from pixel to pixel.
+images as the true one may be, without what the size of the kernel's cells adds and with the noise of one replicate,
+tells what both do to the response. They lie as in this image, from pixel to pixel.
+
+The cells' error is known with its sign, and is taken out, not added once more: a response that takes steps, such as a
+percentile, does not see the same on both sides. Beside an edge the cells make the brightest pixels darker; these then
+are no longer among the brightest, and to make them darker still changes no percentile.
 
 Of the error of the kernel's model, and of images by the paper's method, a certificate gives the rms error of the gray
 levels before rounding. How that error lies in the image is taken to be
@@ -43,7 +46,7 @@ _LARGEST_BLUR: Final = 200.0  # px
 # Of the rms error by noise; what is smaller adds half a percent to an error bar, and eight measurements.
 _NEGLIGIBLE: Final = 0.1
 
-Cause = Literal["noise", "cells", "model"]
+Cause = Literal["sampling", "model"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,7 +148,7 @@ class Changed:
     Attributes
     ----------
     cause : str
-        What makes such errors: "noise" of a finite number of rays, "cells" of the kernel, or its "model".
+        What makes such errors: "sampling" by a finite number of rays and cells, or the kernel's "model".
     gray : ndarray, shape (rows, columns)
         Gray levels before rounding.
     image : GrayImage
@@ -171,11 +174,9 @@ def copies_of(gray: Array, error: ImageError, fields: ErrorFields, sensor: Senso
 
 
 def changed_by_replicates(exposure: Array, kept: KeptReplicates, sensor: Sensor) -> Iterator[Changed]:
-    """An image of some radiant exposure [J m^-2] with errors as its own replicates show them."""
+    """An image of some radiant exposure [J m^-2] as the true one may be, by its own replicates."""
     for change in kept.changes():
-        yield changed_image("noise", gray_levels(np.maximum(exposure + change, 0.0), sensor), sensor)
-    if kept.change.any():
-        yield changed_image("cells", gray_levels(np.maximum(exposure + kept.change, 0.0), sensor), sensor)
+        yield changed_image("sampling", gray_levels(np.maximum(exposure - kept.change + change, 0.0), sensor), sensor)
 
 
 def model_error(gray: Array, model_rms: float, noise_rms: float, radii: tuple[float, float]) -> ImageError | None:

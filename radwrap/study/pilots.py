@@ -16,7 +16,7 @@ from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.sampling import Pilot, pilot, strictest
 from radwrap.imaging.tracing import laid_out
-from radwrap.manifest import SCHEMA_VERSION, read_manifest, write_manifest
+from radwrap.manifest import SCHEMA_VERSION, read_manifest, sha256_of_value, write_manifest
 from radwrap.process import Programs
 from radwrap.progress import Progress
 from radwrap.scene.scene import Scene
@@ -71,6 +71,12 @@ def plans_of(pilots: Sequence[tuple[RenderOptions, Pilot | None]]) -> dict[Rende
     for options, found in pilots:
         kinds.setdefault(asked(options), []).extend([] if found is None else [found])
     return {kind: strictest(some, kind.demand) for kind, some in kinds.items()}
+
+
+def told_of(plans: Plans) -> dict[str, Any]:
+    """For study.json: how a study is sampled, with its own hash."""
+    told = as_json(plans)
+    return {"sampling": told, "sampling_sha256": sha256_of_value(told)}
 
 
 def as_json(plans: Plans) -> list[dict[str, Any]]:

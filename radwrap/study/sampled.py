@@ -10,7 +10,7 @@ from typing import Final
 from radwrap.errors import InputError
 from radwrap.manifest import read_manifest, sha256_of_value
 from radwrap.progress import Progress
-from radwrap.study.pilots import Plans, asked, plans_from_json, plans_of, read_pilot
+from radwrap.study.pilots import Plans, asked, plans_from_json, plans_of, read_pilot, told_of
 from radwrap.study.pool import Pool
 from radwrap.study.runner import NO_SINK, Scheduler, Step
 from radwrap.study.worker import Job
@@ -71,4 +71,11 @@ def read_plans(path: Path, known: str) -> Plans:
     told = read_manifest(path)
     if told.get("study_sha256") != known:
         raise InputError("is of another study", where=f"{path}: study_sha256", remedy="delete the file, and run again")
-    return plans_from_json(told.get("sampling", []), f"{path}: sampling")
+    plans = plans_from_json(told.get("sampling", []), f"{path}: sampling")
+    if told.get("sampling_sha256") != told_of(plans)["sampling_sha256"]:
+        raise InputError(
+            "is not as it was written: sampling_sha256 is of another plan",
+            where=f"{path}: sampling",
+            remedy="delete the file and results.csv, and run again",
+        )
+    return plans

@@ -20,7 +20,7 @@ from radwrap.scene.file.named_files import named_files
 from radwrap.study.design import Design, render_options
 from radwrap.study.journal import RESULTS, Journal
 from radwrap.study.light import reference_levels, split_light, with_levels
-from radwrap.study.pilots import Plans, as_json
+from radwrap.study.pilots import Plans, told_of
 from radwrap.study.pool import DaskPool, LocalPool, Pool
 from radwrap.study.runner import Scheduler, Step, chunks
 from radwrap.study.runs import Run, analysis_of, check_design, runs_of
@@ -124,7 +124,7 @@ def run_study(design: Design, out: Path, options: StudyOptions) -> Study:
         if due:
             plans = _carry_out(steps, plans, journal, options, due)
         rows = journal.close()
-        summary = _summary(design, rows, made, out) | _told(plans)
+        summary = _summary(design, rows, made, out) | told_of(plans)
         timing = {"wall_s": time.monotonic() - start, "reused_runs": len(known)}
         write_manifest(out / STUDY, {**summary, "timing": timing})
     return Study(design, out, tuple(rows), {**summary, "timing": timing})
@@ -136,7 +136,7 @@ def _carry_out(steps: Sequence[Step], plans: Plans, journal: Journal, options: S
     with closing(open_pool(options, out)) as pool:
         wider = with_pilots(steps, plans, out, pool, shown=options.progress)
         if wider != plans:
-            write_manifest(out / STUDY, {"schema_version": SCHEMA_VERSION, **_identity_of(out), **_told(wider)})
+            write_manifest(out / STUDY, {"schema_version": SCHEMA_VERSION, **_identity_of(out), **told_of(wider)})
         progress = Progress("runs", due + len(known), shown=options.progress)
         progress.skip(len(known))
         try:
@@ -154,10 +154,6 @@ def known_plans(out: Path) -> Plans:
 
 def _identity_of(out: Path) -> dict[str, Any]:
     return {"study_sha256": read_manifest(out / PLAN)["study_sha256"]}
-
-
-def _told(plans: Plans) -> dict[str, Any]:
-    return {"sampling": as_json(plans)}
 
 
 def open_pool(options: StudyOptions, folder: Path) -> Pool:

@@ -12,9 +12,10 @@ from threadpoolctl import threadpool_limits
 import radwrap
 from radwrap.images import GrayImage
 from radwrap.imaging.response.sensor import gray_levels
+from radwrap.imaging.tolerance.kept_replicates import KeptReplicates
 from radwrap.scene.scene import Scene
 from radwrap.study.image_error import blur_radii, copies_of, error_fields, image_error
-from radwrap.study.responses import KINDS, Response, answer
+from radwrap.study.responses import KINDS, Response, answer, contrast
 from radwrap.study.seen import Seen
 from tests.study.conftest import EDGE
 
@@ -67,6 +68,20 @@ def test_a_linear_response_of_white_errors_has_its_closed_form(scene: Scene) -> 
     expected = 0.5 * math.sqrt(50 * 60) / slope / 20 / 50
     # 400 draws: 3.5 %; a little is clipped where errors push below dark.
     assert np.std(changes) == pytest.approx(expected, rel=0.12)
+
+
+def test_the_bar_of_a_percentile_sees_what_the_cells_took_from_it(scene: Scene) -> None:
+    """The brightest twentieth was made darker than the rest: made darker still, it changes no percentile."""
+    true = np.full(3000, 4e-4)  # [J m^-2]
+    true[:300], true[-150:] = 1e-4, 6e-4
+    found = np.where(true > 5e-4, 3e-4, true)
+    exposure, change = found.reshape(50, 60), (found - true).reshape(50, 60)
+    kept = KeptReplicates(np.stack([exposure] * 3), change)
+    sensor, flat = scene.camera.sensor, error_fields((50, 60), (1.0, 1.0), copies=0)
+    gray, right = gray_levels(exposure, sensor), gray_levels(true.reshape(50, 60), sensor)
+    seen = Seen(scene, GrayImage(gray), gray, image_error(gray, 0.0, (1.0, 1.0)), flat, kept, exposure)
+    off = abs(contrast(GrayImage(right)) - contrast(GrayImage(gray)))
+    assert off > 0.05 and answer(Response("c", "contrast"), seen).error == pytest.approx(off, rel=1e-9)
 
 
 def test_stated_errors_are_as_large_as_the_scatter_of_renders(scene: Scene) -> None:

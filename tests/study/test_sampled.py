@@ -13,12 +13,14 @@ from threadpoolctl import threadpool_limits
 import radwrap
 from radwrap.errors import InputError
 from radwrap.imaging.demand import SamplingPlan
+from radwrap.scene.scene import Scene
 from radwrap.study.design import read_design
 from radwrap.study.effects import analyse
 from radwrap.study.image_error import blur_radii, error_fields
 from radwrap.study.levels import read_data
 from radwrap.study.responses import Response, answer
 from radwrap.study.sampled import read_plans
+from radwrap.study.seen import Answer
 from radwrap.study.study import STUDY, StudyOptions, run_study
 from radwrap.study.table import read_table
 from radwrap.study.worker import seen_of
@@ -27,6 +29,7 @@ from tests.study.conftest import EDGE, DesignWriter
 # Exposure alone: a darker image of the same edge, and of the same noise in share of its light.
 DARKER = """
 analysis = "none"
+set = { "camera.sensor.rows" = 24, "camera.sensor.columns" = 30 }
 [design]
 kind = "full"
 [factors.t]
@@ -36,6 +39,7 @@ levels = ["13 ms", "100 ms"]
 tolerance = 0.7
 """
 BLUR = '[responses.b]\nmeasure = "edge_blur"\ndark = "sensor"\ngamma = "sensor"\n'
+BLUR_OF = Response("b", "edge_blur", "px", {"dark": "sensor", "gamma": "sensor"})
 ONE = StudyOptions(workers=1)
 
 
@@ -65,7 +69,7 @@ def test_the_plan_survives_a_kill_and_is_checked_when_it_is_read(design: DesignW
     whole, lines = table.read_bytes(), table.read_bytes().splitlines(keepends=True)
     # As a study leaves it that was killed after its first row: a plan that pilots would not choose is kept.
     told = json.loads((out / STUDY).read_text())
-    begun = {key: told[key] for key in ("schema_version", "study_sha256", "sampling")}
+    begun = {key: told[key] for key in ("schema_version", "study_sha256", "sampling", "sampling_sha256")}
     (out / STUDY).write_text(json.dumps(begun))
     table.write_bytes(b"".join(lines[:2]))
     run_study(read_design(path), out, ONE)
@@ -76,6 +80,11 @@ def test_the_plan_survives_a_kill_and_is_checked_when_it_is_read(design: DesignW
         with pytest.raises(InputError) as error:
             run_study(read_design(path), out, ONE)
         assert f"sampling[0].{key}" in error.value.where
+    # Another plan that would do is not the one by which the first row was made.
+    coarser = {**begun, "sampling": [{**begun["sampling"][0], "cell": 2 * begun["sampling"][0]["cell"]}]}
+    (out / STUDY).write_text(json.dumps(coarser))
+    with pytest.raises(InputError, match="sampling_sha256"):
+        run_study(read_design(path), out, ONE)
     (out / STUDY).write_text(json.dumps({**begun, "study_sha256": "0"}))
     with pytest.raises(InputError, match="another study"):
         read_plans(out / STUDY, "1")
@@ -83,7 +92,7 @@ def test_the_plan_survives_a_kill_and_is_checked_when_it_is_read(design: DesignW
 
 def test_a_run_that_misses_its_tolerance_is_named(design: DesignWriter) -> None:
     """A budget that the brighter run cannot do with: it is named with its bound, and the plan stays as it is."""
-    path = design(DARKER + "budget_rays = 60000\n", BLUR)
+    path = design(DARKER + "budget_rays = 16500\n", BLUR)
     out = path.parent / "out"
     study = run_study(read_design(path), out, ONE)
     rows = read_table(out / "results.csv").rows
@@ -103,23 +112,37 @@ def test_an_effect_that_images_may_make_is_not_significant(tmp_path: Path) -> No
     assert said == [True, False]
 
 
-def test_error_bars_by_replicates_are_what_renders_scatter_by(tmp_path: Path) -> None:
-    """Six renders with seeds of their own: their scatter is known to 32 %, the median of their bars to 10 %."""
+def small_edge() -> Scene:
     scene = radwrap.scene_from_document(EDGE)
     for key, size in (("rows", 24), ("columns", 30)):
         scene = radwrap.with_value(scene, f"camera.sensor.{key}", size)
+    return scene
+
+
+def answers_of(scene: Scene, out: Path, responses: list[Response], **how: Any) -> list[Answer]:
+    made = radwrap.render(scene, out, workers=1, **how)
+    seen = seen_of(scene, made, out, error_fields(made.gray.values.shape, blur_radii(scene)))
+    with threadpool_limits(1):
+        return [answer(one, seen) for one in responses]
+
+
+def test_the_bar_of_a_blur_is_what_the_cells_add_to_it(tmp_path: Path) -> None:
+    """Cells of half a pixel under a blur of two: an error of the second order, which cells of an eighth do not have."""
+    (coarse,), (fine,) = (
+        answers_of(small_edge(), tmp_path / str(cell), [BLUR_OF], sampling=SamplingPlan("kernel", cell=cell))
+        for cell in (0.5, 0.125)
+    )
+    assert 0.7 < coarse.error / (coarse.value - fine.value) < 1.4
+
+
+def test_error_bars_by_replicates_are_what_renders_scatter_by(tmp_path: Path) -> None:
+    """Six renders with seeds of their own: their scatter is known to 32 %, the median of their bars to 10 %."""
     plan = SamplingPlan("kernel", cell=0.5)
     responses = [
         Response("u", "edge_position", "px", {"dark": "sensor", "gamma": "sensor"}),
         Response("m", "mean_gray"),
     ]
-    found = []
-    for seed in range(6):
-        out = tmp_path / str(seed)
-        made = radwrap.render(scene, out, sampling=plan, seed=seed, workers=1)
-        seen = seen_of(scene, made, out, error_fields(made.gray.values.shape, blur_radii(scene)))
-        with threadpool_limits(1):
-            found.append([answer(one, seen) for one in responses])
+    found = [answers_of(small_edge(), tmp_path / str(seed), responses, sampling=plan, seed=seed) for seed in range(6)]
     for answers in zip(*found, strict=True):
         scatter = float(np.std([one.value for one in answers], ddof=1))
         stated = float(np.median([one.error for one in answers]))

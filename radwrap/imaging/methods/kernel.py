@@ -40,6 +40,10 @@ _MOST_LAYERS: Final = 64
 # The error falls as the cells' size to the power 1.5 where edges of light meet edges of the footprint, as its square
 # elsewhere: the slower one gives 1/(2^1.5 - 1) of what twice the size adds.
 _GRID_SHARE: Final = 1 / (2**1.5 - 1)
+# What is measured over many pixels sees an edge at every place in a cell. On the average over these places cells of the
+# size h blur as a box of width h does: by h^2/24 times the second derivative, and the next term has h^4. So the error
+# falls as h^2, and 1/(2^2 - 1) of what twice the size adds is left (Richardson).
+_SMOOTH_SHARE: Final = 1 / (2**2 - 1)
 # A blur narrower than so many cells is not resolved by them: light comes from beside an edge, and a cell knows its mean
 # alone. Smaller cells help nothing until they resolve it, so that all of what twice the size changes may be left.
 _RESOLVED: Final = 2.0
@@ -258,6 +262,12 @@ def _grid_share(plan: KernelPlan) -> float:
     """What the cells may be off by, over what twice their size changes."""
     blurs = [max(reach_px(plan.camera, magnification)) for magnification in plan.layers]
     return 1.0 if any(0 < blur < _RESOLVED * plan.grid.cell for blur in blurs) else _GRID_SHARE
+
+
+def smooth_share(plan: KernelPlan) -> float:
+    """Of what a certificate counts for the cells, the part that is left in what is measured over many pixels."""
+    counted = _grid_share(plan)
+    return _SMOOTH_SHARE / counted if counted == _GRID_SHARE else 1.0
 
 
 def gather(

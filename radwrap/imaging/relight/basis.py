@@ -352,7 +352,7 @@ def _description(maker: _Maker) -> dict[str, Any]:
             "rays": maker.model_rays(),
         },
         "ray_plan": plain(maker.plan),
-        **({"even": True} if _is_even(maker.plan) else {}),
+        **({"even": True, "smooth_share": outcome.replicates.smooth_share} if _is_even(maker.plan) else {}),
     }
 
 

@@ -82,6 +82,8 @@ class Basis:
         M of what each pixel sees, where a lens has an opening that is not sure.
     even : bool
         Whether no light decided where its rays went, see `sampling`.
+    smooth_share : float
+        As of `Replicates`.
     """
 
     sources: tuple[str, ...]
@@ -101,6 +103,7 @@ class Basis:
     tolerances: Tolerances | None
     magnification: NDArray[np.float32] | None
     even: bool = False
+    smooth_share: float = 1.0
 
     @property
     def sensor(self) -> Sensor:
@@ -190,6 +193,7 @@ def _basis(folder: Path, told: BasisFile) -> Basis:
         tolerances=told.tolerances,
         magnification=read_image(folder / MAGNIFICATION)[0] if MAGNIFICATION in told.files else None,
         even=told.even,
+        smooth_share=told.smooth_share,
     )
 
 
@@ -324,7 +328,7 @@ class _Relighter:
         change = np.zeros(replicates.shape[1:])
         change.ravel()[self._basis.grid_pixels] = grid.mean(axis=0)
         scale = self._basis.exposure_of_radiance
-        return KeptReplicates(replicates * scale, change * scale)
+        return KeptReplicates(replicates * scale, change * scale * self._basis.smooth_share)
 
     def _image(self, mean: NDArray[np.float64], certificate: Certificate) -> Relit:
         sensor = self._basis.sensor

@@ -26,14 +26,15 @@ class KeptReplicates:
     images : ndarray, shape (replicates, rows, columns)
         Independent; their mean is the result [J m^-2].
     change : ndarray, shape (rows, columns)
-        What the size of the kernel's cells may add to the mean; 0 where there are no cells [J m^-2].
+        What the size of the kernel's cells adds to the mean, as far as it does not average out over many pixels; 0
+        where there are no cells [J m^-2].
     """
 
     images: NDArray[np.float64]
     change: NDArray[np.float64]
 
     def changes(self) -> NDArray[np.float64]:
-        """What may be added to the mean, each as its own error is distributed, shape (replicates, rows, columns)."""
+        """What may be added to the mean, each as its own noise is distributed, shape (replicates, rows, columns)."""
         deviations: NDArray[np.float64] = self.images - self.images.mean(axis=0)
         # The deviation of one has (n - 1)/n of the variance of one, and the mean 1/n of it.
         deviations /= np.sqrt(len(self.images) - 1)
@@ -44,7 +45,7 @@ def kept(replicates: Replicates, exposure_of_radiance: float) -> KeptReplicates:
     """The replicates of an even plan, to be kept."""
     images = replicates.images.astype(np.float64) * exposure_of_radiance
     change = np.zeros(images.shape[1:]) if replicates.change is None else replicates.change * exposure_of_radiance
-    return KeptReplicates(images, change)
+    return KeptReplicates(images, replicates.smooth_share * change)
 
 
 def write_replicates(folder: Path, found: KeptReplicates) -> list[str]:

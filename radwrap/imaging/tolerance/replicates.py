@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import EnvironmentFailure
 from radwrap.imaging.methods.central import Cells, central_rays
-from radwrap.imaging.methods.kernel import KernelPlan, decide_tile, gathered_tile, grid_squares
+from radwrap.imaging.methods.kernel import KernelPlan, decide_tile, gathered_tile, grid_squares, smooth_share
 from radwrap.imaging.methods.pieces import log_call, read_piece, remove_halves, run_jobs, write_piece
 from radwrap.imaging.methods.rays import RaysPlan, traced_tile
 from radwrap.imaging.optics.view import View
@@ -51,6 +51,8 @@ class Replicates:
         Rows and columns over which errors hang together [px].
     change : ndarray, shape (rows, columns), optional
         What the size of the kernel's cells may add to each pixel of the mean [W m^-2 sr^-1]; of an even plan.
+    smooth_share : float
+        Part of that change which is left in what is measured over many pixels, see `kernel.smooth_share`.
     """
 
     images: NDArray[np.float32]
@@ -59,6 +61,7 @@ class Replicates:
     reused: int
     block: tuple[int, int]
     change: NDArray[np.float64] | None = None
+    smooth_share: float = 1.0
 
     @property
     def mean(self) -> NDArray[np.float64]:
@@ -177,7 +180,8 @@ def trace_replicates(work: Work, plan: Plan, number: int, most: float = math.inf
         return made
     # What replicates have in common, without the noise of each.
     squares = grid_squares(made.mean, change, work.view.exposure_of_radiance, sensor)
-    return replace(made, grid_square=float(squares.mean()))
+    share = smooth_share(plan) if isinstance(plan, KernelPlan) else 1.0
+    return replace(made, grid_square=float(squares.mean()), smooth_share=share)
 
 
 def _keeps_change(plan: Plan) -> bool:
