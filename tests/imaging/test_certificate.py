@@ -262,12 +262,12 @@ def test_the_image_that_comes_nearest_to_all_demands_is_kept(tmp_path: Path, max
     seen = view(ROUND, (0.3, disc))
     demand = Demand(5.0, max_error)
     outcome = search(seen, tmp_path / "work", demand)
-    attempts = outcome.plan["attempts"]
-    worst = [max(a["rms_gray_upper95"] / 5.0, a["p99_gray_upper95"] / max_error) for a in attempts]
+    attempts = outcome.record.attempts
+    worst = [max(a.rms_gray_upper95 / 5.0, a.p99_gray_upper95 / max_error) for a in attempts]
     found = outcome.certificate
     assert found.p99_gray_upper95 is not None
     assert max(found.rms_gray_upper95 / 5.0, found.p99_gray_upper95 / max_error) == min(worst)
-    assert outcome.met == (min(worst) <= 1) and outcome.plan["rays"] > sum(a["rays"] for a in attempts)
+    assert outcome.met == (min(worst) <= 1) and outcome.record.rays > sum(a.rays for a in attempts)
 
 
 def test_a_small_budget_is_not_overspent(tmp_path: Path) -> None:
@@ -275,7 +275,7 @@ def test_a_small_budget_is_not_overspent(tmp_path: Path) -> None:
     seen = view(Aperture("round", 0.0), (1.0, wires))
     dear = search(seen, tmp_path / "dear", Demand(0.05, method="rays"))
     cheap = search(seen, tmp_path / "cheap", Demand(0.05, method="rays", budget=Budget(rays=1e5)))
-    assert not cheap.met and cheap.plan["rays"] < 2e5 < dear.plan["rays"]
+    assert not cheap.met and cheap.record.rays < 2e5 < dear.record.rays
 
 
 def test_a_certificate_takes_what_a_budget_leaves_and_no_more(tmp_path: Path) -> None:
@@ -286,13 +286,13 @@ def test_a_certificate_takes_what_a_budget_leaves_and_no_more(tmp_path: Path) ->
         return search(hidden_by_an_edge(20, 32), folder, Demand(4.0, method="kernel", budget=Budget(rays=rays)))
 
     free = within(math.inf)
-    whole = free.plan["rays"]
-    assert free.met and len(free.plan["attempts"]) == 1
-    assert within(whole).plan == free.plan
+    whole = free.record.rays
+    assert free.met and len(free.record.attempts) == 1
+    assert within(whole).record == free.record
     for less in (whole - 1, whole // 2):
         found = within(less)
         assert not found.met and found.certificate.certificate_rays < free.certificate.certificate_rays
-        assert found.plan["rays"] <= less
+        assert found.record.rays <= less
 
 
 @dataclass
@@ -336,9 +336,9 @@ def test_a_budget_of_time_is_kept_within_an_attempt(
     outcome = search(seen, tmp_path, Demand(1e-4, method=method, budget=Budget(seconds=seconds)))
     # The kernel's first image is given up at half the time, and the coarsest is no cheaper here.
     assert clock.seconds < seconds * (1.05 if method == "rays" else 1.3) + 1e-5 * RAYS_AT_ONCE
-    assert (outcome.plan.get("given_up") == "out of time") == given_up
-    assert not outcome.met and not outcome.plan["reproducible"]
-    assert outcome.certificate.rms_gray_upper95 in [a["rms_gray_upper95"] for a in outcome.plan["attempts"]]
+    assert (outcome.record.given_up == "out of time") == given_up
+    assert not outcome.met and not outcome.record.reproducible
+    assert outcome.certificate.rms_gray_upper95 in [a.rms_gray_upper95 for a in outcome.record.attempts]
 
 
 def test_out_of_time_an_attempt_is_given_up_and_programs_stay(tmp_path: Path) -> None:
@@ -363,8 +363,8 @@ def test_rays_in_place_of_a_kernel_that_fails_keep_the_budget_too(tmp_path: Path
 
     seen = view(ROUND, (0.5, wire), (1.0, stripes))
     outcome = search(seen, tmp_path, Demand(0.2, budget=Budget(rays=2e6)))
-    assert [attempt["method"] for attempt in outcome.plan["attempts"]][-1] == "rays"
-    assert outcome.plan["rays"] < 2e6
+    assert [attempt.method for attempt in outcome.record.attempts][-1] == "rays"
+    assert outcome.record.rays < 2e6
 
 
 @pytest.mark.parametrize(("method", "tolerance"), [("rays", 0.1), ("kernel", 0.02)])
@@ -377,13 +377,13 @@ def test_the_first_image_is_given_up_too_and_the_coarsest_made(
     monkeypatch.setattr("radwrap.tracers.timed.time", clock)
     monkeypatch.setattr("radwrap.imaging.tolerance.planner.Search._rays_in_time", lambda _: math.inf)
     seen = replace(view(ROUND, (1.0, disc)), tracer=clock)
-    dear = search(seen, tmp_path / "dear", Demand(tolerance, method=method)).plan["rays"]
+    dear = search(seen, tmp_path / "dear", Demand(tolerance, method=method)).record.rays
     clock.seconds = 0.0
     outcome = search(seen, tmp_path, Demand(tolerance, method=method, budget=Budget(seconds=0.5)))
-    assert outcome.plan["given_up"] == "out of time" and not outcome.met
-    assert outcome.plan["rays"] < dear / 2
+    assert outcome.record.given_up == "out of time" and not outcome.met
+    assert outcome.record.rays < dear / 2
     assert clock.seconds < 1.5
-    assert outcome.plan["attempts"][0]["aim_gray"] < 1e4
+    assert outcome.record.attempts[0].aim_gray < 1e4
 
 
 def test_a_kernel_whose_forecast_is_low_keeps_the_budget(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -393,7 +393,7 @@ def test_a_kernel_whose_forecast_is_low_keeps_the_budget(tmp_path: Path, monkeyp
     """
     seen = view(ROUND, (1.0, disc))
     free = search(seen, tmp_path / "free", Demand(0.004, method="kernel"))
-    first = free.plan["attempts"][0]["rays"]
+    first = free.record.attempts[0].rays
 
     def low(*arguments: Any) -> tuple[float, float]:
         rays, kernel = predicted_rays(*arguments)
@@ -402,10 +402,10 @@ def test_a_kernel_whose_forecast_is_low_keeps_the_budget(tmp_path: Path, monkeyp
     monkeypatch.setattr("radwrap.imaging.tolerance.planner.predicted_rays", low)
     demand = Demand(0.004, method="kernel", budget=Budget(rays=first))
     outcome = search(seen, tmp_path / "tight", demand)
-    assert outcome.plan["given_up"] == "out of rays" and not outcome.met
-    assert outcome.plan["rays"] <= first
+    assert outcome.record.given_up == "out of rays" and not outcome.met
+    assert outcome.record.rays <= first
     again = search(seen, tmp_path / "tight", demand)
-    assert again.plan == outcome.plan and again.reused and np.array_equal(again.radiance, outcome.radiance)
+    assert again.record == outcome.record and again.reused and np.array_equal(again.radiance, outcome.radiance)
 
 
 def test_rays_of_a_central_image_are_known_before(tmp_path: Path) -> None:

@@ -75,7 +75,7 @@ def test_a_reference_comes_back_from_json_to_the_last_bit() -> None:
 
 @pytest.mark.parametrize(("pixels", "rays", "option"), [(2, 64, "pixels"), (100, 2, "rays")])
 def test_a_reference_of_nearly_nothing_is_refused(pixels: int, rays: int, option: str) -> None:
-    with pytest.raises(InputError, match=f"--reference-{option}: must lie between"):
+    with pytest.raises(InputError, match=f"reference_{option}: must lie between"):
         TradeOptions(reference_pixels=pixels, reference_rays=rays)
 
 
