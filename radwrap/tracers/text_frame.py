@@ -107,6 +107,13 @@ def _radiance_unit(scene: Scene) -> float:
     if not scene.included and not low <= brightest <= high:
         unit = 10.0 ** (math.floor(math.log10(brightest)) - 3)
     if darkest / unit < _DARKEST or brightest / unit > _BRIGHTEST:
+        if darkest == brightest:
+            raise InputError(
+                f"sources of {darkest:g} W/m^2/sr cannot be traced beside an included Radiance file, whose light "
+                "has no other unit",
+                where=f"{scene.origin}: sources",
+                remedy=f"bring them between {_DARKEST:g} and {_BRIGHTEST:g} W/m^2/sr, or leave the file out",
+            )
         raise InputError(
             f"sources from {darkest:g} to {brightest:g} W/m^2/sr cannot be traced together",
             where=f"{scene.origin}: sources",

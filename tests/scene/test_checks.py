@@ -223,5 +223,7 @@ def test_places_that_numbers_cannot_hold_are_refused() -> None:
         return radwrap.load_scene(BENCH, places | {"camera.look_at": near, "sources[0].look_at": near})
 
     moved("1e6 m")
+    with pytest.raises(InputError, match=r"sources\[0\].position: lies 1e\+07 m from the origin"):
+        radwrap.load_scene(BENCH, {"sources[0].position": ["0 m", "1e7 m", "0.5 m"]})
     with pytest.raises(InputError, match=r"lies 9e\+08 m from the origin, where numbers hold places to 1e-07 m only"):
         moved("9e8 m")

@@ -84,3 +84,10 @@ def test_oconv_takes_every_scene_without_a_word(tmp_path: Path) -> None:
         for path in SCENES:
             prepared = prepare(radwrap.load_scene(path), options, programs, tmp_path)
             build(prepared.scene.text, prepared.scene.files, tmp_path, options, programs)
+
+
+def test_light_that_a_file_s_unit_cannot_hold_is_refused() -> None:
+    """Beside an included file nothing is scaled: its own light has the text's unit."""
+    path = ROOT / "rad_scenes" / "crosscheck" / "corner_cubes" / "scene.toml"
+    with pytest.raises(InputError, match="beside an included Radiance file"):
+        traced_frame(radwrap.load_scene(path, {"sources[0].radiance": "1e-9 W/m^2/sr"}))

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
+from radwrap.frames import Vector
 from radwrap.scene.camera import Camera
 from radwrap.scene.look.geometry import SurfacePoints, in_view, signed_distance
 from radwrap.scene.look.planes import check_planes
@@ -27,7 +28,7 @@ from radwrap.scene.look.sight import sources_in_sight
 from radwrap.scene.look.smallness import small_parts
 from radwrap.scene.materials import GLASS_BEAD_OBSERVATION, CoefficientTable, GlassBeads, Material, PrintedSheeting
 from radwrap.scene.scene import Scene
-from radwrap.scene.sources import Emitter, IntensityTable, Luminaire, Patch, SingleSource, TableBeam, WideSource
+from radwrap.scene.sources import Emitter, IntensityTable, Luminaire, Patch, SingleSource, Source, TableBeam, WideSource
 from radwrap.scene.targets import Flat, Polygon, Target, signed_area
 
 # A source is sampled at its centre, which misses the irradiance by about (radius/distance)^2.
@@ -87,16 +88,21 @@ def _where(scene: Scene, kind: str, name: str) -> str:
 
 def _check_places(scene: Scene) -> None:
     """Numbers must hold places finely enough, wherever the world's origin is."""
-    placed = [("camera.position", scene.camera.pose)]
-    placed += [(f"targets[{number}].position", target.pose) for number, target in enumerate(scene.targets)]
-    for key, pose in placed:
-        away = max(map(abs, pose.position))
+    placed = [("camera.position", scene.camera.pose.position)]
+    placed += [(f"targets[{number}].position", target.pose.position) for number, target in enumerate(scene.targets)]
+    placed += [(f"sources[{number}].position", _place_of(source)) for number, source in enumerate(scene.sources)]
+    for key, place in placed:
+        away = max(map(abs, place))
         if math.ulp(away) > _PLACE:
             raise InputError(
                 f"lies {away:.3g} m from the origin, where numbers hold places to {math.ulp(away):.1g} m only",
                 where=f"{scene.origin}: {key}",
                 remedy="choose an origin nearer to the scene",
             )
+
+
+def _place_of(source: Source) -> Vector:
+    return source.emitter.position if isinstance(source, SingleSource) else source.pose.position
 
 
 def _check_polygons(scene: Scene) -> None:
