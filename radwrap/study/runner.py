@@ -92,11 +92,10 @@ class Scheduler:
             self._submit()
             if not self._running:
                 time.sleep(_LOOK)
-            done, _ = wait(self._running, _LOOK, FIRST_COMPLETED)
+            done = wait(self._running, _LOOK, FIRST_COMPLETED).done
             if not done:
                 self._pool.look()
-            broken = [future for future in done if not self._collect(future)]
-            if broken:
+            if broken := self._collect(done):
                 self._after_death(broken)
 
     def _submit(self) -> None:
@@ -117,24 +116,36 @@ class Scheduler:
                     self._pool.rebuild()
                 return
 
-    def _collect(self, future: Future[Any]) -> bool:
-        """Keep what a job brought; False where its worker died."""
-        if future.cancelled():
-            self._pool.look()  # which may know why
-            raise EnvironmentFailure("its work was cancelled by somebody else", remedy="the same command goes on")
-        error = future.exception()
-        if error is not None and self._pool.is_broken(error):
-            return False
-        job = self._running.pop(future)
+    def _collect(self, done: set[Future[Any]]) -> list[Future[Any]]:
+        """Keep what jobs brought, and empty the set; those whose workers died are returned.
+
+        A future is let go before its rows are saved: a cluster does a job again whose worker ends while its future is
+        held.
+        """
+        broken = []
+        while done:
+            future = done.pop()
+            if future.cancelled():
+                self._pool.look()  # which may know why
+                raise EnvironmentFailure("its work was cancelled by somebody else", remedy="the same command goes on")
+            error = future.exception()
+            if error is not None and self._pool.is_broken(error):
+                broken.append(future)
+                continue
+            job, brought = self._running.pop(future), None if error else future.result()
+            del future
+            self._keep(job, brought, error)
+        return broken
+
+    def _keep(self, job: Job, brought: list[Outcome] | None, error: BaseException | None) -> None:
         if error is None:
-            self._finish(job, future.result())
+            self._finish(job, brought or [])
         elif isinstance(error, InputError | TracerError):
             self._fail(job, str(error))
         elif isinstance(error, EnvironmentFailure):
             raise error
         else:
             self._fail(job, f"{type(error).__name__}: {error}")
-        return True
 
     def _finish(self, job: Job, outcomes: list[Outcome]) -> None:
         if outcomes:
@@ -161,10 +172,8 @@ class Scheduler:
         """A worker died, and with it the pool: go on with a new one; nobody knows whose fault it was."""
         # The others of a broken pool come to an end too, some of them with a result.
         wait(self._running)
-        lost = []
-        for future in list(self._running):
-            if future in broken or not self._collect(future):
-                lost.append(self._running.pop(future))
+        lost = [self._running.pop(future) for future in broken]
+        lost += [self._running.pop(future) for future in self._collect(set(self._running))]
         self._pool.rebuild()
         alone = len(lost) == 1
         for job in reversed(lost):
