@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,8 @@ from radwrap.scene.camera import Camera
 from radwrap.scene.look.intersections import clamped
 from radwrap.scene.mesh import contains, nearest_on
 from radwrap.scene.targets import Box, Cylinder, MeshPart, RadFile, Sphere, Target
+
+_ROUND: Final = 32  # points that stand for a circle
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,3 +117,16 @@ def in_view(camera: Camera, points: NDArray[np.float64]) -> NDArray[np.bool_]:
         (depth > 0) & (uv >= -0.5).all(axis=1) & (uv[:, 0] <= sensor.columns - 0.5) & (uv[:, 1] <= sensor.rows - 0.5)
     )
     return inside
+
+
+def circle() -> NDArray[np.float64]:
+    """Points evenly on a circle of radius 1, shape (n, 2)."""
+    angle = np.linspace(0, 2 * np.pi, _ROUND, endpoint=False)
+    return np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def across(normal: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Two unit vectors in the plane of a normal, at right angles, shape (2, 3)."""
+    first = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
+    first = first / np.linalg.norm(first)
+    return np.stack([first, np.cross(normal, first)])

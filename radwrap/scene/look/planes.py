@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
+from radwrap.scene.look.geometry import across, circle
 from radwrap.scene.look.intersections import in_polygon
 from radwrap.scene.look.superposed import superposed
 from radwrap.scene.scene import Scene
@@ -38,7 +39,6 @@ Array = NDArray[np.float64]
 _ONE_PLANE: Final = 1e-8  # m
 # Sides that only touch cross at their ends, give or take rounding; so do circles of a row of discs.
 _ENDS: Final = 1e-6
-_ROUND: Final = 32  # points on a circle
 _INNER: Final = 15
 # Files of meshes hold float32: of their corners so large a share is chance.
 _FLOAT32: Final = 1e-7
@@ -209,7 +209,7 @@ def _emitter_face(scene: Scene, owner: str, emitter: Emitter) -> _Face:
     normal = np.asarray(emitter.axis)
     if isinstance(emitter, Patch):
         return _face(scene, owner, normal, np.asarray(emitter.corners), shines=True)
-    corners = np.asarray(emitter.position) + emitter.radius * _circle() @ _across(normal)
+    corners = np.asarray(emitter.position) + emitter.radius * circle() @ across(normal)
     return _face(scene, owner, normal, corners, shines=True)
 
 
@@ -219,7 +219,7 @@ def _faces(scene: Scene, target: Target) -> Iterator[_Face]:
         case Sheet() | DotBoard() | EdgeTarget():
             corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (target.width / 2, target.height / 2)
         case Disc():
-            corners = _circle() * target.diameter / 2
+            corners = circle() * target.diameter / 2
         case Polygon():
             corners = np.asarray(target.vertices)
         case Box() | Cylinder():
@@ -230,7 +230,7 @@ def _faces(scene: Scene, target: Target) -> Iterator[_Face]:
                     yield _face(scene, target.name, normal / np.linalg.norm(normal), points, solid=True)
                 elif isinstance(surface.shape, DiscShape):
                     normal = np.asarray(surface.shape.normal)
-                    points = np.asarray(surface.shape.centre) + surface.shape.radius * _circle() @ _across(normal)
+                    points = np.asarray(surface.shape.centre) + surface.shape.radius * circle() @ across(normal)
                     yield _face(scene, target.name, normal, points, solid=True)
             return
         case Sphere() | MeshPart() | RadFile():
@@ -259,8 +259,8 @@ def _check_mesh(scene: Scene, part: MeshPart, faces: list[_Face]) -> None:
 
 def _meets(scene: Scene, part: MeshPart, face: _Face, triangles: Array) -> bool:
     """Whether one of a mesh's triangles in a face's plane, shape (n, 3, 3), competes with it."""
-    across = _across(face.normal)
-    flat, rim = (triangles - face.corners[0]) @ across.T, (face.corners - face.corners[0]) @ across.T
+    axes = across(face.normal)
+    flat, rim = (triangles - face.corners[0]) @ axes.T, (face.corners - face.corners[0]) @ axes.T
     touches = (flat.max(axis=1) > rim.min(axis=0)).all(axis=1) & (flat.min(axis=1) < rim.max(axis=0)).all(axis=1)
     made = [_triangle(scene, part, corners) for corners in triangles[touches][:_MOST_TRIANGLES]]
     if any(_compete(one, face) and _overlap(one, face, math.inf) for one in made):
@@ -274,18 +274,6 @@ def _triangle(scene: Scene, part: MeshPart, corners: Array) -> _Face:
     return _face(scene, part.name, normal / np.linalg.norm(normal), corners, solid=part.closed)
 
 
-def _circle() -> Array:
-    angle = np.linspace(0, 2 * np.pi, _ROUND, endpoint=False)
-    return np.column_stack([np.cos(angle), np.sin(angle)])
-
-
-def _across(normal: Array) -> Array:
-    """Two unit vectors in the plane of a normal, shape (2, 3)."""
-    first = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
-    first = first / np.linalg.norm(first)
-    return np.stack([first, np.cross(normal, first)])
-
-
 def _beside(face: _Face, plane: _Face) -> float:
     """How far a face leaves another one's plane [m]."""
     return float(np.abs((face.corners - plane.corners[0]) @ plane.normal).max())
@@ -295,8 +283,8 @@ def _overlap(a: _Face, b: _Face, near: float = _ONE_PLANE) -> bool:
     """Whether two faces share more than a border, in one plane."""
     if min(_beside(a, b), _beside(b, a)) > near:
         return False
-    across = _across(a.normal)
-    first, second = (a.corners - a.corners[0]) @ across.T, (b.corners - a.corners[0]) @ across.T
+    axes = across(a.normal)
+    first, second = (a.corners - a.corners[0]) @ axes.T, (b.corners - a.corners[0]) @ axes.T
     if (first.max(axis=0) <= second.min(axis=0)).any() or (second.max(axis=0) <= first.min(axis=0)).any():
         return False
     return (

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.scene.look.geometry import directions, project
+from radwrap.scene.look.geometry import across, circle, directions, project
 from radwrap.scene.look.intersections import first_hit, reached
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Emitter, Source, WideSource, emitters
@@ -17,7 +17,6 @@ Array = NDArray[np.float64]
 
 _NEAREST: Final = 1e-9  # m; what lies in the pinhole's own plane is in nobody's sight
 _VIEW_RAYS: Final = 33
-_ROUND: Final = 32  # points on a circle
 _INNER: Final = 15
 # Radiance takes surfaces for one within 1e-6 units, which are mm, along a ray; ten times that for oblique rays.
 _ONE_PLANE: Final = 1e-8  # m
@@ -89,9 +88,9 @@ def _in_sight(scene: Scene, emitter: Emitter) -> Array:
 
 
 def _on_disc(emitter: Emitter) -> Array:
-    circle = _circle() @ _across(np.asarray(emitter.axis))
+    rim = circle() @ across(np.asarray(emitter.axis))
     shares = np.array([0.0, 0.5, 1.0])[:, np.newaxis, np.newaxis]
-    points: Array = np.asarray(emitter.position) + (shares * emitter.radius * circle).reshape(-1, 3)
+    points: Array = np.asarray(emitter.position) + (shares * emitter.radius * rim).reshape(-1, 3)
     return points
 
 
@@ -104,15 +103,3 @@ def _on_rays(scene: Scene, emitter: Emitter) -> Array:
         points = eye + ((emitter.position - eye) @ axis / (rays @ axis))[:, np.newaxis] * rays
         met: Array = points[np.linalg.norm(points - emitter.position, axis=1) <= emitter.radius]
     return met
-
-
-def _circle() -> Array:
-    angle = np.linspace(0, 2 * np.pi, _ROUND, endpoint=False)
-    return np.column_stack([np.cos(angle), np.sin(angle)])
-
-
-def _across(normal: Array) -> Array:
-    """Two unit vectors in the plane of a normal, shape (2, 3)."""
-    first = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
-    first = first / np.linalg.norm(first)
-    return np.stack([first, np.cross(normal, first)])
