@@ -16,6 +16,8 @@ from radwrap.scene.scene import Scene
 from radwrap.validate import bench as on
 from radwrap.validate.bench import Bench
 from radwrap.validate.case import Case, Check, Finding, Missing, Plot
+from radwrap.validate.closed_forms.aperture import cos4, pinhole_exposure
+from radwrap.validate.closed_forms.sources import point_irradiance
 
 Array = NDArray[np.float64]
 
@@ -59,7 +61,7 @@ def _cube(reflectance: float, level: float) -> Scene:
         for s, name in ((1, "up"), (-1, "down"))
     ]
     distance = h - _EYE
-    exposure = math.pi / 4 * on.DIAMETER**2 / on.FOCAL_LENGTH**2 * reflectance * level / math.pi
+    exposure = pinhole_exposure(reflectance * level / math.pi, on.DIAMETER, on.FOCAL_LENGTH)
     sensor = {"gain": f"{_MEAN_GRAY / exposure!r} (J/m^2)^-1"}
     pitch = _SIDE / _PIXELS * on.FOCAL_LENGTH / distance
     camera = on.camera(
@@ -73,8 +75,7 @@ def _irradiance(bench: Bench, scene: Scene, reflectance: float, **how: Any) -> t
     result = bench.render(scene, **how)
     fine = (np.arange(_PIXELS * _FINE) + 0.5) / _FINE * _SIDE / _PIXELS - _SIDE / 2
     x, y = np.meshgrid(fine, fine)
-    cos4 = 1 / (1 + (x**2 + y**2) / (_SIDE / 2 - _EYE) ** 2) ** 2
-    mean = cos4.reshape(_PIXELS, _FINE, _PIXELS, _FINE).mean(axis=(1, 3))
+    mean = cos4(x, y, _SIDE / 2 - _EYE).reshape(_PIXELS, _FINE, _PIXELS, _FINE).mean(axis=(1, 3))
     found = on.radiances(scene, result.radiant_exposure.values) / mean
     return found * math.pi / reflectance, result.run.error
 
@@ -136,7 +137,7 @@ def _exchanged(reflectance: float) -> Array:
     coarse = ((np.arange(_PIXELS) + 0.5) / _PIXELS - 0.5) * _SIDE
     points = np.stack(np.meshgrid(coarse, coarse), axis=-1).reshape(-1, 2)
     x, y = np.meshgrid(fine, fine)
-    direct = _FLUX / (4 * math.pi) * (_SIDE / 2) / (x**2 + y**2 + (_SIDE / 2) ** 2) ** 1.5
+    direct = point_irradiance(_FLUX / (4 * math.pi), _SIDE / 2, np.hypot(x, y))
     first = _received(points, fine, reflectance * direct).reshape(_PIXELS, _PIXELS)
     between = RegularGridInterpolator((coarse, coarse), first, bounds_error=False, fill_value=None)
     second = _received(points, fine, reflectance * between(np.stack([y, x], axis=-1)))

@@ -15,6 +15,7 @@ from radwrap.scene.scene import Scene
 from radwrap.validate import bench as on
 from radwrap.validate.bench import Bench
 from radwrap.validate.case import Case, Check, Finding, Plot
+from radwrap.validate.closed_forms.aperture import blurred_edge, cos4, projection_radius, share_beyond
 
 Array = NDArray[np.float64]
 
@@ -27,13 +28,6 @@ _POINTS: Final = 16  # squared: points of a pixel for Eq. 2 of the reference
 # (distance, sub-viewpoints) -> rms over |S| <= 1. At 3 f a shift of the wrong sign gives 0.13, at 1 m it hides.
 _CASES: Final = {"1_m": (1.0, 37, 0.012), "1_m_fine": (1.0, 127, 0.005), "3_f": (3 * _F, 61, 0.015)}
 _PLACE: Final = 5e-4  # px: what 16 x 16 points of a pixel leave of the place of a synthetic edge
-
-
-def share_beyond(s: Array) -> Array:
-    """Eq. 9: share of a disc on the bright side, its centre being s radii inside."""
-    s = np.clip(s, -1.0, 1.0)
-    share: Array = 1 - (np.arccos(s) - s * np.sqrt(1 - s**2)) / math.pi
-    return share
 
 
 def _edge_scene(depth: float, angle: float, side: int, offset: tuple[float, float]) -> Scene:
@@ -56,18 +50,13 @@ def _edge_scene(depth: float, angle: float, side: int, offset: tuple[float, floa
 
 def _expected(depth: float, angle: float, side: int, offset: tuple[float, float]) -> tuple[Array, Array, Array]:
     """Eq. 9 averaged over each pixel; S and cos^4 at the pixel's centre."""
-    inside = (np.arange(_POINTS) + 0.5) / _POINTS - 0.5
     along = np.arange(side) - (side - 1) / 2
-    u = (along - offset[0])[np.newaxis, :, np.newaxis, np.newaxis] + inside[np.newaxis, :]
-    v = (along - offset[1])[:, np.newaxis, np.newaxis, np.newaxis] + inside[:, np.newaxis]
-    turn, radius = math.radians(angle), _OPENING / 2 * (1 + depth / _F)
-    scale = _PITCH * depth / _F
-    s = (u * math.cos(turn) - v * math.sin(turn)) * scale / radius  # rows run down, y up
-    mean = share_beyond(s).mean(axis=(2, 3))
-    x, y = np.meshgrid(along - offset[0], along - offset[1])
-    centre = (x * math.cos(turn) - y * math.sin(turn)) * scale / radius
-    cos4 = 1 / (1 + (x**2 + y**2) * (_PITCH / _F) ** 2) ** 2
-    return mean, centre, cos4
+    columns, rows = ((along - start) * _PITCH for start in offset)
+    turn = -math.radians(angle)  # rows run down, y up
+    radius = projection_radius(_OPENING, depth, _F) * _F / depth
+    mean = blurred_edge(columns, rows, (_PITCH, _PITCH), angle=turn, radius=radius, points=_POINTS)
+    x, y = np.meshgrid(columns, rows)
+    return mean, (x * math.cos(turn) + y * math.sin(turn)) / radius, cos4(x, y, _F)
 
 
 def _eq9(name: str) -> Check:
@@ -75,7 +64,7 @@ def _eq9(name: str) -> Check:
     full = f"4.eq9_{name}_{count}_viewpoints"
 
     def run(bench: Bench) -> Iterator[Finding]:
-        radius = _OPENING / 2 * (1 + depth / _F)
+        radius = projection_radius(_OPENING, depth, _F)
         side = 2 * math.ceil(radius * _F / depth / _PITCH) + 3
         squares: list[Array] = []
         seen: list[tuple[Array, Array]] = []
@@ -83,8 +72,8 @@ def _eq9(name: str) -> Check:
             at = (360 * (turn + 0.37) / _DIRECTIONS, side, (0.5 * math.cos(5 * turn), 0.5 * math.sin(7 * turn)))
             scene = _edge_scene(depth, *at)
             exposure = bench.exposure(scene, viewpoints=count, pixel_samples=_SAMPLES)
-            mean, s, cos4 = _expected(depth, *at)
-            found = on.radiances(scene, exposure) / cos4
+            mean, s, falloff = _expected(depth, *at)
+            found = on.radiances(scene, exposure) / falloff
             counted = np.abs(s) <= 1
             squares.append((found - mean)[counted] ** 2)
             seen.append((s[counted], found[counted]))
@@ -103,10 +92,9 @@ def _measured(bench: Bench) -> Iterator[Finding]:
     places, radii = [], []
     for angle, radius, gamma in ((0.0, 3.67, 0.85), (0.31, 2.0, 1.4), (-0.9, 3.0, 0.6), (1.5, 5.0, 1.0)):
         offset = 29.3 * math.cos(angle) + 28.6 * math.sin(angle)
-        n = _POINTS
-        v, u = (np.indices((56 * n, 60 * n)) + 0.5) / n - 0.5
-        s = (u * math.cos(angle) + v * math.sin(angle) - offset) / radius
-        light = share_beyond(s).reshape(56, n, 60, n).mean(axis=(1, 3))
+        light = blurred_edge(
+            np.arange(60), np.arange(56), (1, 1), angle=angle, radius=radius, offset=offset, points=_POINTS
+        )
         edge = measure_edge(GrayImage(20 + 160 * light**gamma))
         sign = 1 if math.cos(edge.angle - angle) > 0 else -1
         places.append(abs(sign * edge.offset - offset))

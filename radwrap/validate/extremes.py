@@ -14,12 +14,13 @@ from radwrap.scene.scene import Scene
 from radwrap.validate import bench as on
 from radwrap.validate.bench import Bench
 from radwrap.validate.case import Case, Check, Finding
+from radwrap.validate.closed_forms.aperture import pinhole_exposure
+from radwrap.validate.closed_forms.sources import point_irradiance, small_disc_intensity
 
 _FLOAT32: Final = 1e-6  # radiances come as float32
 _VIEWPOINTS: Final = 1e-4  # the light is a little uneven over what a wider opening sees
 _HEIGHT, _ASIDE, _RHO, _LEVEL = 1.0, 0.1, 0.5, 2000.0
 _RADIUS: Final = 0.0025
-_AREA: Final = math.pi / 4 * on.DIAMETER**2
 _CLOSED: Final = "H = tau A/f^2 rho/pi I cos^2/d^2"
 _REFUSED: Final = "one clear error"
 _BAD: Final[tuple[Any, ...]] = (math.nan, math.inf, -math.inf, "nan", "inf m", "nan m", "", [], {})
@@ -39,10 +40,10 @@ def _document(**camera: Any) -> dict[str, Any]:
 
 def _due(level: float = _LEVEL, tilt: float = 0.0, radius: float = _RADIUS) -> float:
     """Radiant exposure of the pixel in one second."""
-    distance = math.hypot(_ASIDE, _HEIGHT)
+    intensity = small_disc_intensity(level, radius, _HEIGHT / math.hypot(_ASIDE, _HEIGHT))
     # The lamp lies in the plane that the tilt leaves alone.
-    received = level * math.pi * radius**2 * _HEIGHT / distance * _HEIGHT * math.cos(tilt) / distance / distance**2
-    return _AREA / on.FOCAL_LENGTH**2 * _RHO / math.pi * received
+    received = point_irradiance(intensity, _HEIGHT, _ASIDE) * math.cos(tilt)
+    return float(pinhole_exposure(_RHO / math.pi * received, on.DIAMETER, on.FOCAL_LENGTH))
 
 
 def _scene(changes: Mapping[str, Any] | None = None, **camera: Any) -> Scene:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,6 +22,7 @@ from radwrap.scene.camera import Aperture, Camera, Sensor
 from radwrap.validate import bench as on
 from radwrap.validate.bench import Bench
 from radwrap.validate.case import Case, Check, Finding
+from radwrap.validate.closed_forms.aperture import at_zero_area, even_field_irradiance
 
 Array = NDArray[np.float64]
 
@@ -38,21 +39,6 @@ _NUMBERS: Final = {1e-4: (61,), 1e-3: (37, 127), 1e-2: (37, 127, 469)}
 _COUNTS: Final = (*range(1, 201), 4096)
 _LATTICE_COUNTS: Final = (1, 7, 19, 37, 61)  # a lattice is searched for, which takes a second each
 _FEW_COUNTS: Final = (1, 2, 3, 7, 19, 36, 61, 200)
-
-
-def _even_field(radius: float, distance: float) -> float:
-    """Integral of cos^4/f^2 over a round opening, for a sensor point so far from the axis."""
-    root = math.sqrt((_F**2 + distance**2 + radius**2) ** 2 - 4 * radius**2 * distance**2)
-    return math.pi / 2 * (1 - (_F**2 + distance**2 - radius**2) / root)
-
-
-def _at_zero_area(numbers: Sequence[int], values: Sequence[Array]) -> Array:
-    """The polynomial in 1/N through the values, at 1/N = 0 (Richardson)."""
-    areas = [1 / number for number in numbers]
-    result = np.zeros_like(values[0])
-    for area, value in zip(areas, values, strict=True):
-        result = result + value * math.prod(other / (other - area) for other in areas if other != area)
-    return result
 
 
 def _field_names(diameter: float) -> tuple[str, str]:
@@ -78,12 +64,12 @@ def _uniform_field(bench: Bench) -> Iterator[Finding]:
         )
         scene = on.scene(camera, [sky], {"it": on.lambertian(0.05)}, [behind])
         values = [bench.exposure(scene, viewpoints=number) for number in numbers]
-        converged = _at_zero_area(numbers, values)
+        converged = at_zero_area(numbers, values)
         for name, place, distance in zip(_field_names(diameter), (0, 3), (0.0, _CORNER), strict=True):
-            reference = 41.0 * _even_field(diameter / 2, distance)
+            reference = 41.0 * even_field_irradiance(diameter / 2, _F, distance)
             yield Case(name, "H of a uniform field, closed form", reference, float(converged.flat[place]), _CONVERGED)
     one = float(bench.exposure(scene, viewpoints=1)[0, 0])
-    found = one / (41.0 * _even_field(diameter / 2, 0.0))
+    found = one / (41.0 * even_field_irradiance(diameter / 2, _F))
     yield Case(
         "4.one_viewpoint_10_mm", "tau A/f^2 L is off by R^2/f^2", 1 + (diameter / 2 / _F) ** 2, found, _FACTOR_DIGITS
     )

@@ -8,11 +8,11 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import dblquad
 
 from radwrap.validate import bench as on
 from radwrap.validate.bench import Bench
 from radwrap.validate.case import Case, Check, Finding, Plot
+from radwrap.validate.closed_forms.sources import disc_irradiance_beside
 
 _PRINTED: Final = 1e-4  # of the printed four digits; discs of 5.08 mm at 1 m are off by 6e-6
 _SYMMETRY: Final = 1e-6
@@ -69,24 +69,13 @@ def _symmetric(bench: Bench) -> Iterator[Finding]:
     yield Plot("Ring with the 7.6 degree beam at 1 m", "x [m]", "E [W m$^{-2}$]", {"radwrap": (x, profile)})
 
 
-def _disc_integral(centre: tuple[float, float], point: tuple[float, float], height: float) -> float:
-    """Irradiance by a Lambertian disc, integrated over its area."""
-
-    def piece(turn: float, r: float) -> float:
-        x, y = (p - c - r * way(turn) for p, c, way in zip(point, centre, (math.cos, math.sin), strict=True))
-        return _RADIANCE * height**2 / (x * x + y * y + height**2) ** 2 * r
-
-    value, _ = dblquad(piece, 0.0, _LED, 0.0, 2 * math.pi, epsrel=1e-8)
-    return float(value)
-
-
 def _by_quadrature(bench: Bench) -> Iterator[Finding]:
     height, points = 0.8, ((0.0, 0.0), (0.06, 0.03))
     found = _measured(bench, _ring({"profile": "lambertian"}, height), [(*point, 0.0) for point in points])
     turns = [2 * math.pi * k / _COUNT for k in range(_COUNT)]
     for name, point, ours in zip(("axis", "aside"), points, found.tolist(), strict=True):
-        centres = [(_RADIUS * math.cos(turn), _RADIUS * math.sin(turn)) for turn in turns]
-        expected = sum(_disc_integral(centre, point, height) for centre in centres)
+        beside = [(point[0] - _RADIUS * math.cos(turn), point[1] - _RADIUS * math.sin(turn)) for turn in turns]
+        expected = sum(disc_irradiance_beside(_RADIANCE, _LED, height, place) for place in beside)
         yield Case(f"6.discs_{name}", "quadrature over the discs at 0.8 m", expected, ours, _QUADRATURE)
 
 

@@ -6,7 +6,6 @@ import math
 import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
-from decimal import Decimal, localcontext
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,6 +24,7 @@ from radwrap.scene.scene import Scene
 from radwrap.validate import bench as on
 from radwrap.validate.bench import Bench
 from radwrap.validate.case import Case, Check, Finding, Missing, Plot
+from radwrap.validate.closed_forms.sensor import ROUNDING, photons, power_law, transfer_mean, transfer_variance
 
 Array = NDArray[np.float64]
 
@@ -36,19 +36,14 @@ _K, _GAMMA, _DARK, _SATURATION = 3.38e4, 0.85, 22.0, 181.0  # Sec. 4.1 of the pa
 _GAMMAS: Final = (0.1, 0.45, 0.85, 1.0, 2.2, 3.0)
 
 
-def _in_forty_digits(exposure: float, sensor: Sensor) -> float:
-    with localcontext() as context:
-        context.prec = 40
-        return float(Decimal(sensor.gain) * Decimal(exposure) ** Decimal(sensor.gamma) + Decimal(sensor.dark_gray))
-
-
 def _eq5(bench: Bench) -> Iterator[Finding]:
     exposures = np.array([1e-12, 1.83e-3, 0.017, 0.5, 1.0, 2.0])
     forward = back = 0.0
     plain = Sensor(1, 1, 1e-5, 1e-5, 400.0, 1.0, 22.0, 4095.0, bit_depth=12, rounding=False)
     for sensor in (replace(plain, gamma=gamma) for gamma in _GAMMAS):
         gray = gray_levels(exposures, sensor)
-        expected = np.array([_in_forty_digits(exposure, sensor) for exposure in exposures.tolist()])
+        law = {"gain": sensor.gain, "gamma": sensor.gamma, "dark_gray": sensor.dark_gray}
+        expected = np.array([power_law(exposure, **law) for exposure in exposures.tolist()])
         forward = max(forward, float(np.abs(gray / expected - 1).max()))
         # A level close above dark has lost digits of H to the sum.
         kept = (gray - sensor.dark_gray) * sensor.gamma / gray > 1e-3
@@ -98,7 +93,6 @@ _SIDES: Final = (240, 300)
 _LEVELS: Final = (0.0, 0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8)  # of the full well
 _EMVA: Final = ("mean", "variance", "snr_max", "gain", "read_noise")
 _TIME, _WAVELENGTH, _PITCH = 0.02, 650e-9, 5e-6
-_PHOTON: Final = 6.62607015e-34 * 299792458.0 / _WAVELENGTH  # J
 
 
 def _linear_scene(electrons: float) -> Scene:
@@ -114,7 +108,7 @@ def _linear_scene(electrons: float) -> Scene:
         "read_noise": f"{_READ} e",
     }
     sensor |= {"rows": _SIDES[0], "columns": _SIDES[1], "pixel_width": "5 um", "pixel_height": "5 um"}
-    exposure = max(electrons, 1e-6) / _EFFICIENCY * _PHOTON / _PITCH**2
+    exposure = max(electrons, 1e-6) / _EFFICIENCY / photons(1.0, _PITCH**2, _WAVELENGTH)
     radiance = exposure / (_TIME * math.pi / 4 * on.DIAMETER**2 / 0.5**2)
     camera = on.camera((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
     camera |= {"sensor": sensor, "exposure_time": f"{_TIME} s", "focal_length": "0.5 m"}
@@ -145,8 +139,8 @@ def _emva(bench: Bench) -> Iterator[Finding]:
     mean = np.array([float(pair.mean()) for pair in pairs])
     variance = np.array([float(((pair[0] - pair[1]) ** 2).mean() / 2) for pair in pairs])
     electrons = _FULL * np.array(_LEVELS)
-    expected = _OFFSET + _GAIN * electrons
-    noise = (_GAIN * _READ) ** 2 + 1 / 12 + _GAIN**2 * electrons
+    expected = transfer_mean(electrons, gain=_GAIN, offset=_OFFSET)
+    noise = transfer_variance(electrons, gain=_GAIN, read_noise=_READ)
     # cos^4 over the field is 1 to 1e-5; an average of 144 000 values has a standard error of 1e-4 of the mean.
     worst = int(np.abs(mean / expected - 1).argmax())
     yield Case("7.emva_mean", "mu_dark + K eta mu_p; the worst of 8", float(expected[worst]), float(mean[worst]), 1e-3)
@@ -156,11 +150,12 @@ def _emva(bench: Bench) -> Iterator[Finding]:
     yield Case("7.emva_variance", "K^2 sd^2 + 1/12 + K (mu_y - mu_dark); worst", float(noise[worst]), ours, 0.02)
     full = _frames(bench, 0.97 * _FULL)
     signal = (full.mean() - _OFFSET) / math.sqrt(((full[0] - full[1]) ** 2).mean() / 2)
-    shot = math.sqrt(0.97 * _FULL) / math.sqrt(1 + (_READ**2 + 1 / 12 / _GAIN**2) / (0.97 * _FULL))
+    near = 0.97 * _FULL
+    shot = _GAIN * near / math.sqrt(transfer_variance(near, gain=_GAIN, read_noise=_READ))
     yield Case("7.emva_snr_max", "sqrt(mu_e.sat), at 97 % of it", shot, float(signal), 0.01)
     slope = np.polyfit(mean - mean[0], variance - variance[0], 1, w=1 / (variance + 1))[0]
     yield Case("7.emva_gain", "photon transfer", _GAIN, float(slope), 0.005)
-    dark = math.sqrt(max(float(variance[0]) - 1 / 12, 0.0)) / _GAIN
+    dark = math.sqrt(max(float(variance[0]) - ROUNDING, 0.0)) / _GAIN
     yield Case("7.emva_read_noise", "dark frames", _READ, dark, 0.02)
     yield Plot(
         "Photon transfer of a linear camera",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
@@ -13,6 +12,13 @@ from radwrap.scene.scene import Scene
 from radwrap.validate import bench as on
 from radwrap.validate.bench import Bench
 from radwrap.validate.case import Case, Check, Finding, Plot
+from radwrap.validate.closed_forms.sheeting import (
+    D4956_III_WHITE,
+    glass_beads,
+    light_direction,
+    perturbed_normal_lobe,
+    view_direction,
+)
 
 Array = NDArray[np.float64]
 
@@ -21,21 +27,12 @@ _LOBE: Final = 1e-6
 _LAMP, _EYE, _INTENSITY = 1.3, 1.0, 0.5  # the lamp stands behind the viewer, who casts no shadow
 _IRRADIANCE: Final = _INTENSITY / _LAMP**2
 
-# ASTM D4956 type III, white, minimum R_A: (observation, entrance) [deg].
-_WHITE: Final = {
-    (0.1, -4): 300.0,
-    (0.1, 30): 180.0,
-    (0.2, -4): 250.0,
-    (0.2, 30): 150.0,
-    (0.5, -4): 95.0,
-    (0.5, 30): 65.0,
-}
 _TABLE: Final[Mapping[str, Any]] = {
     "type": "retroreflective",
     "model": "coefficient",
     "observation_angles": ["0.1 deg", "0.2 deg", "0.5 deg"],
     "entrance_angles": ["-4 deg", "30 deg"],
-    "coefficients": [[f"{_WHITE[alpha, beta]} cd/lx/m^2" for beta in (-4, 30)] for alpha in (0.1, 0.2, 0.5)],
+    "coefficients": [[f"{D4956_III_WHITE[alpha, beta]} cd/lx/m^2" for beta in (-4, 30)] for alpha in (0.1, 0.2, 0.5)],
     "outside": "refuse",
 }
 _ANCHOR: Final = 95.0
@@ -46,8 +43,8 @@ _BEADS: Final[Mapping[str, Any]] = {
     "anchor": f"{_ANCHOR} cd/lx/m^2",
     "outside": "refuse",
 }
-# Ward's profile at the two angles under which the ring of 25 mm is seen, at 1 m and 0.79 m.
-_PROFILE: Final = {0.716: 0.758, 0.906: 0.604}
+# The two angles under which the ring of 25 mm is seen, at 1 m and 0.79 m.
+_SEEN: Final = (0.716, 0.906)
 _BENCH: Final = [(alpha, beta) for alpha in (0.2, 0.5) for beta in (-4, 30)]
 
 _ENTRANCES: Final = (0.0, 5.0, 30.0, 60.0, 80.0, 85.0)
@@ -55,52 +52,33 @@ _OBSERVATIONS: Final = (0.0, 0.2, 0.716, 0.906, 2.0)
 _RHO, _ROUGHNESS = 0.6, 0.02
 
 
-def _light(beta: float) -> Array:
-    return np.array([math.sin(math.radians(beta)), 0.0, math.cos(math.radians(beta))])
-
-
-def _view(alpha: float, beta: float, around: float) -> Array:
-    """At alpha from the light; `around` 0 is away from the normal where beta > 0, 90 degrees is across."""
-    a, turn, b = math.radians(alpha), math.radians(around), math.radians(beta)
-    away, across = np.array([math.cos(b), 0.0, -math.sin(b)]), np.array([0.0, 1.0, 0.0])
-    view: Array = math.cos(a) * _light(beta) + math.sin(a) * (math.cos(turn) * away + math.sin(turn) * across)
-    return view
-
-
 def _patch(material: Mapping[str, Any], beta: float, eye: Array) -> Scene:
-    lamp = on.lamp(_LAMP * _light(beta), diameter=2e-4, radiant_intensity=_INTENSITY)
+    lamp = on.lamp(_LAMP * light_direction(beta), diameter=2e-4, radiant_intensity=_INTENSITY)
     disc = {"type": "disc", "material": "it", "diameter": "20 mm"}
     return on.scene(on.camera(_EYE * eye), [lamp], {"it": dict(material)}, [disc])
 
 
 def _bench_names() -> tuple[str, ...]:
-    return tuple(f"5.r_a_{alpha:g}_{beta:g}" for alpha, beta in (*_BENCH, *((alpha, 0) for alpha in _PROFILE)))
+    return tuple(f"5.r_a_{alpha:g}_{beta:g}" for alpha, beta in (*_BENCH, *((alpha, 0) for alpha in _SEEN)))
 
 
 def _coefficients(bench: Bench) -> Iterator[Finding]:
     """Each by a rendered image of one pixel."""
-    asked = [(alpha, beta, _TABLE, _WHITE[alpha, beta], "ASTM D4956 type III") for alpha, beta in _BENCH]
-    asked += [(alpha, 0, _BEADS, _ANCHOR * share, "Ward's glass beads") for alpha, share in _PROFILE.items()]
+    asked = [(alpha, beta, _TABLE, D4956_III_WHITE[alpha, beta], "ASTM D4956 type III") for alpha, beta in _BENCH]
+    asked += [(alpha, 0, _BEADS, glass_beads(_ANCHOR, alpha), "Ward's glass beads") for alpha in _SEEN]
     for name, (alpha, beta, material, reference, source) in zip(_bench_names(), asked, strict=True):
-        eye = _view(alpha, beta, 90.0)
+        eye = view_direction(alpha, beta, 90.0)
         scene = _patch(material, beta, eye)
         found = float(on.radiances(scene, bench.exposure(scene))[0, 0]) * eye[2] / _IRRADIANCE
         yield Case(name, f"{source}; ASTM E810 geometry", reference, found, _R_A)
 
 
-def _lobe(alpha: float) -> float:
-    """L/E_perp of the paper's perturbed normal, whatever the entrance angle."""
-    half = math.radians(alpha) / 2
-    peak = _RHO / (4 * math.pi * _ROUGHNESS**2)
-    return peak * math.exp(-((math.tan(half) / _ROUGHNESS) ** 2)) * math.cos(2 * half) / math.cos(half) ** 6
-
-
 def _perturbed(bench: Bench) -> Iterator[Finding]:
     material = {"type": "retroreflective", "model": "perturbed_normal", "reflectance": _RHO, "roughness": _ROUGHNESS}
     seen = [(alpha, turn) for alpha in _OBSERVATIONS for turn in (0.0, 90.0, 180.0)]
-    expected = np.array([_lobe(alpha) for alpha, _ in seen])
+    expected = np.array([perturbed_normal_lobe(_RHO, _ROUGHNESS, alpha) for alpha, _ in seen])
     for beta in _ENTRANCES:
-        eyes = np.array([_view(alpha, beta, turn) for alpha, turn in seen])
+        eyes = np.array([view_direction(alpha, beta, turn) for alpha, turn in seen])
         scene = _patch(material, beta, eyes[0])
         found = bench.radiance(scene, eyes * _EYE, np.zeros((len(eyes), 3))) / _IRRADIANCE
         worst = int(np.abs(found / expected - 1).argmax())
@@ -109,7 +87,7 @@ def _perturbed(bench: Bench) -> Iterator[Finding]:
     alpha = np.array([angle for angle, turn in seen if turn == 90.0])
     line = np.linspace(0, 2, 101)
     curves = {
-        "reference": (line, np.array([_lobe(angle) for angle in line.tolist()])),
+        "reference": (line, np.array([perturbed_normal_lobe(_RHO, _ROUGHNESS, angle) for angle in line.tolist()])),
         "radwrap, entrance 85 deg": (alpha, found[1::3]),
     }
     yield Plot("Lobe of the perturbed normal", "observation angle [deg]", "L/E_perp [1/sr]", curves)

@@ -52,6 +52,14 @@ def camera(
     return Camera(pose, f, ((columns - 1) / 2, (rows - 1) / 2), 1.0, aperture, sensor)
 
 
+def pixel_axes(seen: Camera) -> tuple[Array, Array, tuple[float, float]]:
+    """x of the columns and y of the rows, from the principal point, and the pixels' sides [m]."""
+    pitch = (seen.sensor.pixel_width, seen.sensor.pixel_height)
+    places = (np.arange(seen.sensor.columns), np.arange(seen.sensor.rows))
+    columns, rows = ((n - c) * p for n, c, p in zip(places, seen.principal_point, pitch, strict=True))
+    return columns, rows, pitch
+
+
 def view(aperture: Aperture, *planes: tuple[float, Texture], **more: object) -> View:
     """The planes through an opening."""
     return View(camera(aperture, **more), Planes(planes))  # type: ignore[arg-type]

@@ -17,7 +17,8 @@ from radwrap.imaging.optics.view import View
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.scene.camera import Aperture
 from radwrap.scene.pixel_window import PixelWindow, Profile, box, strips
-from tests.imaging.planes import Array, Texture, gray, view
+from radwrap.validate.closed_forms.aperture import blurred_edge, cos4, projection_radius
+from tests.imaging.planes import Array, Texture, gray, pixel_axes, view
 
 F = 0.01
 ROUND = Aperture("round", 2e-4)
@@ -46,28 +47,18 @@ def edge(angle: float, offset: float = 0.0) -> Texture:
     return lambda x, y: np.where(x * c + y * s > offset, 1.0, 0.0)
 
 
-def cos4(seen: View) -> Array:
+def falloff(seen: View) -> Array:
     """Of each pixel's central ray."""
     camera = seen.camera
-    v, u = np.indices((camera.sensor.rows, camera.sensor.columns))
-    x = (u - camera.principal_point[0]) * camera.sensor.pixel_width
-    y = (v - camera.principal_point[1]) * camera.sensor.pixel_height
-    return (F**2 / (F**2 + x**2 + y**2)) ** 2
+    columns, rows, _ = pixel_axes(camera)
+    return np.asarray(cos4(*np.meshgrid(columns, rows), F))
 
 
 def eq9_image(seen: View, depth: float, angle: float) -> Array:
     """Eq. 9 averaged over each pixel by 16 x 16 midpoints [gray level]."""
     camera = seen.camera
-    radius = camera.aperture.diameter / 2 * (1 + F / depth)
-    inside = (np.arange(16) + 0.5) / 16 - 0.5
-    v, u, b, a = np.meshgrid(
-        np.arange(camera.sensor.rows), np.arange(camera.sensor.columns), inside, inside, indexing="ij"
-    )
-    x = (u + a - camera.principal_point[0]) * camera.sensor.pixel_width
-    y = (v + b - camera.principal_point[1]) * camera.sensor.pixel_height
-    s = np.clip((x * math.cos(angle) + y * math.sin(angle)) / radius, -1, 1)
-    share = 1 - (np.arccos(s) - s * np.sqrt(1 - s**2)) / math.pi
-    return 100 * share.mean(axis=(2, 3)) * cos4(seen)
+    radius = projection_radius(camera.aperture.diameter, depth, F) * F / depth
+    return 100 * blurred_edge(*pixel_axes(camera), angle=angle, radius=radius) * falloff(seen)
 
 
 @pytest.mark.parametrize("depth", [1.0, 3 * F])

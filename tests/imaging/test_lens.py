@@ -19,7 +19,8 @@ from radwrap.imaging.optics.view import PixelPlan, View, pixel_means, ray_blocks
 from radwrap.imaging.response.exposure import radiant_exposure
 from radwrap.imaging.tolerance.certificate import PixelSample, model_errors, root
 from radwrap.scene.camera import Aperture, Lens
-from tests.imaging.planes import Array, Planes, Texture, camera
+from radwrap.validate.closed_forms.aperture import blurred_edge, even_field_irradiance
+from tests.imaging.planes import Array, Planes, Texture, camera, pixel_axes
 from tests.imaging.test_certificate import search, true_rms
 from tests.imaging.test_kernel import edge, gray, kernel_image
 
@@ -45,12 +46,6 @@ def even(x: Array, y: Array) -> Array:
     return np.ones_like(x)
 
 
-def disc_exposure(radius: float, height: float) -> float:
-    """E of a uniform field of radiance 1 through a round lens, at a height on the sensor: the exact integral."""
-    root = math.sqrt((V**2 + height**2 + radius**2) ** 2 - 4 * radius**2 * height**2)
-    return math.pi / 2 * (1 - (V**2 + height**2 - radius**2) / root)
-
-
 @pytest.mark.parametrize("f_number", [1.4, 4.0])
 def test_an_even_field_exposes_as_the_exact_integral_over_the_lens_says(f_number: float) -> None:
     """On the axis pi L sin^2 of the image-side half angle; in the corner the exact disc; transmission is a factor."""
@@ -66,9 +61,9 @@ def test_an_even_field_exposes_as_the_exact_integral_over_the_lens_says(f_number
         point = View(replace(seen.camera, sensor=tiny, principal_point=(0.0, 0.0)), seen.tracer)
         mean = sampled_radiance(point, np.array([u0[0]]), np.array([u0[1]]), 4096, np.random.default_rng(1)).mean()
         found = float(radiant_exposure(RadianceImage(np.array([[mean]])), point.camera).values[0, 0])
-        assert found == pytest.approx(0.8 * disc_exposure(aperture.diameter / 2, height), rel=SMOOTH)
+        assert found == pytest.approx(0.8 * even_field_irradiance(aperture.diameter / 2, V, height), rel=SMOOTH)
     sine = math.sin(math.atan(aperture.diameter / 2 / V))
-    assert disc_exposure(aperture.diameter / 2, 0.0) == pytest.approx(math.pi * sine**2, rel=1e-12)
+    assert even_field_irradiance(aperture.diameter / 2, V) == pytest.approx(math.pi * sine**2, rel=1e-12)
 
 
 @pytest.mark.parametrize("table", [((0.0, 1.0),), ((0.0, 1.0), (4e-4, 0.4))])
@@ -78,7 +73,7 @@ def test_a_measured_falloff_takes_the_place_of_cos4(table: tuple[tuple[float, fl
     seen = seen_through(aperture, (FOCUS, even), lens=Lens(FOCUS, 1.0, table))
     v, u = np.indices((24, 32))
     height = np.hypot((u - 15.5) * 1e-5, (v - 11.5) * 1.2e-5)
-    expected = disc_exposure(aperture.diameter / 2, 0.0) / (aperture.area / V**2)
+    expected = even_field_irradiance(aperture.diameter / 2, V) / (aperture.area / V**2)
     expected = expected * np.interp(height, *np.transpose(table))
     rays = sampled_radiance(seen, u.ravel().astype(float), v.ravel().astype(float), 256, np.random.default_rng(2))
     assert rays.mean(axis=1).reshape(24, 32) == pytest.approx(expected, rel=5e-3)
@@ -111,21 +106,12 @@ def test_a_point_is_blurred_over_the_circle_of_confusion(depth: float) -> None:
     assert (places**2).sum(axis=1).mean() == pytest.approx(circle**2 / 2, rel=0.05, abs=1e-20)
 
 
-def blurred_edge(seen: View, depth: float, angle: float) -> Array:
+def eq9_image(seen: View, depth: float, angle: float) -> Array:
     """Eq. 9 with the circle of confusion in place of R, averaged over each pixel by 16 x 16 midpoints [gray level]."""
     found = seen.camera
     radius = found.aperture.diameter / 2 * V * abs(1 / depth - 1 / FOCUS)
-    inside = (np.arange(16) + 0.5) / 16 - 0.5
-    v, u, b, a = np.meshgrid(
-        np.arange(found.sensor.rows), np.arange(found.sensor.columns), inside, inside, indexing="ij"
-    )
-    x = (u + a - found.principal_point[0]) * found.sensor.pixel_width
-    y = (v + b - found.principal_point[1]) * found.sensor.pixel_height
-    across = x * math.cos(angle) + y * math.sin(angle)
-    s = np.clip(across / radius, -1, 1) if radius else np.sign(across)
-    share = 1 - (np.arccos(s) - s * np.sqrt(1 - s**2)) / math.pi
-    even_field = disc_exposure(found.aperture.diameter / 2, 0.0) / (found.aperture.area / V**2)
-    return np.asarray(100 * even_field * share.mean(axis=(2, 3)))
+    even_field = even_field_irradiance(found.aperture.diameter / 2, V) / (found.aperture.area / V**2)
+    return 100 * even_field * blurred_edge(*pixel_axes(found), angle=angle, radius=radius)
 
 
 @pytest.mark.parametrize("depth", [0.25, 0.5, 5.0])
@@ -141,7 +127,7 @@ def test_an_edge_in_and_out_of_focus_is_that_of_eq9(depth: float, method: str) -
         ours = gray(seen, sampled_radiance(seen, u, v, 1024, np.random.default_rng(1)).mean(axis=1)).reshape(24, 32)
     else:
         ours = gray(seen, by_viewpoints(seen, 61, 4))
-    off = ours - blurred_edge(seen, depth, 0.5)
+    off = ours - eq9_image(seen, depth, 0.5)
     assert math.sqrt((off**2).mean()) < (RIGHT if method == "kernel" else 3 * RIGHT)
 
 

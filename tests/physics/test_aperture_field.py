@@ -1,7 +1,7 @@
 """The finite pinhole in a field of known radiance: H(p) = tau/f^2 times the integral of L cos^4 over the opening."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from radwrap.imaging.response.exposure import radiant_exposure
 from radwrap.process import Programs
 from radwrap.progress import Progress
 from radwrap.scene.camera import Aperture, Camera, Sensor
+from radwrap.validate.closed_forms.aperture import at_zero_area, cos4, even_field_irradiance, pinhole_exposure
 
 CONVERGED = 1e-6  # asked for by the validation plan
 ROUNDING = 1e-14  # some tens of float64 operations
@@ -54,17 +55,7 @@ def camera_of(aperture: Aperture) -> Camera:
 
 def round_opening(radius: float, distance: float) -> float:
     """H of a round opening of `radius` in a uniform field, at a sensor point so far from the axis."""
-    root = math.sqrt((F**2 + distance**2 + radius**2) ** 2 - 4 * radius**2 * distance**2)
-    return TAU * RADIANCE * math.pi / 2 * (1 - (F**2 + distance**2 - radius**2) / root)
-
-
-def at_zero_area(numbers: Sequence[int], values: Sequence[np.ndarray]) -> np.ndarray:
-    """Value for cells of no area: the polynomial in 1/N through the values, at 1/N = 0 (Richardson)."""
-    areas = [1 / number for number in numbers]
-    result = np.zeros_like(values[0])
-    for area, value in zip(areas, values, strict=True):
-        result = result + value * math.prod(other / (other - area) for other in areas if other != area)
-    return result
+    return TAU * RADIANCE * even_field_irradiance(radius, F, distance)
 
 
 @pytest.fixture
@@ -105,9 +96,9 @@ def test_uniform_field(diameter: float, numbers: tuple[int, ...], expose: Callab
 def test_wide_opening_needs_the_integral(expose: Callable[..., np.ndarray]) -> None:
     """One viewpoint is tau A/f^2 L cos^4: exact for a pinhole, 22 % too much at 10 mm."""
     one = expose(UNIFORM, Aperture(diameter=1e-2), 1)
-    area = math.pi * 1e-4 / 4
-    assert one[0, 0] == pytest.approx(TAU * RADIANCE * area / F**2, rel=FLOAT32)
-    assert one[1, 1] == pytest.approx(TAU * RADIANCE * area / F**2 / (1 + (CORNER / F) ** 2) ** 2, rel=FLOAT32)
+    level = pinhole_exposure(RADIANCE, 1e-2, F, TAU)
+    assert one[0, 0] == pytest.approx(level, rel=FLOAT32)
+    assert one[1, 1] == pytest.approx(level * cos4(CORNER, 0.0, F), rel=FLOAT32)
     assert one[0, 0] / round_opening(5e-3, 0.0) == pytest.approx(1.2229, abs=1e-4)
 
 
@@ -181,7 +172,7 @@ def test_uniform_scene_is_unchanged_by_any_number(bench: Any) -> None:
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_uniform_scene_is_unchanged_by_the_layout(layout: Any, expose: Callable[..., np.ndarray]) -> None:
     level = Field(lambda origin, cosine: RADIANCE / cosine**4)
-    whole = TAU * RADIANCE * math.pi * 1e-6 / 4 / F**2
+    whole = pinhole_exposure(RADIANCE, 1e-3, F, TAU)
     for count in (1, 7, 61):
         values = expose(level, Aperture(diameter=1e-3), count, layout)
         assert values == pytest.approx(np.full((2, 2), whole), rel=FLOAT32)
@@ -210,7 +201,7 @@ def test_each_viewpoint_counts_by_its_area(layout: Any, expose: Callable[..., np
     radius, count = 0.5e-3, 127
     bowl = Field(lambda origin, cosine: (origin[:, 0] ** 2 + origin[:, 1] ** 2) / cosine**4)
     values = expose(bowl, Aperture(diameter=2 * radius), count, layout)
-    whole = TAU * math.pi * radius**2 / F**2 * radius**2 / 2
+    whole = pinhole_exposure(radius**2 / 2, 2 * radius, F, TAU)
     assert values[0, 0] == pytest.approx(whole, rel=2 / count)
 
 
@@ -224,7 +215,7 @@ def test_half_disc_weighs_its_own_side(
     for axis in (0, 1):
         slope = Field(lambda origin, cosine, axis=axis: (1 + origin[:, axis] / radius) / cosine**4)
         values = expose(slope, aperture, 12)
-        mean = values[0, 0] * F**2 / (TAU * math.pi * radius**2 / 2)
+        mean = values[0, 0] / (pinhole_exposure(1.0, 2 * radius, F, TAU) / 2)
         assert mean == pytest.approx(1 + direction[axis] * 4 / (3 * math.pi), rel=2e-7)
 
 
@@ -234,6 +225,6 @@ def test_infinitesimal_pinhole_takes_its_level_from_the_stated_area(bench: Any) 
     camera = camera_of(aperture)
     views = central_viewpoint(aperture)
     values = radiant_exposure(RadianceImage(bench.mean(camera, views, UNIFORM)), camera).values
-    area = math.pi * 1e-8
-    assert values[0, 0] == pytest.approx(TAU * RADIANCE * area / F**2, rel=ROUNDING)
-    assert values[1, 1] == pytest.approx(TAU * RADIANCE * area / F**2 / (1 + (CORNER / F) ** 2) ** 2, rel=ROUNDING)
+    level = pinhole_exposure(RADIANCE, 2e-4, F, TAU)
+    assert values[0, 0] == pytest.approx(level, rel=ROUNDING)
+    assert values[1, 1] == pytest.approx(level * cos4(CORNER, 0.0, F), rel=ROUNDING)

@@ -14,6 +14,10 @@ import pytest
 import radwrap
 from radwrap.imaging.forecast.closed_form import radiance
 from radwrap.scene.look.geometry import SurfacePoints
+from radwrap.validate.closed_forms.aperture import pinhole_exposure
+from radwrap.validate.closed_forms.sensor import power_law
+from radwrap.validate.closed_forms.sheeting import glass_beads
+from radwrap.validate.closed_forms.sources import gaussian_intensity, sigma_of_fwhm, small_disc_intensity
 
 SCENES = Path(__file__).parents[2] / "rad_scenes"
 
@@ -216,9 +220,9 @@ def test_expected_peak(bench: Any, name: str, turned: bool) -> None:
         scene = radwrap.with_value(scene, "targets[0].rotation", ["25 deg", "6 deg", "-2 deg"])
     peak = radwrap.explain(scene)["expected_peak"]
     assert (peak["target"], peak["material"]) == ("board", "sheeting")
-    exposure = 0.387 * math.pi * 1e-8 / 4 / 0.0125**2 * bench.image(scene).max()
+    exposure = pinhole_exposure(bench.image(scene).max(), 1e-4, 0.0125, 0.387)
     assert peak["radiant_exposure"] == pytest.approx(exposure, rel=GRID)
-    gray = 3.38e4 * peak["radiant_exposure"] ** 0.85 + 22
+    gray = power_law(peak["radiant_exposure"], gain=3.38e4, gamma=0.85, dark_gray=22)
     assert peak["gray_without_saturation"] == pytest.approx(gray, rel=1e-12)
     assert peak["gray"] == pytest.approx(min(gray, 181), rel=1e-12)
 
@@ -242,13 +246,10 @@ def test_gray_of_the_boards_dots_by_hand(focal_length: float, distance: float, t
     )
     scene = radwrap.with_value(scene, "sources[0].position", place)
     alpha = math.degrees(math.atan(0.0125 / distance))
-    profile = math.exp(np.interp(alpha, [0.716, 0.906], np.log([0.758, 0.604])))
-    sigma = 7.6 / math.sqrt(8 * math.log(2))
-    intensity = 2324 * math.pi * 2.54e-3**2
-    perpendicular = 12 * intensity / (distance**2 + 0.0125**2) * math.exp(-(alpha**2) / (2 * sigma**2))
-    radiance_of_dots = 95 * profile * math.exp(-(alpha**2) / 2220) * perpendicular
-    exposure = tau * math.pi * 1e-8 / 4 / focal_length**2 * radiance_of_dots
-    expected = 3.38e4 * exposure**0.85 + 22
+    intensity = small_disc_intensity(2324, 2.54e-3) * gaussian_intensity(alpha, sigma_of_fwhm(7.6))
+    perpendicular = 12 * intensity / (distance**2 + 0.0125**2)
+    exposure = pinhole_exposure(glass_beads(95, alpha, alpha) * perpendicular, 1e-4, focal_length, tau)
+    expected = power_law(exposure, gain=3.38e4, gamma=0.85, dark_gray=22)
     assert gray[0] - 0.5 <= expected <= gray[1] + 0.5
     found = radwrap.render(scene, viewpoints=37)
     # The middle of the middle dot is on the axis, its edge outside the blur; alpha differs a little within the blur.

@@ -16,6 +16,7 @@ import radwrap
 from radwrap.imaging.optics.aperture import Viewpoints, sub_viewpoints
 from radwrap.imaging.optics.view import RayBlock
 from radwrap.scene.camera import Aperture, Camera
+from radwrap.validate.closed_forms.aperture import blurred_edge, cos4, pinhole_exposure, projection_radius, share_beyond
 
 F = 10.59e-3
 OPENING = 0.1e-3
@@ -31,12 +32,6 @@ POINT_LIMITS = {7: 0.062, 19: 0.034, 37: 0.021, 61: 0.014, 127: 0.0085}
 UNMISTAKABLE = 0.05  # rms of a wrong shift; ten times the limit
 FLOAT32 = 2e-7  # sub-viewpoints and result are each rounded to float32, and the tracer answers in it
 SUBPIXEL = 0.03  # px, what 4 x 4 rays a pixel and some tens of sub-viewpoints leave of a centroid
-
-
-def share_beyond(s: np.ndarray) -> np.ndarray:
-    """Eq. 9: share of a disc on the bright side, its centre being s radii inside."""
-    s = np.clip(s, -1.0, 1.0)
-    return 1 - (np.arccos(s) - s * np.sqrt(1 - s**2)) / math.pi
 
 
 def edge_scene(
@@ -69,32 +64,33 @@ def edge_scene(
     return bench.scene(camera, [lamp], materials, [edge])
 
 
-def target_points(depth: float, side: int, offset: tuple[float, float], inside: np.ndarray) -> tuple[Any, Any]:
-    """World (x, y) on the target that the pixels' points see through the centre; y is up, rows run down."""
+def expected(
+    depth: float, angle: float, side: int, offset: tuple[float, float], points: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Eq. 9 averaged over each pixel by so many midpoints a side; S and cos^4 at the pixel's centre."""
     along = np.arange(side) - (side - 1) / 2
-    u = (along[np.newaxis, :, np.newaxis, np.newaxis] - offset[0] + inside[np.newaxis, :]) * PITCH
-    v = (along[:, np.newaxis, np.newaxis, np.newaxis] - offset[1] + inside[:, np.newaxis]) * PITCH
-    return np.broadcast_arrays(u * depth / F, -v * depth / F)
+    columns, rows = ((along - start) * PITCH for start in offset)
+    turn = -math.radians(angle)  # rows run down, the world's y up
+    radius = projection_radius(OPENING, depth, F) * F / depth
+    mean = blurred_edge(columns, rows, (PITCH, PITCH), angle=turn, radius=radius, points=points)
+    x, y = np.meshgrid(columns, rows)
+    return mean, (x * math.cos(turn) + y * math.sin(turn)) / radius, cos4(x, y, F)
 
 
 def rms_against_eq9(bench: Any, depth: float, views: Viewpoints, samples: int = 3, bend: Any = None) -> float:
     """Root mean square of what is traced less Eq. 9 over |S| <= 1 and all directions of the edge."""
-    radius = OPENING / 2 * (1 + depth / F)
+    radius = projection_radius(OPENING, depth, F)
     side = 2 * math.ceil(radius * F / depth / PITCH) + 3
     # Eq. 2: the mean over the pixel's area, far finer than the rays; one ray has no area.
-    inside = (np.arange(16) + 0.5) / 16 - 0.5 if samples > 1 else np.zeros(1)
+    points = 16 if samples > 1 else 1
     squares, number = 0.0, 0
     for turn in range(DIRECTIONS):
         angle = 360 * (turn + 0.37) / DIRECTIONS
         offset = (0.5 * math.cos(5 * turn), 0.5 * math.sin(7 * turn))  # pixels fall differently each time
         traced = bench.image(edge_scene(bench, depth, angle, side, offset), views, samples, bend)
-        normal = (math.cos(math.radians(angle)), math.sin(math.radians(angle)))
-        x, y = target_points(depth, side, offset, inside)
-        s = (x * normal[0] + y * normal[1]) / radius
-        x, y = (point[:, :, 0, 0] for point in target_points(depth, side, offset, np.zeros(1)))
-        counted = np.abs(x * normal[0] + y * normal[1]) <= radius
-        cos4 = 1 / (1 + (x**2 + y**2) / depth**2) ** 2
-        squares += float(((traced / cos4 - share_beyond(s).mean(axis=(2, 3)))[counted] ** 2).sum())
+        mean, s, falloff = expected(depth, angle, side, offset, points)
+        counted = np.abs(s) <= 1
+        squares += float(((traced / falloff - mean)[counted] ** 2).sum())
         number += int(counted.sum())
     return math.sqrt(squares / number)
 
@@ -161,12 +157,11 @@ def test_render_is_the_weighted_sum(bench: Any) -> None:
     scene = edge_scene(bench, FAR, 30.0, 9, (0.2, -0.1))
     views = opening_views(61, "uneven")
     values = radwrap.render(scene, viewpoints=61, layout="uneven", pixel_samples=2).radiant_exposure.values
-    factor = 1.0 * math.pi * OPENING**2 / 4 / F**2
+    factor = pinhole_exposure(1.0, OPENING, F)
     assert values == pytest.approx(factor * bench.image(scene, views, 2), rel=FLOAT32, abs=FLOAT32 * factor)
     # The opposite sides of the edge add up to the whole, apart from 9 x 9 pixels' falling off with cos^4.
-    x, y = (point[:, :, 0, 0] for point in target_points(FAR, 9, (0.2, -0.1), np.zeros(1)))
-    s = (x * math.cos(math.pi / 6) + y * math.sin(math.pi / 6)) / (OPENING / 2 * (1 + FAR / F))
-    assert values / factor == pytest.approx(share_beyond(s), abs=0.03)
+    at_points, _, _ = expected(FAR, 30.0, 9, (0.2, -0.1), points=1)
+    assert values / factor == pytest.approx(at_points, abs=0.03)
 
 
 def test_edge_of_the_paper(bench: Any) -> None:
@@ -183,12 +178,11 @@ def test_edge_of_the_paper(bench: Any) -> None:
     scene = bench.scene(camera, [lamp], materials, [edge])
     exposure = radwrap.render(scene, viewpoints=61, pixel_samples=6).radiant_exposure.values[0]
     columns = np.arange(110)
-    cos4 = 1 / (1 + ((columns - 95.5) * 13.75e-6 / F) ** 2) ** 2
-    share = exposure * F**2 / (math.pi * OPENING**2 / 4) / cos4
+    share = exposure / pinhole_exposure(cos4((columns - 95.5) * 13.75e-6, 0.0, F), OPENING, F)
     # A blur that is the same to both sides leaves the sum as it is: so many bright pixels lie beside the edge.
     position = 109.5 - share.sum()
     assert position == pytest.approx(95.5 + F * math.tan(0.0015) / 13.75e-6, abs=SUBPIXEL)
-    blur = OPENING / 2 * (1 + F / FAR) / 13.75e-6  # 3.67 px on the sensor
+    blur = projection_radius(OPENING, FAR, F) * F / FAR / 13.75e-6  # 3.67 px on the sensor
     assert (share[columns < position - blur - 0.5] == 0).all()
     # cos^4 of the shifted rays differs from that of the central one by R^2/f^2.
     assert share[columns > position + blur + 0.5] == pytest.approx(1.0, abs=1e-4)
@@ -221,7 +215,7 @@ def test_half_disc_moves_the_image_of_a_spot_away_from_it(
     assert (values * rows).sum() / values.sum() == pytest.approx(-shift * direction[1], abs=SUBPIXEL)
     # Nothing is lost: all light of the spot that the half opening takes.
     spot_pixels = math.pi * (diameter * F / FAR / PITCH) ** 2 / 4
-    level = math.pi * OPENING**2 / 8 / F**2
+    level = pinhole_exposure(1.0, OPENING, F) / 2
     assert values.sum() / level == pytest.approx(spot_pixels, rel=1e-2)  # by 4 x 4 rays a pixel
 
 
@@ -236,8 +230,8 @@ def test_half_disc_across_an_edge(bench: Any) -> None:
     profile = bench.image(scene, views, 3)[side // 2]
     x = (np.arange(side) - (side - 1) / 2 - 0.3) * PITCH
     fine = (np.arange(64) + 0.5) / 64 - 0.5
-    t = np.clip(-(x[:, np.newaxis] + fine * PITCH) / (OPENING / 2 * (1 + F / FAR)), 0.0, 1.0)
-    expected = (2 / math.pi * (np.arccos(t) - t * np.sqrt(1 - t**2))).mean(axis=1)
-    assert profile == pytest.approx(expected, abs=0.03)  # 60 sub-viewpoints; the columns of some coincide
-    assert math.sqrt(((profile - expected) ** 2).mean()) < 0.01
-    assert math.sqrt(((profile - (1 - expected[::-1])) ** 2).mean()) > 10 * 0.01
+    t = np.clip(-(x[:, np.newaxis] + fine * PITCH) / (projection_radius(OPENING, FAR, F) * F / FAR), 0.0, 1.0)
+    due = (2 * share_beyond(-t)).mean(axis=1)
+    assert profile == pytest.approx(due, abs=0.03)  # 60 sub-viewpoints; the columns of some coincide
+    assert math.sqrt(((profile - due) ** 2).mean()) < 0.01
+    assert math.sqrt(((profile - (1 - due[::-1])) ** 2).mean()) > 10 * 0.01

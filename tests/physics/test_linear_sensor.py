@@ -20,6 +20,7 @@ from radwrap.scene.camera import Sensor
 from radwrap.scene.file.data_sheet import with_data_sheet
 from radwrap.scene.file.sensor_tables import LinearSensorModel
 from radwrap.scene.pixel_window import PixelWindow, box, strips
+from radwrap.validate.closed_forms import sensor as closed
 from radwrap.written import read_back
 from tests.physics.conftest import Bench
 
@@ -42,7 +43,7 @@ TABLE: dict[str, Any] = {
     "full_well": "12 ke",
     "read_noise": "8 e",
 }
-MU_P_OF_H = 5e-6 * 4e-6 * 650e-9 / (6.62607015e-34 * 299792458)  # A lambda/(h c), photons for each J/m^2
+MU_P_OF_H = closed.photons(1.0, 5e-6 * 4e-6, 650e-9)  # for each J/m^2
 
 
 def scene_with(sensor: dict[str, Any], **camera: Any) -> radwrap.Scene:
@@ -142,8 +143,8 @@ def test_noise_is_that_of_the_standard(photons: float) -> None:
     sensor = sensor_of()
     pattern = fixed_pattern(sensor)
     frames = np.stack([noisy_frame(even(sensor, photons), sensor, pattern, 3, k).values for k in range(20)])
-    mean = 100 + 0.25 * 0.6 * photons
-    variance = (0.25 * 8) ** 2 + 1 / 12 + 0.25 * (mean - 100)
+    mean = closed.transfer_mean(0.6 * photons, gain=0.25, offset=100)
+    variance = closed.transfer_variance(0.6 * photons, gain=0.25, read_noise=8)
     assert abs(frames.mean() - mean) < SURE * math.sqrt(variance / frames.size)
     assert abs(frames.var() / variance - 1) < SURE * math.sqrt(2 / frames.size)
     assert noise_variance(even(sensor, photons).values, sensor)[0, 0] == pytest.approx(variance, rel=1e-9)
@@ -156,7 +157,7 @@ def test_read_noise_and_pattern_go_on_where_the_well_is_full(photons: float) -> 
     exposure = even(sensor, photons)
     told = noise_variance(exposure.values, sensor)[0, 0]
     frame = noisy_frame(exposure, sensor, fixed_pattern(sensor), 3, 0).values
-    behind = 0.25**2 * (8**2 + 3**2) + 1 / 12
+    behind = closed.transfer_variance(0, gain=0.25, read_noise=math.hypot(8, 3))
     if photons > 20_000:
         assert told == pytest.approx(behind, rel=EXACT)
         assert frame.var() == pytest.approx(told, rel=SURE * math.sqrt(2 / frame.size))

@@ -13,6 +13,7 @@ from radwrap.images import write_png
 from radwrap.imaging.forecast.closed_form import radiance
 from radwrap.scene.file.material_files import directional_albedo
 from radwrap.scene.look.geometry import SurfacePoints
+from radwrap.validate.closed_forms.sources import point_irradiance
 
 LOBE = 5e-6  # float32, and Radiance's lobe that is wider by the light's solid angle, 1e-10 sr here
 FLOAT32 = 2e-6
@@ -78,7 +79,7 @@ def test_a_mirror_shows_and_throws_light(bench: Any) -> None:
     materials = {"m": {"type": "lambertian", "reflectance": 0.5}, "mirror": {"type": "mirror", "reflectance": 0.8}}
     lamp = bench.lamp((-0.1, 0, 0.3), diameter=1e-5, half_angle=85.0)
     scene = lit(bench, {}, sources=[lamp], materials=materials, targets=[mirror, floor])
-    direct, image = (0.3 / (x**2 + 0.3**2) ** 1.5 for x in (0.1, 0.3))
+    direct, image = (point_irradiance(1.0, 0.3, x) for x in (0.1, 0.3))
     # The cone of 85 deg about the lamp's axis holds both ways.
     got = float(bench.irradiance(scene, [(0, 0, 0)], 0.5)[0])
     assert got == pytest.approx(direct + 0.8 * image, rel=FLOAT32 * 10)
@@ -104,7 +105,7 @@ def test_light_goes_to_and_fro_between_mirrors(bench: Any) -> None:
     materials = {"m": {"type": "lambertian", "reflectance": 0.5}, "mirror": {"type": "mirror", "reflectance": 0.3}}
     lamp = bench.lamp((0, 0, 0.5), diameter=1e-5, half_angle=89.0)
     scene = lit(bench, {}, sources=[lamp], materials=materials, targets=[*mirrors, floor])
-    images = sum(0.3 ** abs(i) * 0.5 / ((0.2 * i) ** 2 + 0.5**2) ** 1.5 for i in range(-30, 31))
+    images = sum(0.3 ** abs(i) * point_irradiance(1.0, 0.5, 0.2 * i) for i in range(-30, 31))
     assert float(bench.irradiance(scene, [(0, 0, 0)], 0.5)[0]) == pytest.approx(images, rel=IMAGES)
 
 
@@ -134,7 +135,7 @@ def test_a_mirror_behind_a_small_hole_throws_light(bench: Any) -> None:
     # The image is as far behind the mirror: at x = 0.9.
     y = -0.05 * 0.8 / 0.6
     seen = float(bench.radiance(scene, (-0.2, -0.3, 0.5), [(-0.5, y, 0.3)])[0])
-    assert seen * math.pi / 0.5 == pytest.approx(1.4 / (1.4**2 + (0.05 - y) ** 2) ** 1.5, rel=FLOAT32 * 10)
+    assert seen * math.pi / 0.5 == pytest.approx(point_irradiance(1.0, 1.4, 0.05 - y), rel=FLOAT32 * 10)
 
 
 def test_glass_takes_what_it_says(bench: Any) -> None:

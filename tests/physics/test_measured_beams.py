@@ -11,6 +11,7 @@ import pytest
 import radwrap
 from radwrap.errors import InputError
 from radwrap.scene.file.intensity_files import read_luminaire
+from radwrap.validate.closed_forms.sources import gaussian_intensity, point_irradiance, sigma_of_fwhm
 
 POINT_SOURCE = 2e-6  # float32, and spheres of 1 mm at 1 m: (r/d)^2 = 2.5e-7
 QUARTER_DEGREE = 2e-5  # straight lines over 0.25 deg of a cosine: (step^2)/8 = 2.4e-6, and of its square
@@ -64,7 +65,7 @@ def expected(of: Distribution) -> np.ndarray:
     polar = np.degrees(np.arctan2(radius, HEIGHT))
     azimuth = np.degrees(np.arctan2(PLACES[:, 1], PLACES[:, 0])) % 360
     candela = np.array([of(p, a) for p, a in zip(polar, azimuth, strict=True)])
-    return candela / EFFICACY * HEIGHT / (radius**2 + HEIGHT**2) ** 1.5
+    return point_irradiance(candela / EFFICACY, HEIGHT, radius)
 
 
 def test_an_isotropic_lamp_is_cie_171(bench: Any, tmp_path: Path) -> None:
@@ -102,8 +103,8 @@ def test_light_upwards_is_not_lost(bench: Any, tmp_path: Path) -> None:
 
 def test_a_beam_table_is_its_gaussian(bench: Any, tmp_path: Path) -> None:
     """A table in steps of half a degree against the Gaussian that it was made of, 7 deg wide."""
-    spread = math.radians(7 / 2.354820045)
-    lines = "".join(f"{a},{math.exp(-((math.radians(a) / spread) ** 2) / 2):.12f}\n" for a in steps(30, 0.5))
+    spread = math.radians(sigma_of_fwhm(7))
+    lines = "".join(f"{a},{gaussian_intensity(math.radians(a), spread):.12f}\n" for a in steps(30, 0.5))
     (tmp_path / "beam.csv").write_text("# an LED\nangle_deg,relative_intensity\n" + lines)
     led = {
         "type": "led",
@@ -124,7 +125,7 @@ def test_a_beam_table_is_its_gaussian(bench: Any, tmp_path: Path) -> None:
     for degrees in (0.0, 1.3, 3.5, 6.1):
         theta = math.radians(degrees)
         got = float(bench.irradiance(scene, [(math.tan(theta), 0, 0)], 0.5)[0])
-        assert got == pytest.approx(math.exp(-((theta / spread) ** 2) / 2) * math.cos(theta) ** 3, rel=SMOOTH)
+        assert got == pytest.approx(gaussian_intensity(theta, spread) * math.cos(theta) ** 3, rel=SMOOTH)
 
 
 GOOD = lm63(steps(90, 15), [0], cosine)

@@ -1,6 +1,7 @@
 """What is foretold without the tracer against the tracer: what each ray meets, and the brightest point in view."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,9 +9,10 @@ import pytest
 
 import radwrap
 from radwrap.frames import rotation_about_fixed_axes
+from radwrap.imaging.forecast import closed_form, preview
 from radwrap.imaging.forecast.preview import brightest, look
 from radwrap.scene.look.geometry import directions
-from radwrap.scene.look.intersections import first_hit, reached
+from radwrap.scene.look.intersections import Bounded, first_hit, reached
 
 LAMP_BEHIND = 1e-4  # m, of the eye: what it sees is lit, but for slivers along outlines
 # The lamp's disc of 1 mm at 0.3 m and more, (r/z)^2, with the tracer's float32.
@@ -86,11 +88,11 @@ def test_no_ray_that_meets_a_target_is_left_out_beforehand(bench: Any, name: str
         rays = random.normal(size=(500, 3))
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         met = np.isfinite(first_hit(target, eye, rays)[0])
-        numbers = [number for _, found in reached(scene.targets, tuple(eye), rays) for number in found]
+        numbers = [number for _, found in reached(Bounded.of(scene.targets), tuple(eye), rays) for number in found]
         assert set(np.flatnonzero(met)) <= set(numbers)
     far = np.array([[0.0, 0.0, 1.0]])
-    assert not list(reached(scene.targets, (0.0, 0.0, 1.0), far))  # behind
-    assert not list(reached(scene.targets, (1.0, 0.0, -1.0), far))  # beside
+    assert not list(reached(Bounded.of(scene.targets), (0.0, 0.0, 1.0), far))  # behind
+    assert not list(reached(Bounded.of(scene.targets), (1.0, 0.0, -1.0), far))  # beside
 
 
 @pytest.mark.parametrize("name", TARGETS)
@@ -210,3 +212,32 @@ def test_the_peak_is_weighed_as_the_image_is(bench: Any, name: str) -> None:
     assert brightest(scene).radiance == pytest.approx(expected, rel=BETWEEN_PIXELS)
     plain = bench.scene({key: value for key, value in made.items() if key not in WIDE[name]}, [led], MATERIALS, [sheet])
     assert abs(brightest(plain).radiance / expected - 1) > 10 * BETWEEN_PIXELS
+
+
+def test_many_targets_are_shaded_by_material(bench: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """100 sheets of two materials are shaded twice for a lamp, and look as each does by itself."""
+    sheets = [
+        {
+            "type": "sheet",
+            "name": f"s{number}",
+            "material": "ab"[number % 2],
+            "size": ["6 mm", "6 mm"],
+            "position": [f"{10 * (number % 10) - 45} mm", f"{10 * (number // 10) - 45} mm", "0 mm"],
+            "rotation": ["0 deg", "0 deg", f"{number} deg"],
+        }
+        for number in range(100)
+    ]
+    lamps, eye = [bench.lamp((0.0, 0.0, 0.5))], camera(bench, np.array([0.0, 0.0, 0.4]))
+    scene = bench.scene(eye, lamps, MATERIALS, sheets)
+    rays = np.array([target.pose.position for target in scene.targets]) - scene.camera.pose.position
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    alone = [
+        look(replace(scene, targets=(target,)), ray[np.newaxis]).value[0]
+        for target, ray in zip(scene.targets, rays, strict=True)
+    ]
+    shaded = []
+    monkeypatch.setattr(preview, "radiance", lambda *what: shaded.append(what[0]) or closed_form.radiance(*what))
+    seen = look(scene, rays)
+    assert len(shaded) == 2
+    assert [seen.names[number][0] for number in seen.number] == [target.name for target in scene.targets]
+    np.testing.assert_allclose(seen.value, alone, rtol=1e-12)

@@ -10,9 +10,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.integrate import dblquad
 
 import radwrap
+from radwrap.validate.closed_forms.sources import (
+    disc_irradiance_beside,
+    gaussian_intensity,
+    point_irradiance,
+    small_disc_intensity,
+)
 
 POINT_SOURCE = 1e-6  # tracer's float32, and sources of 0.1 mm, whose width misses (r/z)^2 = 1e-8
 WIDE_SOURCE = 1e-5  # discs of 5.08 mm at 1 m: (r/z)^2 = 6e-6
@@ -24,7 +29,7 @@ HEIGHT = 1.0
 RADIUS = 0.0125  # of the circle through the LEDs
 LED_RADIUS = 2.54e-3
 RADIANCE = 2324.0
-INTENSITY = RADIANCE * math.pi * LED_RADIUS**2  # 47.1 mW/sr
+INTENSITY = small_disc_intensity(RADIANCE, LED_RADIUS)  # 47.1 mW/sr
 FWHM = 7.6
 GAUSSIAN = {"profile": "gaussian", "width": f"{FWHM} deg", "width_definition": "fwhm"}
 WIDE_CONE = {"profile": "cone", "width": "80 deg", "width_definition": "fwhm"}
@@ -56,7 +61,7 @@ def measured(bench: Any, source: dict[str, Any], points: Any = ((0.0, 0.0, 0.0),
 
 
 def gaussian(spread: float) -> Callable[[float], float]:
-    return lambda theta: math.exp(-(theta**2) / (2 * spread**2))
+    return lambda theta: gaussian_intensity(theta, spread)
 
 
 SIGMA = math.radians(FWHM) / math.sqrt(8 * math.log(2))
@@ -92,8 +97,7 @@ POINTS = [(0.0, 0.0, 0.0), (0.05, 0.0, 0.0), (0.0, 0.04, 0.0), (-0.03, -0.06, 0.
 
 def test_numbers_of_the_plan() -> None:
     """The numbers of the validation plan, from the geometry: 0.5651, 0.5514, and .55133 for exactly 47.1 mW/sr."""
-    d2 = HEIGHT**2 + RADIUS**2
-    isotropic = 12 * INTENSITY * HEIGHT / d2**1.5
+    isotropic = 12 * point_irradiance(INTENSITY, HEIGHT, RADIUS)
     parallel = isotropic * gaussian(SIGMA)(math.atan(RADIUS / HEIGHT))
     assert isotropic == pytest.approx(0.5651, abs=5e-5)
     assert parallel == pytest.approx(0.5514, abs=5e-5)
@@ -105,8 +109,7 @@ def test_numbers_of_the_plan() -> None:
     [({"radiance": "2324 W/m^2/sr"}, INTENSITY), ({"radiant_intensity": "47.1 mW/sr"}, 0.0471)],
 )
 def test_irradiance_on_the_axis(bench: Any, level: dict[str, str], intensity: float) -> None:
-    d2 = HEIGHT**2 + RADIUS**2
-    isotropic = 12 * intensity * HEIGHT / d2**1.5
+    isotropic = 12 * point_irradiance(intensity, HEIGHT, RADIUS)
     tilt = math.atan(RADIUS / HEIGHT)
 
     def on_axis(beam: dict[str, Any], **more: Any) -> float:
@@ -141,19 +144,8 @@ def test_thirty_degree_symmetry(bench: Any, beam: dict[str, Any]) -> None:
 def by_quadrature(height: float, relative: Callable[[float], float], point: Sequence[float]) -> float:
     """Each point of a disc shines with the radiance I(theta)/(A cos(theta)); integrate over the twelve discs."""
 
-    def from_disc(centre: Vector) -> float:
-        def piece(turn: float, r: float) -> float:
-            x = point[0] - centre[0] - r * math.cos(turn)
-            y = point[1] - centre[1] - r * math.sin(turn)
-            d2 = x * x + y * y + height**2
-            cosine = height / math.sqrt(d2)
-            radiance = RADIANCE * relative(math.acos(cosine)) / cosine
-            return radiance * cosine * cosine / d2 * r  # cos at the disc, cos at the plane
-
-        value, _ = dblquad(piece, 0.0, LED_RADIUS, 0.0, 2 * math.pi, epsrel=1e-8)
-        return float(value)
-
-    return sum(from_disc(centre) for centre in places())
+    beside = [(point[0] - centre[0], point[1] - centre[1]) for centre in places()]
+    return sum(disc_irradiance_beside(RADIANCE, LED_RADIUS, height, place, intensity=relative) for place in beside)
 
 
 @pytest.mark.parametrize(
@@ -177,9 +169,8 @@ def test_gaussian_beam_is_the_far_field_of_the_whole_disc(bench: Any) -> None:
     height = 0.8
     source = ring(bench, GAUSSIAN) | {"position": bench.metres(0, 0, height)}
     found = float(measured(bench, source)[0])
-    d2 = height**2 + RADIUS**2
     beam = gaussian(SIGMA)
-    far_field = 12 * INTENSITY * height / d2**1.5 * beam(math.atan(RADIUS / height))
+    far_field = 12 * point_irradiance(INTENSITY, height, RADIUS) * beam(math.atan(RADIUS / height))
     assert found == pytest.approx(far_field, rel=2 * WIDE_SOURCE)
     s = SIGMA * height
     smoothing = LED_RADIUS**2 / (4 * s**2) * (1 - RADIUS**2 / (2 * s**2))
@@ -264,7 +255,7 @@ def test_front_side_only(bench: Any) -> None:
 def test_positions_and_parallel_axes(bench: Any, first: float) -> None:
     """Off the axis the LEDs' places show in the irradiance."""
     source = ring(bench, GAUSSIAN, first_angle=f"{first} deg", led_diameter="0.1 mm")
-    intensity = RADIANCE * math.pi * 0.05e-3**2
+    intensity = small_disc_intensity(RADIANCE, 0.05e-3)
     leds = [(place, DOWN, intensity) for place in places(first)]
     expected = [by_hand(leds, gaussian(SIGMA), point) for point in POINTS]
     assert measured(bench, source, POINTS) == pytest.approx(np.array(expected), rel=POINT_SOURCE)
@@ -274,7 +265,7 @@ def test_three_leds_that_differ(bench: Any) -> None:
     """Radiance factor 0 puts one out, 1.5 brightens one; the neighbours stay as they are."""
     changes = [{"index": 1, "radiance_factor": 1.5}, {"index": 3, "radiance_factor": 0.0}, {"index": 8}]
     source = ring(bench, GAUSSIAN, leds=changes, led_diameter="0.1 mm")
-    intensity = RADIANCE * math.pi * 0.05e-3**2
+    intensity = small_disc_intensity(RADIANCE, 0.05e-3)
     factors = [1, 1.5, 1, 0, 1, 1, 1, 1, 1, 1, 1, 1]
     leds = [(place, DOWN, factor * intensity) for place, factor in zip(places(), factors, strict=True)]
     expected = [by_hand(leds, gaussian(SIGMA), point) for point in POINTS]
@@ -290,7 +281,7 @@ def alone(bench: Any, index: int, **change: Any) -> dict[str, Any]:
 @pytest.mark.parametrize("factor", [0.7, 1.3])
 def test_beam_width_factor(bench: Any, factor: float) -> None:
     """The axial intensity stays, the width changes."""
-    intensity = RADIANCE * math.pi * 0.05e-3**2
+    intensity = small_disc_intensity(RADIANCE, 0.05e-3)
     leds = [(places()[4], DOWN, intensity)]
     expected = [by_hand(leds, gaussian(factor * SIGMA), point) for point in POINTS]
     found = measured(bench, alone(bench, 4, beam_width_factor=factor), POINTS)
@@ -310,7 +301,7 @@ def test_beam_width_factor(bench: Any, factor: float) -> None:
 def test_tilted_led(bench: Any, tilt: float, azimuth: float, direction: tuple[float, float]) -> None:
     sine, cosine = math.sin(math.radians(tilt)), math.cos(math.radians(tilt))
     axis = np.array([direction[0] * sine, direction[1] * sine, -cosine])
-    intensity = RADIANCE * math.pi * 0.05e-3**2
+    intensity = small_disc_intensity(RADIANCE, 0.05e-3)
     expected = [by_hand([(places()[2], axis, intensity)], gaussian(SIGMA), point) for point in POINTS]
     change = {"axis_tilt": f"{tilt} deg", "axis_azimuth": f"{azimuth} deg"}
     assert measured(bench, alone(bench, 2, **change), POINTS) == pytest.approx(np.array(expected), rel=POINT_SOURCE)
@@ -342,7 +333,7 @@ def test_misaligned_ring(bench: Any, y_turn: float, z_turn: float) -> None:
     place = centre + about_z(z_turn, about_y(y_turn, places()[5] - centre))
     tilted = np.array([math.sin(math.radians(1)), 0.0, -math.cos(math.radians(1))])
     axis = about_z(z_turn, about_y(y_turn, tilted))
-    intensity = RADIANCE * math.pi * 0.05e-3**2
+    intensity = small_disc_intensity(RADIANCE, 0.05e-3)
     expected = [by_hand([(place, axis, intensity)], gaussian(SIGMA), point) for point in POINTS]
     assert measured(bench, source, POINTS) == pytest.approx(np.array(expected), rel=POINT_SOURCE)
 

@@ -5,15 +5,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.integrate import dblquad
 
 import radwrap
 from radwrap.scene.sources import WideSource
+from radwrap.validate.closed_forms.sources import (
+    disc_irradiance,
+    disc_irradiance_beside,
+    point_irradiance,
+    rectangle_factor,
+)
 
 FLOAT32 = 1e-6  # the tracer's own digits
 ASKED = 0.01
 ENDS_OF_RAYS = 2e-4  # where the sheet is hit, beside the place that was meant
-HALF_SQUARE = 0.2394563965  # configuration factor of a 1 x 1 m square at 1 m, seen from below its centre
 
 
 def wide(bench: Any, kind: str, height: float, **shape: Any) -> dict[str, Any]:
@@ -31,15 +35,15 @@ def lit(bench: Any, source: dict[str, Any], size: float = 0.2) -> radwrap.Scene:
 def test_a_disc_on_its_axis(bench: Any, ratio: float) -> None:
     height = 0.05 / ratio
     scene = lit(bench, wide(bench, "disc", height, diameter="100 mm"))
-    expected = math.pi * 0.05**2 / (0.05**2 + height**2)
     got = float(bench.radiance(scene, (0, 0, height / 2), [(0, 0, 0)])[0]) * math.pi / 0.5
-    assert got == pytest.approx(expected, rel=ASKED)
+    assert got == pytest.approx(disc_irradiance(1.0, 0.05, height), rel=ASKED)
 
 
 def test_a_square_at_its_own_size(bench: Any) -> None:
     scene = lit(bench, wide(bench, "rectangle", 0.1, size=["100 mm", "100 mm"]))
     got = float(bench.irradiance(scene, [(0, 0, 0)], 0.5)[0])
-    assert got == pytest.approx(math.pi * HALF_SQUARE, rel=ASKED)
+    half = (-0.05, 0.05)
+    assert got == pytest.approx(math.pi * rectangle_factor(half, half, 0.1), rel=ASKED)
 
 
 def test_what_was_told_is_what_is_traced(bench: Any) -> None:
@@ -55,12 +59,7 @@ def test_what_was_told_is_what_is_traced(bench: Any) -> None:
     eye = (0.013, -0.021, 0.02)
     got = float(bench.radiance(scene, eye, [point])[0]) * math.pi / 0.5
     assert got == pytest.approx(total, rel=FLOAT32 * 10)
-
-    def due(turn: float, r: float) -> float:
-        x, y = r * math.cos(turn) - point[0], r * math.sin(turn) - point[1]
-        return 0.04**2 / (x * x + y * y + 0.04**2) ** 2 * r
-
-    expected = dblquad(due, 0.03, 0.05, 0, 2 * math.pi)[0]
+    expected = disc_irradiance_beside(1.0, 0.05, 0.04, (point[0], point[1]), inner_radius=0.03)
     assert got == pytest.approx(expected, rel=ASKED)
 
 
@@ -101,8 +100,8 @@ def test_coaxial_light_goes_through_its_splitter_twice(bench: Any) -> None:
     lamp = bench.lamp((0.3, 0, 0.4))
     materials = {"gray": {"type": "lambertian", "reflectance": 0.5}}
     camera = bench.camera(position=(0, 0, 0.3), rows=8, columns=8, pitch=(5e-5, 5e-5))
-    disc = math.pi * 10 * 0.4 * 0.5 * 0.02**2 / (0.02**2 + 0.5**2)
-    beside = 0.5 * 0.4 / 0.5**3
+    disc = 0.4 * 0.5 * disc_irradiance(10, 0.02, 0.5)
+    beside = 0.5 * point_irradiance(1.0, 0.4, 0.3)
     for sources, expected in (([coaxial], disc), ([coaxial, lamp], disc + beside), ([lamp], beside / 0.5)):
         got = float(bench.irradiance(bench.scene(camera, sources, materials, [sheet]), [(0, 0, 0)], 0.5)[0])
         assert got == pytest.approx(expected, rel=ASKED)
@@ -123,9 +122,8 @@ def test_the_papers_halide_lamps(bench: Any) -> None:
     sources = [{**lamp, "name": f"lamp{k}", "position": bench.metres(*place)} for k, place in enumerate(places)]
     sheet = {"type": "sheet", "material": "gray", "size": ["200 mm", "200 mm"]}
     scene = bench.scene(bench.camera(), sources, {"gray": {"type": "lambertian", "reflectance": 0.5}}, [sheet])
-    square = 2 * 0.06**2 + 0.82**2
     got = float(bench.irradiance(scene, [(0, 0, 0)], 0.5)[0])
-    assert got == pytest.approx(2 * 11.14 * 0.82 / square**1.5, rel=2e-4)  # (10 mm/0.82 m)^2
+    assert got == pytest.approx(2 * point_irradiance(11.14, 0.82, math.hypot(0.06, 0.06)), rel=2e-4)  # (10 mm/0.82 m)^2
     assert "assumptions" in scene.assumed["sources[0].preset"]
     with pytest.raises(radwrap.InputError, match='no lamp "sun"; known: metal_halide_400w'):
         bench.scene(bench.camera(), [{**sources[0], "preset": "sun"}], {}, [sheet])
