@@ -44,6 +44,11 @@ class Progress:
         with self._guard:
             self._total = max(total, 1)
 
+    def left(self, amount: int) -> None:
+        """Say how many units of work are left, where that is learnt on the way."""
+        with self._guard:
+            self._total = max(self._done + amount, 1)
+
     def add(self, amount: int) -> None:
         """Count work that was done now; any thread may call."""
         with self._guard:

@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 import radwrap
 from radwrap.images import GrayImage
 from radwrap.imaging.response.sensor import gray_levels
-from radwrap.imaging.truth import geometry
+from radwrap.imaging.truth import edge_line
 from radwrap.measure.edges import Edge, measure_edge
 from radwrap.scene.scene import Scene
+from radwrap.scene.targets import EdgeTarget
 
 SCENE: Final = Path(__file__).resolve().parent.parent / "rad_scenes" / "fig11_edge" / "scene.toml"
 ROWS, COLUMNS = 12, 44  # what the fit needs beside the blur
@@ -83,12 +84,11 @@ def measured(position: float, options: dict[str, Any]) -> dict[str, tuple[float,
         rendered = radwrap.render(scene, out, workers=1, **options)
     gray = gray_levels(rendered.radiant_exposure.values, scene.camera.sensor)
     shift = shift_of_render(gray, rendered.run.error.rms_gray_upper95)
-    truth = next(target["edge"] for target in geometry(scene, ())["targets"].values() if "edge" in target)
-    normal = np.array([math.cos(truth["angle"]), math.sin(truth["angle"])])
+    line = edge_line(scene.camera, next(target for target in scene.targets if isinstance(target, EdgeTarget)))
     found, given = {}, math.inf
     for way, (rounded, known) in WAYS.items():
         edge = fitted(scene, gray, rounded=rounded, known=known)
-        error = float(normal @ np.asarray(edge.centre)) - truth["offset"]
+        error = float(line.normal @ np.asarray(edge.centre)) - line.offset
         # What the render shifts counts beside the standard error, where gamma is fitted as much more as that does.
         given = edge.sigma_position if edge.sigma_gamma == 0 else given
         known_to = math.hypot(edge.sigma_position, shift * edge.sigma_position / given)

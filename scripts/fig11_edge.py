@@ -7,8 +7,9 @@ import sys
 
 import numpy as np
 
-from radwrap.imaging.truth import geometry
+from radwrap.imaging.truth import edge_line
 from radwrap.measure.edges import measure_edge
+from radwrap.scene.targets import EdgeTarget
 from replication.figure import Made, Task, figure, main, show
 from replication.images import Image, Measured, predicted
 from replication.published import claims
@@ -20,7 +21,8 @@ def make(task: Task) -> Made:
     camera = image.scene.camera
     sensor = camera.sensor
     row = camera.principal_point[1]
-    line = geometry(image.scene, ())["targets"]["edge"]["edge"]
+    target = next(target for target in image.scene.targets if isinstance(target, EdgeTarget))
+    line = edge_line(image.scene.camera, target)
     edge = measure_edge(
         image.result.gray,
         dark=sensor.dark_gray,
@@ -28,7 +30,7 @@ def make(task: Task) -> Made:
         pixel_aspect=sensor.pixel_height / sensor.pixel_width,
         saturation=sensor.saturation_gray,
     )
-    true, seen = (_column(one, row) for one in ((line["angle"], line["offset"]), (edge.angle, edge.offset)))
+    true, seen = (_column(one, row) for one in ((line.angle, line.offset), (edge.angle, edge.offset)))
     height, width = lit_extent(image)
     picture, panels = figure(6.4, 3.0, 1, 2, width_ratios=(1.2, 1))
     top, printed = float(image.gray.max()), claims("fig11")["geometry"].printed

@@ -15,6 +15,7 @@ from radwrap.images import GrayImage, read_gray
 from radwrap.manifest import json_text
 from radwrap.measure.dots import METHODS, Dots, DotsNotFound, find_dots
 from radwrap.measure.dots.overlay import overlay_png
+from radwrap.progress import Progress
 from radwrap.units import LENGTH, parse_quantity
 
 _BYTES: Final = 50  # a pixel, as measured
@@ -50,11 +51,12 @@ def run(arguments: argparse.Namespace) -> int:
     for name, gray in (("--dark", arguments.dark), ("--saturation", arguments.saturation)):
         if gray is not None and not (math.isfinite(gray) and (gray > 0 or name == "--dark")):
             raise InputError(f"{gray} is no gray level", where=name)
-    overlay = shared.file_to_write(arguments.overlay, "--overlay", ".png")
-    table = shared.file_to_write(arguments.csv, "--csv")
+    overlay = shared.file_to_write(arguments.overlay, "--overlay", ".png", others=[arguments.image])
+    table = shared.file_to_write(arguments.csv, "--csv", others=[arguments.image, overlay])
     path = Path(arguments.image)
     image = read_gray(path)
     shared.tell_memory("measure dots", image.values.size, _BYTES)
+    progress = Progress("measuring dots", 1)
     try:
         dots = find_dots(
             image,
@@ -65,11 +67,14 @@ def run(arguments: argparse.Namespace) -> int:
             pitch=pitch,
             dot_diameter=diameter,
             saturation=arguments.saturation,
+            progress=progress,
         )
     except DotsNotFound as error:
         raise _with_overlay(error, image, path, overlay) from error
     except InputError as error:
         raise InputError(error.what, where=error.where or str(path), remedy=error.remedy) from error
+    finally:
+        progress.close()
     if overlay is not None:
         write_bytes(overlay, overlay_png(image, dots))
     if table is not None:

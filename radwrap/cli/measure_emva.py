@@ -41,7 +41,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out the verb."""
-    picture = shared.file_to_write(arguments.plot, "--plot", ".png")
+    picture = shared.file_to_write(arguments.plot, "--plot", ".png", others=[arguments.frames])
     path = Path(arguments.frames)
     kind, stacks = read_stacks(path)
     try:

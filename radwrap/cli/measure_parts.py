@@ -56,7 +56,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out the verb."""
-    overlay = shared.file_to_write(arguments.overlay, "--overlay", ".png")
+    overlay = shared.file_to_write(arguments.overlay, "--overlay", ".png", others=[arguments.image])
     image = read_gray(arguments.image)
     shared.tell_memory("measure parts", image.values.size, _BYTES)
     progress = Progress("measuring parts", 1)

@@ -21,9 +21,13 @@ _BAND: Final = 64  # rows
 
 def noise_level(values: Array) -> float:
     """Standard deviation of what differs from pixel to pixel."""
-    second = values[:, 2:] - 2 * values[:, 1:-1] + values[:, :-2]
-    second = second[2:] - 2 * second[1:-1] + second[:-2]
-    return float(np.median(np.abs(second))) / (0.6745 * 6.0)
+    size = values.shape[0] - 2, values.shape[1] - 2
+    rough = np.empty(size)
+    for first in range(0, size[0], _BAND):  # of a large picture one array is enough
+        band = values[first : first + _BAND + 2]
+        second = band[:, 2:] - 2 * band[:, 1:-1] + band[:, :-2]
+        np.abs(second[2:] - 2 * second[1:-1] + second[:-2], out=rough[first : first + _BAND])
+    return float(np.median(rough, overwrite_input=True)) / (0.6745 * 6.0)
 
 
 def background_surface(light: Array, zero: float | None = None) -> tuple[Literal["dark", "bright"], Array]:

@@ -29,6 +29,7 @@ from radwrap.measure.compare_statistics import (
     rms_after_levels,
     statistics,
 )
+from radwrap.progress import Progress
 
 Registration = Literal["none", "translation", "homography"]
 REGISTRATIONS: Final[tuple[Registration, ...]] = ("none", "translation", "homography")
@@ -41,6 +42,10 @@ ECC_STEP: Final = 1e-8  # change of the correlation at which ECC stops: about 0.
 ECC_BLUR: Final = 5  # px, its default; noise of single pixels then does not lead the gradient
 CAUSE_GAIN: Final = 0.8  # a cause is named if it alone leaves less than this share of the rms difference
 BINS: Final = 256
+# Larger images are registered on means over 2 x 2 pixels, or more; a test holds what that costs on a small image.
+MOST_REGISTERED: Final = 1 << 24
+_BAND: Final = 64  # rows
+_RIM: Final = 12  # px that go on beyond an image, so that its splines end in them as in SciPy's own
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +126,7 @@ class Comparison:
         both = self.captured[valid], self.predicted[valid]
         high = max(float(part.max()) for part in both)
         # Whole gray levels in the middle of their bins, so that none falls on an edge.
-        width = max(1.0, math.ceil((high + 1) / BINS))
+        width = float(max(1, math.ceil((high + 1) / BINS)))
         edges = np.arange(BINS + 1) * width - 0.5 * min(width, 1.0)
         captured, predicted = (np.histogram(part, edges)[0].astype(np.int64) for part in both)
         return np.asarray(edges, np.float64), captured, predicted
@@ -136,6 +141,7 @@ def compare(
     tolerance: float | None = None,
     dark: float | None = None,
     saturation: float | None = None,
+    progress: Progress | None = None,
 ) -> Comparison:
     """Compare a captured image with the predicted one.
 
@@ -154,6 +160,8 @@ def compare(
         Gray level without light; default the prediction's smallest. An exposure acts on what lies above it.
     saturation : float, optional
         Highest gray level; default full scale. Saturated pixels say nothing of gain and causes.
+    progress : Progress, optional
+        Counts pixels that are registered.
 
     Returns
     -------
@@ -172,7 +180,9 @@ def compare(
             f"the captured image has {sizes[0]} pixels, the predicted one {sizes[1]}",
             remedy='cut one, or use `register="homography"`',
         )
-    warp = registration(captured.values, predicted.values, register)
+    progress = progress or Progress("", 1, shown=False)
+    progress.expect((1 if register == "none" else 2) * _work(captured.values, predicted.values))
+    warp = registration(captured.values, predicted.values, register, progress)
     moved = warped(captured.values, warp, predicted.values.shape)
     valid = np.isfinite(moved)
     if valid.mean() < LEAST_COVERED:
@@ -180,8 +190,9 @@ def compare(
             f"the registered image covers {valid.mean():.0%} of the predicted one", remedy="compare images of one scene"
         )
     levels = predicted.values
-    difference = np.where(valid, moved - levels, np.nan)
-    worst = np.unravel_index(int(np.nanargmax(np.abs(difference))), difference.shape)
+    difference = moved - levels  # NaN where nothing is compared
+    worst = np.unravel_index(int(np.nanargmax(np.abs(difference, out=difference))), difference.shape)
+    del difference
     limits = [
         2**image.bit_depth - 1 if saturation is None else min(saturation, 2**image.bit_depth - 1)
         for image in (captured, predicted)
@@ -193,13 +204,13 @@ def compare(
         overall=statistics(moved, levels, valid, tolerance),
         regions=dict(by_region(moved, levels, valid, regions, tolerance)),
         levels=level_fit(moved[usable], levels[usable]),
-        causes=_causes(moved, levels, usable, float(levels.min()) if dark is None else dark),
+        causes=_causes(moved, levels, usable, float(levels.min()) if dark is None else dark, progress),
         warp=warp,
         worst=(int(worst[1]), int(worst[0])),
     )
 
 
-def _causes(captured: Array, predicted: Array, usable: Flags, dark: float) -> Causes:
+def _causes(captured: Array, predicted: Array, usable: Flags, dark: float, progress: Progress) -> Causes:
     """Put one thing right at a time, then all."""
     if not usable.any():
         usable = np.isfinite(captured)
@@ -211,10 +222,11 @@ def _causes(captured: Array, predicted: Array, usable: Flags, dark: float) -> Ca
     factor = float(above @ (y - dark)) / power if power > 0 else None
     exposure = as_is if factor is None else rms(y - dark - factor * above)
     shift, geometry, together = None, None, rms_after_levels(y, x)
+    del x, y, above
     try:
         # Where nothing was compared the prediction itself stands in: it pulls towards no shift.
         filled = np.where(np.isfinite(captured), captured, predicted)
-        warp = registration(filled, predicted, "translation")
+        warp = registration(filled, predicted, "translation", progress)
     except InputError:
         pass
     else:
@@ -222,8 +234,8 @@ def _causes(captured: Array, predicted: Array, usable: Flags, dark: float) -> Ca
         moved = warped(filled, warp, predicted.shape)
         both = usable & np.isfinite(moved)
         if both.mean() >= LEAST_COVERED * usable.mean():
-            geometry = rms(moved[both] - predicted[both])
-            together = rms_after_levels(moved[both], predicted[both])
+            y, x = moved[both], predicted[both]
+            geometry, together = rms(y - x), rms_after_levels(y, x)
     found = {"dark level": dark_level, "exposure": exposure, "geometry": math.inf if geometry is None else geometry}
     best = min(found, key=lambda name: found[name])
     return Causes(
@@ -238,7 +250,21 @@ def _causes(captured: Array, predicted: Array, usable: Flags, dark: float) -> Ca
     )
 
 
-def registration(captured: Array, predicted: Array, kind: Registration) -> Array:
+def _work(captured: Array, predicted: Array) -> int:
+    """Pixels that a registration goes through."""
+    factors, each = _scales(captured, predicted), 2 * predicted.size
+    return round(sum(each / factor**2 for factor in factors))
+
+
+def _scales(captured: Array, predicted: Array) -> list[float]:
+    """Factors by which images are made smaller, one after the other; the last is 1 unless they are large."""
+    halvings = max(0, int(math.log2(max(1.0, min(*captured.shape, *predicted.shape) / COARSEST))))
+    largest = max(captured.size, predicted.size)
+    least = max(0, math.ceil(math.log2(largest / MOST_REGISTERED) / 2))
+    return [2.0**step for step in range(max(halvings, least), least - 1, -1)]
+
+
+def registration(captured: Array, predicted: Array, kind: Registration, progress: Progress | None = None) -> Array:
     """The map captured_from_predicted, 3 x 3 in pixels, by enhanced correlation (ECC), coarse to fine.
 
     Raises
@@ -249,18 +275,14 @@ def registration(captured: Array, predicted: Array, kind: Registration) -> Array
     warp = np.diag([captured.shape[1] / predicted.shape[1], captured.shape[0] / predicted.shape[0], 1.0])
     if kind == "none":
         return np.eye(3)
-    import cv2
 
     # Pixel centres, not corners, are whole numbers: scaling keeps the corner (-0.5, -0.5).
     warp[:2, 2] = 0.5 * (np.diag(warp)[:2] - 1)
     if np.ptp(captured) == 0 or np.ptp(predicted) == 0:
         raise InputError("an even image cannot be registered", remedy='use `register="none"`')
-    rough = warped(captured, warp, predicted.shape)
-    filled = np.where(np.isfinite(rough), rough, float(np.nanmean(rough)))
-    window = cv2.createHanningWindow((predicted.shape[1], predicted.shape[0]), cv2.CV_64F)
-    (u, v), _ = cv2.phaseCorrelate(predicted - predicted.mean(), filled - filled.mean(), window)
+    u, v = _far_shift(captured, predicted, warp)
     starts = [warp @ np.array([[1, 0, u], [0, 1, v], [0, 0, 1.0]]), warp]
-    results = [_refined(captured, predicted, start, kind) for start in starts]
+    results = [_refined(captured, predicted, start, kind, progress or Progress("", 1, shown=False)) for start in starts]
     correlation, best = max(results, key=lambda result: result[0])
     if correlation < LEAST_CORRELATION:
         raise InputError(
@@ -270,15 +292,30 @@ def registration(captured: Array, predicted: Array, kind: Registration) -> Array
     return best
 
 
-def _refined(captured: Array, predicted: Array, warp: Array, kind: Registration) -> tuple[float, Array]:
+def _far_shift(captured: Array, predicted: Array, warp: Array) -> tuple[float, float]:
+    """By how much the captured image lies aside [px], from all of it at once."""
+    import cv2
+
+    rough = warped(captured, warp, predicted.shape)
+    filled = np.where(np.isfinite(rough), rough, float(np.nanmean(rough)))
+    del rough
+    factor = _scales(captured, predicted)[-1]
+    pair = [image if factor == 1 else _smaller(image, factor) for image in (predicted, filled)]
+    window = cv2.createHanningWindow((pair[0].shape[1], pair[0].shape[0]), cv2.CV_64F)
+    (u, v), _ = cv2.phaseCorrelate(pair[0] - pair[0].mean(), pair[1] - pair[1].mean(), window)
+    return factor * u, factor * v
+
+
+def _refined(
+    captured: Array, predicted: Array, warp: Array, kind: Registration, progress: Progress
+) -> tuple[float, Array]:
     """Correlation and map after ECC on halved, then whole images; -infinity where it does not converge."""
     import cv2
 
     motion = cv2.MOTION_TRANSLATION if kind == "translation" else cv2.MOTION_HOMOGRAPHY
     rule = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, ITERATIONS, ECC_STEP)
-    halvings = max(0, int(math.log2(max(1.0, min(*captured.shape, *predicted.shape) / COARSEST))))
     correlation = -math.inf
-    for factor in (2.0**step for step in range(halvings, -1, -1)):
+    for factor in _scales(captured, predicted):
         # Corners stay together: x_small = (x + 0.5)/factor - 0.5.
         shrink = np.diag([1 / factor, 1 / factor, 1.0])
         shrink[:2, 2] = 0.5 / factor - 0.5
@@ -293,6 +330,7 @@ def _refined(captured: Array, predicted: Array, warp: Array, kind: Registration)
             )
         except cv2.error:
             return -math.inf, warp
+        progress.add(pair[0].size)
         small[: len(found)] = found
         warp = np.linalg.inv(shrink) @ small @ shrink
         warp = warp / warp[2, 2]
@@ -301,12 +339,17 @@ def _refined(captured: Array, predicted: Array, warp: Array, kind: Registration)
 
 def _shrunk(image: Array, factor: float) -> NDArray[np.float32]:
     """Mean over squares of `factor` pixels, scaled to unit scatter for the sake of single precision."""
+    centred = image - image.mean()
+    centred /= image.std()
+    return _smaller(centred, factor).astype(np.float32)
+
+
+def _smaller(image: Array, factor: float) -> Array:
+    """Mean over squares of `factor` pixels."""
     import cv2
 
-    centred = (image - image.mean()) / image.std()
     size = (round(image.shape[1] / factor), round(image.shape[0] / factor))
-    small: NDArray[np.float32] = cv2.resize(centred, size, interpolation=cv2.INTER_AREA).astype(np.float32)
-    return small
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.float64)
 
 
 def warped(image: Array, warp: Array, shape: tuple[int, int]) -> Array:
@@ -317,14 +360,20 @@ def warped(image: Array, warp: Array, shape: tuple[int, int]) -> Array:
     """
     if image.shape == shape and np.array_equal(warp, np.eye(3)):
         return image.copy()
-    from scipy.ndimage import map_coordinates
+    from scipy.ndimage import map_coordinates, spline_filter
 
-    v, u = np.mgrid[: shape[0], : shape[1]].astype(np.float64)
-    x, y, w = (warp @ np.stack([u.ravel(), v.ravel(), np.ones(u.size)])).reshape(3, *shape)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        x, y = x / w, y / w
-    # Half a pixel beyond the outermost centres still belongs to the image.
-    inside = (w > 0) & (x >= -0.5) & (x <= image.shape[1] - 0.5) & (y >= -0.5) & (y <= image.shape[0] - 0.5)
-    found = map_coordinates(image, [np.where(inside, y, 0.0), np.where(inside, x, 0.0)], order=3, mode="nearest")
-    result: Array = np.where(inside, np.clip(found, image.min(), image.max()), np.nan)
+    low, high = float(image.min()), float(image.max())
+    splines = spline_filter(np.pad(image, _RIM, mode="edge"), 3, mode="nearest")
+    result = np.empty(shape)
+    u = np.arange(shape[1], dtype=np.float64)
+    for first in range(0, shape[0], _BAND):  # places of all pixels of a large picture take gigabytes
+        v = np.arange(first, min(first + _BAND, shape[0]), dtype=np.float64)[:, None]
+        x, y, w = (row[0] * u + row[1] * v + row[2] for row in warp)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            x, y = x / w, y / w
+        # Half a pixel beyond the outermost centres still belongs to the image.
+        inside = (w > 0) & (x >= -0.5) & (x <= image.shape[1] - 0.5) & (y >= -0.5) & (y <= image.shape[0] - 0.5)
+        places = [np.where(inside, place, 0.0) + _RIM for place in (y, x)]
+        found = map_coordinates(splines, places, order=3, mode="nearest", prefilter=False)
+        result[first : first + _BAND] = np.where(inside, np.clip(found, low, high), np.nan)
     return result

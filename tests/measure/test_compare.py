@@ -3,18 +3,23 @@
 import argparse
 import json
 import math
+import re
 from collections.abc import Callable
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.ndimage import map_coordinates
 
 from radwrap.cli import compare as verb
 from radwrap.errors import CheckFailed, InputError
 from radwrap.images import GrayImage, read_image, write_png
+from radwrap.measure import compare as comparing
 from radwrap.measure.compare import compare, registration, warped
 from radwrap.measure.compare_statistics import rectangle, regions_of_mask
+from radwrap.progress import Progress
 
 SHAPE = (120, 160)
 DARK = 22.0
@@ -327,3 +332,28 @@ def test_options_that_cannot_be_used(files: tuple[Path, Path], words: tuple[str,
     with pytest.raises(InputError) as error:
         command(*files, *words)
     assert message in str(error.value)
+
+
+def test_an_image_is_moved_in_bands_as_it_would_be_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(comparing, "_BAND", 7)
+    warp = np.array([[1.01, 0.02, 0.5], [-0.01, 0.99, -0.25], [1e-5, 2e-5, 1.0]])
+    image = np.random.default_rng(0).uniform(0, 255, (40, 50))
+    v, u = np.mgrid[:40, :50].astype(float)
+    x, y, w = np.einsum("ij,jrc->irc", warp, np.stack([u, v, np.ones_like(u)]))
+    whole = map_coordinates(image, [y / w, x / w], order=3, mode="nearest").clip(image.min(), image.max())
+    moved = warped(image, warp, (40, 50))
+    seen = np.isfinite(moved)
+    assert 0.8 < seen.mean() < 1
+    assert moved[seen] == pytest.approx(whole[seen], abs=1e-9)
+
+
+def test_large_images_are_registered_on_smaller_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each twice as small: the shift is as good as on the whole ones, and all of them is counted."""
+    monkeypatch.setattr(comparing, "MOST_REGISTERED", PREDICTED.values.size // 2)
+    monkeypatch.setattr("radwrap.progress._LOG_PERIOD", 0.0)
+    told = StringIO()
+    shifted = GrayImage(board(U + 0.4, V - 1.3))
+    found = compare(shifted, PREDICTED, register="translation", progress=Progress("comparing", 1, stream=told))
+    assert found.warp[:2, 2] == pytest.approx([-0.4, 1.3], abs=0.02)
+    shares = [int(share) for share in re.findall(r"comparing +(\d+) %", told.getvalue())]
+    assert 0 < shares[0] < 50 and shares[-1] == 100

@@ -10,7 +10,7 @@ from scipy import signal
 
 from radwrap.errors import InputError
 from radwrap.images import GrayImage
-from radwrap.measure.dots import METHODS, Dots, DotsNotFound, find_dots, find_dots_by
+from radwrap.measure.dots import METHODS, Dots, DotsNotFound, find_dots, find_dots_by, measured_dots, seek_dots
 from radwrap.measure.dots.overlay import overlay_png
 from radwrap.measure.dots.plane import disc_centre_shift, fit_homography, jacobian, project
 
@@ -426,3 +426,28 @@ def test_sparse_saturated_dots_under_noise_are_bright() -> None:
     dots = find_dots(GrayImage(gray, 8), 5, 5)
     assert dots.contrast == "bright"
     assert np.abs(dots.centres - picture.truth).max() < 0.5
+
+
+# ---- a very similar image ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("blur", [0.0, 2.0])  # with the second, dots run together
+def test_dots_near_known_ones_are_those_that_a_search_finds(blur: float) -> None:
+    """Each settles from where it starts to the same grid: what is left is a thousandth of what the noise moves."""
+    first, noisy = (drawn(tilt=20, turn=6, blur=blur, noise=noise, seed=4) for noise in (0.0, 0.5))
+    known = seek_dots(first.gray, 5, 5, pitch=PITCH, dot_diameter=DIAMETER)
+    sought = seek_dots(noisy.gray, 5, 5, pitch=PITCH, dot_diameter=DIAMETER)
+    near = seek_dots(noisy.gray, 5, 5, pitch=PITCH, dot_diameter=DIAMETER, near=known)
+    for method in METHODS:
+        there, here = measured_dots(sought, method).centres, measured_dots(near, method).centres
+        moved = np.abs(there - measured_dots(known, method).centres).max()
+        assert np.abs(there - here).max() < 1e-3 * moved
+
+
+def test_dots_that_are_not_near_are_sought() -> None:
+    first, other = drawn(), drawn(offset=(0.31 + 22.37 / 2, -0.17), size=(165, 202))
+    known = seek_dots(first.gray, 5, 5, pitch=PITCH, dot_diameter=DIAMETER)
+    near = seek_dots(other.gray, 5, 5, pitch=PITCH, dot_diameter=DIAMETER, near=known)
+    assert rms(measured_dots(near, "gray"), other) < EXACT["gray"]
+    with pytest.raises(DotsNotFound):
+        measured_dots(seek_dots(drawn(missing=(7,)).gray, 5, 5, near=known), "gray")

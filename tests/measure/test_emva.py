@@ -206,7 +206,7 @@ BAD = {
     "twice": ("file,photons\na.png,1\na.png,1\n", 'line 3: "a.png" stands in line 2 too'),
     "number": ("file,photons\na.png,one\n", 'line 2: photons "one" is no number'),
     "negative": ("file,photons\na.png,-1\n", 'line 2: photons "-1" is no number from 0 on'),
-    "nan": ("file,photons\na.png,nan\n", 'line 2: photons "nan" is no number from 0 on'),
+    "nan": ("file,photons\na.png,nan\n", 'line 2: photons "nan" is not a finite number'),
     "cells": ("file,photons\na.png\n", "line 2: has 1 cells"),
     "dark": ("file,photons,dark\na.png,1,yes\n", 'line 2: dark "yes" is not 0 or 1'),
     "absent": ("file,photons\nc.png,0\nd.png,0\n", "c.png: no such image"),

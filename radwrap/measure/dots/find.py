@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -15,9 +16,10 @@ from radwrap.images import GrayImage
 from radwrap.measure.dots.centres import METHODS, Centre, Method, Window, centre
 from radwrap.measure.dots.detect import noise_of
 from radwrap.measure.dots.plane import disc_centre_shift, fit_homography, project
-from radwrap.measure.dots.result import Dot, Dots, missing
-from radwrap.measure.dots.settle import grid_in, present
+from radwrap.measure.dots.result import Dot, Dots, DotsNotFound, missing
+from radwrap.measure.dots.settle import grid_in, grid_near, present
 from radwrap.measure.dots.survey import Grid, Survey, windows
+from radwrap.progress import Progress
 
 Field = NDArray[np.float64]
 
@@ -37,6 +39,7 @@ def find_dots(
     pitch: float | None = None,
     dot_diameter: float | None = None,
     saturation: float | None = None,
+    progress: Progress | None = None,
 ) -> Dots:
     """Measure the centres of all dots of a calibration board.
 
@@ -70,6 +73,8 @@ def find_dots(
     saturation : float, optional
         Gray level at which the sensor saturates; default the largest that
         `image` can hold.
+    progress : Progress, optional
+        Counts scales at which the grid is sought, and rounds in which it settles.
 
     Returns
     -------
@@ -91,6 +96,7 @@ def find_dots(
         pitch=pitch,
         dot_diameter=dot_diameter,
         saturation=saturation,
+        progress=progress,
     )[method]
 
 
@@ -105,6 +111,7 @@ def find_dots_by(
     dot_diameter: float | None = None,
     saturation: float | None = None,
     least_noise: float = 0.0,
+    progress: Progress | None = None,
 ) -> dict[Method, Dots]:
     """Measure by several methods; the dots are sought only once.
 
@@ -122,6 +129,7 @@ def find_dots_by(
         dot_diameter=dot_diameter,
         saturation=saturation,
         least_noise=least_noise,
+        progress=progress,
     )
     return {method: measured_dots(sought, method) for method in methods}
 
@@ -161,8 +169,13 @@ def seek_dots(
     dot_diameter: float | None = None,
     saturation: float | None = None,
     least_noise: float = 0.0,
+    near: SoughtDots | None = None,
+    progress: Progress | None = None,
 ) -> SoughtDots:
     """Find the grid, which takes ten times as long as the centres by one method do; parameters as for `find_dots_by`.
+
+    Where the dots of an image `near` are known, which differs by its noise only, they are looked for there first; not
+    where they run together, as the model that parts them hangs on where it starts.
 
     Raises
     ------
@@ -173,7 +186,13 @@ def seek_dots(
     radius = dot_diameter / 2 / pitch if pitch is not None and dot_diameter is not None else None
     saturation = float(2**image.bit_depth - 1) if saturation is None else saturation
     noise = max(noise_of(image.values), least_noise)
-    grid, found = grid_in(image, (rows, columns), noise, radius, saturation)
+    progress = progress or Progress("", 1, shown=False)
+    grid: Grid | None = None
+    if near is not None and not near.survey.touching.any():
+        with suppress(DotsNotFound):
+            grid, found = grid_near(image, near.grid, noise, progress)
+    if grid is None:
+        grid, found = grid_in(image, (rows, columns), noise, radius, saturation=saturation, progress=progress)
     return SoughtDots(image, grid, found, noise, dark, pitch, dot_diameter)
 
 

@@ -27,6 +27,10 @@ ROUNDS: Final = 4
 NEAR_HORIZON: Final = 1e-3
 
 Index = tuple[int, int]
+Step = tuple[float, float]
+
+# Axis and direction of the steps to the four neighbours.
+_WAYS: Final = ((0, 1), (0, -1), (1, 1), (1, -1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,28 +139,36 @@ def _bases(points: Points, tree: Any, seed: int) -> list[tuple[Points, Points]]:
 
 def _grown(points: Points, tree: Any, seed: int, first: Points, second: Points) -> dict[Index, int]:
     """Walk from dot to dot; each step is predicted from the last one in its direction."""
+    seats: list[Step] = [(u, v) for u, v in points.tolist()]
     nodes: dict[Index, int] = {(0, 0): seed}
     taken = {seed}
-    steps: dict[Index, tuple[Points, Points]] = {(0, 0): (first, second)}
+    bases = (float(first[0]), float(first[1])), (float(second[0]), float(second[1]))
+    steps: dict[Index, tuple[Step, Step]] = {(0, 0): bases}
     waiting = [(0, 0)]
     while waiting:
-        here = waiting.pop(0)
-        place, (along, across) = points[nodes[here]], steps[here]
-        for axis, way in ((0, 1), (0, -1), (1, 1), (1, -1)):
-            there = (here[0] + way, here[1]) if axis == 0 else (here[0], here[1] + way)
-            if there in nodes:
-                continue
-            step = along if axis == 0 else across
-            miss, candidate = tree.query(place + way * step)
-            if miss > REACH * min(math.hypot(*along), math.hypot(*across)) or int(candidate) in taken:
-                continue
-            taken.add(int(candidate))
-            nodes[there] = int(candidate)
-            seen = way * (points[candidate] - place)
-            # Half the news: one misplaced candidate must not bend the walk.
-            steps[there] = ((along + seen) / 2, across) if axis == 0 else (along, (across + seen) / 2)
-            waiting.append(there)
+        # All that wait are looked up together: where they look hangs on themselves alone.
+        misses, candidates = tree.query([_ahead(seats[nodes[here]], steps[here]) for here in waiting])
+        wave, waiting = waiting, []
+        for here, missed, found in zip(wave, misses.tolist(), candidates.tolist(), strict=True):
+            (u, v), (along, across) = seats[nodes[here]], steps[here]
+            reach = REACH * min(math.hypot(*along), math.hypot(*across))
+            for (axis, way), miss, candidate in zip(_WAYS, missed, found, strict=True):
+                there = (here[0] + way, here[1]) if axis == 0 else (here[0], here[1] + way)
+                if there in nodes or miss > reach or candidate in taken:
+                    continue
+                taken.add(candidate)
+                nodes[there] = candidate
+                # Half the news: one misplaced candidate must not bend the walk.
+                (du, dv), (au, av) = steps[here][axis], seats[candidate]
+                bent = (du + way * (au - u)) / 2, (dv + way * (av - v)) / 2
+                steps[there] = (bent, across) if axis == 0 else (along, bent)
+                waiting.append(there)
     return nodes
+
+
+def _ahead(seat: Step, steps: tuple[Step, Step]) -> list[Step]:
+    """Where the four neighbours should be."""
+    return [(seat[0] + way * steps[axis][0], seat[1] + way * steps[axis][1]) for axis, way in _WAYS]
 
 
 def _completed(points: Points, tree: Any, nodes: dict[Index, int]) -> dict[Index, int]:
@@ -180,13 +192,12 @@ def _completed(points: Points, tree: Any, nodes: dict[Index, int]) -> dict[Index
             return {}
         pitch = np.linalg.norm(jacobian(matrix, box), axis=1).min(axis=1)
         miss, candidates = tree.query(project(matrix, box))
-        again: dict[Index, int] = {}
-        for place in np.argsort(miss):
-            if miss[place] > FITTED_REACH * pitch[place]:
-                continue
-            if int(candidates[place]) not in again.values():
-                again[int(box[place][0]), int(box[place][1])] = int(candidates[place])
-        again = _connected(again)
+        nearest_first = np.argsort(miss)
+        near = nearest_first[miss[nearest_first] <= FITTED_REACH * pitch[nearest_first]]
+        of: dict[int, Index] = {}  # each candidate belongs to the place that it is nearest to
+        for candidate, (i, j) in zip(candidates[near].tolist(), box[near].tolist(), strict=True):
+            of.setdefault(candidate, (int(i), int(j)))
+        again = _connected({index: candidate for candidate, index in of.items()})
         if again.keys() == nodes.keys():
             return again
         nodes = again

@@ -19,6 +19,7 @@ from radwrap.measure.dots.plane import Matrix, fit_homography, is_regular, jacob
 from radwrap.measure.dots.result import REMEDY, DotsNotFound, missing, too_many
 from radwrap.measure.dots.split import refined
 from radwrap.measure.dots.survey import Grid, Survey, board_of, patch_means, sampled, survey, windows
+from radwrap.progress import Progress
 
 Field = NDArray[np.float64]
 
@@ -57,7 +58,13 @@ SHARE_BEYOND: Final = 0.5
 
 
 def grid_in(
-    image: GrayImage, shape: tuple[int, int], noise: float, radius: float | None, saturation: float
+    image: GrayImage,
+    shape: tuple[int, int],
+    noise: float,
+    radius: float | None,
+    *,
+    saturation: float,
+    progress: Progress,
 ) -> tuple[Grid, Survey]:
     """Find the grid and see that every dot is there.
 
@@ -73,6 +80,8 @@ def grid_in(
         Of the dots, where it is known [pitch].
     saturation : float
         Gray level from which on the sensor saturates.
+    progress : Progress
+        Counts scales and rounds.
 
     Returns
     -------
@@ -84,7 +93,7 @@ def grid_in(
         If dots are missing, or go on beyond the grid.
     """
     number = shape[0] * shape[1]
-    lattices = _lattices(image, shape)
+    lattices = _lattices(image, shape, progress)
     if not lattices:
         nothing = np.empty((0, 2))
         raise DotsNotFound(f"found 0 of {number} dots", nothing, nothing, remedy=REMEDY)
@@ -93,7 +102,9 @@ def grid_in(
     for likely, lattice in _hypotheses(lattices, sign, number):
         try:
             grid, found = _settled(
-                _grid(image, likely, shape, lattice, noise=noise, radius=radius, saturation=saturation), noise
+                _grid(image, likely, shape, lattice, noise=noise, radius=radius, saturation=saturation),
+                noise,
+                progress,
             )
             if likely != sign:
                 _check_beyond(grid, found, noise)
@@ -113,6 +124,37 @@ def grid_in(
     raise failed
 
 
+def grid_near(image: GrayImage, near: Grid, noise: float, progress: Progress) -> tuple[Grid, Survey]:
+    """Find the grid where that of a very similar image is, without looking for it.
+
+    Parameters
+    ----------
+    image : GrayImage
+        The picture.
+    near : Grid
+        Of the other image.
+    noise : float
+        Standard deviation of a pixel [gray].
+    progress : Progress
+        Counts rounds.
+
+    Returns
+    -------
+    Grid, Survey
+
+    Raises
+    ------
+    DotsNotFound
+        If it is not there, or not whole.
+    """
+    progress.expect(ROUNDS)
+    grid, found = _settled(replace(near, values=image.values * near.sign), noise, progress)
+    _check_beyond(grid, found, noise)
+    if (misfit := _outside(grid, found)) is not None:
+        raise misfit
+    return grid, found
+
+
 def _hypotheses(lattices: dict[int, list[Lattice]], sign: int, number: int) -> Iterator[tuple[int, Lattice]]:
     """Contrast and lattice, the likeliest first; of the other contrast only what is whole and nothing more.
 
@@ -125,7 +167,7 @@ def _hypotheses(lattices: dict[int, list[Lattice]], sign: int, number: int) -> I
             yield -sign, lattice
 
 
-def _lattices(image: GrayImage, shape: tuple[int, int]) -> dict[int, list[Lattice]]:
+def _lattices(image: GrayImage, shape: tuple[int, int], progress: Progress) -> dict[int, list[Lattice]]:
     """Lattices of each contrast, of several scales, the likeliest first.
 
     At too fine a scale long dots count twice and fill a larger grid, at too
@@ -134,7 +176,10 @@ def _lattices(image: GrayImage, shape: tuple[int, int]) -> dict[int, list[Lattic
     rows, columns = shape
     number = rows * columns
     found: dict[int, list[tuple[float, Lattice]]] = {}
-    for trial in blobs(image.values, number)[:TRIALS]:
+    trials = blobs(image.values, number)[:TRIALS]
+    progress.expect(len(trials) + ROUNDS)
+    for trial in trials:
+        progress.add(1)
         tried = found.setdefault(trial.sign, [])
         answer = trial.answer(number)
         if tried and answer < WEAKER * tried[0][0]:
@@ -205,11 +250,13 @@ def _unseen(values: Field, shape: tuple[int, int], lattice: Lattice, noise: floa
     return best[1]
 
 
-def _settled(grid: Grid, noise: float) -> tuple[Grid, Survey]:
+def _settled(grid: Grid, noise: float, progress: Progress) -> tuple[Grid, Survey]:
     """Measure all dots where the grid says they are, fit the grid to them, and again."""
     _check_between(grid)
     found: Survey | None = None
+    progress.left(ROUNDS)
     for _ in range(ROUNDS):
+        progress.add(1)
         found = survey(grid, noise, found.model if found else None)
         before = project(grid.homography, grid.board)
         parted = found.model is not None and bool(found.touching.any())

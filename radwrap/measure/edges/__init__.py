@@ -12,7 +12,7 @@ step alone: of d^n/n! times the step it makes E_n, the n-th antiderivative of E.
 The pixel's mean is then a second difference of E_(n+2), in closed form for every angle.
 """
 
-from radwrap.measure.edges.fit import Edge, measure_edge
+from radwrap.measure.edges.fit import MOST_BYTES, Edge, measure_edge
 from radwrap.measure.edges.profile import disc_edge, pixel_edge
 
-__all__ = ["Edge", "disc_edge", "measure_edge", "pixel_edge"]
+__all__ = ["MOST_BYTES", "Edge", "disc_edge", "measure_edge", "pixel_edge"]

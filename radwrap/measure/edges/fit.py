@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
@@ -15,6 +16,7 @@ from radwrap.measure.background import QUANTISATION
 from radwrap.measure.edges.correlation import variance_factor
 from radwrap.measure.edges.model import Model, Pixels, splines_along
 from radwrap.measure.edges.search import Line, find_line, normal_angle
+from radwrap.progress import Progress
 
 Array = NDArray[np.float64]
 Region = tuple[int, int, int, int]
@@ -22,8 +24,10 @@ Region = tuple[int, int, int, int]
 SMALLEST_SIDE: Final = 12  # px; less holds no edge with both of its levels
 LEVEL_PIXELS: Final = 3  # beyond the blur, on each side, in every row: level, slope and curvature hang on them
 LARGEST_SATURATED: Final = 0.05  # share of the strip; beyond it the bright level is not known
-_BYTES: Final = 1000  # a pixel of the strip, an estimate: its 20 columns that are not 0, and some copies
-_MOST_BYTES: Final = 1 << 31
+_BYTES: Final = 200  # a pixel of the strip; 176 were measured on one of 10^6
+MOST_BYTES: Final = 1 << 30  # of all the strip
+_USUAL_TRIALS: Final = 20  # of parameters in two rounds of the fit, for the time that is left
+_TRIAL_WORK: Final = 10  # times as much as to look for the line, for each pixel
 _BAND: Final = 64  # rows
 LARGEST_RESIDUAL: Final = 0.15  # of the contrast; a straight edge between smooth sides leaves less
 LARGEST_GAMMA_ERROR: Final = 0.3  # a gamma known worse than that tells nothing, and spoils the position
@@ -110,6 +114,7 @@ def measure_edge(
     region: Region | None = None,
     pixel_aspect: float = 1.0,
     saturation: float | None = None,
+    progress: Progress | None = None,
 ) -> Edge:
     """Position, angle, blur, levels and gamma of the one straight edge of an image, by one least-squares fit.
 
@@ -129,6 +134,8 @@ def measure_edge(
         square it needs to know. Lengths across the edge that are called radius are in pixel widths.
     saturation : float, optional
         Gray level from which pixels are left out; default the largest of the image's bit depth.
+    progress : Progress, optional
+        Counts pixels that are looked at.
 
     Returns
     -------
@@ -151,12 +158,18 @@ def measure_edge(
         raise InputError("is saturated all over", where="the image", remedy="shorten the exposure")
     if low == high:
         raise InputError(f"is blank: gray {low:g} all over", where="the image", remedy="aim at an edge")
-    start = find_line(values)
-    found = start
+    from threadpoolctl import threadpool_limits
+
+    progress = progress or Progress("", 1, shown=False)
+    progress.expect(2 * values.size)
+    found = find_line(values, progress)
     for tolerance in (1e-4, 1e-10, 1e-10, 1e-10):  # the strip follows the blur; it stands after two or three rounds
+        _check_size(found, values.size)
         strip = _strip(values, usable, found)
         last = found
-        found, edge = _fit(strip, found, dark, gamma, aspect=pixel_aspect, tolerance=tolerance)
+        progress.left(_USUAL_TRIALS * _TRIAL_WORK * strip.u.size)
+        with threadpool_limits(1):  # of many small matrices: threads would wait for one another most of the time
+            found, edge = _fit(strip, found, dark, gamma, aspect=pixel_aspect, tolerance=tolerance, look=progress.add)
         if abs(found.half_width - last.half_width) < 1.0 and abs(found.shift_from(last)) < 0.05:
             break
     return _moved(edge, corner)
@@ -221,7 +234,14 @@ def _strip(values: Array, usable: NDArray[np.bool_], line: Line) -> Pixels:
 
 
 def _fit(
-    strip: Pixels, line: Line, dark: float | None, gamma: float | None, *, aspect: float, tolerance: float
+    strip: Pixels,
+    line: Line,
+    dark: float | None,
+    gamma: float | None,
+    *,
+    aspect: float,
+    tolerance: float,
+    look: Callable[[int], None],
 ) -> tuple[Line, Edge]:
     from scipy.optimize import least_squares
 
@@ -242,7 +262,6 @@ def _fit(
     if dark is not None and low - dark < UNLIT * (high - low):
         dark = None
     contrast = high - (low if dark is None else dark)
-    _check_size(strip.u.size, float(np.ptp(s)))
     width, length = line.half_width, max(float(np.ptp(s)), 1.0)
     base = np.column_stack([np.ones_like(d), d / width, s / length, (s / length) ** 2])
     model = Model(strip, line, aspect, dark, contrast, splines_along(s, float(s.min()), float(s.max())), base)
@@ -273,6 +292,7 @@ def _fit(
         nonlocal here
         if not np.array_equal(p, here[0]):
             here = p.copy(), *model.reduced(whole(p))
+            look(_TRIAL_WORK * strip.u.size)
         return here[1], here[2]
 
     solved = least_squares(
@@ -290,14 +310,16 @@ def _fit(
     return _refined(line, parameters), _edge(model, parameters, free, saturated)
 
 
-def _check_size(pixels: int, length: float) -> None:
-    """Refuse an edge whose fit would not fit."""
-    need = pixels * _BYTES
-    if need > _MOST_BYTES:
+def _check_size(line: Line, pixels: int) -> None:
+    """Refuse an edge whose fit would not fit, before its pixels are laid out."""
+    length = line.ends[1] - line.ends[0]
+    need = min(2 * line.half_width * length, pixels) * _BYTES
+    if need > MOST_BYTES:
         raise InputError(
-            f"shows an edge of {length:.0f} px, whose fit takes {need / 2**30:.1f} GiB of memory",
+            f"shows an edge of {length:.0f} px, blurred by {2 * line.radius:.0f} px, whose fit takes "
+            f"{need / 2**30:.1f} GiB of memory, the limit is {MOST_BYTES / 2**30:g}",
             where="the image",
-            remedy=f"name a region, some {length * _MOST_BYTES / need / 2:.0f} px long",
+            remedy=f"name a region, some {length * MOST_BYTES / need / 2:.0f} px long",
         )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -41,8 +41,8 @@ class Pixels:
         names = ("u", "v", "gray", "usable")
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
-    def only(self, some: NDArray[np.bool_]) -> Pixels:
-        """Those that are flagged."""
+    def only(self, some: NDArray[np.bool_] | NDArray[np.intp]) -> Pixels:
+        """Those that are flagged, or named by their numbers."""
         return Pixels(self.u[some], self.v[some], self.gray[some], self.usable[some])
 
 
@@ -68,6 +68,10 @@ class Splines:
         """Sum of the splines times one level each, at all places."""
         near = levels[self.first[:, None] + np.arange(self.values.shape[1])]
         return np.asarray((self.values * near).sum(axis=1), dtype=np.float64)
+
+    def only(self, some: NDArray[np.intp]) -> Splines:
+        """The same at some of the places, by their numbers."""
+        return Splines(self.values[some], self.first[some], self.count)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,23 +101,22 @@ class Model:
         means = pixel_edge(d * scale, shape[2], abs(cos) * scale, abs(sin) * scale, 5)
         return [mean * math.factorial(n) / self.line.half_width**n for n, mean in enumerate(means)]
 
-    def bright(self, levels: Array, means: list[Array]) -> Array:
+    def bright(self, parameters: Array) -> list[Array]:
         """Light of the bright side: value, slope and curvature across the edge, and what these imply beyond."""
+        levels = parameters[4 + self.base.shape[1] :]
         parts = [self.along.sum(part) for part in levels.reshape(3, -1)]
-        light = np.stack([*parts, *_higher(*parts)]) * np.stack(means)
-        return np.asarray(light.sum(axis=0), dtype=np.float64)
+        return [*parts, *_higher(*parts)]
 
-    def bright_columns(self, levels: Array, means: list[Array]) -> Array:
+    def bright_columns(self, bright: list[Array], means: list[Array]) -> Array:
         """Derivatives of the bright side's light by its levels, of each third those that differ from 0."""
-        slopes = _higher_slopes(*(self.along.sum(part) for part in levels.reshape(3, -1)))
+        slopes = _higher_slopes(*bright[:3])
         weights = [mean + c * means[3] + d * means[4] for mean, (c, d) in zip(means[:3], slopes, strict=True)]
         return np.concatenate([self.along.values * weight[:, None] for weight in weights], axis=1)
 
-    def gray(self, parameters: Array, means: list[Array] | None = None) -> tuple[Array, Array, Array]:
+    def gray(self, parameters: Array, means: list[Array], bright: list[Array]) -> tuple[Array, Array, Array]:
         """Gray levels, light h, and dG/dh."""
-        means = means or self.means(parameters[:4])
-        split = 4 + self.base.shape[1]
-        pedestal, light = self.base @ parameters[4:split], self.bright(parameters[split:], means)
+        pedestal = self.base @ parameters[4 : 4 + self.base.shape[1]]
+        light = np.asarray(sum(part * mean for part, mean in zip(bright, means, strict=True)), dtype=np.float64)
         if self.dark is not None:
             pedestal, light = np.full_like(light, self.dark), light + pedestal
         gamma = parameters[3]
@@ -123,7 +126,11 @@ class Model:
 
     def residual(self, parameters: Array) -> Array:
         """Model less image, of pixels that are not saturated [gray level]."""
-        left: Array = self.gray(parameters)[0] - self.strip.gray
+        left = np.empty(self.strip.gray.shape)
+        for group in self.groups:
+            part = self._only(group)
+            means = part.means(parameters[:4])
+            left[group] = part.gray(parameters, means, part.bright(parameters))[0] - part.strip.gray
         return left[self.strip.usable]
 
     def reduced(self, parameters: Array) -> tuple[Array, Array]:
@@ -132,37 +139,46 @@ class Model:
         Least squares know no more of them. Along the edge J is banded: pixels between two knots share all columns that
         differ from 0, so each such group goes through a QR decomposition of its own, and what is left through one more.
         """
-        used = self.strip.usable
-        rows = np.column_stack([self._slopes(parameters), self.gray(parameters)[0] - self.strip.gray])[used]
-        first, splines = self.along.first[used], self.along.count
-        order = np.argsort(first, kind="stable")
-        knots, starts = np.unique(first[order], return_index=True)
+        splines = self.along.count
         fixed, near = 4 + int(self.base.shape[1]), int(self.along.values.shape[1])
         parts = []
-        for knot, group in zip(knots, np.split(order, starts[1:]), strict=True):
-            triangle = np.linalg.qr(rows[group], mode="r")
+        for group in self.groups:
+            rows = self._only(group[self.strip.usable[group]])
+            if rows.strip.u.size == 0:
+                continue
+            triangle = np.linalg.qr(rows._slopes_and_residual(parameters), mode="r")
+            knot = int(rows.along.first[0])
             part = np.zeros((len(triangle), fixed + 3 * splines + 1))
-            columns = [fixed + third * splines + int(knot) + np.arange(near) for third in range(3)]
+            columns = [fixed + third * splines + knot + np.arange(near) for third in range(3)]
             part[:, np.concatenate([np.arange(fixed), *columns, [-1]])] = triangle
             parts.append(part)
         whole: Array = np.asarray(np.linalg.qr(np.concatenate(parts), mode="r"))
         return whole[:, :-1], whole[:, -1]
 
-    def _slopes(self, parameters: Array) -> Array:
-        """Levels and gamma in closed form; shift, turn and radius by differences; of the splines those not 0."""
-        means = self.means(parameters[:4])
-        here, light, slope = self.gray(parameters, means)
+    @property
+    def groups(self) -> list[NDArray[np.intp]]:
+        """Numbers of the pixels between two knots each: few enough for the processor's cache, and for memory."""
+        order = np.argsort(self.along.first, kind="stable")
+        return np.split(order, np.flatnonzero(np.diff(self.along.first[order])) + 1)
+
+    def _only(self, some: NDArray[np.intp]) -> Model:
+        return replace(self, strip=self.strip.only(some), along=self.along.only(some), base=self.base[some])
+
+    def _slopes_and_residual(self, parameters: Array) -> Array:
+        """Slopes by the levels and gamma in closed form, by shift, turn and radius by differences; of splines not 0."""
+        means, bright = self.means(parameters[:4]), self.bright(parameters)
+        here, light, slope = self.gray(parameters, means, bright)
         gamma = parameters[3]
         parts = []
         for i, step in enumerate((1e-5, 1e-7, 1e-5 * parameters[2])):
-            move = np.zeros_like(parameters)
-            move[i] = step
-            parts.append((self.gray(parameters + move)[0] - here) / step)
+            moved = parameters.copy()
+            moved[i] += step
+            parts.append((self.gray(moved, self.means(moved[:4]), bright)[0] - here) / step)
         lit = np.maximum(light, LIT_FLOOR)
         by_gamma = self.contrast * lit ** (gamma - 1) * light * np.log(lit)
         dark = self.base if self.dark is None else self.base * slope[:, None]
-        bright = self.bright_columns(parameters[4 + self.base.shape[1] :], means)
-        return np.column_stack([*parts, by_gamma, dark, bright * slope[:, None]])
+        by_bright = self.bright_columns(bright, means) * slope[:, None]
+        return np.column_stack([*parts, by_gamma, dark, by_bright, here - self.strip.gray])
 
     def levels(self, parameters: Array) -> tuple[Array, Callable[[Array], Array]]:
         """Low and high gray at the centre, and how they hang on the parameters."""

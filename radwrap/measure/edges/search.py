@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.measure.background import noise_level
+from radwrap.progress import Progress
 
 Array = NDArray[np.float64]
 
@@ -18,6 +19,9 @@ SMOOTHING: Final = 1.5  # px; of the gradients that find the edge: noise falls t
 FAINTEST: Final = 7.0  # times the gradient's noise; the largest of 10^6 noise pixels reaches 5
 RIVAL_SHARE: Final = 0.5  # of the strongest line's votes; a second line with more makes the edge ambiguous
 VISIBLE: Final = 0.25  # of the strongest gradient; weaker ones do not vote
+MOST_VOTERS: Final = 1 << 21  # of more every second one votes, or every third: they only say where to look
+_BAND: Final = 64  # rows
+_HALO: Final = 6  # px; SciPy's Gaussian ends after four standard deviations
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,12 +51,14 @@ class Line:
         return float(other.across(np.array(self.centre[0]), np.array(self.centre[1])))
 
 
-def find_line(values: Array) -> Line:
+def find_line(values: Array, progress: Progress | None = None) -> Line:
     """The strongest straight edge by votes of gradients, each for the one line that it stands on."""
-    from scipy import ndimage
-
-    gradient_u, gradient_v = (ndimage.gaussian_filter(values, SMOOTHING, order=o) for o in ((0, 1), (1, 0)))
-    strength = np.hypot(gradient_u, gradient_v)
+    strength = np.empty(values.shape)
+    for first in range(0, len(values), _BAND):  # of a large picture one array is enough
+        band = np.s_[first : first + _BAND, :]
+        strength[band] = np.hypot(*_gradient(values, *band))
+        if progress is not None:
+            progress.add(strength[band].size)
     rim = 2
     strength[:rim] = strength[-rim:] = 0
     strength[:, :rim] = strength[:, -rim:] = 0
@@ -60,10 +66,7 @@ def find_line(values: Array) -> Line:
     noise = noise_level(values) / (math.sqrt(8 * math.pi) * SMOOTHING**2)
     if peak <= max(FAINTEST * noise, 1e-9 * float(np.ptp(values))):
         raise InputError("shows no edge above its noise", where="the image", remedy="raise contrast or exposure")
-    rows, columns = np.nonzero(strength > VISIBLE * peak)
-    weight = strength[rows, columns]
-    direction = np.arctan2(gradient_v[rows, columns], gradient_u[rows, columns])
-    u, v = columns.astype(np.float64), rows.astype(np.float64)
+    u, v, direction, weight = _voters(values, strength, VISIBLE * peak)
     votes, angle, rho = _strongest(u, v, direction, weight)
     for reach in (4.0, 4.0, 3.0, 3.0):
         distance = u * math.cos(angle) + v * math.sin(angle) - rho
@@ -87,6 +90,36 @@ def find_line(values: Array) -> Line:
     along = line.along(u[~rest], v[~rest])
     ends = float(np.quantile(along, 0.01)), float(np.quantile(along, 0.99))
     return Line(angle, centre, line.radius, ends)
+
+
+def _gradient(values: Array, rows: slice, columns: slice) -> tuple[Array, Array]:
+    """Smoothed gradient along u and v in a part of the image."""
+    from scipy import ndimage
+
+    (top, bottom, _), (left, right, _) = rows.indices(values.shape[0]), columns.indices(values.shape[1])
+    first, start = max(top - _HALO, 0), max(left - _HALO, 0)
+    part = values[first : bottom + _HALO, start : right + _HALO]
+    inside = np.s_[top - first : bottom - first, left - start : right - start]
+    along_u, along_v = (ndimage.gaussian_filter(part, SMOOTHING, order=o)[inside] for o in ((0, 1), (1, 0)))
+    return along_u, along_v
+
+
+def _voters(values: Array, strength: Array, least: float) -> tuple[Array, Array, Array, Array]:
+    """Column, row, direction and strength of the gradients above the least one."""
+    bands = []
+    for first in range(0, len(values), _BAND):
+        visible = strength[first : first + _BAND] > least
+        across = np.flatnonzero(visible.any(axis=0))
+        if across.size == 0:
+            continue
+        columns = slice(int(across[0]), int(across[-1]) + 1)
+        along_u, along_v = _gradient(values, slice(first, first + _BAND), columns)
+        v, u = np.nonzero(visible[:, columns])
+        direction = np.arctan2(along_v[v, u], along_u[v, u])
+        bands.append(np.stack([u + columns.start, v + first, direction, strength[v + first, u + columns.start]]))
+    voters = np.concatenate(bands, axis=1)
+    u, v, direction, weight = voters[:, :: -(-voters.shape[1] // MOST_VOTERS)]
+    return u, v, direction, weight
 
 
 def _turn(directions: Array, angle: float) -> Array:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.images import read_gray
-from radwrap.reading import FileKind, csv_rows, read_text, shortened
+from radwrap.reading import FileKind, csv_rows, read_text, shortened, unusable
 
 Array = NDArray[np.float64]
 FILE: Final = "file"
@@ -157,7 +156,9 @@ def _exposure(cell: str, kind: str, where: str) -> float:
         raise InputError(
             f'{kind} "{shortened(cell)}" is no number', where=where, remedy="write 0.016, with a point"
         ) from error
-    if not (math.isfinite(value) and value >= 0):
+    if why := unusable(value):
+        raise InputError(f'{kind} "{shortened(cell)}" {why}', where=where)
+    if value < 0:
         raise InputError(f'{kind} "{shortened(cell)}" is no number from 0 on', where=where)
     return value
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.measure.background import QUANTISATION
-from radwrap.measure.parts.level import Level, fitted_level
+from radwrap.measure.parts.level import HIGHEST, Level, fitted_level, monomials
 from radwrap.measure.parts.light import LinearLight
 from radwrap.measure.parts.raster import distance, indices, pieces, rim_length, smoothed
 
@@ -155,20 +155,23 @@ def _levels(
     light, labels, coarse = scene.light[window], scene.seeds[window], scene.surface[window]
     own = labels == number
     others = (labels > 0) & ~own
-    apart = distance(own) <= distance(others)
-    inner = own & (distance(~own) >= min(half, float(distance(~own).max()) - 0.5))
-    depth = coarse - light
+    far, deep = distance(own), distance(~own)
+    apart = far <= distance(others)
+    clear = distance(others & ~apart) > half + 0.5
+    inner = own & (deep >= min(half, float(deep.max()) - 0.5))
+    depth, base = coarse - light, np.zeros_like(light)
+    terms = monomials(light.shape)
     # Levels hang on the mask, the mask on the levels: twice is enough.
-    for _ in range(2):
-        far = distance(own)
-        ring = (far > half + 0.5) & (far <= half + 0.5 + RING) & (distance(others & ~apart) > half + 0.5)
+    for turn in range(2):
+        if turn:
+            far, deep = distance(own), distance(~own)
+        ring = (far > half + 0.5) & (far <= half + 0.5 + RING) & clear
         ring &= labels == 0 if scene.level is not None else np.abs(depth) < 0.5 * float(np.median(depth[inner]))
-        deep = distance(~own)
         inner = own & (deep >= min(half + 0.5, float(deep.max()) - 0.5))
         if not inner.any():
             return None
-        around = fitted_level(light, coarse, ring, scene.response, highest=4, rounded=scene.rounded)
-        core = fitted_level(light, np.zeros_like(light), inner, scene.response, highest=2, rounded=scene.rounded)
+        around = fitted_level(light, coarse, ring, scene.response, terms, highest=HIGHEST, rounded=scene.rounded)
+        core = fitted_level(light, base, inner, scene.response, terms, highest=2, rounded=scene.rounded)
         contrast = around.surface - core.surface
         middle = float(contrast[inner].mean())
         if middle <= FAINTEST / 2 * max(around.spread, core.spread) or (contrast <= 0)[own].any():

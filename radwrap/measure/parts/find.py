@@ -68,6 +68,8 @@ def find_parts(
     InputError
         If the image is too small, blank, saturated, or shows no part.
     """
+    from threadpoolctl import threadpool_limits
+
     gray = image.values
     _check(image, threshold, min_area)
     _check_light(float(gray.max()), dark, gamma, pixel_aspect)
@@ -89,7 +91,8 @@ def find_parts(
         rounded=rounded,
         aspect=pixel_aspect,
     )
-    kept = [part for part in _parts(scene, progress) if part.area >= min_area]
+    with threadpool_limits(1):  # of many small matrices: threads would wait for one another most of the time
+        kept = [part for part in _parts(scene, progress) if part.area >= min_area]
     if not kept:
         raise InputError(
             f"shows no part of {min_area:g} px^2 or more above its noise",
