@@ -40,6 +40,7 @@ def main() -> int:
     parser.add_argument("--relation", action="append", choices=RELATIONS, help="one of them; default all")
     parser.add_argument("--scenes", type=int, default=60, help="of each relation's domain (default 60)")
     parser.add_argument("--first", type=int, default=0, help="number of the first scene, its seed")
+    parser.add_argument("--numbers", type=int, nargs="+", help="these scenes only")
     parser.add_argument("--plant", choices=PLANTS, help="an error to put into each rewritten scene, to see it found")
     parser.add_argument("--json", type=Path, default=OUT, help="results; pairs that differ are kept beside it")
     parser.add_argument("--most-patches", type=int, default=4096, help="pass over scenes whose light costs more")
@@ -53,7 +54,7 @@ def main() -> int:
     rows: list[Table] = []
     refused: list[str] = []
     keep = arguments.json.with_suffix("")
-    for number in range(arguments.first, arguments.first + MOST_DRAWN * arguments.scenes):
+    for number in arguments.numbers or range(arguments.first, arguments.first + MOST_DRAWN * arguments.scenes):
         counts = Counter(row["relation"] for row in rows)
         open_names = [name for name in names if counts[name] < arguments.scenes]
         if not open_names:

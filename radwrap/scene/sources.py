@@ -159,6 +159,29 @@ def cosine_power_spread(width: float, definition: WidthDefinition) -> float:
     return math.sqrt(math.log(math.cos(angle)) / math.log(share))
 
 
+def half_width(beam: Beam) -> float:
+    """Angle from the axis at which a beam's intensity falls to half of that on the axis, or of its peak [rad]."""
+    match beam:
+        case TableBeam():
+            values = np.asarray(beam.values)
+            last = int(np.flatnonzero(values >= values.max() / 2)[-1])
+            return beam.spread * math.pi / 2 * max(last, 1) / (len(values) - 1)
+        case Beam():
+            match beam.profile:
+                case "gaussian" | "cosine_power":
+                    return beam.spread * math.sqrt(2 * math.log(2))
+                case "cone":
+                    return beam.spread
+                case "lambertian":
+                    return math.pi / 3
+                case "table":
+                    raise TypeError("a table is a TableBeam")
+                case _:
+                    assert_never(beam.profile)
+        case _:
+            assert_never(beam)
+
+
 @dataclass(frozen=True, slots=True)
 class Emitter:
     """One shining disc.

@@ -17,7 +17,7 @@ from radwrap.files import disk_failure, make_folder
 from radwrap.frames import fixed_axis_angles
 from radwrap.process import Limits, Programs
 from radwrap.scene.scene import Scene
-from radwrap.scene.targets import MeshShape, RadFile
+from radwrap.scene.targets import MeshPart, MeshShape, RadFile, surfaces
 from radwrap.tracers.included import check_no_cycle, light_in, read_included
 from radwrap.tracers.installation import Installation, judge
 from radwrap.tracers.radiance_text import RadianceScene, identity_text, mesh_file, obj_text, scene_text
@@ -150,12 +150,13 @@ def prepare(
             glowing[target.name] = _xform(text, ["-m", target.name, *move], options, programs, folder)
     if not (lit or shining):
         raise InputError("there is no light", where=f"{scene.origin}: sources", remedy="add [[sources]]")
-    for surface in scene.surfaces:
-        if isinstance(surface.shape, MeshShape):
-            where = f'{scene.origin}: target "{surface.name}"'
-            files[mesh_file(stem, surface.name)] = compiled_mesh(
-                surface.shape, frame, options, programs, folder, where=where
-            )
+    for part in scene.targets:
+        for surface in surfaces(part) if isinstance(part, MeshPart) else ():
+            if isinstance(surface.shape, MeshShape):
+                where = f'{scene.origin}: target "{surface.name}"'
+                files[mesh_file(stem, surface.name)] = compiled_mesh(
+                    surface.shape, frame, options, programs, folder, where=where
+                )
     identity, parts = identity_text(scene, glowing, frame, stem)
     return PreparedScene(scene_text(scene, texts, files, frame, stem), identity, parts, texts, tuple(shining))
 

@@ -156,10 +156,11 @@ def identity_text(
             _shining_surface(source.name, emitter, frame) for emitter in emitters(source) if emitter.name in shown
         ]
     for target in scene.targets:
-        for part in dict.fromkeys(f"{target.name}.{surface.part}" for surface in surfaces(target)):
+        pieces = surfaces(target)
+        for part in dict.fromkeys(f"{target.name}.{surface.part}" for surface in pieces):
             parts.append(part)
             texts.append(_glow(part, len(parts)))
-        texts += _geometry(target, functions, frame, stem)
+        texts += _geometry(target, pieces, functions, frame, stem)
     return "\n".join(texts), tuple(parts)
 
 
@@ -264,23 +265,26 @@ def _shining_surface(modifier: str, emitter: Emitter, frame: TextFrame) -> str:
 
 def _target(target: Target, materials: Mapping[str, Material], stem: str, frame: TextFrame) -> Iterator[str]:
     functions, _ = function_file(stem)
-    for surface in {surface.part: surface for surface in surfaces(target)}.values():
+    pieces = surfaces(target)
+    for surface in {surface.part: surface for surface in pieces}.values():
         modifier = f"{target.name}.{surface.part}"
         text = described(
             modifier, f"{stem}.{surface.material}", functions, materials[surface.material], placement(target, frame)
         )
         yield f"# {modifier}: {surface.material}\n{text}"
-    yield from _geometry(target, functions, frame, stem)
+    yield from _geometry(target, pieces, functions, frame, stem)
 
 
-def _geometry(target: Target, functions: str, frame: TextFrame, stem: str) -> Iterator[str]:
+def _geometry(
+    target: Target, pieces: tuple[Surface, ...], functions: str, frame: TextFrame, stem: str
+) -> Iterator[str]:
     """A target's surfaces; a modifier of the target's name and part must stand before each part."""
     modifier = f"{target.name}.surface"
     if isinstance(target, DotBoard | EdgeTarget):
-        decal = next(surface.part for surface in surfaces(target) if surface.is_decal)
+        decal = next(surface.part for surface in pieces if surface.is_decal)
         yield painted(f"{target.name}.both", (f"{target.name}.{decal}", modifier), functions, target, frame)
         modifier = f"{target.name}.both"
-    for surface in surfaces(target):
+    for surface in pieces:
         if not surface.is_decal:
             yield _surface(surface, modifier, frame, stem)
 

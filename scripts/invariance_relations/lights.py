@@ -11,8 +11,11 @@ from invariance_relations.documents import WIDE, Table, length, lengths
 
 _POINTLIKE: Final = ("led", "lamp", "disc", "ies", "ring")
 _WIDE_SHARE: Final = 0.2  # of the scenes
-_WIDE_CHANCES: Final = (0.3, 0.25, 0.1, 0.25, 0.1)  # domes and surrounds take hundreds of patches
-_ASKED: Final = 0.05  # irradiance error of wide sources, coarse so that many scenes can be seen
+_WIDE_CHANCES: Final = (0.3, 0.25, 0.1, 0.25, 0.1)  # domes and surrounds take the most patches
+# Irradiance error of wide sources, coarse so that many scenes can be seen; at 0.05 what shines from all around takes
+# hundreds of patches, at this one some 60.
+_ASKED: Final = 0.05
+_ASKED_AROUND: Final = 0.15
 
 
 def draw_sources(random: np.random.Generator, distance: float, seen: float, files: dict[str, bytes]) -> list[Table]:
@@ -66,7 +69,7 @@ def _source(kind: str, name: str, distance: float, seen: float, random: np.rando
     table: Table = {"type": kind, "name": name}
     strength = random.uniform(1, 4)  # W/m^2 at the origin, about
     if kind == "surround":
-        return table | {"radiance": f"{strength / math.pi:.6g} W/m^2/sr", "irradiance_error": _ASKED}
+        return table | {"radiance": f"{strength / math.pi:.6g} W/m^2/sr", "irradiance_error": _ASKED_AROUND}
     if kind == "coaxial":
         way, diameter = distance * random.uniform(0.3, 0.8), distance * random.uniform(0.1, 0.3)
         level = strength * (distance + way) ** 2 / (math.pi / 4 * diameter**2)
@@ -84,7 +87,7 @@ def _source(kind: str, name: str, distance: float, seen: float, random: np.rando
             "radiance": f"{strength / math.pi:.6g} W/m^2/sr",
             "diameter": length(2 * radius),
             "opening_diameter": length(2 * seen + 0.05 * distance),
-            "irradiance_error": _ASKED,
+            "irradiance_error": _ASKED_AROUND,
         }
     return table | _aimed(kind, strength, distance, seen, random)
 

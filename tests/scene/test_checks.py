@@ -13,7 +13,7 @@ import radwrap
 from radwrap.errors import InputError
 from radwrap.scene.look.checks import source_width_error, warnings_of
 from radwrap.scene.look.geometry import signed_distance
-from radwrap.scene.look.intersections import first_hit, nearest_point
+from radwrap.scene.look.intersections import Bounded, first_hit, nearest_point
 from radwrap.scene.targets import Target
 
 BENCH = Path(__file__).parents[2] / "rad_scenes" / "bench_board" / "scene.toml"
@@ -87,23 +87,28 @@ def test_a_close_narrow_beam_is_refused(document: dict[str, Any], name: str) -> 
         document, TARGETS[name], position=metres(*(point + np.array([0, 0, 0.02]))), look_at=metres(*point)
     )
     scene = radwrap.scene_from_document(further)
-    assert source_width_error(scene, scene.emitters[0]) == pytest.approx(0.0025, rel=SLOPE)
+    assert source_width_error(Bounded.of(scene.targets), scene.emitters[0]) == pytest.approx(0.0025, rel=SLOPE)
     assert warnings_of(scene)[0].startswith('"led" is close to what it lights: irradiance off by up to 0.2')
 
 
 FAR = {"position": ["0 m", "0 m", "1 m"], "look_at": ["0 m", "0 m", "0 m"]}
 
 
+@pytest.mark.parametrize("draws", [5, pytest.param(12, marks=pytest.mark.long)])
 @pytest.mark.parametrize("profile", ["cone", "gaussian", "lambertian"])
 @pytest.mark.parametrize("name", TARGETS)
-def test_the_nearest_lit_point_is_found(document: dict[str, Any], name: str, profile: str) -> None:
-    """Against 100 000 rays drawn within the beam, for sources that stand and look anyhow."""
+def test_the_nearest_lit_point_is_found(document: dict[str, Any], name: str, profile: str, draws: int) -> None:
+    """Against 100 000 rays drawn within the beam, for sources that stand and look anyhow.
+
+    A point that is overlooked fails each draw that meets it: five draws of 24 cases, of which each looks at one at
+    least, show a fault of a shape or a profile; twelve show rarer places too (long).
+    """
     random = np.random.default_rng(7)
     beam: dict[str, Any] = {"profile": profile}
     if profile != "lambertian":
         beam |= {"width": "12 deg", "width_definition": "half_angle"}
     hits = 0
-    for _ in range(12):
+    for _ in range(draws):
         away = random.normal(size=3)
         place = away / np.linalg.norm(away) * random.uniform(0.45, 0.6)
         # Wide enough for an error that is looked for, narrow enough to be accepted.
@@ -127,11 +132,11 @@ def test_the_nearest_lit_point_is_found(document: dict[str, Any], name: str, pro
         distance, _ = first_hit(scene.targets[0], np.asarray(emitter.position), rays)
         lit = emitter.beam.relative_intensity(np.arccos(np.clip(rays @ emitter.axis, -1, 1))) > 1e-4
         nearest = distance[lit].min()
-        found = source_width_error(scene, emitter)
+        found = source_width_error(Bounded.of(scene.targets), emitter)
         if np.isfinite(nearest) and (0.025 / nearest) ** 2 > 1e-3:
             hits += 1
             assert found >= (0.025 / nearest) ** 2 * (1 - SAMPLED)
-    assert hits >= 3
+    assert hits >= draws // 4
 
 
 @pytest.mark.parametrize("name", TARGETS)

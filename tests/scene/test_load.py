@@ -183,6 +183,15 @@ def test_camera_poses_agree_however_they_are_written(document: dict[str, Any]) -
         ({"camera.focus": "1 mm"}, "camera.focus", "unknown key"),
         ({"camera.aperture.colour": "red"}, "camera.aperture.colour", "unknown key"),
         ({"sources[0].beam.width": "7.6 mm"}, "sources[0].beam.width", "no unit of angle"),
+        ({"sources[0].beam": {"profile": "cosine_power", "width": "1e-6 deg"}}, "sources[0].beam.width", "narrowest"),
+        (
+            {
+                "sources[0].leds": [{"index": 3, "beam_width_factor": 1e-5}],
+                "sources[0].beam": {"profile": "cosine_power", "width": "7 deg"},
+            },
+            "sources[0].leds[0].beam_width_factor",
+            "0.001 deg is the narrowest",
+        ),
         ({"sources[0].radiance": "2324 W/m^2"}, "sources[0].radiance", "no unit of radiance"),
         ({"sources[0].radiant_intensity": "1 W/sr"}, "sources[0]", "exactly one"),
         ({"sources[0].type": "laser"}, "sources[0].type", "not one of"),

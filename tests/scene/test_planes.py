@@ -138,12 +138,14 @@ def test_a_mesh_is_held_against_planes(tmp_path: Path) -> None:
 
 def test_pairs_are_those_of_each_against_all(monkeypatch: pytest.MonkeyPatch) -> None:
     random = np.random.default_rng(4)
-    middles, reach = random.uniform(-1, 1, (80, 3)) * [0.3, 1.0, 0.5], random.uniform(0, 0.2, 80)
+    middles, reach = random.uniform(-1, 1, (80, 3)) * [0.3, 1.0, 0.5], random.uniform(0, 0.2, (80, 3))
     reach[7] = 3.0  # one that meets all
     monkeypatch.setattr(planes, "_MOST_PAIRS", 50)
-    found = [tuple(pair) for pairs in planes._beside_each_other(middles, reach) for pair in pairs.tolist()]
-    gap = np.abs(middles[:, 1] - middles[:, np.newaxis, 1])
-    a, b = np.nonzero(np.triu(gap <= reach + reach[:, np.newaxis], 1))
+    found = [
+        tuple(pair) for pairs in planes._beside_each_other(middles - reach, middles + reach) for pair in pairs.tolist()
+    ]
+    gap = np.abs(middles - middles[:, np.newaxis])
+    a, b = np.nonzero(np.triu((gap <= reach + reach[:, np.newaxis]).all(axis=2), 1))
     assert sorted(found) == list(zip(a.tolist(), b.tolist(), strict=True))
 
 

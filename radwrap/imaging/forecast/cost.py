@@ -22,6 +22,9 @@ _BASE_MEMORY: Final = 150 << 20
 # Float64 sums and images while merging, and each worker's float32 image with its copy for reading back [byte/pixel].
 _MERGE_BYTES: Final = 60
 _WORKER_BYTES: Final = 16
+# Of replicates that are kept beside their image, each as float32 with what cells change and as float64 twice, once more
+# while they are written: measured at 1.3 million pixels [byte/pixel].
+_REPLICATE_BYTES: Final = 36
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +67,9 @@ def seconds_per_ray(view: View) -> float:
     return (time.monotonic() - start) / len(pixels)
 
 
-def estimate(scene: Scene, rays: float, workers: int, measure: Callable[[], float] | None = None) -> Cost:
+def estimate(
+    scene: Scene, rays: float, workers: int, measure: Callable[[], float] | None = None, *, replicates: int = 0
+) -> Cost:
     """Estimate what a run will cost.
 
     Parameters
@@ -77,18 +82,20 @@ def estimate(scene: Scene, rays: float, workers: int, measure: Callable[[], floa
         Tracer processes at a time.
     measure : callable, optional
         Gives the time a ray takes on one core [s]; default a model of rtrace.
+    replicates : int
+        Images that are kept beside the result, as runs of a study do.
     """
     pixels = scene.camera.sensor.pixels
     model = _SECONDS_PER_RAY + _SECONDS_PER_RAY_AND_SOURCE * len(scene.emitters)
     per_ray = model if measure is None else measure()
     return Cost(
         rays=round(rays),
-        memory_bytes=_BASE_MEMORY + pixels * (_MERGE_BYTES + _WORKER_BYTES * workers),
+        memory_bytes=_BASE_MEMORY + pixels * (_MERGE_BYTES + _WORKER_BYTES * workers + _REPLICATE_BYTES * replicates),
         seconds=rays * per_ray / workers,
     )
 
 
-def check_size(scene: Scene, max_pixels: int, rays_per_pixel: int, workers: int) -> None:
+def check_size(scene: Scene, max_pixels: int, rays_per_pixel: float, workers: int, *, replicates: int = 0) -> None:
     """Refuse a sensor that is larger than the user wants to pay for.
 
     Raises
@@ -100,7 +107,7 @@ def check_size(scene: Scene, max_pixels: int, rays_per_pixel: int, workers: int)
     if pixels > max_pixels:
         raise InputError(
             f"{pixels:.4g} pixels are more than `max_pixels={max_pixels:.4g}`; this would take "
-            f"{estimate(scene, pixels * rays_per_pixel, workers)}",
+            f"{estimate(scene, pixels * rays_per_pixel, workers, replicates=replicates)}",
             where=f"{scene.origin}: camera.sensor",
             remedy="raise `max_pixels` if that is meant",
         )

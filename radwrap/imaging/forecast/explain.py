@@ -130,10 +130,11 @@ def _target(camera: Camera, name: str, position: tuple[float, float, float]) -> 
 def _ring(scene: Scene, ring: Ring) -> dict[str, Any]:
     """Angle at each target between the pinhole and the ring's LEDs, seen from the target's centre."""
     angles = {}
+    leds = np.array([emitter.position for emitter in emitters(ring)])
     for target in scene.targets:
         origin = np.asarray(target.pose.position)
         to_eye = np.asarray(scene.camera.pose.position) - origin
-        to_led = np.array([emitter.position for emitter in emitters(ring)]) - origin
+        to_led = leds - origin
         cosine = to_led @ to_eye / (np.linalg.norm(to_led, axis=1) * np.linalg.norm(to_eye))
         angles[target.name] = finite(float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))).mean()))
     return {"name": ring.name, "observation_angle_deg": angles}

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from radwrap.imaging.forecast.closed_form import radiance
 from radwrap.imaging.optics.view import central_weights
 from radwrap.scene.look.geometry import SurfacePoints, directions, in_view, project
-from radwrap.scene.look.intersections import first_hit, in_polygon, reached
-from radwrap.scene.look.probes import lit_points, material_number, materials_of, surface_points
+from radwrap.scene.look.intersections import Bounded, first_hit, in_polygon, reached
+from radwrap.scene.look.probes import beam_rays, lit_points, material_number, materials_of, surface_points
 from radwrap.scene.look.superposed import summed, superposed
 from radwrap.scene.materials import Anisotropic, Glass, Specular
 from radwrap.scene.scene import Scene
@@ -56,6 +56,31 @@ class Brightest:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Known:
+    """What each look needs of a scene, made once for many looks.
+
+    Attributes
+    ----------
+    scene : Scene
+        What is there.
+    lit : tuple of Emitter
+        What shines, those in one place as one.
+    solid : Bounded
+        Targets that are not of glass.
+    """
+
+    scene: Scene
+    lit: tuple[Emitter, ...]
+    solid: Bounded
+
+    @classmethod
+    def of(cls, scene: Scene) -> _Known:
+        panes = {name for name, material in scene.materials.items() if isinstance(material, Glass)}
+        solid = Bounded.of(target for target in scene.targets if panes.isdisjoint(materials_of(target)))
+        return cls(scene, tuple(summed(group) for group in superposed(scene.emitters)), solid)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Seen:
     """What rays from the pinhole's centre see.
 
@@ -86,29 +111,33 @@ def look(scene: Scene, rays: Array, weights: Array | None = None) -> Seen:
     weights : ndarray, shape (n,), optional
         What counts of each ray's radiance; default cos^4(theta).
     """
+    return _looked(_Known.of(scene), rays, weights)
+
+
+def _looked(known: _Known, rays: Array, weights: Array | None = None) -> Seen:
+    scene = known.scene
     eye = np.asarray(scene.camera.pose.position)
     nearest = np.full(len(rays), math.inf)
-    value = np.full(len(rays), math.nan)
     number = np.full(len(rays), -1, dtype=np.intp)
+    normal, grain = np.zeros((2, len(rays), 3))
     names: list[tuple[str, str]] = []
-    lit = _lit(scene)
-    panes = {name for name, material in scene.materials.items() if isinstance(material, Glass)}
-    solid = [target for target in scene.targets if panes.isdisjoint(materials_of(target))]
-    for target, numbers in reached(solid, scene.camera.pose.position, rays):
+    for target, numbers in reached(known.solid, scene.camera.pose.position, rays):
         distance, normals = first_hit(target, eye, rays[numbers])
         closer = distance < nearest[numbers]
-        met, distance, normals = numbers[closer], distance[closer], normals[closer]
-        nearest[met] = distance
-        points = eye + distance[:, np.newaxis] * rays[met]
-        which = material_number(target, points)
-        for index, material in enumerate(materials_of(target)):
-            of = which == index
-            if of.any():
-                group = SurfacePoints(target.name, material, points[of], normals[of], target.pose.x_axis)
-                value[met[of]] = _reflected(scene, lit, group, eye)
-                number[met[of]] = len(names)
-            names.append((target.name, material))
-    for emitter in lit:
+        if not closer.any():
+            continue
+        met = numbers[closer]
+        nearest[met], normal[met], grain[met] = distance[closer], normals[closer], target.pose.x_axis
+        number[met] = len(names) + material_number(target, eye + distance[closer, np.newaxis] * rays[met])
+        names += [(target.name, material) for material in materials_of(target)]
+    value = np.full(len(rays), math.nan)
+    hit = np.flatnonzero(number >= 0)
+    which = np.array([material for _, material in names])[number[hit]]
+    for material in np.unique(which):  # of many targets few materials
+        of = hit[which == material]
+        points = eye + nearest[of, np.newaxis] * rays[of]
+        value[of] = _reflected(known, SurfacePoints("", str(material), points, normal[of], grain[of]), eye)
+    for emitter in known.lit:
         distance, shown = _disc(emitter, eye, rays)
         closer = distance < nearest
         nearest[closer], value[closer], number[closer] = distance[closer], shown[closer], len(names)
@@ -118,10 +147,10 @@ def look(scene: Scene, rays: Array, weights: Array | None = None) -> Seen:
     return Seen(value * weights, number, tuple(names))
 
 
-def _reflected(scene: Scene, lit: list[Emitter], group: SurfacePoints, eye: Array) -> Array:
-    material = scene.materials[group.material]
+def _reflected(known: _Known, group: SurfacePoints, eye: Array) -> Array:
+    material = known.scene.materials[group.material]
     total = np.zeros(len(group.points))
-    for emitter in lit:
+    for emitter in known.lit:
         total += radiance(material, group, emitter, eye)
     return total
 
@@ -157,14 +186,15 @@ def _in_patch(patch: Patch, points: Array) -> NDArray[np.bool_]:
 
 def brightest(scene: Scene) -> Brightest | None:
     """Brightest point in view; None where no ray meets anything that is known here."""
-    uv, step = _first_look(scene)
-    seen = _shown(scene, uv)
+    known = _Known.of(scene)
+    uv, step = _first_look(known)
+    seen = _shown(known, uv)
     best: tuple[float, tuple[str, str]] | None = None
-    for start in _brightest_rays(seen, uv, _STARTS if len(_lit(scene)) <= _MOST_BEAMS else 2):
+    for start in _brightest_rays(seen, uv, _STARTS if len(known.lit) <= _MOST_BEAMS else 2):
         place, width = start, step
         for _ in range(_LOOKS):
             around = _around(scene, place, width)
-            finer = _shown(scene, around)
+            finer = _shown(known, around)
             if (finer.number < 0).all():  # on the very border of what is seen
                 break
             top = int(np.nanargmax(finer.value))
@@ -174,12 +204,12 @@ def brightest(scene: Scene) -> Brightest | None:
     return None if best is None else Brightest(*best[1], best[0])
 
 
-def _shown(scene: Scene, uv: Array) -> Seen:
+def _shown(known: _Known, uv: Array) -> Seen:
     """What the sensor receives at places, (column, row) [px], shape (n, 2)."""
-    camera = scene.camera
+    camera = known.scene.camera
     plain = camera.lens is None and camera.distortion is None
     weights = None if plain else central_weights(camera, uv[:, 0], uv[:, 1])
-    return _blurred(scene, look(scene, directions(camera, uv), weights))
+    return _blurred(known.scene, _looked(known, directions(camera, uv), weights))
 
 
 def _blurred(scene: Scene, seen: Seen) -> Seen:
@@ -204,10 +234,10 @@ def _blurred(scene: Scene, seen: Seen) -> Seen:
     return replace(seen, value=seen.value * factors[seen.number])
 
 
-def _first_look(scene: Scene) -> tuple[Array, float]:
+def _first_look(known: _Known) -> tuple[Array, float]:
     """Places on the sensor, (column, row) [px], shape (n, 2), and the distance of those that are evenly spread."""
-    sensor = scene.camera.sensor
-    most = _most_rays(scene)
+    sensor = known.scene.camera.sensor
+    most = max(1000, min(_MOST_RAYS, _MOST_VALUES // max(1, len(known.lit))))
     step = max(1.0, math.sqrt(sensor.pixels / most))
     counts = (max(1, math.ceil(sensor.columns / step)), max(1, math.ceil(sensor.rows / step)))
     u, v = (
@@ -215,27 +245,23 @@ def _first_look(scene: Scene) -> tuple[Array, float]:
         for number, size in zip(counts, (sensor.columns, sensor.rows), strict=True)
     )
     grid = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-    special = _special_places(scene)
+    special = _special_places(known)
     return np.vstack([grid, special[:: math.ceil(max(len(special), 1) / most)]]), step
 
 
-def _most_rays(scene: Scene) -> int:
-    return max(1000, min(_MOST_RAYS, _MOST_VALUES // max(1, len(_lit(scene)))))
-
-
-def _special_places(scene: Scene) -> Array:
+def _special_places(known: _Known) -> Array:
     """Where sources, what they light, and their mirror images are seen, (column, row) [px]."""
+    scene, lit = known.scene, known.lit
     camera = scene.camera
-    lit = _lit(scene)
     most = max(1, min(_MOST_BEAMS, _MOST_PAIRS // max(len(scene.targets), 1)))
-    beams = lit[:: math.ceil(max(len(lit), 1) / most)]
+    beams = [(emitter, beam_rays(emitter)) for emitter in lit[:: math.ceil(max(len(lit), 1) / most)]]
     points = [np.array([emitter.position for emitter in lit]).reshape(-1, 3)]
     for target in scene.targets:
         groups = surface_points(target, camera.pose.position)
         points += [group.points for group in groups]
         glossy = any(isinstance(scene.materials[name], Specular | Anisotropic) for name in materials_of(target))
-        for emitter in beams:
-            points += [group.points for group in lit_points(target, emitter)]
+        for emitter, beam in beams:
+            points += [group.points for group in lit_points(target, emitter, beam)]
             if glossy:
                 points.append(_highlight(scene, target, emitter))
     together = np.vstack(points)
@@ -288,7 +314,3 @@ def _around(scene: Scene, place: Array, width: float) -> Array:
 def _brightest_rays(seen: Seen, uv: Array, number: int) -> Array:
     met = np.flatnonzero(seen.number >= 0)
     return uv[met[np.argsort(-seen.value[met], kind="stable")[:number]]]
-
-
-def _lit(scene: Scene) -> list[Emitter]:
-    return [summed(group) for group in superposed(scene.emitters)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final, TypeVar, get_args
 
 from pydantic import ValidationError
@@ -66,16 +66,23 @@ def _known(shape: Any, steps: Sequence[int | str]) -> tuple[str, ...]:
     return tuple(shape.model_fields) if isinstance(shape, type) and issubclass(shape, Model) else ()
 
 
-def _as_told(detail: ErrorDetails) -> list[int | str]:
-    return list(detail["loc"])
+def _steps(detail: ErrorDetails, document: Any) -> list[int | str]:
+    """Where in the file a detail is; the names of alternatives, which pydantic adds, are left out."""
+    steps: list[int | str] = []
+    way = list(detail["loc"])
+    missing = [way.pop()] if detail["type"] == "missing" else []
+    for step in way:
+        if not isinstance(document, dict) or step in document:
+            steps.append(step)
+            document = _written(document, [step])
+    steps += missing
+    if detail["type"] in ("union_tag_invalid", "union_tag_not_found"):
+        key = detail["ctx"]["discriminator"].strip("'")
+        steps.append(key if key.isidentifier() else "model")  # a sensor's is told by a function
+    return steps
 
 
-def fault(
-    error: ValidationError,
-    origin: str,
-    document: Mapping[str, Any],
-    steps_of: Callable[[ErrorDetails], list[int | str]] = _as_told,
-) -> InputError:
+def fault(error: ValidationError, origin: str, document: Mapping[str, Any]) -> InputError:
     """One line for the first thing that is wrong, in the user's words.
 
     Parameters
@@ -86,15 +93,13 @@ def fault(
         File.
     document : Mapping
         Its tables.
-    steps_of : callable
-        Where in the file a detail is, where that is not what pydantic says.
     """
     details = error.errors(include_url=False)
     # An unknown key often explains the missing one beside it, so it is told first.
     details.sort(key=lambda detail: detail["type"] != "extra_forbidden")
     first = details[0]
     more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
-    steps = steps_of(first)
+    steps = _steps(first, document)
     return InputError(_message(first, _written(document, steps)) + more, where=f"{origin}: {_key_path(steps)}")
 
 

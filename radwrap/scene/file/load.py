@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from pydantic import BaseModel, ValidationError
-from pydantic_core import ErrorDetails, PydanticUndefined
+from pydantic_core import PydanticUndefined
 
 from radwrap.errors import InputError
 from radwrap.reading import FileKind, check_tree, read_toml, shortened, whole_number
@@ -72,7 +72,7 @@ def load_materials(path: str | Path) -> dict[str, Material]:
     try:
         model = _MaterialsModel.model_validate(document)
     except ValidationError as error:
-        raise fault(error, path.name, document, _steps) from error
+        raise fault(error, path.name, document) from error
     found = {
         name: material_from_table(table, f"{path}: materials.{name}", f"materials.{name}", {}, path.parent)
         for name, table in model.materials.items()
@@ -107,7 +107,7 @@ def scene_from_document(
     try:
         model = SceneModel.model_validate(whole)
     except ValidationError as error:
-        raise in_sheet(fault(error, origin, whole, _steps), document, whole, origin) from error
+        raise in_sheet(fault(error, origin, whole), document, whole, origin) from error
     scene = scene_from_model(model, assumed=dict(_assumed(model)), origin=origin, folder=folder, document=text)
     check_shapes(scene)
     check_beside(scene)
@@ -182,18 +182,6 @@ def set_key(document: Any, key: str, value: Any, origin: str) -> None:
         place[last] = value
     else:
         raise InputError("the scene has no such place", where=where)
-
-
-def _steps(detail: ErrorDetails) -> list[int | str]:
-    """Where in the file; the names of alternatives, which pydantic adds, are left out."""
-    steps = list(detail["loc"])
-    if steps and steps[0] in ("sources", "targets", "materials") and len(steps) > 2:
-        del steps[2]
-    if steps[:2] == ["camera", "sensor"] and len(steps) > 2 and steps[2] in ("power_law", "linear"):
-        del steps[2]
-    if detail["type"] in ("union_tag_invalid", "union_tag_not_found"):
-        steps.append("model" if steps == ["camera", "sensor"] else "type")
-    return steps
 
 
 def _assumed(model: BaseModel, prefix: str = "") -> Iterator[tuple[str, str]]:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Final, TypeVar
 
 from radwrap.errors import InputError
 from radwrap.frames import Pose, along, normalised, rotation_about
@@ -28,13 +28,24 @@ from radwrap.scene.sources import (
     cosine_power_spread,
     dimmed,
     gaussian_spread,
+    half_width,
 )
 from radwrap.scene.wide_shapes import Annulus, Rectangle, WideShape, Zone, area
 
 _Read = TypeVar("_Read")
+# Full width at half maximum of a power of the cosine [rad]: much narrower, and the cosine is 1 to all digits.
+# A Gaussian or a cone is told by the angle itself.
+_NARROWEST: Final = math.radians(1e-3)
+_ROUNDING: Final = 1e-5  # share of such a width, where it comes out of its cosine
 
 
 def _beam(table: tables.BeamModel, where: str, key: str, assumed: dict[str, str], folder: Path) -> Beam:
+    beam = _any_beam(table, where, key, assumed, folder)
+    _check_width(beam, f"{where}.beam.{'width' if table.file is None else 'file'}")
+    return beam
+
+
+def _any_beam(table: tables.BeamModel, where: str, key: str, assumed: dict[str, str], folder: Path) -> Beam:
     if table.file is not None:
         return from_file(table.file, f"{where}.beam.file", folder, read_beam)
     if table.profile == "lambertian" or table.width is None:
@@ -54,9 +65,20 @@ def _beam(table: tables.BeamModel, where: str, key: str, assumed: dict[str, str]
     return Beam("cone", half)
 
 
+def _check_width(beam: Beam, where: str) -> None:
+    width = abs(2 * half_width(beam))
+    if beam.profile == "cosine_power" and width < _NARROWEST * (1 - _ROUNDING):
+        raise InputError(
+            f"makes a beam {math.degrees(width):.2g} deg wide at half its intensity",
+            where=where,
+            remedy=f"{math.degrees(_NARROWEST):g} deg is the narrowest power of a cosine; take a gaussian",
+        )
+
+
 def _check_beam_factors(table: tables.RingModel, beam: Beam, where: str) -> None:
     for index, led in enumerate(table.leds):
         place = f"{where}.leds[{index}].beam_width_factor"
+        _check_width(replace(beam, spread=beam.spread * led.beam_width_factor), place)
         if beam.profile == "lambertian" and led.beam_width_factor != 1:
             raise InputError("a lambertian beam has no width", where=place, remedy="leave it out")
         if beam.profile == "cone" and beam.spread * led.beam_width_factor > math.pi / 2:

@@ -14,6 +14,7 @@ from radwrap.errors import InputError
 from radwrap.frames import Vector
 from radwrap.scene.camera import Camera
 from radwrap.scene.look.geometry import SurfacePoints, in_view, signed_distance
+from radwrap.scene.look.intersections import Bounded
 from radwrap.scene.look.planes import check_planes
 from radwrap.scene.look.probes import (
     LIT_SHARE,
@@ -25,7 +26,7 @@ from radwrap.scene.look.probes import (
     surface_points,
 )
 from radwrap.scene.look.sight import sources_in_sight
-from radwrap.scene.look.smallness import small_parts
+from radwrap.scene.look.smallness import small_parts, small_spots
 from radwrap.scene.materials import GLASS_BEAD_OBSERVATION, CoefficientTable, GlassBeads, Material, PrintedSheeting
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Emitter, IntensityTable, Luminaire, Patch, SingleSource, Source, TableBeam, WideSource
@@ -157,15 +158,15 @@ def _check_clearance(scene: Scene) -> None:
             )
 
 
-def source_width_error(scene: Scene, emitter: Emitter) -> float:
-    """Largest (radius/distance)^2 over the points that a source lights: the error of sampling its centre.
+def source_width_error(targets: Bounded, emitter: Emitter) -> float:
+    """Largest (radius/distance)^2 over the points of targets that a source lights: the error of sampling its centre.
 
     0 where it is nowhere above the limit of the warning, and for a patch, which was made small enough.
     """
     worst = 0.0
     if isinstance(emitter, Patch):
         return worst
-    for target in scene.targets:
+    for target in targets.nearer_than(emitter.position, emitter.radius / math.sqrt(_WIDTH_WARNING)):
         # What is nearest is no nearer than this, lit or not.
         distance = max(signed_distance(target, emitter.position), 0.0)
         if emitter.radius**2 <= max(worst, _WIDTH_WARNING) * distance**2:
@@ -175,8 +176,9 @@ def source_width_error(scene: Scene, emitter: Emitter) -> float:
 
 
 def _check_source_widths(scene: Scene) -> None:
+    targets = Bounded.of(scene.targets)
     for emitter in scene.emitters:
-        error = source_width_error(scene, emitter) if emitter.radiance > 0 else 0.0
+        error = source_width_error(targets, emitter) if emitter.radiance > 0 else 0.0
         if error > WIDE_SOURCE_LIMIT:
             raise InputError(
                 f'"{emitter.name}" is too wide for its distance: its irradiance would be off '
@@ -287,8 +289,9 @@ def _rim(camera: Camera) -> NDArray[np.float64]:
 def warnings_of(scene: Scene) -> tuple[str, ...]:
     """What a user should know of a scene that is valid, one line each."""
     found = []
+    targets = Bounded.of(scene.targets)
     for emitter in scene.emitters:
-        error = source_width_error(scene, emitter) if emitter.radiance > 0 else 0.0
+        error = source_width_error(targets, emitter) if emitter.radiance > 0 else 0.0
         if error > _WIDTH_WARNING:
             found.append(f'"{emitter.name}" is close to what it lights: irradiance off by up to {error:.2%}')
     if not scene.included and not any(_is_seen(scene.camera, target) for target in scene.targets):
@@ -297,7 +300,7 @@ def warnings_of(scene: Scene) -> tuple[str, ...]:
     found += _half_shadows(scene)
     found += _doubtful_tables(scene)
     found += _other_wavelength(scene)
-    return (*found, *small_parts(scene), *sources_in_sight(scene))
+    return (*found, *small_parts(scene), *small_spots(scene), *sources_in_sight(scene))
 
 
 def _unknown_widths(scene: Scene) -> Iterator[str]:

@@ -28,7 +28,7 @@ class SurfacePoints:
         Names.
     points, normals : ndarray, shape (n, 3)
         In the world [m]; unit normals of the front.
-    grain : tuple of float
+    grain : tuple of float, or ndarray of shape (n, 3)
         The target's x in the world.
     """
 
@@ -36,7 +36,7 @@ class SurfacePoints:
     material: str
     points: NDArray[np.float64]
     normals: NDArray[np.float64]
-    grain: Vector = (1.0, 0.0, 0.0)
+    grain: Vector | NDArray[np.float64] = (1.0, 0.0, 0.0)
 
 
 def signed_distance(target: Target, point: Vector) -> float:

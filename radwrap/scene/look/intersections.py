@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from typing import Final, assert_never
 
 import numpy as np
@@ -30,38 +31,77 @@ Array = NDArray[np.float64]
 
 # A ray that starts on a surface does not meet it there [m]; no scene has parts as small.
 _START: Final = 1e-12
-_MOST_PAIRS: Final = 1_000_000  # of targets and rays that are looked at together
 _ROUNDING: Final = 1e-12  # of a squared distance, which is a difference of squares
+_TINY: Final = 1e-300  # is no distance
 
 
-def reached(targets: Sequence[Target], origin: Vector, rays: Array) -> Iterator[tuple[Target, NDArray[np.intp]]]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Bounded:
+    """Targets, and spheres that hold them.
+
+    Attributes
+    ----------
+    targets : tuple of Target
+        Without Radiance files, of which nothing is known.
+    centres : ndarray, shape (n, 3)
+        In the world [m].
+    radii : ndarray, shape (n,)
+        Of the spheres [m].
+    """
+
+    targets: tuple[Target, ...]
+    centres: Array
+    radii: Array
+
+    @classmethod
+    def of(cls, targets: Iterable[Target]) -> Bounded:
+        """The spheres of some targets: of many, whoever asks more than once makes them once."""
+        known = tuple(target for target in targets if not isinstance(target, RadFile))
+        centres = np.array([target.pose.position for target in known]).reshape(-1, 3)
+        return cls(known, centres, np.array([_reach(target) for target in known]))
+
+    def nearer_than(self, point: Vector, distance: float) -> Iterator[Target]:
+        """Targets that may be nearer to a point than a distance [m]; those left out are not."""
+        away = np.linalg.norm(self.centres - np.asarray(point), axis=1)
+        for number in np.flatnonzero(away * (1 - _ROUNDING) - self.radii <= distance):
+            yield self.targets[number]
+
+
+def reached(among: Bounded, origin: Vector, rays: Array) -> Iterator[tuple[Target, NDArray[np.intp]]]:
     """Targets that rays from one point may meet, each with the numbers of these rays.
 
     Most rays pass most targets by: a sphere that holds the target says so at once.
 
     Parameters
     ----------
-    targets : sequence of Target
-        Of a Radiance file nothing is known: it is not among those met.
+    among : Bounded
+        The targets.
     origin : Vector
         In the world [m].
     rays : ndarray, shape (n, 3)
         Unit vectors.
     """
-    known = [target for target in targets if not isinstance(target, RadFile)]
-    away = np.array([target.pose.position for target in known]).reshape(-1, 3) - np.asarray(origin)
+    if not len(rays):
+        return
+    away = among.centres - np.asarray(origin)
     square = (away**2).sum(axis=1)
-    size = np.array([_reach(target) ** 2 for target in known]) + _ROUNDING * square
-    step = max(1, _MOST_PAIRS // max(len(rays), 1))
-    for first in range(0, len(known), step):
-        some = slice(first, first + step)
-        ahead = away[some] @ rays.T
+    size = among.radii**2 + _ROUNDING * square
+    within = square <= size
+    # A ray that meets a sphere ends, one unit from the origin, within a chord of where the way to its centre does: of
+    # rays that are sorted along an axis only a run may.
+    sine = np.minimum(np.sqrt(size / np.maximum(square, _TINY)), 1.0)
+    chord = np.where(within, 2.0, sine * np.sqrt(2 / (1 + np.sqrt(1 - sine**2)))) + _ROUNDING
+    axis = int(np.ptp(rays, axis=0).argmax())
+    order = np.argsort(rays[:, axis], kind="stable")
+    along, middle = rays[order, axis], away[:, axis] / np.sqrt(np.maximum(square, _TINY))
+    first, last = np.searchsorted(along, middle - chord, "left"), np.searchsorted(along, middle + chord, "right")
+    for number in np.flatnonzero(last > first):
+        some = order[first[number] : last[number]]
+        ahead = rays[some] @ away[number]
         # Those behind the origin are passed by too, unless it lies within the sphere.
-        squares, sizes = square[some, np.newaxis], size[some, np.newaxis]
-        near = (squares - ahead**2 <= sizes) & ((ahead > 0) | (squares <= sizes))
-        for target, row in zip(known[some], near, strict=True):
-            if (numbers := np.flatnonzero(row)).size:
-                yield target, numbers
+        near = (square[number] - ahead**2 <= size[number]) & ((ahead > 0) | within[number])
+        if near.any():
+            yield among.targets[number], np.sort(some[near])
 
 
 def _reach(target: Target) -> float:

@@ -151,9 +151,11 @@ def _in_one_plane(faces: list[_Face]) -> Iterator[tuple[_Face, _Face]]:
     reach = np.array(
         [np.linalg.norm(face.corners - middle, axis=1).max() for face, middle in zip(faces, middles, strict=True)]
     )
+    lows = np.array([face.corners.min(axis=0) for face in faces]).reshape(-1, 3) - _ONE_PLANE
+    highs = np.array([face.corners.max(axis=0) for face in faces]).reshape(-1, 3) + _ONE_PLANE
     owners = np.unique([face.owner for face in faces], return_inverse=True)[1]
     found = [np.empty((0, 2), dtype=np.intp)]
-    for pairs in _beside_each_other(middles, reach):
+    for pairs in _beside_each_other(lows, highs):
         a, b = pairs[owners[pairs[:, 0]] != owners[pairs[:, 1]]].T
         gap = middles[b] - middles[a]
         # A plane through a face's corners holds their mean too.
@@ -165,17 +167,14 @@ def _in_one_plane(faces: list[_Face]) -> Iterator[tuple[_Face, _Face]]:
         yield faces[first], faces[second]
 
 
-def _beside_each_other(middles: Array, reach: Array) -> Iterator[NDArray[np.intp]]:
-    """Pairs of numbers, shape (n, 2), the lower first, of spheres that overlap along the axis of their largest spread.
+def _beside_each_other(lows: Array, highs: Array) -> Iterator[NDArray[np.intp]]:
+    """Pairs of numbers, shape (n, 2), the lower first, of boxes along the world's axes that meet.
 
-    Of many faces few do, where each against all others takes minutes.
+    Those that overlap along the axis along which fewest do are looked at: each against all others takes minutes.
     """
-    if len(middles) < 2:
+    if len(lows) < 2:
         return
-    axis = int(np.ptp(middles, axis=0).argmax())
-    order = np.argsort(middles[:, axis] - reach, kind="stable")
-    low, high = ((middles[:, axis] + side * (reach + _ONE_PLANE))[order] for side in (-1, 1))
-    counts = np.searchsorted(low, high, side="right") - np.arange(1, len(order) + 1)
+    order, counts = min((_along(lows[:, axis], highs[:, axis]) for axis in range(3)), key=lambda found: found[1].sum())
     ends = np.cumsum(counts)
     start = 0
     while start < len(order):
@@ -184,8 +183,16 @@ def _beside_each_other(middles: Array, reach: Array) -> Iterator[NDArray[np.intp
         each = counts[start:stop]
         one = np.repeat(np.arange(start, stop), each)
         other = one + 1 + np.arange(len(one)) - np.repeat(ends[start:stop] - each - done, each)
-        yield np.sort(np.stack([order[one], order[other]], axis=1), axis=1)
+        one, other = order[one], order[other]
+        meet = ((lows[one] <= highs[other]) & (lows[other] <= highs[one])).all(axis=1)
+        yield np.sort(np.stack([one[meet], other[meet]], axis=1), axis=1)
         start = stop
+
+
+def _along(low: Array, high: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Numbers of stretches in the order of their beginnings, and how many that follow each begin before it ends."""
+    order = np.argsort(low, kind="stable")
+    return order, np.searchsorted(low[order], high[order], side="right") - np.arange(1, len(order) + 1)
 
 
 def _compete(first: _Face, second: _Face) -> bool:

@@ -75,9 +75,10 @@ def seen_points(target: Target, camera: Camera) -> tuple[SurfacePoints, ...]:
     return hit_points(target, camera.pose.position, directions(camera, uv))
 
 
-def lit_points(target: Target, emitter: Emitter) -> tuple[SurfacePoints, ...]:
+def lit_points(target: Target, emitter: Emitter, beam: Array | None = None) -> tuple[SurfacePoints, ...]:
     """Where a source's beam meets a target: its axis, circles about it, and the way to what is nearest.
 
+    The beam's rays are those of `beam_rays`, which whoever asks of many targets makes once.
     Where the nearest point lies outside the beam, the ray at the beam's rim
     towards it stands for it: on a plane nothing that is lit is nearer. Where
     the axis misses a flat target, the point nearest to where it meets the plane is looked at.
@@ -86,7 +87,7 @@ def lit_points(target: Target, emitter: Emitter) -> tuple[SurfacePoints, ...]:
         return ()
     axis = np.asarray(emitter.axis)
     reach = beam_reach(emitter.beam)
-    rays = [_beam_rays(axis, reach)]
+    rays = [beam_rays(emitter) if beam is None else beam]
     near, normal = nearest_point(target, emitter.position)
     away = near - np.asarray(emitter.position)
     if (distance := float(np.linalg.norm(away))) > 0:
@@ -329,11 +330,12 @@ def beam_reach(beam: Beam) -> float:
     return math.acos(LIT_SHARE)
 
 
-def _beam_rays(axis: Array, reach: float) -> Array:
-    """The axis and circles about it up to the rim, unit vectors of shape (n, 3)."""
+def beam_rays(emitter: Emitter) -> Array:
+    """A beam's axis and circles about it up to the rim, unit vectors of shape (n, 3)."""
+    axis = np.asarray(emitter.axis)
     aside = _unit_across(axis)
     other = np.cross(axis, aside)
-    polar = np.linspace(0, _inside(reach), _BEAM_CIRCLES + 1)[1:]
+    polar = np.linspace(0, _inside(beam_reach(emitter.beam)), _BEAM_CIRCLES + 1)[1:]
     azimuth = np.linspace(0, 2 * np.pi, _BEAM_AZIMUTHS, endpoint=False)
     around = np.outer(np.cos(azimuth), aside) + np.outer(np.sin(azimuth), other)
     circles = np.cos(polar)[:, np.newaxis, np.newaxis] * axis + np.sin(polar)[:, np.newaxis, np.newaxis] * around

@@ -78,7 +78,7 @@ def radiance_factor(
     to_eye: Array,
     *,
     solid_angle: Array | float = 0.0,
-    grain: Vector = (1.0, 0.0, 0.0),
+    grain: Vector | Array = (1.0, 0.0, 0.0),
 ) -> Array:
     """Radiance towards a viewer for each unit of irradiance at right angles to the light.
 
@@ -90,7 +90,7 @@ def radiance_factor(
         Unit vectors; the normal of the front.
     solid_angle : float or ndarray, shape (n,), optional
         Of the light [sr]: on a flat face Radiance widens the Gaussian lobe by it, a^2 + omega/(4 pi).
-    grain : tuple of float, optional
+    grain : tuple of float or ndarray, shape (n, 3), optional
         The target's x in the world, for a lobe that has a direction.
 
     Returns

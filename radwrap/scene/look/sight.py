@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.scene.look.geometry import across, circle, directions, project
-from radwrap.scene.look.intersections import first_hit, reached
+from radwrap.scene.look.intersections import Bounded, first_hit, reached
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Emitter, Source, WideSource, emitters
 
@@ -29,12 +29,13 @@ def sources_in_sight(scene: Scene) -> Iterator[str]:
 
     A dark source has no disc: it is left out of what is traced.
     """
+    targets = Bounded.of(scene.targets)
     for source in scene.sources:
         facing, hiding, hidden = 0, 0, ""
         if isinstance(source, WideSource) and source.kind == "surround":
             continue  # nothing lies behind it
         for emitter in emitters(source):
-            behind = _behind(scene, emitter) if emitter.radiance > 0 else None
+            behind = _behind(scene, targets, emitter) if emitter.radiance > 0 else None
             if behind is None:
                 continue
             towards = np.asarray(scene.camera.pose.position) - emitter.position
@@ -54,7 +55,7 @@ def _discs(source: Source, number: int) -> str:
     return f'the disc of "{source.name}" is' if number == 1 else f'{number} discs of "{source.name}" are'
 
 
-def _behind(scene: Scene, emitter: Emitter) -> str | None:
+def _behind(scene: Scene, targets: Bounded, emitter: Emitter) -> str | None:
     """Name of the target behind what is seen of a disc, "" where there is none; None where nothing of it is seen."""
     eye = np.asarray(scene.camera.pose.position)
     points = _in_sight(scene, emitter)
@@ -63,7 +64,7 @@ def _behind(scene: Scene, emitter: Emitter) -> str | None:
     rays = away / distance[:, np.newaxis]
     met = [
         (target.name, numbers, first_hit(target, eye, rays[numbers])[0])
-        for target, numbers in reached(scene.targets, scene.camera.pose.position, rays)
+        for target, numbers in reached(targets, scene.camera.pose.position, rays)
     ]
     seen = np.ones(len(points), dtype=bool)
     for _, numbers, further in met:

@@ -142,7 +142,7 @@ class _Probe:
 
     material: Material
     flat: bool
-    grain: Vector
+    grain: Vector | Array
     points: Array
     normals: Array
     to_eye: Array
