@@ -81,7 +81,7 @@ def main() -> int:
         print(f"{what}: {seconds:.1f} s", file=sys.stderr, flush=True)
 
     ones, twos, dasks, bare_ones, bare_twos, tables, used = [], [], [], [], [], set(), []
-    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
+    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0") as cluster:
         for _ in range(ROUNDS):
             for times, words in (
                 (ones, ("--workers", 1)),

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from radwrap.cli import options as shared
 from radwrap.errors import CheckFailed, ToleranceNotMet
+from radwrap.files import check_results
 from radwrap.manifest import json_text
 
 if TYPE_CHECKING:
@@ -49,7 +50,9 @@ def add_workers(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Carry out the verb."""
     from radwrap.study.design import read_design
-    from radwrap.study.study import StudyOptions, run_study
+    from radwrap.study.journal import RESULTS
+    from radwrap.study.report import REPORT, write_report
+    from radwrap.study.study import PLAN, STUDY, StudyOptions, run_study
 
     out = shared.out_folder(arguments, "results")
     design = read_design(arguments.design)
@@ -60,10 +63,9 @@ def run(arguments: argparse.Namespace) -> int:
         **shared.tracer_options(arguments),
         progress=True,
     )
+    check_results(out, (PLAN, RESULTS, STUDY) if arguments.no_report else (PLAN, RESULTS, STUDY, REPORT))
     study = run_study(design, out, options)
     if not arguments.no_report:
-        from radwrap.study.report import write_report
-
         write_report(study)
     told = study.summary
     if arguments.json:

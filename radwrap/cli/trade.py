@@ -7,11 +7,12 @@ from collections.abc import Iterator
 from typing import Any
 
 from radwrap.cli import options as shared
+from radwrap.files import check_results
 from radwrap.imaging.forecast.cost import duration
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.manifest import json_text
 from radwrap.study.trade import Trade, TradeOptions, measure_trade
-from radwrap.study.trade_report import as_json, pareto_front, recommendation, write_trade
+from radwrap.study.trade_report import FILES, as_json, pareto_front, recommendation, write_trade
 
 _DESCRIPTION = (
     "Runs every method with several settings on a scene, and measures time, rays and error in gray levels against rays "
@@ -67,6 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
             progress=True,
         ),
     )
+    check_results(out, FILES)
     trade = measure_trade(scene, out, options)
     write_trade(trade, out)
     print(json_text(as_json(trade)) if arguments.json else "\n".join(_lines(trade)) + "\n", end="")

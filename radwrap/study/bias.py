@@ -23,14 +23,14 @@ from radwrap.images import ExposureImage, GrayImage
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.response.sensor import gray_image
 from radwrap.imaging.synthesis import render
-from radwrap.imaging.truth import geometry
+from radwrap.imaging.truth import dot_places, edge_line
 from radwrap.manifest import json_text
 from radwrap.measure.dots import Method, find_dots
 from radwrap.measure.edges import measure_edge
 from radwrap.scene.camera import Sensor
 from radwrap.scene.file.load import with_value
 from radwrap.scene.scene import Scene
-from radwrap.scene.targets import DotBoard
+from radwrap.scene.targets import DotBoard, EdgeTarget
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,8 +91,7 @@ def dot_bias(
 ) -> list[BiasPoint]:
     """Errors of dot centres by each method against the true projected centres of the scene's first board."""
     board = next(target for target in scene.targets if isinstance(target, DotBoard))
-    truth = geometry(scene, ())["targets"][board.name]["dots"]
-    places = {(dot["row"], dot["column"]): (dot["u"], dot["v"]) for dot in truth}
+    places = {(dot.row, dot.column): (dot.u, dot.v) for dot in dot_places(scene.camera, board)}
     points = []
     for method in methods:
         try:
@@ -135,11 +134,10 @@ def edge_bias(
     methods : Mapping
         Name -> arguments of `measure_edge`.
     """
-    target, entry = next((name, t) for name, t in geometry(scene, ())["targets"].items() if "edge" in t)
-    line = entry["edge"]
-    if line["angle"] is None:
-        raise InputError("the edge lies behind the camera", where=f"{scene.origin}: {target}")
-    normal = np.array([math.cos(line["angle"]), math.sin(line["angle"])])
+    target = next(target for target in scene.targets if isinstance(target, EdgeTarget))
+    line = edge_line(scene.camera, target)
+    if line is None:
+        raise InputError("the edge lies behind the camera", where=f"{scene.origin}: {target.name}")
     sensor = scene.camera.sensor
     points = []
     for name, arguments in methods.items():
@@ -149,7 +147,7 @@ def edge_bias(
             points.append(BiasPoint(value, name, failure=str(error)))
             continue
         # The distance of the fitted line's middle point from the true line.
-        error_px = float(normal @ np.asarray(edge.centre)) - line["offset"]
+        error_px = float(line.normal @ np.asarray(edge.centre)) - line.offset
         points.append(BiasPoint(value, name, bias_u=error_px, scatter=edge.sigma_position))
     return points
 

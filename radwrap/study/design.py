@@ -6,7 +6,6 @@ Errors name the file and the key, such as ``design.toml: factors.A.levels[1]``.
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -17,36 +16,13 @@ from radwrap.imaging.render_options import RenderOptions
 from radwrap.reading import FileKind, read_toml
 from radwrap.scene.file.faults import validated
 from radwrap.scene.file.load import load_scene
-from radwrap.study.design_tables import MOST_RUNS, DesignModel, FactorModel
+from radwrap.study.design_tables import DesignModel, FactorModel, RenderModel
 from radwrap.study.factors import Factor, Level, quantity, read_draw, with_all_leds
 from radwrap.study.responses import KINDS, Response, check_options, unit_of
 
 Kind = Literal["full", "fractional", "latin_hypercube", "list"]
 Analysis = Literal["lenth", "anova", "none"]
 
-_OF_KIND: Final[Mapping[str, tuple[str, ...]]] = {
-    "full": (),
-    "fractional": ("generators",),
-    "latin_hypercube": ("runs",),
-    "list": ("runs",),
-}
-# Options of a render that a study may name, and the types they have.
-_RENDER: Final[Mapping[str, type | tuple[type, ...]]] = {
-    "method": str,
-    "tolerance": (int, float),
-    "max_error": (int, float),
-    "budget_rays": (int, float),
-    "viewpoints": int,
-    "layout": str,
-    "pixel_samples": int,
-    "pixel_sampling": str,
-    "max_pixels": int,
-}
-_CHOICES: Final[Mapping[str, tuple[str, ...]]] = {
-    "method": ("pinhole", "viewpoints", "kernel", "rays"),
-    "layout": ("rings", "hexagonal", "sunflower", "uneven"),
-    "pixel_sampling": ("centre", "jitter"),
-}
 _DESIGN_FILE: Final = FileKind("design file", 64 << 20)
 
 
@@ -111,11 +87,11 @@ def read_design(path: Path) -> Design:
     origin = path.name
     told = validated(DesignModel, read_toml(path, _DESIGN_FILE), origin, "docs/study.md shows a design file")
     scene = load_scene(path.parent / told.scene, told.set)
-    kind, plan = _plan(told.design, f"{origin}: design")
+    plan = told.design.model_dump(exclude={"kind"})
     responses = _responses(told.responses, f"{origin}: responses")
-    factors = _factors(told.factors, kind, f"{origin}: factors")
+    factors = _factors(told.factors, told.design.kind, f"{origin}: factors")
     _check_names(factors, responses, origin)
-    render, basis = _render(told.render, f"{origin}: render")
+    render_options(told.render.given(), f"{origin}: render")
     return Design(
         title=told.title or path.stem,
         origin=origin,
@@ -124,10 +100,10 @@ def read_design(path: Path) -> Design:
         document=with_all_leds(json.loads(scene.document), [key for factor in factors for key in factor.keys]),
         seed=told.seed,
         replicates=told.replicates,
-        kind=kind,
+        kind=told.design.kind,
         plan=_with_file(plan, path.parent, factors, f"{origin}: design.runs"),
-        render=render,
-        basis=basis,
+        render=told.render.given(),
+        basis=told.render.basis,
         factors=factors,
         responses=responses,
         analysis=cast("Analysis | None", told.analysis),
@@ -135,21 +111,6 @@ def read_design(path: Path) -> Design:
 
 
 # ---------------------------------------------------------------------------------------------------------- the design
-
-
-def _plan(table: Mapping[str, Any], where: str) -> tuple[Kind, Mapping[str, Any]]:
-    kind: Any = table.get("kind")
-    if not isinstance(table.get("kind"), str) or kind not in _OF_KIND:
-        raise InputError(f"must be one of {', '.join(_OF_KIND)}", where=f"{where}.kind")
-    _only(table, ("kind", *_OF_KIND[kind]), where)
-    for key in _OF_KIND[kind]:
-        if key not in table:
-            raise InputError(f"is missing, {kind} needs it", where=f"{where}.{key}")
-    if kind == "latin_hypercube":
-        _count(table["runs"], f"{where}.runs", 2, MOST_RUNS)
-    if kind == "fractional":
-        _text(table["generators"], f"{where}.generators")
-    return kind, {key: table[key] for key in _OF_KIND[kind]}
 
 
 def _with_file(plan: Mapping[str, Any], folder: Path, factors: tuple[Factor, ...], where: str) -> Mapping[str, Any]:
@@ -265,28 +226,9 @@ def _check_names(factors: tuple[Factor, ...], responses: tuple[Response, ...], o
             )
 
 
-def _render(table: Mapping[str, Any], where: str) -> tuple[Mapping[str, Any], bool | None]:
-    _only(table, (*_RENDER, "basis"), where)
-    basis = table.get("basis")
-    if basis is not None and not isinstance(basis, bool):
-        raise InputError("must be true or false", where=f"{where}.basis")
-    options = {key: value for key, value in table.items() if key != "basis"}
-    for key, value in options.items():
-        check_render_option(key, value, f"{where}.{key}")
-    render_options(options, where)
-    return options, basis
-
-
 def check_render_option(key: str, value: Any, where: str) -> None:
     """Refuse what is no option of a render, or of the wrong type."""
-    if key not in _RENDER:
-        raise InputError("unknown option", where=where, remedy=f"known are {', '.join(_RENDER)}")
-    if not isinstance(value, _RENDER[key]) or isinstance(value, bool):
-        raise InputError(f"{value!r} is of the wrong type", where=where)
-    if key in _CHOICES and value not in _CHOICES[key]:
-        raise InputError(f"{value!r} is not one of {', '.join(_CHOICES[key])}", where=where)
-    if isinstance(value, float) and not math.isfinite(value):
-        raise InputError("is not a finite number", where=where)
+    validated(RenderModel, {key: value}, where)
 
 
 def render_options(options: Mapping[str, Any], where: str, **more: Any) -> RenderOptions:
@@ -297,25 +239,3 @@ def render_options(options: Mapping[str, Any], where: str, **more: Any) -> Rende
         return RenderOptions(**options, **more)
     except InputError as error:
         raise InputError(error.what, where=f"{where}.{error.where}") from error
-
-
-def _only(table: Mapping[str, Any], known: tuple[str, ...], where: str) -> None:
-    for key in table:
-        if key not in known:
-            raise InputError(
-                "unknown key",
-                where=f"{where}: {key}" if ":" not in where else f"{where}.{key}",
-                remedy=(f"known are {', '.join(known)}"),
-            )
-
-
-def _text(value: Any, where: str) -> str:
-    if not isinstance(value, str) or not value:
-        raise InputError("must be a string", where=where)
-    return value
-
-
-def _count(value: Any, where: str, low: int, high: int) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-        raise InputError(f"must be a whole number from {low} to {high}, not {value!r}", where=where)
-    return value

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from radwrap.scene.file.border import Model, default, exactly_one
+from radwrap.scene.file.border import Flag, Model, Whole, default, exactly_one
 
 _LARGEST_SEED: Final = 2**32 - 1
 MOST_RUNS: Final = 1_000_000
@@ -31,6 +32,18 @@ def _one_of(*names: str) -> Callable[[Any], str]:
     return read
 
 
+def _number(value: Any) -> Any:
+    """A number as it was written: what a study was run with is told with the same digits."""
+    if value is None:  # left out
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"must be a number, not {value!r}")
+    if not math.isfinite(value):
+        raise ValueError("is not a finite number")
+    return value
+
+
+Number = Annotated[Any, BeforeValidator(_number)]
 Text = Annotated[str, Field(strict=True, min_length=1)]
 Table = dict[str, Any]
 
@@ -52,16 +65,65 @@ class FactorModel(Model):
         return self
 
 
+class FullModel(Model):
+    """[design]: all combinations of all levels."""
+
+    kind: Literal["full"]
+
+
+class FractionalModel(Model):
+    """[design]: the combinations that generators name."""
+
+    kind: Literal["fractional"]
+    generators: Text
+
+
+class LatinHypercubeModel(Model):
+    """[design]: points of ranges."""
+
+    kind: Literal["latin_hypercube"]
+    runs: Annotated[int, BeforeValidator(_whole(2, MOST_RUNS))]
+
+
+class ListModel(Model):
+    """[design]: rows of levels, or a CSV file of them; what a row may hold hangs on the factors."""
+
+    kind: Literal["list"]
+    runs: Any
+
+
+Combinations = Annotated[FullModel | FractionalModel | LatinHypercubeModel | ListModel, Field(discriminator="kind")]
+
+
+class RenderModel(Model):
+    """[render]: options of a render that a study may name; their limits are those of `RenderOptions`."""
+
+    method: Literal["pinhole", "viewpoints", "kernel", "rays"] | None = None
+    tolerance: Number = None
+    max_error: Number = None
+    budget_rays: Number = None
+    viewpoints: Whole | None = None
+    layout: Literal["rings", "hexagonal", "sunflower", "uneven"] | None = None
+    pixel_samples: Whole | None = None
+    pixel_sampling: Literal["centre", "jitter"] | None = None
+    max_pixels: Whole | None = None
+    basis: Flag | None = None
+
+    def given(self) -> dict[str, Any]:
+        """What is not left out, but for the basis."""
+        return self.model_dump(exclude_unset=True, exclude={"basis"})
+
+
 class DesignModel(Model):
-    """A design file; [design] hangs on its kind, [render] and [responses] on what they name."""
+    """A design file; [responses] hang on what they measure."""
 
     title: Text | None = None
     scene: Text
     set: Table = default({})
     seed: Annotated[int, BeforeValidator(_whole(0, _LARGEST_SEED))] = 0
     replicates: Annotated[int, BeforeValidator(_whole(1, MOST_RUNS))] = 1
-    design: Table
-    render: Table = default({})
+    design: Combinations
+    render: RenderModel = default({})
     factors: dict[str, FactorModel]
     responses: dict[str, Table]
     analysis: Annotated[str, BeforeValidator(_one_of("lenth", "anova", "none"))] | None = None

@@ -22,10 +22,12 @@ import numpy as np
 
 from radwrap.errors import InputError
 from radwrap.random_streams import generator
+from radwrap.reading import whole_number
 from radwrap.units import DIMENSIONS, Dimension, parse_gain, parse_quantity
 
 _DRAWS: Final = ("uniform", "normal")
 _LEDS: Final = re.compile(r"sources\[(\d{1,9}|\*)\]\.leds\[(?:\d+|\*)\]\.")
+_STEP: Final = re.compile(r"[^.\[\]]+")  # of a key path
 _GAIN: Final = " (J/m^2)^-"  # in the unit of a sensor's gain, which holds gamma
 _DIGITS: Final = 9  # of drawn and interpolated values, so that a table shows what was rendered
 
@@ -264,12 +266,17 @@ def expanded(key: str, document: Mapping[str, Any]) -> list[str]:
 def found(document: Any, key: str) -> Any:
     """What stands at a key path; None where nothing does."""
     place = document
-    for step in re.findall(r"[^.\[\]]+", key):
+    for step in _STEP.findall(key):
         try:
             place = place[int(step)] if isinstance(place, list) else place[step]
         except (KeyError, IndexError, TypeError, ValueError):
             return None
     return place
+
+
+def steps_of(key: str) -> tuple[str | int, ...]:
+    """A key path as names and numbers of entries."""
+    return tuple(step if (number := whole_number(step)) is None else number for step in _STEP.findall(key))
 
 
 def settings(

@@ -104,7 +104,7 @@ def pareto(analysis: Analysis) -> bytes:
     axes.invert_yaxis()
     axes.set_xlim(left=0)
     if analysis.margin is not None:
-        axes.axvline(analysis.margin, color="0.2", linestyle="--", label=f"ME {analysis.margin:.3g}")
+        axes.axvline(analysis.margin, color="0.2", linestyle="dashed", label=f"ME {analysis.margin:.3g}")
     if analysis.lenth is not None:
         sme = analysis.lenth.simultaneous_margin_of_error
         axes.axvline(sme, color="0.2", linestyle=":", label=f"SME {sme:.3g}")

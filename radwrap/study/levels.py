@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.manifest import read_manifest
+from radwrap.reading import unusable
 from radwrap.study.factors import in_si
 from radwrap.study.study import PLAN
 from radwrap.study.table import Table, bare, read_table, unit
@@ -190,8 +191,8 @@ def _number(text: str, path: Path, column: str) -> float:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not math.isfinite(value):
-        raise InputError(f'"{text}" is no finite number', where=f"{path}: {column}")
+    if why := unusable(value):
+        raise InputError(f'"{text}" {"is no finite number" if math.isnan(value) else why}', where=f"{path}: {column}")
     return value
 
 
@@ -239,4 +240,4 @@ def _value(cell: str) -> float | None:
             value = in_si(cell) if " " in cell else None  # type: ignore[assignment]
         except InputError:
             return None
-    return value if value is not None and math.isfinite(value) else None
+    return value if value is not None and unusable(value) is None else None

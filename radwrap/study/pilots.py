@@ -66,10 +66,11 @@ def asked(options: RenderOptions) -> RenderOptions:
 
 
 def plans_of(pilots: Sequence[tuple[RenderOptions, Pilot | None]]) -> dict[RenderOptions, SamplingPlan]:
-    """The strictest plan for each kind of render; without pilots that failed, as their runs will."""
+    """The strictest plan for each kind of render that has a pilot which did not fail."""
     kinds: dict[RenderOptions, list[Pilot]] = {}
     for options, found in pilots:
-        kinds.setdefault(asked(options), []).extend([] if found is None else [found])
+        if found is not None:
+            kinds.setdefault(asked(options), []).append(found)
     return {kind: strictest(some, kind.demand) for kind, some in kinds.items()}
 
 

@@ -142,7 +142,7 @@ class DaskPool:
     InputError
         If no scheduler answers at the address.
     EnvironmentFailure
-        If Dask is not installed, or no worker is fit.
+        If Dask is not installed, the scheduler is silent, or no worker is fit.
     """
 
     def __init__(self, address: str, folder: Path, radiance: str | None) -> None:
@@ -252,7 +252,7 @@ def _sealed(seal: Seal, work: Callable[[Any], Any], job: Any) -> Any:
 
 
 def _check_scheduler(address: str) -> None:
-    """Refuse an address where nobody listens, before Dask tries for long and speaks of it in many lines."""
+    """Refuse an address where nobody listens or answers, before Dask tries for long and speaks of it in many lines."""
     try:
         place = urlsplit(address)
         host, port = place.hostname, place.port
@@ -261,6 +261,15 @@ def _check_scheduler(address: str) -> None:
     if host is None or port is None:
         raise InputError(f'"{address}" is no address', where="dask", remedy='write "tcp://HOST:8786"')
     try:
-        socket.create_connection((host, port), _GRACE).close()
+        with socket.create_connection((host, port), _GRACE) as connection:
+            # A scheduler greets whoever comes, except where encryption comes first; Dask waits for that without end.
+            if place.scheme == "tcp" and not connection.recv(1):
+                raise ConnectionError
+    except TimeoutError as error:
+        raise EnvironmentFailure(
+            f"no answer from {address} within {_GRACE:g} s",
+            where="dask",
+            remedy="see whether it is a scheduler",
+        ) from error
     except OSError as error:
         raise InputError(f"no scheduler at {address}", where="dask", remedy="start one: dask scheduler") from error

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from radwrap.calibrate.tsai import SOLVERS, CameraCalibration, calibrate_camera
 from radwrap.errors import InputError
 from radwrap.images import GrayImage
-from radwrap.imaging.truth import geometry
+from radwrap.imaging.truth import dot_places, edge_line
 from radwrap.measure.dots import METHODS, Dots, measured_dots, seek_dots
 from radwrap.measure.edges import Edge, measure_edge
 from radwrap.measure.parts import find_parts
@@ -216,6 +216,7 @@ def _dots(seen: Seen, options: Options, copy: int = 0, image: GrayImage | None =
             dot_diameter=board.dot_diameter,
             saturation=seen.scene.camera.sensor.saturation_gray,
             least_noise=0.0 if seen.scene.camera.sensor.rounding else seen.error.rms,
+            near=seen.sought.get((0, board.name, dark)),
         )
     return board, measured_dots(seen.sought[place], method)
 
@@ -287,8 +288,7 @@ def _of_copy(seen: Seen, options: Options, copy: int, measure: Callable[[Array],
 
 def _dot_error(seen: Seen, options: Options) -> Answer:
     board, dots = _dots(seen, options)
-    truth = geometry(seen.scene, ())["targets"][board.name]["dots"]
-    places = {(dot["row"], dot["column"]): (dot["u"], dot["v"]) for dot in truth}
+    places = {(dot.row, dot.column): (dot.u, dot.v) for dot in dot_places(seen.scene.camera, board)}
     true = np.array([places[dot.row, dot.column] for dot in dots.dots])
 
     def rms(centres: Array) -> float:
@@ -324,13 +324,12 @@ def _edge_blur(seen: Seen, options: Options) -> Answer:
 
 def _edge_error(seen: Seen, options: Options) -> Answer:
     target = _target(seen.scene, EdgeTarget, None)
-    line = geometry(seen.scene, ())["targets"][target.name]["edge"]
-    if line["angle"] is None:
+    line = edge_line(seen.scene.camera, target)
+    if line is None:
         raise InputError("the edge lies behind the camera")
-    normal = np.array([math.cos(line["angle"]), math.sin(line["angle"])])
 
     def off(copy: int, image: GrayImage) -> float:
-        return float(normal @ np.asarray(_edge(seen, options, copy, image).centre)) - float(line["offset"])
+        return float(line.normal @ np.asarray(_edge(seen, options, copy, image).centre)) - line.offset
 
     return again_by_number(seen, off)
 

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
 from typing import Any, Final, Protocol
 
-from radwrap.errors import EnvironmentFailure, InputError, TracerError
+from radwrap.errors import EnvironmentFailure, InputError, RadwrapError, TracerError
 from radwrap.progress import Progress
 from radwrap.study.pool import Pool
 from radwrap.study.worker import Job, Outcome, carry_out, failed
@@ -72,6 +72,7 @@ class Scheduler:
         self._waiting: dict[str, list[Job]] = {}
         self._deaths: dict[str, int] = {}
         self._running: dict[Future[Any], Job] = {}
+        self._failures: dict[str, RadwrapError] = {}
         due = list(steps)
         names = {step.job.name for step in due}
         for step in due:
@@ -80,8 +81,13 @@ class Scheduler:
             else:
                 self._ready.append(step.job)
 
-    def run(self) -> None:
+    def run(self) -> Mapping[str, RadwrapError]:
         """Do everything.
+
+        Returns
+        -------
+        Mapping of str to RadwrapError
+            Jobs that failed -> why.
 
         Raises
         ------
@@ -97,6 +103,7 @@ class Scheduler:
                 self._pool.look()
             if broken := self._collect(done):
                 self._after_death(broken)
+        return self._failures
 
     def _submit(self) -> None:
         while self._ready and len(self._running) < _AHEAD * self._pool.workers:
@@ -141,11 +148,11 @@ class Scheduler:
         if error is None:
             self._finish(job, brought or [])
         elif isinstance(error, InputError | TracerError):
-            self._fail(job, str(error))
+            self._fail(job, error)
         elif isinstance(error, EnvironmentFailure):
             raise error
         else:
-            self._fail(job, f"{type(error).__name__}: {error}")
+            self._fail(job, EnvironmentFailure(f"{type(error).__name__}: {error}"))
 
     def _finish(self, job: Job, outcomes: list[Outcome]) -> None:
         if outcomes:
@@ -153,10 +160,11 @@ class Scheduler:
             self._progress.add(len(outcomes))
         self._ready.extendleft(reversed(self._waiting.pop(job.name, [])))
 
-    def _fail(self, job: Job, why: str) -> None:
+    def _fail(self, job: Job, why: RadwrapError) -> None:
         """A job that brings nothing: rows that say so, of those too that would have used what it makes."""
+        self._failures[job.name] = why
         start = time.monotonic()
-        rows = [failed(run.run, why, time.monotonic() - start) for run in job.runs]
+        rows = [failed(run.run, str(why), time.monotonic() - start) for run in job.runs]
         if rows:
             self._sink.save(rows)
             self._progress.add(len(rows))
@@ -179,7 +187,7 @@ class Scheduler:
         for job in reversed(lost):
             deaths = self._deaths[job.name] = self._deaths.get(job.name, 0) + 1
             if deaths > _SUSPECT and alone:
-                self._fail(job, f"its worker died {deaths} times")
+                self._fail(job, EnvironmentFailure(f"its worker died {deaths} times"))
             else:
                 self._ready.appendleft(job)
 

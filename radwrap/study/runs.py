@@ -11,12 +11,14 @@ from itertools import product
 from typing import Any, Final
 
 from radwrap.errors import InputError
+from radwrap.imaging.demand import REPLICATES
+from radwrap.imaging.forecast.cost import check_size
 from radwrap.manifest import sha256_of_value
 from radwrap.random_streams import generator
 from radwrap.scene.file.load import scene_from_document, set_key
 from radwrap.study.design import Analysis, Design, check_render_option, render_options
 from radwrap.study.design_tables import MOST_RUNS
-from radwrap.study.factors import Draw, Factor, Level, settings
+from radwrap.study.factors import Draw, Factor, Level, expanded, settings, steps_of
 from radwrap.study.lenth import check_contrasts
 from radwrap.study.responses import Response, check_options, check_target
 
@@ -207,6 +209,7 @@ def check_design(design: Design, options: Mapping[str, Any]) -> None:
     for factor in design.factors:
         for level in factor.levels or (factor.level_at(0.0), factor.level_at(1.0)):
             _check_level(design, factor, level, options)
+    _check_keys(design)
     scene = scene_from_document(design.document, origin=design.scene_origin, folder=design.folder)
     for response in design.responses:
         check_target(response.kind, scene, response.options, f"{design.origin}: responses.{response.name}")
@@ -229,6 +232,25 @@ def _check_anova(design: Design) -> None:
         )
 
 
+def _check_keys(design: Design) -> None:
+    """Refuse two keys that set the same value, or one of which holds the other: the later one would hide the first."""
+    set_by: dict[tuple[str | int, ...], str] = {}
+    set_within: dict[tuple[str | int, ...], str] = {}
+    for factor in design.factors:
+        for full in (full for key in factor.keys for full in expanded(key, design.document)):
+            steps = steps_of(full)
+            holders = [steps[:length] for length in range(1, len(steps) + 1)]
+            other = next((set_by[holder] for holder in holders if holder in set_by), set_within.get(steps))
+            if other is not None:
+                raise InputError(
+                    f"sets {full}, which factors.{other} sets already",
+                    where=f"{design.origin}: factors.{factor.name}",
+                    remedy="vary it by one key",
+                )
+            set_by[steps] = factor.name
+            set_within.update(dict.fromkeys(holders, factor.name))
+
+
 def _check_level(design: Design, factor: Factor, level: Level, options: Mapping[str, Any]) -> None:
     where = f"{design.origin}: factors.{factor.name}, level {level.name}"
     for values in _ends(level):
@@ -242,9 +264,11 @@ def _check_level(design: Design, factor: Factor, level: Level, options: Mapping[
                 _check_response_key(design, key, value, where)
             else:
                 _set(document, key, value, where)
-        render_options(render, where, **options)
+        how = render_options(render, where, **options)
         try:
-            scene_from_document(document, origin=design.scene_origin, folder=design.folder)
+            scene = scene_from_document(document, origin=design.scene_origin, folder=design.folder)
+            replicates = REPLICATES if how.fixed_method is None else 0
+            check_size(scene, how.max_pixels, max(replicates, 1), 1, replicates=replicates)
         except InputError as error:
             raise InputError(f"{error.where}: {error.what}", where=where, remedy=error.remedy) from error
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from radwrap.errors import InputError
+from radwrap.errors import InputError, RadwrapError
 from radwrap.manifest import read_manifest, sha256_of_value
 from radwrap.progress import Progress
 from radwrap.study.pilots import Plans, asked, plans_from_json, plans_of, read_pilot, told_of
@@ -20,7 +20,13 @@ _NAME: Final = 20  # digits of a hash that name a file
 
 
 def with_pilots(steps: Sequence[Step], plans: Plans, out: Path, pool: Pool, *, shown: bool) -> Plans:
-    """Plans for all that some steps render, those that are known first; others by pilots of every render."""
+    """Plans for all that some steps render, those that are known first; others by pilots of every render.
+
+    Raises
+    ------
+    EnvironmentFailure, TracerError
+        If all pilots of a kind of render failed, and not by their scenes: no plan is made of nothing.
+    """
     jobs: dict[str, Job] = {}
     for step in steps:
         job = step.job
@@ -35,18 +41,28 @@ def with_pilots(steps: Sequence[Step], plans: Plans, out: Path, pool: Pool, *, s
     due = [Step(job) for job in jobs.values() if read_pilot(out / job.image) is None]
     progress = Progress("pilots", len(jobs), shown=shown)
     try:
-        Scheduler(due, NO_SINK, pool, progress).run()
+        failures = Scheduler(due, NO_SINK, pool, progress).run()
     finally:
         progress.close()
-    return {**plans, **plans_of([(job.options, read_pilot(out / job.image)) for job in jobs.values()])}
+    found = plans_of([(job.options, read_pilot(out / job.image)) for job in jobs.values()])
+    _check_failures(jobs.values(), failures, found)
+    return {**plans, **found}
+
+
+def _check_failures(jobs: Iterable[Job], failures: Mapping[str, RadwrapError], plans: Plans) -> None:
+    """Refuse to go on without a plan; a scene that is wrong stays so, and its runs will say it."""
+    for job in jobs:
+        why = failures.get(job.name)
+        if why is not None and not isinstance(why, InputError) and asked(job.options) not in plans:
+            raise why
 
 
 def sampled(steps: Sequence[Step], plans: Plans) -> list[Step]:
-    """The steps, each with the plan by which it samples."""
+    """The steps, each with the plan by which it samples; without one where every scene of its kind is wrong."""
     found = []
     for step in steps:
         how = step.job.options
-        plan = None if how.fixed_method is not None else plans[asked(how)]
+        plan = None if how.fixed_method is not None else plans.get(asked(how))
         found.append(replace(step, job=replace(step.job, options=replace(how, sampling=plan))))
     return found
 

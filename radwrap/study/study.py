@@ -36,7 +36,10 @@ _BASES: Final = "bases"
 _NAME: Final = 20  # digits of a hash that name a folder
 # A basis costs a render for each source and one for all together, and its levels are free afterwards.
 _BASIS_OVERHEAD: Final = 2
-_CHUNK: Final = 32  # images that one job makes from a basis
+# Images that one job makes from a basis: to read that takes as long as 15 images do, so that a study of many has fewer
+# and longer jobs, but enough for many workers, and each ends soon.
+_FEWEST_RELIT, _MOST_RELIT = 32, 256
+_RELIT_JOBS: Final = 32
 
 
 @dataclass(frozen=True, slots=True)
@@ -339,7 +342,8 @@ def _basis_steps(design: Design, group: _LightGroup, name: str, out: Path, optio
     maker = _job(design, lit, out, options, name=name, image=folder, basis=True)
     yield Step(maker)
     pairs = list(zip(group.runs, group.levels, strict=True))
-    for number, part in enumerate(chunks(pairs, _CHUNK), 1):
+    size = min(max(_FEWEST_RELIT, len(pairs) // _RELIT_JOBS), _MOST_RELIT)
+    for number, part in enumerate(chunks(pairs, size), 1):
         runs = tuple(Measured(run.index, run.responses, levels) for run, levels in part)
         yield Step(replace(maker, name=f"{name}.{number}", runs=runs, reference=reference), name)
 

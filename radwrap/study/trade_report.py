@@ -17,6 +17,7 @@ from radwrap.study.trade import Row, Trade
 TABLE: Final = "trade.csv"
 NUMBERS: Final = "trade.json"
 PICTURE: Final = "trade.png"
+FILES: Final = (TABLE, NUMBERS, PICTURE)
 
 # The rms error that most users want: what rounding to whole gray levels adds anyway is 0.29.
 _USUAL_TOLERANCE: Final = 0.5

@@ -53,10 +53,11 @@ def anova(data: Data, notes: list[str]) -> tuple[AnovaRow, ...]:
     from statsmodels.stats.anova import anova_lm
 
     count, runs = len(data.factors), len(data.values)
-    columns = np.column_stack([np.ones(runs), *(indicators(data, k) for k in range(count))])
-    if columns.shape[1] >= runs:
+    # Counted before they are made: a factor that differs from run to run has a column for each.
+    if 1 + sum(len(factor.levels) - 1 for factor in data.factors) >= runs:
         notes.append("there are too few runs for an analysis of variance")
         return ()
+    columns = np.column_stack([np.ones(runs), *(indicators(data, k) for k in range(count))])
     if np.linalg.matrix_rank(columns) < columns.shape[1]:
         notes.append("the runs cannot tell the factors apart: there is no analysis of variance")
         return ()

@@ -193,27 +193,26 @@ def _outcomes(job: Job, start: float) -> Iterator[Outcome]:
         return
     if job.reference is not None:
         yield from _relit(job, scene, out, start)
-    else:
-        _make(job, scene, out)
-    if job.reference is not None or not job.runs:
         return
-    result = load_result(scene, out)
+    result = _made(job, scene, out)
+    if not job.runs:
+        return
     seen = seen_of(scene, result, out, _fields(job, scene, blur_radii(scene)))
     for run in job.runs:
         yield _outcome(job, run, seen, met=result.run.met, wall_s=time.monotonic() - start)
 
 
-def _make(job: Job, scene: Scene, out: Path) -> None:
-    """Render, if that is due; an interrupted study may still be at it elsewhere, and is waited for.
+def _made(job: Job, scene: Scene, out: Path) -> Rendered:
+    """Render, or read, if that is not due; an interrupted study may still be at it elsewhere, and is waited for.
 
     Its errors are those of this job; the folder is left as far as it came, and goes on there another time.
     """
     while not is_whole(out):  # of whatever run: the folder's name says of what
         try:
-            render(scene, out, job.options)
-            return
+            return render(scene, out, job.options)
         except FolderTaken:
             time.sleep(_PATIENCE)
+    return load_result(scene, out)
 
 
 def seen_of(scene: Scene, result: Rendered, out: Path, fields: ErrorFields) -> Seen:

@@ -117,3 +117,10 @@ label = "scatter of the LEDs"
 key = "sources[0].leds[*].beam_width_factor"
 levels = { L = 1.0, H = { uniform = [0.9, 1.1] } }
 """
+
+# Six times fewer pixels, and coarse cells: for what hangs on neither.
+TINY: Final = """
+set = { "camera.sensor.rows" = 20, "camera.sensor.columns" = 24 }
+render.tolerance = 1.0
+"""
+TINY_SMALL: Final = TINY + SMALL

@@ -20,7 +20,7 @@ from radwrap.errors import FolderTaken
 from radwrap.files import sole_owner
 from radwrap.study.seal import Unfit, break_seal, check_fit, seal_of, why_unfit
 from tests.cli.conftest import clean_environment, scene_text, start, wait_for
-from tests.study.conftest import EDGE, PATIENCE, SMALL, command
+from tests.study.conftest import EDGE, PATIENCE, TINY_SMALL, command
 
 GRAY = '[responses.mean]\nmeasure = "mean_gray"\n'
 
@@ -99,7 +99,7 @@ def test_workers_that_would_answer_otherwise_are_left_out(memory_path: Path) -> 
     """Those that are fit do the study, also where they come late; a scheduler that is gone is told."""
     (memory_path / "scene.toml").write_text(scene_text(EDGE))
     design = memory_path / "design.toml"
-    design.write_text(f'scene = "scene.toml"\n{SMALL}\n{GRAY}')
+    design.write_text(f'scene = "scene.toml"\n{TINY_SMALL}\n{GRAY}')
     with ExitStack() as stack:
         scheduler, address = stack.enter_context(_scheduler(memory_path))
         words = ["study", "run", design, "--no-report", "--dask", address, "--out"]
@@ -127,7 +127,7 @@ def test_workers_that_would_answer_otherwise_are_left_out(memory_path: Path) -> 
 def test_a_study_for_which_no_worker_is_fit_is_not_begun(memory_path: Path) -> None:
     (memory_path / "scene.toml").write_text(scene_text(EDGE))
     design, out = memory_path / "design.toml", memory_path / "out"
-    design.write_text(f'scene = "scene.toml"\n{SMALL}\n{GRAY}')
+    design.write_text(f'scene = "scene.toml"\n{TINY_SMALL}\n{GRAY}')
     with ExitStack() as stack:
         _, address = stack.enter_context(_scheduler(memory_path))
         stack.enter_context(_worker(address, memory_path / "w", _other_radwrap(memory_path / "other")))

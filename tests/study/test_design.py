@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+import socket
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from radwrap.errors import InputError
+from radwrap.errors import EnvironmentFailure, InputError
 from radwrap.manifest import STUDY_PACKAGES, versions
+from radwrap.study import pool
 from radwrap.study.design import Design, read_design
 from radwrap.study.light import reference_levels, split_light, with_levels
 from radwrap.study.runs import Run, check_design, runs_of
@@ -128,6 +130,8 @@ def test_levels_of_sources_are_split_off_and_put_back(design: DesignWriter) -> N
 
 ANOVA_OF_TWO = 'analysis = "anova"\n[design]\nkind = "list"\nruns = [["1 mm", "L"], ["2 mm", "H"]]'
 
+LED = "sources[0].leds[0].beam_width_factor"
+
 BAD = [
     ('key = "targets[0].edge_position"', 'key = "targets[0].place"', "unknown key"),
     ('key = "targets[0].edge_position"', 'key = "targets[7].edge_position"', "no such place"),
@@ -140,7 +144,7 @@ BAD = [
     ("[0.9, 1.1]", "[1.1, 0.9]", "lower value first"),
     ("[0.9, 1.1]", '[0.9, "1.1 mm"]', "same unit"),
     ("uniform", "cauchy", "no draw"),
-    ('kind = "full"', 'kind = "latin"', "must be one of"),
+    ('kind = "full"', 'kind = "latin"', "design.kind: 'latin' is not one of 'full', 'fractional'"),
     ('kind = "full"', 'kind = "fractional"\ngenerators = "a"', "1 generators for 2 factors"),
     ('kind = "full"', 'kind = "list"\nruns = [["3 mm", "L"]]', "no level"),
     ('analysis = "none"', "", "too few for Lenth"),
@@ -153,20 +157,47 @@ BAD = [
     ("seed = 5", "[render]\nspeed = 3", "unknown"),
     ('key = "targets[0].edge_position"', 'key = "responses.z.gamma"', 'no response "z"'),
     ('key = "targets[0].edge_position"', 'key = "responses.u.gama"', "unknown option"),
-    ('key = "targets[0].edge_position"', 'key = "render.tolerance"', "wrong type"),
+    ('key = "targets[0].edge_position"', 'key = "render.tolerance"', "tolerance: must be a number, not '1 mm'"),
     ("label = ", "lable = ", "unknown key; known are label, key, keys, levels, range, draws"),
     ('key = "targets[0].edge_position"', "keys = []", "keys: must have at least 1"),
     ('key = "targets[0].edge_position"', "key = 3", "key: must be a string, not 3"),
     ('["1 mm", "2 mm"]', '["1 mm", "2 mm"]\nrange = [1, 2]', "exactly one of levels and range, not 2"),
     ("seed = 5", "seed = true", "whole number"),
     ("seed = 5", "set = 3", "set: must be a table, not 3"),
-    ('kind = "full"', 'kind = ["full"]', "must be one of"),
+    ('kind = "full"', 'kind = ["full"]', "is not one of 'full', 'fractional'"),
+    ('kind = "full"', 'kind = "fractional"', "design.generators: is missing"),
+    ('kind = "full"', 'kind = "full"\nruns = 3', "design.runs: unknown key"),
+    ('kind = "full"', 'kind = "latin_hypercube"\nruns = 1', "design.runs: must be a whole number from 2"),
+    ("seed = 5", '[render]\nmethod = "magic"', "render.method: 'magic' is not one of 'pinhole'"),
+    ("seed = 5", '[render]\nbasis = "yes"', "render.basis: must be true or false"),
     ("[0.9, 1.1]", f"[0.9, 1{'0' * 400}]", "more than 64 bits"),
     ("[0.9, 1.1]", "[0.9, inf]", "no number that a computer holds"),
     ("{ L = 1.0, H", '{ "" = 1.0, H', "cannot name a level"),
     ("{ L = 1.0, H", '{ " H" = 1.0, H', "cannot name a level"),
     ("seed = 5", f"[render]\ntolerance = 1{'0' * 400}", "more than 64 bits"),
     ('["1 mm", "2 mm"]', f"[1{'0' * 400}, 2]", "more than 64 bits"),
+    *(
+        ('key = "targets[0].edge_position"\nlevels = ["1 mm", "2 mm"]', f"{keys}\nlevels = {levels}", complaint)
+        for keys, levels, complaint in (
+            (f'key = "{LED}"', "[0.8, 1.2]", f"factors.s: sets {LED}, which factors.x sets already"),
+            (f'key = "{LED.replace("0", "00")}"', "[0.8, 1.2]", f"factors.s: sets {LED}, which factors.x"),
+            (
+                f'keys = ["{LED}", "{LED}"]',
+                "[[1, 2], [2, 1]]",
+                f"factors.x: sets {LED}, which factors.x sets already",
+            ),
+            (
+                'keys = ["targets[0].rotation", "targets[0].rotation[2]"]',
+                '[[["0 deg", "0 deg", "8 deg"], "7 deg"], [["0 deg", "0 deg", "9 deg"], "6 deg"]]',
+                "factors.x: sets targets[0].rotation[2], which factors.x sets already",
+            ),
+            (
+                'keys = ["targets[0].rotation[2]", "targets[0].rotation"]',
+                '[["7 deg", ["0 deg", "0 deg", "8 deg"]], ["6 deg", ["0 deg", "0 deg", "9 deg"]]]',
+                "factors.x: sets targets[0].rotation, which factors.x sets already",
+            ),
+        )
+    ),
 ]
 
 
@@ -206,6 +237,32 @@ def test_bad_responses_are_refused(
     assert complaint in here(["study", "run", path, "--out", path.parent / "out"], capsys).refusal(2)
 
 
+def test_jobs_of_many_images_read_their_basis_a_few_times(design: DesignWriter) -> None:
+    """4096 images: as many jobs as keep some workers busy, and each image once."""
+    led = '[factors.L{0}]\nkey = "sources[0].leds[{0}].radiance_factor"\nlevels = [{1}]\n'
+    levels = ", ".join(f"{n / 16:g}" for n in range(1, 17))
+    path = design('analysis = "none"\n[design]\nkind = "full"\n' + "".join(led.format(n, levels) for n in range(3)))
+    study, runs = expanded(path)
+    (_, *steps), made = plan_steps(study, runs, path.parent / "out", StudyOptions())
+    assert made.relit == 4096 and 16 <= len(steps) <= 32
+    assert sorted(run.run for step in steps for run in step.job.runs) == list(range(1, 4097))
+
+
+def test_a_study_that_is_too_large_is_refused_with_its_replicates(design: DesignWriter) -> None:
+    """7 GiB without what is kept beside each image, which takes 40 GiB."""
+    text = """
+analysis = "none"
+set = { "camera.sensor.columns" = 100 }
+[design]
+kind = "full"
+[factors.r]
+key = "camera.sensor.rows"
+levels = [50, 1000000]
+"""
+    with pytest.raises(InputError, match=r"level 1000000: .*1e\+08 pixels .* 4\d GiB of memory"):
+        check_design(read_design(design(text)), {})
+
+
 def test_a_folder_of_another_study_is_refused(design: DesignWriter, capsys: pytest.CaptureFixture[str]) -> None:
     path = design(SMALL)
     out = path.parent / "out"
@@ -221,6 +278,14 @@ def test_a_scheduler_that_is_not_there_is_told(
 ) -> None:
     path = design(SMALL)
     assert "--dask" in here(["study", "run", path, "--out", path.parent / "out", "--dask", address], capsys).refusal(2)
+
+
+def test_a_server_that_says_nothing_is_no_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pool, "_GRACE", 0.2)
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
+        with pytest.raises(EnvironmentFailure, match=r"no answer from tcp://127.* within 0\.2 s"):
+            pool.DaskPool(address, tmp_path, None)
 
 
 def test_a_missing_design_is_told(tmp_path: Path) -> None:

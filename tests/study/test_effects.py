@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
 from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
@@ -253,3 +254,18 @@ def test_labels_are_text_and_no_formulas(tmp_path: Path) -> None:
 def test_a_report_shows_seeds_with_all_digits() -> None:
     assert cell("seed", "123456789")["shown"] == "123456789"
     assert cell("mean", "88.123456789")["shown"] == "88.1235"
+
+
+def test_a_factor_that_differs_from_run_to_run_takes_little_memory(tmp_path: Path) -> None:
+    """A column for each of its levels would take the square of the runs: 200 MB here."""
+    rows = [f"{'LH'[i % 2]},{i / 7},{i % 3}" for i in range(5000)]
+    (tmp_path / "table.csv").write_text("\n".join(["A,B,y", *rows, ""]))
+    data = read_data(tmp_path / "table.csv", "y")
+    tracemalloc.start()
+    try:
+        found = analyse(data)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert "there are too few runs for an analysis of variance" in found.notes
+    assert peak < 50e6

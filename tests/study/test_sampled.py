@@ -11,7 +11,7 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 import radwrap
-from radwrap.errors import InputError
+from radwrap.errors import InputError, TracerError
 from radwrap.imaging.demand import SamplingPlan
 from radwrap.scene.scene import Scene
 from radwrap.study.design import read_design
@@ -24,6 +24,7 @@ from radwrap.study.seen import Answer
 from radwrap.study.study import STUDY, StudyOptions, run_study
 from radwrap.study.table import read_table
 from radwrap.study.worker import seen_of
+from radwrap.tracers.installation import find_radiance
 from tests.study.conftest import EDGE, DesignWriter
 
 # Exposure alone: a darker image of the same edge, and of the same noise in share of its light.
@@ -88,6 +89,38 @@ def test_the_plan_survives_a_kill_and_is_checked_when_it_is_read(design: DesignW
     (out / STUDY).write_text(json.dumps({**begun, "study_sha256": "0"}))
     with pytest.raises(InputError, match="another study"):
         read_plans(out / STUDY, "1")
+
+
+def breakable_radiance(folder: Path, broken: Path) -> Path:
+    """Radiance whose rtrace says its version, and fails at all else as long as a file is there."""
+    true = find_radiance()
+    (folder / "bin").mkdir(parents=True)
+    (folder / "lib").symlink_to(true.library)
+    for name in ("oconv", "xform"):
+        (folder / "bin" / name).symlink_to(true.program(name))
+    rtrace = folder / "bin" / "rtrace"
+    fails = f'case "$*" in *-version*) ;; *) [ -e "{broken}" ] && exit 1;; esac'
+    rtrace.write_text(f'#!/bin/sh\n{fails}\nexec "{true.program("rtrace")}" "$@"\n')
+    rtrace.chmod(0o755)
+    return folder
+
+
+def test_no_plan_is_made_of_pilots_that_all_failed(design: DesignWriter) -> None:
+    """A broken tracer ends the study; once it is mended, the study is what it would have been without that."""
+    path = design(DARKER, BLUR)
+    broken = path.parent / "broken"
+    out, undisturbed = path.parent / "out", path.parent / "undisturbed"
+    options = StudyOptions(workers=1, radiance=str(breakable_radiance(path.parent / "radiance", broken)))
+    run_study(read_design(path), undisturbed, options)
+    broken.touch()
+    with pytest.raises(TracerError, match="exit code 1"):
+        run_study(read_design(path), out, options)
+    assert not (out / STUDY).exists()
+    broken.unlink()
+    run_study(read_design(path), out, options)
+    assert (out / "results.csv").read_bytes() == (undisturbed / "results.csv").read_bytes()
+    sampling = [json.loads((folder / STUDY).read_text())["sampling"] for folder in (out, undisturbed)]
+    assert sampling[0] == sampling[1] != []
 
 
 def test_a_run_that_misses_its_tolerance_is_named(design: DesignWriter) -> None:

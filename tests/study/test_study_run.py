@@ -19,10 +19,10 @@ import pytest
 from radwrap.study.table import read_table
 from tests.cli.conftest import Done, inhabitants, scene_text, start
 from tests.cli.conftest import wait_for as wait
-from tests.study.conftest import EDGE, PATIENCE, SMALL, DesignWriter, command
+from tests.study.conftest import EDGE, PATIENCE, TINY, TINY_SMALL, DesignWriter, command
 
-# Eight runs of a good half second each: long enough to be killed in between.
-EIGHT = SMALL.replace("seed = 5", "seed = 5\nreplicates = 2")
+# Eight runs of a third of a second each: long enough to be killed in between.
+EIGHT = TINY_SMALL.replace("seed = 5", "seed = 5\nreplicates = 2")
 
 
 GRAY = '[responses.mean]\nmeasure = "mean_gray"\n[responses.contrast]\nmeasure = "contrast"\n'
@@ -146,8 +146,9 @@ def test_ctrl_c_ends_everything_and_the_study_goes_on(memory_path: Path, good: b
 def test_a_run_that_fails_is_a_row_with_its_error(design: DesignWriter) -> None:
     """At 100 s everything is saturated and shows no edge; the mean is measured all the same, and the study goes on."""
     path = design(
-        """
+        f"""
 analysis = "none"
+{TINY}
 [design]
 kind = "full"
 [factors.t]
@@ -175,7 +176,9 @@ def test_many_levels_of_leds_cost_one_render(design: DesignWriter) -> None:
         f'[factors.L{n}]\nkey = "sources[0].leds[{n}].radiance_factor"\nlevels = [0.2, 0.4, 0.6, 1.0]\n'
         for n in range(3)
     )
-    path = design(f'analysis = "none"\n[design]\nkind = "full"\n{factors}', '[responses.mean]\nmeasure = "mean_gray"\n')
+    path = design(
+        f'analysis = "none"\n{TINY}[design]\nkind = "full"\n{factors}', '[responses.mean]\nmeasure = "mean_gray"\n'
+    )
     out = path.parent / "out"
     told = study(path, out, "--json").success().json
     assert told["renders"] == 1 and told["light_bases"] == 1 and told["relit"] == 64
@@ -194,7 +197,7 @@ def test_many_levels_of_leds_cost_one_render(design: DesignWriter) -> None:
 
 
 def test_the_report_holds_every_run(design: DesignWriter) -> None:
-    path = design(SMALL)
+    path = design(TINY_SMALL)
     command("study", "run", path, "--out", path.parent / "out").success()
     text = (path.parent / "out" / "index.html").read_text()
     assert text.count('alt="run ') == 4 and "place of the edge" in text and "exposure_time" in text
@@ -211,7 +214,7 @@ def test_dask_gives_the_same_table(memory_path: Path, good: bytes) -> None:
         n_workers=2,
         threads_per_worker=1,
         processes=True,
-        dashboard_address=None,
+        dashboard_address="127.0.0.1:0",  # any free port: other tests' schedulers run beside this one
         local_directory=str(memory_path / "d"),
     ) as cluster:
         with start(

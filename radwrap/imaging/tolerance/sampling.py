@@ -100,9 +100,7 @@ def _times_too_large(view: View, two: Replicates, model: float, demand: Demand) 
 
 
 def strictest(pilots: Sequence[Pilot], demand: Demand) -> SamplingPlan:
-    """The plan by which each of some images is expected to keep its tolerance, as far as the budget goes."""
-    if not pilots:
-        return SamplingPlan("rays", rays=FEWEST)  # every image failed, and will fail again
+    """The plan by which each of one or more images is expected to keep its tolerance, as far as the budget goes."""
     cells = [one.cell for one in pilots if one.cell is not None]
     rays = max(one.rays for one in pilots)
     by_rays = SamplingPlan("rays", rays=rays)
