@@ -43,7 +43,24 @@ class RadwrapError(Exception):
         line = f"{self.where}: {self.what}" if self.where else self.what
         if self.remedy:
             line += f"; {self.remedy}"
-        return one_line(line)
+        return one_line(_shortened(line))
+
+
+# Without a module more: this one is loaded before the signals are ours.
+_LONGEST_QUOTE = 60  # characters; of a value that a message quotes
+_LONGEST_WORD = 4096  # without a blank, as long as a path may be
+
+
+def _shortened(line: str) -> str:
+    """A message in which long values, quoted or not, are cut to what shows which they are."""
+    parts = line.split('"')
+    if len(parts) % 2:  # quotes are in pairs: between the first and the second, the third and the fourth
+        parts[1::2] = [_cut(part, _LONGEST_QUOTE) for part in parts[1::2]]
+    return " ".join(_cut(word, _LONGEST_WORD) for word in '"'.join(parts).split(" "))
+
+
+def _cut(text: str, longest: int) -> str:
+    return text if len(text) <= longest else f"{text[:_LONGEST_QUOTE]}..."
 
 
 def one_line(text: str) -> str:

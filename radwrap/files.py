@@ -63,6 +63,27 @@ def check_result(path: Path) -> None:
         raise InputError("is not a regular file", where=str(path), remedy="give a new name, or that of a regular file")
 
 
+def check_results(folder: Path, names: Iterable[str]) -> None:
+    """Refuse before a work what would fail after it: a folder for results, and files that will be written there.
+
+    Raises
+    ------
+    InputError
+        If a file stands in the folder's way, or as `check_result`.
+    EnvironmentFailure
+        If nothing can be written there.
+    """
+    there = folder
+    while not os.path.lexists(there) and there != there.parent:
+        there = there.parent
+    if not there.is_dir():
+        raise _no_folder(there)
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise EnvironmentFailure("cannot be written to", where=str(there), remedy="choose another `out`")
+    for name in names:
+        check_result(folder / name)
+
+
 def publish(temporary: Path, final: Path) -> None:
     """Rename a whole, read-back file to its final name, durably.
 
@@ -143,11 +164,13 @@ def make_folder(path: Path) -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError) as error:
-        raise InputError(
-            "a file stands where a folder is needed", where=str(path), remedy="choose another `out`"
-        ) from error
+        raise _no_folder(path) from error
     except OSError as error:
         raise disk_failure(path, error) from error
+
+
+def _no_folder(path: Path) -> InputError:
+    return InputError("a file stands where a folder is needed", where=str(path), remedy="choose another `out`")
 
 
 @contextmanager

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import tempfile
-import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -22,6 +21,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from radwrap.errors import EnvironmentFailure, InputError
 from radwrap.files import check_result, disk_failure, publish, temporary_name
+from radwrap.png_files import broken_png
 from radwrap.reading import FileKind, read_bytes
 
 Provenance = Mapping[str, Any]
@@ -31,7 +31,6 @@ _NOTHING: Final[Provenance] = MappingProxyType({})
 _BITS: Final = {"uint8": 8, "uint16": 16, "half": 16, "float": 16}
 _WHOLE: Final = {"uint8", "uint16"}
 
-_PNG: Final = b"\x89PNG\r\n\x1a\n"
 _JPEG: Final = b"\xff\xd8"
 _END_OF_JPEG: Final = b"\xff\xd9"
 _JPEG_PADDING: Final = 4096  # bytes that cameras append
@@ -247,25 +246,6 @@ def _holds(path: Path, pixels: NDArray[Any]) -> bool:
     return True
 
 
-def _broken_png(content: bytes) -> str:
-    """What is wrong with the chunks of a PNG file, empty where all are whole; libpng would print it on stderr."""
-    place = len(_PNG)
-    if content[:place] != _PNG:
-        return ""
-    view = memoryview(content)
-    while place + 12 <= len(content):
-        end = place + 12 + int.from_bytes(content[place : place + 4], "big")
-        if end > len(content):
-            break
-        kind, found = content[place + 4 : place + 8], int.from_bytes(content[end - 4 : end], "big")
-        if zlib.crc32(view[place + 4 : end - 4]) != found:
-            return f"a checksum is wrong {place} bytes from its start"
-        if kind == b"IEND":
-            return ""
-        place = end
-    return f"it ends after {len(content)} bytes, within the picture"
-
-
 def _full_scale(source: Any, path: Path) -> int:
     """Largest whole number that the file could hold; OpenImageIO scales it up to 8 or 16 bits."""
     spec = source.spec()
@@ -289,15 +269,19 @@ def _opened(path: Path, most_pixels: int) -> Any:
         If it is no regular file, no image, not whole, or too large.
     """
     content = read_bytes(path, _PICTURE)
-    if broken := _broken_png(content):
+    if broken := broken_png(content, most_pixels):
         raise InputError(f"is not whole: {broken}", where=str(path))
     # The reader fills up what is missing of a JPEG, and says nothing.
     if content[:2] == _JPEG and _END_OF_JPEG not in content[-_JPEG_PADDING:]:
         raise InputError("is not whole: its end is missing", where=str(path))
     del content
+    try:
+        str(path).encode()
+    except UnicodeEncodeError as error:  # the reader takes names of UTF-8 only
+        raise InputError("has a name that is not UTF-8", where=str(path), remedy="rename it") from error
     source = _without_threads().ImageInput.open(str(path))
     if source is None:
-        raise InputError(f"is no image: {oiio.geterror()}", where=str(path))
+        raise InputError(f"is no image: {_reason(oiio)}", where=str(path))
     spec = source.spec()
     if not 0 < spec.width * spec.height <= most_pixels or spec.depth > 1:
         source.close()
@@ -312,6 +296,14 @@ def _opened(path: Path, most_pixels: int) -> Any:
     return source
 
 
+def _reason(reader: Any) -> str:
+    """What the reader says is wrong; it may quote the file's own bytes."""
+    try:
+        return str(reader.geterror())
+    except UnicodeDecodeError:
+        return "its parts cannot be told apart"
+
+
 def _bands(source: Any, path: Path, channels: int, kind: str) -> Iterator[tuple[slice, NDArray[Any]]]:
     """Rows, and their pixels, shape (rows, columns, channels); in bands, so that large pictures need no copy."""
     spec = source.spec()
@@ -323,7 +315,7 @@ def _bands(source: Any, path: Path, channels: int, kind: str) -> Iterator[tuple[
         else:
             band = source.read_scanlines(0, 0, spec.y + first, spec.y + last, 0, 0, channels, kind)
         if band is None:
-            raise InputError(f"is not whole: {source.geterror()}", where=str(path))
+            raise InputError(f"is not whole: {_reason(source)}", where=str(path))
         yield slice(first, last), np.reshape(band, (last - first, spec.width, channels))
 
 

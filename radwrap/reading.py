@@ -34,6 +34,7 @@ _TOML_STRING: Final = re.compile(
     r'"""(?:[^\\]|\\.)*?"""|\'\'\'.*?\'\'\'|"(?:[^"\\\n]|\\.)*+"|\'[^\'\n]*+\'|(#[^\n]*+)', re.DOTALL
 )
 _DIGITS: Final = re.compile(r"[0-9]{1,18}", re.ASCII)
+_LARGEST: Final = 1e30  # of a measured number, in whatever unit
 _LONG_KEY: Final = re.compile(rf"(?<![\w-])[\w-]++(?:[ \t]*+\.[ \t]*+[\w-]++){{{_DEEPEST}}}")
 
 
@@ -87,7 +88,10 @@ def read_bytes(path: Path, kind: FileKind, where: str = "", *, follow: bool = Tr
     where = where or str(path)
     try:
         with os.fdopen(_opened(path, kind, where, follow=follow), "rb") as stream:
-            content = stream.read(kind.largest + 1)
+            size = os.fstat(stream.fileno()).st_size
+            content = stream.read(size + 1)  # room is made for as much as is asked for: not for the limit of its kind
+            if len(content) > size:  # it grows, or is of a kind that does not know its size
+                content += stream.read(kind.largest + 1 - size)
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror or error}", where=where) from error
     if len(content) > kind.largest:
@@ -258,6 +262,16 @@ def csv_rows(text: str, where: str, *, initial_space: bool = False) -> Iterator[
                 yield rows.line_num, row
     except csv.Error as error:
         raise InputError(f"is not CSV: {error}", where=f"{where}: line {rows.line_num}") from error
+
+
+def unusable(value: float) -> str | None:
+    """Why nothing can be computed from a number of a table; None where it can.
+
+    Its squares and products of a few stay far below the largest double.
+    """
+    if not math.isfinite(value):
+        return "is not a finite number"
+    return f"is beyond {_LARGEST:g}" if abs(value) > _LARGEST else None
 
 
 def whole_number(text: str) -> int | None:

@@ -34,6 +34,10 @@ ROOMS = {
 # Who takes an image and never asks how it came about.
 BLIND = {"measure": {"scene", "tracers", "imaging"}, "calibrate": {"scene", "tracers", "imaging"}}
 
+# Formulas that judge the rest: they share no line with what they judge, and nothing that is judged uses them.
+JUDGES = "radwrap.validate.closed_forms"
+JUDGES_MAY = {"collections", "decimal", "math", "typing", "numpy", "scipy", "__future__"}
+
 # Who may import a foreign package, and why just there.
 BORDER = "a table of the scene file: pydantic goes no further than these"
 DOORS = {
@@ -88,7 +92,7 @@ DOORS = {
     "ctypes": {},  # nothing here calls C
 }
 # Who writes words of the command line outside cli/, and why.
-OPTION = re.compile(r"(?<![\w-])--[a-z]")
+OPTION = re.compile(r"(?<![\w-])--(?:[a-z]|$)")  # also where a name follows in an f-string
 SPELLERS = {
     "led/connect.py": "arguments of the emulator, a program of its own",
     "led/emulator/__main__.py": "the same",
@@ -244,6 +248,34 @@ def test_what_takes_images_does_not_know_how_they_came_about(blind: str) -> None
             if folder(name) in BLIND[blind] or public:
                 wrong.append(f"{path}: imports {name}")
     assert not wrong
+
+
+def partial_judgement(path: Path) -> Iterator[str]:
+    """What a module of closed forms imports beyond mathematics and its own folder."""
+    for name in sorted(imports(path)):
+        if name.split(".")[0] not in JUDGES_MAY and not name.startswith(f"{JUDGES}."):
+            yield f"{path} imports {name}"
+
+
+def test_closed_forms_know_nothing_of_what_they_judge(tmp_path: Path) -> None:
+    """In the text, and in fact: importing them all loads nothing else of radwrap, however far down."""
+    judges = {name: path for name, path in names().items() if name.startswith(JUDGES)}
+    assert len(judges) > 1
+    assert not [wrong for path in judges.values() for wrong in partial_judgement(path)]
+    code = (
+        f"import importlib, sys; [importlib.import_module(name) for name in {sorted(judges)}];"
+        "print(*sorted(name for name in sys.modules if name.split('.')[0] == 'radwrap'))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert set(done.stdout.split()) == judges.keys() | {"radwrap", "radwrap.validate"}
+    offender = tmp_path / "offender.py"
+    offender.write_text("def late() -> None:\n    from radwrap.imaging.optics import falloff\n")
+    assert list(partial_judgement(offender))
+
+
+def test_closed_forms_are_used_by_judges_only() -> None:
+    users = {folder_of(path) for path in modules() for name in imports(path) if name.startswith(JUDGES)}
+    assert users == {"validate"}
 
 
 def test_each_foreign_package_has_one_door() -> None:

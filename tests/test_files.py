@@ -3,11 +3,13 @@
 import json
 import subprocess
 import sys
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from radwrap.cli.main import main
 from radwrap.errors import EnvironmentFailure, InputError
 from radwrap.files import make_folder, sha256_of, sole_owner, write_bytes
 from radwrap.images import ExposureImage, GrayImage, RadianceImage, digest, png_bytes, read_image, write_exr, write_png
@@ -123,3 +125,62 @@ def test_hashes_depend_on_every_value() -> None:
     assert sha256_of_value({"a": 0.1}) == sha256_of_value({"a": 0.1})
     assert sha256_of_value({"a": 0.1}) != sha256_of_value({"a": np.nextafter(0.1, 1).item()})
     assert digest(image.values) != digest(image.values + 1e-300)
+
+
+@pytest.mark.parametrize(
+    "argv",
+    [
+        ["compare", "a.png", "a.png", "--out", "out", "compare.json", "diff.png", "report.png"],
+        ["trade", "scene.toml", "--out", "out", "trade.csv", "trade.json", "trade.png"],
+        ["validate", "--out", "out", "validate.json", "index.html"],
+        ["study", "run", "design.toml", "--out", "out", "plan.json", "results.csv", "study.json", "index.html"],
+    ],
+    ids=lambda argv: argv[0],
+)
+def test_results_that_cannot_be_written_are_refused_before_the_work(
+    argv: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A link of the name of each result, a file for the folder, a folder of nobody: nothing is worked, nothing made."""
+
+    def at_work(*_: object, **__: object) -> object:
+        raise AssertionError("the work began")
+
+    monkeypatch.chdir(tmp_path)
+    for work in (
+        "radwrap.cli.compare.compare",
+        "radwrap.cli.trade.measure_trade",
+        "radwrap.cli.validate.validate",
+        "radwrap.study.study.run_study",
+    ):
+        monkeypatch.setattr(work, at_work)
+    monkeypatch.setattr("radwrap.study.design.read_design", lambda *_: None)
+    (tmp_path / "scene.toml").write_bytes((files("radwrap") / "data" / "init" / "scene.toml").read_bytes())
+    write_png(tmp_path / "a.png", np.arange(64, dtype=np.uint8).reshape(8, 8))
+    command, names = argv[: argv.index("out") + 1], argv[argv.index("out") + 1 :]
+    out = tmp_path / "out"
+    out.mkdir()
+    for name in names:
+        (out / name).symlink_to("/dev/null")
+        assert main(command) == 2
+        assert f"{name}: is not a regular file" in capsys.readouterr().err
+        (out / name).unlink()
+    with monkeypatch.context() as nobody:
+        nobody.setattr("os.access", lambda *_: False)
+        assert main(command) == 4
+    assert "out: cannot be written to" in capsys.readouterr().err
+    out.rmdir()
+    out.write_text("a file")
+    assert main([*command[:-1], "out/inner"]) == 2
+    assert "out: a file stands where a folder is needed" in capsys.readouterr().err
+
+
+def test_long_values_are_shortened_in_messages() -> None:
+    long = "x" * 100_000
+    for error in (
+        InputError(f'"{long}" is no length', where="camera.distance"),
+        InputError("unknown key", where=f"scene.toml: {long}"),
+        InputError(f"argument --only: invalid choice: '{long}'"),
+    ):
+        assert 60 < len(str(error)) < 200 and "x" * 50 in str(error) and "x..." in str(error)
+    path = "/".join(["folder" * 9] * 20)
+    assert path in str(InputError("no such file", where=path)), "which somebody must find"

@@ -2,8 +2,9 @@
 
 import subprocess
 import sys
+import zlib
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import pytest
@@ -68,6 +69,56 @@ def test_a_png_with_a_wrong_byte_is_one_clear_error(tmp_path: Path, capfd: pytes
     with pytest.raises(InputError, match="is not whole: a checksum is wrong"):
         read_gray(path)
     assert capfd.readouterr() == ("", "")
+
+
+def _png(*chunks: tuple[bytes, bytes]) -> bytes:
+    """Chunks with their checksums."""
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        len(data).to_bytes(4, "big") + kind + data + zlib.crc32(kind + data).to_bytes(4, "big") for kind, data in chunks
+    )
+
+
+HEADER: Final = (b"IHDR", bytes([0, 0, 0, 9, 0, 0, 0, 5, 8, 0, 0, 0, 0]))  # 9 x 5 pixels of 8 bits
+PICTURE: Final = bytes([0, *range(9)]) * 5
+END: Final = (b"IEND", b"")
+BROKEN: Final = {
+    "a filter that there is not": (
+        [HEADER, (b"IDAT", zlib.compress(PICTURE[:10] + b"\7" + PICTURE[11:])), END],
+        "unpacked",
+    ),
+    "bytes that are not packed": ([HEADER, (b"IDAT", PICTURE), END], "unpacked"),
+    "half a picture": ([HEADER, (b"IDAT", zlib.compress(PICTURE[:25])), END], "ends too early"),
+    "7 bits": ([(b"IHDR", HEADER[1][:8] + bytes([7, 0, 0, 0, 0])), (b"IDAT", zlib.compress(PICTURE)), END], "header"),
+    "no pixels": ([(b"IHDR", bytes(4) + HEADER[1][4:]), (b"IDAT", zlib.compress(PICTURE)), END], "header"),
+    "no header": ([(b"IDAT", zlib.compress(PICTURE)), END], "a part is not as"),
+    "no palette": ([(b"IHDR", HEADER[1][:9] + bytes([3, 0, 0, 0])), (b"IDAT", zlib.compress(PICTURE)), END], "palette"),
+    "an unknown part": ([HEADER, (b"IDAX", zlib.compress(PICTURE)), END], "a part is not as"),
+}
+
+
+@pytest.mark.parametrize("fault", list(BROKEN))
+def test_a_png_that_libpng_cannot_read_is_one_clear_error(
+    tmp_path: Path, fault: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Checksums are right: libpng would say what is wrong on a line of its own."""
+    chunks, expected = BROKEN[fault]
+    path = tmp_path / "wrong.png"
+    path.write_bytes(_png(*chunks))
+    with pytest.raises(InputError, match=f"wrong\\.png: is not whole: .*{expected}"):
+        read_gray(path)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_png_in_parts_and_an_interlaced_one_are_read(tmp_path: Path) -> None:
+    packed = zlib.compress(PICTURE)
+    (tmp_path / "parts.png").write_bytes(_png(HEADER, (b"IDAT", packed[:7]), (b"IDAT", packed[7:]), END))
+    assert read_gray(tmp_path / "parts.png").values.tolist() == [list(range(9))] * 5
+    # Of 9 x 5 pixels the passes have 2 x 1, 1 x 1, 3 x 1, 2 x 2, 5 x 1, 4 x 3 and 9 x 2.
+    sizes = [(2, 1), (1, 1), (3, 1), (2, 2), (5, 1), (4, 3), (9, 2)]
+    rows = b"".join(bytes([0] + [6] * columns) * count for columns, count in sizes)
+    laced = (b"IHDR", HEADER[1][:12] + b"\1")
+    (tmp_path / "laced.png").write_bytes(_png(laced, (b"IDAT", zlib.compress(rows)), END))
+    assert read_gray(tmp_path / "laced.png").values.tolist() == [[6] * 9] * 5
 
 
 @pytest.mark.parametrize("kind", [RadianceImage, ExposureImage, GrayImage])

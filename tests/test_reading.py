@@ -163,3 +163,21 @@ def test_rows_of_a_table_have_their_lines() -> None:
 def test_what_is_not_csv_is_refused_with_its_line(cell: str) -> None:
     with pytest.raises(InputError, match=r"t\.csv: line 2: is not CSV"):
         list(csv_rows(f"a,b\n1,{cell}", "t.csv"))
+
+
+def test_a_small_file_takes_little_memory_whatever_its_kind_may_hold(tmp_path: Path) -> None:
+    path = tmp_path / "small"
+    path.write_bytes(b"12345")
+    tracemalloc.start()
+    assert read_bytes(path, FileKind("file", 1 << 30)) == b"12345"
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1 << 20
+
+
+def test_a_file_that_does_not_know_its_size_is_read_whole() -> None:
+    path = Path("/proc/self/status")
+    if not path.exists():
+        pytest.skip("no /proc on this system")
+    assert path.stat().st_size == 0
+    assert b"VmRSS" in read_bytes(path, FileKind("file", 1 << 20))

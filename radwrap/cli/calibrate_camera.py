@@ -21,7 +21,7 @@ from radwrap.calibrate.tsai import SOLVERS, CameraCalibration, as_json, calibrat
 from radwrap.cli import options as shared
 from radwrap.errors import InputError
 from radwrap.manifest import json_text
-from radwrap.reading import FileKind, csv_rows, read_text, shortened
+from radwrap.reading import FileKind, csv_rows, read_text, shortened, unusable
 from radwrap.units import LENGTH, PIXEL, Dimension, parse_quantity
 
 _COLUMNS: Final = ("x", "y", "z", "u", "v")
@@ -148,8 +148,8 @@ def _number(text: str, name: str, where: str) -> float:
         value = float(text)
     except ValueError as error:
         raise InputError(f'{name} "{shortened(text)}" is no number', where=where) from error
-    if not math.isfinite(value):
-        raise InputError(f"{name} {shortened(text)} is not finite", where=where, remedy="leave the point out")
+    if why := unusable(value):
+        raise InputError(f"{name} {shortened(text)} {why}", where=where, remedy="leave the point out")
     return value
 
 

@@ -17,7 +17,7 @@ from radwrap.cli import options as shared
 from radwrap.errors import InputError
 from radwrap.files import write_bytes
 from radwrap.manifest import SCHEMA_VERSION, json_text
-from radwrap.reading import FileKind, csv_rows, read_text, shortened
+from radwrap.reading import FileKind, csv_rows, read_text, shortened, unusable
 from radwrap.units import ANGLE, LENGTH, RADIANT_INTENSITY, Dimension, parse_quantity
 
 EXPOSURE: Final = "radiant_exposure"
@@ -75,7 +75,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out the verb."""
-    picture = shared.file_to_write(arguments.plot, "--plot", ".png")
+    picture = shared.file_to_write(arguments.plot, "--plot", ".png", others=[arguments.frames])
     path = Path(arguments.frames)
     kind, values, gray, lines = read_frames(path)
     exposure, unit = _exposure(arguments, kind, values)
@@ -152,8 +152,8 @@ def _number(cell: str, where: str) -> float:
         raise InputError(
             f'"{shortened(cell)}" is not a number', where=where, remedy="write 0.016, with a point"
         ) from error
-    if not math.isfinite(value):
-        raise InputError(f'"{shortened(cell)}" is not a finite number', where=where)
+    if why := unusable(value):
+        raise InputError(f'"{shortened(cell)}" {why}', where=where)
     return value
 
 

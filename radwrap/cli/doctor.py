@@ -44,7 +44,10 @@ def run(arguments: argparse.Namespace) -> int:
         for name, version in versions(*STUDY_PACKAGES).items():
             print(f"{name}: {version}")
         print(f"cores: {available_cores()}")
-    return 0 if whole else EnvironmentFailure.exit_code
+    for check in checks:
+        if check["needed"] and not check["found"]:
+            raise EnvironmentFailure(check["problem"], where=check["name"], remedy=check["remedy"])
+    return 0
 
 
 def _check(name: str, needed: bool, remedy: str, look: Callable[[], tuple[str, str]]) -> dict[str, Any]:

@@ -10,7 +10,15 @@ from typing import Any, Final
 
 from radwrap.cli import led_calibrate, led_play
 from radwrap.cli import options as shared
-from radwrap.cli.led_device import add_device, add_light, device_record, ring_of, stdin_is_there, warn_of_ripple
+from radwrap.cli.led_device import (
+    add_device,
+    add_light,
+    device_record,
+    ring_of,
+    stdin_is_there,
+    tell_emulated,
+    warn_of_ripple,
+)
 from radwrap.errors import InputError
 from radwrap.led.connect import kind_of
 from radwrap.led.drive import decimal
@@ -99,6 +107,7 @@ def run_show(arguments: argparse.Namespace) -> int:
     with ring_of(arguments) as ring:
         held = ring.readback()
         device = device_record(ring)
+        tell_emulated(ring)
     if arguments.json:
         print(json_text({"schema_version": SCHEMA_VERSION, "device": device, "held": held}), end="")
         return 0
@@ -113,6 +122,7 @@ def run_off(arguments: argparse.Namespace) -> int:
     with ring_of(arguments, wrest=True) as ring:
         held = ring.readback()
         told = {"schema_version": SCHEMA_VERSION, "device": device_record(ring), "verified": held is not None}
+        tell_emulated(ring)
     if arguments.json:
         print(json_text(told), end="")
     else:
@@ -178,6 +188,7 @@ def _duration(arguments: argparse.Namespace) -> float | None:
 
 def _hold(ring: LedRing, frame: Frame, duration: float | None, *, as_json: bool) -> None:
     """Tell what shines, and wait."""
+    tell_emulated(ring)
     told = {
         "schema_version": SCHEMA_VERSION,
         "device": device_record(ring),

@@ -12,7 +12,6 @@ from typing import Any, Final
 
 from radwrap.cli import options as shared
 from radwrap.errors import InputError
-from radwrap.files import check_result
 from radwrap.led.calibration import read_table, scaled, write_calibration
 from radwrap.led.drive import read_drive
 from radwrap.led.play import DARK, RECORD, led_name
@@ -54,7 +53,7 @@ def add_to(what: argparse._SubParsersAction[Any]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out the verb."""
-    check_result(Path(arguments.out))
+    shared.file_to_write(arguments.out, "--out", others=[arguments.table, arguments.drive, arguments.captures])
     calibration, told = _from_table(arguments) if arguments.table else _from_captures(arguments)
     write_calibration(Path(arguments.out), calibration)
     if arguments.json:

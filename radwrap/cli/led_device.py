@@ -80,9 +80,13 @@ def ring_of(arguments: argparse.Namespace, scene: Scene | None = None, *, wrest:
             positions = ring.capabilities.positions
             if scene is not None and positions is not None:
                 check_positions(positions, the_ring(scene))
-            if ring.capabilities.emulated:
-                print("radwrap: this ring is emulated, no light shines", file=sys.stderr)
             yield ring
+
+
+def tell_emulated(ring: LedRing) -> None:
+    """Say of an emulated ring that it is one: where the command is accepted, so that an error is one line."""
+    if ring.capabilities.emulated:
+        print("radwrap: this ring is emulated, no light shines", file=sys.stderr)
 
 
 def _wrest(device: Found, kind: Kind, count: int) -> None:

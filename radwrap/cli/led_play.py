@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from radwrap.cli import options as shared
-from radwrap.cli.led_device import add_device, add_light, ring_of, stdin_is_there, warn_of_ripple
+from radwrap.cli.led_device import add_device, add_light, ring_of, stdin_is_there, tell_emulated, warn_of_ripple
 from radwrap.errors import InputError
 from radwrap.files import make_folder, sole_owner
 from radwrap.imaging.relight.levels import Levels, read_levels
@@ -93,6 +93,7 @@ def run(arguments: argparse.Namespace) -> int:
         trigger = _enter(ring, len(frames))
         if arguments.camera:
             trigger = _command(arguments.camera, out, programs, ring, longest)
+        tell_emulated(ring)
         record = play(ring, frames, out, nominal=nominal, trigger=trigger, settle=settle)
     if arguments.json:
         print(json_text(record), end="")

@@ -8,7 +8,7 @@ import os
 import re
 import sys
 from argparse import ArgumentTypeError
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -52,15 +52,15 @@ def whole(low: int = -_LARGEST_WHOLE, high: int = _LARGEST_WHOLE) -> Callable[[s
     return read
 
 
-def tell_memory(verb: str, pixels: int, each: int) -> None:
-    """Say beforehand what a large picture takes, at so many bytes a pixel; what this machine lacks is refused.
+def tell_memory(verb: str, pixels: int, each: int, besides: int = 0) -> None:
+    """Say beforehand what a large picture takes, bytes for each pixel and besides; what this machine lacks is refused.
 
     Raises
     ------
     InputError
         If it takes more than this machine has.
     """
-    need = pixels * each
+    need = pixels * each + besides
     if need < _WORTH_A_WORD:
         return
     told = f"{pixels / 1e6:.3g} million pixels take up to {need / 2**30:.1f} GiB of memory"
@@ -115,8 +115,13 @@ def out_folder(arguments: argparse.Namespace, what: str) -> Path:
     return Path(arguments.out)
 
 
-def file_to_write(name: str | Path | None, where: str, suffix: str = "") -> Path | None:
-    """File that an option names, if any; its folder is there, and its name ends as it must."""
+def file_to_write(
+    name: str | Path | None, where: str, suffix: str = "", *, others: Sequence[str | Path | None] = ()
+) -> Path | None:
+    """File that an option names, if any; its folder is there, its name ends as it must, and it is none of the others.
+
+    The others are what the command reads, and its other results.
+    """
     if name is None:
         return None
     path = Path(name)
@@ -128,6 +133,10 @@ def file_to_write(name: str | Path | None, where: str, suffix: str = "") -> Path
     if not path.parent.is_dir():
         raise InputError(f'there is no folder "{path.parent}"', where=where, remedy="make it first")
     check_result(path)
+    if any(other is not None and os.path.realpath(path) == os.path.realpath(other) for other in others):
+        raise InputError(
+            f'"{path}" is read by this command, or is another of its results', where=where, remedy="choose another name"
+        )
     return path
 
 

@@ -8,9 +8,10 @@ from typing import Any
 
 from radwrap.cli import options as shared
 from radwrap.errors import CheckFailed
+from radwrap.files import check_results
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.manifest import json_text
-from radwrap.validate.report import lines, write_card
+from radwrap.validate.report import NUMBERS, REPORT, lines, write_card
 from radwrap.validate.runner import validate
 
 _DESCRIPTION = (
@@ -47,6 +48,8 @@ def run(arguments: argparse.Namespace) -> int:
     options = RenderOptions(
         seed=arguments.seed, workers=arguments.workers, **shared.tracer_options(arguments), progress=True
     )
+    if arguments.out:
+        check_results(Path(arguments.out), (NUMBERS, REPORT))
     card = validate(options, arguments.names)
     if arguments.out:
         write_card(card, Path(arguments.out))

@@ -102,6 +102,12 @@ class SamplingPlan:
         if type(self.replicates) is not int or not 2 <= self.replicates <= _MOST_REPLICATES:
             raise InputError(f"must be a whole number from 2 to {_MOST_REPLICATES}", where="replicates")
 
+    @property
+    def rays_per_pixel(self) -> float:
+        """In all replicates; what lies beside the image is not counted."""
+        each = float(self.rays or 0) if self.cell is None else 1 / self.cell**2
+        return self.replicates * each
+
     def as_json(self) -> dict[str, Any]:
         """As `sampling_plan` reads it."""
         return asdict(self)

@@ -24,7 +24,7 @@ from radwrap.images import ExposureImage, GrayImage, png_bytes
 from radwrap.imaging.forecast.cost import Cost, check_size, estimate, seconds_per_ray
 from radwrap.imaging.forecast.effects import Effect, bounces, bounces_beyond
 from radwrap.imaging.mean_radiance import Made, fixed_method, make, viewpoint_plan
-from radwrap.imaging.methods.pieces import remove_pieces
+from radwrap.imaging.methods.pieces import remove_log, remove_pieces
 from radwrap.imaging.methods.viewpoints import missing_viewpoints
 from radwrap.imaging.optics.view import View
 from radwrap.imaging.output.folder import ALWAYS, is_whole, publish
@@ -124,13 +124,14 @@ def render(
         If Radiance or the disk fails, or another run owns the folder.
     """
     options = replace(options or RenderOptions(), **changes)
-    check_size(scene, options.max_pixels, _usual_rays(scene, options), options.workers or available_cores())
+    workers = options.workers or available_cores()
+    check_size(scene, options.max_pixels, _usual_rays(scene, options), workers, replicates=_kept_replicates(options))
     if out is None:
         for name in ("frames", "basis", "keep_viewpoints"):
             if getattr(options, name):
                 raise InputError(
                     "its files would be lost with a temporary folder",
-                    where=f"--{name.replace('_', '-')}",
+                    where=name,
                     remedy="name the folder: out",
                 )
         with tempfile.TemporaryDirectory(prefix="radwrap-") as folder:
@@ -139,11 +140,16 @@ def render(
     return _render_into(scene, Path(out), options)
 
 
-def _usual_rays(scene: Scene, options: RenderOptions) -> int:
+def _kept_replicates(options: RenderOptions) -> int:
+    """Images that are kept beside the result."""
+    return 0 if options.sampling is None else options.sampling.replicates
+
+
+def _usual_rays(scene: Scene, options: RenderOptions) -> float:
     """Rays that each pixel gets, as far as that is known before a ray is traced."""
     method = fixed_method(scene, options)
     if method is None:
-        return _USUAL_RAYS
+        return _USUAL_RAYS if options.sampling is None else options.sampling.rays_per_pixel
     return (1 if method == "pinhole" else options.viewpoint_number) * options.pixel_samples**2
 
 
@@ -158,18 +164,18 @@ def forecast(scene: Scene, options: RenderOptions) -> Cost:
     if options.frames:
         linear_of(scene.camera.sensor)
     workers = options.workers or available_cores()
-    rays = _usual_rays(scene, options)
-    check_size(scene, options.max_pixels, rays, workers)
+    rays, replicates = _usual_rays(scene, options), _kept_replicates(options)
+    check_size(scene, options.max_pixels, rays, workers, replicates=replicates)
     with laid_out(scene, options) as traced:
         # Whether "auto" means all is not known before rays are traced: what it costs at most is told.
         orders = options.bounces if isinstance(options.bounces, int) else None
         view = traced.view() if orders == 0 else traced.bouncing_view(orders)
         expected: float = rays * scene.camera.sensor.pixels
-        if fixed_method(scene, options) is None:
+        if fixed_method(scene, options) is None and options.sampling is None:
             demand = options.demand if orders == 0 else replace(options.demand, method="rays")
             choice = choose(view, survey(view, options.seed), demand)
             expected = choice.expected_rays[choice.method] or expected
-        return estimate(scene, expected, workers, lambda: seconds_per_ray(view))
+        return estimate(scene, expected, workers, lambda: seconds_per_ray(view), replicates=replicates)
 
 
 def _render_into(scene: Scene, out: Path, options: RenderOptions) -> Rendered:
@@ -347,7 +353,8 @@ def _magnification(scene: Scene, view: View) -> NDArray[np.float64] | None:
 
 
 def _clean_up(run: _Run) -> None:
-    """Remove the pieces, unless they are sub-viewpoints and wanted."""
+    """Remove the log of the pieces, and the pieces, unless they are sub-viewpoints and wanted."""
+    remove_log(run.pieces)
     if not run.options.keep_viewpoints or fixed_method(run.scene, run.options) is None:
         remove_pieces(run.pieces)
 

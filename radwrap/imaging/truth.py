@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -16,6 +18,54 @@ from radwrap.scene.targets import DotBoard, EdgeTarget, Target
 from radwrap.tracers.radiance import RadianceTracer
 
 _EDGE_POINTS: Final = 65
+
+
+@dataclass(frozen=True, slots=True)
+class DotPlace:
+    """Where the centre of a dot is in the image.
+
+    Attributes
+    ----------
+    row, column : int
+        Of the dot on its board.
+    u, v : float
+        Column and row of the image [px].
+    in_view : bool
+        Whether that lies on the sensor and before the camera; what stands before it is not asked.
+    """
+
+    row: int
+    column: int
+    u: float
+    v: float
+    in_view: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EdgeLine:
+    """Where an edge is in the image: u cos(angle) + v sin(angle) = offset.
+
+    Attributes
+    ----------
+    ends : ndarray of float64, shape (2, 2)
+        u, v of the ends of the edge [px].
+    angle : float
+        Of the normal, which points to the right, or downwards [rad].
+    offset : float
+        Of the line from the centre of the first pixel [px].
+    bow : float or None
+        How far the edge lies off that line at most [px]; None where the lens does not distort.
+    """
+
+    ends: NDArray[np.float64]
+    angle: float
+    offset: float
+    bow: float | None = None
+
+    @property
+    def normal(self) -> NDArray[np.float64]:
+        """Unit vector across the edge, shape (2,)."""
+        return np.array([math.cos(self.angle), math.sin(self.angle)])
 
 
 def central_maps(camera: Camera, identity: RadianceTracer) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
@@ -69,17 +119,28 @@ def geometry(scene: Scene, part_names: tuple[str, ...]) -> dict[str, Any]:
 def _target(camera: Camera, target: Target) -> dict[str, Any]:
     entry: dict[str, Any] = {"kind": type(target).__name__, "camera_from_target": _pose(camera, target)}
     if isinstance(target, DotBoard):
-        centres = target.dot_centres()
-        points = np.array([to_world(target.pose, centre) for _, _, centre in centres])
-        uv, _ = project(camera, points)
-        seen = in_view(camera, points)
-        entry["dots"] = [
-            {"row": row, "column": column, "u": float(u), "v": float(v), "in_view": bool(visible)}
-            for (row, column, _), (u, v), visible in zip(centres, uv, seen, strict=True)
-        ]
+        entry["dots"] = [asdict(place) for place in dot_places(camera, target)]
     if isinstance(target, EdgeTarget):
-        entry["edge"] = _edge(camera, target)
+        entry["edge"] = _told(edge_line(camera, target))
     return entry
+
+
+def _told(line: EdgeLine | None) -> dict[str, Any]:
+    if line is None:
+        return {"ends": None, "angle": None, "offset": None}
+    told = {"ends": line.ends.tolist(), "angle": line.angle, "offset": line.offset}
+    return told if line.bow is None else {**told, "bow": line.bow}
+
+
+def dot_places(camera: Camera, board: DotBoard) -> tuple[DotPlace, ...]:
+    """True places of a board's dots, by projection through the pinhole's centre."""
+    centres = board.dot_centres()
+    points = np.array([to_world(board.pose, centre) for _, _, centre in centres])
+    uv, _ = project(camera, points)
+    return tuple(
+        DotPlace(row, column, float(u), float(v), bool(visible))
+        for (row, column, _), (u, v), visible in zip(centres, uv, in_view(camera, points), strict=True)
+    )
 
 
 def _pose(camera: Camera, target: Target) -> list[list[float]]:
@@ -90,22 +151,19 @@ def _pose(camera: Camera, target: Target) -> list[list[float]]:
     return [*rows, [0.0, 0.0, 0.0, 1.0]]
 
 
-def _edge(camera: Camera, target: EdgeTarget) -> dict[str, Any]:
+def edge_line(camera: Camera, target: EdgeTarget) -> EdgeLine | None:
+    """True place of an edge, by projection through the pinhole's centre; None if it lies behind the camera."""
     ends = [(target.edge_position, y, 0.0) for y in (-target.height / 2, target.height / 2)]
     uv, depth = project(camera, np.array([to_world(target.pose, end) for end in ends]))
     if (depth <= 0).any():
-        return {"ends": None, "angle": None, "offset": None}
+        return None
     along = uv[1] - uv[0]
     normal = np.array([-along[1], along[0]]) / np.hypot(*along)
     normal = normal if normal[0] > 0 or (normal[0] == 0 and normal[1] > 0) else -normal
-    line = {
-        "ends": uv.tolist(),
-        "angle": float(np.arctan2(normal[1], normal[0])),
-        "offset": float(normal @ uv[0]),
-    }
+    angle, offset = float(np.arctan2(normal[1], normal[0])), float(normal @ uv[0])
     if camera.distortion is None:
-        return line
+        return EdgeLine(uv, angle, offset)
     # A lens that distorts bends the line: how far it lies off its chord.
     between = np.linspace(-target.height / 2, target.height / 2, _EDGE_POINTS)
     places = np.array([to_world(target.pose, (target.edge_position, float(y), 0.0)) for y in between])
-    return {**line, "bow": float(np.abs(project(camera, places)[0] @ normal - line["offset"]).max())}
+    return EdgeLine(uv, angle, offset, float(np.abs(project(camera, places)[0] @ normal - offset).max()))

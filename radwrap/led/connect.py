@@ -18,6 +18,7 @@ from radwrap.led.ports import Found, open_port
 from radwrap.process import Child, start_child
 
 _START: Final = 20.0  # s, on a busy machine ten times what it takes
+_LONGEST_SOCKET: Final = 103  # bytes of its name, where a system takes the fewest (macOS)
 
 
 def kind_of(device: Found) -> Kind | None:
@@ -116,6 +117,13 @@ class EmulatorProcess:
     ) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="radwrap-led-")
         self.socket = str(Path(self._folder.name) / "ring")
+        if len(os.fsencode(self.socket)) > _LONGEST_SOCKET:
+            self._folder.cleanup()
+            raise EnvironmentFailure(
+                f"{self.socket} is too long a name for a socket",
+                where="emulator",
+                remedy="set TMPDIR to a shorter folder",
+            )
         options = ["--kind", kind, "--count", str(count), "--serial", serial]
         options += [f"--diameter={ring[0]!r}", f"--first-angle={ring[1]!r}"]
         self._child = start_module("radwrap.led.emulator", self.socket, *options)

@@ -250,7 +250,7 @@ def products(out: Path) -> dict[str, Any]:
 
 
 def traced(out: Path) -> list[int]:
-    """Numbers of the sub-viewpoints that were given to a tracer, in the order of the log."""
+    """Numbers of the sub-viewpoints that an unfinished run gave to a tracer, in the order of its log."""
     log = out / "viewpoints" / "tracer_calls.log"
     return [int(line) for line in log.read_text("ascii").split()] if log.is_file() else []
 
@@ -258,6 +258,17 @@ def traced(out: Path) -> list[int]:
 def finished(out: Path) -> set[int]:
     """Numbers of the sub-viewpoints whose files stand under their final names."""
     return {int(path.stem.split("_")[1]) for path in (out / "viewpoints").glob("viewpoint_*.exr")}
+
+
+def stamps(out: Path) -> dict[int, tuple[int, int]]:
+    """What tells a sub-viewpoint's file from one that was made again in its place, by its number."""
+    places = {number: out / "viewpoints" / f"viewpoint_{number:05d}.exr" for number in finished(out)}
+    return {number: (place.stat().st_ino, place.stat().st_mtime_ns) for number, place in places.items()}
+
+
+def made_since(out: Path, before: dict[int, tuple[int, int]]) -> set[int]:
+    """Numbers of the sub-viewpoints that were made after those stamps were taken."""
+    return {number for number, stamp in stamps(out).items() if before.get(number) != stamp}
 
 
 def wait_for(condition: Callable[[], bool], process: subprocess.Popen[str], patience: float = PATIENCE) -> bool:

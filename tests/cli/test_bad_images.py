@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -124,7 +125,7 @@ TABLES: dict[str, tuple[str | bytes | None, str]] = {
     "a column twice": ("x,y,z,u,u\n1,2,3,4,5\n", "the header is"),
     "a short line": (HEADER + "1,2,3,4\n", "points.csv:2: holds 4 values"),
     "no number": (HEADER + "1,2,3,4,five\n", 'v "five" is no number'),
-    "NaN": (HEADER + "1,2,3,4,nan\n", "v nan is not finite"),
+    "NaN": (HEADER + "1,2,3,4,nan\n", "v nan is not a finite number"),
     "a blank line inside": (HEADER + BOARD[0] + "\n" + "".join(BOARD[1:]), "points.csv:3: holds 0 values"),
     "a point twice": (HEADER + "".join([*BOARD, BOARD[0]]), "point"),
     "collinear": (HEADER + "".join(f"{i / 100},{i / 50},0,{90 + i},{80 + 2 * i}\n" for i in range(9)), "line"),
@@ -212,3 +213,70 @@ def test_a_gray_level_that_cannot_be_is_one_clear_error(
     out, err = capfd.readouterr()
     assert (out, err.count("\n")) == ("", 1)
     assert option.split("=", maxsplit=1)[0] in err
+
+
+def test_a_file_that_the_reader_cannot_quote_is_one_clear_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The reader's message holds the file's own bytes, which need not be text; nor need the file's name."""
+    write_exr(tmp_path / "edge.exr", EDGE.astype(np.float32), channel="Y")
+    content = (tmp_path / "edge.exr").read_bytes()
+    spoilt = content.replace(b"capDate\0", b"capDate\xff", 1)
+    for name, written in (("a.exr", spoilt), (os.fsdecode(b"\xff.exr"), content)):
+        (tmp_path / name).write_bytes(written)
+        assert main(["measure", "edge", str(tmp_path / name)]) == 2
+        told = capsys.readouterr().err
+        assert told.count("\n") == 1 and ("is no image" in told or "not UTF-8" in told)
+
+
+def test_a_wild_pixel_is_compared_as_any_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    wild = EDGE.astype(np.float32)
+    wild[5, 5] = 3e38
+    write_exr(tmp_path / "a.exr", EDGE.astype(np.float32), channel="Y")
+    write_exr(tmp_path / "b.exr", wild, channel="Y")
+    assert main(["compare", str(tmp_path / "a.exr"), str(tmp_path / "b.exr"), "--out", str(tmp_path / "out")]) in (0, 1)
+    assert "Traceback" not in capsys.readouterr().err
+
+
+NUMBERS = {
+    "calibrate sensor": ("exposure_time,gray\n0.1,20\n0.2,1e300\n", []),
+    "calibrate camera": (
+        "x,y,z,u,v\n1e150,0,0,1,1\n",
+        ["--pixel-width", "13 um", "--pixel-height", "16 um", "--centre", "9", "8"],
+    ),
+    "study analyse": ("A,y\nL,1\nH,-1e154\n", ["--response", "y"]),
+}
+
+
+@pytest.mark.parametrize("verb", NUMBERS)
+def test_numbers_whose_squares_are_none_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], verb: str
+) -> None:
+    text, options = NUMBERS[verb]
+    (tmp_path / "table.csv").write_text(text)
+    assert main([*verb.split(), str(tmp_path / "table.csv"), *options]) == 2
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1 and "is beyond 1e+30" in told
+
+
+OVER = [
+    ["measure", "parts", "edge.png", "--overlay", "edge.png"],
+    ["measure", "dots", "edge.png", "--grid", "5x5", "--csv", "folder/../edge.png"],
+    ["measure", "dots", "edge.png", "--grid", "5x5", "--overlay", "x.png", "--csv", "x.png"],
+    ["led", "calibrate", "--table", "table.csv", "--drive", "drive.toml", "--out", "drive.toml"],
+]
+
+
+@pytest.mark.parametrize("words", OVER)
+def test_no_result_takes_the_place_of_what_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder").mkdir()
+    write_png(tmp_path / "edge.png", EDGE)
+    (tmp_path / "table.csv").write_text("a\n")
+    (tmp_path / "drive.toml").write_text("")
+    before = {path.name: path.read_bytes() for path in tmp_path.glob("*.*")}
+    assert main(words) == 2
+    assert "choose another name" in capsys.readouterr().err
+    assert {path.name: path.read_bytes() for path in tmp_path.glob("*.*")} == before

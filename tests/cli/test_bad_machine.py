@@ -36,7 +36,7 @@ def test_missing_radiance_is_told(
     monkeypatch.setenv("RADWRAP_RADIANCE", "/nonexistent")
     assert "/nonexistent" in here(render, capsys).refusal(4)
     doctor = here(["doctor", "--json"], capsys)
-    assert doctor.code == 4
+    assert doctor.code == 4 and doctor.stderr.startswith("radwrap: Radiance: ") and doctor.stderr.count("\n") == 1
     entry = next(check for check in doctor.json["checks"] if check["name"] == "Radiance")
     assert not doctor.json["ok"] and not entry["found"] and entry["needed"] and "pip install" in entry["remedy"]
     # What needs no tracer goes on.

@@ -24,8 +24,10 @@ from tests.cli.conftest import (
     finished,
     here,
     inhabitants,
+    made_since,
     products,
     run,
+    stamps,
     start,
     traced,
     wait_for,
@@ -52,11 +54,13 @@ def _is_on_its_way(out: Path, due: int, begun: int) -> bool:
     return len(finished(out)) > due and len(traced(out)) > begun
 
 
-def test_ten_kills_at_random_change_nothing(memory_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    number, kills = 37, 10
+@pytest.mark.parametrize("kills", [3, pytest.param(10, marks=pytest.mark.long)])
+def test_kills_at_random_change_nothing(memory_path: Path, capsys: pytest.CaptureFixture[str], kills: int) -> None:
+    """Moments between those of the next test, which kills at each rename there is."""
+    number = 37
     scene, out = write_scene(memory_path, SLOWER), memory_path / "out"
     argv = _argv(scene, out, KEPT, number=number)
-    here(_argv(scene, memory_path / "good", number=number), capsys).success()
+    here(_argv(scene, memory_path / "good", KEPT, number=number), capsys).success()
     good = products(memory_path / "good")
     dice = random.Random(20)  # noqa: S311  (no secret)
     known: set[int] = set()
@@ -73,10 +77,12 @@ def test_ten_kills_at_random_change_nothing(memory_path: Path, capsys: pytest.Ca
         assert set(log[begun:]).isdisjoint(known)
         assert known <= finished(out)
         known = finished(out)
+    before = stamps(out)
     done = run(*argv, "--json").success()
     assert done.json["timing"]["reused_viewpoints"] == len(known)
-    assert sorted(traced(out)[len(log) :]) == sorted(set(range(number)) - known)
+    assert made_since(out, before) == set(range(number)) - known
     _again_is_the_same(out, good)
+    assert files_in(out / "viewpoints") == files_in(memory_path / "good" / "viewpoints")
 
 
 # A process that kills itself: the command's own code, forked for each moment, so that libraries are loaded once.
@@ -190,6 +196,7 @@ def test_killed_at_every_rename_and_while_merging(memory_path: Path) -> None:
             assert len(left[name]) == min(number - (kind != "after rename"), 3) or kind == "merge"
         assert logs[name] == list(range(len(logs[name])))
     assert left["merge 1"] == {0, 1, 2}
+    before = {name: stamps(memory_path / name) for name, _, _ in moments}
 
     again = [*argv, KEPT]
     assert _carry_out(again, [("good", "never", 0), *everywhere]) == [0] * (len(moments) + 1)
@@ -200,8 +207,8 @@ def test_killed_at_every_rename_and_while_merging(memory_path: Path) -> None:
     for name, kind, _ in moments:
         if kind == "clean-up":
             continue  # a run that asks for the files has them, see below
-        more = traced(memory_path / name)[len(logs[name]) :]
-        assert sorted(more) == sorted({0, 1, 2} - left[name]), name
+        assert made_since(memory_path / name, before[name]) == {0, 1, 2} - left[name], name
+        assert files_in(memory_path / name / "viewpoints") == files_in(good / "viewpoints"), name
     assert [name for name in files_in(memory_path) if ".part" in name or "/.work/" in name] == []
 
 
@@ -290,9 +297,9 @@ def test_a_bad_file_is_noticed_and_traced_again(memory_path: Path, capsys: pytes
     (folder / "viewpoint_00019.exr").write_bytes((folder / "viewpoint_00000.exr").read_bytes())
     (folder / ".viewpoint_00004.part.exr").write_bytes(b"half")
     (out / "manifest.json").unlink()
-    log = len(traced(out))
+    before = stamps(out)
     here(argv, capsys).success()
-    assert sorted(traced(out)[log:]) == sorted(damages)
+    assert made_since(out, before) == set(damages)
     _again_is_the_same(out, good)
     assert finished(out) == set(range(19))
     assert not list(folder.glob(".*"))
@@ -304,7 +311,7 @@ def test_a_flipped_bit_is_noticed(memory_path: Path, capsys: pytest.CaptureFixtu
     scene, out = write_scene(memory_path), memory_path / "out"
     argv = _argv(scene, out, KEPT, number=number)
     here(argv, capsys).success()
-    good, log = products(out), len(traced(out))
+    good = products(out)
     dice = random.Random(5)  # noqa: S311  (no secret)
     sizes = []
     for index in range(number):
@@ -317,10 +324,9 @@ def test_a_flipped_bit_is_noticed(memory_path: Path, capsys: pytest.CaptureFixtu
         sizes.append(len(content))
     (out / "manifest.json").unlink()
     # In a process of its own: a decoder that crashes must not take the tests along.
+    before = stamps(out)
     run(*argv).success()
-    again = traced(out)[log:]
-    assert len(again) > number / 2
-    assert len(set(again)) == len(again)
+    assert len(made_since(out, before)) > number / 2
     _again_is_the_same(out, good)
 
 
@@ -328,7 +334,7 @@ def test_a_final_image_that_was_changed_is_made_again(memory_path: Path, capsys:
     scene, out = write_scene(memory_path), memory_path / "out"
     argv = _argv(scene, out, KEPT, "--truth")
     here(argv, capsys).success()
-    good, log = products(out), traced(out)
+    good, before = products(out), stamps(out)
     for name, damage in {
         "gray.png": _truncate,
         "radiant_exposure.exr": _remove,
@@ -339,7 +345,7 @@ def test_a_final_image_that_was_changed_is_made_again(memory_path: Path, capsys:
         damage(out / name)
         here(argv, capsys).success()
         _again_is_the_same(out, good)
-    assert traced(out) == log, "the sub-viewpoints were whole"
+    assert stamps(out) == before, "the sub-viewpoints were whole"
 
 
 # ------------------------------------------------------------------------------------------------- The folder's history
@@ -382,20 +388,21 @@ def test_a_changed_scene_in_the_same_folder_gives_its_own_result(
 def test_exposure_and_response_need_no_new_rays(memory_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene, out = write_scene(memory_path), memory_path / "out"
     here(_argv(scene, out, KEPT), capsys).success()
+    before = stamps(out)
     for key, value in {"exposure_time": "100 ms", "sensor.dark_gray": 30, "sensor.saturation_gray": 100}.items():
         here(_argv(scene, out, KEPT, "--set", f"camera.{key}={value}"), capsys).success()
-    assert sorted(traced(out)) == list(range(7))
+    assert set(before) == set(range(7)) and stamps(out) == before
 
 
 def test_a_finished_run_is_not_run_again(memory_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene, out = write_scene(memory_path), memory_path / "out"
     argv = _argv(scene, out, KEPT)
     first = here([*argv, "--json"], capsys).success().json
-    log, good = traced(out), files_in(out)
+    before, good = stamps(out), files_in(out)
     times = {path: path.stat().st_mtime_ns for path in out.iterdir() if path.suffix}
     second = here([*argv, "--json"], capsys).success().json
     assert first == second, "even its timing is the first run's"
-    assert traced(out) == log and files_in(out) == good
+    assert stamps(out) == before and files_in(out) == good
     assert {path: path.stat().st_mtime_ns for path in times} == times
     # Without the wish to keep them the files go, the result stays.
     here(_argv(scene, out), capsys).success()
@@ -405,7 +412,6 @@ def test_a_finished_run_is_not_run_again(memory_path: Path, capsys: pytest.Captu
     }
     # Who wants them again has them made again.
     here(argv, capsys).success()
-    assert sorted(traced(out)) == list(range(7))
     assert finished(out) == set(range(7))
 
 
@@ -416,12 +422,13 @@ def test_who_asks_for_the_sub_viewpoints_gets_all_of_them(
     scene, out = write_scene(memory_path), memory_path / "out"
     argv = _argv(scene, out, KEPT)
     here(argv, capsys).success()
-    good, log = products(out), len(traced(out))
+    good = products(out)
     _remove(out / "viewpoints" / "viewpoint_00003.exr")
     _truncate(out / "viewpoints" / "viewpoint_00005.exr")
+    before = stamps(out)
     here(argv, capsys).success()
     assert finished(out) == set(range(7))
-    assert sorted(traced(out)[log:]) == [3, 5]
+    assert made_since(out, before) == {3, 5}
     assert products(out) == good
 
 

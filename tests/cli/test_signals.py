@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -209,6 +210,13 @@ def test_closed_streams_change_no_exit_code(closed: str, words: list[str], code:
     assert done.returncode == code
     assert b"Traceback" not in done.stderr
     assert b"radwrap:" not in done.stdout
+
+
+@pytest.mark.parametrize("words", [["schema"], ["led", "list", "--json"]])
+def test_an_answer_to_a_closed_stdout_is_an_error(words: list[str]) -> None:
+    argv = shlex.join([sys.executable, "-c", _PROGRAM.format("pass"), *words])
+    done = subprocess.run(["/bin/sh", "-c", f"{argv} >&-"], capture_output=True, text=True, check=False, timeout=60)
+    assert (done.returncode, done.stderr) == (4, "radwrap: standard output: is closed\n")
 
 
 def test_a_message_that_nobody_can_read_changes_no_exit_code() -> None:

@@ -182,7 +182,8 @@ def test_light_that_is_left_out_is_told(tmp_path: Path) -> None:
         "material": "dim",
     }
     scene = radwrap.scene_from_document(document([floor, ball], sources=[lamp("0.5 m", "0 m", "2 m")]))
-    manifest = radwrap.render(scene, tolerance=0.5).manifest
+    # What bounces add, 20 gray levels, is found by its own rays, whatever the tolerance.
+    manifest = radwrap.render(scene, tolerance=4.0).manifest
     told = manifest["left_out"]["bounces"]
     assert told["needed"] and 0 < told["rms_gray"] <= told["rms_gray_upper95"]
     assert any("one surface to another" in line for line in manifest["warnings"])

@@ -1,5 +1,6 @@
 """Rendering from Python: what comes back, what it costs, how far it may be off."""
 
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ import pytest
 
 import radwrap
 from radwrap.errors import InputError
+from radwrap.imaging.demand import SamplingPlan
 from radwrap.imaging.forecast.cost import check_size, estimate
 from radwrap.imaging.synthesis import forecast
 from radwrap.imaging.tolerance.certificate import certify_by_independent_rays
@@ -132,6 +134,24 @@ def test_large_sensors_are_refused_with_their_cost() -> None:
     with pytest.raises(InputError, match=r"1\.6e\+09 pixels .* rays, .* GiB of memory, .* (hours|days)"):
         radwrap.render(big)
     check_size(big, 2_000_000_000, 37, 2)
+
+
+def test_replicates_that_are_kept_count_in_the_forecast() -> None:
+    plan = SamplingPlan("kernel", cell=0.5)
+    plain, planned = (forecast(scene(), radwrap.RenderOptions(workers=1, sampling=some)) for some in (None, plan))
+    # Each at least as float32 on the disk and twice as float64.
+    assert planned.memory_bytes - plain.memory_bytes >= 12 * 20 * 33 * 48
+    assert planned.rays == 12 * 4 * 33 * 48
+    big = scene(**{"camera.sensor.rows": 8000, "camera.sensor.columns": 10_000})
+    told = [re.search(r"([\d.e+]+) GiB", str(error.value)) for error in map(refusal_of, [big] * 2, [None, plan])]
+    assert told[0] and told[1] and float(told[1][1]) > 4 * float(told[0][1])
+
+
+def refusal_of(big: radwrap.Scene, plan: SamplingPlan | None) -> pytest.ExceptionInfo[InputError]:
+    """Why a sensor is too large."""
+    with pytest.raises(InputError) as error:
+        radwrap.render(big, sampling=plan, workers=1)
+    return error
 
 
 def test_a_forecast_measures_the_time_of_a_ray() -> None:

@@ -15,6 +15,8 @@ from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.tolerance.uncertainty import uncertainty
 from radwrap.scene.camera import Camera, Lens
 from radwrap.scene.tolerances import Tolerances
+from radwrap.validate.closed_forms.aperture import share_beyond
+from radwrap.validate.closed_forms.sensor import transfer_variance
 from tests.physics.conftest import Bench
 from tests.physics.test_linear_sensor import MU_P_OF_H, TABLE, scene_with, sensor_of
 
@@ -45,7 +47,7 @@ def test_each_cause_by_closed_form(name: str) -> None:
     tolerances, expected = CAUSES[name]
     found = uncertainty(level(camera, 6000), camera, tolerances, 0.4)  # 900 gray levels above dark
     assert found.parts[name] == pytest.approx(expected, rel=1e-9)
-    noise = (0.25 * 8) ** 2 + 1 / 12 + 0.25 * 900
+    noise = transfer_variance(900 / 0.25, gain=0.25, read_noise=8)
     rest = 0.0 if name == "rays" else 0.4**2
     assert found.sigma == pytest.approx(math.sqrt(expected**2 + rest + noise), rel=1e-9)
 
@@ -58,9 +60,8 @@ def test_more_blur_changes_an_edge_as_its_profile_says() -> None:
 
     def seen(radius: float) -> np.ndarray:
         # On the middle of a pixel; the profile's mean over a pixel by 400 points.
-        x = (np.arange(30)[:, np.newaxis] - 14.7 + (np.arange(400) + 0.5) / 400 - 0.5).clip(-radius, radius) / radius
-        profile = 1 - (np.arccos(x) - x * np.sqrt(1 - x**2)) / math.pi
-        return np.tile(0.1 + profile.mean(axis=1), (20, 1)) * 900 / camera.sensor.gain
+        x = (np.arange(30)[:, np.newaxis] - 14.7 + (np.arange(400) + 0.5) / 400 - 0.5) / radius
+        return np.tile(0.1 + share_beyond(x).mean(axis=1), (20, 1)) * 900 / camera.sensor.gain
 
     camera = camera_with(rounding=False, pixel_width="25 um", pixel_height="25 um")  # d_p 0.1 mm: R = 2 px
     found = uncertainty(ExposureImage(seen(2.0)), camera, Tolerances(aperture_diameter=1e-6 * HALF), 0.0)
@@ -193,7 +194,10 @@ def test_a_run_with_a_lens_tells_what_its_opening_is_not_sure_of(tmp_path: Path)
 def test_noise_alone_is_enough(tmp_path: Path) -> None:
     table = TABLE | {"rows": 6, "columns": 8}
     radwrap.render(sheet(None, table), tmp_path, method="pinhole")
-    assert read_image(tmp_path / "gray_sigma.exr")[0].min() >= math.sqrt((0.25 * 8) ** 2 + 1 / 12) * 0.999
+    assert (
+        read_image(tmp_path / "gray_sigma.exr")[0].min()
+        >= math.sqrt(transfer_variance(0, gain=0.25, read_noise=8)) * 0.999
+    )
 
 
 BAD: dict[str, tuple[dict[str, Any], str]] = {

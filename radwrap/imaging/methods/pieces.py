@@ -51,7 +51,7 @@ def read_piece(path: Path, plan: str) -> tuple[NDArray[np.float32], dict[str, st
 
 
 def log_call(folder: Path, name: object) -> None:
-    """Note that a piece is begun: the proof that nothing finished is traced again."""
+    """Note that a piece is begun: while a run is unfinished, the proof that nothing finished is traced again."""
     with (folder / CALL_LOG).open("a", encoding="ascii") as log:
         log.write(f"{name}\n")
 
@@ -69,6 +69,11 @@ def remove_halves(folder: Path) -> None:
     for path in folder.iterdir():
         if path.suffix == ".exr" and TEMPORARY_SUFFIX in path.suffixes:
             path.unlink(missing_ok=True)
+
+
+def remove_log(folder: Path) -> None:
+    """Remove the log: what was killed and begun again is no part of a result."""
+    (folder / CALL_LOG).unlink(missing_ok=True)
 
 
 def remove_pieces(folder: Path) -> None:
