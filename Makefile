@@ -10,13 +10,15 @@ FIGURES := fig05_response fig08_09_field fig10_board fig11_edge fig12_transition
 	table1_ambient table3_focal_length table3_reason table4_lenth
 NUMBERED := fig05 fig08 fig09 fig10 fig11 fig12 fig13 table1 table3 table3_reason table4
 
-.PHONY: demo test test-hid test-report lint bench bias invariance crosscheck validate figures replication $(NUMBERED) povray chromium clean help
+.PHONY: demo test test-long test-hid test-report coverage lint bench bias invariance crosscheck validate figures replication $(NUMBERED) povray chromium clean help
 
 help:
 	@echo "make demo   set up, render the calibration board, say where the picture lies"
-	@echo "make test   set up (POV-Ray by apt where missing), lint, run all tests"
+	@echo "make test   set up (POV-Ray by apt where missing), lint, run the tests"
+	@echo "make test-long  the whole samples of slow statistics, of which make test takes a part"
 	@echo "make test-hid  the LED cases on real HID devices, in two virtual machines (qemu by apt where missing)"
 	@echo "make test-report  open the report of a study in a real browser (Chromium by apt where missing)"
+	@echo "make coverage  lines and branches that the tests run, in all processes"
 	@echo "make lint   ruff and mypy --strict"
 	@echo "make bench  speed, overhead, memory, and what a tolerance costs, measured on this machine"
 	@echo "make crosscheck   Radiance against POV-Ray on rad_scenes/crosscheck"
@@ -31,15 +33,29 @@ demo: $(READY)
 	@$(BIN)/radwrap render rad_scenes/bench_board/scene.toml --out out/demo
 	@echo "The picture is out/demo/gray.png"
 
-# Two processes, as the machine that the suite is timed on has two cores; tests of a file share what they make.
+# Two processes, as the machine that the suite is timed on has two cores; tests of a file share what they make. One
+# thread each for linear algebra: on small matrices more threads mostly wait for each other, at five times the cost.
+ONE_THREAD := OPENBLAS_NUM_THREADS=1
+PYTEST := -m pytest -n 2 --dist loadfile
+
 test: $(READY) povray lint
-	@$(BIN)/python -m pytest -n 2 --dist loadfile
+	@$(ONE_THREAD) $(BIN)/python $(PYTEST)
+
+# The whole samples of slow statistics, of which make test takes a part.
+test-long: $(READY)
+	@$(ONE_THREAD) $(BIN)/python $(PYTEST) -m long
 
 test-hid: $(READY)
 	@$(BIN)/python scripts/test_hid.py
 
 test-report: $(READY) chromium
 	@$(BIN)/python -m pytest tests/study/report_in_browser.py
+
+# ARGS are pytest's: a folder of tests, say.
+coverage: $(READY) povray
+	@$(BIN)/coverage erase
+	@$(ONE_THREAD) $(BIN)/coverage run $(PYTEST) $(ARGS); code=$$?; \
+		$(BIN)/coverage combine --quiet && $(BIN)/coverage report --skip-covered --skip-empty && exit $$code
 
 lint: $(READY)
 	@$(BIN)/ruff check .
