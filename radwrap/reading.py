@@ -169,8 +169,8 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
         tree = tomllib.loads(text)
     except RecursionError as error:
         raise _too_deep(where) from error
-    except ValueError as error:  # also an integer of thousands of digits
-        raise InputError(f"is not TOML: {error}", where=where) from error
+    except ValueError as error:
+        raise _no_text_of("TOML", error, where) from error
     check_tree(tree, where, finite=False)
     return tree
 
@@ -194,9 +194,15 @@ def parse_json(text: str, where: str) -> Any:
     except RecursionError as error:
         raise _too_deep(where) from error
     except ValueError as error:
-        raise InputError(f"is not JSON: {error}", where=where) from error
+        raise _no_text_of("JSON", error, where) from error
     check_tree(tree, where, finite=True)
     return tree
+
+
+def _no_text_of(language: str, error: ValueError, where: str) -> InputError:
+    if "set_int_max_str_digits" in str(error):  # its remedy is for programmers
+        return InputError("holds an integer of more than 64 bits", where=where)
+    return InputError(f"is not {language}: {error}", where=where)
 
 
 def check_tree(tree: Any, where: str, *, finite: bool) -> None:

@@ -99,8 +99,10 @@ def check_points(
             raise InputError(f"point {row} holds NaN or infinity", where=where)
     if len(world) != len(seen):
         raise InputError(f"{len(world)} points but {len(seen)} images", where="points")
-    if not all(math.isfinite(side) and side > 0.0 for side in pixel):
-        raise InputError("width and height must be finite and above 0", where="pixel")
+    if not all(map(_is_size, pixel)):
+        raise InputError(
+            "must be finite and above 0", where="pixel_width" if not _is_size(pixel[0]) else "pixel_height"
+        )
     if len(centre) != 2 or not all(map(math.isfinite, centre)):
         raise InputError("needs two finite numbers", where="centre")
 
@@ -132,6 +134,10 @@ def check_points(
             remedy="give more points, or free less",
         )
     return world, seen, flat
+
+
+def _is_size(side: float) -> bool:
+    return math.isfinite(side) and side > 0.0
 
 
 def _check_duplicates(values: Array, where: str) -> None:

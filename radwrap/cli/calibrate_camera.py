@@ -143,13 +143,13 @@ def _row(cells: Sequence[str], order: Sequence[int], where: str) -> list[float]:
     return [_number(cells[index], name, where) for index, name in zip(order, _COLUMNS, strict=True)]
 
 
-def _number(text: str, name: str, where: str) -> float:
+def _number(text: str, name: str, where: str, remedy: str = "leave the point out") -> float:
     try:
         value = float(text)
     except ValueError as error:
         raise InputError(f'{name} "{shortened(text)}" is no number', where=where) from error
     if why := unusable(value):
-        raise InputError(f"{name} {shortened(text)} {why}", where=where, remedy="leave the point out")
+        raise InputError(f"{name} {shortened(text)} {why}", where=where, remedy=remedy)
     return value
 
 
@@ -162,7 +162,9 @@ def _quantity(text: str, dimension: Dimension, where: str) -> float:
 
 def _pixels(text: str) -> float:
     """A position on the sensor: bare as in the file's columns u, v, or with its unit as in a scene."""
-    return _quantity(text, PIXEL, "--centre") if "px" in text else _number(text, "position", "--centre")
+    if "px" in text:
+        return _quantity(text, PIXEL, "--centre")
+    return _number(text, "position", "--centre", remedy="write columns and rows, such as 95.5 82")
 
 
 def _lines(found: CameraCalibration) -> Iterator[str]:

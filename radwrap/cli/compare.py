@@ -87,7 +87,12 @@ def run(arguments: argparse.Namespace) -> int:
     for name, highest in (("tolerance", math.inf), ("allow_beyond", 1.0), ("dark", math.inf), ("saturation", math.inf)):
         value = getattr(arguments, name)
         if value is not None and not (0 <= value <= highest and math.isfinite(value)):
-            raise InputError("must be a number of zero or more", where=f"--{name.replace('_', '-')}")
+            allowed = f"a number from 0 to {highest:g}" if math.isfinite(highest) else "a number of zero or more"
+            raise InputError(f"must be {allowed}", where=f"--{name.replace('_', '-')}")
+    if None not in (arguments.dark, arguments.saturation) and arguments.dark >= arguments.saturation:
+        raise InputError(f"{arguments.dark:g} is not below --saturation {arguments.saturation:g}", where="--dark")
+    if arguments.allow_beyond and arguments.tolerance is None:
+        raise InputError("is of pixels beyond a tolerance", where="--allow-beyond", remedy="give --tolerance")
     if arguments.out:
         check_results(Path(arguments.out), (RESULT, DIFFERENCE, REPORT))
     captured, predicted = read_gray(Path(arguments.captured)), read_gray(Path(arguments.predicted))

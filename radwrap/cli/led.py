@@ -32,6 +32,7 @@ from radwrap.units import RADIANT_INTENSITY, parse_quantity
 
 _TICK: Final = 0.1  # s between looks at the ring while it shines
 _DARK: Final = "dark"
+_LONGEST: Final = 366 * 86_400.0  # s of light
 
 
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
@@ -180,7 +181,10 @@ def _levels(ring: LedRing, texts: list[str]) -> tuple[float, ...]:
 def _duration(arguments: argparse.Namespace) -> float | None:
     """How long there is to be light [s]; None is until Enter, which somebody must be able to press."""
     if arguments.duration is not None:
-        return shared.time_of(arguments.duration, "--for")
+        duration = shared.time_of(arguments.duration, "--for")
+        if duration > _LONGEST:
+            raise InputError(f'"{shortened(arguments.duration)}" is more than a year', where="--for")
+        return duration
     if not stdin_is_there():
         raise InputError("is closed, so that no Enter can end the light", where="stdin", remedy="give --for TIME")
     return None

@@ -34,6 +34,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument("--pixel-width", metavar="LENGTH", help='with radiant_exposure, such as "13.8 um"')
     parser.add_argument("--pixel-height", metavar="LENGTH", help="likewise")
     parser.add_argument("--wavelength", metavar="LENGTH", help='likewise, such as "650 nm"')
+    parser.add_argument("--trust", action="store_true", help="let FRAMES.csv name files outside its folder")
     parser.add_argument("--plot", metavar="PNG", help="draw photon transfer, signal, SNR and linearity")
     shared.add_json(parser)
     parser.set_defaults(run=run)
@@ -43,7 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Carry out the verb."""
     picture = shared.file_to_write(arguments.plot, "--plot", ".png", others=[arguments.frames])
     path = Path(arguments.frames)
-    kind, stacks = read_stacks(path)
+    kind, stacks = read_stacks(path, trust=arguments.trust)
     try:
         found = photon_transfer(kind, stacks, _photons(arguments, kind))
     except InputError as error:

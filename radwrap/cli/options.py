@@ -168,4 +168,6 @@ def _override(text: str) -> tuple[str, Any]:
     try:
         return key.strip(), parse_toml(f"value = {value}", "--set")["value"]
     except InputError:
+        if value.strip().lstrip("+-").isdecimal():
+            raise  # not a word without quotes, but a number that nobody can hold
         return key.strip(), value.strip()

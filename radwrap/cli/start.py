@@ -25,6 +25,8 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
 
 def run_init(arguments: argparse.Namespace) -> int:
     """Write the starting scene, never over an existing one."""
+    if not arguments.folder:
+        raise InputError("has no name", where="DIR", remedy='name a folder; "." is this one')
     folder = Path(arguments.folder)
     make_folder(folder)
     path = folder / "scene.toml"

@@ -7,10 +7,12 @@ import errno
 import io
 import os
 import sys
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from typing import Final
 
 _ESCAPED: Final = "radwrap.escaped"
+_STDOUT: Final = "standard output"
 
 
 def prepare_streams() -> None:
@@ -30,19 +32,41 @@ def prepare_streams() -> None:
     codecs.register_error(_ESCAPED, _escaped)
     if 1 in closed:
         sys.stdout = _Closed(os.fdopen(1, "wb", closefd=False), "utf-8", _ESCAPED)
-    elif isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors=_ESCAPED)
-    else:  # None: closed by who started us
-        sys.stdout = os.fdopen(1, "w", encoding="utf-8", errors=_ESCAPED)
+    else:
+        encoding = (
+            sys.stdout.encoding if isinstance(sys.stdout, io.TextIOWrapper) else "utf-8"
+        )  # None: closed before us
+        sys.stdout = _Answers(os.fdopen(1, "wb", closefd=False), encoding, _ESCAPED, line_buffering=os.isatty(1))
     encoding = sys.stderr.encoding if isinstance(sys.stderr, io.TextIOWrapper) else "utf-8"
     sys.stderr = _Voice(os.fdopen(2, "wb", closefd=False), encoding, _ESCAPED, line_buffering=True)
+
+
+class _Answers(io.TextIOWrapper):
+    """A stream for answers, whose errors name it as those of a file do."""
+
+    def write(self, text: str, /) -> int:
+        with _named():
+            return super().write(text)
+
+    def flush(self) -> None:
+        with _named():
+            super().flush()
+
+
+@contextmanager
+def _named() -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        error.filename = error.filename or _STDOUT
+        raise
 
 
 class _Closed(io.TextIOWrapper):
     """A stream for answers that nobody can get."""
 
     def write(self, _: str, /) -> int:
-        raise OSError(errno.EBADF, "is closed", "standard output")
+        raise OSError(errno.EBADF, "is closed", _STDOUT)
 
 
 class _Voice(io.TextIOWrapper):

@@ -40,11 +40,26 @@ def add_to(kinds: argparse._SubParsersAction[Any]) -> None:
 
 
 def add_workers(parser: argparse.ArgumentParser) -> None:
-    """--workers and --dask."""
+    """--workers, --dask and --worker-timeout."""
     parser.add_argument(
         "--workers", metavar="N", type=shared.whole(), help="processes, each with one tracer (default: all cores)"
     )
     parser.add_argument("--dask", metavar="ADDRESS", help='workers of a Dask cluster, such as "tcp://host:8786"')
+    parser.add_argument(
+        "--worker-timeout",
+        metavar="TIME",
+        help='how long the cluster may have no worker before the study ends (default "60 s")',
+    )
+
+
+def worker_options(arguments: argparse.Namespace) -> dict[str, Any]:
+    """What the options of `add_workers` say, by the names of `StudyOptions`."""
+    timeout = arguments.worker_timeout
+    return {
+        "workers": arguments.workers,
+        "dask": arguments.dask,
+        "worker_timeout": None if timeout is None else shared.time_of(timeout, "--worker-timeout"),
+    }
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -57,8 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
     out = shared.out_folder(arguments, "results")
     design = read_design(arguments.design)
     options = StudyOptions(
-        workers=arguments.workers,
-        dask=arguments.dask,
+        **worker_options(arguments),
         retry_failed=arguments.retry_failed,
         **shared.tracer_options(arguments),
         progress=True,

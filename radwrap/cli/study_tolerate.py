@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from radwrap.cli import options as shared
-from radwrap.cli.study_run import add_workers
+from radwrap.cli.study_run import add_workers, worker_options
 from radwrap.errors import CheckFailed, InputError, ToleranceNotMet
 from radwrap.manifest import json_text, write_manifest
 
@@ -60,8 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError("is missing", where="--out", remedy="name a folder")
     out = Path(arguments.out) if arguments.out else arguments.design.parent / "study"
     options = StudyOptions(
-        workers=arguments.workers,
-        dask=arguments.dask,
+        **worker_options(arguments),
         **shared.tracer_options(arguments),
         progress=True,
     )

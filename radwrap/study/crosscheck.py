@@ -12,6 +12,7 @@ import math
 import shutil
 import tempfile
 import time
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -136,8 +137,7 @@ def crosscheck(scene: Scene, out: Path, options: CrosscheckOptions) -> Crosschec
     EnvironmentFailure
         If a tracer is missing, of another version, fails, or gives an image that is not whole.
     """
-    make_folder(out)
-    with sole_owner(out), tempfile.TemporaryDirectory(prefix="radwrap-") as folder, Programs() as programs:
+    with ExitStack() as owned, tempfile.TemporaryDirectory(prefix="radwrap-") as folder, Programs() as programs:
         installation = find_povray(programs, options.povray)
         beams = gaussian_beams(scene)
         scene = without_gaussian_beams(one_band(scene, "sources"))
@@ -151,6 +151,8 @@ def crosscheck(scene: Scene, out: Path, options: CrosscheckOptions) -> Crosschec
         plan = viewpoint_plan(scene, options.render, method, traced.sha256())
         progress = Progress("tracing twice", 2 * plan.rays, shown=options.render.progress)
         runs = _Runs(out / _WORK, programs, progress)
+        make_folder(out)  # not before: what is refused leaves none
+        owned.enter_context(sole_owner(out))
         try:
             depth, parts = central_maps(scene.camera, traced.identity_tracer())
             radiance = runs.image("radiance", plan, traced.view().tracer, workers)

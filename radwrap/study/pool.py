@@ -6,6 +6,7 @@ processes end with this one, however it ends.
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import multiprocessing
 import os
@@ -13,6 +14,7 @@ import signal
 import socket
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -22,11 +24,13 @@ from pathlib import Path
 from typing import Any, Final, Protocol
 from urllib.parse import urlsplit
 
-from radwrap.errors import INTERRUPTED, EnvironmentFailure, InputError
+from radwrap.errors import INTERRUPTED, EnvironmentFailure, InputError, one_line
 from radwrap.study.seal import Seal, break_seal, check_fit, seal_of, why_unfit
 
 # A worker that was told to end gets so long for its tracers [s].
 _GRACE: Final = 10.0
+# So long a cluster may have no worker [s]: one that was killed is back by then; whoever queues for hours says so.
+WORKER_TIMEOUT: Final = 60.0
 
 
 class Pool(Protocol):
@@ -136,24 +140,28 @@ class DaskPool:
         Of the study.
     radiance : str or None
         Folder of the Radiance that is asked for.
+    worker_timeout : float
+        How long there may be no worker [s].
 
     Raises
     ------
     InputError
-        If no scheduler answers at the address.
+        If nobody listens at the address.
     EnvironmentFailure
-        If Dask is not installed, the scheduler is silent, or no worker is fit.
+        If Dask is not installed, whoever listens is no scheduler, or no worker is fit.
     """
 
-    def __init__(self, address: str, folder: Path, radiance: str | None) -> None:
+    def __init__(
+        self, address: str, folder: Path, radiance: str | None, worker_timeout: float = WORKER_TIMEOUT
+    ) -> None:
         try:
             from distributed import Client
         except ImportError as error:
             raise EnvironmentFailure(
                 "Dask is not installed", where=f"dask={address}", remedy="pip install radwrap[cluster]"
             ) from error
-        _check_scheduler(address)
         _silence_dask()
+        _check_scheduler(address)
         try:
             self._client = Client(address, timeout="10 s", set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
@@ -165,6 +173,7 @@ class DaskPool:
         self._unfit: dict[str, str] = {}
         self.workers = 0
         self._told = ""
+        self._patience, self._last_seen = worker_timeout, time.monotonic()
         try:
             self.look()
         except BaseException:
@@ -191,7 +200,7 @@ class DaskPool:
         Raises
         ------
         EnvironmentFailure
-            If the scheduler is gone, or all workers that are there are unfit.
+            If the scheduler is gone, all workers that are there are unfit, or there was none for too long.
         """
         try:
             if self._client.status != "running":
@@ -212,11 +221,20 @@ class DaskPool:
         if self._unfit and not fit:
             name, why = next(iter(self._unfit.items()))
             raise EnvironmentFailure(f"no worker is fit: {why}", where=name, remedy="see docs/study.md, Many machines")
-        self._tell(
-            f"{len(self._unfit)} workers are left out: {next(iter(self._unfit.values()))}" if self._unfit else ""
-        )
-        if not fit:
-            self._tell(f"no worker is there; waiting for one at {self._address}")
+        if fit:
+            self._last_seen = time.monotonic()
+            self._tell(self._left_out() if self._unfit else "")
+            return
+        if time.monotonic() - self._last_seen > self._patience:
+            raise EnvironmentFailure(
+                f"no worker for {self._patience:g} s",
+                where=self._address,
+                remedy="start one: dask worker; the same command goes on; or raise `worker_timeout`",
+            )
+        self._tell(f"no worker is there; waiting {self._patience:g} s for one at {self._address}")
+
+    def _left_out(self) -> str:
+        return f"{len(self._unfit)} workers are left out: {next(iter(self._unfit.values()))}"
 
     def _gone(self) -> EnvironmentFailure:
         return EnvironmentFailure(
@@ -224,7 +242,7 @@ class DaskPool:
         )
 
     def _tell(self, what: str) -> None:
-        if what != self._told:
+        if what and what != self._told:
             print(f"radwrap: {what}", file=sys.stderr)
         self._told = what
 
@@ -260,16 +278,38 @@ def _check_scheduler(address: str) -> None:
         host, port = None, None
     if host is None or port is None:
         raise InputError(f'"{address}" is no address', where="dask", remedy='write "tcp://HOST:8786"')
+    silence = EnvironmentFailure(
+        f"no answer from {address} within {_GRACE:g} s", where="dask", remedy="see whether it is a scheduler"
+    )
     try:
-        with socket.create_connection((host, port), _GRACE) as connection:
-            # A scheduler greets whoever comes, except where encryption comes first; Dask waits for that without end.
-            if place.scheme == "tcp" and not connection.recv(1):
-                raise ConnectionError
+        socket.create_connection((host, port), _GRACE).close()
     except TimeoutError as error:
+        raise silence from error
+    except OSError as error:
+        raise InputError(f"no scheduler at {address}", where="dask", remedy="start one: dask scheduler") from error
+    try:
+        kind = asyncio.run(asyncio.wait_for(_kind_of(address), _GRACE))
+    except TimeoutError as error:
+        raise silence from error
+    except Exception as error:  # another kind of server may say anything, and Dask trips over it anyhow
         raise EnvironmentFailure(
-            f"no answer from {address} within {_GRACE:g} s",
+            f"no Dask scheduler answers at {address}: {one_line(str(error))}",
             where="dask",
             remedy="see whether it is a scheduler",
         ) from error
-    except OSError as error:
-        raise InputError(f"no scheduler at {address}", where="dask", remedy="start one: dask scheduler") from error
+    if kind != "Scheduler":
+        raise EnvironmentFailure(f"a {kind} answers at {address}", where="dask", remedy="name the scheduler's address")
+
+
+async def _kind_of(address: str) -> str:
+    """What a server of Dask says it is. Dask's own client waits without end for one that says something else."""
+    import distributed
+
+    untyped: Any = distributed
+    words = untyped.Security().get_connection_args("client")
+    comm = await untyped.comm.connect(address, timeout=_GRACE, **words)
+    try:
+        await comm.write({"op": "identity", "reply": True})
+        return str((await comm.read())["type"])
+    finally:
+        comm.abort()

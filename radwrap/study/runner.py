@@ -178,8 +178,9 @@ class Scheduler:
 
     def _after_death(self, broken: Sequence[Future[Any]]) -> None:
         """A worker died, and with it the pool: go on with a new one; nobody knows whose fault it was."""
-        # The others of a broken pool come to an end too, some of them with a result.
-        wait(self._running)
+        # The others of a broken pool come to an end too, some of them with a result; of a cluster, if it has workers.
+        while wait(self._running, _LOOK).not_done:
+            self._pool.look()
         lost = [self._running.pop(future) for future in broken]
         lost += [self._running.pop(future) for future in self._collect(set(self._running))]
         self._pool.rebuild()

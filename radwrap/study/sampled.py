@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from radwrap.errors import InputError, RadwrapError
+from radwrap.errors import InputError
 from radwrap.manifest import read_manifest, sha256_of_value
 from radwrap.progress import Progress
 from radwrap.study.pilots import Plans, asked, plans_from_json, plans_of, read_pilot, told_of
@@ -25,7 +25,7 @@ def with_pilots(steps: Sequence[Step], plans: Plans, out: Path, pool: Pool, *, s
     Raises
     ------
     EnvironmentFailure, TracerError
-        If all pilots of a kind of render failed, and not by their scenes: no plan is made of nothing.
+        If a pilot failed, and not by its scene: it may have been the strictest.
     """
     jobs: dict[str, Job] = {}
     for step in steps:
@@ -44,17 +44,10 @@ def with_pilots(steps: Sequence[Step], plans: Plans, out: Path, pool: Pool, *, s
         failures = Scheduler(due, NO_SINK, pool, progress).run()
     finally:
         progress.close()
-    found = plans_of([(job.options, read_pilot(out / job.image)) for job in jobs.values()])
-    _check_failures(jobs.values(), failures, found)
-    return {**plans, **found}
-
-
-def _check_failures(jobs: Iterable[Job], failures: Mapping[str, RadwrapError], plans: Plans) -> None:
-    """Refuse to go on without a plan; a scene that is wrong stays so, and its runs will say it."""
-    for job in jobs:
-        why = failures.get(job.name)
-        if why is not None and not isinstance(why, InputError) and asked(job.options) not in plans:
+    for why in failures.values():
+        if not isinstance(why, InputError):  # a scene that is wrong stays so, and its runs will say it
             raise why
+    return {**plans, **plans_of([(job.options, read_pilot(out / job.image)) for job in jobs.values()])}
 
 
 def sampled(steps: Sequence[Step], plans: Plans) -> list[Step]:

@@ -21,7 +21,7 @@ from radwrap.study.design import Design, render_options
 from radwrap.study.journal import RESULTS, Journal
 from radwrap.study.light import reference_levels, split_light, with_levels
 from radwrap.study.pilots import Plans, told_of
-from radwrap.study.pool import DaskPool, LocalPool, Pool
+from radwrap.study.pool import WORKER_TIMEOUT, DaskPool, LocalPool, Pool
 from radwrap.study.runner import Scheduler, Step, chunks
 from radwrap.study.runs import Run, analysis_of, check_design, runs_of
 from radwrap.study.sampled import PILOTS, read_plans, sampled, with_pilots
@@ -40,6 +40,7 @@ _BASIS_OVERHEAD: Final = 2
 # and longer jobs, but enough for many workers, and each ends soon.
 _FEWEST_RELIT, _MOST_RELIT = 32, 256
 _RELIT_JOBS: Final = 32
+_LONGEST: Final = 1e9  # s that a limit of time may be, as in `RenderOptions`
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +53,8 @@ class StudyOptions:
         Processes; default one a core.
     dask : str, optional
         Address of a Dask scheduler, in place of own processes.
+    worker_timeout : float, optional
+        How long the cluster may have no worker before the study ends [s]; default 60.
     retry_failed : bool
         Whether runs that failed before are done again.
     trust, radiance, tracer_timeout
@@ -62,6 +65,7 @@ class StudyOptions:
 
     workers: int | None = None
     dask: str | None = None
+    worker_timeout: float | None = None
     retry_failed: bool = False
     trust: bool = False
     radiance: str | None = None
@@ -73,6 +77,10 @@ class StudyOptions:
             raise InputError(f"must lie between 1 and {MOST_WORKERS}, not {self.workers}", where="workers")
         if self.workers is not None and self.dask is not None:
             raise InputError("the cluster has its own workers", where="workers", remedy="leave it out with `dask`")
+        if self.worker_timeout is not None and self.dask is None:
+            raise InputError("only a cluster can be without workers", where="worker_timeout", remedy="give `dask` too")
+        if self.worker_timeout is not None and not 0 < self.worker_timeout <= _LONGEST:
+            raise InputError(f"must lie between 0 and {_LONGEST:g} s", where="worker_timeout")
 
     @property
     def of_render(self) -> dict[str, Any]:
@@ -162,7 +170,7 @@ def _identity_of(out: Path) -> dict[str, Any]:
 def open_pool(options: StudyOptions, folder: Path) -> Pool:
     """Workers for the study in a folder, to be closed by the caller."""
     if options.dask is not None:
-        return DaskPool(options.dask, folder, options.radiance)
+        return DaskPool(options.dask, folder, options.radiance, options.worker_timeout or WORKER_TIMEOUT)
     return LocalPool(options.workers or available_cores())
 
 

@@ -61,6 +61,11 @@ def placement(target: Target, frame: TextFrame) -> Placement:
 _ANYWHERE: Final = Placement()
 
 
+def has_direction(material: Material) -> bool:
+    """Whether a material must be described for each target that has it, since it hangs on where that lies."""
+    return isinstance(material, Anisotropic | PrintedImage)
+
+
 def number(value: float) -> str:
     """A number that reads back as the same."""
     return repr(value + 0.0)  # + 0.0 turns -0.0 into 0.0
@@ -111,24 +116,24 @@ def described(name: str, data: str, functions: str, material: Material, place: P
         case MeasuredBrdf():
             ends = (math.degrees(material.incidence[-1]), math.degrees(material.viewing[-1]))
             table = ("brdf_as_told", _data_name(data), measured, "incidence_deg", "viewing_deg", "azimuth_deg")
-            front = primitive("void", "metdata", f"{name}.front", (1.0, 1.0, 1.0, 1.0, *ends), table)
+            front = primitive("void", "metdata", f"front.{name}", (1.0, 1.0, 1.0, 1.0, *ends), table)
             return front + _front_only(name, functions)
         case PrintedImage():
             words = ("as_told", _data_name(data), measured, "print_row", "print_column")
-            pattern = primitive("void", "brightdata", f"{name}.print", _print_numbers(material, place), words)
-            return pattern + primitive(f"{name}.print", "plastic", name, (1.0, 1.0, 1.0, 0.0, 0.0))
+            pattern = primitive("void", "brightdata", f"print.{name}", _print_numbers(material, place), words)
+            return pattern + primitive(f"print.{name}", "plastic", name, (1.0, 1.0, 1.0, 0.0, 0.0))
         case PrintedSheeting(sheeting, coverage, reflectance):
-            below = described(f"{name}.sheeting", data, functions, sheeting)
-            ink = primitive("void", "plastic", f"{name}.print", (reflectance, reflectance, reflectance, 0, 0))
-            mix = (f"{name}.print", f"{name}.sheeting", "print_share", measured)
-            over = primitive("void", "mixfunc", f"{name}.front", (coverage,), mix)
+            below = described(f"sheeting.{name}", data, functions, sheeting)
+            ink = primitive("void", "plastic", f"print.{name}", (reflectance, reflectance, reflectance, 0, 0))
+            mix = (f"print.{name}", f"sheeting.{name}", "print_share", measured)
+            over = primitive("void", "mixfunc", f"front.{name}", (coverage,), mix)
             return below + ink + over + _front_only(name, functions)
         case PerturbedNormal(reflectance, roughness):
             words = ("turned_x", "turned_y", "turned_z", functions)
             return (
-                primitive("void", "texfunc", f"{name}.turned", (), words)
+                primitive("void", "texfunc", f"turned.{name}", (), words)
                 + primitive(
-                    f"{name}.turned", "metal", f"{name}.front", (reflectance, reflectance, reflectance, 1, roughness)
+                    f"turned.{name}", "metal", f"front.{name}", (reflectance, reflectance, reflectance, 1, roughness)
                 )
                 + _front_only(name, functions)
             )
@@ -137,12 +142,12 @@ def described(name: str, data: str, functions: str, material: Material, place: P
             limits = (material.observation[0], material.observation[-1], material.entrance[0], material.entrance[-1])
             table = (function, _data_name(data), functions, "observation_deg", "entrance_deg")
             numbers = (1.0, 1.0, 1.0, 1.0, *map(math.degrees, limits))
-            return primitive("void", "metdata", f"{name}.front", numbers, table) + _front_only(name, functions)
+            return primitive("void", "metdata", f"front.{name}", numbers, table) + _front_only(name, functions)
         case GlassBeads(anchor):
             words = ("glass_beads", _data_name(data), functions, "observation_deg")
             limits_deg = (GLASS_BEAD_OBSERVATION[0], GLASS_BEAD_OBSERVATION[-1], 0.0, 90.0)
             numbers = (1.0, 1.0, 1.0, 1.0, *limits_deg, anchor, GLASS_BEAD_ENTRANCE_SCALE)
-            return primitive("void", "metdata", f"{name}.front", numbers, words) + _front_only(name, functions)
+            return primitive("void", "metdata", f"front.{name}", numbers, words) + _front_only(name, functions)
 
 
 def _measured(functions: str) -> str:
@@ -180,8 +185,8 @@ def painted(
 
 def _front_only(name: str, functions: str) -> str:
     """Mix the front's material with a black back, which sheeting has."""
-    black = primitive("void", "plastic", f"{name}.back", (0, 0, 0, 0, 0))
-    words = (f"{name}.front", f"{name}.back", "front", functions)
+    black = primitive("void", "plastic", f"back.{name}", (0, 0, 0, 0, 0))
+    words = (f"front.{name}", f"back.{name}", "front", functions)
     return black + primitive("void", "mixfunc", name, (), words)
 
 

@@ -491,7 +491,11 @@ def test_output_that_nobody_takes(tmp_path: Path) -> None:
     with Path("/dev/full").open("w") as full:
         done = run("schema", stdout=full)
     assert done.code == 4
-    assert done.stderr.startswith("radwrap: ") and done.stderr.count("\n") == 1, done.stderr
+    assert done.stderr == "radwrap: standard output: No space left on device\n"
+
+
+def test_a_folder_without_a_name_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "DIR: has no name" in here(["init", ""], capsys).refusal(2)
 
 
 # ------------------------------------------------------------------------------------------- Files for other programs

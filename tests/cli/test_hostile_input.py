@@ -259,7 +259,7 @@ FILES = [
     Case("empty file", ("scene.toml: camera", "is missing"), text=b""),
     Case("date", ("scene.toml: title", "date"), text=b"title = 2020-01-01\n"),
     Case("array in 10000 arrays", ("scene.toml", "nested more than 64 levels"), text=b"title = " + b"[" * 10000),
-    Case("number of 5000 digits", ("scene.toml",), text=b"title = 1" + b"0" * 5000),
+    Case("number of 5000 digits", ("scene.toml", "an integer of more than 64 bits"), text=b"title = 1" + b"0" * 5000),
     Case("terminal commands", ("camera.focal_length",), {"camera.focal_length": "\u001b[2J mm"}),
     Case("17 MiB", ("scene.toml", "16 MiB"), text=b"#" * (17 << 20)),
 ]
@@ -291,6 +291,11 @@ OPTIONS = [
     ),
     Case("set without value", ("--set", "nonsense"), options=("--set", "nonsense")),
     Case("set an unknown key", ("scene.toml: camera.zoom", "unknown key"), options=("--set", "camera.zoom=1")),
+    Case(
+        "set 5000 digits",
+        ("--set: ", "an integer of more than 64 bits"),
+        options=("--set", f"camera.sensor.rows={'1' * 5000}"),
+    ),
     Case("set what is not there", ("scene.toml: targets[9].pitch",), options=("--set", 'targets[9].pitch="1 mm"')),
     Case("set no path", ("scene.toml: camera..x",), options=("--set", "camera..x=1")),
     Case("set not finite", ("scene.toml: camera.sensor.gamma",), options=("--set", "camera.sensor.gamma=nan")),

@@ -130,6 +130,7 @@ BAD: Final = {
     "foreign digits": (["frame", "٣"], "neither an LED, 0 to 3"),
     "an underscore": (["frame", 1, "--level", "1_0e-2"], '--level: "1_0e-2" is no number from 0 on'),
     "light backwards": (["set", 0.25, "--for", "-1 s"], '--for: "-1 s" is negative'),
+    "light for ever": (["set", 0.25, "--for", "1e300 s"], '--for: "1e300 s" is more than a year'),
     "settling backwards": (["play", "SCENE", "--alone", "--out", "OUT", "--settle", "-1 s"], '--settle: "-1 s"'),
 }
 

@@ -14,6 +14,7 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from radwrap.cli import compare as verb
+from radwrap.cli.main import main
 from radwrap.errors import CheckFailed, InputError
 from radwrap.images import GrayImage, read_image, write_png
 from radwrap.measure import compare as comparing
@@ -357,3 +358,18 @@ def test_large_images_are_registered_on_smaller_ones(monkeypatch: pytest.MonkeyP
     assert found.warp[:2, 2] == pytest.approx([-0.4, 1.3], abs=0.02)
     shares = [int(share) for share in re.findall(r"comparing +(\d+) %", told.getvalue())]
     assert 0 < shares[0] < 50 and shares[-1] == 100
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--dark", "200", "--saturation", "100"], "--dark: 200 is not below --saturation 100"),
+        (["--allow-beyond", "7", "--tolerance", "1"], "--allow-beyond: must be a number from 0 to 1"),
+        (["--allow-beyond", "0.5"], "--allow-beyond: is of pixels beyond a tolerance; give --tolerance"),
+    ],
+)
+def test_options_that_mean_nothing_are_refused(
+    options: list[str], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["compare", "captured.png", "predicted.png", *options]) == 2
+    assert capsys.readouterr().err == f"radwrap: {told}\n"

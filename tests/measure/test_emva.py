@@ -212,6 +212,10 @@ BAD = {
     "absent": ("file,photons\nc.png,0\nd.png,0\n", "c.png: no such image"),
     "size": ("file,photons\na.png,0\nb.png,0\n", '"b.png" has another size'),
     "no dark": ("file,photons\na.png,1\na2.png,1\n", "no dark frames"),
+    "elsewhere": (
+        "file,photons\na.png,0\n../frames.png,0\n",
+        'line 3: "../frames.png" lies outside the table\'s folder',
+    ),
     "few": ("file,photons\na.png,0\na2.png,0\n", "0 exposures with light"),
 }
 

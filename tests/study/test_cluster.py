@@ -5,19 +5,22 @@ from __future__ import annotations
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 import radwrap
-from radwrap.errors import FolderTaken
+from radwrap.errors import EnvironmentFailure, FolderTaken
 from radwrap.files import sole_owner
+from radwrap.study import pool
 from radwrap.study.seal import Unfit, break_seal, check_fit, seal_of, why_unfit
 from tests.cli.conftest import clean_environment, scene_text, start, wait_for
 from tests.study.conftest import EDGE, PATIENCE, TINY_SMALL, command
@@ -72,7 +75,7 @@ def _scheduler(folder: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
         yield process, file.read_text().split('"address": "')[1].split('"')[0]
 
 
-def _worker(address: str, folder: Path, path: Path | None = None) -> object:
+def _worker(address: str, folder: Path, path: Path | None = None) -> AbstractContextManager[subprocess.Popen[str]]:
     words = [address, "--nthreads", 1, "--no-nanny", "--no-dashboard", "--local-directory", folder]
     return _process("dask_worker", *words, path=path)
 
@@ -136,3 +139,76 @@ def test_a_study_for_which_no_worker_is_fit_is_not_begun(memory_path: Path) -> N
         assert done.code == 4 and "no worker is fit: another radwrap's files" in done.stderr
         assert not (out / "started.log").exists()
         assert (out / "results.csv").read_text().count("\n") == 1, "no run is finished"
+
+
+def test_a_study_without_workers_ends(memory_path: Path) -> None:
+    """It says once that it waits, also when its last worker is killed at work; then it gives up."""
+    (memory_path / "scene.toml").write_text(scene_text(EDGE))
+    design = memory_path / "design.toml"
+    design.write_text(f'scene = "scene.toml"\n{TINY_SMALL}\n{GRAY}')
+    with _scheduler(memory_path) as (_, address):
+        words = ["study", "run", design, "--no-report", "--dask", address, "--worker-timeout", "3 s", "--out"]
+        with start([*words, memory_path / "none"]) as study:
+            _, told = study.communicate(timeout=PATIENCE)
+        assert study.returncode == 4
+        _says_once_that_it_waits(told, address)
+
+        with _worker(address, memory_path / "w") as worker:
+            _wait_for_workers(address, 1)
+            with start([*words, memory_path / "killed"]) as study:
+                assert wait_for((memory_path / "killed" / "started.log").exists, study, PATIENCE)
+                worker.kill()
+                _, told = study.communicate(timeout=PATIENCE)
+        assert study.returncode == 4
+        _says_once_that_it_waits(told, address)
+
+
+def _says_once_that_it_waits(told: str, address: str) -> None:
+    waits, ends = told.splitlines()
+    assert waits == f"radwrap: no worker is there; waiting 3 s for one at {address}"
+    assert ends.startswith(f"radwrap: {address}: no worker for 3 s; start one") and "--worker-timeout" in ends
+
+
+# What a server of another kind says to whoever comes: to Dask these are lengths of a message, and a message of nothing.
+@pytest.mark.parametrize(
+    "greeting", [b"", b"SSH-2.0-OpenSSH_9.6\r\n", b"HTTP/1.0 400 Bad Request\r\n\r\n", bytes(4096)]
+)
+def test_a_server_of_another_kind_is_no_scheduler(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, greeting: bytes
+) -> None:
+    monkeypatch.setattr(pool, "_GRACE", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        held: list[socket.socket] = []
+        threading.Thread(target=_greet, args=(server, greeting, held), daemon=True).start()
+        with pytest.raises(EnvironmentFailure, match=rf"no (answer from|Dask scheduler answers at) {address}"):
+            pool.DaskPool(address, tmp_path, None)
+    for connection in held:
+        connection.close()
+
+
+def _greet(server: socket.socket, greeting: bytes, held: list[socket.socket]) -> None:
+    with suppress(OSError):
+        while True:
+            connection, _ = server.accept()
+            connection.sendall(greeting)
+            held.append(connection)
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="makes a certificate")
+def test_a_server_of_encrypted_words_that_says_nothing_is_no_scheduler(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As with tcp: the client's own limit is for the connection, not for what comes before the first word."""
+    import dask
+
+    monkeypatch.setattr(pool, "_GRACE", 0.5)
+    key = tmp_path / "key.pem"
+    argv = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=here"]
+    subprocess.run([*argv, "-keyout", key, "-out", tmp_path / "cert.pem"], check=True, capture_output=True)
+    told = {"ca-file": tmp_path / "cert.pem", "client.key": key, "client.cert": tmp_path / "cert.pem"}
+    settings = {f"distributed.comm.tls.{name}": str(path) for name, path in told.items()}
+    with socket.create_server(("127.0.0.1", 0)) as silent, dask.config.set(settings):
+        address = f"tls://127.0.0.1:{silent.getsockname()[1]}"
+        with pytest.raises(EnvironmentFailure, match=rf"no answer from {address} within 0\.5 s"):
+            pool.DaskPool(address, tmp_path, None)

@@ -91,7 +91,7 @@ def test_the_plan_survives_a_kill_and_is_checked_when_it_is_read(design: DesignW
         read_plans(out / STUDY, "1")
 
 
-def breakable_radiance(folder: Path, broken: Path) -> Path:
+def breakable_radiance(folder: Path, broken: Path, fails: str = "exit 1") -> Path:
     """Radiance whose rtrace says its version, and fails at all else as long as a file is there."""
     true = find_radiance()
     (folder / "bin").mkdir(parents=True)
@@ -99,24 +99,27 @@ def breakable_radiance(folder: Path, broken: Path) -> Path:
     for name in ("oconv", "xform"):
         (folder / "bin" / name).symlink_to(true.program(name))
     rtrace = folder / "bin" / "rtrace"
-    fails = f'case "$*" in *-version*) ;; *) [ -e "{broken}" ] && exit 1;; esac'
-    rtrace.write_text(f'#!/bin/sh\n{fails}\nexec "{true.program("rtrace")}" "$@"\n')
+    while_there = f'case "$*" in *-version*) ;; *) [ -e "{broken}" ] && {fails};; esac'
+    rtrace.write_text(f'#!/bin/sh\n{while_there}\nexec "{true.program("rtrace")}" "$@"\n')
     rtrace.chmod(0o755)
     return folder
 
 
-def test_no_plan_is_made_of_pilots_that_all_failed(design: DesignWriter) -> None:
-    """A broken tracer ends the study; once it is mended, the study is what it would have been without that."""
+@pytest.mark.parametrize("every", [True, False])
+def test_no_plan_is_made_where_a_pilot_failed_by_the_tracer(design: DesignWriter, every: bool) -> None:
+    """It may have been the strictest; once the tracer is mended, the study is what it would have been without that."""
     path = design(DARKER, BLUR)
     broken = path.parent / "broken"
     out, undisturbed = path.parent / "out", path.parent / "undisturbed"
-    options = StudyOptions(workers=1, radiance=str(breakable_radiance(path.parent / "radiance", broken)))
+    fails = "exit 1" if every else f'/bin/rm "{broken}" && exit 1'  # all pilots, or the first
+    radiance = breakable_radiance(path.parent / "radiance", broken, fails)
+    options = StudyOptions(workers=1, radiance=str(radiance))
     run_study(read_design(path), undisturbed, options)
     broken.touch()
     with pytest.raises(TracerError, match="exit code 1"):
         run_study(read_design(path), out, options)
-    assert not (out / STUDY).exists()
-    broken.unlink()
+    assert not (out / STUDY).exists() and broken.exists() == every
+    broken.unlink(missing_ok=True)
     run_study(read_design(path), out, options)
     assert (out / "results.csv").read_bytes() == (undisturbed / "results.csv").read_bytes()
     sampling = [json.loads((folder / STUDY).read_text())["sampling"] for folder in (out, undisturbed)]

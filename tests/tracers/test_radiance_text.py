@@ -43,7 +43,7 @@ def test_the_text_is_readable() -> None:
     assert len(re.findall(r" light ", text)) == 12
     # Dots are painted on the board: no surface of theirs lies in its plane.
     assert len(re.findall(r" polygon ", text)) == 1
-    assert "board.both polygon board\n" in text
+    assert "both.board polygon board\n" in text
 
 
 @pytest.mark.parametrize(
@@ -91,3 +91,27 @@ def test_light_that_a_file_s_unit_cannot_hold_is_refused() -> None:
     path = ROOT / "rad_scenes" / "crosscheck" / "corner_cubes" / "scene.toml"
     with pytest.raises(InputError, match="beside an included Radiance file"):
         traced_frame(radwrap.load_scene(path, {"sources[0].radiance": "1e-9 W/m^2/sr"}))
+
+
+def test_a_material_is_described_once_for_all_that_have_it(tmp_path: Path) -> None:
+    """Each start of rtrace reads all modifiers: four for each of 20 000 sheets took 20 s."""
+    brushed = {
+        "type": "specular",
+        "diffuse_reflectance": 0.1,
+        "specular_reflectance": 0.4,
+        "roughness": [0.05, 0.25],
+    }
+    sheets = [
+        {"type": "sheet", "name": f"s{at}", "material": material, "position": [f"{at} mm", "0 mm", "0 mm"]}
+        | {"size": ["0.8 mm", "0.8 mm"], "rotation": ["0 deg", "0 deg", f"{10 * at} deg"]}
+        for at, material in enumerate(["sheeting", "sheeting", "sheeting", "brushed", "brushed"])
+    ]
+    scene = radwrap.load_scene(BENCH, {"targets": sheets, "materials.brushed": brushed})
+    with Programs() as programs:
+        text = prepare(scene, RadianceOptions(find_radiance()), programs, tmp_path).scene.text
+    assert len(re.findall(r"^void mixfunc material\.sheeting$", text, re.MULTILINE)) == 1
+    assert re.findall(r"^(\S+) polygon (\S+)$", text, re.MULTILINE) == [
+        *(("material.sheeting", f"s{at}") for at in range(3)),
+        *((f"surface.s{at}", f"s{at}") for at in (3, 4)),  # their grain turns with them
+    ]
+    assert "material.black" not in text, "nothing has it"

@@ -64,7 +64,9 @@ class Stack:
         return float(values.var(ddof=1)) - self.temporal_variance / self.frames
 
 
-def read_stacks(path: Path, read: Callable[[Path], Array] | None = None) -> tuple[str, tuple[Stack, ...]]:
+def read_stacks(
+    path: Path, read: Callable[[Path], Array] | None = None, *, trust: bool = False
+) -> tuple[str, tuple[Stack, ...]]:
     """Read a table of frames, and the frames.
 
     Parameters
@@ -74,6 +76,8 @@ def read_stacks(path: Path, read: Callable[[Path], Array] | None = None) -> tupl
         0 are dark. Files are named from its own folder.
     read : callable, optional
         Reads a frame [gray level]; default any gray image.
+    trust : bool
+        Whether the table may name files outside of its folder; else these are not so much as opened.
 
     Returns
     -------
@@ -85,9 +89,13 @@ def read_stacks(path: Path, read: Callable[[Path], Array] | None = None) -> tupl
     Raises
     ------
     InputError
-        If the table or a frame cannot be read, an exposure has one frame alone, or frames differ in size.
+        If the table or a frame cannot be read or lies elsewhere, an exposure has one frame alone, or frames differ in
+        size.
     """
     kind, groups = _groups(path)
+    if not trust:
+        for name, line in (file for files in groups.values() for file in files):
+            _check_beside(path, name, line)
     load = read or (lambda file: read_gray(file).values)
     stacks = []
     shape: tuple[int, ...] | None = None
@@ -136,6 +144,21 @@ def _groups(path: Path) -> tuple[str, dict[tuple[bool, float], list[tuple[str, i
     if not groups:
         raise InputError("names no frames", where=str(path), remedy="write a row for each frame below the first line")
     return kind, groups
+
+
+def _check_beside(table: Path, name: str, line: int) -> None:
+    """Refuse a frame outside of the table's folder, links followed."""
+    where = f"{table}: line {line}"
+    try:
+        beside = (table.parent / name).resolve().is_relative_to(table.parent.resolve())
+    except (OSError, RuntimeError, ValueError) as error:
+        raise InputError(f'"{shortened(name)}" cannot be read', where=where) from error
+    if not beside:
+        raise InputError(
+            f'"{shortened(name)}" lies outside the table\'s folder',
+            where=where,
+            remedy="copy it there, or `trust` the table",
+        )
 
 
 def _kind(header: Sequence[str], path: Path) -> str:

@@ -143,7 +143,7 @@ def _unit(suffix: str, length_unit: float | None, path: Path, where: str) -> flo
         return 1.0
     if length_unit is None:
         raise InputError(
-            f'"{path.name}" does not say its unit of length', where=where, remedy='give the length unit, such as "1 mm"'
+            f'"{path.name}" does not say its unit of length', where=where, remedy='give `length_unit`, such as "1 mm"'
         )
     return length_unit
 
