@@ -122,7 +122,7 @@ def test_tracers_of_a_killed_run_end_by_themselves(tmp_path: Path) -> None:
         tracers = _under_way(out, process)
         process.kill()
     assert process.returncode == -signal.SIGKILL
-    assert _gone(tracers, 5)
+    assert _gone(tracers, PROMPT)
     assert inhabitants(tmp_path) == []
 
 
