@@ -124,10 +124,11 @@ class Clone:
             seen[key] += 1
 
     def tests(self, folder: str, mutant: Mutant | None) -> list[str]:
-        """Test files of a folder; first those that name the module."""
+        """Test files of a folder; first those that name the module or the folder that it stands in."""
         files = sorted((self.folder / "tests" / folder).rglob("test_*.py"))
-        stem = "" if mutant is None else Path(mutant.module).stem
-        files.sort(key=lambda file: -(2 * (stem in file.stem) + (stem in file.read_text())))
+        module = Path("" if mutant is None else mutant.module)
+        near = [name for name in (module.stem, module.parent.name) if name not in ("", folder)]
+        files.sort(key=lambda file: -(2 * any(name in file.stem for name in near) + (module.stem in file.read_text())))
         return [str(file.relative_to(self.folder)) for file in files]
 
     def passes(self, folder: str, mutant: Mutant | None, limit: float | None) -> tuple[bool | None, str]:

@@ -7,6 +7,7 @@ import os
 import random
 import signal
 import subprocess
+import sys
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -107,12 +108,10 @@ def _empty(out: Path) -> bool:
 
 
 def _orphans() -> list[str]:
-    """Worker processes of a study that is no more: this test starts one study at a time."""
-    return [
-        " ".join(process.info["cmdline"])
-        for process in psutil.process_iter(["cmdline", "ppid"])
-        if process.info["ppid"] == 1 and any("spawn_main" in word for word in process.info["cmdline"] or [])
-    ]
+    """Worker processes of a study that is no more: this file starts one study at a time, other suites their own."""
+    found = [info["cmdline"] for one in psutil.process_iter(["cmdline", "ppid"]) if (info := one.info)["ppid"] == 1]
+    ours = str(Path(sys.executable).parent)
+    return [" ".join(words) for words in found if words and words[0].startswith(ours) and "spawn_main" in str(words)]
 
 
 def test_a_killed_worker_costs_nothing_that_was_finished(memory_path: Path, good: bytes) -> None:
