@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import psutil
 import pytest
 
 from tests.cli.conftest import (
     FINAL_NAMES,
     PATIENCE,
     Done,
+    children,
     files_in,
     here,
     inhabitants,
@@ -166,7 +166,7 @@ def test_a_radiance_that_fails_is_told_in_one_line(
     fake: Fake, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     _fails_cleanly(fake, here(_lay(fake, tmp_path), capsys), tmp_path)
-    assert psutil.Process().children() == []
+    assert children() == []
 
 
 @pytest.fixture(scope="module")
