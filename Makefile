@@ -33,10 +33,11 @@ demo: $(READY)
 	@$(BIN)/radwrap render rad_scenes/bench_board/scene.toml --out out/demo
 	@echo "The picture is out/demo/gray.png"
 
-# Two processes, as the machine that the suite is timed on has two cores; tests of a file share what they make. One
-# thread each for linear algebra: on small matrices more threads mostly wait for each other, at five times the cost.
+# Three processes, as the machine that the suite is timed on has two cores, and tests that kill or time something wait
+# for a sixth of the time; tests of a file share what they make, and the longest files are begun first (conftest.py).
+# One thread each for linear algebra: on small matrices more threads mostly wait for each other, at five times the cost.
 ONE_THREAD := OPENBLAS_NUM_THREADS=1
-PYTEST := -m pytest -n 2 --dist loadfile
+PYTEST := -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 test: $(READY) povray lint
 	@$(ONE_THREAD) $(BIN)/python $(PYTEST)

@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -147,6 +148,12 @@ READ_ELSEWHERE = {
 LONGEST_MODULE = 500  # lines; a longer one becomes a folder
 
 
+@cache
+def parsed(path: Path) -> ast.Module:
+    """A module of the package, parsed once for all tests."""
+    return ast.parse(path.read_text("utf-8"))
+
+
 def modules() -> list[Path]:
     return sorted(PACKAGE.rglob("*.py"))
 
@@ -167,16 +174,17 @@ def folder_of(path: Path) -> str:
     return inside.parts[0] if len(inside.parts) > 1 else "ground"
 
 
-def imports(path: Path) -> set[str]:
+@cache
+def imports(path: Path) -> frozenset[str]:
     """What a module imports, anywhere in it: in functions and for type checkers as well."""
     found = set()
-    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+    for node in ast.walk(parsed(path)):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
             found |= {f"{node.module}.{alias.name}" for alias in node.names}
-    return found
+    return frozenset(found)
 
 
 def against_the_stream(path: Path, here: str, order: list[str], within: str) -> Iterator[str]:
@@ -293,7 +301,7 @@ def test_each_foreign_package_has_one_door() -> None:
 
 def spelled(path: Path) -> Iterator[str]:
     """Strings that name options of the command line; docstrings are for people."""
-    tree = ast.parse(path.read_text("utf-8"))
+    tree = parsed(path)
     told = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
     for node in ast.walk(tree):
         text = node.value if isinstance(node, ast.Constant) and id(node) not in told else None

@@ -16,6 +16,9 @@ from radwrap.frames import rotation_about_fixed_axes
 
 # Of 48 x 44 pixels: boards, an edge, sheets, boxes, meshes and solids under discs, rings and lamps, cheap to trace.
 NUMBERS = (7, 9, 11, 14, 23, 28)
+# Half of them have every kind of target, light and relation's domain. A broken relation is off in each scene that it
+# changes, as the planted light below is in the one scene that it is planted in; so the whole six are long.
+FEW = (11, 14, 28)
 BOARD = 7
 PLANTED = 14  # has all that relations ask for: two sources, sheets and a box
 
@@ -28,9 +31,10 @@ def drawn(number: int) -> Case:
     return case
 
 
+@pytest.mark.parametrize("numbers", [FEW, pytest.param(NUMBERS, marks=pytest.mark.long)], ids=len)
 @pytest.mark.parametrize("name", RELATIONS)
-def test_a_relation_holds(name: str) -> None:
-    rows = [row for number in NUMBERS if (row := run(drawn(number), name)) is not None]
+def test_a_relation_holds(name: str, numbers: tuple[int, ...]) -> None:
+    rows = [row for number in numbers if (row := run(drawn(number), name)) is not None]
     assert rows
     told = verdict(name, rows)
     assert told["kept"], rows

@@ -64,16 +64,16 @@ def test_a_silent_program_is_ended_with_all_its_children(tmp_path: Path) -> None
         "open('pid', 'w').write(str(p.pid)); time.sleep(100)"
     )
     start = time.monotonic()
-    with pytest.raises(TracerError, match="did not end within 1 s"):
-        run(code, tmp_path, limits=Limits(silence=1.0))
-    assert time.monotonic() - start < 10
+    with pytest.raises(TracerError, match="did not end within 3 s"):
+        run(code, tmp_path, limits=Limits(silence=3.0))  # by then its child has begun, on a busy machine too
+    assert time.monotonic() - start < PATIENCE / 2
     pid = int((tmp_path / "pid").read_text())
     assert gone(pid)
 
 
 def gone(pid: int) -> bool:
     """Whether a process has ended; one that only waits to be collected counts."""
-    for _ in range(100):
+    for _ in range(500):
         try:
             if psutil.Process(pid).status() == psutil.STATUS_ZOMBIE:
                 return True
@@ -99,7 +99,7 @@ def test_cancelling_from_another_thread_ends_the_program(tmp_path: Path) -> None
         start = time.monotonic()
         with pytest.raises(TracerError, match="cancelled"):
             programs.run([PYTHON, "-c", "import time; time.sleep(100)"], folder=tmp_path, environment={})
-        assert time.monotonic() - start < 5
+        assert time.monotonic() - start < PATIENCE / 2
         with pytest.raises(TracerError, match="cancelled"):
             programs.run([PYTHON, "-c", ""], folder=tmp_path, environment={})
 
@@ -221,8 +221,8 @@ def test_what_goes_into_the_background_ends_with_its_program(kept: str, tmp_path
 def test_a_stalled_program_is_ended_with_what_it_sent_into_the_background(last: str, tmp_path: Path) -> None:
     """Silent, or talking for ever: whoever asks for a whole answer waits no longer than that."""
     begin = time.monotonic()
-    with pytest.raises(TracerError, match=r"did not end within 0\.5 s"):
-        run(DAEMON.format(closed=(), last=last), tmp_path, limits=Limits(silence=0.5))
+    with pytest.raises(TracerError, match="did not end within 2 s"):
+        run(DAEMON.format(closed=(), last=last), tmp_path, limits=Limits(silence=2.0))  # by then its child has begun
     assert time.monotonic() - begin < PATIENCE / 6
     assert gone(int((tmp_path / "pid").read_text()))
 

@@ -82,14 +82,15 @@ def opencv_minimum(start: Camera, points: Array, image: Array, axes: Array, free
     residuals = np.asarray(predicted).reshape(-1, 2) + middle - image
 
     rotation, left = turn(turned)
-    focal_length = float(matrix[1, 1]) * dy
+    # What is held stays what it was, to the last bit: in pixels and back it would be off by that.
+    focal_length = float(matrix[1, 1]) * dy if "focal_length" in free else f
     camera = moved(
         start,
         rotation=rotation @ axes.T,
         position=placed,
         focal_length=focal_length,
         kappa1=-float(np.ravel(coefficients)[0]) / focal_length**2,
-        sx=float(matrix[0, 0]) * dx / focal_length,
+        sx=float(matrix[0, 0]) * dx / focal_length if "sx" in free else start.sx,
         centre=(float(matrix[0, 2] + middle[0]), float(matrix[1, 2] + middle[1])),
     )
     columns = physical_columns(free)

@@ -225,6 +225,12 @@ def inhabitants(folder: Path) -> list[str]:
     return found
 
 
+def children() -> list[list[str]]:
+    """Programs that this process started and that still run; not what Python keeps after a pool of workers."""
+    family = [child.cmdline() for child in psutil.Process().children()]
+    return [words for words in family if "resource_tracker" not in str(words)]
+
+
 def files_in(folder: Path) -> dict[str, bytes]:
     """Relative name -> content of every file below a folder."""
     if not folder.is_dir():

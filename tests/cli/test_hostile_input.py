@@ -10,11 +10,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import psutil
 import pytest
 
 from tests.cli.conftest import (
     REMOVE,
+    children,
     files_in,
     here,
     inhabitants,
@@ -318,7 +318,7 @@ def test_bad_input_is_refused_in_one_line(case: Case, tmp_path: Path, capsys: py
     assert len(line) < 1000
     # Where it is the number of sub-viewpoints that is wrong the folder was taken already.
     assert set(files_in(tmp_path)) <= {"home/scene.toml", "home/out/.radwrap.lock"}
-    assert psutil.Process().children() == []
+    assert children() == []
 
 
 def test_the_command_itself_refuses_in_the_same_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,10 +9,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import psutil
 import pytest
 
-from tests.cli.conftest import files_in, here, inhabitants, products, run, side_by_side, write_scene
+from tests.cli.conftest import children, files_in, here, inhabitants, products, run, side_by_side, write_scene
 
 GRAY = "void plastic paint 0 0 5 .5 .5 .5 0 0\n"
 BALL = "paint sphere ball 0 0 4 0 0 0 .02\n"
@@ -83,7 +82,7 @@ def test_a_hostile_file_is_refused(rad: Rad, tmp_path: Path, capsys: pytest.Capt
     assert rad.says in line
     assert FOREIGN.strip() not in line and "root:" not in line
     _nothing_happened(tmp_path, before)
-    assert psutil.Process().children() == []
+    assert children() == []
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ from typing import Any, Final
 import pytest
 
 from tests.cli.conftest import (
+    PATIENCE,
     SLOWER,
     clean_environment,
     files_in,
@@ -178,13 +179,22 @@ MOMENTS: Final = [
     *(("merge", number) for number in (1, 3)),
     ("clean-up", 2),
 ]
+# One of each kind of moment, and after the renames each state of the folder once: with some pieces, with all, with
+# some of the new run's files, with all; with older files replaced in part, with all but the manifest, with all.
+SOME: Final = [
+    *(("after rename", number) for number in (1, 3, 5, 9, 10, 12, len(RENAMES) - 1, len(RENAMES))),
+    *(("before rename", number) for number in (9, len(RENAMES))),
+    *(("half written", number) for number in (1, 4)),
+    *(("merge", 1), ("clean-up", 2)),
+]
 
 
-def test_killed_at_every_rename_and_while_merging(memory_path: Path) -> None:
+@pytest.mark.parametrize("chosen", [SOME, pytest.param(MOMENTS, marks=pytest.mark.long)], ids=["some", "all"])
+def test_killed_at_every_rename_and_while_merging(memory_path: Path, chosen: list[tuple[str, int]]) -> None:
     scene, good = write_scene(memory_path), memory_path / "good"
     argv = _argv(scene, memory_path / "{}", "--truth", "--workers", 1, number=3)
     # The folders hold another scene's result first, which must neither be taken for this one's nor mixed with it.
-    moments = [(f"{kind} {number}", kind, number) for kind, number in MOMENTS]
+    moments = [(f"{kind} {number}", kind, number) for kind, number in chosen]
     everywhere = [(name, "never", 0) for name, _, _ in moments]
     assert _carry_out(argv, moments) == [signal.SIGKILL] * len(moments)
     left = {name: finished(memory_path / name) for name, _, _ in moments}
@@ -449,7 +459,7 @@ def test_a_second_run_in_the_same_folder_is_refused_at_once(tmp_path: Path, radi
             second = run(*words)
             line = second.refusal(4)
             assert str(out) in line and "another run" in line
-            assert second.wall < 5
+            assert second.wall < PATIENCE / 2  # the first one ends when it is let
         assert first.poll() is None
         gate.touch()
         _, said = first.communicate()

@@ -105,7 +105,7 @@ def test_a_signal_that_meets_a_worker_thread_is_heeded(tmp_path: Path) -> None:
 def test_after_the_tracers_an_interrupted_run_is_completed(tmp_path: Path) -> None:
     """Whole and small: interrupted once, then the bytes of a run that was not."""
     scene, out, good = write_scene(tmp_path, SLOWER), tmp_path / "out", tmp_path / "good"
-    argv = ["render", scene, "--viewpoints", 19, "--out"]
+    argv = ["render", scene, "--viewpoints", 9, "--out"]
     with start([*argv, out]) as process:
         _under_way(out, process)
         process.terminate()
@@ -122,7 +122,7 @@ def test_tracers_of_a_killed_run_end_by_themselves(tmp_path: Path) -> None:
         tracers = _under_way(out, process)
         process.kill()
     assert process.returncode == -signal.SIGKILL
-    assert _gone(tracers, 5)
+    assert _gone(tracers, PROMPT)
     assert inhabitants(tmp_path) == []
 
 

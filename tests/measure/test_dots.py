@@ -319,11 +319,19 @@ def test_a_missing_dot_is_an_error_that_names_it(picture: Picture) -> None:
         ((40, 40), "found .* of 1600 dots"),
     ],
 )
-@pytest.mark.parametrize("blur", [0.0, 4.0])
+# Where dots run together they are found another way; what is made of a wrong grid then is the same, and so long.
+@pytest.mark.parametrize("blur", [0.0, pytest.param(4.0, marks=pytest.mark.long)])
 def test_a_wrong_grid_is_an_error(grid: tuple[int, int], message: str, blur: float) -> None:
     picture = drawn(tilt=30, turn=10, blur=blur, noise=0.5, rounded=True)
     with pytest.raises(DotsNotFound, match=message):
         by(picture, rows=grid[0], columns=grid[1])
+
+
+def test_a_wrong_grid_of_dots_that_run_together_is_an_error() -> None:
+    """One of six, which are long above."""
+    picture = drawn(tilt=30, turn=10, blur=4.0, noise=0.5, rounded=True)
+    with pytest.raises(DotsNotFound, match="found 4 x 5 dots, but dots go on"):
+        by(picture, rows=4, columns=5)
 
 
 def test_a_board_that_the_border_cuts_is_an_error() -> None:
@@ -388,7 +396,7 @@ def saturated_board(times: float) -> Picture:
     return Picture(GrayImage(np.rint(np.minimum(picture.gray.values, 181)), 8), picture.truth, picture.homography)
 
 
-@pytest.mark.parametrize("times", [2.6, 4.0, 6.0])
+@pytest.mark.parametrize("times", [2.6, pytest.param(4.0, marks=pytest.mark.long), 6.0])  # between right and an error
 def test_a_heavily_saturated_board_is_right_or_an_error(times: float) -> None:
     """Never the lattice of the gaps, half a pitch off, nor one that a model of clipped light has moved.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -89,17 +90,18 @@ def command(*argv: object) -> Done:
 DesignWriter = Callable[[str], Path]
 
 
+def write_design(folder: Path, text: str, responses: str = RESPONSES) -> Path:
+    """Write the scene and a design; returns the design's path."""
+    (folder / "scene.toml").write_text(scene_text(EDGE))
+    path = folder / "design.toml"
+    path.write_text(f'scene = "scene.toml"\n{text}\n{responses}')
+    return path
+
+
 @pytest.fixture
 def design(memory_path: Path) -> DesignWriter:
-    """Write the scene and a design; returns the design's path."""
-
-    def write(text: str, responses: str = RESPONSES) -> Path:
-        (memory_path / "scene.toml").write_text(scene_text(EDGE))
-        path = memory_path / "design.toml"
-        path.write_text(f'scene = "scene.toml"\n{text}\n{responses}')
-        return path
-
-    return write
+    """Write the scene and a design into a folder of the test's own; returns the design's path."""
+    return partial(write_design, memory_path)
 
 
 # Two factors that move the edge and the light, one of them by draws; 4 runs.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from radwrap.study.study import STUDY, StudyOptions, run_study
 from radwrap.study.table import read_table
 from radwrap.study.worker import seen_of
 from radwrap.tracers.installation import find_radiance
-from tests.study.conftest import EDGE, DesignWriter
+from tests.study.conftest import EDGE, DesignWriter, write_design
 
 # Exposure alone: a darker image of the same edge, and of the same noise in share of its light.
 DARKER = """
@@ -48,10 +49,16 @@ def manifests(out: Path) -> list[dict[str, Any]]:
     return [json.loads(path.read_text()) for path in sorted(out.glob("renders/*/manifest.json"))]
 
 
-def test_runs_share_a_plan_that_stands_in_the_study(design: DesignWriter) -> None:
-    path = design(DARKER, BLUR)
-    out = path.parent / "out"
-    run_study(read_design(path), out, ONE)
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of the darker study, which nothing disturbed; not to be changed."""
+    folder = tmp_path_factory.mktemp("finished")
+    run_study(read_design(write_design(folder, DARKER, BLUR)), folder / "out", ONE)
+    return folder / "out"
+
+
+def test_runs_share_a_plan_that_stands_in_the_study(finished: Path) -> None:
+    out = finished
     told = json.loads((out / STUDY).read_text())["sampling"]
     assert len(told) == 1 and told[0]["render"]["tolerance"] == 0.7
     plans = [made["plan"]["sampling"] for made in manifests(out)]
@@ -62,10 +69,10 @@ def test_runs_share_a_plan_that_stands_in_the_study(design: DesignWriter) -> Non
     assert not (out / "pilots").exists()
 
 
-def test_the_plan_survives_a_kill_and_is_checked_when_it_is_read(design: DesignWriter) -> None:
+def test_the_plan_survives_a_kill_and_is_checked_when_it_is_read(design: DesignWriter, finished: Path) -> None:
     path = design(DARKER, BLUR)
     out = path.parent / "out"
-    run_study(read_design(path), out, ONE)
+    shutil.copytree(finished, out)
     table = out / "results.csv"
     whole, lines = table.read_bytes(), table.read_bytes().splitlines(keepends=True)
     # As a study leaves it that was killed after its first row: a plan that pilots would not choose is kept.
@@ -106,23 +113,21 @@ def breakable_radiance(folder: Path, broken: Path, fails: str = "exit 1") -> Pat
 
 
 @pytest.mark.parametrize("every", [True, False])
-def test_no_plan_is_made_where_a_pilot_failed_by_the_tracer(design: DesignWriter, every: bool) -> None:
+def test_no_plan_is_made_where_a_pilot_failed_by_the_tracer(design: DesignWriter, finished: Path, every: bool) -> None:
     """It may have been the strictest; once the tracer is mended, the study is what it would have been without that."""
     path = design(DARKER, BLUR)
     broken = path.parent / "broken"
-    out, undisturbed = path.parent / "out", path.parent / "undisturbed"
+    out = path.parent / "out"
     fails = "exit 1" if every else f'/bin/rm "{broken}" && exit 1'  # all pilots, or the first
-    radiance = breakable_radiance(path.parent / "radiance", broken, fails)
-    options = StudyOptions(workers=1, radiance=str(radiance))
-    run_study(read_design(path), undisturbed, options)
+    options = StudyOptions(workers=1, radiance=str(breakable_radiance(path.parent / "radiance", broken, fails)))
     broken.touch()
     with pytest.raises(TracerError, match="exit code 1"):
         run_study(read_design(path), out, options)
     assert not (out / STUDY).exists() and broken.exists() == every
     broken.unlink(missing_ok=True)
     run_study(read_design(path), out, options)
-    assert (out / "results.csv").read_bytes() == (undisturbed / "results.csv").read_bytes()
-    sampling = [json.loads((folder / STUDY).read_text())["sampling"] for folder in (out, undisturbed)]
+    assert (out / "results.csv").read_bytes() == (finished / "results.csv").read_bytes()
+    sampling = [json.loads((folder / STUDY).read_text())["sampling"] for folder in (out, finished)]
     assert sampling[0] == sampling[1] != []
 
 

@@ -7,6 +7,7 @@ import os
 import random
 import signal
 import subprocess
+import sys
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -17,9 +18,9 @@ import psutil
 import pytest
 
 from radwrap.study.table import read_table
-from tests.cli.conftest import Done, inhabitants, scene_text, start
+from tests.cli.conftest import Done, inhabitants, start
 from tests.cli.conftest import wait_for as wait
-from tests.study.conftest import EDGE, PATIENCE, TINY, TINY_SMALL, DesignWriter, command
+from tests.study.conftest import PATIENCE, TINY, TINY_SMALL, DesignWriter, command, write_design
 
 # Eight runs of a third of a second each: long enough to be killed in between.
 EIGHT = TINY_SMALL.replace("seed = 5", "seed = 5\nreplicates = 2")
@@ -49,24 +50,27 @@ def started(out: Path) -> Counter[int]:
 
 
 @pytest.fixture(scope="module")
-def good(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """The table of the eight runs, by one worker that nobody disturbed."""
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of the eight runs, with their report, by one worker that nobody disturbed."""
     folder = tmp_path_factory.mktemp("good")
-    path = write_design(folder)
-    done = study(path, folder / "out", "--workers", "1", "--json").success()
+    words = ("study", "run", eight(folder), "--out", folder / "out", "--workers", "1", "--json")
+    done = command(*words).success()
     assert done.json["runs"] == 8 and done.json["failed"] == 0 and done.json["renders"] == 8
-    return (folder / "out" / "results.csv").read_bytes()
+    return folder / "out"
 
 
-def write_design(folder: Path, text: str = EIGHT) -> Path:
-    (folder / "scene.toml").write_text(scene_text(EDGE))
-    path = folder / "design.toml"
-    path.write_text(f'scene = "scene.toml"\n{text}\n{GRAY}')
-    return path
+@pytest.fixture(scope="module")
+def good(undisturbed: Path) -> bytes:
+    """The table of the eight runs."""
+    return (undisturbed / "results.csv").read_bytes()
+
+
+def eight(folder: Path) -> Path:
+    return write_design(folder, EIGHT, GRAY)
 
 
 def test_three_kills_of_the_whole_study_change_nothing(memory_path: Path, good: bytes) -> None:
-    path, out = write_design(memory_path), memory_path / "out"
+    path, out = eight(memory_path), memory_path / "out"
     dice = random.Random(7)  # noqa: S311  (no secret)
     finished: set[str] = set()
     for due in (1, 3, 5):
@@ -104,16 +108,14 @@ def _empty(out: Path) -> bool:
 
 
 def _orphans() -> list[str]:
-    """Worker processes of a study that is no more: this test starts one study at a time."""
-    return [
-        " ".join(process.info["cmdline"])
-        for process in psutil.process_iter(["cmdline", "ppid"])
-        if process.info["ppid"] == 1 and any("spawn_main" in word for word in process.info["cmdline"] or [])
-    ]
+    """Worker processes of a study that is no more: this file starts one study at a time, other suites their own."""
+    found = [info["cmdline"] for one in psutil.process_iter(["cmdline", "ppid"]) if (info := one.info)["ppid"] == 1]
+    ours = str(Path(sys.executable).parent)
+    return [" ".join(words) for words in found if words and words[0].startswith(ours) and "spawn_main" in str(words)]
 
 
 def test_a_killed_worker_costs_nothing_that_was_finished(memory_path: Path, good: bytes) -> None:
-    path, out = write_design(memory_path), memory_path / "out"
+    path, out = eight(memory_path), memory_path / "out"
     with start(["study", "run", path, "--out", out, "--workers", "2", "--no-report", "--json"]) as process:
         assert wait_for(lambda: rows_on_disk(out) >= 3, process), "the study was too short for this test"
         finished = {int(row["run"]) for row in read_table(_whole_lines(out)).rows}
@@ -129,7 +131,7 @@ def test_a_killed_worker_costs_nothing_that_was_finished(memory_path: Path, good
 
 
 def test_ctrl_c_ends_everything_and_the_study_goes_on(memory_path: Path, good: bytes) -> None:
-    path, out = write_design(memory_path), memory_path / "out"
+    path, out = eight(memory_path), memory_path / "out"
     with start(
         ["study", "run", path, "--out", out, "--workers", "2", "--no-report"], start_new_session=True
     ) as process:
@@ -196,11 +198,9 @@ def test_many_levels_of_leds_cost_one_render(design: DesignWriter) -> None:
     assert (out / "results.csv").read_bytes() == table
 
 
-def test_the_report_holds_every_run(design: DesignWriter) -> None:
-    path = design(TINY_SMALL)
-    command("study", "run", path, "--out", path.parent / "out").success()
-    text = (path.parent / "out" / "index.html").read_text()
-    assert text.count('alt="run ') == 4 and "place of the edge" in text and "exposure_time" in text
+def test_the_report_holds_every_run(undisturbed: Path) -> None:
+    text = (undisturbed / "index.html").read_text()
+    assert text.count('alt="run ') == 8 and "place of the edge" in text and "exposure_time" in text
     assert "targets[0].edge_position" in text and "built-in" not in text
     assert "http" not in text.replace("http://www.w3.org", ""), "it must need nothing else"
 
@@ -209,7 +209,7 @@ def test_dask_gives_the_same_table(memory_path: Path, good: bytes) -> None:
     """On a LocalCluster of two worker processes, one of which is killed."""
     from distributed import LocalCluster
 
-    path, out = write_design(memory_path), memory_path / "out"
+    path, out = eight(memory_path), memory_path / "out"
     with LocalCluster(
         n_workers=2,
         threads_per_worker=1,
