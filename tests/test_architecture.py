@@ -27,7 +27,7 @@ ROOMS = {
     ],
     "imaging": [
         *("response", "optics", "run_files"),
-        *("option_values", "demand", "render_options", "banding", "tracing", "truth"),
+        *("option_values", "demand", "render_options", "banding", "tracer_choice", "tracing", "truth"),
         *("methods", "tolerance", "mean_radiance", "relight", "forecast", "output", "synthesis"),
     ],
 }
@@ -82,6 +82,8 @@ DOORS = {
     "hidraw": {"led/ports.py": "the same, by the kernel's own driver"},
     "multiprocessing": {"study/pool.py": "workers of this machine"},
     "distributed": {"study/pool.py": "workers of a Dask cluster"},
+    "numba": {"tracers/compiled/compiler.py": "compiles our own tracer"},
+    "llvmlite": {"tracers/compiled/compiler.py": "its version, for manifests"},
     "jinja2": {"study/report.py": "fills in the report of a study", "validate/report.py": "fills in the score card"},
     "pyDOE3": {"study/runs.py": "designs of experiments"},
     "statsmodels": {"study/variance.py": "analysis of variance"},
@@ -143,6 +145,7 @@ READ_ELSEWHERE = {
         "Path(seal.mark).read_text": "the mark that the study's runner has set",
         "entry.read_bytes": "the package's own files, for their hash",
     },
+    "tracers/compiled/compiler.py": {"path.read_bytes": "its own sources, for their hash"},
     "study/worker.py": {"os.open": "appends to a log"},
 }
 LONGEST_MODULE = 500  # lines; a longer one becomes a folder

@@ -1,0 +1,60 @@
+"""What an emitter sends along a ray."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from radwrap.tracers.compiled.arithmetic import angle_of, azimuth, exponential, log_cosine, squared_angle_of
+from radwrap.tracers.compiled.arrays import CONE, COSINE_POWER, GAUSSIAN, LAMBERTIAN, LUMINAIRE, Floats, Light
+from radwrap.tracers.compiled.compiler import compiled
+
+# As Radiance, which leaves out light that grazes a source.
+LEAST_COSINE: Final = 1e-4
+
+
+@compiled
+def radiance_along(light: Light, tables: Floats, dx: float, dy: float, dz: float) -> float:
+    """Radiance that leaves an emitter in a direction, of its front [W m^-2 sr^-1]."""
+    beam = light.beam
+    if beam == LUMINAIRE:
+        return light.radiance * _share(light, tables, dx, dy, dz)
+    cosine = dx * light.nx + dy * light.ny + dz * light.nz
+    if beam == LAMBERTIAN:
+        return light.radiance
+    half_sine2 = ((dx - light.nx) ** 2 + (dy - light.ny) ** 2 + (dz - light.nz) ** 2) / 4
+    spread = light.spread
+    if beam == GAUSSIAN:
+        share = exponential(-squared_angle_of(half_sine2) * (0.5 / (spread * spread)))
+    elif beam == COSINE_POWER:
+        share = exponential(log_cosine(half_sine2) / (spread * spread))
+    elif beam == CONE:
+        share = 1.0 if angle_of(half_sine2) < spread else 0.0
+    else:
+        first, count = light.table, light.columns
+        place = angle_of(half_sine2) / (spread * math.pi / 2) * (count - 1)
+        low = min(int(place), count - 1)
+        share = 0.0
+        if place <= count - 1:
+            above = min(low + 1, count - 1)
+            share = tables[first + low] * (1 - (place - low)) + tables[first + above] * (place - low)
+    return light.radiance * share / cosine
+
+
+@compiled
+def _share(light: Light, tables: Floats, dx: float, dy: float, dz: float) -> float:
+    """Share of a luminaire's peak in a direction: straight between the table's steps."""
+    x = dx * light.ux + dy * light.uy + dz * light.uz
+    y = dx * light.vx + dy * light.vy + dz * light.vz
+    z = dx * light.nx + dy * light.ny + dz * light.nz
+    first, rows, columns = light.table, light.rows, light.columns
+    height = min(azimuth(math.sqrt(x * x + y * y), z) / math.pi, 1.0) * (columns - 1)
+    low = min(int(height), columns - 2)
+    up = height - low
+    turn = azimuth(-y, x) / (2 * math.pi) * (rows - 1)
+    row = min(int(turn), max(rows - 2, 0))
+    on, after = turn - row, min(row + 1, rows - 1)
+    one, two = first + row * columns + low, first + after * columns + low
+    return (1 - on) * ((1 - up) * tables[one] + up * tables[one + 1]) + on * (
+        (1 - up) * tables[two] + up * tables[two + 1]
+    )

@@ -1,0 +1,110 @@
+"""The compiled tracer as an engine."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Collection, Generator, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from radwrap.scene.scene import Scene
+from radwrap.tracers.compiled.arrays import Floats
+from radwrap.tracers.compiled.compiler import SOURCES, VERSIONS
+from radwrap.tracers.compiled.layout import CompiledScene, compiled_scene
+from radwrap.tracers.compiled.tracer import CompiledTracer
+from radwrap.tracers.text_frame import TextFrame
+
+
+class Meter:
+    """CPU time of all threads that trace [s]."""
+
+    def __init__(self) -> None:
+        self._guard = threading.Lock()
+        self._seconds = 0.0
+
+    def add(self, seconds: float) -> None:
+        """Count time; any thread may call."""
+        with self._guard:
+            self._seconds += seconds
+
+    @property
+    def seconds(self) -> float:
+        """What was counted."""
+        return self._seconds
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CompiledEngine:
+    """A scene as arrays; satisfies `Engine`.
+
+    Attributes
+    ----------
+    scene : Scene
+        What was laid out.
+    arrays : CompiledScene
+        The same as arrays.
+    cancelled : callable
+        Whether tracing is to end now.
+    meter : Meter
+        What its tracers have used.
+    """
+
+    scene: Scene
+    arrays: CompiledScene
+    cancelled: Callable[[], bool]
+    meter: Meter = field(default_factory=Meter)
+
+    @classmethod
+    def of(cls, scene: Scene, frame: TextFrame, cancelled: Callable[[], bool]) -> CompiledEngine:
+        """Lay a scene out, in the frame of its Radiance text; it must be expressible."""
+        return cls(scene, compiled_scene(scene, frame), cancelled)
+
+    @property
+    def name(self) -> Literal["compiled"]:
+        """Which ray tracer."""
+        return "compiled"
+
+    @property
+    def versions(self) -> Mapping[str, str]:
+        """Of its own sources, and of the compiler."""
+        return {"compiled": SOURCES, **VERSIONS}
+
+    @property
+    def cpu_s(self) -> float:
+        """CPU time that its tracers have used so far [s]."""
+        return self.meter.seconds
+
+    def tracer(self, scene: Scene, lit: Collection[str] | None = None, *, name: str = "scene") -> CompiledTracer:
+        """A tracer of the scene; see `Engine.tracer`."""
+        del name  # it needs no folder
+        arrays = self.arrays
+        if scene.materials is not self.scene.materials:
+            arrays = compiled_scene(scene, arrays.frame)
+        return CompiledTracer(arrays if lit is None else arrays.in_light(lit), self.cancelled, self.meter.add)
+
+    def numbered(self) -> NumberedTracer:
+        """A tracer of part numbers; see `Engine.numbered`."""
+        return NumberedTracer(CompiledTracer(self.arrays, self.cancelled, self.meter.add))
+
+
+@dataclass(frozen=True, slots=True)
+class NumberedTracer:
+    """Part numbers in place of radiances; satisfies `Tracer`."""
+
+    tracer: CompiledTracer
+
+    def trace(self, rays: Iterable[Floats]) -> Generator[Floats]:
+        """Number of the part whose front each ray meets first; 0 of backs and of nothing."""
+        for numbers in self.tracer.parts(rays):
+            yield numbers.astype(np.float64)
+
+    def trace_with_distances(self, rays: Iterable[Floats]) -> Generator[tuple[Floats, Floats]]:
+        """The numbers, and the distance to the first surface [m]."""
+        for block in rays:
+            yield next(self.trace([block])), next(self.distances([block]))
+
+    def distances(self, rays: Iterable[Floats]) -> Generator[Floats]:
+        """Distance to the first surface [m]."""
+        return self.tracer.distances(rays)

@@ -1,0 +1,215 @@
+"""What is asked of the compiled tracer: light along rays, and what they meet."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from radwrap.tracers.compiled.arrays import (
+    DISC,
+    LUMINAIRE,
+    POLYGON,
+    RECTANGLE,
+    SPHERE,
+    TRIANGLE,
+    TURNED_NORMAL,
+    Covers,
+    Decals,
+    Floats,
+    Light,
+    Lights,
+    Nodes,
+    Shape,
+    Shapes,
+    Whole,
+)
+from radwrap.tracers.compiled.beams import LEAST_COSINE, radiance_along
+from radwrap.tracers.compiled.compiler import compiled
+from radwrap.tracers.compiled.covers import diffuse_at, painted, reflected
+from radwrap.tracers.compiled.intersect import NEAREST, closest, hidden
+
+NOTHING_MET: Final = -(1 << 62)
+
+
+@compiled
+def trace(
+    shapes: Shapes,
+    nodes: Nodes,
+    discs: Shapes,
+    disc_nodes: Nodes,
+    covers: Covers,
+    decals: Decals,
+    lights: Lights,
+    background: float,
+    tables: Floats,
+    rays: Floats,
+    x0: float,
+    y0: float,
+    z0: float,
+    units: float,
+    values: Floats,
+    distances: Floats,
+    stack: Whole,
+) -> bool:
+    """Radiance along rays, from each group of emitters.
+
+    Parameters
+    ----------
+    shapes, nodes : Shapes, Nodes
+        Targets and their tree.
+    discs, disc_nodes : Shapes, Nodes
+        Emitters and their tree.
+    covers, decals, lights
+        What targets wear, what is painted on them, and what emitters send.
+    background : float
+        Radiance of what is seen where nothing is; it goes to the last column.
+    tables : ndarray
+        All tables.
+    rays : ndarray, shape (n, 6)
+        Origins in the world [m], and directions of any length.
+    x0, y0, z0, units : float
+        The text's origin in the world [m], and its units in a metre.
+    values : ndarray, shape (n, columns)
+        To which radiance is added [W m^-2 sr^-1], in the column of each light.
+    distances : ndarray, shape (n,)
+        Filled with the distance to the first surface [m], infinite where there is none.
+    stack : ndarray of int, shape (DEPTH,)
+        Room to work in.
+
+    Returns
+    -------
+    bool
+        Whether all rays had finite numbers and a direction; it ends at the first that has not.
+    """
+    for r in range(len(rays)):
+        ox, oy, oz = (rays[r, 0] - x0) * units, (rays[r, 1] - y0) * units, (rays[r, 2] - z0) * units
+        dx, dy, dz = rays[r, 3], rays[r, 4], rays[r, 5]
+        length = math.sqrt(dx * dx + dy * dy + dz * dz)
+        if not (length > 0 and math.isfinite(length) and math.isfinite(ox + oy + oz)):
+            return False
+        dx, dy, dz = dx / length, dy / length, dz / length
+        distance, met = closest(shapes, nodes, tables, ox, oy, oz, dx, dy, dz, math.inf, stack)
+        nearer, disc = closest(discs, disc_nodes, tables, ox, oy, oz, dx, dy, dz, distance, stack)
+        distances[r] = nearer / units
+        if disc >= 0:
+            light = lights[discs[disc].owner]
+            if light.beam == LUMINAIRE or _front(light, dx, dy, dz) > 0:
+                values[r, light.column] += radiance_along(light, tables, -dx, -dy, -dz)
+            continue
+        if met < 0:
+            values[r, -1] += background
+            continue
+        shape = shapes[met]
+        x, y, z = ox + distance * dx, oy + distance * dy, oz + distance * dz
+        nx, ny, nz = normal_at(shape, x, y, z)
+        cover = covers[painted(decals, shape.owner, shape.decal, x, y, z)]
+        if nx * dx + ny * dy + nz * dz > 0:
+            if not cover.two_sided:
+                continue
+            nx, ny, nz = -nx, -ny, -nz
+        diffuse = diffuse_at(cover, tables, x, y, z)
+        is_flat = shape.kind in (RECTANGLE, POLYGON, DISC)
+        flat = 1 / (4 * math.pi) if is_flat else 0.0
+        # A flat face does not hide its own points, however grazing the light.
+        itself = met if is_flat or shape.kind == TRIANGLE else -1
+        for i in range(len(lights)):
+            light = lights[i]
+            lx, ly, lz, away, solid_angle = _towards(light, x, y, z)
+            if solid_angle == 0 or (cover.kind != TURNED_NORMAL and lx * nx + ly * ny + lz * nz <= 0):
+                continue
+            value = radiance_along(light, tables, -lx, -ly, -lz) * solid_angle
+            if value <= 0:
+                continue
+            value *= reflected(cover, tables, diffuse, nx, ny, nz, -dx, -dy, -dz, lx, ly, lz, flat * solid_angle)
+            if value <= 0 or hidden(shapes, nodes, tables, x, y, z, lx, ly, lz, away, itself, stack):
+                continue
+            own = light.own
+            if own < 0 or not hidden(discs, disc_nodes, tables, x, y, z, lx, ly, lz, away, own, stack):
+                values[r, light.column] += value
+    return True
+
+
+@compiled
+def _towards(light: Light, x: float, y: float, z: float) -> tuple[float, float, float, float, float]:
+    """Unit vector to a light, the distance up to it, and the solid angle that it fills; 0 where it does not shine."""
+    lx, ly, lz = light.x - x, light.y - y, light.z - z
+    away2 = lx * lx + ly * ly + lz * lz
+    away = math.sqrt(away2)
+    if light.radiance == 0 or away <= NEAREST:
+        return 0.0, 0.0, 0.0, 0.0, 0.0
+    lx, ly, lz = lx / away, ly / away, lz / away
+    solid_angle = light.area / away2
+    if light.beam != LUMINAIRE:
+        cosine = _front(light, lx, ly, lz)
+        solid_angle *= cosine if cosine > LEAST_COSINE else 0.0
+    return lx, ly, lz, away - NEAREST, solid_angle
+
+
+@compiled
+def _front(light: Light, dx: float, dy: float, dz: float) -> float:
+    return -(dx * light.nx + dy * light.ny + dz * light.nz)
+
+
+@compiled
+def normal_at(s: Shape, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Unit normal of a shape's front at a place on it."""
+    kind = s.kind
+    if kind in (TRIANGLE, RECTANGLE, POLYGON, DISC):
+        return s.nx, s.ny, s.nz
+    px, py, pz = x - s.x, y - s.y, z - s.z
+    if kind != SPHERE:
+        along = px * s.nx + py * s.ny + pz * s.nz
+        px, py, pz = px - along * s.nx, py - along * s.ny, pz - along * s.nz
+    return px / s.a, py / s.a, pz / s.a
+
+
+@compiled
+def surfaces(
+    shapes: Shapes,
+    nodes: Nodes,
+    discs: Shapes,
+    disc_nodes: Nodes,
+    decals: Decals,
+    tables: Floats,
+    rays: Floats,
+    x0: float,
+    y0: float,
+    z0: float,
+    units: float,
+    distances: Floats,
+    normals: Floats,
+    found: Whole,
+    stack: Whole,
+) -> bool:
+    """What rays meet first.
+
+    Parameters
+    ----------
+    shapes, nodes, discs, disc_nodes, decals, tables, rays, x0, y0, z0, units, distances, stack
+        As `trace`.
+    normals : ndarray, shape (n, 3)
+        Filled with unit normals of the front; 0 where nothing is.
+    found : ndarray of int, shape (n,)
+        Filled with the number of the cover, -1 minus that of an emitter, or `NOTHING_MET`.
+    """
+    for r in range(len(rays)):
+        ox, oy, oz = (rays[r, 0] - x0) * units, (rays[r, 1] - y0) * units, (rays[r, 2] - z0) * units
+        dx, dy, dz = rays[r, 3], rays[r, 4], rays[r, 5]
+        length = math.sqrt(dx * dx + dy * dy + dz * dz)
+        if not (length > 0 and math.isfinite(length) and math.isfinite(ox + oy + oz)):
+            return False
+        dx, dy, dz = dx / length, dy / length, dz / length
+        distance, met = closest(shapes, nodes, tables, ox, oy, oz, dx, dy, dz, math.inf, stack)
+        nearer, disc = closest(discs, disc_nodes, tables, ox, oy, oz, dx, dy, dz, distance, stack)
+        distances[r] = nearer / units
+        nx, ny, nz, found[r] = 0.0, 0.0, 0.0, NOTHING_MET
+        x, y, z = ox + nearer * dx, oy + nearer * dy, oz + nearer * dz
+        if disc >= 0:
+            nx, ny, nz = normal_at(discs[disc], x, y, z)
+            found[r] = -1 - discs[disc].owner
+        elif met >= 0:
+            shape = shapes[met]
+            nx, ny, nz = normal_at(shape, x, y, z)
+            found[r] = painted(decals, shape.owner, shape.decal, x, y, z)
+        normals[r, 0], normals[r, 1], normals[r, 2] = nx, ny, nz
+    return True

@@ -1,0 +1,156 @@
+"""A scene as arrays: shapes with their trees, covers, lights."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.scene.look.superposed import superposed
+from radwrap.scene.scene import Scene
+from radwrap.scene.sources import Emitter, Luminaire, Patch, TableBeam, WideSource, emitters
+from radwrap.tracers.compiled import arrays
+from radwrap.tracers.compiled.arrays import Floats, Light, Tree, Whole, put, rows
+from radwrap.tracers.compiled.before import own_shapes
+from radwrap.tracers.compiled.cover_rows import Wardrobe
+from radwrap.tracers.compiled.shape_rows import Piece, area_vector, emitter_shape, sorted_shapes
+from radwrap.tracers.text_frame import TextFrame
+
+_BEAMS: Final = {
+    "lambertian": arrays.LAMBERTIAN,
+    "gaussian": arrays.GAUSSIAN,
+    "cosine_power": arrays.COSINE_POWER,
+    "cone": arrays.CONE,
+    "table": arrays.TABLE_BEAM,
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CompiledScene:
+    """All that the compiled functions need of a scene.
+
+    Attributes
+    ----------
+    targets, emitters : Tree
+        What hides; emitters apart, most of which hide nothing.
+    covers, decals, lights : ndarray
+        What targets wear, what is painted on them, and what emitters send; `rows` of the classes in `arrays`.
+    background : float
+        Radiance of what is seen where nothing is [W m^-2 sr^-1].
+    tables : ndarray
+        All tables.
+    parts : tuple of str
+        Names of what has a number in truth images, such as "board.dots"; the first has the number 1.
+    part_of_cover, part_of_light : ndarray of int
+        Their numbers.
+    members : tuple of tuple of (str, float)
+        Of each emitter: names by which its light is switched, and radiance of each.
+    skies : tuple of (str, float)
+        Names of surrounds and their radiance.
+    frame : TextFrame
+        Origin and unit of the places.
+    """
+
+    targets: Tree
+    emitters: Tree
+    covers: NDArray[np.void]
+    decals: NDArray[np.void]
+    lights: NDArray[np.void]
+    background: float
+    tables: Floats
+    parts: tuple[str, ...]
+    part_of_cover: Whole
+    part_of_light: Whole
+    members: tuple[tuple[tuple[str, float], ...], ...]
+    skies: tuple[tuple[str, float], ...]
+    frame: TextFrame
+
+    def in_light(self, names: Collection[str]) -> CompiledScene:
+        """The scene in the light of some sources or LEDs; the others are black, and hide all the same."""
+        lights = self.lights.copy()
+        lights["radiance"] = [math.fsum(level for name, level in group if name in names) for group in self.members]
+        background = math.fsum(level for name, level in self.skies if name in names)
+        return replace(self, lights=lights, background=background)
+
+
+def compiled_scene(scene: Scene, frame: TextFrame) -> CompiledScene:
+    """Write a scene as arrays, in the frame of its Radiance text; it must be expressible."""
+    groups = superposed(scene.emitters)
+    shown = [group[0] for group in groups]
+    tables: list[float] = []
+    discs = sorted_shapes((Piece(emitter_shape(emitter), i) for i, emitter in enumerate(shown)), frame, tables)
+    wardrobe = Wardrobe(scene.materials, frame, tables)
+    targets = sorted_shapes((piece for part in scene.targets for piece in wardrobe.pieces(part)), frame, tables)
+    lights = _lights(shown, frame, tables)
+    lights["radiance"] = [math.fsum(member.radiance for member in group) for group in groups]
+    lights["own"] = own_shapes(shown, lights, discs, frame)
+    names = tuple(source.name for source in scene.sources)
+    number = {emitter.name: index for index, source in enumerate(scene.sources, 1) for emitter in emitters(source)}
+    skies = tuple(
+        (source.name, source.patches[0].radiance)
+        for source in scene.sources
+        if isinstance(source, WideSource) and source.kind == "surround"
+    )
+    return CompiledScene(
+        targets,
+        discs,
+        wardrobe.covers,
+        wardrobe.decals,
+        lights,
+        math.fsum(level for _, level in skies),
+        np.array(tables, dtype=np.float64),
+        (*names, *wardrobe.parts),
+        np.arange(len(names) + 1, len(names) + len(wardrobe.parts) + 1),
+        np.array([number[emitter.name] for emitter in shown], dtype=np.int64),
+        tuple(tuple((member.source, member.radiance) for member in group) for group in groups),
+        skies,
+        frame,
+    )
+
+
+def _lights(shown: Sequence[Emitter], frame: TextFrame, tables: list[float]) -> NDArray[np.void]:
+    """Rows of `Light` without their radiance; values of measured beams are added to the tables."""
+    found = [rows(Light, 0)]
+    places: dict[str, int] = {}
+    for emitter in shown:
+        light = rows(Light, 1)
+        light["beam"], light["spread"] = _BEAMS[emitter.beam.profile], emitter.beam.spread
+        centre, axis, area = _shining(emitter, frame)
+        put(light, "x y z nx ny nz area", np.concatenate([centre, axis, [area]]))
+        if isinstance(emitter, Luminaire):
+            light["beam"] = arrays.LUMINAIRE
+            put(light, "ux uy uz vx vy vz", np.concatenate([emitter.x_axis, emitter.y_axis]))
+        if (measured := _table(emitter)) is not None:
+            sha256, table = measured
+            if sha256 not in places:
+                places[sha256] = len(tables)
+                tables += [value for row in table for value in row]
+            put(light, "table rows columns", [places[sha256], len(table), len(table[0])])
+        found.append(light)
+    return np.concatenate(found)
+
+
+def _shining(emitter: Emitter, frame: TextFrame) -> tuple[Floats, Floats, float]:
+    """From where, along which axis and with what area an emitter shines."""
+    if isinstance(emitter, Patch):
+        corners = np.array([frame.point(corner) for corner in emitter.corners])
+        across = area_vector(corners)
+        area = float(np.linalg.norm(across))
+        return corners.mean(axis=0), across / area, area
+    return (
+        np.array(frame.point(emitter.position)),
+        np.array(emitter.axis),
+        math.pi * (emitter.radius * frame.units) ** 2,
+    )
+
+
+def _table(emitter: Emitter) -> tuple[str, Sequence[Sequence[float]]] | None:
+    if isinstance(emitter, Luminaire):
+        return emitter.table.sha256, emitter.table.rows
+    if isinstance(emitter.beam, TableBeam):
+        return emitter.beam.sha256, (emitter.beam.values,)
+    return None

@@ -1,0 +1,157 @@
+"""The compiled tracer behind the waist."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Generator, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.errors import TracerError
+from radwrap.tracers.compiled.arrays import Floats, Whole
+from radwrap.tracers.compiled.kernels import NOTHING_MET, surfaces, trace
+from radwrap.tracers.compiled.layout import CompiledScene
+from radwrap.tracers.compiled.tree import DEPTH
+
+# Rays and sources that are computed before an interruption is heeded: some tenths of a second.
+_WORK_AT_ONCE: Final = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class CompiledTracer:
+    """A scene's arrays and how to ask them; satisfies `Tracer`. Threads may share it.
+
+    Attributes
+    ----------
+    scene : CompiledScene
+        What is there.
+    cancelled : callable, optional
+        Whether tracing is to end now; it is asked some times a second.
+    used : callable, optional
+        Is told CPU time [s].
+    """
+
+    scene: CompiledScene
+    cancelled: Callable[[], bool] = bool  # False
+    used: Callable[[float], object] = float
+
+    def trace(self, rays: Iterable[Floats]) -> Generator[Floats]:
+        """Radiance along rays; see `Tracer.trace`."""
+        for values, _ in self.trace_with_distances(rays):
+            yield values
+
+    def trace_with_distances(self, rays: Iterable[Floats]) -> Generator[tuple[Floats, Floats]]:
+        """Radiance along rays, and the distance to the first surface; see `Tracer`."""
+        for block in rays:
+            values, distances = self._traced(block, self.scene.lights, 1)
+            yield values[:, 0], distances
+
+    def trace_by_source(self, rays: Iterable[Floats], column: Whole) -> Generator[Floats]:
+        """Radiance along rays from each group of emitters.
+
+        Parameters
+        ----------
+        rays : iterable of ndarray
+            As `trace`.
+        column : ndarray of int, shape (emitters,)
+            Group of each emitter, from 0.
+
+        Yields
+        ------
+        ndarray, shape (n, groups + 1)
+            [W m^-2 sr^-1]; the last column is that of the background.
+        """
+        lights = self.scene.lights.copy()
+        lights["column"] = column
+        for block in rays:
+            yield self._traced(block, lights, int(column.max(initial=-1)) + 2)[0]
+
+    def distances(self, rays: Iterable[Floats]) -> Generator[Floats]:
+        """Distance to the first surface [m]; see `Tracer`."""
+        for block in rays:
+            yield self._met(block)[0]
+
+    def surfaces(self, rays: Iterable[Floats]) -> Generator[tuple[Floats, Floats, Floats]]:
+        """Radiance along rays, distance to the first surface [m], and its normal, shape (n, 3); 0 where nothing is."""
+        for block in rays:
+            values, distances = self._traced(block, self.scene.lights, 1)
+            yield values[:, 0], distances, self._met(block)[1]
+
+    def parts(self, rays: Iterable[Floats]) -> Generator[Whole]:
+        """Number of the part whose front each ray meets first, see `CompiledScene.parts`; 0 of backs and of nothing."""
+        for block in rays:
+            _, normals, found = self._met(block)
+            numbers = np.zeros(len(block), dtype=np.int64)
+            target = found >= 0
+            emitter = ~target & (found != NOTHING_MET)
+            numbers[target] = self.scene.part_of_cover[found[target]]
+            numbers[emitter] = self.scene.part_of_light[-1 - found[emitter]]
+            numbers[(normals * block[:, 3:]).sum(axis=1) > 0] = 0
+            yield numbers
+
+    def _traced(self, block: Floats, lights: NDArray[np.void], columns: int) -> tuple[Floats, Floats]:
+        scene = self.scene
+        values, distances = np.zeros((len(block), columns)), np.empty(len(block))
+        for part in self._parts(len(block), len(lights)):
+            good = trace(
+                scene.targets.shapes,
+                scene.targets.nodes,
+                scene.emitters.shapes,
+                scene.emitters.nodes,
+                scene.covers,
+                scene.decals,
+                lights,
+                scene.background,
+                scene.tables,
+                block[part],
+                *scene.frame.origin,
+                float(scene.frame.units),
+                values[part],
+                distances[part],
+                np.empty(DEPTH, dtype=np.int64),
+            )
+            _check(good)
+        if not np.isfinite(values.sum()) or values.min(initial=0.0) < 0:
+            raise TracerError("answered NaN, infinity or a negative radiance", where="the compiled tracer")
+        return values, distances
+
+    def _met(self, block: Floats) -> tuple[Floats, Floats, Whole]:
+        scene = self.scene
+        distances, normals = np.empty(len(block)), np.empty((len(block), 3))
+        found = np.empty(len(block), dtype=np.int64)
+        for part in self._parts(len(block), 1):
+            good = surfaces(
+                scene.targets.shapes,
+                scene.targets.nodes,
+                scene.emitters.shapes,
+                scene.emitters.nodes,
+                scene.decals,
+                scene.tables,
+                block[part],
+                *scene.frame.origin,
+                float(scene.frame.units),
+                distances[part],
+                normals[part],
+                found[part],
+                np.empty(DEPTH, dtype=np.int64),
+            )
+            _check(good)
+        return distances, normals, found
+
+    def _parts(self, rays: int, sources: int) -> Iterator[slice]:
+        """Parts of a block, between which an interruption is heeded and time is counted."""
+        step = max(1, _WORK_AT_ONCE // (sources + 1))
+        for start in range(0, rays, step):
+            if self.cancelled():
+                raise TracerError("cancelled", where="the compiled tracer")
+            before = time.thread_time()
+            yield slice(start, start + step)
+            self.used(time.thread_time() - before)
+
+
+def _check(good: bool) -> None:
+    if not good:
+        raise ValueError("a ray holds NaN or infinity, or has no direction")

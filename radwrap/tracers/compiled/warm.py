@@ -1,0 +1,49 @@
+"""Compiling ahead: so that no image waits for it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from radwrap.frames import Pose
+from radwrap.scene.materials import Lambertian
+from radwrap.scene.targets import Sheet
+from radwrap.tracers.compiled.arrays import Light, rows
+from radwrap.tracers.compiled.before import may_hide
+from radwrap.tracers.compiled.compiler import cache_folder
+from radwrap.tracers.compiled.cover_rows import Wardrobe
+from radwrap.tracers.compiled.layout import CompiledScene
+from radwrap.tracers.compiled.shape_rows import sorted_shapes
+from radwrap.tracers.compiled.tracer import CompiledTracer
+from radwrap.tracers.text_frame import TextFrame
+
+
+def is_warm() -> bool:
+    """Whether everything is compiled, as far as the folder of compiled functions tells."""
+    return any(cache_folder().rglob("kernels.trace-*.nbc")) and any(cache_folder().rglob("tree._grow-*.nbc"))
+
+
+def warm_up() -> None:
+    """Compile what is not compiled yet, by a scene of one sheet without light."""
+    frame, tables = TextFrame(), [0.0]
+    wardrobe = Wardrobe({"gray": Lambertian(0.5)}, frame, tables)
+    sheet = Sheet("sheet", Pose(), "gray", 1.0, 1.0)
+    lights = rows(Light, 0)
+    may_hide(lights, np.empty((0, 3)), np.empty(0), np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64))
+    scene = CompiledScene(
+        targets=sorted_shapes(wardrobe.pieces(sheet), frame, tables),
+        emitters=sorted_shapes([], frame, tables),
+        covers=wardrobe.covers,
+        decals=wardrobe.decals,
+        lights=lights,
+        background=0.0,
+        tables=np.array(tables),
+        parts=("sheet.surface",),
+        part_of_cover=np.array([1]),
+        part_of_light=np.zeros(0, dtype=np.int64),
+        members=(),
+        skies=(),
+        frame=frame,
+    )
+    tracer, ray = CompiledTracer(scene), np.array([[0.0, 0.0, 1.0, 0.0, 0.0, -1.0]])
+    next(tracer.trace([ray]))
+    next(tracer.distances([ray]))
