@@ -5,11 +5,18 @@ from __future__ import annotations
 import sys
 import threading
 import time
+from contextlib import suppress
 from typing import Final, TextIO
 
 _BAR_WIDTH: Final = 30
 _TERMINAL_PERIOD: Final = 0.2  # s between updates of a bar that is seen
 _LOG_PERIOD: Final = 10.0  # s between lines where stderr goes to a file
+
+
+def note(what: str) -> None:
+    """Say a word on stderr of what takes long beside the work that is counted."""
+    with suppress(OSError):  # nobody can be told
+        print(f"radwrap: {what}", file=sys.stderr)
 
 
 class Progress:

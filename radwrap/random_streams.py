@@ -30,6 +30,7 @@ class Rendering(IntEnum):
     MODEL_RESAMPLES = 12  # then the effort
     EFFECT_PATHS = 14
     EFFECT_RESAMPLES = 15
+    TRACER_PROBE = 18
 
 
 @unique

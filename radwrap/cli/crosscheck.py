@@ -63,6 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
     out = shared.out_folder(arguments, "result")
     options = CrosscheckOptions(
         RenderOptions(
+            tracer="radiance",  # which is what is checked
             viewpoints=arguments.viewpoints,
             pixel_samples=arguments.pixel_samples,
             workers=arguments.workers,

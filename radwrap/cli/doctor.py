@@ -12,6 +12,7 @@ from radwrap.errors import EnvironmentFailure, RadwrapError
 from radwrap.led.ports import modules as hidapi_modules
 from radwrap.manifest import STUDY_PACKAGES, json_text, versions
 from radwrap.process import Programs, available_cores
+from radwrap.tracers.expressible import compiler_lacks
 from radwrap.tracers.installation import find_radiance, version
 
 
@@ -22,6 +23,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         description="Tells what is installed, what is missing, and how to get it.",
     )
     parser.add_argument("--radiance", metavar="DIR", help="folder with another Radiance's bin and lib")
+    parser.add_argument("--warm", action="store_true", help="compile our own tracer now, if it is not compiled yet")
     parser.add_argument("--json", action="store_true", help="machine-readable result on stdout")
     parser.set_defaults(run=run)
 
@@ -30,6 +32,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Check everything; exit code 4 where something needed is missing."""
     checks = [
         _check("Radiance", True, "pip install pyradiance, or --radiance DIR", lambda: _radiance(arguments.radiance)),
+        _check("compiled tracer", False, 'pip install "radwrap[fast]"', lambda: _compiled(warm=arguments.warm)),
         _check("POV-Ray", False, "apt install povray (only for cross-checks)", _povray),
         _check("hidapi", False, "pip install hidapi (only for a real LED ring)", _hidapi),
     ]
@@ -63,6 +66,19 @@ def _radiance(folder: str | None) -> tuple[str, str]:
     installation = find_radiance(folder)
     with Programs() as programs:
         return version(installation, programs), f"{installation.programs}, from {installation.origin}"
+
+
+def _compiled(*, warm: bool) -> tuple[str, str]:
+    """Version of the compiler, and whether and where the tracer is compiled."""
+    if lacks := compiler_lacks():
+        raise EnvironmentFailure(lacks)
+    from radwrap.tracers.compiled.compiler import VERSIONS, cache_folder
+    from radwrap.tracers.compiled.warm import is_warm, warm_up
+
+    if warm:
+        warm_up()
+    state = "compiled" if is_warm() else "not compiled yet; radwrap doctor --warm compiles it"
+    return f"numba {VERSIONS['numba']}, {state}", str(cache_folder())
 
 
 def _povray() -> tuple[str, str]:

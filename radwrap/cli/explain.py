@@ -32,7 +32,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         "--seed", metavar="S", type=shared.whole(), default=0, help="seed of all that is drawn (default 0)"
     )
     parser.add_argument("--no-rays", action="store_true", help="closed forms alone; needs no Radiance")
-    shared.add_radiance(parser)
+    shared.add_tracer(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)
 

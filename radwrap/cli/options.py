@@ -14,6 +14,7 @@ from typing import Any, Final
 
 from radwrap.errors import InputError
 from radwrap.files import check_result
+from radwrap.imaging.render_options import TRACERS
 from radwrap.reading import parse_toml, shortened
 from radwrap.scene.file.load import load_scene
 from radwrap.scene.scene import Scene
@@ -85,6 +86,18 @@ def add_scene(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_tracer(parser: argparse.ArgumentParser) -> None:
+    """--tracer, and the options of `add_radiance`."""
+    parser.add_argument(
+        "--tracer",
+        choices=TRACERS,
+        default="auto",
+        help="who traces: Radiance; our own compiled tracer of direct light, which must agree with Radiance on a "
+        "sample of rays; or auto, the compiled one where a scene can be shown by it and has work enough (default)",
+    )
+    add_radiance(parser)
+
+
 def add_radiance(parser: argparse.ArgumentParser) -> None:
     """--radiance, --trust and --tracer-timeout."""
     parser.add_argument("--radiance", metavar="DIR", help="folder with another Radiance's bin and lib")
@@ -102,6 +115,7 @@ def add_radiance(parser: argparse.ArgumentParser) -> None:
 def tracer_options(arguments: argparse.Namespace) -> dict[str, Any]:
     """What the options of `add_radiance` say, by the names of `RenderOptions` and `StudyOptions`."""
     return {
+        **({"tracer": arguments.tracer} if "tracer" in arguments else {}),
         "radiance": arguments.radiance,
         "trust": arguments.trust,
         "tracer_timeout": time_of(arguments.tracer_timeout, "--tracer-timeout"),

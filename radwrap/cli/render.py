@@ -109,7 +109,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument(
         "--max-pixels", metavar="N", type=shared.number(), default=64e6, help="largest sensor (default 64e6 pixels)"
     )
-    shared.add_radiance(parser)
+    shared.add_tracer(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)
 

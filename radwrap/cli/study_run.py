@@ -34,7 +34,7 @@ def add_to(kinds: argparse._SubParsersAction[Any]) -> None:
     add_workers(parser)
     parser.add_argument("--retry-failed", action="store_true", help="do the runs again that failed before")
     parser.add_argument("--no-report", action="store_true", help="leave out index.html")
-    shared.add_radiance(parser)
+    shared.add_tracer(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)
 

@@ -42,7 +42,7 @@ def add_to(kinds: argparse._SubParsersAction[Any]) -> None:
         "--systems", metavar="N", type=shared.whole(), default=8, help="random systems that are looked at (default 8)"
     )
     add_workers(parser)
-    shared.add_radiance(parser)
+    shared.add_tracer(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)
 

@@ -48,7 +48,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument(
         "--workers", metavar="W", type=shared.whole(), help="tracer processes at a time (default: all cores)"
     )
-    shared.add_radiance(parser)
+    shared.add_tracer(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)
 

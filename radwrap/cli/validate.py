@@ -46,7 +46,11 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Carry out the verb; exit code 1 where a case misses its limit."""
     options = RenderOptions(
-        seed=arguments.seed, workers=arguments.workers, **shared.tracer_options(arguments), progress=True
+        tracer="radiance",
+        seed=arguments.seed,
+        workers=arguments.workers,
+        **shared.tracer_options(arguments),
+        progress=True,
     )
     if arguments.out:
         check_results(Path(arguments.out), (NUMBERS, REPORT))

@@ -15,6 +15,8 @@ from radwrap.process import MOST_WORKERS
 
 FixedMethod = Literal["pinhole", "viewpoints"]
 Method = Literal["pinhole", "viewpoints", "kernel", "rays"]
+TracerName = Literal["auto", "radiance", "compiled"]
+TRACERS: Final[tuple[TracerName, ...]] = get_args(TracerName)
 METHODS: Final[tuple[Method, ...]] = ("pinhole", "viewpoints", "kernel", "rays")
 
 _TO_TOLERANCE: Final[dict[Method | None, ToleranceMethod]] = {"kernel": "kernel", "rays": "rays"}
@@ -39,7 +41,13 @@ _REAL: Final = {
     "budget_seconds": (1e-3, 1e9),
     "tracer_timeout": (1e-3, 1e9),
 }
-_NAMES: Final = {"method": METHODS, "layout": LAYOUTS, "pixel_sampling": _PIXEL_SAMPLINGS, "bounces": ("all", "auto")}
+_NAMES: Final = {
+    "method": METHODS,
+    "layout": LAYOUTS,
+    "pixel_sampling": _PIXEL_SAMPLINGS,
+    "bounces": ("all", "auto"),
+    "tracer": TRACERS,
+}
 _SWITCHES: Final = ("keep_viewpoints", "truth", "basis", "trust", "progress")
 
 # Gray levels rms, where nothing else is asked for.
@@ -91,6 +99,9 @@ class RenderOptions:
         Frames of a linear camera, with noise, to write too.
     trust : bool
         Let included Radiance files run commands and name any file.
+    tracer : str
+        "radiance"; "compiled", our own tracer, for direct light without mirrors, glass and Radiance files; or "auto",
+        which is "compiled" where the scene has work enough for it, and it agrees with Radiance on a sample of rays.
     radiance : str, optional
         Folder of a Radiance other than the wheel's.
     max_pixels : int
@@ -119,6 +130,7 @@ class RenderOptions:
     sampling: SamplingPlan | None = None
     frames: int = 0
     trust: bool = False
+    tracer: TracerName = "auto"
     radiance: str | None = None
     max_pixels: int = 64_000_000
     tracer_timeout: float = 600.0

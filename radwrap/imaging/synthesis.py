@@ -261,10 +261,10 @@ def _carry_out(run: _Run, start: float, cpu: float) -> None:
     files += more
     files += write_frames(run.made, run.scene.camera.sensor, run.options.frames, run.options.seed)
     if run.options.truth:
-        files += write_truth(run.made, run.scene, run.traced.prepared.parts, run.traced.identity_tracer())
+        files += write_truth(run.made, run.scene, run.traced.prepared.parts, run.traced.numbered_tracer())
     timing = Timing(
         wall_s=time.monotonic() - start,
-        tracer_cpu_s=children_cpu_time() - cpu,
+        tracer_cpu_s=children_cpu_time() - cpu + run.traced.tracer_cpu_s,
         workers=run.workers,
         reused_viewpoints=found.made.reused,
     )
@@ -296,6 +296,7 @@ def _trace(run: _Run) -> tuple[TracedRun, list[str]]:
         identity=run.identity,
         made=made,
         banding=traced.banding,
+        tracer=traced.tracer_used,
         orders=orders,
         left_out=left_out,
         beyond=beyond,

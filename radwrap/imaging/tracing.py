@@ -3,29 +3,36 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from radwrap.errors import InputError
 from radwrap.files import make_folder
 from radwrap.imaging.banding import banding
 from radwrap.imaging.optics.view import View
 from radwrap.imaging.render_options import RenderOptions
+from radwrap.imaging.tracer_choice import candidate, compared
 from radwrap.manifest import sha256_of_value
 from radwrap.process import Limits, Programs, available_cores
+from radwrap.progress import note
 from radwrap.scene.camera import ColourChannel
 from radwrap.scene.materials import CoefficientTable, GlassBeads, Lambertian, PerturbedNormal, Specular
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Source, emitters
 from radwrap.scene.targets import surfaces
 from radwrap.tracers.bouncing import SURE_STEPS, BouncingTracer, Reflecting
+from radwrap.tracers.engine import Engine
 from radwrap.tracers.installation import find_radiance, version
-from radwrap.tracers.radiance import NO_LIGHT, PreparedScene, RadianceOptions, RadianceTracer, build, prepare
-from radwrap.tracers.radiance_text import RadianceScene
+from radwrap.tracers.radiance import PreparedScene, RadianceOptions, RadianceTracer, prepare
+from radwrap.tracers.radiance_engine import RadianceEngine
 from radwrap.tracers.summed import SummedTracer
 from radwrap.tracers.tracer import Tracer
+
+if TYPE_CHECKING:
+    from radwrap.tracers.compiled.engine import CompiledEngine
 
 
 class LaidOutScene:
@@ -48,50 +55,90 @@ class LaidOutScene:
         self._work = work
         limits = Limits(silence=options.tracer_timeout)
         self._radiance = RadianceOptions(find_radiance(options.radiance), options.trust, limits)
-        self.prepared = prepare(scene, self._radiance, programs, work)
         self.version = version(self._radiance.installation, programs)
         self.banding = banding(scene, options, exact=exact_bands)
+        self._reference = self._radiance_engine(scene, work)
+        self.prepared = self._reference.prepared
+        self._engine: Engine = self._reference
+        self.tracer_used = candidate(scene, options)
+        if self.tracer_used.name == "compiled":
+            compiled = self._compiled_engine(scene)
+            reference = self._reference.tracer(scene, name="reference")
+            self.tracer_used = compared(self.tracer_used, options, reference, compiled, scene)
+            if self.tracer_used.name == "compiled":
+                self._engine = compiled
+
+    def _radiance_engine(self, scene: Scene, folder: Path) -> RadianceEngine:
+        prepared = prepare(scene, self._radiance, self._programs, folder)
+        # A trusted file may name files beside itself, and Radiance looks for them where it runs.
+        search = {(scene.folder / target.file).parent.absolute() for target in scene.included}
+        trusted = tuple(sorted(search)) if self._options.trust else ()
+        channel = scene.camera.sensor.channel
+        return RadianceEngine(prepared, self._radiance, self._programs, folder, channel, trusted)
+
+    def _compiled_engine(self, scene: Scene) -> CompiledEngine:
+        # Its compiler takes a third of a second to load.
+        from radwrap.tracers.compiled.engine import CompiledEngine
+        from radwrap.tracers.compiled.warm import is_warm
+
+        if self._options.progress and not is_warm():
+            note("compiling the tracer, which takes about 20 s, once on this machine")
+        return CompiledEngine.of(scene, self.prepared.scene.frame, lambda: self._programs.cancelled)
+
+    @property
+    def tracer_versions(self) -> Mapping[str, str]:
+        """Versions of what traces."""
+        return {"radiance": self.version, **self._engine.versions}
+
+    @property
+    def tracer_cpu_s(self) -> float:
+        """CPU time of this process in which rays were traced; that of programs comes besides [s]."""
+        return self._engine.cpu_s
 
     def sha256(self) -> str:
         """Hash of the scene as the tracer gets it, and of the tracer."""
         text = self.prepared.scene
         files = {name: content.hex() for name, content in text.files.items()}
-        told = {"text": text.text, "files": files, "radiance": self.version}
+        told = {"text": text.text, "files": files, **self.tracer_versions}
         return sha256_of_value(told if self.banding.bands is None else {**told, "bands": self.banding.bands})
 
     def view(self) -> View:
         """The camera, with a tracer for the scene."""
-        tracer = self._lit(self.scene, self.prepared, self._work)
-        return View(self.scene.camera, tracer, self._options.workers or available_cores())
+        return self._view(self._lit(self._engine, self.scene, "scene"))
+
+    def radiance_view(self) -> View:
+        """The camera, with Radiance as the tracer, whatever else traces the scene."""
+        return self._view(self._lit(self._reference, self.scene, "radiance"))
 
     def one_band_view(self) -> View:
         """The camera, with a tracer for the scene in one band, whatever its spectra need."""
-        tracer = self._tracer(self.prepared.scene, self._work / "one_band")
-        return View(self.scene.camera, tracer, self._options.workers or available_cores())
+        return self._view(self._engine.tracer(self.scene, name="one_band"))
 
     def view_of(self, source: str) -> View:
         """The camera, with a tracer for the scene in the light of one source or LED; the others are black."""
-        text = self.prepared.lit_by(self._in_band_of(source), source)
-        tracer = self._tracer(text, self._work / "sources" / source)
-        return View(self.scene.camera, tracer, self._options.workers or available_cores())
+        return self._view(self._engine.tracer(self._in_band_of(source), {source}, name=f"source.{source}"))
 
     def view_lit_by(self, sources: tuple[Source, ...]) -> View:
         """The camera, with a tracer for the same targets in other light."""
         scene = replace(self.scene, sources=sources)
+        if self._engine is not self._reference:
+            return self._view(self._lit(self._compiled_engine(scene), scene, "other"))
         folder = self._work / "other"
         make_folder(folder)
-        prepared = prepare(scene, self._radiance, self._programs, folder)
-        return View(scene.camera, self._lit(scene, prepared, folder), self._options.workers or available_cores())
+        return self._view(self._lit(self._radiance_engine(scene, folder), scene, "scene"))
 
-    def _lit(self, scene: Scene, prepared: PreparedScene, folder: Path) -> Tracer:
+    def _view(self, tracer: Tracer) -> View:
+        return View(self.scene.camera, tracer, self._options.workers or available_cores())
+
+    def _lit(self, engine: Engine, scene: Scene, name: str) -> Tracer:
         """A tracer for a scene, or one for each band of its light: their sum."""
         if self.banding.bands is None:
-            return self._tracer(prepared.scene, folder / "scene")
+            return engine.tracer(scene, name=name)
         tracers = []
         for number, band in enumerate(self.banding.bands.bands):
             coloured = replace(scene, materials={**scene.materials, **band.materials})
             lit = {name for source in scene.sources if source.name in band.sources for name in _switched(source)}
-            tracers.append(self._tracer(prepared.in_light(coloured, lit), folder / f"band{number}"))
+            tracers.append(engine.tracer(coloured, lit, name=f"{name}.band{number}"))
         return tracers[0] if len(tracers) == 1 else SummedTracer(tuple(tracers))
 
     def _in_band_of(self, lit: str) -> Scene:
@@ -123,25 +170,14 @@ class LaidOutScene:
                 remedy="render without bounces, or leave out the spectra",
             )
         materials = reflecting_parts(self.scene, self.prepared.parts)
-        lit = self.view()
+        lit = self.radiance_view()
         return replace(
-            lit, tracer=BouncingTracer(_radiance(lit), self.identity_tracer(), materials, orders, sure_steps)
+            lit, tracer=BouncingTracer(_radiance(lit), self._reference.numbered(), materials, orders, sure_steps)
         )
 
-    def identity_tracer(self) -> RadianceTracer:
+    def numbered_tracer(self) -> Tracer:
         """A tracer for the same geometry, in which each part glows with its number."""
-        text = self.prepared.scene
-        identity = replace(text, text=self.prepared.identity, frame=replace(text.frame, radiance=1.0))
-        return replace(self._tracer(identity, self._work / "identity", (NO_LIGHT,)), channel="equal")
-
-    def _tracer(self, text: RadianceScene, folder: Path, harmless: tuple[str, ...] = ()) -> RadianceTracer:
-        make_folder(folder)
-        # A trusted file may name files beside itself, and Radiance looks for them where it runs.
-        search = tuple({(self.scene.folder / target.file).parent.absolute() for target in self.scene.included})
-        search = tuple(sorted(search)) if self._options.trust else ()
-        build(text.text, text.files, folder, self._radiance, self._programs, search=search, harmless=harmless)
-        channel = self.scene.camera.sensor.channel
-        return RadianceTracer(self._radiance, self._programs, folder, text, search, channel, harmless)
+        return self._engine.numbered()
 
 
 def _switched(source: Source) -> set[str]:

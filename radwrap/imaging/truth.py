@@ -15,7 +15,7 @@ from radwrap.scene.camera import Camera
 from radwrap.scene.look.geometry import in_view, project
 from radwrap.scene.scene import Scene
 from radwrap.scene.targets import DotBoard, EdgeTarget, Target
-from radwrap.tracers.radiance import RadianceTracer
+from radwrap.tracers.tracer import Tracer
 
 _EDGE_POINTS: Final = 65
 
@@ -68,14 +68,14 @@ class EdgeLine:
         return np.array([math.cos(self.angle), math.sin(self.angle)])
 
 
-def central_maps(camera: Camera, identity: RadianceTracer) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
+def central_maps(camera: Camera, numbered: Tracer) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
     """Depth and part of what each pixel's centre sees through the pinhole's centre.
 
     Parameters
     ----------
     camera : Camera
         The camera.
-    identity : RadianceTracer
+    numbered : Tracer
         Of the scene in which each part glows with its number.
 
     Returns
@@ -88,9 +88,9 @@ def central_maps(camera: Camera, identity: RadianceTracer) -> tuple[NDArray[np.f
     camera = camera.without_lens  # the same rays, with their own cosines
     parts = np.empty(camera.sensor.pixels, dtype=np.uint16)
     depth = np.empty(camera.sensor.pixels, dtype=np.float32)
-    for block, number in traced(identity.trace, ray_blocks(camera, (0.0, 0.0), PixelPlan())):
+    for block, number in traced(numbered.trace, ray_blocks(camera, (0.0, 0.0), PixelPlan())):
         parts[block.first : block.first + block.pixels] = np.rint(number)
-    for block, distance in traced(identity.distances, ray_blocks(camera, (0.0, 0.0), PixelPlan())):
+    for block, distance in traced(numbered.distances, ray_blocks(camera, (0.0, 0.0), PixelPlan())):
         here = slice(block.first, block.first + block.pixels)
         depth[here] = np.where(parts[here] > 0, distance, 0.0) * block.cos4**0.25
     shape = (camera.sensor.rows, camera.sensor.columns)

@@ -154,7 +154,7 @@ def crosscheck(scene: Scene, out: Path, options: CrosscheckOptions) -> Crosschec
         make_folder(out)  # not before: what is refused leaves none
         owned.enter_context(sole_owner(out))
         try:
-            depth, parts = central_maps(scene.camera, traced.identity_tracer())
+            depth, parts = central_maps(scene.camera, traced.numbered_tracer())
             radiance = runs.image("radiance", plan, traced.view().tracer, workers)
             _check_seen(scene, bool(parts.any() or radiance.any()), "nothing is in view")
             witness = PovrayTracer(

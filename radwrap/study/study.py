@@ -13,6 +13,7 @@ from typing import Any, Final
 
 from radwrap.errors import InputError
 from radwrap.files import make_folder, sha256_of, sole_owner
+from radwrap.imaging.render_options import TracerName
 from radwrap.manifest import SCHEMA_VERSION, STUDY_PACKAGES, read_manifest, sha256_of_value, versions, write_manifest
 from radwrap.process import MOST_WORKERS, Programs, available_cores
 from radwrap.progress import Progress
@@ -20,12 +21,14 @@ from radwrap.scene.file.named_files import named_files
 from radwrap.study.design import Design, render_options
 from radwrap.study.journal import RESULTS, Journal
 from radwrap.study.light import reference_levels, split_light, with_levels
+from radwrap.study.one_tracer import one_tracer
 from radwrap.study.pilots import Plans, told_of
 from radwrap.study.pool import WORKER_TIMEOUT, DaskPool, LocalPool, Pool
 from radwrap.study.runner import Scheduler, Step, chunks
 from radwrap.study.runs import Run, analysis_of, check_design, runs_of
 from radwrap.study.sampled import PILOTS, read_plans, sampled, with_pilots
 from radwrap.study.worker import Job, Measured
+from radwrap.tracers.engine import ENGINES, EngineName
 from radwrap.tracers.installation import find_radiance
 from radwrap.tracers.installation import version as radiance_version
 
@@ -57,8 +60,8 @@ class StudyOptions:
         How long the cluster may have no worker before the study ends [s]; default 60.
     retry_failed : bool
         Whether runs that failed before are done again.
-    trust, radiance, tracer_timeout
-        As in `RenderOptions`.
+    trust, radiance, tracer_timeout, tracer
+        As in `RenderOptions`; "auto" is decided once for all runs.
     progress : bool
         Show progress on stderr.
     """
@@ -70,6 +73,7 @@ class StudyOptions:
     trust: bool = False
     radiance: str | None = None
     tracer_timeout: float = 600.0
+    tracer: TracerName = "auto"
     progress: bool = False
 
     def __post_init__(self) -> None:
@@ -85,7 +89,12 @@ class StudyOptions:
     @property
     def of_render(self) -> dict[str, Any]:
         """What renders need to know."""
-        return {"trust": self.trust, "radiance": self.radiance, "tracer_timeout": self.tracer_timeout}
+        return {
+            "trust": self.trust,
+            "radiance": self.radiance,
+            "tracer_timeout": self.tracer_timeout,
+            "tracer": self.tracer,
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +132,8 @@ def run_study(design: Design, out: Path, options: StudyOptions) -> Study:
     runs = runs_of(design)
     make_folder(out)
     with sole_owner(out):
+        known_one = known_tracer(out) if options.tracer == "auto" else None
+        options = replace(options, tracer=known_one or one_tracer(design, runs, options.of_render))
         take_possession(out, design, runs, options)
         journal = Journal(out, design, runs)
         known = journal.finished()
@@ -163,6 +174,12 @@ def known_plans(out: Path) -> Plans:
     return read_plans(out / STUDY, _identity_of(out)["study_sha256"])
 
 
+def known_tracer(out: Path) -> EngineName | None:
+    """Who traces the study in a folder; None where none lies there that says so."""
+    told = read_manifest(out / PLAN).get("tracer") if (out / PLAN).exists() else None
+    return next((name for name in ENGINES if name == told), None)
+
+
 def _identity_of(out: Path) -> dict[str, Any]:
     return {"study_sha256": read_manifest(out / PLAN)["study_sha256"]}
 
@@ -184,6 +201,7 @@ def take_possession(out: Path, design: Design, runs: Sequence[Run], options: Stu
         "runs": len(runs),
         "versions": versions(*STUDY_PACKAGES) | {"radiance": _radiance_version(options)},
         "trust": options.trust,
+        "tracer": options.tracer,
         "files": _file_hashes(design, runs, options),
     }
     told["study_sha256"] = _identity(told, runs)

@@ -23,7 +23,7 @@ from radwrap.study.factors import Draw, Factor, Level, number_and_unit
 from radwrap.study.fresh import FRESH_ROW, FreshRenders, nominal_level
 from radwrap.study.responses import KINDS
 from radwrap.study.runs import check_design
-from radwrap.study.study import StudyOptions, known_plans, open_pool, run_study
+from radwrap.study.study import StudyOptions, known_plans, known_tracer, open_pool, run_study
 from radwrap.study.tolerance_model import Deviation, Model, deviation_of, fit
 from radwrap.study.tolerances import Bound, Confirmed, Together, Tolerance, Tolerances
 from radwrap.units import parse_quantity
@@ -357,6 +357,7 @@ def tolerate(
     if not search.deviations and not search.scatters:
         raise InputError("no factor has numbers or draws as levels", where=f"{design.origin}: factors")
     study = run_study(design, out, options)
+    options = replace(options, tracer=known_tracer(out) or options.tracer)
     with sole_owner(out), closing(open_pool(options, out)) as pool:
         plans = known_plans(out)
         fresh = FreshRenders(design, out, bound.response, options, pool, repeats=repeats, plans=plans)

@@ -112,7 +112,11 @@ def validate(options: RenderOptions, names: Sequence[str] = ()) -> ScoreCard:
     cases: list[Case] = []
     plots: list[tuple[str, Plot]] = []
     quiet = RenderOptions(
-        seed=options.seed, workers=options.workers, radiance=options.radiance, tracer_timeout=options.tracer_timeout
+        tracer=options.tracer,
+        seed=options.seed,
+        workers=options.workers,
+        radiance=options.radiance,
+        tracer_timeout=options.tracer_timeout,
     )
     try:
         for check in checks:

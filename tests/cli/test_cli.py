@@ -298,6 +298,9 @@ def test_json_is_all_that_stands_on_stdout(tmp_path: Path, capsys: pytest.Captur
     assert {"gray", "radiant_exposure"} <= set(told["expected_peak"])
     doctor = here(["doctor", "--json"], capsys).success().json
     assert doctor["ok"] and doctor["checks"][0]["name"] == "Radiance" and doctor["checks"][0]["found"]
+    ours = here(["doctor", "--warm", "--json"], capsys).success().json["checks"][1]
+    assert ours["name"] == "compiled tracer" and ours["found"] and not ours["needed"]
+    assert re.fullmatch(r"numba [0-9.]+, compiled", ours["version"])
     converted = here(["convert", scene, tmp_path / "a.rad", "--json"], capsys).success().json
     assert str(tmp_path / "a.rad") in converted["files"]
 
@@ -354,6 +357,7 @@ OPTIONS: Final[dict[str, tuple[list[object], dict[str, Any]]]] = {
     "--dry-run": (["--dry-run"], {}),
     "--max-pixels": (["--max-pixels", "1e3"], {}),
     "--radiance": (["--radiance", "WHEEL"], {}),
+    "--tracer": (["--tracer", "compiled"], {"tracer.name": "compiled", "tracer.probe.agree": True}),
     "--trust": (["--trust"], {"trust": True}),
     "--tracer-timeout": (["--tracer-timeout", "1e3 s"], {}),
     "--json": (["--json"], {}),

@@ -33,13 +33,17 @@ MANY = 600  # sub-viewpoints: enough for a minute
 LONG = {**SLOWER, "camera.sensor.rows": 240, "camera.sensor.columns": 288}
 
 
-def _under_way(folder: Path, process: subprocess.Popen[str]) -> list[psutil.Process]:
+# Of the tests that look at the tracer's processes; the compiled tracer has none.
+PROCESSES = ("--tracer", "radiance")
+
+
+def _under_way(folder: Path, process: subprocess.Popen[str], *, compiled: bool = False) -> list[psutil.Process]:
     """The tracers of a run that has finished a sub-viewpoint or more and is at the next ones."""
     tracers: list[psutil.Process] = []
 
     def tracing() -> bool:
         tracers[:] = [child for child in psutil.Process(process.pid).children(recursive=True) if _is_tracer(child)]
-        return bool(tracers) and bool(finished(folder))
+        return (compiled or bool(tracers)) and bool(finished(folder))
 
     assert wait_for(tracing, process)
     return tracers
@@ -57,12 +61,23 @@ def _gone(processes: list[psutil.Process], patience: float) -> bool:
     return [process for process in alive if process.is_running() and process.status() != psutil.STATUS_ZOMBIE] == []
 
 
-@pytest.mark.parametrize("signals", [[signal.SIGINT], [signal.SIGTERM], [signal.SIGINT] * 3], ids=str)
-def test_an_interrupted_run_ends_soon_and_goes_on_later(signals: list[signal.Signals], tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("signals", "tracer"),
+    [
+        ([signal.SIGINT], "radiance"),
+        ([signal.SIGTERM], "radiance"),
+        ([signal.SIGINT] * 3, "radiance"),
+        ([signal.SIGINT], "compiled"),
+    ],
+    ids=str,
+)
+def test_an_interrupted_run_ends_soon_and_goes_on_later(
+    signals: list[signal.Signals], tracer: str, tmp_path: Path
+) -> None:
     scene, out = write_scene(tmp_path, LONG), tmp_path / "out"
-    argv = ["render", scene, "--out", out, "--viewpoints", MANY, "--keep-viewpoints"]
+    argv = ["render", scene, "--out", out, "--viewpoints", MANY, "--keep-viewpoints", "--tracer", tracer]
     with start(argv) as process:
-        tracers = _under_way(out, process)
+        tracers = _under_way(out, process, compiled=tracer == "compiled")
         begin = time.monotonic()
         for number in signals:
             process.send_signal(number)
@@ -90,7 +105,7 @@ def test_an_interrupted_run_ends_soon_and_goes_on_later(signals: list[signal.Sig
 def test_a_signal_that_meets_a_worker_thread_is_heeded(tmp_path: Path) -> None:
     """The system may give a signal to any thread; Python hears it when the main one wakes."""
     scene, out = write_scene(tmp_path, LONG), tmp_path / "out"
-    with start(["render", scene, "--out", out, "--viewpoints", MANY]) as process:
+    with start(["render", scene, "--out", out, "--viewpoints", MANY, *PROCESSES]) as process:
         tracers = _under_way(out, process)
         others = {thread.id for thread in psutil.Process(process.pid).threads()} - {process.pid}
         begin = time.monotonic()
@@ -105,7 +120,7 @@ def test_a_signal_that_meets_a_worker_thread_is_heeded(tmp_path: Path) -> None:
 def test_after_the_tracers_an_interrupted_run_is_completed(tmp_path: Path) -> None:
     """Whole and small: interrupted once, then the bytes of a run that was not."""
     scene, out, good = write_scene(tmp_path, SLOWER), tmp_path / "out", tmp_path / "good"
-    argv = ["render", scene, "--viewpoints", 9, "--out"]
+    argv = ["render", scene, "--viewpoints", 9, *PROCESSES, "--out"]
     with start([*argv, out]) as process:
         _under_way(out, process)
         process.terminate()
@@ -118,7 +133,7 @@ def test_after_the_tracers_an_interrupted_run_is_completed(tmp_path: Path) -> No
 
 def test_tracers_of_a_killed_run_end_by_themselves(tmp_path: Path) -> None:
     scene, out = write_scene(tmp_path, LONG), tmp_path / "out"
-    with start(["render", scene, "--out", out, "--viewpoints", MANY]) as process:
+    with start(["render", scene, "--out", out, "--viewpoints", MANY, *PROCESSES]) as process:
         tracers = _under_way(out, process)
         process.kill()
     assert process.returncode == -signal.SIGKILL

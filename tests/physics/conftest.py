@@ -18,8 +18,13 @@ from radwrap.imaging.optics.aperture import Viewpoints, central_viewpoint
 from radwrap.imaging.optics.view import PixelPlan, RayBlock, pixel_means, ray_blocks, traced
 from radwrap.process import Programs
 from radwrap.scene.camera import Camera
+from radwrap.tracers.compiled.layout import compiled_scene
+from radwrap.tracers.compiled.tracer import CompiledTracer
+from radwrap.tracers.engine import EngineName
+from radwrap.tracers.expressible import inexpressible
 from radwrap.tracers.installation import find_radiance
 from radwrap.tracers.radiance import RadianceOptions, RadianceTracer, build, prepare
+from radwrap.tracers.text_frame import traced_frame
 from radwrap.tracers.tracer import Tracer
 
 ORIGIN = (0.0, 0.0, 0.0)
@@ -29,11 +34,12 @@ Bend = Callable[[RayBlock, Camera, tuple[float, float]], RayBlock]
 
 @dataclass(frozen=True)
 class Bench:
-    """Scenes from numbers in m, W, sr and degrees, traced by the real Radiance."""
+    """Scenes from numbers in m, W, sr and degrees, traced by the real Radiance or by our own tracer."""
 
     programs: Programs
     folder: Path
     numbers: Iterator[int]
+    engine: EngineName
 
     @staticmethod
     def metres(*values: float) -> list[str]:
@@ -121,8 +127,10 @@ class Bench:
             {"camera": camera, "sources": list(sources), "materials": materials, "targets": list(targets)}
         )
 
-    def tracer(self, scene: radwrap.Scene) -> RadianceTracer:
-        """Radiance with the scene's frozen octree."""
+    def tracer(self, scene: radwrap.Scene) -> Tracer:
+        """Radiance with the scene's frozen octree, or the compiled tracer where it can show the scene."""
+        if self.engine == "compiled" and not inexpressible(scene):
+            return CompiledTracer(compiled_scene(scene, traced_frame(scene)))
         folder = self.folder / str(next(self.numbers))
         folder.mkdir()
         options = RadianceOptions(find_radiance())
@@ -167,8 +175,8 @@ class Bench:
         return total.reshape(camera.sensor.rows, camera.sensor.columns)
 
 
-@pytest.fixture(scope="session")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
-    """The bench; its programs end with it."""
+@pytest.fixture(scope="session", params=["radiance", pytest.param("compiled", marks=pytest.mark.long)])
+def bench(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+    """The bench; its programs end with it. Both tracers must keep the same closed forms."""
     with Programs() as programs:
-        yield Bench(programs, tmp_path_factory.mktemp("bench"), count())
+        yield Bench(programs, tmp_path_factory.mktemp("bench"), count(), request.param)

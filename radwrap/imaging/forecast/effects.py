@@ -209,7 +209,9 @@ def bounces(
         if traced is not None and len(scene.emitters) > _MANY_EMITTERS:
             with suppress(InputError):  # of sheeting and the like walks know nothing
                 bouncing = traced.bouncing_view(_BOUNCES)
-        square = probe.mean_square(probe.traced(bouncing or with_bounces(view, _BOUNCES)))
+        if bouncing is None:
+            bouncing = with_bounces(traced.radiance_view() if traced else view, _BOUNCES)
+        square = probe.mean_square(probe.traced(bouncing))
         rays = 2 * len(probe.u)
     return _effect("bounces", "surfaces do not light each other", square, rays, tolerance)
 

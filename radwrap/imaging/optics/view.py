@@ -11,6 +11,7 @@ of f; before it, all rays of a pixel meet in the plane of focus.
 from __future__ import annotations
 
 import itertools
+import threading
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -21,6 +22,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from radwrap.errors import TracerError
 from radwrap.imaging.optics.falloff import falloff, whole_falloff
 from radwrap.imaging.response.exposure import exposure_of_radiance
 from radwrap.random_streams import generator
@@ -269,6 +271,7 @@ def trace_rays(
     if parts <= 1:
         return _trace_part(view, opening, u, v, with_depth=with_depth)
     cuts = [slice(*pair) for pair in itertools.pairwise(np.linspace(0, len(u), parts + 1).astype(int))]
+    ended = threading.Event()
     with ThreadPoolExecutor(parts) as pool:
         jobs = [
             pool.submit(
@@ -278,10 +281,15 @@ def trace_rays(
                 u[cut],
                 v[cut],
                 with_depth=with_depth,
+                ended=ended,
             )
             for cut in cuts
         ]
-        answers = [job.result() for job in jobs]
+        try:
+            answers = [job.result() for job in jobs]
+        except BaseException:
+            ended.set()  # of one part's failure, or an interrupt: the pool waits for the others
+            raise
     return np.concatenate([value for value, _ in answers]), np.concatenate([m for _, m in answers])
 
 
@@ -292,12 +300,15 @@ def _trace_part(
     v: NDArray[np.float64],
     *,
     with_depth: bool,
+    ended: threading.Event | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     values, magnification = np.empty(len(u)), np.ones(len(u))
     weights: deque[tuple[NDArray[np.float64], NDArray[np.float64]]] = deque()
 
     def blocks() -> Iterator[NDArray[np.float64]]:
         for start in range(0, len(u), RAYS_AT_ONCE):
+            if ended is not None and ended.is_set():
+                raise TracerError("cancelled", where="rays")
             part = slice(start, start + RAYS_AT_ONCE)
             if opening is None:
                 rays, weight, cos4 = _central(view.camera, u[part], v[part])

@@ -47,7 +47,7 @@ def identity_of(scene: Scene, options: RenderOptions, traced: LaidOutScene) -> I
     InputError
         If frames or a basis are asked for that the scene cannot have.
     """
-    used = {**versions(), "radiance": traced.version}
+    used = {**versions(), **traced.tracer_versions}
     traced_sha256 = traced.sha256()
     if options.frames:
         linear_of(scene.camera.sensor)

@@ -18,6 +18,7 @@ from radwrap.imaging.render_options import Method
 from radwrap.imaging.tolerance.certificate import Certificate
 from radwrap.imaging.tolerance.search_record import SearchRecord
 from radwrap.imaging.tolerance.uncertainty import UncertaintySummary
+from radwrap.imaging.tracer_choice import TracerUsed
 from radwrap.manifest import ONLY_WHERE_USED, SCHEMA_VERSION, plain, read_manifest, write_manifest
 from radwrap.written import Count, Hashes, NotNegative, Positive, Rays, Sha256, Share, read_back
 
@@ -78,6 +79,8 @@ class RunManifest:
         Of all that is drawn.
     trust : bool
         Whether included files may run programs.
+    tracer : TracerUsed
+        Which tracer, and why.
     versions, assumed : Mapping[str, str]
         Of everything that a file depends on; key of the scene -> default that was taken.
     camera : Mapping
@@ -121,6 +124,7 @@ class RunManifest:
     plan: SearchRecord | None = field(default=None, metadata=ONLY_WHERE_USED)
     seed: int
     trust: bool
+    tracer: TracerUsed | None = field(default=None, metadata=ONLY_WHERE_USED)
     versions: Mapping[str, str]
     assumed: Mapping[str, str]
     camera: Mapping[str, Any]

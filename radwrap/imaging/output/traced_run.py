@@ -17,6 +17,7 @@ from radwrap.imaging.output.image_files import ImageSummary
 from radwrap.imaging.output.run_manifest import Bounces, BouncesTraced, RunManifest, Timing
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.tolerance.uncertainty import UncertaintySummary
+from radwrap.imaging.tracer_choice import TracerUsed
 from radwrap.manifest import plain
 from radwrap.scene.look.checks import warnings_of
 from radwrap.scene.scene import Scene
@@ -34,6 +35,8 @@ class TracedRun:
         Mean radiance, with its error.
     banding : Banding
         Bands of the light.
+    tracer : TracerUsed
+        Which tracer, and why.
     orders : int or "all"
         How often light went from surface to surface at most.
     left_out, beyond : Effect
@@ -51,6 +54,7 @@ class TracedRun:
     identity: Identity
     made: Made
     banding: Banding
+    tracer: TracerUsed
     orders: Bounces
     left_out: Effect
     beyond: Effect | None
@@ -94,6 +98,7 @@ class TracedRun:
             plan=outcome.record if outcome else None,
             seed=options.seed,
             trust=options.trust,
+            tracer=self.tracer,
             versions=self.identity.versions,
             assumed=dict(sorted(self.scene.assumed.items())),
             camera=plain(self.scene.camera),

@@ -9,16 +9,16 @@ from radwrap.images import read_image, write_exr, write_png
 from radwrap.imaging.truth import central_maps, geometry
 from radwrap.manifest import SCHEMA_VERSION, read_manifest, write_manifest
 from radwrap.scene.scene import Scene
-from radwrap.tracers.radiance import RadianceTracer
+from radwrap.tracers.tracer import Tracer
 
 DEPTH: Final = "depth.exr"
 PARTS: Final = "mask.png"
 TRUTH: Final = "truth.json"
 
 
-def write_truth(folder: Path, scene: Scene, part_names: tuple[str, ...], identity: RadianceTracer) -> list[str]:
+def write_truth(folder: Path, scene: Scene, part_names: tuple[str, ...], numbered: Tracer) -> list[str]:
     """Trace what each pixel's centre sees, by a tracer that tells parts from each other, and write it; the names."""
-    depth, parts = central_maps(scene.camera, identity)
+    depth, parts = central_maps(scene.camera, numbered)
     write_exr(folder / DEPTH, depth, channel="depth", metadata={"radwrap:unit": "m"})
     write_png(folder / PARTS, parts)
     write_manifest(folder / TRUTH, {"schema_version": SCHEMA_VERSION, **geometry(scene, part_names)})

@@ -1,0 +1,147 @@
+"""Which tracer a scene is traced by: decided by what it holds, by counts and by a comparison, never by a clock."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.errors import EnvironmentFailure, InputError
+from radwrap.imaging.optics.view import rays_through
+from radwrap.imaging.render_options import RenderOptions
+from radwrap.manifest import ONLY_WHERE_USED
+from radwrap.random_streams import Rendering, generator
+from radwrap.scene.camera import Camera
+from radwrap.scene.scene import Scene
+from radwrap.tracers.agreement import Agreement, agreement
+from radwrap.tracers.engine import Engine, EngineName
+from radwrap.tracers.expressible import compiler_lacks, inexpressible
+from radwrap.tracers.tracer import Tracer
+
+# Rays times sources that Radiance traces in about the time that the compiled tracer takes to be loaded.
+WORTH_COMPILED: Final = 1_000_000
+_PROBE: Final = 512
+# Half of the probe lies as near as this to where one part ends and another begins [px].
+_NEAR: Final = 1e-3
+_LOOKED_AT: Final = 4096
+_REMEDY: Final = 'pip install "radwrap[fast]", or trace by Radiance'
+
+
+@dataclass(frozen=True, slots=True)
+class TracerUsed:
+    """Which tracer a run used; the manifest's ``tracer``.
+
+    Attributes
+    ----------
+    name : str
+        "radiance" or "compiled".
+    reason : str
+        Why.
+    probe : Agreement, optional
+        What a comparison of both showed.
+    """
+
+    name: EngineName
+    reason: str
+    probe: Agreement | None = field(default=None, metadata=ONLY_WHERE_USED)
+
+
+def candidate(scene: Scene, options: RenderOptions) -> TracerUsed:
+    """The tracer that a scene and options ask for, before a comparison.
+
+    Raises
+    ------
+    InputError
+        If the compiled tracer is asked for, and cannot show the scene.
+    EnvironmentFailure
+        If it is asked for, and its compiler is not installed.
+    """
+    if options.tracer == "radiance":
+        return TracerUsed("radiance", "asked for")
+    cannot = inexpressible(scene) or ("light goes from surface to surface" if options.bounces else "")
+    lacks = compiler_lacks()
+    if options.tracer == "compiled":
+        if cannot:
+            raise InputError(
+                f"the compiled tracer cannot show this scene: {cannot}",
+                where="tracer",
+                remedy="leave it out, or trace by Radiance",
+            )
+        if lacks:
+            raise EnvironmentFailure(f"the compiled tracer cannot run: {lacks}", where="tracer", remedy=_REMEDY)
+        return TracerUsed("compiled", "asked for")
+    if cannot:
+        return TracerUsed("radiance", cannot)
+    work = scene.camera.sensor.pixels * max(len(scene.emitters), 1) * _rays_per_pixel(options)
+    if work < WORTH_COMPILED:
+        return TracerUsed("radiance", f"{work} rays times sources at least are below {WORTH_COMPILED}")
+    if lacks:
+        return TracerUsed("radiance", lacks)
+    return TracerUsed("compiled", f"{work} rays times sources at least")
+
+
+def _rays_per_pixel(options: RenderOptions) -> int:
+    """As many as any image to these options takes."""
+    if options.fixed_method == "viewpoints":
+        return options.viewpoint_number * options.pixel_samples**2
+    return options.pixel_samples**2
+
+
+def compared(used: TracerUsed, options: RenderOptions, reference: Tracer, other: Engine, scene: Scene) -> TracerUsed:
+    """The tracer after a comparison of the compiled one with Radiance, on rays all over the image and where parts end.
+
+    Raises
+    ------
+    EnvironmentFailure
+        If the compiled tracer was asked for, and they do not agree.
+    """
+    rays = probe_rays(scene.camera, other.numbered())
+    found = agreement(reference, other.tracer(scene), rays)
+    if found.agree:
+        return TracerUsed(used.name, used.reason, found)
+    told = f"the compiled tracer and Radiance differ on {found.differing} of {found.rays} rays"
+    if options.tracer == "compiled":
+        raise EnvironmentFailure(told, where="tracer", remedy="trace by Radiance, and report the scene")
+    return TracerUsed("radiance", told, found)
+
+
+def probe_rays(camera: Camera, numbered: Tracer) -> NDArray[np.float64]:
+    """Rays through the opening: half of them anywhere, half through places where central rays see parts end."""
+    random = generator(0, Rendering.TRACER_PROBE)
+    sensor = camera.sensor
+    size = np.array([sensor.columns, sensor.rows])
+    places = random.random((_LOOKED_AT, 2)) * size - 0.5
+    ends = random.permutation(_steps(places, size, lambda uv: _parts(camera, numbered, uv)))[: _PROBE // 2]
+    places = np.concatenate([ends, places])[:_PROBE]
+    radius, turn = np.sqrt(random.random(_PROBE)), 2 * np.pi * random.random(_PROBE)
+    opening = camera.aperture.diameter / 2 * np.stack([radius * np.cos(turn), radius * np.sin(turn)], axis=1)
+    # Through the centre where a part ends: those rays lie as near to it as they were found to.
+    opening[: len(ends)] = 0.0
+    central, _ = rays_through(camera.without_lens, (0.0, 0.0), *places[: len(ends)].T)
+    others, _ = rays_through(camera, opening[len(ends) :], *places[len(ends) :].T)
+    return np.concatenate([central, others])
+
+
+def _parts(camera: Camera, numbered: Tracer, places: NDArray[np.float64]) -> NDArray[np.float64]:
+    rays, _ = rays_through(camera.without_lens, (0.0, 0.0), *places.T)
+    return next(numbered.trace([rays]))
+
+
+def _steps(
+    places: NDArray[np.float64],
+    size: NDArray[np.intp],
+    parts: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+) -> NDArray[np.float64]:
+    """Places next to where parts end, on both sides, shape (n, 2); found by halving between places that differ."""
+    one, other = places, np.roll(places, 1, axis=0)
+    first, second = parts(one), parts(other)
+    differ = first != second
+    one, other, first = one[differ][:_PROBE], other[differ][:_PROBE], first[differ][:_PROBE]
+    for _ in range(max(1, int(np.ceil(np.log2(float(np.linalg.norm(size)) / _NEAR))))):
+        middle = (one + other) / 2
+        same = (parts(middle) == first)[:, np.newaxis]
+        one, other = np.where(same, middle, one), np.where(same, other, middle)
+    return np.concatenate([one, other])

@@ -1,0 +1,54 @@
+"""What makes tracers of a scene: whichever ray tracer stands behind the waist, the same is asked of it."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from typing import Final, Literal, Protocol, get_args
+
+from radwrap.scene.scene import Scene
+from radwrap.tracers.tracer import Tracer
+
+EngineName = Literal["radiance", "compiled"]
+ENGINES: Final[tuple[EngineName, ...]] = get_args(EngineName)
+
+
+class Engine(Protocol):
+    """A ray tracer, and a scene that was laid out for it."""
+
+    @property
+    def name(self) -> EngineName:
+        """Which ray tracer."""
+        ...
+
+    @property
+    def versions(self) -> Mapping[str, str]:
+        """Versions of what its answers depend on, besides Radiance, which is the reference of all."""
+        ...
+
+    @property
+    def cpu_s(self) -> float:
+        """CPU time that its tracers have used in this process so far [s]."""
+        ...
+
+    def tracer(self, scene: Scene, lit: Collection[str] | None = None, *, name: str = "scene") -> Tracer:
+        """A tracer of the scene.
+
+        Parameters
+        ----------
+        scene : Scene
+            That was laid out; its materials may differ.
+        lit : collection of str, optional
+            Names of the sources and LEDs that shine; the others are black then. Default all.
+        name : str
+            For its working folder, if it needs one: one for each tracer.
+
+        Raises
+        ------
+        EnvironmentFailure
+            If the ray tracer does not accept the scene.
+        """
+        ...
+
+    def numbered(self) -> Tracer:
+        """A tracer of the numbers of parts whose fronts rays meet first; 0 of backs and of nothing."""
+        ...

@@ -1,0 +1,254 @@
+"""Who traces a scene: by what it holds, by counts, and by a comparison of both tracers."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Collection, Generator, Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pytest
+
+import radwrap
+from radwrap.errors import EnvironmentFailure, InputError
+from radwrap.imaging import tracer_choice
+from radwrap.imaging.relight.relit import read_basis, relit
+from radwrap.imaging.render_options import RenderOptions
+from radwrap.imaging.tracer_choice import TracerUsed, candidate, compared, probe_rays
+from radwrap.imaging.tracing import laid_out
+from radwrap.scene.scene import Scene
+from radwrap.tracers.agreement import agreement
+from radwrap.tracers.engine import Engine, EngineName
+from radwrap.tracers.tracer import Tracer
+from tests.cli.conftest import SMALL, scene_with
+
+Floats = np.ndarray[Any, np.dtype[np.float64]]
+# Radiance answers in float32.
+FLOAT32: Final = 1e-6
+
+
+def small(**changes: Any) -> Scene:
+    return radwrap.scene_from_document(scene_with(changes))
+
+
+PANE: Final = {"type": "sheet", "name": "pane", "material": "pane", "size": ["9 mm", "9 mm"]}
+
+
+def with_pane(table: dict[str, Any]) -> Scene:
+    """A sheet of that material above the board."""
+    pane = {**PANE, "position": ["0 mm", "0 mm", "60 mm"]}
+    return small(materials={**SMALL["materials"], "pane": table}, targets=[*SMALL["targets"], pane])
+
+
+@pytest.fixture
+def worth_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Any scene has work enough for the compiled tracer."""
+    monkeypatch.setattr(tracer_choice, "WORTH_COMPILED", 1)
+
+
+def test_a_small_scene_is_left_to_radiance_by_a_count() -> None:
+    scene, work = small(), 20 * 24
+    assert candidate(scene, RenderOptions()) == TracerUsed(
+        "radiance", f"{work} rays times sources at least are below {tracer_choice.WORTH_COMPILED}"
+    )
+    assert candidate(scene, RenderOptions(viewpoints=37)).reason.startswith(f"{37 * work} rays")
+    many = RenderOptions(viewpoints=2100)
+    assert candidate(scene, many) == TracerUsed("compiled", f"{2100 * work} rays times sources at least")
+    assert candidate(scene, replace(many, tracer="radiance")) == TracerUsed("radiance", "asked for")
+
+
+@pytest.mark.parametrize(
+    ("table", "told"),
+    [
+        ({"type": "mirror", "reflectance": 0.9}, "is a mirror"),
+        ({"type": "glass", "transmittance": 0.9, "refractive_index": 1.5}, "is glass"),
+    ],
+)
+def test_what_the_compiled_tracer_cannot_show_goes_to_radiance(
+    table: dict[str, Any], told: str, worth_it: None
+) -> None:
+    scene = with_pane(table)
+    used = candidate(scene, RenderOptions())
+    assert used.name == "radiance" and used.reason == f"materials.pane {told}"
+    with pytest.raises(InputError, match=told) as error:
+        candidate(scene, RenderOptions(tracer="compiled"))
+    assert error.value.where == "tracer"
+    # A material that nothing wears is no reason.
+    unused = small(materials={**SMALL["materials"], "spare": table})
+    assert candidate(unused, RenderOptions()).name == "compiled"
+
+
+def test_light_between_surfaces_goes_to_radiance(worth_it: None) -> None:
+    assert candidate(small(), RenderOptions(bounces=1, method="rays")).name == "radiance"
+    with pytest.raises(InputError, match="from surface to surface"):
+        candidate(small(), RenderOptions(bounces=1, method="rays", tracer="compiled"))
+
+
+def test_without_the_compiler_radiance_traces(worth_it: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "numba" else found(name))
+    assert candidate(small(), RenderOptions()) == TracerUsed("radiance", "numba is not installed")
+    with pytest.raises(EnvironmentFailure, match="numba") as error:
+        candidate(small(), RenderOptions(tracer="compiled"))
+    assert "radwrap[fast]" in error.value.remedy
+
+
+def test_a_compiler_that_is_switched_off_is_not_used(worth_it: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
+    assert candidate(small(), RenderOptions()) == TracerUsed("radiance", "NUMBA_DISABLE_JIT switches numba off")
+    with pytest.raises(EnvironmentFailure, match="NUMBA_DISABLE_JIT"):
+        candidate(small(), RenderOptions(tracer="compiled"))
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "0")
+    assert candidate(small(), RenderOptions()).name == "compiled"
+
+
+@dataclass(frozen=True)
+class Planted:
+    """An engine that answers what another one does, but for an error."""
+
+    engine: Engine
+    factor: float = 1.0
+    lost: int = 0
+
+    @property
+    def name(self) -> EngineName:
+        return "compiled"
+
+    versions = property(lambda self: self.engine.versions)
+    cpu_s = 0.0
+
+    def tracer(self, scene: Scene, lit: Collection[str] | None = None, *, name: str = "scene") -> Tracer:
+        return Off(self.engine.tracer(scene, lit, name=name), self.factor, self.lost)
+
+    def numbered(self) -> Tracer:
+        return self.engine.numbered()
+
+
+@dataclass(frozen=True)
+class Off:
+    """A tracer whose radiance is off by a factor, and none of whose first lit rays brings light."""
+
+    tracer: Tracer
+    factor: float
+    lost: int
+
+    def trace(self, rays: Iterable[Floats]) -> Generator[Floats]:
+        for values in self.tracer.trace(rays):
+            wrong = values * self.factor
+            wrong[np.flatnonzero(values)[: self.lost]] = 0.0
+            yield wrong
+
+    def trace_with_distances(self, rays: Iterable[Floats]) -> Generator[tuple[Floats, Floats]]:
+        yield from self.tracer.trace_with_distances(rays)
+
+    def distances(self, rays: Iterable[Floats]) -> Generator[Floats]:
+        yield from self.tracer.distances(rays)
+
+
+@pytest.mark.parametrize(
+    ("factor", "lost", "agrees"),
+    [(1.0, 0, True), (1 + 1e-5, 0, True), (1 + 1e-4, 0, False), (1.0, 2, True), (1.0, 3, False)],
+)
+def test_an_error_of_the_compiled_tracer_is_seen(factor: float, lost: int, agrees: bool, worth_it: None) -> None:
+    """Of all rays by 1e-4, or of more rays than may meet a rim on its other side."""
+    scene, asked = small(), TracerUsed("compiled", "asked for")
+    with laid_out(scene, RenderOptions(tracer="compiled")) as traced:
+        reference = traced.radiance_view().tracer
+        planted = Planted(traced._engine, factor, lost)
+        used = compared(asked, RenderOptions(), reference, planted, scene)
+        assert used.probe is not None and used.probe.rays == 512 and used.probe.agree == agrees
+        assert used.name == ("compiled" if agrees else "radiance")
+        assert used.probe.differing == (lost if factor < 1 + 2e-5 else pytest.approx(512, abs=200))
+        if not agrees:
+            with pytest.raises(EnvironmentFailure, match=f"differ on {used.probe.differing} of 512 rays"):
+                compared(asked, RenderOptions(tracer="compiled"), reference, planted, scene)
+
+
+@dataclass(frozen=True)
+class Told:
+    """A tracer that answers what it was told."""
+
+    values: Floats
+
+    def trace(self, rays: Iterable[Floats]) -> Generator[Floats]:
+        for _ in rays:
+            yield self.values.copy()
+
+    trace_with_distances = distances = trace  # type: ignore[assignment]
+
+
+def test_agreement_by_closed_forms() -> None:
+    rays, ones = np.zeros((1000, 6)), np.ones(1000)
+    same = agreement(Told(ones), Told(ones * (1 + 1e-5)), rays)
+    assert same.agree and same.differing == 0
+    assert same.largest_relative_difference == pytest.approx(1e-5)
+    assert same.rms_relative_difference == pytest.approx(1e-5 * np.sqrt(0.998))  # but for two rays
+    # The loss of a source of 80 on a few rays, as Radiance's meshes have it, is little together; of half a source not.
+    for lost, agrees in ((1 / 80, False), (1e-3, True)):
+        values = ones.copy()
+        values[:20] -= lost
+        found = agreement(Told(ones), Told(values), rays)
+        assert found.differing == 20 and found.agree == agrees
+        assert found.rms_relative_difference == pytest.approx(lost * np.sqrt(18 / 1000))
+    values[:21] = 1 - 1e-3
+    assert not agreement(Told(ones), Told(values), rays).agree
+    # What is dark is held to a millionth of the brightest.
+    dark = np.r_[1.0, np.zeros(999)]
+    assert agreement(Told(dark), Told(dark + 1e-11), rays).agree
+    assert not agreement(Told(dark), Told(dark + 1e-10), rays).agree
+    assert agreement(Told(0 * ones), Told(0 * ones), rays).agree
+    assert not agreement(Told(0 * ones), Told(1e-9 * ones), rays).agree
+
+
+def test_half_of_the_probe_lies_where_parts_end() -> None:
+    """Rays in pairs a thousandth of a pixel or less from a step: neighbours there see different parts."""
+    scene = small()
+    with laid_out(scene, RenderOptions(tracer="compiled")) as traced:
+        numbered = traced.numbered_tracer()
+        rays = probe_rays(scene.camera, numbered)
+        assert rays.shape == (512, 6)
+        central = rays[:256]
+        assert np.allclose(central[:, :3], scene.camera.pose.position)
+        sides = scene.camera.sensor.pixel_width * 2e-3
+        right, up = np.asarray(scene.camera.pose.rotation).T[:2] * sides
+        own = next(numbered.trace([central]))
+        differs = np.zeros(256, dtype=bool)
+        for turn in np.linspace(0, 2 * np.pi, 24, endpoint=False):
+            near = central.copy()
+            near[:, 3:] += np.cos(turn) * right + np.sin(turn) * up
+            differs |= next(numbered.trace([near])) != own
+        assert differs.mean() > 0.99
+
+
+def test_both_tracers_make_the_same_image(tmp_path: Path) -> None:
+    """To the last digits of Radiance's float32, with the same truth; the manifest says who traced."""
+    scene, made = small(), {}
+    for name in ("radiance", "compiled"):
+        made[name] = radwrap.render(scene, tmp_path / name, tracer=name, tolerance=1.0, truth=True, workers=2)
+        assert made[name].manifest["tracer"]["name"] == name
+        assert ("numba" in made[name].manifest["versions"]) == (name == "compiled")
+    first, second = made["radiance"], made["compiled"]
+    expected = first.radiant_exposure.values
+    assert np.abs(second.radiant_exposure.values - expected).max() <= FLOAT32 * expected.max()
+    assert second.manifest["tracer"]["probe"]["agree"] and "probe" not in first.manifest["tracer"]
+    assert first.truth is not None and second.truth is not None
+    assert (first.truth["mask"] == second.truth["mask"]).all()
+    assert np.abs(first.truth["depth"] - second.truth["depth"]).max() <= FLOAT32
+    assert first.run.run_sha256 != second.run.run_sha256
+    assert second.run.timing.tracer_cpu_s > 0
+    alone = radwrap.render(scene, tmp_path / "alone", tracer="compiled", tolerance=1.0, truth=True, workers=1)
+    for name in ("radiant_exposure.exr", "depth.exr", "mask.png"):
+        assert (tmp_path / "alone" / name).read_bytes() == (tmp_path / "compiled" / name).read_bytes()
+    assert alone.run.run_sha256 == second.run.run_sha256
+
+
+def test_a_basis_by_the_compiled_tracer_adds_up(tmp_path: Path) -> None:
+    """One image for each source, whose sum is the image with all of them."""
+    lamp = SMALL["sources"][0]
+    scene = small(sources=[lamp, {**lamp, "name": "other", "position": ["-60 mm", "20 mm", "400 mm"]}])
+    made = radwrap.render(scene, tmp_path, tracer="compiled", tolerance=1.0, basis=True)
+    (again,) = relit(read_basis(tmp_path), [[1.0, 1.0]])
+    expected = made.radiant_exposure.values
+    assert np.abs(again.radiant_exposure.values - expected).max() <= 10 * FLOAT32 * expected.max()
