@@ -91,10 +91,21 @@ def test_without_a_folder_each_process_compiles(why: str, tmp_path: Path, monkey
         monkeypatch.setattr(compiler.os, "access", lambda *_: False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(home))
     monkeypatch.setenv("HOME", str(home))
+    monkeypatch.setattr(compiler.sys, "prefix", str(home))
     made: Any = compiler.compiled(thrice)
     assert made(2.0) == 6.0
     assert not list(tmp_path.rglob("*.nb*"))
     assert not is_warm()
+
+
+def test_without_a_home_it_is_kept_in_the_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "home").touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
+    monkeypatch.setattr(compiler.sys, "prefix", str(tmp_path))
+    made: Any = compiler.compiled(thrice)
+    assert made(2.0) == 6.0
+    assert compiler.cache_folder().parent == tmp_path / "cache" / "radwrap"
+    assert any(compiler.cache_folder().rglob("*.nbc"))
 
 
 @pytest.mark.parametrize("kind", ["*.nbc", "*.nbi"])

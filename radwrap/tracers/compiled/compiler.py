@@ -40,7 +40,19 @@ def cache_folder() -> Path:
     Numba itself looks at the file of a function only, not at those of the functions that it calls: without the hash of
     all of them, a changed formula would be left out as long as the file of its caller is the same.
     """
-    return _caches() / "radwrap" / f"compiled-{numba.__version__}-{SOURCES}"
+    # The environment's own folder serves users without a home of their own that can be written.
+    places = [folder / "radwrap" / f"compiled-{numba.__version__}-{SOURCES}" for folder in (_caches(), _environment())]
+    return next(filter(_usable, places), places[0])
+
+
+def _usable(folder: Path) -> bool:
+    """Whether a folder can be written, or made."""
+    there = next(place for place in (folder, *folder.parents) if place.exists())
+    return there.is_dir() and os.access(there, os.W_OK | os.X_OK)
+
+
+def _environment() -> Path:
+    return Path(sys.prefix) / "cache"
 
 
 def _caches() -> Path:
@@ -115,4 +127,4 @@ def _may_write() -> bool:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:
         return False
-    return os.access(folder, os.W_OK | os.X_OK)
+    return _usable(folder)
