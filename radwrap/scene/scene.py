@@ -8,7 +8,7 @@ from pathlib import Path
 
 from radwrap.scene.camera import Camera
 from radwrap.scene.materials import Material
-from radwrap.scene.sources import Emitter, Source, emitters
+from radwrap.scene.sources import Emitter, Source, WideSource, emitters
 from radwrap.scene.spectrum import Spectral
 from radwrap.scene.targets import RadFile, Surface, Target, surfaces
 from radwrap.scene.tolerances import Tolerances
@@ -57,6 +57,11 @@ class Scene:
     def emitters(self) -> tuple[Emitter, ...]:
         """All shining discs, dark ones included."""
         return tuple(emitter for source in self.sources for emitter in emitters(source))
+
+    @property
+    def surrounds(self) -> tuple[WideSource, ...]:
+        """Sources that shine from all sides, and are seen where nothing else is."""
+        return tuple(s for s in self.sources if isinstance(s, WideSource) and s.kind == "surround")
 
     @property
     def surfaces(self) -> tuple[Surface, ...]:

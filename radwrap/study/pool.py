@@ -25,6 +25,7 @@ from typing import Any, Final, Protocol
 from urllib.parse import urlsplit
 
 from radwrap.errors import INTERRUPTED, EnvironmentFailure, InputError, one_line
+from radwrap.progress import note
 from radwrap.study.seal import Seal, break_seal, check_fit, seal_of, why_unfit
 
 # A worker that was told to end gets so long for its tracers [s].
@@ -243,7 +244,7 @@ class DaskPool:
 
     def _tell(self, what: str) -> None:
         if what and what != self._told:
-            print(f"radwrap: {what}", file=sys.stderr)
+            note(what)
         self._told = what
 
     def close(self) -> None:

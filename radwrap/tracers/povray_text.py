@@ -43,7 +43,7 @@ from radwrap.scene.materials import (
     Specular,
 )
 from radwrap.scene.scene import Scene
-from radwrap.scene.sources import Emitter, Luminaire, Patch, WideSource
+from radwrap.scene.sources import Emitter, Luminaire, Patch
 from radwrap.scene.targets import (
     DiscShape,
     DotBoard,
@@ -101,7 +101,7 @@ def povray_scene(scene: Scene, included: Mapping[str, str], frame: TextFrame, *,
     """
     _check(scene, frame)
     parts = [_HEADER.format(unit=frame.length)]
-    skies = [source for source in scene.sources if isinstance(source, WideSource) and source.kind == "surround"]
+    skies = scene.surrounds
     if skies:
         parts.append(f"background {{ color rgb {_number(math.fsum(sky.radiance for sky in skies))}*Scale }}\n")
     for group in superposed(scene.emitters):

@@ -112,7 +112,7 @@ def scene_text(
         level = math.fsum(emitter.radiance for emitter in group if only is None or emitter.source in only)
         parts.append(_emitter(replace(group[0], radiance=level), stem, frame))
         beside.update(_beam_files(stem, group[0]))
-    parts += _background([sky for sky in _skies(scene) if only is None or sky.name in only], frame)
+    parts += _background([sky for sky in scene.surrounds if only is None or sky.name in only], frame)
     for name, material in scene.materials.items():
         beside.update(data_files(f"{stem}.{name}", functions, material))
     parts += _materials(scene, stem)
@@ -254,10 +254,6 @@ def _beam_files(stem: str, emitter: Emitter) -> dict[str, bytes]:
         return {}
     lines = "".join(" ".join(map(number, row)) + "\n" for row in rows)
     return {_beam_data(stem, emitter): (head + lines).encode(), **functions_beside(stem, MEASURED)}
-
-
-def _skies(scene: Scene) -> list[WideSource]:
-    return [source for source in scene.sources if isinstance(source, WideSource) and source.kind == "surround"]
 
 
 def _background(skies: list[WideSource], frame: TextFrame) -> list[str]:

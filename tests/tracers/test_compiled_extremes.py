@@ -64,7 +64,7 @@ def compiled_of(scene: Scene) -> CompiledTracer:
 def table(*sources: object, extra: tuple[object, ...] = ()) -> Scene:
     """A gray sheet in some light."""
     sheet = Sheet("sheet", Pose(), "bulk", 1.0, 1.0)
-    return Scene(camera(), tuple(sources), {"bulk": MATERIALS["bulk"]}, (sheet, *extra))  # type: ignore[arg-type]
+    return Scene(camera(), tuple(sources), {"bulk": MATERIALS["bulk"]}, (sheet, *extra))  # type: ignore[arg-type]  # of any kind
 
 
 @pytest.mark.parametrize(

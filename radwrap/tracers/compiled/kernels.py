@@ -82,12 +82,9 @@ def trace(
         Whether all rays had finite numbers and a direction; it ends at the first that has not.
     """
     for r in range(len(rays)):
-        ox, oy, oz = (rays[r, 0] - x0) * units, (rays[r, 1] - y0) * units, (rays[r, 2] - z0) * units
-        dx, dy, dz = rays[r, 3], rays[r, 4], rays[r, 5]
-        length = math.sqrt(dx * dx + dy * dy + dz * dz)
-        if not (length > 0 and math.isfinite(length) and math.isfinite(ox + oy + oz)):
+        good, ox, oy, oz, dx, dy, dz = _placed(rays, r, x0, y0, z0, units)
+        if not good:
             return False
-        dx, dy, dz = dx / length, dy / length, dz / length
         distance, met = closest(shapes, nodes, tables, ox, oy, oz, dx, dy, dz, math.inf, stack)
         nearer, disc = closest(discs, disc_nodes, tables, ox, oy, oz, dx, dy, dz, distance, stack)
         distances[r] = nearer / units
@@ -127,6 +124,18 @@ def trace(
             if own < 0 or not hidden(discs, disc_nodes, tables, x, y, z, lx, ly, lz, away, own, stack):
                 values[r, light.column] += value
     return True
+
+
+@compiled
+def _placed(
+    rays: Floats, r: int, x0: float, y0: float, z0: float, units: float
+) -> tuple[bool, float, float, float, float, float, float]:
+    """Whether a ray has finite numbers and a direction; its origin in the text's frame, and its unit direction."""
+    ox, oy, oz = (rays[r, 0] - x0) * units, (rays[r, 1] - y0) * units, (rays[r, 2] - z0) * units
+    dx, dy, dz = rays[r, 3], rays[r, 4], rays[r, 5]
+    length = math.sqrt(dx * dx + dy * dy + dz * dz)
+    good = length > 0 and math.isfinite(length) and math.isfinite(ox + oy + oz)
+    return good, ox, oy, oz, dx / length, dy / length, dz / length
 
 
 @compiled
@@ -193,12 +202,9 @@ def surfaces(
         Filled with the number of the cover, -1 minus that of an emitter, or `NOTHING_MET`.
     """
     for r in range(len(rays)):
-        ox, oy, oz = (rays[r, 0] - x0) * units, (rays[r, 1] - y0) * units, (rays[r, 2] - z0) * units
-        dx, dy, dz = rays[r, 3], rays[r, 4], rays[r, 5]
-        length = math.sqrt(dx * dx + dy * dy + dz * dz)
-        if not (length > 0 and math.isfinite(length) and math.isfinite(ox + oy + oz)):
+        good, ox, oy, oz, dx, dy, dz = _placed(rays, r, x0, y0, z0, units)
+        if not good:
             return False
-        dx, dy, dz = dx / length, dy / length, dz / length
         distance, met = closest(shapes, nodes, tables, ox, oy, oz, dx, dy, dz, math.inf, stack)
         nearer, disc = closest(discs, disc_nodes, tables, ox, oy, oz, dx, dy, dz, distance, stack)
         distances[r] = nearer / units

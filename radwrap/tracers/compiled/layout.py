@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from radwrap.scene.look.superposed import superposed
 from radwrap.scene.scene import Scene
-from radwrap.scene.sources import Emitter, Luminaire, Patch, TableBeam, WideSource, emitters
+from radwrap.scene.sources import Emitter, Luminaire, Patch, TableBeam, emitters
 from radwrap.tracers.compiled import arrays
 from radwrap.tracers.compiled.arrays import Floats, Light, Tree, Whole, put, rows
 from radwrap.tracers.compiled.before import own_shapes
@@ -90,11 +90,7 @@ def compiled_scene(scene: Scene, frame: TextFrame) -> CompiledScene:
     lights["own"] = own_shapes(shown, lights, discs, frame)
     names = tuple(source.name for source in scene.sources)
     number = {emitter.name: index for index, source in enumerate(scene.sources, 1) for emitter in emitters(source)}
-    skies = tuple(
-        (source.name, source.patches[0].radiance)
-        for source in scene.sources
-        if isinstance(source, WideSource) and source.kind == "surround"
-    )
+    skies = tuple((sky.name, sky.patches[0].radiance) for sky in scene.surrounds)
     return CompiledScene(
         targets,
         discs,
