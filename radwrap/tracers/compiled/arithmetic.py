@@ -25,24 +25,26 @@ _LN2_HIGH: Final = 6.93147180369123816490e-01
 _LN2_LOW: Final = 1.90821492927058770002e-10
 _LEAST_EXPONENT: Final = -700.0  # exp of less is nothing
 _MOST_EXPONENT: Final = 700.0
-_POWERS: Final = np.array([math.ldexp(1.0, k) for k in range(-1022, 1023)])  # of 2
-_ZEROTH: Final = 1022  # where 2^0 stands
+_EXPONENT_OF_1: Final = 1023  # in the bits of a double
+_DIGITS: Final = 52  # behind it
 
 
 @compiled
 def exponential(x: float) -> float:
-    """e^x; 0 below -700, and e^700 above 700."""
-    if x < _LEAST_EXPONENT:
-        return 0.0
-    x = min(x, _MOST_EXPONENT)
-    k = math.floor(x * _LOG2_E + 0.5)
-    r = (x - k * _LN2_HIGH) - k * _LN2_LOW
+    """e^x; 0 below -700, and e^700 above 700. It has no branch, so that several can be computed at once."""
+    held = _LEAST_EXPONENT if x < _LEAST_EXPONENT else x  # NaN stays what it is
+    held = _MOST_EXPONENT if held > _MOST_EXPONENT else held
+    k = math.floor(held * _LOG2_E + 0.5)
+    r = (held - k * _LN2_HIGH) - k * _LN2_LOW
     r2 = r * r
     r4 = r2 * r2
     c = _EXP
     low = _four(c[0], c[1], c[2], c[3], r, r2) + _four(c[4], c[5], c[6], c[7], r, r2) * r4
     high = _four(c[8], c[9], c[10], c[11], r, r2) + _four(c[12], c[13], c[14], c[15], r, r2) * r4
-    return (low + high * (r4 * r4)) * _POWERS[int(k) + _ZEROTH]
+    # 2^k by its bits: an exponent, and no digits.
+    power = np.int64((np.int64(k) + _EXPONENT_OF_1) << _DIGITS).view(np.float64)
+    value = (low + high * (r4 * r4)) * power
+    return 0.0 if x < _LEAST_EXPONENT else value
 
 
 @compiled

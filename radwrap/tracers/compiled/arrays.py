@@ -239,6 +239,36 @@ class Light:
     column: int
 
 
+class Cluster:
+    """Lights that follow each other in their array, all of one kind of beam, and the box of their centres.
+
+    Attributes
+    ----------
+    first, end : int
+        The lights.
+    beam : int
+        Kind of their beams.
+    part : int
+        Its first part, a cluster of fewer lights, among the parts.
+    may_be_hidden : int
+        1 where another emitter may stand before one of them.
+    x0, y0, z0, x1, y1, z1 : float
+        Least and largest places of their centres.
+    """
+
+    first: int
+    end: int
+    beam: int
+    part: int
+    may_be_hidden: int
+    x0: float
+    y0: float
+    z0: float
+    x1: float
+    y1: float
+    z1: float
+
+
 class Tree(NamedTuple):
     """Shapes in the order of a tree's leaves, and the tree; `rows` of `Shape` and `Node`."""
 
@@ -251,7 +281,9 @@ def _numbers(row: type) -> np.dtype[np.void]:
     return np.dtype([(name, kinds[kind]) for name, kind in get_type_hints(row).items()])
 
 
-_ROWS: Final[dict[type, np.dtype[np.void]]] = {row: _numbers(row) for row in (Shape, Node, Cover, Decal, Light)}
+_ROWS: Final[dict[type, np.dtype[np.void]]] = {
+    row: _numbers(row) for row in (Shape, Node, Cover, Decal, Light, Cluster)
+}
 
 
 def rows(row: type, count: int) -> NDArray[np.void]:
@@ -271,3 +303,4 @@ Nodes = Any
 Covers = Any
 Decals = Any
 Lights = Any
+Clusters = Any

@@ -123,7 +123,8 @@ def _inside(tables: Floats, first: int, count: int, x: float, y: float) -> bool:
 
 
 @compiled
-def _inverse(direction: float) -> float:
+def inverse_of(direction: float) -> float:
+    """1/x, large in place of infinite."""
     if abs(direction) < 1 / _STEEPEST:
         return _STEEPEST
     return 1 / direction
@@ -159,7 +160,7 @@ def closest(
     found = -1
     if not len(nodes):
         return farthest, found
-    ix, iy, iz = _inverse(dx), _inverse(dy), _inverse(dz)
+    ix, iy, iz = inverse_of(dx), inverse_of(dy), inverse_of(dz)
     height, node = 0, 0
     if _meets(nodes[0], ox, oy, oz, ix, iy, iz, farthest) == math.inf:
         return farthest, found
@@ -210,7 +211,7 @@ def hidden(
     """Whether any shape but one stands on a ray before `farthest`."""
     if len(shapes) <= (but >= 0):
         return False
-    ix, iy, iz = _inverse(dx), _inverse(dy), _inverse(dz)
+    ix, iy, iz = inverse_of(dx), inverse_of(dy), inverse_of(dz)
     height, node = 1, 0
     stack[0] = 0
     while height:

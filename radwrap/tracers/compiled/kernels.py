@@ -8,11 +8,13 @@ from typing import Final
 from radwrap.tracers.compiled.arrays import (
     DISC,
     LUMINAIRE,
+    NOTHING,
     POLYGON,
     RECTANGLE,
     SPHERE,
     TRIANGLE,
     TURNED_NORMAL,
+    Clusters,
     Covers,
     Decals,
     Floats,
@@ -23,10 +25,12 @@ from radwrap.tracers.compiled.arrays import (
     Shapes,
     Whole,
 )
-from radwrap.tracers.compiled.beams import LEAST_COSINE, radiance_along
+from radwrap.tracers.compiled.beams import radiance_along
 from radwrap.tracers.compiled.compiler import compiled
-from radwrap.tracers.compiled.covers import diffuse_at, painted, reflected
-from radwrap.tracers.compiled.intersect import NEAREST, closest, hidden
+from radwrap.tracers.compiled.covers import LEAST_COSINE, diffuse_at, painted, reflected
+from radwrap.tracers.compiled.intersect import closest
+from radwrap.tracers.compiled.shadows import darken, darken_own
+from radwrap.tracers.compiled.shine import received, towards
 
 NOTHING_MET: Final = -(1 << 62)
 
@@ -40,6 +44,9 @@ def trace(
     covers: Covers,
     decals: Decals,
     lights: Lights,
+    beside: Floats,
+    clusters: Clusters,
+    parts: Clusters,
     background: float,
     tables: Floats,
     rays: Floats,
@@ -49,6 +56,7 @@ def trace(
     units: float,
     values: Floats,
     distances: Floats,
+    given: Floats,
     stack: Whole,
 ) -> bool:
     """Radiance along rays, from each group of emitters.
@@ -61,6 +69,10 @@ def trace(
         Emitters and their tree.
     covers, decals, lights
         What targets wear, what is painted on them, and what emitters send.
+    beside : ndarray
+        The lights' numbers `side_by_side`.
+    clusters, parts : Clusters
+        All lights in groups that lie together, and the same in smaller groups.
     background : float
         Radiance of what is seen where nothing is; it goes to the last column.
     tables : ndarray
@@ -73,7 +85,7 @@ def trace(
         To which radiance is added [W m^-2 sr^-1], in the column of each light.
     distances : ndarray, shape (n,)
         Filled with the distance to the first surface [m], infinite where there is none.
-    stack : ndarray of int, shape (DEPTH,)
+    given, stack : ndarray of float, shape (lights,), and of int, shape (DEPTH,)
         Room to work in.
 
     Returns
@@ -109,20 +121,22 @@ def trace(
         flat = 1 / (4 * math.pi) if is_flat else 0.0
         # A flat face does not hide its own points, however grazing the light.
         itself = met if is_flat or shape.kind == TRIANGLE else -1
-        for i in range(len(lights)):
-            light = lights[i]
-            lx, ly, lz, away, solid_angle = _towards(light, x, y, z)
-            if solid_angle == 0 or (cover.kind != TURNED_NORMAL and lx * nx + ly * ny + lz * nz <= 0):
-                continue
-            value = radiance_along(light, tables, -lx, -ly, -lz) * solid_angle
-            if value <= 0:
-                continue
-            value *= reflected(cover, tables, diffuse, nx, ny, nz, -dx, -dy, -dz, lx, ly, lz, flat * solid_angle)
-            if value <= 0 or hidden(shapes, nodes, tables, x, y, z, lx, ly, lz, away, itself, stack):
-                continue
-            own = light.own
-            if own < 0 or not hidden(discs, disc_nodes, tables, x, y, z, lx, ly, lz, away, own, stack):
-                values[r, light.column] += value
+        least = -2.0 if cover.kind == TURNED_NORMAL else LEAST_COSINE  # a turned normal knows no horizon
+        for c in range(len(clusters)):
+            cluster = clusters[c]
+            received(lights, beside, cluster, tables, x, y, z, nx, ny, nz, least, cover.kind == NOTHING, diffuse, given)
+            if cover.kind != NOTHING:
+                for i in range(cluster.first, cluster.end):
+                    if given[i] > 0:
+                        lx, ly, lz, _, solid_angle = towards(lights[i], x, y, z)
+                        given[i] *= reflected(
+                            cover, tables, diffuse, nx, ny, nz, -dx, -dy, -dz, lx, ly, lz, flat * solid_angle
+                        )
+            darken(lights, cluster, parts, shapes, nodes, tables, x, y, z, itself, given, stack)
+            if cluster.may_be_hidden:
+                darken_own(lights, cluster, discs, disc_nodes, tables, x, y, z, given, stack)
+            for i in range(cluster.first, cluster.end):
+                values[r, lights[i].column] += given[i]
     return True
 
 
@@ -136,22 +150,6 @@ def _placed(
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
     good = length > 0 and math.isfinite(length) and math.isfinite(ox + oy + oz)
     return good, ox, oy, oz, dx / length, dy / length, dz / length
-
-
-@compiled
-def _towards(light: Light, x: float, y: float, z: float) -> tuple[float, float, float, float, float]:
-    """Unit vector to a light, the distance up to it, and the solid angle that it fills; 0 where it does not shine."""
-    lx, ly, lz = light.x - x, light.y - y, light.z - z
-    away2 = lx * lx + ly * ly + lz * lz
-    away = math.sqrt(away2)
-    if light.radiance == 0 or away <= NEAREST:
-        return 0.0, 0.0, 0.0, 0.0, 0.0
-    lx, ly, lz = lx / away, ly / away, lz / away
-    solid_angle = light.area / away2
-    if light.beam != LUMINAIRE:
-        cosine = _front(light, lx, ly, lz)
-        solid_angle *= cosine if cosine > LEAST_COSINE else 0.0
-    return lx, ly, lz, away - NEAREST, solid_angle
 
 
 @compiled

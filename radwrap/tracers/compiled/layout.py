@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -14,12 +15,15 @@ from radwrap.scene.look.superposed import superposed
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Emitter, Luminaire, Patch, TableBeam, emitters
 from radwrap.tracers.compiled import arrays
-from radwrap.tracers.compiled.arrays import Floats, Light, Tree, Whole, put, rows
+from radwrap.tracers.compiled.arrays import Cluster, Floats, Light, Tree, Whole, put, rows
 from radwrap.tracers.compiled.before import own_shapes
 from radwrap.tracers.compiled.cover_rows import Wardrobe
+from radwrap.tracers.compiled.shadows import TOGETHER
 from radwrap.tracers.compiled.shape_rows import Piece, area_vector, emitter_shape, sorted_shapes
+from radwrap.tracers.compiled.shine import side_by_side
 from radwrap.tracers.text_frame import TextFrame
 
+_MOST_TOGETHER: Final = 64  # lights of a cluster: LEDs of a ring follow each other around it
 _BEAMS: Final = {
     "lambertian": arrays.LAMBERTIAN,
     "gaussian": arrays.GAUSSIAN,
@@ -39,6 +43,10 @@ class CompiledScene:
         What hides; emitters apart, most of which hide nothing.
     covers, decals, lights : ndarray
         What targets wear, what is painted on them, and what emitters send; `rows` of the classes in `arrays`.
+    beside : ndarray
+        The lights' numbers `side_by_side`.
+    clusters, parts_of_clusters : ndarray
+        `rows` of `Cluster`: the lights, some that follow each other in each, and the same in smaller groups.
     background : float
         Radiance of what is seen where nothing is [W m^-2 sr^-1].
     tables : ndarray
@@ -60,6 +68,9 @@ class CompiledScene:
     covers: NDArray[np.void]
     decals: NDArray[np.void]
     lights: NDArray[np.void]
+    beside: Floats
+    clusters: NDArray[np.void]
+    parts_of_clusters: NDArray[np.void]
     background: float
     tables: Floats
     parts: tuple[str, ...]
@@ -74,7 +85,7 @@ class CompiledScene:
         lights = self.lights.copy()
         lights["radiance"] = [math.fsum(level for name, level in group if name in names) for group in self.members]
         background = math.fsum(level for name, level in self.skies if name in names)
-        return replace(self, lights=lights, background=background)
+        return replace(self, lights=lights, beside=side_by_side(lights), background=background)
 
 
 def compiled_scene(scene: Scene, frame: TextFrame) -> CompiledScene:
@@ -97,6 +108,8 @@ def compiled_scene(scene: Scene, frame: TextFrame) -> CompiledScene:
         wardrobe.covers,
         wardrobe.decals,
         lights,
+        side_by_side(lights),
+        *clusters_of(lights),
         math.fsum(level for _, level in skies),
         np.array(tables, dtype=np.float64),
         (*names, *wardrobe.parts),
@@ -128,6 +141,30 @@ def _lights(shown: Sequence[Emitter], frame: TextFrame, tables: list[float]) -> 
             put(light, "table rows columns", [places[sha256], len(table), len(table[0])])
         found.append(light)
     return np.concatenate(found)
+
+
+def clusters_of(lights: NDArray[np.void]) -> tuple[NDArray[np.void], NDArray[np.void]]:
+    """Groups of lights that follow each other and have one kind of beam, and their parts, of `TOGETHER` lights each."""
+    changes = np.flatnonzero(np.diff(lights["beam"])) + 1
+    ends = [0, *changes.tolist(), len(lights)]
+    clusters = [
+        (a, min(a + _MOST_TOGETHER, end)) for first, end in pairwise(ends) for a in range(first, end, _MOST_TOGETHER)
+    ]
+    parts = [(a, min(a + TOGETHER, end)) for first, end in clusters for a in range(first, end, TOGETHER)]
+    whole = _clusters(lights, clusters)
+    whole["part"] = np.searchsorted([first for first, _ in parts], whole["first"])
+    return whole, _clusters(lights, parts)
+
+
+def _clusters(lights: NDArray[np.void], spans: Sequence[tuple[int, int]]) -> NDArray[np.void]:
+    made = rows(Cluster, len(spans))
+    for cluster, (first, end) in zip(made, spans, strict=True):
+        some = lights[first:end]
+        cluster["first"], cluster["end"], cluster["beam"] = first, end, some["beam"][0]
+        cluster["may_be_hidden"] = (some["own"] >= 0).any()
+        for axis in "xyz":
+            cluster[f"{axis}0"], cluster[f"{axis}1"] = some[axis].min(), some[axis].max()
+    return made
 
 
 def _shining(emitter: Emitter, frame: TextFrame) -> tuple[Floats, Floats, float]:

@@ -104,6 +104,9 @@ class CompiledTracer:
                 scene.covers,
                 scene.decals,
                 lights,
+                scene.beside,
+                scene.clusters,
+                scene.parts_of_clusters,
                 scene.background,
                 scene.tables,
                 block[part],
@@ -111,6 +114,7 @@ class CompiledTracer:
                 float(scene.frame.units),
                 values[part],
                 distances[part],
+                np.empty(len(lights)),
                 np.empty(DEPTH, dtype=np.int64),
             )
             _check(good)

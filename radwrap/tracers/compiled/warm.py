@@ -11,8 +11,9 @@ from radwrap.tracers.compiled.arrays import Light, rows
 from radwrap.tracers.compiled.before import may_hide
 from radwrap.tracers.compiled.compiler import cache_folder
 from radwrap.tracers.compiled.cover_rows import Wardrobe
-from radwrap.tracers.compiled.layout import CompiledScene
+from radwrap.tracers.compiled.layout import CompiledScene, clusters_of
 from radwrap.tracers.compiled.shape_rows import sorted_shapes
+from radwrap.tracers.compiled.shine import side_by_side
 from radwrap.tracers.compiled.tracer import CompiledTracer
 from radwrap.tracers.text_frame import TextFrame
 
@@ -29,12 +30,16 @@ def warm_up() -> None:
     sheet = Sheet("sheet", Pose(), "gray", 1.0, 1.0)
     lights = rows(Light, 0)
     may_hide(lights, np.empty((0, 3)), np.empty(0), np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64))
+    clusters, parts = clusters_of(lights)
     scene = CompiledScene(
         targets=sorted_shapes(wardrobe.pieces(sheet), frame, tables),
         emitters=sorted_shapes([], frame, tables),
         covers=wardrobe.covers,
         decals=wardrobe.decals,
         lights=lights,
+        beside=side_by_side(lights),
+        clusters=clusters,
+        parts_of_clusters=parts,
         background=0.0,
         tables=np.array(tables),
         parts=("sheet.surface",),
