@@ -48,7 +48,7 @@ from radwrap.imaging.response.noise import linear_of
 from radwrap.imaging.tolerance.kept_replicates import kept, write_replicates
 from radwrap.imaging.tolerance.planner import choose
 from radwrap.imaging.tolerance.replicates import Work
-from radwrap.imaging.tolerance.survey import survey
+from radwrap.imaging.tolerance.survey import survey, with_smooth_blocks
 from radwrap.imaging.tolerance.uncertainty import seen_magnifications, share_spread
 from radwrap.imaging.tracing import LaidOutScene, laid_out
 from radwrap.manifest import plain, read_manifest, sha256_of_value
@@ -173,7 +173,8 @@ def forecast(scene: Scene, options: RenderOptions) -> Cost:
         expected: float = rays * scene.camera.sensor.pixels
         if fixed_method(scene, options) is None and options.sampling is None:
             demand = options.demand if orders == 0 else replace(options.demand, method="rays")
-            choice = choose(view, survey(view, options.seed), demand)
+            found = survey(view, options.seed)
+            choice = choose(with_smooth_blocks(view, found, demand.tolerance), found, demand)
             expected = choice.expected_rays[choice.method] or expected
         return estimate(scene, expected, workers, lambda: seconds_per_ray(view), replicates=replicates)
 

@@ -108,7 +108,7 @@ class LaidOutScene:
 
     def radiance_view(self) -> View:
         """The camera, with Radiance as the tracer, whatever else traces the scene."""
-        return self._view(self._lit(self._reference, self.scene, "radiance"))
+        return replace(self._view(self._lit(self._reference, self.scene, "radiance")), prover=None)
 
     def one_band_view(self) -> View:
         """The camera, with a tracer for the scene in one band, whatever its spectra need."""
@@ -128,7 +128,8 @@ class LaidOutScene:
         return self._view(self._lit(self._radiance_engine(scene, folder), scene, "scene"))
 
     def _view(self, tracer: Tracer) -> View:
-        return View(self.scene.camera, tracer, self._options.workers or available_cores())
+        workers = self._options.workers or available_cores()
+        return View(self.scene.camera, tracer, workers, self._engine.smooth_blocks)
 
     def _lit(self, engine: Engine, scene: Scene, name: str) -> Tracer:
         """A tracer for a scene, or one for each band of its light: their sum."""

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Final, Literal, Protocol, get_args
+
+import numpy as np
+from numpy.typing import NDArray
 
 from radwrap.scene.scene import Scene
 from radwrap.tracers.tracer import Tracer
 
 EngineName = Literal["radiance", "compiled"]
 ENGINES: Final[tuple[EngineName, ...]] = get_args(EngineName)
+
+
+# Rays through corners and middles of blocks of an image -> which blocks can only change smoothly.
+Prover = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.bool_]]
 
 
 class Engine(Protocol):
@@ -51,4 +58,16 @@ class Engine(Protocol):
 
     def numbered(self) -> Tracer:
         """A tracer of the numbers of parts whose fronts rays meet first; 0 of backs and of nothing."""
+        ...
+
+    @property
+    def smooth_blocks(self) -> Prover | None:
+        """Who can prove that light changes smoothly within blocks of an image, if anybody.
+
+        It is asked with rays through the blocks' corners, shape (rows + 1,
+        columns + 1, 6), and through their middles, shape (rows, columns, 6),
+        all from one point, and answers for each block whether only a flat,
+        matte face is seen in it, of one material, wholly, and every place of
+        it gets the light of each source.
+        """
         ...

@@ -62,6 +62,11 @@ class RadianceEngine:
         text = self.prepared.scene if lit is None else self.prepared.in_light(scene, lit)
         return self._built(text, name, self.channel)
 
+    @property
+    def smooth_blocks(self) -> None:
+        """Nobody: Radiance answers rays."""
+        return None
+
     def numbered(self) -> RadianceTracer:
         """A tracer for the same geometry, in which each part glows with its number."""
         text = self.prepared.scene

@@ -24,7 +24,7 @@ from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.tolerance.bounds import NOTHING, Bounded
 from radwrap.imaging.tolerance.certificate import PixelSample, lacks_in_gray, places_of, root
 from radwrap.imaging.tolerance.planner import NEGLIGIBLE_SHARE, choose
-from radwrap.imaging.tolerance.survey import Survey, survey
+from radwrap.imaging.tolerance.survey import Survey, survey, with_smooth_blocks
 from radwrap.imaging.tracing import LaidOutScene, laid_out, of_channel, with_bounces
 from radwrap.random_streams import Rendering, generator
 from radwrap.scene.camera import ColourChannel
@@ -170,7 +170,7 @@ def effects(scene: Scene, options: RenderOptions | None = None) -> dict[str, Any
     with laid_out(scene, options) as traced:
         view = traced.view()
         found = survey(view, options.seed)
-        choice = choose(view, found, options.demand)
+        choice = choose(with_smooth_blocks(view, found, options.tolerance), found, options.demand)
         each = [effect.as_manifest() for effect in _measured(traced, view, found, options.tolerance, options.seed)]
     planner = {"method": choice.method, "why": choice.why, **choice.as_manifest()}
     return {"tolerance": options.tolerance, "effects": each, "planner": planner}

@@ -27,6 +27,9 @@ _T = TypeVar("_T", bound=np.generic)
 SUB_SAMPLES: Final = (1, 2, 4, 8)
 # A difference between neighbours is passed over where it moves no pixel by more than this share of the aim.
 _PASSED_OVER: Final = 0.25
+# What is left of differences may take this share of the square of the aim, an equal part at each size of cells.
+_LEFT_SHARE: Final = 0.5
+_LOOKED_AT: Final = 1 << 16  # cells that tell how many differ how much
 _LARGEST_HEIGHT: Final = 1e100  # gray level; its square does not overflow, whatever the sensor's gain
 # Variance of the mean over n x n strata of a cell that an edge of height d crosses is about d^2/(4 n^3): about 1.5 n
 # strata are crossed, each with the variance d^2/6. Of the cells beside an edge about every third is crossed.
@@ -55,6 +58,8 @@ class GridPlan:
         Whether each cell's magnification is needed.
     even : bool, optional
         True where each grid cell gets one ray whatever is seen there: no light decides where rays go.
+    smooth : str, optional
+        Hash of the view's smooth blocks, where no rays go; see `smooth.SmoothField`.
     """
 
     base: int
@@ -65,6 +70,7 @@ class GridPlan:
     sensor: Sensor
     with_depth: bool
     even: bool | None = field(default=None, metadata=ONLY_WHERE_USED)
+    smooth: str | None = field(default=None, metadata=ONLY_WHERE_USED)
 
     @property
     def cell(self) -> float:
@@ -96,7 +102,7 @@ class Cells:
         For each grid cell how often the base cell was cut to come to the cell that it belongs to; one more where an
         edge crosses it, which asks for more rays.
     samples : int
-        n; n x n rays in each of those.
+        n; n x n rays in each of those. 0 where all is smooth, and no cell is needed.
     predicted_rms : float
         Error of an image that is gathered from these cells, as predicted from the differences [gray level].
     rays : int
@@ -173,16 +179,31 @@ def decide_cells(
     values = sampler.trace(*sampler.places(rows.ravel(), columns.ravel(), step, random), with_depth=False)[0]
     values = values.reshape(shape)
     cut = []
+    least = 0.0
     for level in range(plan.levels):
-        cut.append(_spread(plan.gray(values)) > plan.threshold(math.ldexp(plan.base, -level)))
+        spread = _spread(plan.gray(values))
+        least = max(least, _least_cut(plan, spread, math.ldexp(plan.base, -level)))
+        cut.append(spread > least)
         row, column = _children(*np.nonzero(cut[-1]))
         values = _doubled(values)
         size = 2 ** (plan.levels - level - 1)
         values[row, column] = sampler.trace(*sampler.places(row, column, size, random), with_depth=False)[0]
     spread = _spread(plan.gray(values))
-    cut.append(spread > plan.threshold(plan.cell))
+    cut.append(spread > max(least, _least_cut(plan, spread, plan.cell)))
     samples, predicted = _samples_needed(plan, spread[cut[-1]], values.size)
     return Cells((first[0], first[1]), _levels(cut), samples, predicted, sampler.rays)
+
+
+def _least_cut(plan: GridPlan, spread: NDArray[np.float64], size: float) -> float:
+    """Difference to neighbours from which on cells of a size are cut [gray level]."""
+    each = plan.threshold(size)
+    if plan.smooth is None:
+        return each
+    # Where few cells differ much, they may be left although each is off by more than the aim: the rms is what counts.
+    some = np.sort(spread.ravel()[:: -(-spread.size // _LOOKED_AT)])
+    may_be = (_LEFT_SHARE / (plan.levels + 1)) * plan.aim**2 * 12 * max(1.0, plan.area / size**2) * len(some)
+    place = int(np.searchsorted(np.cumsum(np.minimum(some, _LARGEST_HEIGHT) ** 2), may_be, side="right"))
+    return max(each, float(some[place - 1]) if place else 0.0)
 
 
 def _levels(cut: list[NDArray[np.bool_]]) -> NDArray[np.int8]:
@@ -236,20 +257,23 @@ def central_image(
     placed = [sampler.strata(row, column, size, n, random) for row, column, size, n in parts]
     rows, columns = (np.concatenate([part[axis] for part in placed]) for axis in (0, 1))
     traced = sampler.trace(rows, columns, with_depth=plan.with_depth and like is None)
-    values, magnification = np.empty(cells.levels.shape), np.ones(cells.levels.shape)
+    shape = tuple(size >> plan.levels for size in cells.levels.shape)
+    values, magnification = np.zeros(shape), np.ones(shape)
     end = 0
-    for row, column, size, n in parts:
+    for level, (row, column, _, n) in enumerate(parts):
+        if 0 < level <= plan.levels:
+            values, magnification = _doubled(values), _doubled(magnification)
         start, end = end, end + len(row) * n * n
         means = _means(*(answer[start:end].reshape(-1, n * n) for answer in traced))
-        for grid, mean in zip((values, magnification), means, strict=True):
-            for down, right in np.ndindex(size, size):
-                grid[row * size + down, column * size + right] = mean
+        values[row, column], magnification[row, column] = means
     depth = like.magnification if like else magnification if plan.with_depth else None
     return CentralImage(cells.first, values, depth, sampler.rays)
 
 
 def central_rays(plan: GridPlan, cells: Cells) -> int:
     """How many rays `central_image` will take."""
+    if not cells.samples:
+        return 0
     counts: list[int] = np.bincount(cells.levels.ravel(), minlength=plan.levels + 2).tolist()
     whole = sum(count // 4 ** (plan.levels - level) for level, count in enumerate(counts[:-1]))
     return int(whole + counts[-1] * cells.samples**2)
@@ -332,6 +356,19 @@ class _Sampler:
         """L cos^4(theta) and m at places [grid cell]."""
         cell = self._plan.cell
         u, v = (self._first[1] + columns) * cell - 0.5, (self._first[0] + rows) * cell - 0.5
+        known = self._view.smooth if self._plan.smooth else None
+        if known is None:
+            return self._traced(u, v, with_depth=with_depth)
+        smooth = known.holds(u, v)
+        rest = ~smooth
+        values, magnification = np.empty(len(u)), np.empty(len(u))
+        values[smooth], magnification[smooth] = known.at(u[smooth], v[smooth])
+        values[rest], magnification[rest] = self._traced(u[rest], v[rest], with_depth=with_depth)
+        return values, magnification
+
+    def _traced(
+        self, u: NDArray[np.float64], v: NDArray[np.float64], *, with_depth: bool
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         answer = trace_rays(self._view, None, u, v, with_depth=with_depth)
         self.rays += len(u)
         self._progress(len(u))

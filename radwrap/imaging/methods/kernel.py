@@ -165,6 +165,7 @@ def plan_kernel(
         sensor=sensor,
         with_depth=len(layers) > 1,
         even=None if even_cell is None else True,
+        smooth=view.smooth.sha256 if view.smooth and even_cell is None else None,
     )
     rows, columns = (
         _cuts(size, max(1, int(most * grid.cell)))
@@ -209,6 +210,8 @@ def decide_tile(
     """Find out which cells of the central image a tile needs; parameters as in `gathered_tile`."""
     place, cell = plan.tiles[tile], plan.grid.cell
     reach = plan.reach_px
+    if _is_smooth(view, plan, place):
+        return Cells((0, 0), np.zeros((1, 1), dtype=np.int8), 0, 0.0, 0)
     # One pair of cells more on each side, for the coarser image.
     spans = [
         (math.floor((begin - far) / cell) - 2, math.ceil((end + far) / cell) + 2)
@@ -248,6 +251,8 @@ def gathered_tile(
         The same tile, perhaps in other light: the very same rays are traced as for it, see `central_image`.
     """
     place, cell = plan.tiles[tile], plan.grid.cell
+    if not cells.samples:
+        return _smooth_tile(view, plan, place)
     central = central_image(view, plan.grid, cells, seed=seed, progress=progress, like=like.central if like else None)
     values = gather(plan, central, cell, place)
     # Cells of twice the size add their error less that of these: so much of it, see `_GRID_SHARE`. Some pixels tell.
@@ -256,6 +261,26 @@ def gathered_tile(
         coarser = replace(coarser, magnification=like.coarser.magnification)
     some, coarse = (gather_all if plan.grid.even else gather_some)(plan, coarser, 2 * cell, place)
     return Gathered(values, some, _grid_share(plan) * (coarse - values[some]), central, coarser)
+
+
+def _is_smooth(view: View, plan: KernelPlan, place: tuple[int, int, int, int]) -> bool:
+    """Whether all that the pixels of a tile gather from is smooth."""
+    if not plan.grid.smooth or view.smooth is None or plan.camera.sensor.window is not None:
+        return False
+    columns, rows = (far + 0.5 for far in plan.reach_px)
+    return view.smooth.holds_all((place[0] - rows, place[1] - 1 + rows), (place[2] - columns, place[3] - 1 + columns))
+
+
+def _smooth_tile(view: View, plan: KernelPlan, place: tuple[int, int, int, int]) -> Gathered:
+    """A tile that gathers from smooth blocks only: the mean of what changes evenly is what is seen in the middle."""
+    if view.smooth is None:
+        raise TypeError("no block of this view is known to be smooth")
+    rows, columns = np.indices((place[1] - place[0], place[3] - place[2]), dtype=np.float64)
+    values, _ = view.smooth.at((columns + place[2]).ravel(), (rows + place[0]).ravel())
+    some = np.ix_(*(at - first for at, first in zip(lattice(2 * plan.grid.cell, place), place[::2], strict=True)))
+    nothing = CentralImage((0, 0), np.zeros((0, 0)), None, 0)
+    unchanged = np.zeros((len(some[0]), some[1].size))
+    return Gathered(values.reshape(rows.shape), some, unchanged, nothing, nothing)
 
 
 def _grid_share(plan: KernelPlan) -> float:

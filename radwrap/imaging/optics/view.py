@@ -24,9 +24,11 @@ from numpy.typing import NDArray
 
 from radwrap.errors import TracerError
 from radwrap.imaging.optics.falloff import falloff, whole_falloff
+from radwrap.imaging.optics.smooth import SmoothField
 from radwrap.imaging.response.exposure import exposure_of_radiance
 from radwrap.random_streams import generator
 from radwrap.scene.camera import Camera
+from radwrap.tracers.engine import Prover
 from radwrap.tracers.tracer import Tracer
 
 PixelSampling = Literal["centre", "jitter"]
@@ -231,11 +233,17 @@ class View:
         Who traces.
     workers : int
         Tracer processes at a time, where there are rays enough.
+    prover : callable, optional
+        Which blocks of an image can only change smoothly; see `Engine.smooth_blocks`.
+    smooth : SmoothField, optional
+        Blocks of which the central image is known without more rays.
     """
 
     camera: Camera
     tracer: Tracer
     workers: int = 1
+    prover: Prover | None = None
+    smooth: SmoothField | None = None
 
     @property
     def exposure_of_radiance(self) -> float:
@@ -327,6 +335,11 @@ def _trace_part(
         if distance is not None:
             magnification[part] = view.camera.magnification(distance * cos4**0.25)
     return values, magnification
+
+
+def central_rays(camera: Camera, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rays through the opening's centre, and places of any shape (u, v) on the sensor [px]; shape (..., 6)."""
+    return rays_through(camera.without_lens, (0.0, 0.0), u.ravel(), v.ravel())[0].reshape(*u.shape, 6)
 
 
 def central_weights(camera: Camera, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -40,7 +40,16 @@ from radwrap.imaging.tolerance.replicates import (
     trace_replicates,
 )
 from radwrap.imaging.tolerance.search_record import Attempt, GivenUp, SearchRecord
-from radwrap.imaging.tolerance.survey import AIM_SHARE, Survey, met_by, middle_of, predicted_rays, steps, survey
+from radwrap.imaging.tolerance.survey import (
+    AIM_SHARE,
+    Survey,
+    met_by,
+    middle_of,
+    predicted_rays,
+    steps,
+    survey,
+    with_smooth_blocks,
+)
 from radwrap.manifest import finite
 from radwrap.random_streams import Rendering
 from radwrap.tracers.timed import OutOfTime, TimedTracer
@@ -176,12 +185,13 @@ class Search:
     """One search for an image that keeps the tolerance, or a survey and the image by a plan that others made."""
 
     def __init__(self, work: Work, demand: Demand) -> None:
-        self.work, self.demand, self.view = work, demand, work.view
-        self.tracer = work.view.tracer
+        self.demand, self.tracer = demand, work.view.tracer
         self.start = time.monotonic()
         self.found = survey(work.view, work.seed)
-        self.spent = self.found.rays
-        self.choice = choose(work.view, self.found, demand)
+        self.view = with_smooth_blocks(work.view, self.found, demand.tolerance)
+        self.work = replace(work, view=self.view)
+        self.spent = self.found.rays + (self.view.smooth.rays if self.view.smooth else 0)
+        self.choice = choose(self.view, self.found, demand)
         work.progress.expect(self.choice.expected_rays[self.choice.method] or 1)
         self.attempts: list[Attempt] = []
         self.reused = 0
@@ -357,6 +367,8 @@ class Search:
     ) -> tuple[Certificate, PixelSample | None]:
         view, seed = self.view, self.work.seed
         noise, errors = discretisation(view, replicates)
+        if isinstance(plan, KernelPlan) and plan.grid.smooth and view.smooth is not None:
+            noise += Bounded(view.smooth.square, view.smooth.square)
         if isinstance(plan, RaysPlan) or view.camera.aperture.is_infinitesimal:
             quantile = noise_quantile(errors, noise) if self.demand.max_error is not None else None
             return certificate_of(NOTHING, noise, quantile, pixels=0, rays=0), None

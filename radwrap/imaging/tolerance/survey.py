@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from radwrap.errors import InputError
 from radwrap.imaging.methods.kernel import plan_kernel
 from radwrap.imaging.methods.rays import ORDER, PILOT, gray_deviation, plan_rays, sampled_radiance
+from radwrap.imaging.methods.smooth_blocks import smooth_field
 from radwrap.imaging.optics.footprint import reach_px
+from radwrap.imaging.optics.smooth import BLOCK
 from radwrap.imaging.optics.view import View, magnifications_at
 from radwrap.imaging.response.sensor import GrayWhereAsked
 from radwrap.imaging.tolerance.bounds import NOTHING, Bounded, stratified_mean
@@ -25,6 +27,8 @@ _SURVEY_PIXELS: Final = 192
 _SURVEY_PAIRS: Final = 4
 # Share of the tolerance that the predicted error takes: the bound lies above the error by 10 to 30 %.
 AIM_SHARE: Final = 0.75
+# Of fewer blocks most would lie at the image's edge, or at one of a part.
+_FEWEST_BLOCKS: Final = 100
 # A step in depth costs about this share of its difference in magnification and of the contrast (measured).
 _STEP_COST: Final = 0.32
 
@@ -94,6 +98,16 @@ def survey(view: View, seed: int) -> Survey:
         except InputError:  # too deep for layers
             model = Bounded(math.inf, math.inf)
     return Survey(magnification, model, one_layer, deviations, rays)
+
+
+def with_smooth_blocks(view: View, found: Survey, tolerance: float) -> View:
+    """The view with what is known of its smooth blocks, where a kernel's cells would be smaller than these."""
+    if not math.isfinite(found.model.mean) or view.camera.sensor.pixels < _FEWEST_BLOCKS * BLOCK**2:
+        return view
+    plan = plan_kernel(view, met_by(view, found.magnification), AIM_SHARE * tolerance)
+    if plan.grid.base >= BLOCK:
+        return view
+    return replace(view, smooth=smooth_field(view, plan.reach_px, tolerance))
 
 
 def met_by(view: View, magnification: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -171,6 +185,7 @@ def predicted_rays(view: View, found: Survey, tolerance: float, finer: int = 0) 
     plan = plan_kernel(view, met_by(view, found.magnification), aim, finer)
     reach = plan.reach_px
     covered = (sensor.columns + 2 * reach[0]) * (sensor.rows + 2 * reach[1])
-    # About as many again where cells are cut.
-    kernel = 2 * replicates_needed(plan) * covered / plan.grid.base**2
+    # About as many again where cells are cut; and none where all is known.
+    known, rest = (0, 1.0) if view.smooth is None else (view.smooth.rays, 1 - view.smooth.share)
+    kernel = known + 2 * replicates_needed(plan) * covered / plan.grid.base**2 * rest
     return rays, kernel

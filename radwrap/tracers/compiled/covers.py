@@ -42,7 +42,7 @@ def painted(decals: Decals, cover: int, decal: int, x: float, y: float, z: float
     px, py, pz = x - d.x, y - d.y, z - d.z
     across, up = px * d.ux + py * d.uy + pz * d.uz, px * d.vx + py * d.vy + pz * d.vz
     if d.kind == DOTS:
-        u, v = _from_dot(across, d.a), _from_dot(up, d.b)
+        u, v = from_dot(across, d.a), from_dot(up, d.b)
         shown = d.c - u * u - v * v > 0
     else:
         shown = across - d.a > 0
@@ -50,7 +50,7 @@ def painted(decals: Decals, cover: int, decal: int, x: float, y: float, z: float
 
 
 @compiled
-def _from_dot(place: float, count: float) -> float:
+def from_dot(place: float, count: float) -> float:
     """Distance to the nearest of a row of dots, in their pitch."""
     x = place + (count - 1) / 2
     return x - min(max(math.floor(x + 0.5), 0.0), count - 1)

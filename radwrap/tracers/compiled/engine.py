@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Collection, Generator, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -13,7 +14,9 @@ from radwrap.scene.scene import Scene
 from radwrap.tracers.compiled.arrays import Floats
 from radwrap.tracers.compiled.compiler import SOURCES, VERSIONS
 from radwrap.tracers.compiled.layout import CompiledScene, compiled_scene
+from radwrap.tracers.compiled.smooth import smooth_blocks
 from radwrap.tracers.compiled.tracer import CompiledTracer
+from radwrap.tracers.engine import Prover
 from radwrap.tracers.text_frame import TextFrame
 
 
@@ -83,6 +86,11 @@ class CompiledEngine:
         if scene.materials is not self.scene.materials:
             arrays = compiled_scene(scene, arrays.frame)
         return CompiledTracer(arrays if lit is None else arrays.in_light(lit), self.cancelled, self.meter.add)
+
+    @property
+    def smooth_blocks(self) -> Prover:
+        """Who proves that light changes smoothly; see `Engine.smooth_blocks`."""
+        return partial(smooth_blocks, self.arrays)
 
     def numbered(self) -> NumberedTracer:
         """A tracer of part numbers; see `Engine.numbered`."""

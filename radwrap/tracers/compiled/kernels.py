@@ -94,7 +94,7 @@ def trace(
         Whether all rays had finite numbers and a direction; it ends at the first that has not.
     """
     for r in range(len(rays)):
-        good, ox, oy, oz, dx, dy, dz = _placed(rays, r, x0, y0, z0, units)
+        good, ox, oy, oz, dx, dy, dz = placed(rays, r, x0, y0, z0, units)
         if not good:
             return False
         distance, met = closest(shapes, nodes, tables, ox, oy, oz, dx, dy, dz, math.inf, stack)
@@ -141,7 +141,7 @@ def trace(
 
 
 @compiled
-def _placed(
+def placed(
     rays: Floats, r: int, x0: float, y0: float, z0: float, units: float
 ) -> tuple[bool, float, float, float, float, float, float]:
     """Whether a ray has finite numbers and a direction; its origin in the text's frame, and its unit direction."""
@@ -200,7 +200,7 @@ def surfaces(
         Filled with the number of the cover, -1 minus that of an emitter, or `NOTHING_MET`.
     """
     for r in range(len(rays)):
-        good, ox, oy, oz, dx, dy, dz = _placed(rays, r, x0, y0, z0, units)
+        good, ox, oy, oz, dx, dy, dz = placed(rays, r, x0, y0, z0, units)
         if not good:
             return False
         distance, met = closest(shapes, nodes, tables, ox, oy, oz, dx, dy, dz, math.inf, stack)

@@ -25,7 +25,9 @@ from radwrap.tracers.compiled.shine import towards
 
 # Lights of a part of a cluster.
 TOGETHER: Final = 8
-# What is lower than this over a plane, for each unit of distance, is not taken to be well off it.
+# Heights over a plane, for each unit of distance, from which on rounding does not matter, and from which on what is at
+# the other end may touch the plane.
+_OFF: Final = 1e-7
 _WELL_OFF: Final = 0.01
 
 
@@ -112,44 +114,55 @@ def _is_hidden(
 
 
 @compiled
-def clear(
-    shapes: Shapes, nodes: Nodes, lights: Cluster, ox: float, oy: float, oz: float, but: int, stack: Whole
-) -> bool:
-    """Whether no shape but one can stand between a point and any place in a box, here that of a cluster of lights.
+def clear(shapes: Shapes, nodes: Nodes, there: Cluster, x: float, y: float, z: float, but: int, stack: Whole) -> bool:
+    """Whether no shape but one can stand between a point and any place in a box; see `clear_between`."""
+    return clear_between(shapes, nodes, there, x, y, z, x, y, z, but, True, stack)
 
-    What a ray to the box may pass lies, at each share t of its way, in a box
-    that grows with t from the point: one walk down the tree of boxes in place
-    of one for each light. Only "yes" is sure.
+
+@compiled
+def clear_between(
+    shapes: Shapes,
+    nodes: Nodes,
+    there: Cluster,
+    x0: float,
+    y0: float,
+    z0: float,
+    x1: float,
+    y1: float,
+    z1: float,
+    but: int,
+    may_touch: bool,
+    stack: Whole,
+) -> bool:
+    """Whether no shape but one can stand between any places of two boxes, the second here that of a cluster.
+
+    Where they `may_touch`, a flat shape in whose plane one of the boxes lies stands between nothing.
+
+    What rays between them may pass lies, at each share t of their way, in a
+    box that changes with t from one to the other: one walk down the tree in
+    place of one for each ray. Only "yes" is sure.
     """
     if len(shapes) <= (but >= 0):
         return True
-    ax, bx = lights.x0 - ox, lights.x1 - ox
-    ay, by = lights.y0 - oy, lights.y1 - oy
-    az, bz = lights.z0 - oz, lights.z1 - oz
-    iax, ibx, iay, iby, iaz, ibz = (
-        inverse_of(ax),
-        inverse_of(bx),
-        inverse_of(ay),
-        inverse_of(by),
-        inverse_of(az),
-        inverse_of(bz),
-    )
+    ax, bx, ay, by, az, bz = there.x0 - x0, there.x1 - x1, there.y0 - y0, there.y1 - y1, there.z0 - z0, there.z1 - z1
+    iax, ibx, iay, iby = inverse_of(ax), inverse_of(bx), inverse_of(ay), inverse_of(by)
+    iaz, ibz = inverse_of(az), inverse_of(bz)
     height, node = 1, 0
     stack[0] = 0
     while height:
         height -= 1
         node = stack[height]
         box = nodes[node]
-        near, far = _overlap(box.x0 - ox, box.x1 - ox, ax, bx, iax, ibx, 0.0, 1.0)
-        near, far = _overlap(box.y0 - oy, box.y1 - oy, ay, by, iay, iby, near, far)
-        near, far = _overlap(box.z0 - oz, box.z1 - oz, az, bz, iaz, ibz, near, far)
+        near, far = _overlap(box.x0 - x1, box.x1 - x0, ax, bx, iax, ibx, 0.0, 1.0)
+        near, far = _overlap(box.y0 - y1, box.y1 - y0, ay, by, iay, iby, near, far)
+        near, far = _overlap(box.z0 - z1, box.z1 - z0, az, bz, iaz, ibz, near, far)
         if near > far:
             continue
         count = box.count
         if count:
             first = box.first
             for i in range(first, first + count):
-                if i != but and not _aside(shapes[i], lights, ox, oy, oz):
+                if i != but and not _aside(shapes[i], there, x0, y0, z0, x1, y1, z1, may_touch):
                     return False
         else:
             stack[height], stack[height + 1] = box.second, node + 1
@@ -174,18 +187,34 @@ def _overlap(
 
 
 @compiled
-def _aside(s: Shape, lights: Cluster, ox: float, oy: float, oz: float) -> bool:
-    """Whether a point and a box lie on one side of a flat shape's plane: one may lie on it if the other is well off."""
+def _aside(
+    s: Shape,
+    there: Cluster,
+    x0: float,
+    y0: float,
+    z0: float,
+    x1: float,
+    y1: float,
+    z1: float,
+    may_touch: bool,
+) -> bool:
+    """Whether two boxes lie on one side of a flat shape's plane, which one of them `may_touch`."""
     if s.kind not in (TRIANGLE, RECTANGLE, POLYGON, DISC):
         return False
-    nx, ny, nz = s.nx, s.ny, s.nz
-    x, y, z = (lights.x0 + lights.x1) / 2, (lights.y0 + lights.y1) / 2, (lights.z0 + lights.z1) / 2
-    reach = abs(nx) * (lights.x1 - lights.x0) + abs(ny) * (lights.y1 - lights.y0) + abs(nz) * (lights.z1 - lights.z0)
-    there = (x - s.x) * nx + (y - s.y) * ny + (z - s.z) * nz
-    here = (ox - s.x) * nx + (oy - s.y) * ny + (oz - s.z) * nz
-    if there + here < 0:
-        there, here = -there, -here
-    there -= reach / 2
-    off = _WELL_OFF * (abs(x - ox) + abs(y - oy) + abs(z - oz) + reach)
-    on = -_WELL_OFF * NEAREST  # so that a ray meets the plane no farther from its end than it may
-    return (there > off and here > on) or (here > off and there > on)
+    # Of each box the middle and half of what it reaches along the normal.
+    x, y, z = (there.x0 + there.x1) / 2, (there.y0 + there.y1) / 2, (there.z0 + there.z1) / 2
+    ox, oy, oz = (x0 + x1) / 2, (y0 + y1) / 2, (z0 + z1) / 2
+    nx, ny, nz = abs(s.nx), abs(s.ny), abs(s.nz)
+    reach = (nx * (there.x1 - there.x0) + ny * (there.y1 - there.y0) + nz * (there.z1 - there.z0)) / 2
+    half = (nx * (x1 - x0) + ny * (y1 - y0) + nz * (z1 - z0)) / 2
+    far = (x - s.x) * s.nx + (y - s.y) * s.ny + (z - s.z) * s.nz
+    here = (ox - s.x) * s.nx + (oy - s.y) * s.ny + (oz - s.z) * s.nz
+    if far + here < 0:
+        far, here = -far, -here
+    away = abs(x - ox) + abs(y - oy) + abs(z - oz) + reach + half
+    far, here = far - reach, here - half
+    if far > _OFF * away and here > _OFF * away:
+        return True
+    # One may touch the plane, as rays then meet it no farther from their ends than they may.
+    on, off = -_WELL_OFF * NEAREST, _WELL_OFF * away
+    return may_touch and ((far > off and here > on) or (here > off and far > on))

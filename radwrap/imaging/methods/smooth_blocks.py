@@ -1,0 +1,69 @@
+"""Where the central image can only change smoothly, so that few rays tell it.
+
+A lattice of central rays cuts the image into blocks. Where the tracer can
+prove that nothing but a flat, matte, undisturbed face is seen, see
+`Engine.smooth_blocks`, a block's values are those between its corners; a ray
+through its middle tells how far they are off.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.imaging.optics.smooth import BLOCK, SmoothField, corners_of
+from radwrap.imaging.optics.view import View, central_rays, trace_rays
+from radwrap.imaging.response.sensor import unclipped_gray
+
+Array = NDArray[np.float64]
+
+# Values between corners may be off in the middle by so much of the tolerance.
+_ERROR_SHARE: Final = 0.05
+
+
+def smooth_field(view: View, reach: tuple[float, float], tolerance: float) -> SmoothField | None:
+    """Find the smooth blocks of a view; None where its tracer cannot prove any.
+
+    Parameters
+    ----------
+    view : View
+        Who traces, and proves.
+    reach : tuple of float
+        How far, in columns and rows, light is gathered from beyond the sensor [px].
+    tolerance : float
+        Of the image [gray level].
+    """
+    if view.prover is None:
+        return None
+    sensor, margin = view.camera.sensor, math.ceil(max(reach) / BLOCK)
+    shape = (-(-sensor.rows // BLOCK) + 2 * margin, -(-sensor.columns // BLOCK) + 2 * margin)
+    first = (-margin, -margin)
+    corners = corners_of(first, shape)
+    middles = tuple(places[:-1, :-1] + BLOCK / 2 for places in corners)
+    proved = view.prover(*(central_rays(view.camera, *places) for places in (corners, middles)))
+    values, magnification = (answer.reshape(corners[0].shape) for answer in _traced(view, *corners))
+    field = SmoothField(first, proved, values, magnification, 0.0, values.size)
+    at = tuple(places[proved] for places in middles)
+    middle, _ = trace_rays(view, None, *at)
+    gray = (unclipped_gray(found * view.exposure_of_radiance, sensor) for found in (middle, field.at(*at)[0]))
+    off = np.abs(np.subtract(*gray))
+    kept = off <= _ERROR_SHARE * tolerance
+    smooth = np.zeros_like(proved)
+    smooth[proved] = kept
+    square = float((off[kept] ** 2).mean()) if kept.any() else 0.0
+    return replace(field, smooth=smooth, square=square, rays=values.size + middle.size)
+
+
+def in_other_light(field: SmoothField, view: View) -> SmoothField:
+    """The same blocks as another view of the same places sees them."""
+    values, magnification = _traced(view, *field.corners)
+    shape = field.values.shape
+    return replace(field, values=values.reshape(shape), magnification=magnification.reshape(shape), rays=values.size)
+
+
+def _traced(view: View, u: Array, v: Array) -> tuple[Array, Array]:
+    return trace_rays(view, None, u.ravel(), v.ravel(), with_depth=True)

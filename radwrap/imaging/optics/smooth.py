@@ -1,0 +1,99 @@
+"""What lies between rays of the central image, where it can only change smoothly."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+BLOCK: Final = 8  # px; a ray in 64 of what is smooth, and blocks still fit between the parts of a few megapixels
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SmoothField:
+    """Blocks of the central image, and what is seen at their corners.
+
+    Attributes
+    ----------
+    first : tuple of int
+        Row and column of the first block, in blocks from the sensor's corner.
+    smooth : ndarray of bool, shape (rows, columns)
+        Which blocks are smooth.
+    values, magnification : ndarray, shape (rows + 1, columns + 1)
+        L cos^4(theta) [W m^-2 sr^-1] and m at the corners.
+    square : float
+        Mean square of what is found in the middle of smooth blocks less what lies between their corners, which is
+        nowhere farther off [gray level^2].
+    rays : int
+        How many were traced.
+    """
+
+    first: tuple[int, int]
+    smooth: NDArray[np.bool_]
+    values: Array
+    magnification: Array
+    square: float
+    rays: int
+
+    @property
+    def corners(self) -> tuple[Array, Array]:
+        """Places of the corners of blocks [px], columns and rows."""
+        return corners_of(self.first, self.smooth.shape)
+
+    @property
+    def share(self) -> float:
+        """Of all blocks, those that are smooth."""
+        return float(self.smooth.mean())
+
+    @property
+    def sha256(self) -> str:
+        """Hash of which blocks are smooth."""
+        return hashlib.sha256(repr((self.first, self.smooth.shape)).encode() + self.smooth.tobytes()).hexdigest()
+
+    def holds(self, u: Array, v: Array) -> NDArray[np.bool_]:
+        """Whether places (u, v) on the sensor [px] lie in smooth blocks."""
+        rows, columns = self.smooth.shape
+        row, column = self._block(v, 0), self._block(u, 1)
+        inside: NDArray[np.bool_] = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+        inside[inside] = self.smooth[row[inside], column[inside]]
+        return inside
+
+    def holds_all(self, rows: tuple[float, float], columns: tuple[float, float]) -> bool:
+        """Whether all places between these rows and columns [px] lie in smooth blocks."""
+        (top, bottom), (left, right) = (
+            (math.floor((low + 0.5) / BLOCK) - self.first[axis], math.floor((high + 0.5) / BLOCK) - self.first[axis])
+            for axis, (low, high) in enumerate((rows, columns))
+        )
+        inside = top >= 0 and left >= 0 and bottom < self.smooth.shape[0] and right < self.smooth.shape[1]
+        return inside and bool(self.smooth[top : bottom + 1, left : right + 1].all())
+
+    def at(self, u: Array, v: Array) -> tuple[Array, Array]:
+        """L cos^4(theta) and m at places that `holds`."""
+        row, column = self._block(v, 0), self._block(u, 1)
+        down = (v + 0.5) / BLOCK - self.first[0] - row
+        right = (u + 0.5) / BLOCK - self.first[1] - column
+
+        def between(corner: Array) -> Array:
+            upper = corner[row, column] * (1 - right) + corner[row, column + 1] * right
+            lower = corner[row + 1, column] * (1 - right) + corner[row + 1, column + 1] * right
+            found: Array = upper * (1 - down) + lower * down
+            return found
+
+        return between(self.values), between(self.magnification)
+
+    def _block(self, place: Array, axis: int) -> NDArray[np.intp]:
+        block: NDArray[np.intp] = np.floor((place + 0.5) / BLOCK).astype(np.intp) - self.first[axis]
+        return block
+
+
+def corners_of(first: tuple[int, int], shape: tuple[int, ...]) -> tuple[Array, Array]:
+    """Places of the corners of blocks from a first one on [px], columns and rows, shape (rows + 1, columns + 1)."""
+    rows, columns = (BLOCK * (begin + np.arange(count + 1)) - 0.5 for begin, count in zip(first, shape, strict=True))
+    u, v = np.meshgrid(columns, rows)
+    return u, v

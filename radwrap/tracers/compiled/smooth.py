@@ -1,0 +1,236 @@
+"""Blocks of an image in which light can only change smoothly: one flat face, wholly seen, matte, and nothing near it.
+
+Of a block the rays through its four corners and its middle are known. What
+lies between them is not traced but proved: no shape can stand between the eye
+and the block, nor between the block and any light.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.tracers.compiled.arrays import (
+    CONE,
+    DISC,
+    DOTS,
+    NOTHING,
+    RECTANGLE,
+    TRIANGLE,
+    Cluster,
+    Clusters,
+    Covers,
+    Decals,
+    Floats,
+    Nodes,
+    Shape,
+    Shapes,
+    Whole,
+    put,
+    rows,
+)
+from radwrap.tracers.compiled.compiler import compiled
+from radwrap.tracers.compiled.covers import from_dot, painted
+from radwrap.tracers.compiled.intersect import closest
+from radwrap.tracers.compiled.kernels import placed
+from radwrap.tracers.compiled.layout import CompiledScene
+from radwrap.tracers.compiled.shadows import clear_between
+from radwrap.tracers.compiled.tree import DEPTH
+
+# By this share of its size a block is taken to be larger: distortion bends its sides.
+_SPARE: Final = 0.1
+# Where nothing is met a block is looked at so many times as far away as the farthest corner of all that is there.
+_BEYOND: Final = 2.0
+_EMITTER: Final = -2
+_NOTHING: Final = -1
+
+
+def smooth_blocks(scene: CompiledScene, corners: Floats, middles: Floats) -> NDArray[np.bool_]:
+    """Whether light can only change smoothly within each block.
+
+    Parameters
+    ----------
+    scene : CompiledScene
+        What is there.
+    corners : ndarray, shape (rows + 1, columns + 1, 6)
+        Rays through the corners of the blocks, all from one point.
+    middles : ndarray, shape (rows, columns, 6)
+        Rays through their middles.
+    """
+    count = middles.shape[:2]
+    if (scene.lights["beam"] == CONE).any():  # its light ends at once
+        return np.zeros(count, dtype=bool)
+    met, cover, place = _faces(scene, corners)
+    about = [(met[:-1, :-1], met[1:, :-1], met[:-1, 1:], met[1:, 1:])]
+    about += [(cover[:-1, :-1], cover[1:, :-1], cover[:-1, 1:], cover[1:, 1:])]
+    shape, wears, middle = _faces(scene, middles)
+    alike = shape > _EMITTER
+    for own, others in zip((shape, wears), about, strict=True):
+        for other in others:
+            alike &= own == other
+    chosen = np.nonzero(alike)
+    row, column = chosen
+    places = np.stack(
+        [place[row, column], place[row + 1, column], place[row, column + 1], place[row + 1, column + 1], middle[chosen]]
+    )
+    low, high = places.min(axis=0), places.max(axis=0)
+    spare = _SPARE * (high - low)
+    boxes = rows(Cluster, len(row))
+    put(boxes, "x0 y0 z0", low - spare)
+    put(boxes, "x1 y1 z1", high + spare)
+    reach = np.sqrt(((places[:4] - places[4]) ** 2).sum(axis=2)).max(axis=0) * (1 + _SPARE)
+    ex, ey, ez = ((middles[0, 0, :3] - scene.frame.origin) * scene.frame.units).tolist()
+    found = np.zeros(len(row), dtype=np.bool_)
+    _undisturbed(
+        scene.targets.shapes,
+        scene.targets.nodes,
+        scene.emitters.shapes,
+        scene.emitters.nodes,
+        scene.covers,
+        scene.decals,
+        scene.clusters,
+        boxes,
+        places[4],
+        reach,
+        shape[chosen],
+        wears[chosen],
+        ex,
+        ey,
+        ez,
+        np.empty(DEPTH, dtype=np.int64),
+        found,
+    )
+    smooth = np.zeros(count, dtype=bool)
+    smooth[chosen] = found
+    return smooth
+
+
+def _faces(scene: CompiledScene, rays: Floats) -> tuple[Whole, Whole, Floats]:
+    """Shape that each ray meets, or `_NOTHING` or `_EMITTER`, the cover that it shows there, and the place."""
+    block = np.ascontiguousarray(rays.reshape(-1, 6))
+    met, cover = np.empty(len(block), dtype=np.int64), np.empty(len(block), dtype=np.int64)
+    place = np.empty((len(block), 3))
+    _met(
+        scene.targets.shapes,
+        scene.targets.nodes,
+        scene.emitters.shapes,
+        scene.emitters.nodes,
+        scene.decals,
+        scene.tables,
+        block,
+        *scene.frame.origin,
+        float(scene.frame.units),
+        met,
+        cover,
+        place,
+        np.empty(DEPTH, dtype=np.int64),
+    )
+    shape = rays.shape[:-1]
+    return met.reshape(shape), cover.reshape(shape), place.reshape(*shape, 3)
+
+
+@compiled
+def _met(
+    shapes: Shapes,
+    nodes: Nodes,
+    discs: Shapes,
+    disc_nodes: Nodes,
+    decals: Decals,
+    tables: Floats,
+    rays: Floats,
+    x0: float,
+    y0: float,
+    z0: float,
+    units: float,
+    met: Whole,
+    cover: Whole,
+    place: Floats,
+    stack: Whole,
+) -> None:
+    for r in range(len(rays)):
+        _, ox, oy, oz, dx, dy, dz = placed(rays, r, x0, y0, z0, units)
+        distance, shape = closest(shapes, nodes, tables, ox, oy, oz, dx, dy, dz, math.inf, stack)
+        _, disc = closest(discs, disc_nodes, tables, ox, oy, oz, dx, dy, dz, distance, stack)
+        met[r], cover[r] = _NOTHING, _NOTHING
+        if disc >= 0:
+            met[r] = _EMITTER
+        elif shape < 0:
+            distance = _beyond(nodes, ox, oy, oz) + _beyond(disc_nodes, ox, oy, oz) + 1
+        place[r, 0], place[r, 1], place[r, 2] = ox + distance * dx, oy + distance * dy, oz + distance * dz
+        if shape >= 0:
+            met[r] = shape if disc < 0 else _EMITTER
+            cover[r] = painted(decals, shapes[shape].owner, shapes[shape].decal, place[r, 0], place[r, 1], place[r, 2])
+
+
+@compiled
+def _beyond(nodes: Nodes, x: float, y: float, z: float) -> float:
+    """More than the distance from a point to anything in a tree."""
+    if not len(nodes):
+        return 0.0
+    box = nodes[0]
+    return _BEYOND * (
+        max(abs(box.x0 - x), abs(box.x1 - x))
+        + max(abs(box.y0 - y), abs(box.y1 - y))
+        + max(abs(box.z0 - z), abs(box.z1 - z))
+    )
+
+
+@compiled
+def _undisturbed(
+    shapes: Shapes,
+    nodes: Nodes,
+    discs: Shapes,
+    disc_nodes: Nodes,
+    covers: Covers,
+    decals: Decals,
+    clusters: Clusters,
+    boxes: Clusters,
+    middles: Floats,
+    reach: Floats,
+    met: Whole,
+    wears: Whole,
+    ex: float,
+    ey: float,
+    ez: float,
+    stack: Whole,
+    found: NDArray[np.bool_],
+) -> None:
+    for b in range(len(boxes)):
+        box, but = boxes[b], met[b]
+        if but >= 0:
+            cover = covers[wears[b]]
+            if cover.kind != NOTHING or cover.columns != 0:
+                continue
+            if not _is_one_face(shapes[but], decals, middles[b, 0], middles[b, 1], middles[b, 2], reach[b]):
+                continue
+        # Of surfaces in one plane any may be seen.
+        free = clear_between(shapes, nodes, box, ex, ey, ez, ex, ey, ez, but, False, stack)
+        free = free and clear_between(discs, disc_nodes, box, ex, ey, ez, ex, ey, ez, -1, False, stack)
+        if but >= 0:
+            x0, y0, z0, x1, y1, z1 = box.x0, box.y0, box.z0, box.x1, box.y1, box.z1
+            for c in range(len(clusters)):
+                free = free and clear_between(shapes, nodes, clusters[c], x0, y0, z0, x1, y1, z1, but, True, stack)
+                if free and clusters[c].may_be_hidden:
+                    free = clear_between(discs, disc_nodes, clusters[c], x0, y0, z0, x1, y1, z1, -1, True, stack)
+        found[b] = free
+
+
+@compiled
+def _is_one_face(shape: Shape, decals: Decals, x: float, y: float, z: float, reach: float) -> bool:
+    """Whether a shape is flat and without notches, and nothing else is painted on it within reach of a place."""
+    if shape.kind not in (TRIANGLE, RECTANGLE, DISC):
+        return False
+    if shape.decal < 0:
+        return True
+    d = decals[shape.decal]
+    px, py, pz = x - d.x, y - d.y, z - d.z
+    across, up = px * d.ux + py * d.uy + pz * d.uz, px * d.vx + py * d.vy + pz * d.vz
+    if d.kind != DOTS:
+        return abs(across - d.a) > reach * math.sqrt(d.ux * d.ux + d.uy * d.uy + d.uz * d.uz)
+    # In pitches, of which there is one across and one up.
+    widest = math.sqrt(max(d.ux * d.ux + d.uy * d.uy + d.uz * d.uz, d.vx * d.vx + d.vy * d.vy + d.vz * d.vz))
+    u, v = from_dot(across, d.a), from_dot(up, d.b)
+    return abs(math.sqrt(u * u + v * v) - math.sqrt(d.c)) > reach * widest

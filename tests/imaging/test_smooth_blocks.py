@@ -1,0 +1,105 @@
+"""Images of which most is looked up between few rays: thin things are found, and certificates see what is off."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("numba")
+
+from radwrap.imaging.methods.smooth_blocks import in_other_light, smooth_field
+from radwrap.imaging.optics.smooth import BLOCK
+from radwrap.imaging.optics.view import trace_rays
+from radwrap.imaging.render_options import RenderOptions
+from radwrap.imaging.synthesis import Rendered, render
+from radwrap.imaging.tolerance.certificate import PixelErrors, independent_errors, root
+from radwrap.imaging.tracing import laid_out
+from radwrap.scene.scene import Scene
+from tests.tracers.test_compiled_smooth import FLAT, at, scene_of
+
+COMPILED = RenderOptions(tracer="compiled")
+LENS: dict[str, Any] = {**FLAT["camera"], "lens": {"focus_distance": "400 mm", "f_number": 8}}
+del LENS["aperture"]
+
+
+def true_errors(scene: Scene, made: Rendered, pixels: np.ndarray, rays: int = 256) -> PixelErrors:
+    with laid_out(scene, COMPILED) as traced:
+        view = traced.view()
+        radiance = made.radiant_exposure.values.ravel()[pixels] / view.exposure_of_radiance
+        return independent_errors(view, pixels, radiance, rays=rays, seed=(7, 7))
+
+
+def rms(errors: PixelErrors) -> float:
+    return root(float((errors.first * errors.second).mean()))
+
+
+def test_between_corners_lies_what_rays_see() -> None:
+    scene = scene_of(camera=LENS)
+    with laid_out(scene, COMPILED) as traced:
+        view = traced.view()
+        found = smooth_field(view, (3.0, 3.0), 0.5)
+        assert found is not None
+        assert found.share == 1.0
+        random = np.random.default_rng(1)
+        u, v = random.uniform(-0.5, 119.5, 4000), random.uniform(-0.5, 95.5, 4000)
+        assert found.holds(u, v).all()
+        value, depth = trace_rays(view, None, u, v, with_depth=True)
+        seen, magnification = found.at(u, v)
+        scale = view.exposure_of_radiance * scene.camera.sensor.gain
+        assert float(np.abs(seen - value).max()) * scale < 2 * found.square**0.5 + 1e-9 < 0.05
+        assert magnification == pytest.approx(depth, abs=1e-12)  # 1/z is linear in the image of a plane
+        assert not found.holds(np.array([-9.0 - BLOCK, 1e6]), np.array([0.0, 0.0])).any()
+        # In the light of one LED the same blocks are known.
+        other = in_other_light(found, traced.view_of("ring.led03"))
+        value, _ = trace_rays(traced.view_of("ring.led03"), None, u, v)
+        assert other.at(u, v)[0] == pytest.approx(value, rel=1e-3)
+        assert other.sha256 == found.sha256
+
+
+def test_radiance_proves_nothing() -> None:
+    with laid_out(scene_of(), replace(COMPILED, tracer="radiance")) as traced:
+        assert smooth_field(traced.view(), (1.0, 1.0), 0.5) is None
+
+
+def test_an_empty_belt_takes_few_rays_and_keeps_its_bound(tmp_path: Path) -> None:
+    scene = scene_of(camera=LENS)
+    made = render(scene, tmp_path / "out", COMPILED, tolerance=0.2)
+    pixels = np.random.default_rng(2).choice(96 * 120, 400, replace=False)
+    assert [attempt["rays"] for attempt in made.manifest["plan"]["attempts"]] == [0]  # the lattice told all
+    assert rms(true_errors(scene, made, pixels)) < made.manifest["error"]["rms_gray_upper95"] < 0.2
+
+
+WIRE: dict[str, Any] = {
+    "type": "cylinder",
+    "name": "wire",
+    "material": "dark",
+    "position": at(0, -8.5, 61),
+    "rotation": ["0 deg", "90 deg", "0 deg"],
+    "diameter": "0.15 mm",
+    "length": "40 mm",
+}
+
+
+def test_a_shadow_line_one_pixel_wide_is_resolved_or_certified(tmp_path: Path) -> None:
+    """One LED, a wire out of sight: a dark line about a pixel wide crosses an even belt."""
+    led = {
+        "type": "led",
+        "name": "led",
+        "position": at(0, -30, 300),
+        "look_at": at(0, 0, 0),
+        "diameter": "3 mm",
+        "radiant_intensity": "20 W/sr",
+        "beam": {"profile": "lambertian"},
+    }
+    scene = scene_of(WIRE, camera=LENS, sources=[led])
+    made = render(scene, tmp_path / "out", COMPILED, tolerance=0.5)
+    gray = made.gray.values
+    line = gray[:, 40:80].mean(axis=1)
+    assert line.min() < 0.8 * np.median(line)  # it is there, in each column
+    assert (gray[int(line.argmin()), :] < 0.9 * np.median(line)).all()
+    pixels = np.flatnonzero(np.ones(96 * 120))[::7]
+    assert rms(true_errors(scene, made, pixels)) < made.manifest["error"]["rms_gray_upper95"]
