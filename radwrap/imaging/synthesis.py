@@ -322,7 +322,7 @@ def _write_basis(run: _Run, work: Work, made: Made, magnification: NDArray[np.fl
     scene, identity, sources = run.scene, run.identity, run.identity.sources
     if not sources or made.outcome is None:
         return []
-    views = {name: run.traced.view_of(name) for name in sources}
+    views = run.traced.views_of(sources)
     told = {
         "scene_sha256": identity.scene_sha256,
         "run_sha256": identity.run_sha256,

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from radwrap.errors import InputError
 from radwrap.files import make_folder
 from radwrap.imaging.banding import banding
-from radwrap.imaging.optics.view import View
+from radwrap.imaging.optics.view import LitView, View
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.tracer_choice import candidate, compared
 from radwrap.manifest import sha256_of_value
@@ -33,6 +33,10 @@ from radwrap.tracers.tracer import Tracer
 
 if TYPE_CHECKING:
     from radwrap.tracers.compiled.engine import CompiledEngine
+
+
+# Sources whose light is traced at a time: a tile of each is held, some 10 MiB.
+_TOGETHER: Final = 16
 
 
 class LaidOutScene:
@@ -117,6 +121,18 @@ class LaidOutScene:
     def view_of(self, source: str) -> View:
         """The camera, with a tracer for the scene in the light of one source or LED; the others are black."""
         return self._view(self._engine.tracer(self._in_band_of(source), {source}, name=f"source.{source}"))
+
+    def views_of(self, sources: Sequence[str]) -> tuple[LitView, ...]:
+        """The camera in the light of each of some sources or LEDs alone: one view for all of them, or one for each."""
+        found = []
+        for start in range(0, len(sources), _TOGETHER):
+            names = tuple(sources[start : start + _TOGETHER])
+            together = None if self.banding.bands is not None else self._engine.by_source(names)
+            if together is not None:
+                found.append(LitView(names, self._view(together)))
+            else:
+                found += [LitView((name,), self.view_of(name)) for name in names]
+        return tuple(found)
 
     def view_lit_by(self, sources: tuple[Source, ...]) -> View:
         """The camera, with a tracer for the same targets in other light."""

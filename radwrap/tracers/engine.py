@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Final, Literal, Protocol, get_args
 
 import numpy as np
@@ -53,6 +53,14 @@ class Engine(Protocol):
         ------
         EnvironmentFailure
             If the ray tracer does not accept the scene.
+        """
+        ...
+
+    def by_source(self, names: Sequence[str]) -> Tracer | None:
+        """A tracer that tells sources or LEDs apart in one pass, if there is any.
+
+        Its radiances have the shape (names, n): the light of each alone,
+        the others black. What has none of these names is dark.
         """
         ...
 

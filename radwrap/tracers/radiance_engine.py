@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -61,6 +61,10 @@ class RadianceEngine:
         """A tracer of the scene; see `Engine.tracer`."""
         text = self.prepared.scene if lit is None else self.prepared.in_light(scene, lit)
         return self._built(text, name, self.channel)
+
+    def by_source(self, names: Sequence[str]) -> None:
+        """There is none."""
+        return None
 
     @property
     def smooth_blocks(self) -> None:

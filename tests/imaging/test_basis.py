@@ -13,7 +13,7 @@ import pytest
 import radwrap
 from radwrap.errors import InputError
 from radwrap.imaging.methods.kernel import KernelPlan
-from radwrap.imaging.optics.view import View
+from radwrap.imaging.optics.view import LitView
 from radwrap.imaging.relight.basis import freeze_tile, grid_pixels, shining, write_basis
 from radwrap.imaging.relight.relit import Basis, read_basis, relit
 from radwrap.imaging.render_options import RenderOptions
@@ -65,7 +65,8 @@ class Made:
 
     scene: radwrap.Scene
     work: Work
-    views: dict[str, View]
+    views: tuple[LitView, ...]
+    options: RenderOptions
     outcome: Outcome
     out: Path
     basis: Basis
@@ -95,12 +96,16 @@ DEEP: Final = {  # a second sheet nearer by: several layers, whose shares depend
 }
 
 
-@pytest.fixture(scope="module", params=["kernel", "kernel, deep", "rays"])
+@pytest.fixture(scope="module", params=["kernel", "kernel, deep", "rays", "kernel, deep, compiled", "rays, compiled"])
 def made(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Made]:
-    method, _, deep = request.param.partition(", ")
-    room = scene(**(DEEP if deep else {}))
+    method, *how = request.param.split(", ")
+    room = scene(**(DEEP if "deep" in how else {}))
     folder = tmp_path_factory.mktemp("basis")
-    options = RenderOptions(method=method, tolerance=3.0, seed=SEED)
+    tracer = "radiance"
+    if "compiled" in how:  # all sources in one pass
+        tracer = "compiled"
+        pytest.importorskip("numba")
+    options = RenderOptions(method=method, tolerance=3.0, seed=SEED, tracer=tracer)  # type: ignore[arg-type]
     for name in ("work", "pieces", "out"):
         (folder / name).mkdir()
     with Programs() as programs:
@@ -108,8 +113,9 @@ def made(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
         progress = Progress("", 1, shown=False)
         work = Work(traced.view(), folder / "pieces", programs, progress, traced.sha256(), SEED)
         outcome = render_to_tolerance(work, options.demand)
-        views = {name: traced.view_of(name) for name in shining(room, traced.prepared)}
-        half = Made(room, work, views, outcome, folder / "out", None)  # type: ignore[arg-type]
+        views = traced.views_of(shining(room, traced.prepared))
+        assert len(views) == (1 if tracer == "compiled" else len(FACTORS))
+        half = Made(room, work, views, options, outcome, folder / "out", None)  # type: ignore[arg-type]
         half.write()
         yield replace(half, basis=read_basis(folder / "out"))
 
@@ -123,12 +129,12 @@ def test_relit_images_equal_those_of_a_scene_with_other_levels(made: Made) -> No
     )
     peak = relit_images.max()
     assert peak > 0
-    with traced_scene(scaled) as fresh:
+    with traced_scene(scaled, made.options) as fresh:
         for replicate in range(len(relit_images)):
             changed = []
             for tile, (r0, r1, c0, c1) in enumerate(plan.tiles):
-                frozen = freeze_tile(made.work, plan, replicate, tile)
-                values, change = frozen.trace(fresh, int)
+                frozen = freeze_tile(made.work, plan, replicate, tile, in_one_pass=False)
+                ((_, values, change),) = frozen.trace(LitView(("all",), fresh), int)
                 assert np.abs(values - relit_images[replicate, r0:r1, c0:c1]).max() < LINEAR * peak
                 changed.append(change)
             assert np.abs(np.concatenate(changed) - relit_grid[replicate]).max(initial=0) < LINEAR * peak

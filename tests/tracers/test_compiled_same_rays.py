@@ -89,7 +89,7 @@ def test_sources_one_by_one_add_up(both: Both) -> None:
     (together,) = tracer.trace([rays])
     number = {name: k for k, name in enumerate(SOURCES)}
     column = np.array([number[group[0][0]] for group in tracer.scene.members])
-    (each,) = tracer.trace_by_source([rays], column)
+    ((each, _),) = tracer.trace_by_source([rays], column, int(column.max()) + 1)
     assert each.shape == (2000, len(SOURCES) + 1)
     assert each.sum(axis=1) == pytest.approx(together, rel=1e-12, abs=0)
     for name in ("gaussian", "surround"):

@@ -124,7 +124,7 @@ class CentralImage:
     ----------
     first : tuple of int
         Row and column of the first grid cell.
-    values : ndarray, shape (rows, columns)
+    values : ndarray, shape (rows, columns) or (sources, rows, columns)
         Mean of L cos^4(theta) over each cell [W m^-2 sr^-1].
     magnification : ndarray, shape (rows, columns), optional
         m of each cell, see `Camera.magnification`.
@@ -258,14 +258,14 @@ def central_image(
     rows, columns = (np.concatenate([part[axis] for part in placed]) for axis in (0, 1))
     traced = sampler.trace(rows, columns, with_depth=plan.with_depth and like is None)
     shape = tuple(size >> plan.levels for size in cells.levels.shape)
-    values, magnification = np.zeros(shape), np.ones(shape)
+    values, magnification = np.zeros((*traced[0].shape[:-1], *shape)), np.ones(shape)
     end = 0
     for level, (row, column, _, n) in enumerate(parts):
         if 0 < level <= plan.levels:
             values, magnification = _doubled(values), _doubled(magnification)
         start, end = end, end + len(row) * n * n
-        means = _means(*(answer[start:end].reshape(-1, n * n) for answer in traced))
-        values[row, column], magnification[row, column] = means
+        means = _means(*(answer[..., start:end].reshape(*answer.shape[:-1], -1, n * n) for answer in traced))
+        values[..., row, column], magnification[row, column] = means
     depth = like.magnification if like else magnification if plan.with_depth else None
     return CentralImage(cells.first, values, depth, sampler.rays)
 
@@ -282,14 +282,15 @@ def central_rays(plan: GridPlan, cells: Cells) -> int:
 def _means(
     values: NDArray[np.float64], magnification: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean over each cell's rays; of m, weighted by the light."""
-    means = values.mean(axis=1)
-    weighted = (values * magnification).sum(axis=1) / np.where(means > 0, values.sum(axis=1), 1.0)
-    return means, np.where(means > 0, weighted, magnification[:, 0])
+    """Mean over each cell's rays, of each source; of m, weighted by the light of all."""
+    light = values if values.ndim == 2 else values.sum(axis=0)
+    total = light.sum(axis=1)
+    weighted = (light * magnification).sum(axis=1) / np.where(total > 0, total, 1.0)
+    return values.mean(axis=-1), np.where(total > 0, weighted, magnification[:, 0])
 
 
 def _doubled(values: NDArray[_T]) -> NDArray[_T]:
-    return np.repeat(np.repeat(values, 2, axis=0), 2, axis=1)
+    return np.repeat(np.repeat(values, 2, axis=-2), 2, axis=-1)
 
 
 def _children(row: NDArray[np.intp], column: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -361,9 +362,11 @@ class _Sampler:
             return self._traced(u, v, with_depth=with_depth)
         smooth = known.holds(u, v)
         rest = ~smooth
-        values, magnification = np.empty(len(u)), np.empty(len(u))
-        values[smooth], magnification[smooth] = known.at(u[smooth], v[smooth])
-        values[rest], magnification[rest] = self._traced(u[rest], v[rest], with_depth=with_depth)
+        found, depth = known.at(u[smooth], v[smooth])
+        values, magnification = np.empty((*found.shape[:-1], len(u))), np.empty(len(u))
+        values[..., smooth], magnification[smooth] = found, depth
+        if rest.any():
+            values[..., rest], magnification[rest] = self._traced(u[rest], v[rest], with_depth=with_depth)
         return values, magnification
 
     def _traced(

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from radwrap.errors import InputError
 from radwrap.imaging.methods.central import Cells, CentralImage, GridPlan, central_image, decide_cells
 from radwrap.imaging.optics.footprint import Footprint, footprint, reach_px
+from radwrap.imaging.optics.smooth import SmoothField
 from radwrap.imaging.optics.view import View
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.scene.camera import Camera, Sensor
@@ -229,7 +230,6 @@ def gathered_tile(
     *,
     seed: tuple[int, ...],
     progress: Callable[[int], None],
-    like: Gathered | None = None,
 ) -> Gathered:
     """Trace what a tile needs of the central image, and gather it.
 
@@ -247,20 +247,65 @@ def gathered_tile(
         Decides the rays.
     progress : callable
         Is told how many rays were traced.
-    like : Gathered, optional
-        The same tile, perhaps in other light: the very same rays are traced as for it, see `central_image`.
     """
-    place, cell = plan.tiles[tile], plan.grid.cell
+    (gathered,) = gathered_sources(view, plan, tile, cells, seed=seed, progress=progress)
+    return gathered
+
+
+def gathered_sources(
+    view: View,
+    plan: KernelPlan,
+    tile: int,
+    cells: Cells,
+    *,
+    seed: tuple[int, ...],
+    progress: Callable[[int], None],
+    like: Gathered | None = None,
+) -> Iterator[Gathered]:
+    """Trace what a tile needs of the central image, and gather it for each source that the view's tracer tells apart.
+
+    Parameters
+    ----------
+    view, plan, tile, cells, seed, progress
+        As `gathered_tile`.
+    like : Gathered, optional
+        The same tile in the light of all sources: the very same rays are traced as for it, see `central_image`. None
+        is needed where the view has the light of all.
+    """
+    place = plan.tiles[tile]
     if not cells.samples:
-        return _smooth_tile(view, plan, place)
+        yield from (_smooth_tile(known, plan, place) for known in _each_smooth(view))
+        return
     central = central_image(view, plan.grid, cells, seed=seed, progress=progress, like=like.central if like else None)
+    of_all = central if central.values.ndim == 2 else replace(central, values=central.values.sum(axis=0))
+    coarser = like.coarser if like else _coarser(of_all)
+    several = (central.values,) if central.values.ndim == 2 else central.values
+    for values in several:
+        yield _gathered(plan, place, replace(central, values=values), coarser.magnification)
+
+
+def _gathered(
+    plan: KernelPlan,
+    place: tuple[int, int, int, int],
+    central: CentralImage,
+    coarser_magnification: NDArray[np.float64] | None,
+) -> Gathered:
+    cell = plan.grid.cell
     values = gather(plan, central, cell, place)
     # Cells of twice the size add their error less that of these: so much of it, see `_GRID_SHARE`. Some pixels tell.
-    coarser = _coarser(central)
-    if like:
-        coarser = replace(coarser, magnification=like.coarser.magnification)
+    coarser = replace(_coarser(central), magnification=coarser_magnification)
     some, coarse = (gather_all if plan.grid.even else gather_some)(plan, coarser, 2 * cell, place)
     return Gathered(values, some, _grid_share(plan) * (coarse - values[some]), central, coarser)
+
+
+def _each_smooth(view: View) -> Iterator[SmoothField]:
+    known = view.smooth
+    if known is None:
+        raise TypeError("no block of this view is known to be smooth")
+    yield from (
+        replace(known, values=values)
+        for values in (known.values[np.newaxis] if known.values.ndim == 2 else known.values)
+    )
 
 
 def _is_smooth(view: View, plan: KernelPlan, place: tuple[int, int, int, int]) -> bool:
@@ -271,12 +316,10 @@ def _is_smooth(view: View, plan: KernelPlan, place: tuple[int, int, int, int]) -
     return view.smooth.holds_all((place[0] - rows, place[1] - 1 + rows), (place[2] - columns, place[3] - 1 + columns))
 
 
-def _smooth_tile(view: View, plan: KernelPlan, place: tuple[int, int, int, int]) -> Gathered:
+def _smooth_tile(known: SmoothField, plan: KernelPlan, place: tuple[int, int, int, int]) -> Gathered:
     """A tile that gathers from smooth blocks only: the mean of what changes evenly is what is seen in the middle."""
-    if view.smooth is None:
-        raise TypeError("no block of this view is known to be smooth")
     rows, columns = np.indices((place[1] - place[0], place[3] - place[2]), dtype=np.float64)
-    values, _ = view.smooth.at((columns + place[2]).ravel(), (rows + place[0]).ravel())
+    values, _ = known.at((columns + place[2]).ravel(), (rows + place[0]).ravel())
     some = np.ix_(*(at - first for at, first in zip(lattice(2 * plan.grid.cell, place), place[::2], strict=True)))
     nothing = CentralImage((0, 0), np.zeros((0, 0)), None, 0)
     unchanged = np.zeros((len(some[0]), some[1].size))

@@ -76,7 +76,7 @@ class TracedTile:
 
     Attributes
     ----------
-    values : ndarray, shape (rows, columns)
+    values : ndarray, shape (rows, columns) or (sources, rows, columns)
         Mean of L cos^4(theta) over pixel and opening [W m^-2 sr^-1].
     numbers : ndarray of int, shape (rows * columns,)
         Rays of each pixel.
@@ -134,29 +134,35 @@ def traced_tile(
         numbers = np.full(len(u), plan.even, dtype=np.intp)
     elif numbers is None:
         pilot = sampled_radiance(view, u, v, plan.pilot, random)
-        progress(pilot.size)
-        rays = pilot.size
-        numbers = _numbers(plan, pilot, shape)
+        rays = len(u) * plan.pilot
+        progress(rays)
+        numbers = _numbers(plan, pilot if pilot.ndim == 2 else pilot.sum(axis=0), shape)
     else:
         _keys(len(u), random)
-    values = np.empty(len(u))
+    values: NDArray[np.float64] | None = None
     for number in np.unique(numbers).tolist():
         chosen = np.flatnonzero(numbers == number)
         step = max(1, _RAYS_HELD // number)
         for start in range(0, len(chosen), step):
             part = chosen[start : start + step]
-            values[part] = sampled_radiance(view, u[part], v[part], number, random).mean(axis=1)
+            means = sampled_radiance(view, u[part], v[part], number, random).mean(axis=-1)
+            values = np.empty((*means.shape[:-1], len(u))) if values is None else values
+            values[..., part] = means
             progress(len(part) * number)
-    return TracedTile(values.reshape(shape), numbers, int(numbers.sum()) + rays)
+    assert values is not None  # noqa: S101  (a tile has pixels)
+    return TracedTile(values.reshape(*values.shape[:-1], *shape), numbers, int(numbers.sum()) + rays)
 
 
 def sampled_radiance(
     view: View, u: NDArray[np.float64], v: NDArray[np.float64], number: int, random: np.random.Generator
 ) -> NDArray[np.float64]:
-    """L cos^4(theta) along `number` rays over each pixel (u, v) and the opening, shape (pixels, number)."""
+    """L cos^4(theta) along `number` rays over each pixel (u, v) and the opening, shape (pixels, number).
+
+    Where the view's tracer tells sources apart, shape (sources, pixels, number).
+    """
     opening, places_u, places_v = rays_over(view.camera, u, v, number, random)
     values, _ = trace_rays(view, opening, places_u, places_v)
-    return values.reshape(len(u), number)
+    return values.reshape(*values.shape[:-1], len(u), number)
 
 
 def rays_over(

@@ -45,8 +45,8 @@ def smooth_field(view: View, reach: tuple[float, float], tolerance: float) -> Sm
     corners = corners_of(first, shape)
     middles = tuple(places[:-1, :-1] + BLOCK / 2 for places in corners)
     proved = view.prover(*(central_rays(view.camera, *places) for places in (corners, middles)))
-    values, magnification = (answer.reshape(corners[0].shape) for answer in _traced(view, *corners))
-    field = SmoothField(first, proved, values, magnification, 0.0, values.size)
+    values, magnification = _traced(view, *corners)
+    field = SmoothField(first, proved, values, magnification, 0.0, magnification.size)
     at = tuple(places[proved] for places in middles)
     middle, _ = trace_rays(view, None, *at)
     gray = (unclipped_gray(found * view.exposure_of_radiance, sensor) for found in (middle, field.at(*at)[0]))
@@ -55,15 +55,15 @@ def smooth_field(view: View, reach: tuple[float, float], tolerance: float) -> Sm
     smooth = np.zeros_like(proved)
     smooth[proved] = kept
     square = float((off[kept] ** 2).mean()) if kept.any() else 0.0
-    return replace(field, smooth=smooth, square=square, rays=values.size + middle.size)
+    return replace(field, smooth=smooth, square=square, rays=magnification.size + middle.size)
 
 
 def in_other_light(field: SmoothField, view: View) -> SmoothField:
     """The same blocks as another view of the same places sees them."""
     values, magnification = _traced(view, *field.corners)
-    shape = field.values.shape
-    return replace(field, values=values.reshape(shape), magnification=magnification.reshape(shape), rays=values.size)
+    return replace(field, values=values, magnification=magnification, rays=magnification.size)
 
 
 def _traced(view: View, u: Array, v: Array) -> tuple[Array, Array]:
-    return trace_rays(view, None, u.ravel(), v.ravel(), with_depth=True)
+    values, magnification = trace_rays(view, None, u.ravel(), v.ravel(), with_depth=True)
+    return values.reshape(*values.shape[:-1], *u.shape), magnification.reshape(u.shape)

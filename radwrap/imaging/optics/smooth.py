@@ -25,8 +25,10 @@ class SmoothField:
         Row and column of the first block, in blocks from the sensor's corner.
     smooth : ndarray of bool, shape (rows, columns)
         Which blocks are smooth.
-    values, magnification : ndarray, shape (rows + 1, columns + 1)
-        L cos^4(theta) [W m^-2 sr^-1] and m at the corners.
+    values : ndarray, shape (rows + 1, columns + 1) or (sources, rows + 1, columns + 1)
+        L cos^4(theta) at the corners [W m^-2 sr^-1].
+    magnification : ndarray, shape (rows + 1, columns + 1)
+        m at the corners.
     square : float
         Mean square of what is found in the middle of smooth blocks less what lies between their corners, which is
         nowhere farther off [gray level^2].
@@ -80,8 +82,8 @@ class SmoothField:
         right = (u + 0.5) / BLOCK - self.first[1] - column
 
         def between(corner: Array) -> Array:
-            upper = corner[row, column] * (1 - right) + corner[row, column + 1] * right
-            lower = corner[row + 1, column] * (1 - right) + corner[row + 1, column + 1] * right
+            upper = corner[..., row, column] * (1 - right) + corner[..., row, column + 1] * right
+            lower = corner[..., row + 1, column] * (1 - right) + corner[..., row + 1, column + 1] * right
             found: Array = upper * (1 - down) + lower * down
             return found
 

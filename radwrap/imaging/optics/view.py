@@ -251,6 +251,26 @@ class View:
         return exposure_of_radiance(self.camera)
 
 
+@dataclass(frozen=True, slots=True)
+class LitView:
+    """A view in the light of some sources, each of which is told apart.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The sources.
+    view : View
+        Its radiances have the shape (names, n); (n,) where there is but one.
+    """
+
+    names: tuple[str, ...]
+    view: View
+
+    def each(self, values: NDArray[np.float64], axes: int) -> NDArray[np.float64]:
+        """Values with the axis of sources before so many others, which those of one source may lack."""
+        return values[np.newaxis] if values.ndim == axes else values
+
+
 def trace_rays(
     view: View,
     opening: NDArray[np.float64] | None,
@@ -261,6 +281,8 @@ def trace_rays(
     alone: bool = False,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """L cos^4(theta) along any rays, and m of what they meet, see `Camera.magnification`.
+
+    Where the view's tracer tells sources apart, L has an axis of theirs before that of the rays.
 
     Parameters
     ----------
@@ -298,7 +320,7 @@ def trace_rays(
         except BaseException:
             ended.set()  # of one part's failure, or an interrupt: the pool waits for the others
             raise
-    return np.concatenate([value for value, _ in answers]), np.concatenate([m for _, m in answers])
+    return np.concatenate([value for value, _ in answers], axis=-1), np.concatenate([m for _, m in answers])
 
 
 def _trace_part(
@@ -310,7 +332,8 @@ def _trace_part(
     with_depth: bool,
     ended: threading.Event | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    values, magnification = np.empty(len(u)), np.ones(len(u))
+    values: list[NDArray[np.float64]] = []
+    magnification = np.ones(len(u))
     weights: deque[tuple[NDArray[np.float64], NDArray[np.float64]]] = deque()
 
     def blocks() -> Iterator[NDArray[np.float64]]:
@@ -329,12 +352,12 @@ def _trace_part(
 
     start = 0
     for radiance, distance in _asked(view.tracer, blocks(), with_depth=with_depth):
-        part, (weight, cos4) = slice(start, start + len(radiance)), weights.popleft()
-        start += len(radiance)
-        values[part] = radiance * weight
+        weight, cos4 = weights.popleft()
+        part, start = slice(start, start + len(weight)), start + len(weight)
+        values.append(radiance * weight)
         if distance is not None:
             magnification[part] = view.camera.magnification(distance * cos4**0.25)
-    return values, magnification
+    return np.concatenate(values, axis=-1) if values else np.empty(0), magnification
 
 
 def central_rays(camera: Camera, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -9,7 +9,7 @@ Eq. 5, and is linear too.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -22,13 +22,14 @@ from radwrap.errors import EnvironmentFailure, InputError
 from radwrap.files import make_folder, sha256_of
 from radwrap.images import write_exr
 from radwrap.imaging.methods.central import Cells
-from radwrap.imaging.methods.kernel import Gathered, KernelPlan, decide_tile, gathered_tile, lattice
+from radwrap.imaging.methods.kernel import Gathered, KernelPlan, gathered_sources, gathered_tile, lattice
 from radwrap.imaging.methods.pieces import log_call, read_piece, remove_strangers, run_jobs, write_piece
 from radwrap.imaging.methods.rays import RaysPlan, TracedTile, traced_tile
-from radwrap.imaging.optics.view import View
+from radwrap.imaging.methods.smooth_blocks import in_other_light
+from radwrap.imaging.optics.view import LitView
 from radwrap.imaging.tolerance.certificate import PixelSample, model_lacks
 from radwrap.imaging.tolerance.planner import Outcome
-from radwrap.imaging.tolerance.replicates import Plan, Work, cells_seed, tile_seed
+from radwrap.imaging.tolerance.replicates import Plan, Work, tile_cells, tile_seed
 from radwrap.manifest import SCHEMA_VERSION, plain, sha256_of_value, write_manifest
 from radwrap.random_streams import Relighting, generator
 from radwrap.scene.scene import Scene
@@ -47,7 +48,7 @@ _LEAST_PAIRS: Final = 16
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrozenTile:
-    """The rays of a tile, as they were decided in some light.
+    """The rays of a tile, as they were decided in the light of all sources.
 
     Attributes
     ----------
@@ -57,46 +58,62 @@ class FrozenTile:
         Number of the tile.
     seed : tuple of int
         Of all that is drawn.
-    decided : tuple of Cells and Gathered, or TracedTile
-        The tile in that light, with all that was decided.
+    cells : Cells or None
+        Of a kernel.
+    like : Gathered, TracedTile or None
+        The tile in that light; none is needed where all sources are traced in one pass.
     """
 
     plan: Plan
     tile: int
     seed: tuple[int, ...]
-    decided: tuple[Cells, Gathered] | TracedTile
+    cells: Cells | None
+    like: Gathered | TracedTile | None
 
-    def trace(self, view: View, progress: Callable[[int], None]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Trace the very same rays in other light.
+    def trace(
+        self, lit: LitView, progress: Callable[[int], None]
+    ) -> Iterator[tuple[str, NDArray[np.float64], NDArray[np.float64]]]:
+        """Trace the very same rays in the light of each of some sources.
 
-        Returns
-        -------
+        Yields
+        ------
+        name : str
+            Of the source.
         values : ndarray, shape (rows, columns)
             Mean of L cos^4(theta) over pixel and opening [W m^-2 sr^-1].
         change : ndarray, shape (n,)
             What the size of the kernel's cells changes at `grid_pixels` [W m^-2 sr^-1].
         """
+        view = replace(lit.view, workers=1)
         if isinstance(self.plan, KernelPlan):
-            if not isinstance(self.decided, tuple):
+            if self.cells is None:
                 raise TypeError("a kernel's rays are decided by its cells")
-            cells, like = self.decided
-            gathered = gathered_tile(view, self.plan, self.tile, cells, seed=self.seed, progress=progress, like=like)
-            return gathered.values, gathered.change.ravel()[_chosen(self.plan, self.tile, gathered.change.size)]
-        numbers = self.decided.numbers if isinstance(self.decided, TracedTile) else None
-        traced = traced_tile(view, self.plan, self.tile, self.seed, progress, numbers=numbers)
-        return traced.values, np.zeros(0)
+            like = self.like if isinstance(self.like, Gathered) else None
+            each = gathered_sources(
+                view, self.plan, self.tile, self.cells, seed=self.seed, progress=progress, like=like
+            )
+            for name, gathered in zip(lit.names, each, strict=True):
+                yield (
+                    name,
+                    gathered.values,
+                    gathered.change.ravel()[_chosen(self.plan, self.tile, gathered.change.size)],
+                )
+        else:
+            numbers = self.like.numbers if isinstance(self.like, TracedTile) else None
+            tile = traced_tile(view, self.plan, self.tile, self.seed, progress, numbers=numbers)
+            for name, values in zip(lit.names, lit.each(tile.values, 2), strict=True):
+                yield name, values, np.zeros(0)
 
 
-def freeze_tile(work: Work, plan: Plan, replicate: int, tile: int) -> FrozenTile:
-    """Decide the rays of a tile in the light of all sources."""
-    view, progress = _alone(work.view), work.progress.add
+def freeze_tile(work: Work, plan: Plan, replicate: int, tile: int, *, in_one_pass: bool) -> FrozenTile:
+    """Decide the rays of a tile in the light of all sources, which are to be traced `in_one_pass` or one by one."""
+    view, progress = replace(work.view, workers=1), work.progress.add
     seed = tile_seed(work.seed, replicate, tile)
     if isinstance(plan, KernelPlan):
-        cells = decide_tile(view, plan, tile, cells_seed(work.seed, tile), progress)
-        return FrozenTile(
-            plan, tile, seed, (cells, gathered_tile(view, plan, tile, cells, seed=seed, progress=progress))
-        )
-    return FrozenTile(plan, tile, seed, traced_tile(view, plan, tile, seed, progress))
+        cells = tile_cells(work, plan, tile)
+        like = None if in_one_pass else gathered_tile(view, plan, tile, cells, seed=seed, progress=progress)
+        return FrozenTile(plan, tile, seed, cells, like)
+    return FrozenTile(plan, tile, seed, None, None if in_one_pass else traced_tile(view, plan, tile, seed, progress))
 
 
 def grid_pixels(plan: Plan) -> NDArray[np.intp]:
@@ -144,11 +161,15 @@ class _Maker:
     """What all pieces of a basis have in common."""
 
     work: Work
-    views: Mapping[str, View]
+    views: tuple[LitView, ...]
     outcome: Outcome
     sample: PixelSample | None
     folder: Path
     name: str
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(name for lit in self.views for name in lit.names)
 
     @property
     def plan(self) -> Plan:
@@ -189,32 +210,51 @@ class _Maker:
 
     def jobs(self) -> Iterator[Callable[[], None]]:
         """What is still to be traced."""
-        numbers = range(len(self.views))
         for replicate, tile in self.tiles():
-            kind = self.tile_kind(replicate, tile)
-            due = [number for number in numbers if self.read(kind, number) is None]
+            due = self.due(self.tile_kind(replicate, tile))
             if due:
                 yield partial(self._trace_tile, replicate, tile, due)
         if self.sample is not None:
-            yield from (partial(self._trace_model, k) for k in numbers if self.read("model", k) is None)
+            yield from (partial(self._trace_model, lit) for lit in self.due("model"))
 
-    def _trace_tile(self, replicate: int, tile: int, due: list[int]) -> None:
-        frozen = freeze_tile(self.work, self.plan, replicate, tile)
-        kind, views = self.tile_kind(replicate, tile), list(self.views.values())
-        for number in due:
-            log_call(self.folder, f"{kind} {number}")
-            values, change = frozen.trace(_alone(views[number]), self.work.progress.add)
-            self.write(kind, number, np.concatenate([values.ravel(), change])[np.newaxis])
+    def due(self, kind: str) -> list[LitView]:
+        """Views of sources of which such a piece is missing."""
+        return [lit for lit in self.views if self.missing(kind, lit)]
 
-    def _trace_model(self, number: int) -> None:
+    def missing(self, kind: str, lit: LitView) -> list[str]:
+        """Sources of a view of which such a piece is missing."""
+        return [name for name in lit.names if self.read(kind, self.number(name)) is None]
+
+    def number(self, name: str) -> int:
+        """Place of a source among all."""
+        return self.names.index(name)
+
+    def _trace_tile(self, replicate: int, tile: int, due: list[LitView]) -> None:
+        kind = self.tile_kind(replicate, tile)
+        frozen: dict[bool, FrozenTile] = {}
+        for lit in due:
+            in_one_pass = len(lit.names) > 1
+            if in_one_pass not in frozen:
+                frozen[in_one_pass] = freeze_tile(self.work, self.plan, replicate, tile, in_one_pass=in_one_pass)
+            missing = self.missing(kind, lit)
+            for name in missing:
+                log_call(self.folder, f"{kind} {self.number(name)}")
+            for name, values, change in frozen[in_one_pass].trace(lit, self.work.progress.add):
+                if name in missing:
+                    self.write(kind, self.number(name), np.concatenate([values.ravel(), change])[np.newaxis])
+
+    def _trace_model(self, lit: LitView) -> None:
         if self.sample is None or not isinstance(self.plan, KernelPlan):
             raise TypeError("only the kernel has a model")
-        log_call(self.folder, f"model {number}")
-        view = _alone(list(self.views.values())[number])
+        missing = self.missing("model", lit)
+        for name in missing:
+            log_call(self.folder, f"model {self.number(name)}")
         seed = (self.work.seed, Relighting.MODEL_RAYS)
-        lacks, rays = model_lacks(view, self.plan.layers, self.sample, seed=seed)
+        lacks, rays = model_lacks(replace(lit.view, workers=1), self.plan.layers, self.sample, seed=seed)
         self.work.progress.add(rays)
-        self.write("model", number, lacks)
+        for name, lack in zip(lit.names, lit.each(lacks, 2), strict=True):
+            if name in missing:
+                self.write("model", self.number(name), lack)
 
     def model_rays(self) -> int:
         """Rays of the model's certificate in the light of one source."""
@@ -236,15 +276,10 @@ class _Maker:
         return images, np.stack([np.concatenate(parts) for parts in changes])
 
 
-def _alone(view: View) -> View:
-    """A view whose rays are traced one process at a time: the jobs share the cores."""
-    return View(view.camera, view.tracer)
-
-
 def write_basis(
     out: Path,
     work: Work,
-    views: Mapping[str, View],
+    views: Sequence[LitView],
     outcome: Outcome,
     told: Mapping[str, Any],
     *,
@@ -258,8 +293,8 @@ def write_basis(
         Folder of the run; finished pieces in its working folder are not traced again.
     work : Work
         The run.
-    views : Mapping[str, View]
-        Source -> the same camera in the light of this source alone.
+    views : sequence of LitView
+        The same camera in the light of each source alone.
     outcome : Outcome
         The image in the light of all, which decides the rays.
     told : Mapping
@@ -277,15 +312,20 @@ def write_basis(
     TracerError, EnvironmentFailure
         If the tracer or the disk fails.
     """
-    maker = _maker(work, views, outcome)
+    smooth = outcome.smooth
+    if smooth is not None:
+        work = replace(work, view=replace(work.view, smooth=smooth))
+        views = [replace(lit, view=replace(lit.view, smooth=in_other_light(smooth, lit.view))) for lit in views]
+    maker = _maker(work, tuple(views), outcome)
     make_folder(maker.folder)
-    ours = {maker.path(kind, number).name for kind in maker.kinds() for number in range(len(views))}
+    ours = {maker.path(kind, number).name for kind in maker.kinds() for number in range(len(maker.names))}
     remove_strangers(maker.folder, ours)
-    rays = outcome.replicates.rays * (1 + len(views)) + maker.model_rays() * len(views)
+    passes = len(views) + any(len(lit.names) == 1 for lit in views)  # what is traced one by one needs the light of all
+    rays = outcome.replicates.rays * passes + maker.model_rays() * len(views)
     work.progress.expect(outcome.record.rays + rays)
     run_jobs(list(maker.jobs()), work.programs, work.view.workers)
     make_folder(out / FOLDER)
-    files = [name for number, source in enumerate(views) for name in _write_source(out, maker, number, source)]
+    files = [name for number, source in enumerate(maker.names) for name in _write_source(out, maker, number, source)]
     if magnification is not None:
         write_exr(out / MAGNIFICATION, magnification.astype(np.float32), channel="magnification")
         files.append(MAGNIFICATION)
@@ -300,11 +340,16 @@ def sealed(description: Mapping[str, Any]) -> dict[str, Any]:
     return {**rest, SEAL: sha256_of_value(rest)}
 
 
-def _maker(work: Work, views: Mapping[str, View], outcome: Outcome) -> _Maker:
+def _maker(work: Work, views: tuple[LitView, ...], outcome: Outcome) -> _Maker:
     sample = outcome.sample
     if sample is not None:
         sample = replace(sample, pairs=np.maximum(sample.pairs, _LEAST_PAIRS))
-    what = {"scene": work.traced_sha256, "plan": outcome.ray_plan, "seed": work.seed, "sources": list(views)}
+    what = {
+        "scene": work.traced_sha256,
+        "plan": outcome.ray_plan,
+        "seed": work.seed,
+        "sources": [name for lit in views for name in lit.names],
+    }
     name = sha256_of_value(
         {**what, "sample": None if sample is None else [sample.pixels.tolist(), sample.pairs.tolist()]}
     )
@@ -335,7 +380,7 @@ def _description(maker: _Maker) -> dict[str, Any]:
     return {
         "schema_version": SCHEMA_VERSION,
         "kind": "light basis",
-        "sources": list(maker.views),
+        "sources": list(maker.names),
         "method": outcome.method,
         "replicates": maker.replicates,
         "block": list(outcome.replicates.block),

@@ -247,7 +247,8 @@ def model_lacks(
     Returns
     -------
     lacks : ndarray, shape (2, n)
-        Two independent values of what is lacking [W m^-2 sr^-1].
+        Two independent values of what is lacking [W m^-2 sr^-1]; with an axis of the sources before, where the view's
+        tracer tells them apart.
     rays : int
         How many were traced.
     """
@@ -260,9 +261,11 @@ def model_lacks(
         drawn.append(rays_over(view.camera, u, v, pairs, generator(*seed, pairs)))
     opening, places_u, places_v = (np.concatenate(arrays) for arrays in zip(*drawn, strict=True))
     differences = _pair_differences(view, layers, opening, places_u, places_v)
-    lacks = np.empty((2, len(sample.pixels)))
-    for part, some in zip(parts, np.split(differences, np.cumsum([len(u) for _, u, _ in drawn])[:-1]), strict=True):
-        lacks[:, part] = some.reshape(2, len(part), -1).mean(axis=2)
+    lead = differences.shape[:-1]
+    lacks = np.empty((*lead, 2, len(sample.pixels)))
+    ends = np.cumsum([len(u) for _, u, _ in drawn])[:-1]
+    for part, some in zip(parts, np.split(differences, ends, axis=-1), strict=True):
+        lacks[..., part] = some.reshape(*lead, 2, len(part), -1).mean(axis=-1)
     return lacks, rays_of_lacks(layers, int(sample.pairs.sum()))
 
 
@@ -280,7 +283,7 @@ def _pair_differences(
 ) -> NDArray[np.float64]:
     """Value of each ray less what the kernel takes in its place, shape (n,)."""
     camera = view.camera
-    difference, _ = trace_rays(view, opening, u, v, alone=True)
+    difference = trace_rays(view, opening, u, v, alone=True)[0].copy()
     shares = opening_shares(camera, opening)
     for number, layer in enumerate(layers):
         central, magnification = trace_rays(

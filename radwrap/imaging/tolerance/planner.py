@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from radwrap.imaging.demand import FEWEST, Demand, SamplingPlan, ToleranceMethod
 from radwrap.imaging.methods.kernel import KernelPlan, plan_kernel
 from radwrap.imaging.methods.rays import RaysPlan, plan_rays
+from radwrap.imaging.optics.smooth import SmoothField
 from radwrap.imaging.optics.view import View
 from radwrap.imaging.response.sensor import GrayWhereAsked
 from radwrap.imaging.tolerance.bounds import NOTHING, Bounded
@@ -136,6 +137,8 @@ class Outcome:
         What was traced.
     sample : PixelSample or None
         Pixels of the model's certificate.
+    smooth : SmoothField or None
+        Blocks that were looked up.
     """
 
     radiance: NDArray[np.float64]
@@ -147,6 +150,7 @@ class Outcome:
     reused: int
     ray_plan: KernelPlan | RaysPlan
     sample: PixelSample | None
+    smooth: SmoothField | None
 
 
 def choose(view: View, found: Survey, demand: Demand) -> Choice:
@@ -360,6 +364,7 @@ class Search:
             reused=self.reused,
             ray_plan=plan,
             sample=sample,
+            smooth=self.view.smooth,
         )
 
     def _certify(

@@ -124,7 +124,7 @@ def trace_replicates(work: Work, plan: Plan, number: int, most: float = math.inf
     TracerError, EnvironmentFailure
         If the tracer or the disk fails.
     """
-    name = sha256_of_value({"scene": work.traced_sha256, "plan": plan, "seed": work.seed})
+    name = _plan_name(work, plan)
     tiles = range(len(plan.tiles))
     shared = _among(work, len(tiles))
     decided = [_CellsPiece(shared, plan, name, tile) for tile in tiles] if isinstance(plan, KernelPlan) else []
@@ -288,6 +288,18 @@ class _CellsPiece:
             predicted_rms=float(told["predicted_rms"]),
             rays=int(told["rays"]),
         )
+
+
+def tile_cells(work: Work, plan: KernelPlan, tile: int) -> Cells:
+    """Cells of a tile of an image that was made; they are decided again where they are no longer on the disk."""
+    piece = _CellsPiece(work, plan, _plan_name(work, plan), tile)
+    if piece.read() is None:
+        piece.make()
+    return piece.cells()
+
+
+def _plan_name(work: Work, plan: Plan) -> str:
+    return sha256_of_value({"scene": work.traced_sha256, "plan": plan, "seed": work.seed})
 
 
 def cells_seed(seed: int, tile: int) -> tuple[int, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Collection, Generator, Iterable, Mapping
+from collections.abc import Callable, Collection, Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Literal
@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from radwrap.scene.scene import Scene
-from radwrap.tracers.compiled.arrays import Floats
+from radwrap.tracers.compiled.arrays import Floats, Whole
 from radwrap.tracers.compiled.compiler import SOURCES, VERSIONS
 from radwrap.tracers.compiled.layout import CompiledScene, compiled_scene
 from radwrap.tracers.compiled.smooth import smooth_blocks
@@ -87,6 +87,16 @@ class CompiledEngine:
             arrays = compiled_scene(scene, arrays.frame)
         return CompiledTracer(arrays if lit is None else arrays.in_light(lit), self.cancelled, self.meter.add)
 
+    def by_source(self, names: Sequence[str]) -> SourcesTracer | None:
+        """A tracer that tells sources or LEDs apart, see `Engine.by_source`; None where discs of several are one."""
+        members = [{name for name, _ in group} for group in self.arrays.members]
+        if any(len(group) > 1 for group in members):
+            return None
+        place = {name: number for number, name in enumerate(names)}
+        column = np.array([place.get(name, len(names)) for group in members for name in group], dtype=np.int64)
+        tracer = CompiledTracer(self.arrays.in_light(names), self.cancelled, self.meter.add)
+        return SourcesTracer(tracer, column, tuple(names))
+
     @property
     def smooth_blocks(self) -> Prover:
         """Who proves that light changes smoothly; see `Engine.smooth_blocks`."""
@@ -95,6 +105,43 @@ class CompiledEngine:
     def numbered(self) -> NumberedTracer:
         """A tracer of part numbers; see `Engine.numbered`."""
         return NumberedTracer(CompiledTracer(self.arrays, self.cancelled, self.meter.add))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SourcesTracer:
+    """Radiances of several sources, shape (sources, n), in one pass; as `Tracer`.
+
+    Attributes
+    ----------
+    tracer : CompiledTracer
+        In the light of all of them.
+    column : ndarray of int, shape (emitters,)
+        Place of each emitter's source.
+    names : tuple of str
+        The sources.
+    """
+
+    tracer: CompiledTracer
+    column: Whole
+    names: tuple[str, ...]
+
+    def trace(self, rays: Iterable[Floats]) -> Generator[Floats]:
+        """Radiance along rays from each source."""
+        for values, _ in self.trace_with_distances(rays):
+            yield values
+
+    def trace_with_distances(self, rays: Iterable[Floats]) -> Generator[tuple[Floats, Floats]]:
+        """Radiance along rays from each source, and the distance to the first surface [m]."""
+        for values, distances in self.tracer.trace_by_source(rays, self.column, len(self.names)):
+            each = np.ascontiguousarray(values[:, :-1].T)
+            for name, level in self.tracer.scene.skies:  # the last column holds what is seen of all of them
+                if level > 0 and name in self.names:
+                    each[self.names.index(name)] += values[:, -1] * (level / self.tracer.scene.background)
+            yield each, distances
+
+    def distances(self, rays: Iterable[Floats]) -> Generator[Floats]:
+        """Distance to the first surface [m]."""
+        return self.tracer.distances(rays)
 
 
 @dataclass(frozen=True, slots=True)

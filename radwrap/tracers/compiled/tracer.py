@@ -49,8 +49,8 @@ class CompiledTracer:
             values, distances = self._traced(block, self.scene.lights, 1)
             yield values[:, 0], distances
 
-    def trace_by_source(self, rays: Iterable[Floats], column: Whole) -> Generator[Floats]:
-        """Radiance along rays from each group of emitters.
+    def trace_by_source(self, rays: Iterable[Floats], column: Whole, groups: int) -> Generator[tuple[Floats, Floats]]:
+        """Radiance along rays from each group of emitters, and the distance to the first surface [m].
 
         Parameters
         ----------
@@ -58,16 +58,20 @@ class CompiledTracer:
             As `trace`.
         column : ndarray of int, shape (emitters,)
             Group of each emitter, from 0.
+        groups : int
+            How many there are.
 
         Yields
         ------
-        ndarray, shape (n, groups + 1)
+        radiance : ndarray, shape (n, groups + 1)
             [W m^-2 sr^-1]; the last column is that of the background.
+        distance : ndarray, shape (n,)
+            [m]
         """
         lights = self.scene.lights.copy()
         lights["column"] = column
         for block in rays:
-            yield self._traced(block, lights, int(column.max(initial=-1)) + 2)[0]
+            yield self._traced(block, lights, groups + 1)
 
     def distances(self, rays: Iterable[Floats]) -> Generator[Floats]:
         """Distance to the first surface [m]; see `Tracer`."""
