@@ -134,7 +134,7 @@ def test_relit_images_equal_those_of_a_scene_with_other_levels(made: Made) -> No
             changed = []
             for tile, (r0, r1, c0, c1) in enumerate(plan.tiles):
                 frozen = freeze_tile(made.work, plan, replicate, tile, in_one_pass=False)
-                ((_, values, change),) = frozen.trace(LitView(("all",), fresh), int)
+                ((values, change),) = frozen.trace(LitView(("all",), fresh), int)
                 assert np.abs(values - relit_images[replicate, r0:r1, c0:c1]).max() < LINEAR * peak
                 changed.append(change)
             assert np.abs(np.concatenate(changed) - relit_grid[replicate]).max(initial=0) < LINEAR * peak
@@ -186,10 +186,11 @@ def test_whole_pieces_are_not_traced_again(made: Made) -> None:
     log = made.log
     made.write()
     assert made.log == log
-    (made.work.folder / "basis" / "tile_001_00000_00002.exr").unlink()
-    (made.work.folder / "basis" / "tile_000_00000_00001.exr").write_bytes(b"torn")
+    one, other = (0, 0) if len(made.views) == 1 else (1, 2)
+    (made.work.folder / "basis" / f"tile_001_00000_0000{other}.exr").unlink()
+    (made.work.folder / "basis" / f"tile_000_00000_0000{one}.exr").write_bytes(b"torn")
     made.write()
-    assert sorted(made.log[len(log) :]) == ["tile_000_00000 1", "tile_001_00000 2"]
+    assert sorted(made.log[len(log) :]) == [f"tile_000_00000 {one}", f"tile_001_00000 {other}"]
     assert {path.name: path.read_bytes() for path in (made.out / "basis").iterdir()} == before
 
 

@@ -48,6 +48,8 @@ _SMOOTH_SHARE: Final = 1 / (2**2 - 1)
 # A blur narrower than so many cells is not resolved by them: light comes from beside an edge, and a cell knows its mean
 # alone. Smaller cells help nothing until they resolve it, so that all of what twice the size changes may be left.
 _RESOLVED: Final = 2.0
+# Sources that are gathered at a time: each takes the memory of a tile, its transform and its layers.
+_AT_ONCE: Final = 4
 # Grid cells of a tile: what a transform of some 30 MiB holds; wide rather than high, so that small images have two.
 _TILE_ROWS, _TILE_COLUMNS = 400, 1600
 
@@ -279,9 +281,10 @@ def gathered_sources(
     central = central_image(view, plan.grid, cells, seed=seed, progress=progress, like=like.central if like else None)
     of_all = central if central.values.ndim == 2 else replace(central, values=central.values.sum(axis=0))
     coarser = like.coarser if like else _coarser(of_all)
-    several = (central.values,) if central.values.ndim == 2 else central.values
-    for values in several:
-        yield _gathered(plan, place, replace(central, values=values), coarser.magnification)
+    every = central.values if central.values.ndim == 3 else central.values[np.newaxis]
+    for start in range(0, len(every), _AT_ONCE):
+        some = replace(central, values=every[start : start + _AT_ONCE])
+        yield from _gathered(plan, place, some, coarser.magnification)
 
 
 def _gathered(
@@ -289,13 +292,16 @@ def _gathered(
     place: tuple[int, int, int, int],
     central: CentralImage,
     coarser_magnification: NDArray[np.float64] | None,
-) -> Gathered:
+) -> Iterator[Gathered]:
+    """Gather a tile for each of some sources."""
     cell = plan.grid.cell
     values = gather(plan, central, cell, place)
     # Cells of twice the size add their error less that of these: so much of it, see `_GRID_SHARE`. Some pixels tell.
     coarser = replace(_coarser(central), magnification=coarser_magnification)
     some, coarse = (gather_all if plan.grid.even else gather_some)(plan, coarser, 2 * cell, place)
-    return Gathered(values, some, _grid_share(plan) * (coarse - values[some]), central, coarser)
+    for one, of_one, fine, rough in zip(central.values, coarser.values, values, coarse, strict=True):
+        change = _grid_share(plan) * (rough - fine[some])
+        yield Gathered(fine, some, change, replace(central, values=one), replace(coarser, values=of_one))
 
 
 def _each_smooth(view: View) -> Iterator[SmoothField]:
@@ -341,11 +347,12 @@ def smooth_share(plan: KernelPlan) -> float:
 def gather(
     plan: KernelPlan, central: CentralImage, cell: float, place: tuple[int, int, int, int]
 ) -> NDArray[np.float64]:
-    """Correlate the central image with the footprint of each pixel of a tile."""
-    result = np.empty((place[1] - place[0], place[3] - place[2]))
+    """Correlate the central image, of each source, with the footprint of each pixel of a tile."""
+    result = np.empty((*central.values.shape[:-2], place[1] - place[0], place[3] - place[2]))
     step = max(1, round(cell))
     for pixels, values in _by_phase(plan, central, cell, place, np.ndindex(step, step)):
-        result[pixels] = values
+        row, column = pixels
+        result[..., row, column] = values
     return result
 
 
@@ -354,7 +361,7 @@ def gather_all(
 ) -> tuple[tuple[NDArray[np.intp], ...], NDArray[np.float64]]:
     """As `gather_some`, for every pixel."""
     values = gather(plan, central, cell, place)
-    return np.ix_(*(np.arange(size) for size in values.shape)), values
+    return np.ix_(*(np.arange(size) for size in values.shape[-2:])), values
 
 
 def gather_some(
@@ -372,7 +379,7 @@ def _by_phase(
     phases: Iterator[tuple[int, ...]],
 ) -> Iterator[tuple[tuple[NDArray[np.intp], ...], NDArray[np.float64]]]:
     """Pixels whose corner lies alike in a cell have one footprint; gather them together."""
-    shape = tuple(_fast_length(size) for size in central.values.shape)
+    shape = tuple(_fast_length(size) for size in central.values.shape[-2:])
     if central.magnification is None:
         spectra = [np.fft.rfft2(central.values, shape)]
     else:
@@ -385,9 +392,12 @@ def _by_phase(
         )
         field = np.fft.irfft2(total, shape)
         pixels = lattice(cell, place, phase)
-        cells = (np.floor(at / cell).astype(int) - first for at, first in zip(pixels, central.first, strict=True))
+        row, column = (np.floor(at / cell).astype(int) - first for at, first in zip(pixels, central.first, strict=True))
         # The transform leaves rounding errors of 1e-16 of the largest value, of either sign.
-        yield np.ix_(pixels[0] - place[0], pixels[1] - place[2]), np.maximum(field[np.ix_(*cells)], 0.0)
+        yield (
+            np.ix_(pixels[0] - place[0], pixels[1] - place[2]),
+            np.maximum(field[..., row[:, np.newaxis], column], 0.0),
+        )
 
 
 def lattice(
@@ -416,11 +426,12 @@ def _laid_out(print_: Footprint, shape: tuple[int, ...]) -> NDArray[np.float64]:
 def _coarser(central: CentralImage) -> CentralImage:
     """Cells of twice the size, on a grid whose corner is the same."""
     row, column = (first % 2 for first in central.first)
-    rows, columns = ((size - skip) // 2 * 2 for size, skip in zip(central.values.shape, (row, column), strict=True))
+    shape = central.values.shape[-2:]
+    rows, columns = ((size - skip) // 2 * 2 for size, skip in zip(shape, (row, column), strict=True))
 
     def halved(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        cut = values[row : row + rows, column : column + columns]
-        means: NDArray[np.float64] = cut.reshape(rows // 2, 2, columns // 2, 2).mean(axis=(1, 3))
+        cut = values[..., row : row + rows, column : column + columns]
+        means: NDArray[np.float64] = cut.reshape(*cut.shape[:-2], rows // 2, 2, columns // 2, 2).mean(axis=(-3, -1))
         return means
 
     values = halved(central.values)

@@ -72,13 +72,11 @@ class FrozenTile:
 
     def trace(
         self, lit: LitView, progress: Callable[[int], None]
-    ) -> Iterator[tuple[str, NDArray[np.float64], NDArray[np.float64]]]:
-        """Trace the very same rays in the light of each of some sources.
+    ) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+        """Trace the very same rays in the light of each of a view's sources.
 
         Yields
         ------
-        name : str
-            Of the source.
         values : ndarray, shape (rows, columns)
             Mean of L cos^4(theta) over pixel and opening [W m^-2 sr^-1].
         change : ndarray, shape (n,)
@@ -92,17 +90,14 @@ class FrozenTile:
             each = gathered_sources(
                 view, self.plan, self.tile, self.cells, seed=self.seed, progress=progress, like=like
             )
-            for name, gathered in zip(lit.names, each, strict=True):
-                yield (
-                    name,
-                    gathered.values,
-                    gathered.change.ravel()[_chosen(self.plan, self.tile, gathered.change.size)],
-                )
+            for gathered in each:
+                kept = _chosen(self.plan, self.tile, gathered.change.size)
+                yield gathered.values, gathered.change.ravel()[kept]
         else:
             numbers = self.like.numbers if isinstance(self.like, TracedTile) else None
             tile = traced_tile(view, self.plan, self.tile, self.seed, progress, numbers=numbers)
-            for name, values in zip(lit.names, lit.each(tile.values, 2), strict=True):
-                yield name, values, np.zeros(0)
+            for values in lit.each(tile.values, 2):
+                yield values, np.zeros(0)
 
 
 def freeze_tile(work: Work, plan: Plan, replicate: int, tile: int, *, in_one_pass: bool) -> FrozenTile:
@@ -179,22 +174,28 @@ class _Maker:
     def replicates(self) -> int:
         return len(self.outcome.replicates.images)
 
-    def path(self, kind: str, source: int) -> Path:
-        return self.folder / f"{kind}_{source:05d}.exr"
+    def path(self, kind: str, view: int) -> Path:
+        return self.folder / f"{kind}_{view:05d}.exr"
 
-    def read(self, kind: str, source: int) -> NDArray[np.float32] | None:
-        found = read_piece(self.path(kind, source), f"{self.name}-{kind}-{source}")
+    def read(self, kind: str, view: int) -> NDArray[np.float32] | None:
+        """What was made of a view, a row or more for each of its sources."""
+        found = read_piece(self.path(kind, view), f"{self.name}-{kind}-{view}")
         return None if found is None else found[0]
 
-    def whole(self, kind: str, source: int) -> NDArray[np.float32]:
-        pixels = self.read(kind, source)
-        if pixels is None:
-            where = str(self.path(kind, source))
-            raise EnvironmentFailure("was changed by somebody else", where=where, remedy="run again")
-        return pixels
+    def of_source(self, kind: str, source: str) -> NDArray[np.float32]:
+        """The rows of one source."""
+        for view, lit in enumerate(self.views):
+            if source in lit.names:
+                rows = self.read(kind, view)
+                if rows is None:
+                    where = str(self.path(kind, view))
+                    raise EnvironmentFailure("was changed by somebody else", where=where, remedy="run again")
+                each = np.split(rows, len(lit.names))
+                return each[lit.names.index(source)]
+        raise KeyError(source)
 
-    def write(self, kind: str, source: int, values: NDArray[np.float64]) -> None:
-        write_piece(self.path(kind, source), values.astype(np.float32), f"{self.name}-{kind}-{source}", {})
+    def write(self, kind: str, view: int, rows: NDArray[np.float64]) -> None:
+        write_piece(self.path(kind, view), rows.astype(np.float32), f"{self.name}-{kind}-{view}", {})
 
     def kinds(self) -> Iterator[str]:
         yield from (self.tile_kind(replicate, tile) for replicate, tile in self.tiles())
@@ -215,46 +216,32 @@ class _Maker:
             if due:
                 yield partial(self._trace_tile, replicate, tile, due)
         if self.sample is not None:
-            yield from (partial(self._trace_model, lit) for lit in self.due("model"))
+            yield from (partial(self._trace_model, view) for view in self.due("model"))
 
-    def due(self, kind: str) -> list[LitView]:
-        """Views of sources of which such a piece is missing."""
-        return [lit for lit in self.views if self.missing(kind, lit)]
+    def due(self, kind: str) -> list[int]:
+        """Views of which such a piece is missing."""
+        return [view for view in range(len(self.views)) if self.read(kind, view) is None]
 
-    def missing(self, kind: str, lit: LitView) -> list[str]:
-        """Sources of a view of which such a piece is missing."""
-        return [name for name in lit.names if self.read(kind, self.number(name)) is None]
-
-    def number(self, name: str) -> int:
-        """Place of a source among all."""
-        return self.names.index(name)
-
-    def _trace_tile(self, replicate: int, tile: int, due: list[LitView]) -> None:
+    def _trace_tile(self, replicate: int, tile: int, due: list[int]) -> None:
         kind = self.tile_kind(replicate, tile)
         frozen: dict[bool, FrozenTile] = {}
-        for lit in due:
-            in_one_pass = len(lit.names) > 1
+        for view in due:
+            log_call(self.folder, f"{kind} {view}")
+            in_one_pass = len(self.views[view].names) > 1
             if in_one_pass not in frozen:
                 frozen[in_one_pass] = freeze_tile(self.work, self.plan, replicate, tile, in_one_pass=in_one_pass)
-            missing = self.missing(kind, lit)
-            for name in missing:
-                log_call(self.folder, f"{kind} {self.number(name)}")
-            for name, values, change in frozen[in_one_pass].trace(lit, self.work.progress.add):
-                if name in missing:
-                    self.write(kind, self.number(name), np.concatenate([values.ravel(), change])[np.newaxis])
+            traced = frozen[in_one_pass].trace(self.views[view], self.work.progress.add)
+            self.write(kind, view, np.stack([np.concatenate([values.ravel(), change]) for values, change in traced]))
 
-    def _trace_model(self, lit: LitView) -> None:
+    def _trace_model(self, view: int) -> None:
         if self.sample is None or not isinstance(self.plan, KernelPlan):
             raise TypeError("only the kernel has a model")
-        missing = self.missing("model", lit)
-        for name in missing:
-            log_call(self.folder, f"model {self.number(name)}")
+        log_call(self.folder, f"model {view}")
         seed = (self.work.seed, Relighting.MODEL_RAYS)
-        lacks, rays = model_lacks(replace(lit.view, workers=1), self.plan.layers, self.sample, seed=seed)
+        lit = replace(self.views[view].view, workers=1)
+        lacks, rays = model_lacks(lit, self.plan.layers, self.sample, seed=seed)
         self.work.progress.add(rays)
-        for name, lack in zip(lit.names, lit.each(lacks, 2), strict=True):
-            if name in missing:
-                self.write("model", self.number(name), lack)
+        self.write("model", view, lacks.reshape(-1, lacks.shape[-1]))
 
     def model_rays(self) -> int:
         """Rays of the model's certificate in the light of one source."""
@@ -262,14 +249,14 @@ class _Maker:
             return 0
         return 2 * int(self.sample.pairs.sum()) * (1 + len(self.plan.layers))
 
-    def source(self, number: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def source(self, name: str) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Images of a source, shape (replicates, rows, columns), and the changes at the grid's pixels."""
         sensor = self.plan.camera.sensor
         images = np.empty((self.replicates, sensor.rows, sensor.columns), dtype=np.float32)
         changes: list[list[NDArray[np.float32]]] = [[] for _ in range(self.replicates)]
         for replicate, tile in self.tiles():
             r0, r1, c0, c1 = self.plan.tiles[tile]
-            values = self.whole(self.tile_kind(replicate, tile), number)[0]
+            values = self.of_source(self.tile_kind(replicate, tile), name)[0]
             size = (r1 - r0) * (c1 - c0)
             images[replicate, r0:r1, c0:c1] = values[:size].reshape(r1 - r0, c1 - c0)
             changes[replicate].append(values[size:])
@@ -318,14 +305,14 @@ def write_basis(
         views = [replace(lit, view=replace(lit.view, smooth=in_other_light(smooth, lit.view))) for lit in views]
     maker = _maker(work, tuple(views), outcome)
     make_folder(maker.folder)
-    ours = {maker.path(kind, number).name for kind in maker.kinds() for number in range(len(maker.names))}
+    ours = {maker.path(kind, number).name for kind in maker.kinds() for number in range(len(views))}
     remove_strangers(maker.folder, ours)
     passes = len(views) + any(len(lit.names) == 1 for lit in views)  # what is traced one by one needs the light of all
     rays = outcome.replicates.rays * passes + maker.model_rays() * len(views)
     work.progress.expect(outcome.record.rays + rays)
     run_jobs(list(maker.jobs()), work.programs, work.view.workers)
     make_folder(out / FOLDER)
-    files = [name for number, source in enumerate(maker.names) for name in _write_source(out, maker, number, source)]
+    files = [name for source in maker.names for name in _write_source(out, maker, source)]
     if magnification is not None:
         write_exr(out / MAGNIFICATION, magnification.astype(np.float32), channel="magnification")
         files.append(MAGNIFICATION)
@@ -356,14 +343,14 @@ def _maker(work: Work, views: tuple[LitView, ...], outcome: Outcome) -> _Maker:
     return _Maker(work, views, outcome, sample, work.folder / _WORK, name)
 
 
-def _write_source(out: Path, maker: _Maker, number: int, source: str) -> Iterator[str]:
+def _write_source(out: Path, maker: _Maker, source: str) -> Iterator[str]:
     """Write the files of a source; yields their names."""
-    images, grid = maker.source(number)
+    images, grid = maker.source(source)
     parts = {str(replicate): image for replicate, image in enumerate(images)}
     if grid.size:
         parts["grid"] = grid
     if maker.sample is not None:
-        parts["model"] = maker.whole("model", number)
+        parts["model"] = maker.of_source("model", source)
     for part, values in parts.items():
         name = file_name(source, part)
         write_exr(out / name, values, channel="radiance_cos4", metadata={"radwrap:unit": "W m^-2 sr^-1"})
