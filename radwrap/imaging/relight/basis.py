@@ -182,17 +182,13 @@ class _Maker:
         found = read_piece(self.path(kind, view), f"{self.name}-{kind}-{view}")
         return None if found is None else found[0]
 
-    def of_source(self, kind: str, source: str) -> NDArray[np.float32]:
-        """The rows of one source."""
-        for view, lit in enumerate(self.views):
-            if source in lit.names:
-                rows = self.read(kind, view)
-                if rows is None:
-                    where = str(self.path(kind, view))
-                    raise EnvironmentFailure("was changed by somebody else", where=where, remedy="run again")
-                each = np.split(rows, len(lit.names))
-                return each[lit.names.index(source)]
-        raise KeyError(source)
+    def each(self, kind: str, view: int) -> list[NDArray[np.float32]]:
+        """The rows of each source of a view."""
+        rows = self.read(kind, view)
+        if rows is None:
+            where = str(self.path(kind, view))
+            raise EnvironmentFailure("was changed by somebody else", where=where, remedy="run again")
+        return np.split(rows, len(self.views[view].names))
 
     def write(self, kind: str, view: int, rows: NDArray[np.float64]) -> None:
         write_piece(self.path(kind, view), rows.astype(np.float32), f"{self.name}-{kind}-{view}", {})
@@ -249,18 +245,17 @@ class _Maker:
             return 0
         return 2 * int(self.sample.pairs.sum()) * (1 + len(self.plan.layers))
 
-    def source(self, name: str) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Images of a source, shape (replicates, rows, columns), and the changes at the grid's pixels."""
+    def replicate(self, view: int, replicate: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Images of a view's sources, shape (sources, rows, columns), and the changes at the grid's pixels."""
         sensor = self.plan.camera.sensor
-        images = np.empty((self.replicates, sensor.rows, sensor.columns), dtype=np.float32)
-        changes: list[list[NDArray[np.float32]]] = [[] for _ in range(self.replicates)]
-        for replicate, tile in self.tiles():
-            r0, r1, c0, c1 = self.plan.tiles[tile]
-            values = self.of_source(self.tile_kind(replicate, tile), name)[0]
+        images = np.empty((len(self.views[view].names), sensor.rows, sensor.columns), dtype=np.float32)
+        changes = []
+        for tile, (r0, r1, c0, c1) in enumerate(self.plan.tiles):
+            values = np.stack([rows[0] for rows in self.each(self.tile_kind(replicate, tile), view)])
             size = (r1 - r0) * (c1 - c0)
-            images[replicate, r0:r1, c0:c1] = values[:size].reshape(r1 - r0, c1 - c0)
-            changes[replicate].append(values[size:])
-        return images, np.stack([np.concatenate(parts) for parts in changes])
+            images[:, r0:r1, c0:c1] = values[:, :size].reshape(-1, r1 - r0, c1 - c0)
+            changes.append(values[:, size:])
+        return images, np.concatenate(changes, axis=1)
 
 
 def write_basis(
@@ -312,7 +307,7 @@ def write_basis(
     work.progress.expect(outcome.record.rays + rays)
     run_jobs(list(maker.jobs()), work.programs, work.view.workers)
     make_folder(out / FOLDER)
-    files = [name for source in maker.names for name in _write_source(out, maker, source)]
+    files = [name for view in range(len(views)) for name in _write_view(out, maker, view)]
     if magnification is not None:
         write_exr(out / MAGNIFICATION, magnification.astype(np.float32), channel="magnification")
         files.append(MAGNIFICATION)
@@ -343,18 +338,27 @@ def _maker(work: Work, views: tuple[LitView, ...], outcome: Outcome) -> _Maker:
     return _Maker(work, views, outcome, sample, work.folder / _WORK, name)
 
 
-def _write_source(out: Path, maker: _Maker, source: str) -> Iterator[str]:
-    """Write the files of a source; yields their names."""
-    images, grid = maker.source(source)
-    parts = {str(replicate): image for replicate, image in enumerate(images)}
-    if grid.size:
-        parts["grid"] = grid
+def _write_view(out: Path, maker: _Maker, view: int) -> Iterator[str]:
+    """Write the files of a view's sources; yields their names, source by source."""
+    names = maker.views[view].names
+    parts: list[str] = []
+    grids = []
+
+    def written(part: str, each: Sequence[NDArray[np.float32]] | NDArray[np.float32]) -> None:
+        for name, values in zip(names, each, strict=True):
+            path = out / file_name(name, part)
+            write_exr(path, values, channel="radiance_cos4", metadata={"radwrap:unit": "W m^-2 sr^-1"})
+        parts.append(part)
+
+    for replicate in range(maker.replicates):
+        images, grid = maker.replicate(view, replicate)
+        written(str(replicate), images)
+        grids.append(grid)
+    if grids[0].size:
+        written("grid", np.stack(grids, axis=1))
     if maker.sample is not None:
-        parts["model"] = maker.of_source("model", source)
-    for part, values in parts.items():
-        name = file_name(source, part)
-        write_exr(out / name, values, channel="radiance_cos4", metadata={"radwrap:unit": "W m^-2 sr^-1"})
-        yield name
+        written("model", maker.each("model", view))
+    yield from (file_name(name, part) for name in names for part in parts)
 
 
 def file_name(source: str, part: str) -> str:
