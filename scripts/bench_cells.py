@@ -32,6 +32,10 @@ from radwrap.files import write_bytes
 from radwrap.images import read_image, write_png
 from radwrap.manifest import versions
 
+_FULL_PIXELS = 3e5  # from here on Mitsuba gets --samples as they are
+# A board of dots is nearly all edges or nothing: it takes more rays to be sure of an error there.
+_TRUTH_RAYS = {BOARD: 1024}
+
 
 def parsed(words: list[str]) -> argparse.Namespace:
     """The command line."""
@@ -48,7 +52,9 @@ def parsed(words: list[str]) -> argparse.Namespace:
         "--samples", default="4,16,64", help="Mitsuba's, of each pixel; the last is its converged image"
     )
     parser.add_argument("--truth-pixels", type=int, default=1500)
-    parser.add_argument("--truth-rays", type=int, default=256, help="of each of two values of a pixel")
+    parser.add_argument(
+        "--truth-rays", type=int, help="of each of two values of a pixel (default 256, of the board 1024)"
+    )
     parser.add_argument("--tent-tolerance", type=float, default=2.0)
     parser.add_argument("--tent-budget", type=float, help="time for white_tent at 5 MP, such as 600 [s]; left out else")
     parser.add_argument("--no-mitsuba", action="store_true")
@@ -97,7 +103,7 @@ def measured_rows(case: Case, arguments: argparse.Namespace, mitsuba: Mitsuba | 
         found.append(row)
 
     stem = f"{case.name}_{case.megapixels:g}"
-    truth = Truth(case, arguments.truth_pixels, arguments.truth_rays)
+    truth = Truth(case, arguments.truth_pixels, arguments.truth_rays or _TRUTH_RAYS.get(case.name, 256))
     wanted = all_asked(case, arguments)
     for asked in wanted:
         key: dict[str, Any] = {
@@ -111,7 +117,9 @@ def measured_rows(case: Case, arguments: argparse.Namespace, mitsuba: Mitsuba | 
         picture = pictures / f"{stem}_radwrap_{asked.tolerance:g}_{asked.tracer}.png"
         add(key, lambda asked=asked, picture=picture: render_row(asked, truth.of, picture))
     if mitsuba is not None and wanted:
-        samples = [int(text) for text in arguments.samples.split(",")]
+        # A small image needs more samples for as much time.
+        more = max(1, round(_FULL_PIXELS / (case.columns * case.rows)))
+        samples = [more * int(text) for text in arguments.samples.split(",")]
         key = {
             "mitsuba": [mitsuba.version, mitsuba.variant, mitsuba.llvm],
             "samples": samples,

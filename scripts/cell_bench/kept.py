@@ -12,12 +12,14 @@ from radwrap.files import write_bytes
 
 
 def kept(folder: Path, key: dict[str, Any], measure: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """The row for a key: read where it was finished before, else measured and written."""
+    """The row for a key: read where it was finished before, else measured, and written if it needs no retry."""
     path = folder / f"{digest(key)[:32]}.json"
     if path.is_file():
         found: dict[str, Any] = json.loads(path.read_text())
         return found
     row = measure()
+    if row.get("retry"):
+        return row
     folder.mkdir(parents=True, exist_ok=True)
     write_bytes(path, json.dumps(row, indent=1).encode())
     return row

@@ -185,7 +185,7 @@ def _rows(
     try:
         speed = solved(samples[:-1], result["wall_s"], rms, samples[-1])
     except ValueError as error:
-        return {**result, "failure": str(error)}
+        return {**result, "failure": str(error), "retry": True}
     return {**result, "speed": asdict(speed)}
 
 

@@ -32,10 +32,10 @@ def told(row: Row) -> str:
     """A row as a line."""
     head = f"{row['case']:11} {row['megapixels']:5g} MP  "
     if row["by"] == "mitsuba":
-        return f"{head}{'Mitsuba ' + row['version']:26}{_mitsuba_told(row)}"
+        return f"{head}{'Mitsuba ' + row['version']:36}{_mitsuba_told(row)}"
     name = "radwrap" if row["tracer"] == "auto" else f"radwrap ({row['tracer']})"
     asked = f"tolerance {row['tolerance']:g}" if row["budget_s"] is None else f"budget {row['budget_s']:g} s"
-    text = f"{head}{name + ', ' + asked:26}"
+    text = f"{head}{name + ', ' + asked:36}"
     ahead = (
         f"forecast {_seconds(row['forecast_wall_s'])}" if "forecast_wall_s" in row else row.get("forecast_failure", "")
     )

@@ -108,6 +108,8 @@ def test_a_finished_row_is_read_and_another_key_is_measured(tmp_path: Path) -> N
     ]
     again = kept(tmp_path, {"n": 1}, lambda: pytest.fail("measured again"))
     assert again == rows[0] and rows[1]["of"] == 2
+    kept(tmp_path, {"n": 3}, lambda: {"retry": True})
+    assert kept(tmp_path, {"n": 3}, lambda: {"of": 3}) == {"of": 3}
 
 
 @pytest.mark.parametrize("name", [*CELLS, BOARD, TENT])
