@@ -20,7 +20,7 @@ help:
 	@echo "make test-report  open the report of a study in a real browser (Chromium by apt where missing)"
 	@echo "make coverage  lines and branches that the tests run, in all processes"
 	@echo "make lint   ruff and mypy --strict"
-	@echo "make bench  speed, overhead, memory, and what a tolerance costs, measured on this machine"
+	@echo "make bench  speed, overhead, memory, what a tolerance costs, and real cells beside Mitsuba (ARGS: bench_cells.py)"
 	@echo "make crosscheck   Radiance against POV-Ray on rad_scenes/crosscheck"
 	@echo "make figures       figures and tables of the paper, ours beside the printed, into out/figures (ARGS=--quick)"
 	@echo "make fig12, make table3, ...   one of them"
@@ -64,6 +64,7 @@ lint: $(READY)
 	@$(BIN)/mypy
 
 bench: $(READY)
+	@$(BIN)/python scripts/bench_cells.py $(ARGS)
 	@$(BIN)/python scripts/bench.py; first=$$?; $(BIN)/python scripts/bench_tolerance.py && exit $$first
 
 bias: $(READY)
