@@ -11,9 +11,11 @@ import pytest
 
 pytest.importorskip("numba")
 
+from radwrap.imaging.methods.central import CentralImage
+from radwrap.imaging.methods.kernel import gather, plan_kernel
 from radwrap.imaging.methods.smooth_blocks import in_other_light, smooth_field
 from radwrap.imaging.optics.smooth import BLOCK
-from radwrap.imaging.optics.view import trace_rays
+from radwrap.imaging.optics.view import View, trace_rays
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.synthesis import Rendered, render
 from radwrap.imaging.tolerance.certificate import PixelErrors, independent_errors, root
@@ -103,3 +105,25 @@ def test_a_shadow_line_one_pixel_wide_is_resolved_or_certified(tmp_path: Path) -
     assert (gray[int(line.argmin()), :] < 0.9 * np.median(line)).all()
     pixels = np.flatnonzero(np.ones(96 * 120))[::7]
     assert rms(true_errors(scene, made, pixels)) < made.manifest["error"]["rms_gray_upper95"]
+
+
+@pytest.mark.parametrize("sources", [None, 3])
+@pytest.mark.parametrize("coarser", [1, 2])
+def test_sums_gather_what_transforms_do(sources: int | None, coarser: int) -> None:
+    """A deep scene before a lens: eleven layers, footprints on both sides of the focus."""
+    scene = scene_of(camera=LENS)
+    view = View(scene.camera, tracer=None)  # type: ignore[arg-type]
+    plan = plan_kernel(view, scene.camera.magnification(np.array([0.37, 0.43])), 0.5)
+    by_sums = replace(plan, grid=replace(plan.grid, smooth="known"))
+    cell, place = plan.grid.cell * coarser, plan.tiles[-1]
+    assert len(plan.layers) > 3 and cell < 1
+    random = np.random.default_rng(1)
+    reach = 4 + int(max(plan.reach_px) / cell)
+    first = (int(place[0] / cell) - reach, int(place[2] / cell) - reach)
+    shape = tuple(int((place[axis + 1] - place[axis]) / cell) + 2 * reach + axis for axis in (0, 2))
+    depth = random.uniform(plan.layers[0], plan.layers[-1], shape)
+    values = random.random(shape if sources is None else (sources, *shape))
+    central = CentralImage((first[0], first[1]), values, depth, 0)
+    expected, found = (gather(one, central, cell, place) for one in (plan, by_sums))
+    assert found == pytest.approx(expected, abs=1e-13)
+    assert found.min() > 0

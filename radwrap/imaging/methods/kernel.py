@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -48,6 +48,8 @@ _SMOOTH_SHARE: Final = 1 / (2**2 - 1)
 # A blur narrower than so many cells is not resolved by them: light comes from beside an edge, and a cell knows its mean
 # alone. Smaller cells help nothing until they resolve it, so that all of what twice the size changes may be left.
 _RESOLVED: Final = 2.0
+# Cells of a footprint up to which sums take less time than transforms of a tile.
+_FEW_CELLS: Final = 1024
 # Sources that are gathered at a time: each takes the memory of a tile, its transform and its layers.
 _AT_ONCE: Final = 4
 # Grid cells of a tile: what a transform of some 30 MiB holds; wide rather than high, so that small images have two.
@@ -379,6 +381,11 @@ def _by_phase(
     phases: Iterator[tuple[int, ...]],
 ) -> Iterator[tuple[tuple[NDArray[np.intp], ...], NDArray[np.float64]]]:
     """Pixels whose corner lies alike in a cell have one footprint; gather them together."""
+    if plan.grid.smooth and cell < 1:
+        prints = [footprint(plan.camera, layer, cell) for layer in plan.layers]
+        if all(one.weights.size <= _FEW_CELLS for one in prints):
+            yield _by_sums(plan, central, cell, place, prints)
+            return
     shape = tuple(_fast_length(size) for size in central.values.shape[-2:])
     if central.magnification is None:
         spectra = [np.fft.rfft2(central.values, shape)]
@@ -398,6 +405,29 @@ def _by_phase(
             np.ix_(pixels[0] - place[0], pixels[1] - place[2]),
             np.maximum(field[..., row[:, np.newaxis], column], 0.0),
         )
+
+
+def _by_sums(
+    plan: KernelPlan,
+    central: CentralImage,
+    cell: float,
+    place: tuple[int, int, int, int],
+    prints: Sequence[Footprint],
+) -> tuple[tuple[NDArray[np.intp], ...], NDArray[np.float64]]:
+    """All pixels of a tile, where cells are smaller than pixels and footprints small."""
+    # Its compiler is there where the view's blocks are smooth, and takes a third of a second to load.
+    from radwrap.imaging.methods.direct_gather import gathered_directly
+
+    pixels = lattice(cell, place)
+    values = np.zeros((*central.values.shape[:-2], *(len(at) for at in pixels)))
+    row, column = (int(at[0] / cell) - first for at, first in zip(pixels, central.first, strict=True))
+    shares: Sequence[NDArray[np.float64] | float] = [1.0]
+    if central.magnification is not None:
+        shares = layer_shares(plan.layers, central.magnification)
+    for one, share in zip(prints, shares, strict=True):
+        if np.any(share):  # few of a deep scene's layers lie in one tile
+            gathered_directly(central.values * share, one, (row, column), round(1 / cell), values)
+    return np.ix_(pixels[0] - place[0], pixels[1] - place[2]), values
 
 
 def lattice(
