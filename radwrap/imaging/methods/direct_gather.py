@@ -40,6 +40,11 @@ def gathered_directly(values: Array, footprint: Footprint, corner: tuple[int, in
         _add(cells, footprint.weights, (row, column), step, pixels)
 
 
+def compile_ahead() -> None:
+    """Compile what is not compiled yet, so that no image waits for it."""
+    _add(np.zeros((1, 1, 1)), np.ones((1, 1)), (0, 0), 1, np.zeros((1, 1)))
+
+
 @compiled
 def _add(phases: Array, weights: Array, corner: tuple[int, int], step: int, out: Array) -> None:
     height, width = weights.shape

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 
 from radwrap.frames import Pose
@@ -14,13 +16,17 @@ from radwrap.tracers.compiled.cover_rows import Wardrobe
 from radwrap.tracers.compiled.layout import CompiledScene, clusters_of
 from radwrap.tracers.compiled.shape_rows import sorted_shapes
 from radwrap.tracers.compiled.shine import side_by_side
+from radwrap.tracers.compiled.smooth import smooth_blocks
 from radwrap.tracers.compiled.tracer import CompiledTracer
 from radwrap.tracers.text_frame import TextFrame
+
+# Functions that programs call, each of which brings with it those that it calls.
+_KEPT: Final = ("kernels.trace", "kernels.surfaces", "tree._grow", "smooth._met", "smooth._undisturbed")
 
 
 def is_warm() -> bool:
     """Whether everything is compiled, as far as the folder of compiled functions tells."""
-    return any(cache_folder().rglob("kernels.trace-*.nbc")) and any(cache_folder().rglob("tree._grow-*.nbc"))
+    return all(any(cache_folder().rglob(f"{name}-*.nbc")) for name in _KEPT)
 
 
 def warm_up() -> None:
@@ -52,3 +58,4 @@ def warm_up() -> None:
     tracer, ray = CompiledTracer(scene), np.array([[0.0, 0.0, 1.0, 0.0, 0.0, -1.0]])
     next(tracer.trace([ray]))
     next(tracer.distances([ray]))
+    smooth_blocks(scene, np.tile(ray, (2, 2, 1)), ray[np.newaxis])
