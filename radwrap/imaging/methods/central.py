@@ -257,7 +257,7 @@ def central_image(
     placed = [sampler.strata(row, column, size, n, random) for row, column, size, n in parts]
     rows, columns = (np.concatenate([part[axis] for part in placed]) for axis in (0, 1))
     traced = sampler.trace(rows, columns, with_depth=plan.with_depth and like is None)
-    shape = tuple(size >> plan.levels for size in cells.levels.shape)
+    shape = tuple(-(-size >> plan.levels) for size in cells.levels.shape)
     values, magnification = np.zeros((*traced[0].shape[:-1], *shape)), np.ones(shape)
     end = 0
     for level, (row, column, _, n) in enumerate(parts):
@@ -266,6 +266,8 @@ def central_image(
         start, end = end, end + len(row) * n * n
         means = _means(*(answer[..., start:end].reshape(*answer.shape[:-1], -1, n * n) for answer in traced))
         values[..., row, column], magnification[row, column] = means
+    height, width = cells.levels.shape  # base cells of an even plan may reach beyond
+    values, magnification = values[..., :height, :width], magnification[:height, :width]
     depth = like.magnification if like else magnification if plan.with_depth else None
     return CentralImage(cells.first, values, depth, sampler.rays)
 
