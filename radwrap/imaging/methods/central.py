@@ -169,8 +169,9 @@ def decide_cells(
         return Cells(region[0], np.full(region[1], plan.levels, dtype=np.int8), 1, 0.0, 0)
     random = generator(*seed)
     step = 2**plan.levels
-    # The base grid lies anywhere on the grid of cells.
-    first = tuple(start - int(random.integers(step)) for start in region[0])
+    # The base grid lies anywhere on the grid of cells; but where cells as large as pixels may be left although an edge
+    # crosses them, they are the pixels: else all replicates would have in common what a pixel gets of its neighbours.
+    first = tuple(start - (start % step if plan.smooth else int(random.integers(step))) for start in region[0])
     shape = tuple(
         -(-(start + size - begin) // step) for start, size, begin in zip(region[0], region[1], first, strict=True)
     )
