@@ -136,7 +136,7 @@ def test_hard_edges_that_are_left_whole_stand_in_the_certificate() -> None:
         "name": "roof",
         "material": "dark",
         "size": ["6 mm", "4 mm"],
-        "position": at(1, 1, 8),
+        "position": at(-7, -3, 3),
         "rotation": ["20 deg", "10 deg", "17 deg"],
     }
     scene = scene_of(roof, camera=LENS)
