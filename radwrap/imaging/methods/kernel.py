@@ -283,9 +283,11 @@ def gathered_sources(
     central = central_image(view, plan.grid, cells, seed=seed, progress=progress, like=like.central if like else None)
     of_all = central if central.values.ndim == 2 else replace(central, values=central.values.sum(axis=0))
     coarser = like.coarser if like else _coarser(of_all)
-    every = central.values if central.values.ndim == 3 else central.values[np.newaxis]
-    for start in range(0, len(every), _AT_ONCE):
-        some = replace(central, values=every[start : start + _AT_ONCE])
+    if central.values.ndim == 2:  # without an axis of sources: transforms of several differ in the last digit
+        yield from _gathered(plan, place, central, coarser.magnification)
+        return
+    for start in range(0, len(central.values), _AT_ONCE):
+        some = replace(central, values=central.values[start : start + _AT_ONCE])
         yield from _gathered(plan, place, some, coarser.magnification)
 
 
@@ -301,7 +303,8 @@ def _gathered(
     # Cells of twice the size add their error less that of these: so much of it, see `_GRID_SHARE`. Some pixels tell.
     coarser = replace(_coarser(central), magnification=coarser_magnification)
     some, coarse = (gather_all if plan.grid.even else gather_some)(plan, coarser, 2 * cell, place)
-    for one, of_one, fine, rough in zip(central.values, coarser.values, values, coarse, strict=True):
+    each = (array.reshape(-1, *array.shape[-2:]) for array in (central.values, coarser.values, values, coarse))
+    for one, of_one, fine, rough in zip(*each, strict=True):
         change = _grid_share(plan) * (rough - fine[some])
         yield Gathered(fine, some, change, replace(central, values=one), replace(coarser, values=of_one))
 
