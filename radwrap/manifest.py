@@ -28,6 +28,8 @@ _MANIFEST: Final = FileKind("manifest", 256 << 20)
 _PACKAGES: Final = ("numpy", "scipy", "OpenImageIO", "pydantic", "pyradiance")
 # What designs, responses and their analysis hang on, besides.
 STUDY_PACKAGES: Final = ("opencv-contrib-python-headless", "pyDOE3", "statsmodels")
+# What compiles our own tracer.
+COMPILER_PACKAGES: Final = ("numba", "llvmlite")
 
 
 def versions(*more: str) -> dict[str, str]:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError
 from importlib.metadata import version as distribution_version
 from typing import Any
 
 from radwrap.errors import EnvironmentFailure, RadwrapError
+from radwrap.imaging.forecast.speed import tracer_speed
 from radwrap.led.ports import modules as hidapi_modules
 from radwrap.manifest import STUDY_PACKAGES, json_text, versions
 from radwrap.process import Programs, available_cores
@@ -20,7 +22,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     """Add the verb."""
     parser = verbs.add_parser(
         "doctor",
-        description="Tells what is installed, what is missing, and how to get it.",
+        description="Tells what is installed, what is missing, and how to get it, and how fast rays are traced here.",
     )
     parser.add_argument("--radiance", metavar="DIR", help="folder with another Radiance's bin and lib")
     parser.add_argument("--warm", action="store_true", help="compile our own tracer now, if it is not compiled yet")
@@ -30,9 +32,16 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Check everything; exit code 4 where something needed is missing."""
+    folder = arguments.radiance
     checks = [
-        _check("Radiance", True, "pip install pyradiance, or --radiance DIR", lambda: _radiance(arguments.radiance)),
-        _check("compiled tracer", False, 'pip install "radwrap[fast]"', lambda: _compiled(warm=arguments.warm)),
+        _with_speed(
+            _check("Radiance", True, "pip install pyradiance, or --radiance DIR", lambda: _radiance(folder)),
+            lambda: tracer_speed("radiance", folder),
+        ),
+        _with_speed(
+            _check("compiled tracer", False, 'pip install "radwrap[fast]"', lambda: _compiled(warm=arguments.warm)),
+            lambda: _compiled_speed(folder),
+        ),
         _check("POV-Ray", False, "apt install povray (only for cross-checks)", _povray),
         _check("hidapi", False, "pip install hidapi (only for a real LED ring)", _hidapi),
     ]
@@ -43,7 +52,8 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         for check in checks:
             state = check["version"] if check["found"] else f"missing: {check['problem']}; get it by: {check['remedy']}"
-            print(f"{check['name']}: {state}" + (f" ({check['place']})" if check["place"] else ""))
+            speed = f", {check['mrays_per_s']:.2g} Mrays/s on one core" if check.get("mrays_per_s") else ""
+            print(f"{check['name']}: {state}{speed}" + (f" ({check['place']})" if check["place"] else ""))
         for name, version in versions(*STUDY_PACKAGES).items():
             print(f"{name}: {version}")
         print(f"cores: {available_cores()}")
@@ -60,6 +70,15 @@ def _check(name: str, needed: bool, remedy: str, look: Callable[[], tuple[str, s
     except RadwrapError as error:
         return {**entry, "found": False, "version": None, "place": None, "problem": error.what}
     return {**entry, "found": True, "version": version, "place": place, "problem": None}
+
+
+def _with_speed(check: dict[str, Any], measure: Callable[[], float | None]) -> dict[str, Any]:
+    """A tracer's entry with its speed [Mrays/s]; None where that cannot be measured, which is no reason to fail."""
+    speed = None
+    if check["found"]:
+        with suppress(RadwrapError):
+            speed = measure()
+    return {**check, "mrays_per_s": None if speed is None else speed / 1e6}
 
 
 def _radiance(folder: str | None) -> tuple[str, str]:
@@ -81,6 +100,13 @@ def _compiled(*, warm: bool) -> tuple[str, str]:
         compile_ahead()
     state = "compiled" if is_warm() else "not compiled yet; radwrap doctor --warm compiles it"
     return f"numba {VERSIONS['numba']}, {state}", str(cache_folder())
+
+
+def _compiled_speed(radiance: str | None) -> float | None:
+    """Its speed, once it is compiled: to compile it takes long, and is only done where that is asked for."""
+    from radwrap.tracers.compiled.warm import is_warm
+
+    return tracer_speed("compiled", radiance) if is_warm() else None
 
 
 def _povray() -> tuple[str, str]:

@@ -121,12 +121,20 @@ def _lines(found: Mapping[str, Any]) -> Iterator[str]:
             f"effect {effect['name']}: {needed}; {effect['rms_gray']:.3g} gray rms "
             f"(at most {effect['rms_gray_upper95']:.3g}) if left out: {effect['left_out']}"
         )
+    if tracer := found.get("tracer"):
+        yield f"tracer: {tracer['name']} ({tracer['reason']}){_probe(tracer)}"
     if planner := found.get("planner"):
         yield f"method for a tolerance of {found['tolerance']:g}: {planner['method']} ({planner['why']})"
     for warning in found["warnings"]:
         yield f"warning: {warning}"
     for key, value in found["assumed"].items():
         yield f"assumed: {key} = {value}"
+
+
+def _probe(tracer: Mapping[str, Any]) -> str:
+    """What the comparison of both tracers showed, where there was one."""
+    probe = tracer.get("probe")
+    return f"; both were compared: {probe['differing']} of {probe['rays']} rays differ" if probe else ""
 
 
 def _source(source: Mapping[str, Any]) -> str:

@@ -15,7 +15,7 @@ from typing import Final
 
 from radwrap.errors import EnvironmentFailure, RadwrapError
 from radwrap.files import write_bytes
-from radwrap.manifest import STUDY_PACKAGES, versions
+from radwrap.manifest import COMPILER_PACKAGES, STUDY_PACKAGES, versions
 from radwrap.process import Programs
 from radwrap.tracers.installation import find_radiance
 from radwrap.tracers.installation import version as radiance_version
@@ -94,7 +94,8 @@ def check_fit(seal: Seal) -> None:
 
 
 def _programs(radiance: str | None) -> dict[str, str]:
-    found = {name: version for name, version in versions(*STUDY_PACKAGES).items() if name != "platform"}
+    packages = versions(*STUDY_PACKAGES, *COMPILER_PACKAGES)
+    found = {name: version for name, version in packages.items() if name != "platform"}
     with Programs() as programs:
         found["radiance"] = radiance_version(find_radiance(radiance), programs)
     digest = hashlib.sha256()

@@ -38,7 +38,7 @@ def test_a_seal_is_for_the_same_programs_and_the_same_folder(tmp_path: Path) -> 
     shutil.copytree(here, there, dirs_exist_ok=True)
     seal_of(here, None)  # another study began there
     assert why_unfit(seal) == f"does not see {here}"
-    for name in ("radwrap", "radwrap's files", "numpy", "radiance", "statsmodels"):
+    for name in ("radwrap", "radwrap's files", "numpy", "numba", "llvmlite", "radiance", "statsmodels"):
         assert f"another {name}" in why_unfit(replace(seal, programs={**seal.programs, name: "0.1"}))
     break_seal(seal)
     with pytest.raises(Unfit, match="does not see"):

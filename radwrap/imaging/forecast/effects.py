@@ -26,6 +26,7 @@ from radwrap.imaging.tolerance.certificate import PixelSample, lacks_in_gray, pl
 from radwrap.imaging.tolerance.planner import NEGLIGIBLE_SHARE, choose
 from radwrap.imaging.tolerance.survey import Survey, survey, with_smooth_blocks
 from radwrap.imaging.tracing import LaidOutScene, laid_out, of_channel, with_bounces
+from radwrap.manifest import plain
 from radwrap.random_streams import Rendering, generator
 from radwrap.scene.camera import ColourChannel
 from radwrap.scene.scene import Scene
@@ -158,7 +159,8 @@ def effects(scene: Scene, options: RenderOptions | None = None) -> dict[str, Any
     Returns
     -------
     dict
-        ``tolerance`` [gray level]; ``effects``: a list of `Effect` as dicts;
+        ``tolerance`` [gray level]; ``tracer``: which traces, and why, see `TracerUsed`; ``effects``: a list of `Effect`
+        as dicts;
         ``planner``: ``method``, ``why``, ``expected_rays`` of each method, ``expected_model_rms_gray``.
 
     Raises
@@ -173,7 +175,8 @@ def effects(scene: Scene, options: RenderOptions | None = None) -> dict[str, Any
         choice = choose(with_smooth_blocks(view, found, options.tolerance), found, options.demand)
         each = [effect.as_manifest() for effect in _measured(traced, view, found, options.tolerance, options.seed)]
     planner = {"method": choice.method, "why": choice.why, **choice.as_manifest()}
-    return {"tolerance": options.tolerance, "effects": each, "planner": planner}
+    tracer = plain(traced.tracer_used, named=False)
+    return {"tolerance": options.tolerance, "tracer": tracer, "effects": each, "planner": planner}
 
 
 def bounces(
