@@ -16,7 +16,6 @@ from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
-import OpenImageIO as oiio  # noqa: N813  (its own short name)
 from numpy.typing import DTypeLike, NDArray
 
 from radwrap.errors import EnvironmentFailure, InputError
@@ -181,6 +180,7 @@ def _write(
     path: Path, pixels: NDArray[Any], channel: str, metadata: Mapping[str, str], compression: str = "zip"
 ) -> None:
     check_result(path)
+    oiio = _reader_and_writer()
     rows, columns = pixels.shape
     spec = oiio.ImageSpec(columns, rows, 1, str(pixels.dtype) if pixels.dtype != np.float32 else "float")
     spec.channelnames = [channel]
@@ -194,7 +194,7 @@ def _write(
         spec.attribute(key, value)
     temporary = temporary_name(path)
     try:
-        output = _without_threads().ImageOutput.create(str(temporary))
+        output = oiio.ImageOutput.create(str(temporary))
         if output is None:
             raise EnvironmentFailure(f"cannot write: {oiio.geterror()}", where=str(path))
         # The third axis is needed: a two-dimensional float32 array crashes the writer (OpenImageIO 3.2.2).
@@ -221,15 +221,21 @@ def _write(
             temporary.unlink(missing_ok=True)
 
 
-def _without_threads() -> Any:
-    """OpenImageIO, without threads of OpenEXR's: a process that is forked later would wait for them for ever."""
+def _reader_and_writer() -> Any:
+    """OpenImageIO, without threads of OpenEXR's: a process that is forked later would wait for them for ever.
+
+    It is loaded here: that takes 0.06 s, and half of the commands neither read nor write an image.
+    """
+    import OpenImageIO as oiio  # noqa: N813  (its own short name)
+
     oiio.attribute("exr_threads", -1)
     return oiio
 
 
 def _holds(path: Path, pixels: NDArray[Any]) -> bool:
     """Whether a file holds these pixels; read in bands, so that many writers at a time stay small."""
-    source = _without_threads().ImageInput.open(str(path))
+    oiio = _reader_and_writer()
+    source = oiio.ImageInput.open(str(path))
     if source is None:
         return False
     try:
@@ -279,7 +285,8 @@ def _opened(path: Path, most_pixels: int) -> Any:
         str(path).encode()
     except UnicodeEncodeError as error:  # the reader takes names of UTF-8 only
         raise InputError("has a name that is not UTF-8", where=str(path), remedy="rename it") from error
-    source = _without_threads().ImageInput.open(str(path))
+    oiio = _reader_and_writer()
+    source = oiio.ImageInput.open(str(path))
     if source is None:
         raise InputError(f"is no image: {_reason(oiio)}", where=str(path))
     spec = source.spec()

@@ -125,7 +125,7 @@ READ_ELSEWHERE = {
         "temporary.read_bytes": "reads back what was just written",
     },
     "images.py": {
-        "_without_threads().ImageInput.open": "pictures that the door has let in, or that were just written",
+        "oiio.ImageInput.open": "pictures that the door has let in, or that were just written",
         "output.open": "writes",
         "path.open": "the header of a picture that the door has let in",
         "path.read_bytes": "a PNG that was just written",
