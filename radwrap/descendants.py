@@ -43,10 +43,10 @@ def end_marked(mark: str) -> None:
 
 
 def _marked(mark: str) -> Iterator[int]:
-    word = f"{_VARIABLE}={mark}".encode()
+    word = f"\0{_VARIABLE}={mark}".encode()
     for place in Path("/proc").iterdir():
         if place.name.isdecimal():
             # Others' processes cannot be read, and one that has ended has no environment.
             with suppress(OSError):
-                if any(entry.startswith(word) for entry in (place / "environ").read_bytes().split(b"\0")):
+                if word in b"\0" + (place / "environ").read_bytes():
                     yield int(place.name)
