@@ -31,6 +31,7 @@ class Rendering(IntEnum):
     EFFECT_PATHS = 14
     EFFECT_RESAMPLES = 15
     TRACER_PROBE = 18
+    REHEARSED_TILES = 19
 
 
 @unique

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import argparse
 import sys
+import time
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from radwrap.cli import options as shared
 from radwrap.errors import InputError, ToleranceNotMet
+from radwrap.imaging.forecast.cost import duration
 from radwrap.imaging.forecast.photo_realistic import check_drawable, write_beside
+from radwrap.imaging.forecasting import forecast
 from radwrap.imaging.output.run_manifest import RunManifest
 from radwrap.imaging.render_options import METHODS, TOLERANCE, RenderOptions
-from radwrap.imaging.synthesis import forecast, render
-from radwrap.manifest import json_text
+from radwrap.imaging.synthesis import render
+from radwrap.manifest import json_text, plain
 from radwrap.scene.scene import Scene
 
 _DESCRIPTION = (
@@ -208,19 +210,14 @@ def _budget(text: str | None) -> dict[str, Any]:
 
 
 def _dry_run(scene: Scene, options: RenderOptions, *, as_json: bool) -> int:
-    cost = forecast(scene, options)
+    # All that this process has done so far, of which nearly all is to load libraries and the scene.
+    cost = forecast(scene, options, started=time.process_time())
     if as_json:
-        figures = asdict(cost)
-        print(
-            json_text(
-                {
-                    "rays": figures["rays"],
-                    "memory_bytes": figures["memory_bytes"],
-                    "timing": {"wall_s": figures["seconds"]},
-                }
-            ),
-            end="",
-        )
-    else:
-        print(cost)
+        timing = plain(cost.foretold, named=False)
+        print(json_text({"rays": cost.rays, "memory_bytes": cost.memory_bytes, "timing": timing}), end="")
+        return 0
+    print(cost)
+    print(", ".join(f"{part} {duration(seconds)}" for part, seconds in cost.parts.items()))
+    for one in cost.cheaper:
+        print(one)
     return 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +15,7 @@ from radwrap.imaging.optics.aperture import Layout, central_viewpoint, sub_viewp
 from radwrap.imaging.optics.view import PixelPlan, PixelSampling
 from radwrap.imaging.render_options import FixedMethod, Method, RenderOptions
 from radwrap.imaging.tolerance.certificate import Certificate, certify_by_independent_rays
-from radwrap.imaging.tolerance.planner import Outcome, render_to_tolerance
+from radwrap.imaging.tolerance.planner import Outcome, Search, render_to_tolerance
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.sampling import render_by_plan
 from radwrap.scene.scene import Scene
@@ -117,8 +118,21 @@ def viewpoint_plan(scene: Scene, options: RenderOptions, method: FixedMethod, tr
     )
 
 
-def make(scene: Scene, options: RenderOptions, work: Work) -> Made:
+def make(
+    scene: Scene, options: RenderOptions, work: Work, before: Callable[[Search | ViewpointPlan], None] | None = None
+) -> Made:
     """Trace what the options ask for; finished pieces in the folder are used again.
+
+    Parameters
+    ----------
+    scene : Scene
+        What is there.
+    options : RenderOptions
+        How.
+    work : Work
+        Where and by whom.
+    before : callable, optional
+        Is told what will be traced, once that is known; not where a plan of many images decides.
 
     Raises
     ------
@@ -129,8 +143,10 @@ def make(scene: Scene, options: RenderOptions, work: Work) -> Made:
     """
     method = fixed_method(scene, options)
     if method is None:
-        return _to_tolerance(options, work)
+        return _to_tolerance(options, work, before)
     plan = viewpoint_plan(scene, options, method, work.traced_sha256)
+    if before is not None:
+        before(plan)
     work.progress.expect(plan.rays)
     reused = trace_viewpoints(
         plan,
@@ -154,9 +170,9 @@ def make(scene: Scene, options: RenderOptions, work: Work) -> Made:
     return Made(radiance, used, certify_by_independent_rays(work.view, radiance, options.seed), reused)
 
 
-def _to_tolerance(options: RenderOptions, work: Work) -> Made:
+def _to_tolerance(options: RenderOptions, work: Work, before: Callable[[Search], None] | None) -> Made:
     if options.sampling is None:
-        outcome = render_to_tolerance(work, options.demand)
+        outcome = render_to_tolerance(work, options.demand, before)
     else:
         outcome = render_by_plan(work, options.demand, options.sampling)
     sensor = work.view.camera.sensor

@@ -12,6 +12,7 @@ import tempfile
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -21,8 +22,9 @@ from numpy.typing import NDArray
 from radwrap.errors import InputError
 from radwrap.files import TEMPORARY_SUFFIX, check_result, disk_failure, make_folder, sha256_of, sole_owner
 from radwrap.images import ExposureImage, GrayImage, png_bytes
-from radwrap.imaging.forecast.cost import Cost, check_size, estimate, seconds_per_ray
+from radwrap.imaging.forecast.cost import check_size
 from radwrap.imaging.forecast.effects import Effect, bounces, bounces_beyond
+from radwrap.imaging.forecasting import Announcement, cores, usual_rays
 from radwrap.imaging.mean_radiance import Made, fixed_method, make, viewpoint_plan
 from radwrap.imaging.methods.pieces import remove_log, remove_pieces
 from radwrap.imaging.methods.viewpoints import missing_viewpoints
@@ -44,23 +46,18 @@ from radwrap.imaging.output.traced_run import TracedRun
 from radwrap.imaging.output.truth_files import TRUTH, read_truth, write_truth
 from radwrap.imaging.relight.basis import FOLDER, shining, write_basis
 from radwrap.imaging.render_options import RenderOptions
-from radwrap.imaging.response.noise import linear_of
 from radwrap.imaging.tolerance.kept_replicates import kept, write_replicates
-from radwrap.imaging.tolerance.planner import choose
 from radwrap.imaging.tolerance.replicates import Work
-from radwrap.imaging.tolerance.survey import survey, with_smooth_blocks
 from radwrap.imaging.tolerance.uncertainty import seen_magnifications, share_spread
-from radwrap.imaging.tracing import LaidOutScene, laid_out
+from radwrap.imaging.tracing import LaidOutScene
 from radwrap.manifest import plain, read_manifest, sha256_of_value
-from radwrap.process import Programs, available_cores, children_cpu_time
+from radwrap.process import Programs, children_cpu_time
 from radwrap.progress import Progress
 from radwrap.scene.scene import Scene
 
 _VIEWPOINTS: Final = "viewpoints"
 _WORK: Final = ".work"
 _MADE: Final = "made"
-# Rays a pixel that a tolerance takes, where only a rough number is needed.
-_USUAL_RAYS: Final = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,8 +121,8 @@ def render(
         If Radiance or the disk fails, or another run owns the folder.
     """
     options = replace(options or RenderOptions(), **changes)
-    workers = options.workers or available_cores()
-    check_size(scene, options.max_pixels, _usual_rays(scene, options), workers, replicates=_kept_replicates(options))
+    rays, replicates = usual_rays(scene, options), _kept_replicates(options)
+    check_size(scene, options.max_pixels, rays, cores(options), replicates=replicates)
     if out is None:
         for name in ("frames", "basis", "keep_viewpoints"):
             if getattr(options, name):
@@ -143,40 +140,6 @@ def render(
 def _kept_replicates(options: RenderOptions) -> int:
     """Images that are kept beside the result."""
     return 0 if options.sampling is None else options.sampling.replicates
-
-
-def _usual_rays(scene: Scene, options: RenderOptions) -> float:
-    """Rays that each pixel gets, as far as that is known before a ray is traced."""
-    method = fixed_method(scene, options)
-    if method is None:
-        return _USUAL_RAYS if options.sampling is None else options.sampling.rays_per_pixel
-    return (1 if method == "pinhole" else options.viewpoint_number) * options.pixel_samples**2
-
-
-def forecast(scene: Scene, options: RenderOptions) -> Cost:
-    """What a run would cost; the time of a ray is measured on a few pixels of the scene.
-
-    Raises
-    ------
-    InputError, EnvironmentFailure
-        As `render`.
-    """
-    if options.frames:
-        linear_of(scene.camera.sensor)
-    workers = options.workers or available_cores()
-    rays, replicates = _usual_rays(scene, options), _kept_replicates(options)
-    check_size(scene, options.max_pixels, rays, workers, replicates=replicates)
-    with laid_out(scene, options) as traced:
-        # Whether "auto" means all is not known before rays are traced: what it costs at most is told.
-        orders = options.bounces if isinstance(options.bounces, int) else None
-        view = traced.view() if orders == 0 else traced.bouncing_view(orders)
-        expected: float = rays * scene.camera.sensor.pixels
-        if fixed_method(scene, options) is None and options.sampling is None:
-            demand = options.demand if orders == 0 else replace(options.demand, method="rays")
-            found = survey(view, options.seed)
-            choice = choose(with_smooth_blocks(view, found, demand.tolerance), found, demand)
-            expected = choice.expected_rays[choice.method] or expected
-        return estimate(scene, expected, workers, lambda: seconds_per_ray(view), replicates=replicates)
 
 
 def _render_into(scene: Scene, out: Path, options: RenderOptions) -> Rendered:
@@ -234,7 +197,7 @@ class _Run:
 
     @property
     def workers(self) -> int:
-        return self.options.workers or available_cores()
+        return cores(self.options)
 
 
 def _is_finished(run: _Run) -> bool:
@@ -268,6 +231,7 @@ def _carry_out(run: _Run, start: float, cpu: float) -> None:
         tracer_cpu_s=children_cpu_time() - cpu + run.traced.tracer_cpu_s,
         workers=run.workers,
         reused_viewpoints=found.made.reused,
+        forecast=found.foretold,
     )
     hashes = {name: sha256_of(run.made / name) for name in files}
     write_run_manifest(run.made, found.manifest(images, uncertainty, hashes, timing))
@@ -286,7 +250,9 @@ def _trace(run: _Run) -> tuple[TracedRun, list[str]]:
         beyond = None
         if isinstance(orders, int) and orders:
             beyond = bounces_beyond(traced, orders, options.seed, options.tolerance)
-        made = make(scene, traced.banding.left(tracing), work)
+        announcement = Announcement(traced, options, run.made.parent / "rehearsal", run.programs)
+        before = partial(announcement.before, work.view) if options.progress else None
+        made = make(scene, traced.banding.left(tracing), work, before)
         spread, magnification = _spread(run), _magnification(scene, view)
         basis = _write_basis(run, work, made, magnification)
     finally:
@@ -304,6 +270,7 @@ def _trace(run: _Run) -> tuple[TracedRun, list[str]]:
         exposure_of_radiance=view.exposure_of_radiance,
         spread=spread,
         magnification=magnification,
+        foretold=announcement.foretold,
     )
     return found, basis
 

@@ -12,7 +12,7 @@ import radwrap
 from radwrap.errors import InputError
 from radwrap.imaging.demand import SamplingPlan
 from radwrap.imaging.forecast.cost import check_size, estimate
-from radwrap.imaging.synthesis import forecast
+from radwrap.imaging.forecasting import forecast
 from radwrap.imaging.tolerance.certificate import certify_by_independent_rays
 from radwrap.imaging.tracing import traced_scene
 

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Final
 
-import numpy as np
-
 from radwrap.errors import InputError
-from radwrap.imaging.optics.view import View, trace_rays
 from radwrap.scene.scene import Scene
+from radwrap.written import NotNegative
 
 # Measured on rtrace 6.0a: a fixed part, and a part for each source, for each ray [s on one core].
 _SECONDS_PER_RAY: Final = 0.6e-6
 _SECONDS_PER_RAY_AND_SOURCE: Final = 0.6e-6
-_TIMED_PIXELS: Final = 20_000
+# Rays a pixel that a tolerance takes, where only a rough number is needed.
+USUAL_RAYS: Final = 8
 # Interpreter, libraries and one tracer [byte].
 _BASE_MEMORY: Final = 150 << 20
 # Float64 sums and images while merging, and each worker's float32 image with its copy for reading back [byte/pixel].
@@ -25,6 +24,44 @@ _WORKER_BYTES: Final = 16
 # Of replicates that are kept beside their image, each as float32 with what cells change and as float64 twice, once more
 # while they are written: measured at 1.3 million pixels [byte/pixel].
 _REPLICATE_BYTES: Final = 36
+
+
+@dataclass(frozen=True, slots=True)
+class Cheaper:
+    """A change to a run, and what it would take then.
+
+    Attributes
+    ----------
+    change : str
+        In words.
+    wall_s : float
+        Wall time [s].
+    """
+
+    change: str
+    wall_s: NotNegative
+
+    def __str__(self) -> str:
+        return f"with {self.change} it would take about {duration(self.wall_s)}"
+
+
+@dataclass(frozen=True, slots=True)
+class Foretold:
+    """What was said of a run's time before it was carried out.
+
+    Attributes
+    ----------
+    wall_s : float
+        Wall time [s].
+    parts : Mapping[str, float]
+        What is done -> its wall time [s].
+    cheaper : tuple of Cheaper
+        What would take less, where the run is long.
+    """
+
+    wall_s: NotNegative
+    parts: Mapping[str, NotNegative]
+    cheaper: tuple[Cheaper, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,13 +74,26 @@ class Cost:
         Rays in all.
     memory_bytes : int
         Peak memory of all its processes [byte].
-    seconds : float
-        Wall time [s].
+    parts : Mapping[str, float]
+        What is done -> its wall time [s].
+    cheaper : tuple of Cheaper
+        What would take less, where the run is long.
     """
 
     rays: int
     memory_bytes: int
-    seconds: float
+    parts: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    cheaper: tuple[Cheaper, ...] = ()
+
+    @property
+    def seconds(self) -> float:
+        """Wall time of all parts [s]."""
+        return sum(self.parts.values())
+
+    @property
+    def foretold(self) -> Foretold:
+        """Its times."""
+        return Foretold(self.seconds, dict(self.parts), self.cheaper)
 
     def __str__(self) -> str:
         return f"{self.rays:.3g} rays, {self.memory_bytes / 2**30:.2g} GiB of memory, {duration(self.seconds)}"
@@ -57,20 +107,8 @@ def duration(seconds: float) -> str:
     return f"{seconds:.2g} s"
 
 
-def seconds_per_ray(view: View) -> float:
-    """Time a ray takes on one core [s], from pixels spread over the sensor."""
-    sensor = view.camera.sensor
-    pixels = np.unique(np.linspace(0, sensor.pixels - 1, min(_TIMED_PIXELS, sensor.pixels)).astype(np.intp))
-    v, u = np.divmod(pixels.astype(np.float64), sensor.columns)
-    start = time.monotonic()
-    trace_rays(replace(view, workers=1), None, u, v)
-    return (time.monotonic() - start) / len(pixels)
-
-
-def estimate(
-    scene: Scene, rays: float, workers: int, measure: Callable[[], float] | None = None, *, replicates: int = 0
-) -> Cost:
-    """Estimate what a run will cost.
+def estimate(scene: Scene, rays: float, workers: int, *, replicates: int = 0) -> Cost:
+    """Estimate what a run will cost, by a model of rtrace.
 
     Parameters
     ----------
@@ -80,18 +118,15 @@ def estimate(
         Rays in all.
     workers : int
         Tracer processes at a time.
-    measure : callable, optional
-        Gives the time a ray takes on one core [s]; default a model of rtrace.
     replicates : int
         Images that are kept beside the result, as runs of a study do.
     """
     pixels = scene.camera.sensor.pixels
-    model = _SECONDS_PER_RAY + _SECONDS_PER_RAY_AND_SOURCE * len(scene.emitters)
-    per_ray = model if measure is None else measure()
+    per_ray = _SECONDS_PER_RAY + _SECONDS_PER_RAY_AND_SOURCE * len(scene.emitters)
     return Cost(
         rays=round(rays),
         memory_bytes=_BASE_MEMORY + pixels * (_MERGE_BYTES + _WORKER_BYTES * workers + _REPLICATE_BYTES * replicates),
-        seconds=rays * per_ray / workers,
+        parts={"image": rays * per_ray / workers},
     )
 
 

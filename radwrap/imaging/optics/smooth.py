@@ -75,6 +75,15 @@ class SmoothField:
         inside = top >= 0 and left >= 0 and bottom < self.smooth.shape[0] and right < self.smooth.shape[1]
         return inside and bool(self.smooth[top : bottom + 1, left : right + 1].all())
 
+    def share_of(self, rows: tuple[float, float], columns: tuple[float, float]) -> float:
+        """Share of the blocks between these rows and columns [px] that are smooth."""
+        (top, bottom), (left, right) = (
+            (max(math.floor((low + 0.5) / BLOCK) - first, 0), max(math.floor((high + 0.5) / BLOCK) - first, 0))
+            for first, (low, high) in zip(self.first, (rows, columns), strict=True)
+        )
+        some = self.smooth[top : bottom + 1, left : right + 1]
+        return float(some.mean()) if some.size else 0.0
+
     def at(self, u: Array, v: Array) -> tuple[Array, Array]:
         """L cos^4(theta) and m at places that `holds`."""
         row, column = self._block(v, 0), self._block(u, 1)

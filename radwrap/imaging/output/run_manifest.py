@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.imaging.banding import BandsSummary
+from radwrap.imaging.forecast.cost import Foretold
 from radwrap.imaging.forecast.effects import Effect
 from radwrap.imaging.optics.aperture import Layout
 from radwrap.imaging.optics.view import PixelSampling
@@ -51,12 +52,13 @@ class BouncesTraced:
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """What a run took: the one part of a manifest that differs between equal runs."""
+    """What a run took, and what was said of that before: the one part of a manifest that differs between equal runs."""
 
     wall_s: NotNegative
     tracer_cpu_s: NotNegative
     workers: Count
     reused_viewpoints: Rays
+    forecast: Foretold | None = field(default=None, metadata=ONLY_WHERE_USED)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.imaging.banding import Banding
+from radwrap.imaging.forecast.cost import Foretold
 from radwrap.imaging.forecast.effects import Effect
 from radwrap.imaging.mean_radiance import Made
 from radwrap.imaging.optics.diffraction import diffraction, diffraction_warning
@@ -47,6 +48,8 @@ class TracedRun:
         How the light of each pixel is shared among sources, where each has a tolerance of its own.
     magnification : ndarray, shape (rows, columns), optional
         How much a wider opening blurs each pixel, where a lens has one that is not sure.
+    foretold : Foretold, optional
+        What was said of the run's time before it was carried out, where that is long.
     """
 
     scene: Scene
@@ -61,6 +64,7 @@ class TracedRun:
     exposure_of_radiance: float
     spread: NDArray[np.float64] | None
     magnification: NDArray[np.float64] | None
+    foretold: Foretold | None = None
 
     @property
     def warnings(self) -> tuple[str, ...]:

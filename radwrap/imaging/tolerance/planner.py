@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -60,7 +60,7 @@ NEGLIGIBLE_SHARE: Final = 0.3
 # Where the model's error takes more than this share of the tolerance, rays are asked instead.
 MODEL_SHARE: Final = 0.85
 # Pixels where that may reach this share of the tolerance are looked at apart.
-_RISK_SHARE: Final = 0.1
+RISK_SHARE: Final = 0.1
 _ATTEMPTS: Final = 8
 # By what the fewest rays of a pixel grow from one attempt by rays to the next, and where that ends.
 _MORE: Final = 4
@@ -77,7 +77,7 @@ _FINEST: Final = 2
 # of 100 gray that is shifted by 0.2 differs in one of 500 [gray level].
 _COARSE_TOLERANCE: Final = 0.25
 # Pixels of the model's certificate, and pairs of each: where depth is even, and near steps; tried in turn.
-_EFFORTS: Final = ((512, 4, 16), (1024, 8, 32), (1024, 16, 128), (2048, 64, 1024))
+EFFORTS: Final = ((512, 4, 16), (1024, 8, 32), (1024, 16, 128), (2048, 64, 1024))
 # A 99 % quantile without an exceedance among so many: 97.5 % sure of each half's 99.5 %.
 _QUANTILE_PIXELS: Final = 1024
 _QUANTILE: Final = 0.995
@@ -174,15 +174,20 @@ def choose(view: View, found: Survey, demand: Demand) -> Choice:
     return Choice(method, why, one_layer, model, {"kernel": kernel, "rays": rays})
 
 
-def render_to_tolerance(work: Work, demand: Demand) -> Outcome:
+def render_to_tolerance(work: Work, demand: Demand, before: Callable[[Search], None] | None = None) -> Outcome:
     """Make an image whose certified error keeps a tolerance, or the best that the budget allows.
+
+    `before` is told once a survey says what will be done.
 
     Raises
     ------
     TracerError, EnvironmentFailure
         If the tracer or the disk fails.
     """
-    return Search(work, demand).run()
+    search = Search(work, demand)
+    if before is not None:
+        before(search)
+    return search.run()
 
 
 class Search:
@@ -243,6 +248,11 @@ class Search:
             method, aim, why = self._next(outcome, aim, why)
         assert best is not None  # noqa: S101  (the loop ran)
         return replace(best, record=self.recorded(best.record, given_up=given_up))
+
+    def first_plan(self, method: ToleranceMethod | None = None) -> tuple[KernelPlan | RaysPlan, int]:
+        """What is tried first, or first by a method, and how many replicates of it."""
+        method = method or self.choice.method
+        return self._planned(method, self._affordable(method, self._first_aim(method)))
 
     def recorded(
         self, record: SearchRecord, *, given_up: GivenUp | None = None, sampling: SamplingPlan | None = None
@@ -316,9 +326,12 @@ class Search:
         met = met_by(self.view, self.found.magnification)
         return plan_kernel(self.view, middle_of(met) if self.one_layer else met, aim, self.finer)
 
-    def _attempt(self, method: ToleranceMethod, aim: float, why: str) -> Outcome:
+    def _planned(self, method: ToleranceMethod, aim: float) -> tuple[KernelPlan | RaysPlan, int]:
         number = replicates_needed(self._plan(method, aim))
-        plan = self._plan(method, aim * math.sqrt(number))
+        return self._plan(method, aim * math.sqrt(number)), number
+
+    def _attempt(self, method: ToleranceMethod, aim: float, why: str) -> Outcome:
+        plan, number = self._planned(method, aim)
         # Some image there must be: the coarsest may take what it takes.
         most = self.demand.budget.rays - self.spent - self._certificate_rays(plan) if aim < _COARSE_AIM else math.inf
         return self.made(plan, number, why, aim=aim, most=most)
@@ -378,8 +391,8 @@ class Search:
             quantile = noise_quantile(errors, noise) if self.demand.max_error is not None else None
             return certificate_of(NOTHING, noise, quantile, pixels=0, rays=0), None
         gray = GrayWhereAsked(radiance, view.exposure_of_radiance, view.camera.sensor)
-        risky = steps(view, self.found.magnification, gray, _RISK_SHARE * self.demand.tolerance)
-        for effort in range(self.effort, len(_EFFORTS)):
+        risky = steps(view, self.found.magnification, gray, RISK_SHARE * self.demand.tolerance)
+        for effort in range(self.effort, len(EFFORTS)):
             pixels, pairs = self._pixels_and_pairs(effort)
             drawn = draw_pixels(gray, pixels, (seed, Rendering.MODEL_PIXELS, effort), risky=risky, pairs=pairs)
             all_pairs = int(drawn.pairs.sum())
@@ -404,7 +417,7 @@ class Search:
         return certificate_of(model, noise, quantile, pixels=len(sample.pixels), rays=found.rays), sample
 
     def _pixels_and_pairs(self, effort: int) -> tuple[int, tuple[int, int]]:
-        pixels, *pairs = _EFFORTS[effort]
+        pixels, *pairs = EFFORTS[effort]
         return pixels if self.demand.max_error is None else max(pixels, _QUANTILE_PIXELS), (pairs[0], pairs[1])
 
     def _certificate_rays(self, plan: KernelPlan | RaysPlan) -> int:

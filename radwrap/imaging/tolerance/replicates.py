@@ -175,13 +175,35 @@ def trace_replicates(work: Work, plan: Plan, number: int, most: float = math.inf
         grid_square += float(told[piece]["grid_square"]) * (r1 - r0) * (c1 - c0) / images.size
         if change is not None:  # in the order of the pieces, whoever was finished first
             change[r0:r1, c0:c1] += changes[piece].astype(np.float64) / number
-    made = Replicates(images, grid_square, rays, len(pieces) - len(due), _block(plan), change)
+    made = Replicates(images, grid_square, rays, len(pieces) - len(due), block_of(plan), change)
     if change is None:
         return made
     # What replicates have in common, without the noise of each.
     squares = grid_squares(made.mean, change, work.view.exposure_of_radiance, sensor)
     share = smooth_share(plan) if isinstance(plan, KernelPlan) else 1.0
     return replace(made, grid_square=float(squares.mean()), smooth_share=share)
+
+
+def decide_tiles(work: Work, plan: Plan) -> None:
+    """Find the cells of each of a plan's tiles, which `make_tiles` then has."""
+    tiles, name = range(len(plan.tiles)), _plan_name(work, plan)
+    shared = _among(work, len(tiles))
+    if isinstance(plan, KernelPlan):
+        run_jobs([_CellsPiece(shared, plan, name, tile).make for tile in tiles], work.programs, work.view.workers)
+
+
+def make_tiles(work: Work, plan: Plan, number: int) -> int:
+    """Make so many replicates of each of a plan's tiles, and no image of them; gives how many rays they took."""
+    tiles, name = range(len(plan.tiles)), _plan_name(work, plan)
+    shared = _among(work, number * len(tiles))
+    pieces = [_TilePiece(shared, plan, name, replicate, tile) for replicate in range(number) for tile in tiles]
+    rays: list[int] = []
+
+    def make(piece: _TilePiece) -> None:
+        rays.append(int(piece.make()[1]["rays"]))
+
+    run_jobs([partial(make, piece) for piece in pieces], work.programs, work.view.workers)
+    return sum(rays)
 
 
 def _keeps_change(plan: Plan) -> bool:
@@ -194,7 +216,7 @@ def _among(work: Work, jobs: int) -> Work:
     return replace(work, view=replace(work.view, workers=max(1, work.view.workers // jobs)))
 
 
-def _block(plan: Plan) -> tuple[int, int]:
+def block_of(plan: Plan) -> tuple[int, int]:
     """Rows and columns over which errors hang together [px].
 
     The correlation of noise that was gathered over a disc of radius R has the
@@ -208,7 +230,7 @@ def _block(plan: Plan) -> tuple[int, int]:
 
 def replicates_needed(plan: Plan) -> int:
     """How many replicates tell their noise: two, but more where the image is small beside the blur."""
-    sensor, block = plan.camera.sensor, _block(plan)
+    sensor, block = plan.camera.sensor, block_of(plan)
     blocks = max(1.0, sensor.rows / block[0]) * max(1.0, sensor.columns / block[1])
     return min(max(1 + math.ceil(_DEGREES / blocks), 2), _MOST_REPLICATES)
 

@@ -138,6 +138,13 @@ def _even_kernel(view: View, found: Survey, *, layered: bool, cell: float | None
     return plan_kernel(view, met, 0.0, even_cell=cell)
 
 
+def even_plan(view: View, found: Survey, plan: SamplingPlan) -> KernelPlan | RaysPlan:
+    """What is traced of one image by a plan of many."""
+    if plan.method == "rays":
+        return plan_rays(view, 0.0, even=plan.rays)
+    return _even_kernel(view, found, layered=plan.layered, cell=plan.cell)
+
+
 def render_by_plan(work: Work, demand: Demand, plan: SamplingPlan) -> Outcome:
     """Make the image by a plan, and say whether it keeps its tolerance; it is not tried again.
 
@@ -147,10 +154,6 @@ def render_by_plan(work: Work, demand: Demand, plan: SamplingPlan) -> Outcome:
         If the tracer or the disk fails.
     """
     search = Search(work, demand)
-    rays: KernelPlan | RaysPlan = (
-        plan_rays(work.view, 0.0, even=plan.rays)
-        if plan.method == "rays"
-        else _even_kernel(work.view, search.found, layered=plan.layered, cell=plan.cell)
-    )
+    rays = even_plan(work.view, search.found, plan)
     outcome = search.made(rays, plan.replicates, "the plan of all images that are compared")
     return replace(outcome, record=search.recorded(outcome.record, sampling=plan))

@@ -1,0 +1,157 @@
+"""What a run will take: held against tracers whose time is known, and against runs."""
+
+from __future__ import annotations
+
+import time
+import tomllib
+from collections.abc import Generator, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import radwrap
+from radwrap.imaging import forecasting
+from radwrap.imaging.forecast.rehearsal import Stopwatch, rehearsed, rehearsed_viewpoints, seconds_per_ray
+from radwrap.imaging.forecasting import forecast
+from radwrap.imaging.mean_radiance import viewpoint_plan
+from radwrap.imaging.tolerance.planner import Search
+from radwrap.imaging.tolerance.replicates import Work, trace_replicates
+from radwrap.imaging.tracing import traced_scene
+from radwrap.process import Programs
+from radwrap.progress import Progress
+from radwrap.tracers.tracer import Tracer
+
+START = Path(__file__).parents[2] / "radwrap" / "data" / "init" / "scene.toml"
+_COST = 2e-4  # s of processor time that a slow tracer takes for a ray; all else takes a tenth of it at most
+_SLACK = 1.3  # of what else is done beside that, and of a clock that ticks
+Array = NDArray[np.float64]
+
+
+def scene(times: int = 1, **changes: Any) -> radwrap.Scene:
+    """The board of `radwrap init` with so many times the rows and columns, on the same field of view."""
+    document = tomllib.loads(START.read_text())
+    document["camera"]["sensor"] |= {
+        "rows": 33 * times,
+        "columns": 48 * times,
+        "pixel_width": f"{55 / times} um",
+        "pixel_height": f"{80 / times} um",
+    }
+    return radwrap.scene_from_document(document, changes)
+
+
+@dataclass(frozen=True, slots=True)
+class Slow:
+    """Answers as another tracer, and takes a known processor time for each ray more; satisfies `Tracer`."""
+
+    tracer: Tracer
+
+    def trace(self, rays: Iterable[Array]) -> Generator[Array]:
+        for values, _ in self.trace_with_distances(rays):
+            yield values
+
+    def trace_with_distances(self, rays: Iterable[Array]) -> Generator[tuple[Array, Array]]:
+        for found in self.tracer.trace_with_distances(rays):
+            self._burn(len(found[0]))
+            yield found
+
+    def distances(self, rays: Iterable[Array]) -> Generator[Array]:
+        return self.tracer.distances(rays)
+
+    def _burn(self, rays: int) -> None:
+        end = time.thread_time() + rays * _COST
+        while time.thread_time() < end:
+            pass
+
+
+@contextmanager
+def working(shown: radwrap.Scene, folder: Path, *, slow: bool) -> Iterator[Work]:
+    with traced_scene(shown) as traced, Programs() as programs:
+        view = replace(traced, workers=1, tracer=Slow(traced.tracer) if slow else traced.tracer)
+        folder.mkdir(exist_ok=True)
+        yield Work(view, folder, programs, Progress("", 1, shown=False), "test", 0)
+
+
+def test_a_stopwatch_counts_the_work_of_this_machine_only() -> None:
+    clock = Stopwatch()
+    time.sleep(0.2)  # another program has the processor
+    assert clock.lap() < 0.05
+    end = time.thread_time() + 0.2
+    while time.thread_time() < end:
+        pass
+    assert clock.lap() == pytest.approx(0.2, rel=0.2)
+
+
+def test_a_slow_tracer_is_seen(tmp_path: Path) -> None:
+    with working(scene(), tmp_path, slow=True) as work:
+        assert _COST <= seconds_per_ray(work.view) <= _SLACK * _COST
+        plan = viewpoint_plan(scene(), radwrap.RenderOptions(viewpoints=7), "viewpoints", "")
+        found = rehearsed_viewpoints(work.view, plan)
+        assert found.rays == 7 * 33 * 48
+        assert found.rays * _COST <= found.seconds <= _SLACK * found.rays * _COST
+
+
+def test_an_image_takes_as_long_as_its_rays_and_four_times_the_pixels_four_times_as_long(tmp_path: Path) -> None:
+    seconds = []
+    for times in (1, 2):
+        with working(scene(times), tmp_path, slow=True) as work:
+            search = Search(work, radwrap.RenderOptions(method="rays", tolerance=4.0).demand)
+            plan, number = search.first_plan()
+            expected = search.choice.expected_rays["rays"]
+            assert expected is not None
+            found = rehearsed(work, plan, number, expected)
+            assert found.rays * _COST <= found.seconds <= _SLACK * found.rays * _COST
+            seconds.append(found.seconds)
+    # Smaller pixels see less change in each; both have eight rays to decide and four at least.
+    assert 2.5 < seconds[1] / seconds[0] < 4.5
+
+
+def test_some_tiles_stand_for_all(tmp_path: Path) -> None:
+    """A kernel's image of 16 tiles, of which four or more are made."""
+    with working(scene(20), tmp_path, slow=False) as work:
+        search = Search(work, radwrap.RenderOptions(method="kernel").demand)
+        plan, number = search.first_plan()
+        tiles = tuple(
+            (row, row + 165, column, column + 240) for row in range(0, 660, 165) for column in range(0, 960, 240)
+        )
+        small = replace(plan, tiles=tiles)
+        found = rehearsed(work, small, number, search.choice.expected_rays["kernel"] or 0)
+        made = trace_replicates(work, small, number)
+    assert 1 / 1.5 < found.rays / made.rays < 1.5
+
+
+def test_parts_add_up_and_a_run_takes_about_as_long(tmp_path: Path) -> None:
+    cost = forecast(scene(4), radwrap.RenderOptions(workers=1), started=1.0)
+    assert cost.seconds == pytest.approx(sum(cost.parts.values())) and cost.parts["start"] == 1.0
+    assert {"start", "layout", "light between surfaces", "survey", "image", "certificate", "files"} == set(cost.parts)
+    clock = Stopwatch()
+    radwrap.render(scene(4), tmp_path / "out", workers=1)
+    # A tenth of a second more or less is the start of the tracer's programs.
+    assert cost.seconds - 1.0 == pytest.approx(clock.lap(), rel=0.5, abs=0.2)
+
+
+@pytest.mark.parametrize("options", [{"method": "rays", "tolerance": 2.0}, {"viewpoints": 37}])
+def test_a_long_run_says_so_before_and_what_is_cheaper(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, options: dict[str, Any]
+) -> None:
+    plain = radwrap.render(scene(2), tmp_path / "plain", progress=True, **options)
+    assert capsys.readouterr().err == "" and plain.run.timing.forecast is None
+    for name in ("_LONG", "_MANY", "_PERHAPS_LONG"):
+        monkeypatch.setattr(forecasting, name, 0.0)
+    told = radwrap.render(scene(2), tmp_path / "told", progress=True, **options)
+    words = capsys.readouterr().err
+    assert "this will take about" in words and "half as many columns and rows of pixels" in words
+    assert told.run.timing.forecast is not None
+    # Of the run's own files nothing hangs on that.
+    assert told.run.files == plain.run.files
+    assert {path.name for path in (tmp_path / "told").iterdir()} == {
+        path.name for path in (tmp_path / "plain").iterdir()
+    }
+    found = {one.change: one.wall_s for one in told.run.timing.forecast.cheaper}
+    whole = told.run.timing.forecast.wall_s
+    assert all(0 < wall <= 0.8 * whole for wall in found.values())
+    assert ("a tolerance of 4 gray in place of 2" if "method" in options else "19 viewpoints in place of 37") in found
