@@ -6,9 +6,11 @@ survey is made. What comes then is rehearsed. So a forecast is a sum of parts, e
 
 from __future__ import annotations
 
+import math
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from copy import copy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
@@ -30,6 +32,7 @@ from radwrap.imaging.forecast.rehearsal import (
     timed,
 )
 from radwrap.imaging.mean_radiance import fixed_method, viewpoint_plan
+from radwrap.imaging.methods.kernel import KernelPlan
 from radwrap.imaging.methods.rays import RaysPlan
 from radwrap.imaging.methods.viewpoints import ViewpointPlan
 from radwrap.imaging.optics.view import View
@@ -61,7 +64,7 @@ _READ_BACK: Final = 0.4
 _CERTIFIED_RAYS: Final = 2 * 64 * 512  # of a method whose rays are fixed, see `certify_by_independent_rays`
 _THINNED: Final = 4
 _SHORT: Final = 0.3  # s; as `LONGEST_TILE`, where only ratios count
-_OF_IMAGE: Final = {"image", "certificate", "rays where the kernel fails"}
+_OF_IMAGE: Final = {"image", "certificate", "where the kernel fails"}
 _HALF: Final = "half as many columns and rows of pixels"
 
 
@@ -118,13 +121,23 @@ class Stage:
             return parts, image
         look = look_at_model(work, what, plan)
         parts["certificate"] += look.seconds
-        if sampling is None and what.demand.method is None and look.square.mean > what.demand.tolerance**2:
-            further = self._by_rays(work, what)
-            # With depths told apart the kernel is tried once more.
-            again = image.seconds if what.one_layer else 0.0
-            parts["rays where the kernel fails"] = again + further.seconds
-            image = replace(image, rays=(2 if what.one_layer else 1) * image.rays + further.rays)
+        if sampling is None and what.demand.method is None and not look.holds:
+            further = self._further(work, what, image)
+            parts["where the kernel fails"] = further.seconds
+            image = replace(image, rays=image.rays + further.rays)
         return parts, image
+
+    def _further(self, work: Work, search: Search, first: Rehearsed) -> Rehearsed:
+        """What comes after a kernel that does not hold: one that tells depths apart, then rays."""
+        if not search.one_layer or math.isinf(search.found.model.mean):
+            return self._by_rays(work, search)
+        layered = copy(search)
+        layered.one_layer = False
+        plan, _ = layered.first_plan("kernel")
+        if isinstance(plan, KernelPlan) and look_at_model(work, layered, plan).holds:
+            return first
+        rays = self._by_rays(work, search)
+        return Rehearsed(first.seconds + rays.seconds, first.rays + rays.rays)
 
     def _by_rays(self, work: Work, search: Search) -> Rehearsed:
         plan, number = search.first_plan("rays")

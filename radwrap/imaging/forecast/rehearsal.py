@@ -24,7 +24,7 @@ from radwrap.imaging.methods.viewpoints import ViewpointPlan
 from radwrap.imaging.optics.view import View, pixel_means, ray_blocks, trace_rays, traced
 from radwrap.imaging.response.sensor import GrayWhereAsked
 from radwrap.imaging.tolerance.bounds import NOTHING, Bounded
-from radwrap.imaging.tolerance.certificate import draw_pixels, model_errors, root
+from radwrap.imaging.tolerance.certificate import draw_pixels, model_errors
 from radwrap.imaging.tolerance.planner import EFFORTS, RISK_SHARE, Search
 from radwrap.imaging.tolerance.replicates import (
     Replicates,
@@ -34,7 +34,7 @@ from radwrap.imaging.tolerance.replicates import (
     discretisation,
     make_tiles,
 )
-from radwrap.imaging.tolerance.survey import steps
+from radwrap.imaging.tolerance.survey import AIM_SHARE, steps
 from radwrap.process import children_cpu_time
 from radwrap.random_streams import Rendering, generator
 
@@ -52,7 +52,10 @@ _SMOOTH_SHARE: Final = 0.15
 # Threads of Python wait for each other: 1.04 to 1.18 of their processor time over their number, measured on the ring
 # and on two bars.
 _SHARED: Final = 1.15
-_HARDLY: Final = 0.1  # of the tolerance; below that the first effort of a certificate sees that the model holds
+# Of the square of the tolerance the model may take so much for sure: images are made with an aim of 0.75 of it. And
+# above so much it fails: noise took a quarter of the certificates of the cells.
+_HOLDS: Final = 1 - AIM_SHARE**2
+_FAILS: Final = 0.75
 _STRIP: Final = 1 << 16  # px
 
 
@@ -251,11 +254,14 @@ class Look:
     square : Bounded
         Mean square of what the model lacks [gray level^2].
     seconds : float
-        What a certificate of the usual effort takes for that [s].
+        What a certificate takes for that [s]: one effort where that is clear, else two.
+    holds : bool
+        Whether the model is expected to hold.
     """
 
     square: Bounded
     seconds: float
+    holds: bool
 
 
 def look_at_model(work: Work, search: Search, plan: KernelPlan) -> Look:
@@ -266,7 +272,7 @@ def look_at_model(work: Work, search: Search, plan: KernelPlan) -> Look:
     """
     view, found, camera = work.view, search.found, plan.camera
     if camera.aperture.is_infinitesimal:
-        return Look(NOTHING, 0.0)
+        return Look(NOTHING, 0.0, holds=True)
     clock = Stopwatch(view.workers)
     sensor = camera.sensor
     shape = (sensor.rows, sensor.columns)
@@ -284,10 +290,13 @@ def look_at_model(work: Work, search: Search, plan: KernelPlan) -> Look:
     clock.lap()
     errors = model_errors(view, plan.layers, sample, radiance.ravel()[sample.pixels], seed=key)
     square, seconds = errors.mean_square(sample, key), clock.lap()
-    if root(square.upper) <= _HARDLY * search.demand.tolerance:
-        return Look(square, seconds)
+    wanted = search.demand.tolerance**2
+    if square.mean > _FAILS * wanted:
+        return Look(square, seconds, holds=False)
+    if square.upper <= _HOLDS * wanted:
+        return Look(square, seconds, holds=True)
     first, second = (count * each for count, each, _ in EFFORTS[:2])
-    return Look(square, seconds * (1 + second / first))
+    return Look(square, seconds * (1 + second / first), holds=True)
 
 
 def comparison_seconds(work: Work, plan: KernelPlan | RaysPlan, number: int) -> float:
