@@ -9,7 +9,15 @@ import pytest
 
 pytest.importorskip("numba")
 
-from radwrap.tracers.compiled.arithmetic import angle_of, azimuth, exponential, log_cosine, squared_angle_of
+from radwrap.tracers.compiled.arithmetic import (
+    angle_of,
+    azimuth,
+    cosine_and_sine_of_turn,
+    exponential,
+    log_cosine,
+    logarithm_of_ratio,
+    squared_angle_of,
+)
 
 # Two sums of at most 16 terms, each rounded, and the reduction: some last digits.
 DIGITS = 8 * 2.0**-52
@@ -77,3 +85,18 @@ def test_azimuth() -> None:
     assert right == [0.0, math.pi / 2, math.pi, 2 * math.pi - math.pi / 2]
     assert azimuth(0.0, 0.0) == azimuth(-0.0, 1.0) == 0.0
     assert azimuth(-1e-30, 1.0) <= 2 * math.pi
+
+
+def test_logarithm_of_a_ratio() -> None:
+    random = np.random.default_rng(8)
+    values = [*random.uniform(-0.999, 0.999, 2000), *TINY[3:], 1 - 1e-9, -1 + 1e-9]
+    # Next to 1 the ratio itself has lost digits of 1 - x, which the logarithm makes few.
+    assert max(relative(logarithm_of_ratio(x), math.atanh(x) / x) for x in values) < 4 * DIGITS
+    assert logarithm_of_ratio(0.0) == 1.0
+
+
+def test_cosine_and_sine_of_a_turn() -> None:
+    for share in np.linspace(0, 1, 1001).tolist():
+        cosine, sine = cosine_and_sine_of_turn(share)
+        assert cosine == pytest.approx(math.cos(2 * math.pi * share), abs=DIGITS)
+        assert sine == pytest.approx(math.sin(2 * math.pi * share), abs=DIGITS)

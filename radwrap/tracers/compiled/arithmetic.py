@@ -19,6 +19,8 @@ _ARCSINE: Final = tuple(
     math.factorial(2 * n) / (4**n * math.factorial(n) ** 2 * (2 * n + 1)) for n in range(20)
 )  # of asin(x)/x in x^2
 _ARTANH: Final = tuple(1 / (2 * n + 1) for n in range(12))  # of artanh(x)/x in x^2
+_COSINE: Final = tuple((-1) ** n / math.factorial(2 * n) for n in range(9, -1, -1))
+_SINE: Final = tuple((-1) ** n / math.factorial(2 * n + 1) for n in range(9, -1, -1))
 _LOG2_E: Final = 1 / math.log(2)
 # ln 2 in two parts, of which the first has so few digits that its product with a whole number is exact.
 _LN2_HIGH: Final = 6.93147180369123816490e-01
@@ -126,3 +128,35 @@ def azimuth(y: float, x: float) -> float:
     if x < 0:
         turn = math.pi - turn
     return 2 * math.pi - turn if y < 0 and turn > 0 else turn
+
+
+@compiled
+def logarithm_of_ratio(x: float) -> float:
+    """Ln((1+x)/(1-x))/(2x), from -1 to 1: artanh(x)/x, and 1 at 0."""
+    if abs(x) < 1e-9:
+        return 1.0
+    if abs(x) < 0.17:
+        return _log_ratio(x) / (2 * x)
+    mantissa, exponent = math.frexp((1 + abs(x)) / max(1 - abs(x), 1e-300))
+    if mantissa < 0.7:
+        mantissa, exponent = 2 * mantissa, exponent - 1
+    return (_log_ratio((mantissa - 1) / (mantissa + 1)) + exponent * (_LN2_HIGH + _LN2_LOW)) / (2 * abs(x))
+
+
+@compiled
+def cosine_and_sine_of_turn(share: float) -> tuple[float, float]:
+    """Cosine and sine of a share of a full turn, from 0 to 1."""
+    quarter = math.floor(4 * share + 0.5)
+    x = (share - quarter / 4) * (2 * math.pi)  # at most 45 degrees
+    y = x * x
+    cosine, sine = 0.0, 0.0
+    for k in range(len(_COSINE)):
+        cosine, sine = cosine * y + _COSINE[k], sine * y + _SINE[k]
+    sine *= x
+    if quarter == 1:
+        return -sine, cosine
+    if quarter == 2:
+        return -cosine, -sine
+    if quarter == 3:
+        return sine, -cosine
+    return cosine, sine
