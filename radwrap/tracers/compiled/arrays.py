@@ -44,6 +44,11 @@ BRDF: Final = 6  # numbers of incidence, viewing and azimuth angles
 DOTS: Final = 0  # columns, rows, square of radius over pitch
 EDGE: Final = 1  # where the edge lies
 
+# Shapes of wide lights, and what `a`, `b` and `c` mean.
+WIDE_RECTANGLE: Final = 0  # width, height
+WIDE_ANNULUS: Final = 1  # inner and outer radius
+WIDE_ZONE: Final = 2  # radius of the sphere, least and largest height over its middle
+
 
 class Shape:
     """A shape of a target or an emitter.
@@ -269,6 +274,51 @@ class Cluster:
     z1: float
 
 
+class Wide:
+    """A wide light of even radiance, which is not cut into patches.
+
+    Attributes
+    ----------
+    kind : int
+        Kind of its shape, see above.
+    x, y, z : float
+        Origin of its frame.
+    ux, uy, uz, vx, vy, vz, nx, ny, nz : float
+        Unit vectors of its frame; it shines along the last, a zone to its origin.
+    a, b, c : float
+        Sizes of its shape.
+    area, radiance : float
+        Area, and radiance [W m^-2 sr^-1].
+    x0, y0, z0, x1, y1, z1 : float
+        The box about it.
+    """
+
+    kind: int
+    x: float
+    y: float
+    z: float
+    ux: float
+    uy: float
+    uz: float
+    vx: float
+    vy: float
+    vz: float
+    nx: float
+    ny: float
+    nz: float
+    a: float
+    b: float
+    c: float
+    area: float
+    radiance: float
+    x0: float
+    y0: float
+    z0: float
+    x1: float
+    y1: float
+    z1: float
+
+
 class Tree(NamedTuple):
     """Shapes in the order of a tree's leaves, and the tree; `rows` of `Shape` and `Node`."""
 
@@ -282,7 +332,7 @@ def _numbers(row: type) -> np.dtype[np.void]:
 
 
 _ROWS: Final[dict[type, np.dtype[np.void]]] = {
-    row: _numbers(row) for row in (Shape, Node, Cover, Decal, Light, Cluster)
+    row: _numbers(row) for row in (Shape, Node, Cover, Decal, Light, Cluster, Wide)
 }
 
 

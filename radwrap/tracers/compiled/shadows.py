@@ -18,6 +18,7 @@ from radwrap.tracers.compiled.arrays import (
     Shape,
     Shapes,
     Whole,
+    Wide,
 )
 from radwrap.tracers.compiled.compiler import compiled
 from radwrap.tracers.compiled.intersect import NEAREST, hidden, inverse_of
@@ -114,7 +115,9 @@ def _is_hidden(
 
 
 @compiled
-def clear(shapes: Shapes, nodes: Nodes, there: Cluster, x: float, y: float, z: float, but: int, stack: Whole) -> bool:
+def clear(
+    shapes: Shapes, nodes: Nodes, there: Cluster | Wide, x: float, y: float, z: float, but: int, stack: Whole
+) -> bool:
     """Whether no shape but one can stand between a point and any place in a box; see `clear_between`."""
     return clear_between(shapes, nodes, there, x, y, z, x, y, z, but, True, stack)
 
@@ -123,7 +126,7 @@ def clear(shapes: Shapes, nodes: Nodes, there: Cluster, x: float, y: float, z: f
 def clear_between(
     shapes: Shapes,
     nodes: Nodes,
-    there: Cluster,
+    there: Cluster | Wide,
     x0: float,
     y0: float,
     z0: float,
@@ -189,7 +192,7 @@ def _overlap(
 @compiled
 def _aside(
     s: Shape,
-    there: Cluster,
+    there: Cluster | Wide,
     x0: float,
     y0: float,
     z0: float,

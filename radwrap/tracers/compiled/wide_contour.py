@@ -128,10 +128,7 @@ def arc(circle: Circle, begin: Place, turn: float, end: Place, p: Place, n: Plac
     value = turn * (alpha - beta * b / (s + a)) / s
     if turn < _TURN:
         z = b / (a + s)
-        if b > _ROUND * a:
-            lag = (_lag(z, end) - _lag(z, begin)) / b
-        else:
-            lag = (end[2] - begin[2]) / (2 * a)
+        lag = (_lag(z, end) - _lag(z, begin)) / b if b > _ROUND * a else (end[2] - begin[2]) / (2 * a)
         value += 2 * lag * (beta * a - alpha * b) / s
         fall = 2 * (end[1] - begin[1]) / max(2 * a + b * (end[1] + begin[1]), 1e-300)
         value -= gamma * fall * logarithm_of_ratio(b * fall / 2)
