@@ -104,11 +104,9 @@ def _lines(found: Mapping[str, Any]) -> Iterator[str]:
         for name, angle in ring["observation_angle_deg"].items():
             if angle is not None:
                 yield f"ring {ring['name']}: seen from {name} at an observation angle of {angle:.3f} deg"
+    whole = found.get("tracer", {}).get("whole", ())
     for wide in found.get("wide_sources", ()):
-        yield (
-            f"source {wide['name']}: {wide['patches']} patches, off by up to {wide['irradiance_error']:.2%} at what is "
-            f"seen; {wide['irradiance_error_asked']:.2%} was asked for"
-        )
+        yield f"source {wide['name']}: {_wide(wide, shines_whole=wide['name'] in whole)}"
     if peak := found["expected_peak"]:
         yield (
             f"expected peak: gray {peak['gray']:.1f} ({peak['radiant_exposure']:.3g} J/m^2) on {peak['target']} "
@@ -129,6 +127,16 @@ def _lines(found: Mapping[str, Any]) -> Iterator[str]:
         yield f"warning: {warning}"
     for key, value in found["assumed"].items():
         yield f"assumed: {key} = {value}"
+
+
+def _wide(wide: Mapping[str, Any], *, shines_whole: bool) -> str:
+    """What stands for a wide source."""
+    if shines_whole:
+        return f"shines as a whole; {wide['patches']} patches are what is seen of it and hides"
+    return (
+        f"{wide['patches']} patches, off by up to {wide['irradiance_error']:.2%} at what is seen; "
+        f"{wide['irradiance_error_asked']:.2%} was asked for"
+    )
 
 
 def _probe(tracer: Mapping[str, Any]) -> str:

@@ -42,11 +42,14 @@ class TracerUsed:
         Why.
     probe : Agreement, optional
         What a comparison of both showed.
+    whole : tuple of str, optional
+        Wide lights that shine as a whole, not from the middles of their patches.
     """
 
     name: EngineName
     reason: str
     probe: Agreement | None = field(default=None, metadata=ONLY_WHERE_USED)
+    whole: tuple[str, ...] | None = field(default=None, metadata=ONLY_WHERE_USED)
 
 
 def candidate(scene: Scene, options: RenderOptions) -> TracerUsed:
@@ -92,6 +95,8 @@ def _rays_per_pixel(options: RenderOptions) -> int:
 
 def compared(used: TracerUsed, options: RenderOptions, reference: Tracer, other: Engine, scene: Scene) -> TracerUsed:
     """The tracer after a comparison of the compiled one with Radiance, on rays all over the image and where parts end.
+
+    Both have wide lights in the same patches.
 
     Raises
     ------

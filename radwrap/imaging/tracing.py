@@ -68,9 +68,10 @@ class LaidOutScene:
         if self.tracer_used.name == "compiled":
             compiled = self._compiled_engine(scene)
             reference = self._reference.tracer(scene, name="reference")
-            self.tracer_used = compared(self.tracer_used, options, reference, compiled, scene)
+            self.tracer_used = compared(self.tracer_used, options, reference, compiled.in_patches(), scene)
             if self.tracer_used.name == "compiled":
                 self._engine = compiled
+                self.tracer_used = replace(self.tracer_used, whole=compiled.whole or None)
 
     def _radiance_engine(self, scene: Scene, folder: Path) -> RadianceEngine:
         prepared = prepare(scene, self._radiance, self._programs, folder)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,13 +16,17 @@ from radwrap.scene.materials import Lambertian
 from radwrap.scene.sources import Beam, WideSource
 from radwrap.scene.targets import Sheet
 from radwrap.scene.wide_shapes import Annulus, Rectangle, WideShape, Zone, area
-from radwrap.tracers.compiled.arrays import Tree
+from radwrap.tracers.compiled.arrays import Cover, Tree, rows
+from radwrap.tracers.compiled.arrays import Floats as Array
 from radwrap.tracers.compiled.cover_rows import Wardrobe
 from radwrap.tracers.compiled.shape_rows import sorted_shapes
 from radwrap.tracers.compiled.tree import DEPTH
-from radwrap.tracers.compiled.wide_light import POINTS, kept_back, unhidden
+from radwrap.tracers.compiled.wide_cells import ALL_CELLS, CELLS, bits_of, cell_of, hiding_cells, memory, within_cells
+from radwrap.tracers.compiled.wide_light import MOST_POINTS
 from radwrap.tracers.compiled.wide_points import key_of_ray, spread_point
-from radwrap.tracers.compiled.wide_rows import wide_row
+from radwrap.tracers.compiled.wide_rows import cell_rows, shines_whole, wide_row
+from radwrap.tracers.compiled.wide_shape import may_light, meets, point_on, unhidden
+from radwrap.tracers.compiled.wide_shine import sent
 from radwrap.tracers.text_frame import TextFrame
 
 FRAME = TextFrame(length=1.0)
@@ -29,6 +34,8 @@ UP = (0.0, 0.0, 1.0)
 KEYS = 3000
 # Of the light: what is asked of half shadows.
 HALF_SHADOW = 2e-3
+SURE = 4.0  # standard errors
+PLACE = 1e-3  # m
 LIGHTS: dict[str, tuple[WideShape, Pose]] = {
     "bar": (Rectangle(0.6, 0.1), aim((0.1, 0.2, 1.0), (0.0, 0.0, 0.0))),
     "disc": (Annulus(0.0, 0.3), aim((0.0, 0.0, 1.0), (0.0, 0.0, 0.0))),
@@ -38,7 +45,7 @@ LIGHTS: dict[str, tuple[WideShape, Pose]] = {
 
 
 def wide(name: str) -> WideSource:
-    shape, pose = LIGHTS[name]
+    shape, pose = LIGHTS[name] if name in LIGHTS else (Zone(1.0, 0.0, math.pi), Pose((0.1, 0.2, 0.3)))
     return WideSource(name, "rectangle", pose, shape, 2.0, Beam("lambertian"), 0.1, 1)
 
 
@@ -82,46 +89,90 @@ def brute(source: WideSource, x: float, edge: float, height: float) -> float:
     return float(source.radiance * f[~stopped].sum() / len(f))
 
 
+def received(source: WideSource, tree: Tree, p: tuple[float, float, float], n: tuple[float, float, float]) -> Array:
+    """Irradiances of a point by many keys: radiances of a surface of reflectance pi."""
+    light, none, stack = wide_row(source, FRAME)[0], sheets(()), np.empty(DEPTH, dtype=np.int64)
+    cells, known, chosen = cell_rows([source], FRAME), memory(), np.empty(CELLS * CELLS, dtype=np.int64)
+    matte, rest = rows(Cover, 1)[0], (np.zeros(1), p, n, n, -1)
+    keys = [key_of_ray(float(k), 0.0, 0.0, 0.0, 0.0, 1.0, 0) for k in range(KEYS)]
+    found = [sent(light, 0, cells, PLACE, matte, 1.0, *tree, *none, *rest, key, known, chosen, stack) for key in keys]
+    return np.array(found)
+
+
 @pytest.mark.parametrize("x", [-0.1, 0.0, 0.04])
 @pytest.mark.parametrize("name", LIGHTS)
 def test_half_shadow_behind_an_edge(name: str, x: float) -> None:
     source, edge, height = wide(name), 0.01, 0.3
-    light, tree = wide_row(source, FRAME)[0], sheets([Pose((edge + 1.0, 0.0, height))])
-    stack, p = np.empty(DEPTH, dtype=np.int64), (x, 0.0, 0.0)
-    open_light = unhidden(light, p, UP)
-    hidden = [
-        kept_back(
-            light,
-            tree.shapes,
-            tree.nodes,
-            np.zeros(1),
-            p,
-            UP,
-            -1,
-            key_of_ray(float(k), 0.0, 0.0, 0.0, 0.0, 1.0, 0),
-            stack,
-        )
-        for k in range(KEYS)
-    ]
-    assert open_light - np.mean(hidden) == pytest.approx(brute(source, x, edge, height), abs=HALF_SHADOW * open_light)
+    tree = sheets([Pose((edge + 1.0, 0.0, height))])
+    found = received(source, tree, (x, 0.0, 0.0), UP).mean()
+    open_light = unhidden(wide_row(source, FRAME)[0], (x, 0.0, 0.0), UP)
+    assert found == pytest.approx(brute(source, x, edge, height), abs=HALF_SHADOW * open_light)
 
 
 @pytest.mark.parametrize("name", LIGHTS)
 def test_no_noise_where_nothing_hides(name: str) -> None:
-    light, tree = wide_row(wide(name), FRAME)[0], sheets([Pose((0.0, 0.0, -0.5)), Pose((9.0, 0.0, 0.0))])
-    stack = np.empty(DEPTH, dtype=np.int64)
-    for key in range(50):
-        assert kept_back(light, tree.shapes, tree.nodes, np.zeros(1), (0.0, 0.0, 0.0), UP, -1, key, stack) == 0
+    tree, p = sheets([Pose((0.0, 0.0, -0.5)), Pose((9.0, 0.0, 0.0))]), (0.0, 0.0, 0.0)
+    values = received(wide(name), tree, p, UP)
+    assert np.ptp(values) == 0
+    assert values[0] == unhidden(wide_row(wide(name), FRAME)[0], p, UP)
+
+
+@pytest.mark.parametrize("name", LIGHTS)
+def test_no_light_where_all_is_hidden(name: str) -> None:
+    assert not received(wide(name), sheets([Pose((0.0, 0.0, 0.03))]), (0.0, 0.0, 0.0), UP).any()
+
+
+def test_no_less_than_nothing_in_the_last_of_a_half_shadow() -> None:
+    """What is cut off at 0 there makes the mean too large by less than may be asked for."""
+    source, edge, height = wide("bar"), 0.01, 0.3
+    light, tree = wide_row(source, FRAME)[0], sheets([Pose((edge + 1.0, 0.0, height))])
+    for x in (0.08, 0.1, 0.12):
+        values = received(source, tree, (x, 0.0, 0.0), UP)
+        assert values.min() >= 0
+        due = brute(source, x, edge, height)
+        assert values.mean() == pytest.approx(due, abs=HALF_SHADOW * unhidden(light, (x, 0.0, 0.0), UP))
+
+
+def outside(x: float, z: float) -> float:
+    """Irradiance of a point beside a dome, of an upward face, by points of the dome that its own wall does not hide."""
+    source = wide("dome")
+    points, normals = area_points(source.shape, 1 << 20)
+    turned = np.asarray(source.pose.rotation).T
+    points, normals = points @ turned + source.pose.position, normals @ turned
+    away = np.array([x, 0.0, z]) - points
+    square = (away**2).sum(axis=-1)
+    leaving, arriving = np.maximum((away * normals).sum(axis=-1), 0), np.maximum(-away[..., 2], 0)
+    # The sphere about (0, 0, 0.05): where the way from the point enters it, a wall may be.
+    at, unit = np.array([x, 0.0, z - 0.05]), -away / np.sqrt(square)[:, np.newaxis]
+    along = -(unit @ at)
+    foot = at + along[:, np.newaxis] * unit
+    enters = along - np.sqrt(np.maximum(1 - (foot**2).sum(axis=-1), 0))
+    up = (at + enters[:, np.newaxis] * unit)[:, 2]
+    stopped = (enters > 0) & (up > 0) & (up < math.cos(0.2))
+    f = leaving * arriving / square**2 * area(source.shape)
+    return float(source.radiance * f[~stopped].sum() / len(f))
+
+
+@pytest.mark.parametrize(("x", "z"), [(1.1, -0.2), (1.1, 0.0), (1.5, -0.3)])
+def test_a_dome_hides_its_own_light_from_outside(x: float, z: float) -> None:
+    light = wide_row(wide("dome"), FRAME)[0]
+    values = received(wide("dome"), sheets(()), (x, 0.0, z), UP)
+    whole = unhidden(light, (x, 0.0, z), UP)
+    error = values.std() / math.sqrt(KEYS)
+    assert error < HALF_SHADOW * whole
+    assert values.mean() == pytest.approx(outside(x, z), abs=SURE * error)
+    assert values.mean() < 0.9 * whole
 
 
 @pytest.mark.parametrize("key", [0, 1, 0xFFFFFFFF, 123456789])
 def test_each_elementary_box_holds_one_point(key: int) -> None:
-    points = np.array([spread_point(i, key) for i in range(POINTS)])
+    points = np.array([spread_point(i, key) for i in range(MOST_POINTS)])
     assert points.min() > 0
     assert points.max() < 1
-    for cuts in (1, 2, 4, 8, 16):
-        boxes = {(int(u * cuts), int(v * (POINTS // cuts))) for u, v in points.tolist()}
-        assert len(boxes) == POINTS
+    for count in (16, MOST_POINTS):
+        for cuts in (1, 2, 4, 8, 16):
+            boxes = {(int(u * cuts), int(v * (count // cuts))) for u, v in points[:count].tolist()}
+            assert len(boxes) == count
 
 
 def test_keys_give_independent_even_points() -> None:
@@ -133,7 +184,84 @@ def test_keys_give_independent_even_points() -> None:
     assert key_of_ray(0.1, 2.0, 3.0, 4.0, 5.0, 6.0, 0) == key_of_ray(0.1 + 1e-12, 2.0, 3.0, 4.0, 5.0, 6.0, 0)
 
 
-def test_other_beams_are_refused() -> None:
-    source = WideSource("bar", "rectangle", Pose(), Rectangle(1.0, 1.0), 1.0, Beam("gaussian", 0.3), 0.1, 1)
-    with pytest.raises(ValueError, match="Lambertian"):
-        wide_row(source, FRAME)
+@pytest.mark.parametrize("name", [*LIGHTS, "sky"])
+def test_cells_hold_the_points_of_their_shares(name: str) -> None:
+    source = wide(name)
+    light, cells = wide_row(source, FRAME)[0], cell_rows([source], FRAME)
+    assert len(cells) == ALL_CELLS
+    random = np.random.default_rng(5)
+    widest = 0.0
+    for u, v in random.random((2000, 2)).tolist():
+        x, y, z, *_ = point_on(light, u, v)
+        base = 0
+        for count in (1, 2, 4, 8):
+            box = cells[base + int(u * count) * count + int(v * count)]
+            assert box["x0"] <= x <= box["x1"]
+            assert box["y0"] <= y <= box["y1"]
+            assert box["z0"] <= z <= box["z1"]
+            base += count * count
+        assert cell_of(u, v) == int(u * 8) * 8 + int(v * 8)
+        widest = max(widest, box["x1"] - box["x0"])
+    assert widest < 0.7 * (cells[0]["x1"] - cells[0]["x0"])  # they are no larger than they must be
+
+
+def test_even_points_of_some_cells() -> None:
+    chosen, some = np.empty(CELLS * CELLS, dtype=np.int64), [0, 7, 9, 12, 35, 63]
+    count = bits_of(sum(1 << cell if cell < 63 else -(1 << 63) for cell in some), chosen)
+    assert count == len(some)
+    found = [cell_of(*within_cells(*spread_point(i, 3), chosen, count)) for i in range(1 << 12)]
+    assert sorted(set(found)) == some
+    shares = np.array([found.count(cell) for cell in some]) / len(found)
+    assert np.abs(shares * count - 1).max() < 0.01
+    assert bits_of(-1, chosen) == CELLS * CELLS
+    # Each is next to the one before it, or starts anew a step away.
+    assert chosen[:4].tolist() == [0, 1, 8, 9]
+
+
+def test_what_may_be_hidden_hangs_on_the_place_only() -> None:
+    """Asked in any order, with anything remembered, a point gets the same cells."""
+    source, tree, none = wide("disc"), sheets([Pose((1.01, 0.0, 0.3))]), sheets(())
+    light, cells = wide_row(source, FRAME)[0], cell_rows([source], FRAME)
+    stack, chosen = np.empty(DEPTH, dtype=np.int64), np.empty(CELLS * CELLS, dtype=np.int64)
+
+    def asked(x: float, known: np.ndarray) -> tuple[int, bool]:
+        return hiding_cells(light, 0, cells, *tree, *none, np.zeros(1), PLACE, (x, 0.0, 0.0), -1, known, chosen, stack)
+
+    places = np.random.default_rng(1).uniform(-1.0, 1.0, 300).tolist()
+    once = [asked(x, memory()) for x in places]
+    known = memory()
+    together = [asked(x, known) for x in places]
+    again = [asked(x, known) for x in reversed(places)][::-1]
+    assert once == together == again
+    assert asked(-0.9, memory())[0] == 0  # the sheet is on the other side
+    assert asked(0.9, memory())[0] == -1
+    some = {bits for bits, _ in once} - {0, -1}
+    assert len(some) > 3
+
+
+@pytest.mark.parametrize("name", LIGHTS)
+def test_rays_meet_a_light_where_its_points_are(name: str) -> None:
+    light, random = wide_row(wide(name), FRAME)[0], np.random.default_rng(2)
+    for u, v in random.random((200, 2)).tolist():
+        x, y, z, nx, ny, nz = point_on(light, u, v)
+        p = (0.05, -0.02, 0.04)
+        away = math.dist((x, y, z), p)
+        d = tuple((a - b) / away for a, b in zip((x, y, z), p, strict=True))
+        found, cosine = meets(light, p, d)
+        assert found == pytest.approx(away, rel=1e-9)
+        assert cosine == pytest.approx(-(d[0] * nx + d[1] * ny + d[2] * nz), rel=1e-9)
+        assert not math.isfinite(meets(light, p, tuple(-c for c in d))[0])
+
+
+def test_below_the_horizon_nothing_is_asked() -> None:
+    light = wide_row(wide("bar"), FRAME)[0]
+    assert may_light(light, (0.0, 0.0, 0.0), UP)
+    assert not may_light(light, (0.0, 0.0, 0.0), (0.0, 0.0, -1.0))
+    assert may_light(light, (0.0, 0.0, 0.0), (-1.0, 0.0, 0.0))  # a part of it
+
+
+def test_other_beams_shine_in_patches() -> None:
+    even = wide("bar")
+    assert shines_whole(even)
+    assert not shines_whole(replace(even, beam=Beam("gaussian", 0.3)))
+    assert not shines_whole(replace(even, radiance=0.0))

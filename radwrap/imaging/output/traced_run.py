@@ -75,7 +75,7 @@ class TracedRun:
             bounces = _warnings_of(self.left_out, "goes from one surface to another")
         elif self.beyond is not None:
             bounces = _warnings_of(self.beyond, f"is reflected more than {self.orders} times on its way")
-        return (*warnings_of(self.scene), *lens, *bounces)
+        return (*warnings_of(self.scene, self.tracer.whole or ()), *lens, *bounces)
 
     def manifest(
         self,

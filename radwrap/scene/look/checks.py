@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from itertools import combinations
 from typing import Final
 
@@ -286,18 +286,27 @@ def _rim(camera: Camera) -> NDArray[np.float64]:
     return rim
 
 
-def warnings_of(scene: Scene) -> tuple[str, ...]:
-    """What a user should know of a scene that is valid, one line each."""
+def warnings_of(scene: Scene, whole: Collection[str] = ()) -> tuple[str, ...]:
+    """What a user should know of a scene that is valid, one line each.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    whole : collection of str
+        Wide sources that shine as a whole: what their patches would do wrong does not count.
+    """
     found = []
     targets = Bounded.of(scene.targets)
     for emitter in scene.emitters:
-        error = source_width_error(targets, emitter) if emitter.radiance > 0 else 0.0
+        is_centre = emitter.radiance > 0 and emitter.source not in whole
+        error = source_width_error(targets, emitter) if is_centre else 0.0
         if error > _WIDTH_WARNING:
             found.append(f'"{emitter.name}" is close to what it lights: irradiance off by up to {error:.2%}')
     if not scene.included and not any(_is_seen(scene.camera, target) for target in scene.targets):
         found.append("no target is in the camera's view")
     found += _unknown_widths(scene)
-    found += _half_shadows(scene)
+    found += _half_shadows(scene, whole)
     found += _doubtful_tables(scene)
     found += _other_wavelength(scene)
     return (*found, *small_parts(scene), *small_spots(scene), *sources_in_sight(scene))
@@ -344,15 +353,17 @@ def _other_wavelength(scene: Scene) -> Iterator[str]:
         )
 
 
-def _half_shadows(scene: Scene) -> Iterator[str]:
+def _half_shadows(scene: Scene, whole: Collection[str]) -> Iterator[str]:
     """A line for each wide source whose patches show in half shadows."""
     if len(scene.targets) == 1 and isinstance(scene.targets[0], Flat):
         return
     for source in scene.sources:
-        if isinstance(source, WideSource) and source.step > source.irradiance_error:
+        if not isinstance(source, WideSource) or source.name in whole:
+            continue
+        if source.step > source.irradiance_error:
             yield (
-                f'half shadows under "{source.name}" come in steps of up to {source.step:.1%} of its light '
-                f"({len(source.patches)} patches): least_patches makes them finer"
+                f'half shadows under "{source.name}" come in steps of up to {source.step:.1%} of its light where it '
+                f"shines from its {len(source.patches)} patches: least_patches makes them finer"
             )
 
 

@@ -96,10 +96,7 @@ def log_cosine(half_sine2: float) -> float:
     cosine = 1 - 2 * half_sine2
     if cosine > 0.71:  # then the series' argument is below 0.17, and no digit of a small angle is lost
         return _log_ratio(-half_sine2 / (1 - half_sine2))
-    mantissa, exponent = math.frexp(cosine)
-    if mantissa < 0.7:
-        mantissa, exponent = 2 * mantissa, exponent - 1
-    return _log_ratio((mantissa - 1) / (mantissa + 1)) + exponent * (_LN2_HIGH + _LN2_LOW)
+    return logarithm(cosine)
 
 
 @compiled
@@ -111,6 +108,15 @@ def _log_ratio(x: float) -> float:
     c = _ARTANH
     low = _four(c[0], c[1], c[2], c[3], y, y2) + _four(c[4], c[5], c[6], c[7], y, y2) * y4
     return 2 * x * (low + _four(c[8], c[9], c[10], c[11], y, y2) * (y4 * y4))
+
+
+@compiled
+def logarithm(x: float) -> float:
+    """Ln x of a number above 0."""
+    mantissa, exponent = math.frexp(x)
+    if mantissa < 0.7:
+        mantissa, exponent = 2 * mantissa, exponent - 1
+    return _log_ratio((mantissa - 1) / (mantissa + 1)) + exponent * (_LN2_HIGH + _LN2_LOW)
 
 
 @compiled
@@ -137,10 +143,7 @@ def logarithm_of_ratio(x: float) -> float:
         return 1.0
     if abs(x) < 0.17:
         return _log_ratio(x) / (2 * x)
-    mantissa, exponent = math.frexp((1 + abs(x)) / max(1 - abs(x), 1e-300))
-    if mantissa < 0.7:
-        mantissa, exponent = 2 * mantissa, exponent - 1
-    return (_log_ratio((mantissa - 1) / (mantissa + 1)) + exponent * (_LN2_HIGH + _LN2_LOW)) / (2 * abs(x))
+    return logarithm((1 + abs(x)) / max(1 - abs(x), 1e-300)) / (2 * abs(x))
 
 
 @compiled

@@ -61,6 +61,8 @@ class Shape:
         The cover of a target's shape, or the number of the emitter.
     decal : int
         Row of what is painted on it, or -1.
+    group : int
+        Of a patch of a wide light that shines as a whole, a number below -1; else 0.
     x, y, z : float
         Corner of a triangle or polygon, centre of the others, an end of a tube's axis.
     ux, uy, uz, vx, vy, vz : float
@@ -74,6 +76,7 @@ class Shape:
     kind: int
     owner: int
     decal: int
+    group: int
     x: float
     y: float
     z: float
@@ -275,12 +278,18 @@ class Cluster:
 
 
 class Wide:
-    """A wide light of even radiance, which is not cut into patches.
+    """A wide light of even radiance, which shines as a whole. What is seen of it, and hides, are its patches.
 
     Attributes
     ----------
     kind : int
         Kind of its shape, see above.
+    first : int
+        The first of the lights that are its patches.
+    group : int
+        Of the shapes of its patches, which hide nothing of it.
+    may_be_hidden : int
+        1 where another emitter may stand between it and a target.
     x, y, z : float
         Origin of its frame.
     ux, uy, uz, vx, vy, vz, nx, ny, nz : float
@@ -294,6 +303,9 @@ class Wide:
     """
 
     kind: int
+    first: int
+    group: int
+    may_be_hidden: int
     x: float
     y: float
     z: float
@@ -354,3 +366,4 @@ Covers = Any
 Decals = Any
 Lights = Any
 Clusters = Any
+Wides = Any

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from radwrap.scene.sources import Emitter, Patch
 from radwrap.tracers.compiled.arrays import LUMINAIRE, Floats, Lights, Tree, Whole
 from radwrap.tracers.compiled.compiler import compiled
+from radwrap.tracers.compiled.shadows import clear_between
+from radwrap.tracers.compiled.tree import DEPTH
 from radwrap.tracers.text_frame import TextFrame
 
 # An emitter that rises no more than this above another's plane, in their distance, cannot stand before its centre.
@@ -28,6 +30,15 @@ def own_shapes(shown: Sequence[Emitter], lights: NDArray[np.void], discs: Tree, 
     whose = np.repeat(np.arange(len(shown)), [len(place) for place, _ in places])
     may_hide(lights, points, np.array([radius for _, radius in places])[whose], whose, own)
     return own
+
+
+def nothing_before(light: Any, targets: Tree, discs: Tree) -> bool:
+    """Whether no emitter but the own patches of a wide light, a row of `Wide`, can stand between it and any target."""
+    if not len(targets.nodes):
+        return True
+    x0, y0, z0, x1, y1, z1 = (float(targets.nodes[0][name]) for name in ("x0", "y0", "z0", "x1", "y1", "z1"))
+    stack, own = np.empty(DEPTH, dtype=np.int64), int(light["group"])
+    return clear_between(discs.shapes, discs.nodes, light, x0, y0, z0, x1, y1, z1, own, False, stack)
 
 
 def _places(emitter: Emitter, frame: TextFrame) -> tuple[Floats, float]:

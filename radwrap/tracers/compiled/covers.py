@@ -123,8 +123,7 @@ def reflected(
     if light <= LEAST_COSINE:
         return total
     if kind in (WARD, BRUSHED):
-        lobe = _lobe(cover, nx, ny, nz, lx + vx, ly + vy, lz + vz, widening)
-        return total + cover.weight * light * lobe if lobe > _LEAST_LOBE else total
+        return total + glossy(cover, nx, ny, nz, vx, vy, vz, lx, ly, lz, widening)
     eye = nx * vx + ny * vy + nz * vz
     if kind in (COEFFICIENTS, BEADS):
         projection = max(light, _LEAST_PROJECTION) * max(eye, _LEAST_PROJECTION)
@@ -136,6 +135,28 @@ def reflected(
     sines = math.sqrt(max(_LEAST_SINES, (1 - light * light) * (1 - eye * eye)))
     cosine = min(1.0, max(-1.0, (lx * vx + ly * vy + lz * vz - light * eye) / sines))
     return total + cover.weight * light * _measured(cover, tables, incidence, viewing, angle_of((1 - cosine) / 2))
+
+
+@compiled
+def glossy(
+    cover: Cover,
+    nx: float,
+    ny: float,
+    nz: float,
+    vx: float,
+    vy: float,
+    vz: float,
+    lx: float,
+    ly: float,
+    lz: float,
+    widening: float,
+) -> float:
+    """What a Gaussian lobe adds to `reflected`."""
+    light = nx * lx + ny * ly + nz * lz
+    if light <= LEAST_COSINE:
+        return 0.0
+    lobe = _lobe(cover, nx, ny, nz, lx + vx, ly + vy, lz + vz, widening)
+    return cover.weight * light * lobe if lobe > _LEAST_LOBE else 0.0
 
 
 @compiled

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Collection, Generator, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Literal
 
@@ -62,7 +62,16 @@ class CompiledEngine:
     @classmethod
     def of(cls, scene: Scene, frame: TextFrame, cancelled: Callable[[], bool]) -> CompiledEngine:
         """Lay a scene out, in the frame of its Radiance text; it must be expressible."""
-        return cls(scene, compiled_scene(scene, frame), cancelled)
+        return cls(scene, compiled_scene(scene, frame, whole=True), cancelled)
+
+    @property
+    def whole(self) -> tuple[str, ...]:
+        """Names of wide lights that shine as a whole, not from the middles of their patches."""
+        return tuple(name for name, _ in self.arrays.whole)
+
+    def in_patches(self) -> CompiledEngine:
+        """The same with all wide lights in patches, as Radiance has them."""
+        return replace(self, arrays=compiled_scene(self.scene, self.arrays.frame)) if self.whole else self
 
     @property
     def name(self) -> Literal["compiled"]:
@@ -84,7 +93,7 @@ class CompiledEngine:
         del name  # it needs no folder
         arrays = self.arrays
         if scene.materials is not self.scene.materials:
-            arrays = compiled_scene(scene, arrays.frame)
+            arrays = compiled_scene(scene, arrays.frame, whole=bool(self.whole))
         return CompiledTracer(arrays if lit is None else arrays.in_light(lit), self.cancelled, self.meter.add)
 
     def by_source(self, names: Sequence[str]) -> SourcesTracer | None:

@@ -208,7 +208,7 @@ def hidden(
     but: int,
     stack: Whole,
 ) -> bool:
-    """Whether any shape but one stands on a ray before `farthest`."""
+    """Whether any shape but one, or but those of a group, stands on a ray before `farthest`."""
     if len(shapes) <= (but >= 0):
         return False
     ix, iy, iz = inverse_of(dx), inverse_of(dy), inverse_of(dz)
@@ -223,7 +223,9 @@ def hidden(
         if count:
             first = nodes[node].first
             for i in range(first, first + count):
-                if i != but and crossing(shapes[i], tables, ox, oy, oz, dx, dy, dz) < farthest:
+                if i == but or (but < -1 and shapes[i].group == but):
+                    continue
+                if crossing(shapes[i], tables, ox, oy, oz, dx, dy, dz) < farthest:
                     return True
         else:
             stack[height], stack[height + 1] = nodes[node].second, node + 1

@@ -24,6 +24,7 @@ from radwrap.tracers.compiled.arrays import (
     Shape,
     Shapes,
     Whole,
+    Wides,
 )
 from radwrap.tracers.compiled.beams import radiance_along
 from radwrap.tracers.compiled.compiler import compiled
@@ -31,6 +32,8 @@ from radwrap.tracers.compiled.covers import LEAST_COSINE, diffuse_at, painted, r
 from radwrap.tracers.compiled.intersect import closest
 from radwrap.tracers.compiled.shadows import darken, darken_own
 from radwrap.tracers.compiled.shine import received, towards
+from radwrap.tracers.compiled.wide_points import key_of_ray
+from radwrap.tracers.compiled.wide_shine import sent
 
 NOTHING_MET: Final = -(1 << 62)
 
@@ -47,6 +50,9 @@ def trace(
     beside: Floats,
     clusters: Clusters,
     parts: Clusters,
+    wides: Wides,
+    cells: Clusters,
+    pitch: float,
     background: float,
     tables: Floats,
     rays: Floats,
@@ -57,6 +63,8 @@ def trace(
     values: Floats,
     distances: Floats,
     given: Floats,
+    known: Whole,
+    chosen: Whole,
     stack: Whole,
 ) -> bool:
     """Radiance along rays, from each group of emitters.
@@ -72,7 +80,11 @@ def trace(
     beside : ndarray
         The lights' numbers `side_by_side`.
     clusters, parts : Clusters
-        All lights in groups that lie together, and the same in smaller groups.
+        Lights in groups that lie together, and the same in smaller groups.
+    wides : Wides
+        Lights that shine as a whole; their patches are in no group.
+    cells, pitch : Clusters, float
+        Boxes of the cells of those lights, and the size of a place that asks for them; see `wide_cells`.
     background : float
         Radiance of what is seen where nothing is; it goes to the last column.
     tables : ndarray
@@ -85,8 +97,10 @@ def trace(
         To which radiance is added [W m^-2 sr^-1], in the column of each light.
     distances : ndarray, shape (n,)
         Filled with the distance to the first surface [m], infinite where there is none.
-    given, stack : ndarray of float, shape (lights,), and of int, shape (DEPTH,)
+    given : ndarray, shape (lights,)
         Room to work in.
+    known, chosen, stack : ndarray of int
+        Room to work in; see `wide_cells` and `tree.DEPTH`.
 
     Returns
     -------
@@ -137,6 +151,31 @@ def trace(
                 darken_own(lights, cluster, discs, disc_nodes, tables, x, y, z, given, stack)
             for i in range(cluster.first, cluster.end):
                 values[r, lights[i].column] += given[i]
+        for w in range(len(wides)):
+            if wides[w].radiance > 0:
+                key = key_of_ray(rays[r, 0], rays[r, 1], rays[r, 2], rays[r, 3], rays[r, 4], rays[r, 5], w)
+                p, n, v = (x, y, z), (nx, ny, nz), (-dx, -dy, -dz)
+                values[r, lights[wides[w].first].column] += sent(
+                    wides[w],
+                    w,
+                    cells,
+                    pitch,
+                    cover,
+                    diffuse,
+                    shapes,
+                    nodes,
+                    discs,
+                    disc_nodes,
+                    tables,
+                    p,
+                    n,
+                    v,
+                    itself,
+                    key,
+                    known,
+                    chosen,
+                    stack,
+                )
     return True
 
 

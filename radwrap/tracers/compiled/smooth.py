@@ -20,6 +20,7 @@ from radwrap.tracers.compiled.arrays import (
     NOTHING,
     RECTANGLE,
     TRIANGLE,
+    WIDE_ZONE,
     Cluster,
     Clusters,
     Covers,
@@ -29,6 +30,7 @@ from radwrap.tracers.compiled.arrays import (
     Shape,
     Shapes,
     Whole,
+    Wides,
     put,
     rows,
 )
@@ -39,6 +41,7 @@ from radwrap.tracers.compiled.kernels import placed
 from radwrap.tracers.compiled.layout import CompiledScene
 from radwrap.tracers.compiled.shadows import clear_between
 from radwrap.tracers.compiled.tree import DEPTH
+from radwrap.tracers.compiled.wide_shape import may_be_outside
 
 # By this share of its size a block is taken to be larger: distortion bends its sides.
 _SPARE: Final = 0.1
@@ -92,6 +95,7 @@ def smooth_blocks(scene: CompiledScene, corners: Floats, middles: Floats) -> NDA
         scene.covers,
         scene.decals,
         scene.clusters,
+        scene.wides,
         boxes,
         places[4],
         reach,
@@ -187,6 +191,7 @@ def _undisturbed(
     covers: Covers,
     decals: Decals,
     clusters: Clusters,
+    wides: Wides,
     boxes: Clusters,
     middles: Floats,
     reach: Floats,
@@ -215,6 +220,11 @@ def _undisturbed(
                 free = free and clear_between(shapes, nodes, clusters[c], x0, y0, z0, x1, y1, z1, but, True, stack)
                 if free and clusters[c].may_be_hidden:
                     free = clear_between(discs, disc_nodes, clusters[c], x0, y0, z0, x1, y1, z1, -1, True, stack)
+            for w in range(len(wides)):
+                own = wides[w].group
+                free = free and not (wides[w].kind == WIDE_ZONE and may_be_outside(wides[w], box))
+                free = free and clear_between(shapes, nodes, wides[w], x0, y0, z0, x1, y1, z1, but, True, stack)
+                free = free and clear_between(discs, disc_nodes, wides[w], x0, y0, z0, x1, y1, z1, own, True, stack)
         found[b] = free
 
 

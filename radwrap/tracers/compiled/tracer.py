@@ -15,6 +15,8 @@ from radwrap.tracers.compiled.arrays import Floats, Whole
 from radwrap.tracers.compiled.kernels import NOTHING_MET, surfaces, trace
 from radwrap.tracers.compiled.layout import CompiledScene
 from radwrap.tracers.compiled.tree import DEPTH
+from radwrap.tracers.compiled.wide_cells import CELLS, memory
+from radwrap.tracers.compiled.wide_shine import POINTS_OF_A_LIGHT
 
 # Rays and sources that are computed before an interruption is heeded: some tenths of a second.
 _WORK_AT_ONCE: Final = 1 << 20
@@ -99,7 +101,7 @@ class CompiledTracer:
     def _traced(self, block: Floats, lights: NDArray[np.void], columns: int) -> tuple[Floats, Floats]:
         scene = self.scene
         values, distances = np.zeros((len(block), columns)), np.empty(len(block))
-        for part in self._parts(len(block), len(lights)):
+        for part in self._parts(len(block), len(lights) + POINTS_OF_A_LIGHT * len(scene.wides)):
             good = trace(
                 scene.targets.shapes,
                 scene.targets.nodes,
@@ -111,6 +113,9 @@ class CompiledTracer:
                 scene.beside,
                 scene.clusters,
                 scene.parts_of_clusters,
+                scene.wides,
+                scene.cells,
+                scene.pitch,
                 scene.background,
                 scene.tables,
                 block[part],
@@ -119,6 +124,8 @@ class CompiledTracer:
                 values[part],
                 distances[part],
                 np.empty(len(lights)),
+                memory(),
+                np.empty(CELLS * CELLS, dtype=np.int64),
                 np.empty(DEPTH, dtype=np.int64),
             )
             _check(good)

@@ -9,7 +9,7 @@ import numpy as np
 from radwrap.frames import Pose
 from radwrap.scene.materials import Lambertian
 from radwrap.scene.targets import Sheet
-from radwrap.tracers.compiled.arrays import Light, rows
+from radwrap.tracers.compiled.arrays import Cluster, Light, Wide, rows
 from radwrap.tracers.compiled.before import may_hide
 from radwrap.tracers.compiled.compiler import cache_folder
 from radwrap.tracers.compiled.cover_rows import Wardrobe
@@ -46,6 +46,9 @@ def warm_up() -> None:
         beside=side_by_side(lights),
         clusters=clusters,
         parts_of_clusters=parts,
+        wides=rows(Wide, 0),
+        cells=rows(Cluster, 0),
+        pitch=1.0,
         background=0.0,
         tables=np.array(tables),
         parts=("sheet.surface",),
@@ -53,6 +56,7 @@ def warm_up() -> None:
         part_of_light=np.zeros(0, dtype=np.int64),
         members=(),
         skies=(),
+        whole=(),
         frame=frame,
     )
     tracer, ray = CompiledTracer(scene), np.array([[0.0, 0.0, 1.0, 0.0, 0.0, -1.0]])

@@ -1,6 +1,6 @@
-"""What a diffuse surface gets of a wide light: all of it in closed form, less what some points of it find hidden.
+"""What is left of a wide light's radiance where something may hide a part of it.
 
-The estimate is unbiased over keys, and has no noise where nothing hides the light.
+It has no noise where nothing hides the light, or all of it is hidden.
 """
 
 from __future__ import annotations
@@ -8,107 +8,198 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from radwrap.tracers.compiled.arithmetic import cosine_and_sine_of_turn
-from radwrap.tracers.compiled.arrays import WIDE_ANNULUS, WIDE_RECTANGLE, Floats, Nodes, Shapes, Whole, Wide
+from radwrap.tracers.compiled.arrays import Cover, Floats, Nodes, Shapes, Whole, Wide
 from radwrap.tracers.compiled.compiler import compiled
-from radwrap.tracers.compiled.intersect import hidden
-from radwrap.tracers.compiled.shadows import clear
+from radwrap.tracers.compiled.covers import glossy
+from radwrap.tracers.compiled.wide_cells import CELLS, within_cells
 from radwrap.tracers.compiled.wide_contour import Place
-from radwrap.tracers.compiled.wide_lambert import annulus_irradiance, rectangle_irradiance, zone_irradiance
-from radwrap.tracers.compiled.wide_points import spread_point
+from radwrap.tracers.compiled.wide_points import mixed, spread_point
+from radwrap.tracers.compiled.wide_shadow import is_hidden
+from radwrap.tracers.compiled.wide_shape import point_on
 
-# Points of a light that are asked for whether they are hidden: a power of two.
-POINTS: Final = 16
-# A light does not hide itself: a point of it ends so much before.
-_BEFORE: Final = 1 - 1e-7
-
-
-@compiled
-def unhidden(light: Wide, p: Place, n: Place) -> float:
-    """Irradiance of a point with a normal, if nothing is between [W m^-2]."""
-    q, m = _within(light, p[0] - light.x, p[1] - light.y, p[2] - light.z), _within(light, n[0], n[1], n[2])
-    if light.kind == WIDE_RECTANGLE:
-        return light.radiance * rectangle_irradiance(light.a, light.b, q, m)
-    if light.kind == WIDE_ANNULUS:
-        return light.radiance * annulus_irradiance(light.a, light.b, q, m)
-    return light.radiance * zone_irradiance(light.a, light.b, light.c, q, m)
+# Points of a light that are asked for whether they are hidden, where hardly any is, and elsewhere: powers of two.
+_FEWEST: Final = 16
+MOST_POINTS: Final = 64
+_FIRST: Final = 3
+_SECOND: Final = 4
 
 
 @compiled
-def _within(light: Wide, x: float, y: float, z: float) -> Place:
-    return (
-        x * light.ux + y * light.uy + z * light.uz,
-        x * light.vx + y * light.vy + z * light.vz,
-        x * light.nx + y * light.ny + z * light.nz,
-    )
-
-
-@compiled
-def kept_back(
+def left_over(
     light: Wide,
+    cover: Cover,
+    diffuse: float,
+    with_lobe: bool,
+    whole: float,
     shapes: Shapes,
     nodes: Nodes,
+    discs: Shapes,
+    disc_nodes: Nodes,
     tables: Floats,
     p: Place,
     n: Place,
+    v: Place,
     itself: int,
+    chosen: Whole,
+    count: int,
+    is_hiding: bool,
     key: int,
     stack: Whole,
 ) -> float:
-    """Estimate of the irradiance that shapes keep back from a point [W m^-2].
+    """Radiance to the eye [W m^-2 sr^-1] of what of a light is not hidden, an estimate.
+
+    Where every cell may be hidden, two independent sets of points each say how
+    much of the other's miss of the whole light counts: with nothing hidden the
+    whole light is left, with everything nothing, and between them the mean is right.
 
     Parameters
     ----------
     light : Wide
         The light.
-    shapes, nodes, tables
-        What may stand between.
-    p, n : tuple of float
-        The point and its unit normal.
+    cover, diffuse, with_lobe : Cover, float, bool
+        How the point reflects: its `diffuse_at`, and its Gaussian lobe where that is counted too.
+    whole : float
+        What it sends with nothing hidden.
+    shapes, nodes, discs, disc_nodes, tables
+        What may stand between: targets and emitters.
+    p, n, v : tuple of float
+        The point, its unit normal, and the unit vector to the eye.
     itself : int
         Shape that does not count, or -1.
+    chosen, count : ndarray of int, int
+        Cells of the light that may be hidden, see `wide_cells.bits_of`.
+    is_hiding : bool
+        Whether some of them are, as far as was seen from near the point.
     key : int
         Which points of the light are asked; see `wide_points.key_of_ray`.
     stack : ndarray of int, shape (DEPTH,)
         Room to work in.
     """
-    if clear(shapes, nodes, light, p[0], p[1], p[2], itself, stack):
-        return 0.0
-    total = 0.0
-    for i in range(POINTS):
-        u, v = spread_point(i, key)
-        x, y, z, nx, ny, nz = point_on(light, u, v)
-        dx, dy, dz = x - p[0], y - p[1], z - p[2]
-        square = dx * dx + dy * dy + dz * dz
-        arriving, leaving = dx * n[0] + dy * n[1] + dz * n[2], -(dx * nx + dy * ny + dz * nz)
-        if arriving <= 0 or leaving <= 0:
-            continue
-        away = math.sqrt(square)
-        if hidden(
-            shapes, nodes, tables, p[0], p[1], p[2], dx / away, dy / away, dz / away, away * _BEFORE, itself, stack
-        ):
-            total += arriving * leaving / (square * square)
-    return light.radiance * light.area * total / POINTS
+    if count == 0:
+        return whole
+    points = MOST_POINTS if is_hiding else _FEWEST
+    if count < CELLS * CELLS:
+        total, seen = _asked(
+            light,
+            cover,
+            diffuse,
+            with_lobe,
+            shapes,
+            nodes,
+            discs,
+            disc_nodes,
+            tables,
+            p,
+            n,
+            v,
+            itself,
+            chosen,
+            count,
+            points,
+            mixed(key, _FIRST),
+            stack,
+        )
+        left = whole - (total - seen)
+    else:
+        all_a, seen_a = _asked(
+            light,
+            cover,
+            diffuse,
+            with_lobe,
+            shapes,
+            nodes,
+            discs,
+            disc_nodes,
+            tables,
+            p,
+            n,
+            v,
+            itself,
+            chosen,
+            count,
+            points // 2,
+            mixed(key, _FIRST),
+            stack,
+        )
+        all_b, seen_b = _asked(
+            light,
+            cover,
+            diffuse,
+            with_lobe,
+            shapes,
+            nodes,
+            discs,
+            disc_nodes,
+            tables,
+            p,
+            n,
+            v,
+            itself,
+            chosen,
+            count,
+            points // 2,
+            mixed(key, _SECOND),
+            stack,
+        )
+        share_a = seen_a / all_a if all_a > 0 else 0.0
+        share_b = seen_b / all_b if all_b > 0 else 0.0
+        left = (seen_a + share_b * (whole - all_a) + seen_b + share_a * (whole - all_b)) / 2
+    # Where nearly all is hidden it may fall below 0 by some thousandths of the light.
+    return max(left, 0.0)
 
 
 @compiled
-def point_on(light: Wide, u: float, v: float) -> tuple[float, float, float, float, float, float]:
-    """A point of the light and its unit normal there: evenly spread over its area for even (u, v) from 0 to 1."""
-    x, y, z, mx, my, mz = (u - 0.5) * light.a, (v - 0.5) * light.b, 0.0, 0.0, 0.0, 1.0
-    if light.kind != WIDE_RECTANGLE:
-        cosine, sine = cosine_and_sine_of_turn(v)
-        if light.kind == WIDE_ANNULUS:
-            across = math.sqrt(light.a * light.a + u * (light.b - light.a) * (light.b + light.a))
-        else:
-            z = light.b + u * (light.c - light.b)
-            across = math.sqrt(max((light.a - z) * (light.a + z), 0.0))
-            mx, my, mz = -across * cosine / light.a, -across * sine / light.a, -z / light.a
-        x, y = across * cosine, across * sine
-    return (
-        light.x + x * light.ux + y * light.vx + z * light.nx,
-        light.y + x * light.uy + y * light.vy + z * light.ny,
-        light.z + x * light.uz + y * light.vz + z * light.nz,
-        mx * light.ux + my * light.vx + mz * light.nx,
-        mx * light.uy + my * light.vy + mz * light.ny,
-        mx * light.uz + my * light.vz + mz * light.nz,
-    )
+def _asked(
+    light: Wide,
+    cover: Cover,
+    diffuse: float,
+    with_lobe: bool,
+    shapes: Shapes,
+    nodes: Nodes,
+    discs: Shapes,
+    disc_nodes: Nodes,
+    tables: Floats,
+    p: Place,
+    n: Place,
+    v: Place,
+    itself: int,
+    chosen: Whole,
+    count: int,
+    points: int,
+    key: int,
+    stack: Whole,
+) -> tuple[float, float]:
+    """Radiance by some points of cells: by all of them, and by those that are not hidden [W m^-2 sr^-1]."""
+    total, seen = 0.0, 0.0
+    for i in range(points):
+        a, b = spread_point(i, key)
+        a, b = within_cells(a, b, chosen, count)
+        value, d, away = sent_by(light, cover, diffuse, with_lobe, p, n, v, a, b)
+        if value > 0:
+            total += value
+            if not is_hidden(light, shapes, nodes, discs, disc_nodes, tables, p, d, away, itself, stack):
+                seen += value
+    scale = light.radiance * light.area * count / (CELLS * CELLS * points)
+    return scale * total, scale * seen
+
+
+@compiled
+def sent_by(
+    light: Wide, cover: Cover, diffuse: float, with_lobe: bool, p: Place, n: Place, v: Place, a: float, b: float
+) -> tuple[float, Place, float]:
+    """What a point sends to the eye, by a place of the light and for each unit of its area and radiance.
+
+    Besides the direction to that place, and the distance.
+    """
+    x, y, z, nx, ny, nz = point_on(light, a, b)
+    dx, dy, dz = x - p[0], y - p[1], z - p[2]
+    square = dx * dx + dy * dy + dz * dz
+    away = math.sqrt(square)
+    d = (dx / away, dy / away, dz / away)
+    leaving, arriving = -(d[0] * nx + d[1] * ny + d[2] * nz), d[0] * n[0] + d[1] * n[1] + d[2] * n[2]
+    if arriving <= 0 or leaving <= 0:
+        return 0.0, d, away
+    value = diffuse * arriving
+    if with_lobe:
+        value += glossy(cover, n[0], n[1], n[2], v[0], v[1], v[2], d[0], d[1], d[2], 0.0)
+    return value * leaving / square, d, away

@@ -3,43 +3,88 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from itertools import product
+from typing import TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.scene.sources import WideSource
+from radwrap.scene.sources import Source, WideSource
 from radwrap.scene.wide_shapes import Annulus, Rectangle, Zone, area
-from radwrap.tracers.compiled.arrays import WIDE_ANNULUS, WIDE_RECTANGLE, WIDE_ZONE, Wide, put, rows
+from radwrap.tracers.compiled.arrays import (
+    WIDE_ANNULUS,
+    WIDE_RECTANGLE,
+    WIDE_ZONE,
+    Cluster,
+    Floats,
+    Wide,
+    put,
+    rows,
+)
+from radwrap.tracers.compiled.intersect import padded
+from radwrap.tracers.compiled.wide_cells import ALL_CELLS
 from radwrap.tracers.text_frame import TextFrame
 
 
-def wide_row(source: WideSource, frame: TextFrame) -> NDArray[np.void]:
-    """The row of a wide source of even radiance, in the frame of the text; shape (1,).
+def shines_whole(source: Source) -> TypeGuard[WideSource]:
+    """Whether a source is wide and shines evenly in all directions."""
+    return isinstance(source, WideSource) and source.radiance > 0 and source.beam.profile == "lambertian"
 
-    Raises
-    ------
-    ValueError
-        If its beam is not Lambertian.
-    """
-    if source.beam.profile != "lambertian":
-        raise ValueError("a wide light without patches needs a Lambertian beam")
+
+def wide_row(source: WideSource, frame: TextFrame) -> NDArray[np.void]:
+    """The row of a source that `shines_whole`, in the frame of the text; shape (1,)."""
     row, units = rows(Wide, 1), frame.units
     match source.shape:
         case Rectangle(width, height):
             row["kind"], sizes = WIDE_RECTANGLE, (width * units, height * units, 0.0)
-            half, low, high = (width / 2, height / 2), 0.0, 0.0
         case Annulus(inner, outer):
             row["kind"], sizes = WIDE_ANNULUS, (inner * units, outer * units, 0.0)
-            half, low, high = (outer, outer), 0.0, 0.0
         case Zone(radius, least, most):
             low, high = -radius * math.cos(least), -radius * math.cos(most)
             row["kind"], sizes = WIDE_ZONE, (radius * units, low * units, high * units)
-            half = (radius, radius)
     turned = np.asarray(source.pose.rotation)
     put(row, "x y z", frame.point(source.pose.position))
     put(row, "ux uy uz vx vy vz nx ny nz", turned.T.ravel())
     put(row, "a b c area radiance", (*sizes, area(source.shape) * units**2, source.radiance))
-    local = [(x, y, z) for x in (-half[0], half[0]) for y in (-half[1], half[1]) for z in (low, high)]
-    corners = frame.points(np.array(local) @ turned.T + source.pose.position)
-    put(row, "x0 y0 z0 x1 y1 z1", np.concatenate([corners.min(axis=0), corners.max(axis=0)]))
+    put(row, "x0 y0 z0 x1 y1 z1", _box(source, frame, (0.0, 1.0, 0.0, 1.0)))
     return row
+
+
+def cell_rows(sources: Sequence[WideSource], frame: TextFrame) -> NDArray[np.void]:
+    """Boxes of the cells of wide lights, see `wide_cells`: rows of `Cluster`, `ALL_CELLS` of each light."""
+    made = rows(Cluster, len(sources) * ALL_CELLS)
+    cells = [(i / n, (i + 1) / n, j / n, (j + 1) / n) for n in (1, 2, 4, 8) for i in range(n) for j in range(n)]
+    if sources:
+        boxes = [_box(source, frame, cell) for source in sources for cell in cells]
+        put(made, "x0 y0 z0 x1 y1 z1", boxes)
+    return made
+
+
+def _box(source: WideSource, frame: TextFrame, cell: tuple[float, float, float, float]) -> Floats:
+    """The box about a cell of a light's even coordinates, in the frame of the text."""
+    u0, u1, v0, v1 = cell
+    match source.shape:
+        case Rectangle(width, height):
+            x, y, z = ((u0 - 0.5) * width, (u1 - 0.5) * width), ((v0 - 0.5) * height, (v1 - 0.5) * height), (0.0, 0.0)
+        case Annulus(inner, outer):
+            radii = [math.sqrt(inner**2 + u * (outer**2 - inner**2)) for u in (u0, u1)]
+            x, y, z = *_ranges(radii, v0, v1), (0.0, 0.0)
+        case Zone(radius, least, most):
+            low, high = -radius * math.cos(least), -radius * math.cos(most)
+            z = (low + u0 * (high - low), low + u1 * (high - low))
+            heights = [*z, 0.0] if z[0] < 0 < z[1] else list(z)
+            x, y = _ranges([math.sqrt(max(radius**2 - at**2, 0.0)) for at in heights], v0, v1)
+    local = np.array(list(product(x, y, z)))
+    corners = frame.points(local @ np.asarray(source.pose.rotation).T + source.pose.position)
+    low_corner, high_corner = padded(corners.min(axis=0), corners.max(axis=0))
+    return np.concatenate([low_corner, high_corner])
+
+
+def _ranges(radii: Sequence[float], v0: float, v1: float) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Least and largest x and y of places at radii and between shares of a turn."""
+    quarters = [k / 4 for k in range(math.ceil(4 * v0), math.floor(4 * v1) + 1)]
+    turns = [2 * math.pi * v for v in (v0, v1, *quarters)]
+    x = [r * math.cos(turn) for r in radii for turn in turns]
+    y = [r * math.sin(turn) for r in radii for turn in turns]
+    return (min(x), max(x)), (min(y), max(y))

@@ -1,0 +1,78 @@
+"""What a broad lobe sends to the eye of a wide light with nothing between, by quadrature over the light."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from radwrap.tracers.compiled.arrays import BRUSHED, WIDE_ANNULUS, WIDE_RECTANGLE, WIDE_ZONE, Cover, Wide
+from radwrap.tracers.compiled.compiler import compiled
+from radwrap.tracers.compiled.wide_contour import Place
+from radwrap.tracers.compiled.wide_light import sent_by
+
+# Nodes along a light; around a round one twice as many.
+_FEWEST: Final = 4
+_MOST: Final = 16
+# Nodes lie at most so many times the roughness apart, as angles: a lobe's standard deviation is sqrt 2 times that.
+_STEP: Final = 1.4
+# Gauss-Legendre nodes from 0 to 1 and their weights: of 4, 8 and 16, one after the other.
+_RULES: Final = [np.polynomial.legendre.leggauss(count) for count in (4, 8, 16)]
+_NODES: Final = tuple(float(x + 1) / 2 for x in np.concatenate([x for x, _ in _RULES]))
+_WEIGHTS: Final = tuple(float(w) / 2 for w in np.concatenate([w for _, w in _RULES]))
+
+
+@compiled
+def nodes_along(light: Wide, cover: Cover, p: Place) -> tuple[int, int]:
+    """How many nodes along the two coordinates of a light resolve a lobe at a point; 0 where more than `_MOST` must."""
+    along, around = _lengths(light)
+    step = _STEP * math.sqrt(min(cover.a, cover.b) if cover.kind == BRUSHED else cover.a) * _nearest(light, p)
+    most = _MOST if light.kind == WIDE_RECTANGLE else 2 * _MOST
+    if not (along <= _MOST * step and around <= most * step):
+        return 0, 0
+    first, second = _FEWEST, _FEWEST
+    while first * step < along:
+        first *= 2
+    while second * step < around:
+        second *= 2
+    return first, second
+
+
+@compiled
+def _lengths(light: Wide) -> tuple[float, float]:
+    """Lengths of a light along its two coordinates at most; the second of a round one goes all around it."""
+    if light.kind == WIDE_RECTANGLE:
+        return light.a, light.b
+    if light.kind == WIDE_ANNULUS:
+        return light.b - light.a, 2 * math.pi * light.b
+    across = math.sqrt(max(light.a**2 - light.b**2, 0.0)) - math.sqrt(max(light.a**2 - light.c**2, 0.0))
+    # No arc of half a turn is longer than pi/2 of its chord.
+    return math.pi / 2 * math.sqrt(across * across + (light.c - light.b) ** 2), 2 * math.pi * light.a
+
+
+@compiled
+def _nearest(light: Wide, p: Place) -> float:
+    """No point of a light is nearer."""
+    if light.kind == WIDE_ZONE:
+        x, y, z = p[0] - light.x, p[1] - light.y, p[2] - light.z
+        return max(light.a - math.sqrt(x * x + y * y + z * z), 0.0)
+    x = max(light.x0 - p[0], p[0] - light.x1, 0.0)
+    y = max(light.y0 - p[1], p[1] - light.y1, 0.0)
+    z = max(light.z0 - p[2], p[2] - light.z1, 0.0)
+    return math.sqrt(x * x + y * y + z * z)
+
+
+@compiled
+def whole_lobe(light: Wide, cover: Cover, p: Place, n: Place, v: Place, first: int, second: int) -> float:
+    """Radiance that a lobe sends to the eye [W m^-2 sr^-1], by `nodes_along` a light: around a round one even ones."""
+    total = 0.0
+    for i in range(first):
+        a, of_a = _NODES[first - _FEWEST + i], _WEIGHTS[first - _FEWEST + i]
+        for j in range(second):
+            b, of_b = (j + 0.5) / second, 1 / second
+            if light.kind == WIDE_RECTANGLE:
+                b, of_b = _NODES[second - _FEWEST + j], _WEIGHTS[second - _FEWEST + j]
+            value, _, _ = sent_by(light, cover, 0.0, True, p, n, v, a, b)
+            total += of_a * of_b * value
+    return light.radiance * light.area * total

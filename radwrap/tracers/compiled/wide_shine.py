@@ -1,0 +1,117 @@
+"""What a lit point sends to the eye of wide lights that shine as a whole."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from radwrap.tracers.compiled.arrays import (
+    BRUSHED,
+    NOTHING,
+    WARD,
+    Clusters,
+    Cover,
+    Floats,
+    Nodes,
+    Shapes,
+    Whole,
+    Wide,
+)
+from radwrap.tracers.compiled.compiler import compiled
+from radwrap.tracers.compiled.wide_cells import bits_of, hiding_cells
+from radwrap.tracers.compiled.wide_contour import Place
+from radwrap.tracers.compiled.wide_light import MOST_POINTS, left_over
+from radwrap.tracers.compiled.wide_lobe import SAMPLES, sampled_lobe
+from radwrap.tracers.compiled.wide_nodes import nodes_along, whole_lobe
+from radwrap.tracers.compiled.wide_shape import may_light, unhidden
+
+# Covers that are known to reflect the light of a whole source: those whose lobe can be sampled.
+WHOLE_COVERS: Final = (NOTHING, WARD, BRUSHED)
+# Points of a light that are asked for at most: as many lights would take as long.
+POINTS_OF_A_LIGHT: Final = MOST_POINTS + 2 * SAMPLES
+
+
+@compiled
+def sent(
+    light: Wide,
+    number: int,
+    cells: Clusters,
+    pitch: float,
+    cover: Cover,
+    diffuse: float,
+    shapes: Shapes,
+    nodes: Nodes,
+    discs: Shapes,
+    disc_nodes: Nodes,
+    tables: Floats,
+    p: Place,
+    n: Place,
+    v: Place,
+    itself: int,
+    key: int,
+    known: Whole,
+    chosen: Whole,
+    stack: Whole,
+) -> float:
+    """Radiance to the eye [W m^-2 sr^-1].
+
+    Parameters
+    ----------
+    light, number : Wide, int
+        The light, and which it is.
+    cells, pitch, known
+        See `wide_cells.hiding_cells`.
+    cover : Cover
+        One of `WHOLE_COVERS`.
+    diffuse : float
+        Its `diffuse_at` the point.
+    shapes, nodes, discs, disc_nodes, tables
+        What may stand between: targets and emitters.
+    p, n, v : tuple of float
+        The point, its unit normal on the eye's side, and the unit vector to the eye.
+    itself : int
+        Shape that does not count, or -1.
+    key : int
+        See `wide_points.key_of_ray`.
+    chosen, stack : ndarray of int, shape (cells,), (DEPTH,)
+        Room to work in.
+    """
+    if not may_light(light, p, n):
+        return 0.0
+    whole = diffuse * unhidden(light, p, n)
+    with_lobe = False
+    if cover.kind != NOTHING:
+        first, second = nodes_along(light, cover, p)
+        with_lobe = first > 0
+        if with_lobe:
+            whole += whole_lobe(light, cover, p, n, v, first, second)
+    bits, is_hiding, value = 0, False, 0.0
+    if whole > 0 or (cover.kind != NOTHING and not with_lobe):
+        bits, is_hiding = hiding_cells(
+            light, number, cells, shapes, nodes, discs, disc_nodes, tables, pitch, p, itself, known, chosen, stack
+        )
+    if whole > 0:
+        count = bits_of(bits, chosen)
+        value = left_over(
+            light,
+            cover,
+            diffuse,
+            with_lobe,
+            whole,
+            shapes,
+            nodes,
+            discs,
+            disc_nodes,
+            tables,
+            p,
+            n,
+            v,
+            itself,
+            chosen,
+            count,
+            is_hiding,
+            key,
+            stack,
+        )
+    if cover.kind != NOTHING and not with_lobe:
+        value += sampled_lobe(light, cover, shapes, nodes, discs, disc_nodes, tables, p, n, v, itself, bits, key, stack)
+    return value

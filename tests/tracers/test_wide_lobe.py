@@ -1,0 +1,144 @@
+"""Gaussian lobes before wide lights, against quadrature over the light, and in a white furnace."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+pytest.importorskip("numba")
+
+from radwrap.frames import Pose
+from radwrap.scene.materials import Anisotropic, Lambertian, Material, Specular
+from radwrap.scene.targets import Sheet
+from radwrap.scene.wide_shapes import Annulus, area
+from radwrap.tracers.compiled.cover_rows import Wardrobe
+from radwrap.tracers.compiled.covers import glossy
+from radwrap.tracers.compiled.tree import DEPTH
+from radwrap.tracers.compiled.wide_lobe import grain_of, lobe_density, mirrored, sampled_lobe
+from radwrap.tracers.compiled.wide_nodes import nodes_along, whole_lobe
+from radwrap.tracers.compiled.wide_points import key_of_ray, spread_point
+from radwrap.tracers.compiled.wide_rows import wide_row
+from radwrap.tracers.compiled.wide_shape import meets
+from tests.tracers.test_wide_light import FRAME, LIGHTS, SURE, area_points, sheets, wide
+
+UP = (0.0, 0.0, 1.0)
+KEYS = 4000
+SLANTED = (-0.3, 0.2, math.sqrt(1 - 0.13))
+GLOSSY: dict[str, Material] = {
+    "sharp": Specular(0.1, 0.2, 0.02),
+    "middle": Specular(0.1, 0.2, 0.1),
+    "broad": Specular(0.1, 0.2, 0.3),
+    "brushed": Anisotropic(0.1, 0.2, 0.05, 0.3),
+}
+
+
+def cover_of(material: Material) -> np.void:
+    wardrobe = Wardrobe({"m": material}, FRAME, [])
+    list(wardrobe.pieces(Sheet("s", Pose(), "m", 2.0, 2.0)))
+    return wardrobe.covers[0]
+
+
+def shines(name: str, material: Material, v: tuple[float, float, float], *, keys: int = KEYS) -> np.ndarray:
+    """Radiances that a lobe sends to the eye by many keys, with nothing between."""
+    light, cover, none = wide_row(wide(name), FRAME)[0], cover_of(material), sheets(())
+    stack, rest = np.empty(DEPTH, dtype=np.int64), (np.zeros(1), (0.0, 0.0, 0.0), UP, v, -1, 0)
+    found = [key_of_ray(float(k), 0.0, 0.0, 0.0, 0.0, 1.0, 0) for k in range(keys)]
+    return np.array([sampled_lobe(light, cover, *none, *none, *rest, key, stack) for key in found])
+
+
+def brute(name: str, material: Material, v: tuple[float, float, float]) -> float:
+    """By 2^18 points of the light."""
+    source, cover = wide(name), cover_of(material)
+    points, normals = area_points(source.shape, 1 << 18)
+    turned = np.asarray(source.pose.rotation).T
+    points, normals = points @ turned + source.pose.position, normals @ turned
+    away = np.linalg.norm(points, axis=1)
+    leaving = np.maximum(-(points * normals).sum(axis=1) / away, 0.0)
+    each = [glossy(cover, *UP, *v, *d, 0.0) for d in (points / away[:, np.newaxis]).tolist()]
+    return float(source.radiance * area(source.shape) * np.mean(np.array(each) * leaving / away**2))
+
+
+@pytest.mark.parametrize("material", GLOSSY)
+@pytest.mark.parametrize("name", LIGHTS)
+def test_lobe_against_quadrature(name: str, material: str) -> None:
+    values = shines(name, GLOSSY[material], SLANTED)
+    due, error = brute(name, GLOSSY[material], SLANTED), values.std() / math.sqrt(KEYS)
+    largest = GLOSSY[material].specular_reflectance * wide(name).radiance
+    assert error < 2e-3 * largest
+    assert values.mean() == pytest.approx(due, abs=SURE * error + 1e-3 * due)
+
+
+@pytest.mark.parametrize("material", ["broad", "middle"])
+@pytest.mark.parametrize("name", LIGHTS)
+def test_broad_lobe_by_nodes(name: str, material: str) -> None:
+    light, cover, p = wide_row(wide(name), FRAME)[0], cover_of(GLOSSY[material]), (0.0, 0.0, 0.0)
+    first, second = nodes_along(light, cover, p)
+    if material == "broad":
+        assert first >= 4
+        assert second >= 4
+    for v in (SLANTED, (0.6, -0.3, math.sqrt(1 - 0.45)), UP):
+        if first:
+            found = whole_lobe(light, cover, p, UP, v, first, second)
+            assert found == pytest.approx(brute(name, GLOSSY[material], v), rel=1e-3, abs=1e-5)
+
+
+def test_a_narrow_lobe_is_not_left_to_nodes() -> None:
+    light = wide_row(wide("dome"), FRAME)[0]
+    assert nodes_along(light, cover_of(GLOSSY["sharp"]), (0.0, 0.0, 0.0)) == (0, 0)
+    assert nodes_along(light, cover_of(GLOSSY["broad"]), (0.0, 0.0, 0.05)) != (0, 0)
+    assert nodes_along(light, cover_of(GLOSSY["broad"]), (0.0, 0.95, 0.05)) == (0, 0)  # too near
+
+
+@pytest.mark.parametrize("material", GLOSSY)
+def test_the_density_is_that_of_what_is_drawn(material: str) -> None:
+    """It is 1 over all directions, and the mean of any weight over draws is its integral."""
+    cover = cover_of(GLOSSY[material])
+    grain = grain_of(cover, UP)
+    drawn = np.array([mirrored(grain, UP, SLANTED, *spread_point(i, 7)) for i in range(1 << 12)])
+    density = np.array([lobe_density(grain, UP, SLANTED, tuple(d)) for d in drawn.tolist()])
+    assert (density > 0).mean() > 0.99
+    # A cone about the mirror direction holds as many draws as its integral of density says.
+    axis = np.array([0.3, -0.2, SLANTED[2]])
+    across = np.cross(axis, [0.0, 0.0, 1.0])
+    across /= np.linalg.norm(across)
+    half = 0.3
+    u, turn = np.meshgrid((np.arange(800) + 0.5) / 800, (np.arange(400) + 0.5) / 400)
+    steep = u * half
+    around = np.cos(2 * np.pi * turn)[..., None] * across + np.sin(2 * np.pi * turn)[..., None] * np.cross(axis, across)
+    directions = np.cos(steep)[..., None] * axis + np.sin(steep)[..., None] * around
+    weights = np.sin(steep) * half * 2 * math.pi / steep.size
+    inside = sum(
+        w * lobe_density(grain, UP, SLANTED, tuple(d))
+        for w, d in zip(weights.ravel().tolist(), directions.reshape(-1, 3).tolist(), strict=True)
+    )
+    share = (drawn @ axis > math.cos(half)).mean()
+    assert share == pytest.approx(inside, abs=0.01)
+
+
+def test_a_sharp_lobe_before_an_even_light_sends_its_reflectance() -> None:
+    """Nearly a mirror: L = rho L_light, and next to no noise."""
+    values = shines("dome", GLOSSY["sharp"], SLANTED, keys=200)
+    assert values.mean() == pytest.approx(0.2 * 2.0, rel=5e-3)
+    assert values.std() < 0.02 * values.mean()
+
+
+def test_a_disc_is_met_in_its_circle_only() -> None:
+    light = wide_row(wide("area_ring"), FRAME)[0]
+    shape = wide("area_ring").shape
+    assert isinstance(shape, Annulus)
+    source = wide("area_ring")
+    turned = np.asarray(source.pose.rotation)
+    for radius, is_met in ((0.19, False), (0.21, True), (0.29, True), (0.31, False)):
+        place = turned @ [radius, 0.0, 0.0] + source.pose.position
+        away = float(np.linalg.norm(place))
+        found, cosine = meets(light, (0.0, 0.0, 0.0), tuple((place / away).tolist()))
+        assert math.isfinite(found) == is_met
+        if is_met:
+            assert found == pytest.approx(away, rel=1e-12)
+            assert cosine == pytest.approx(float(-(turned[:, 2] @ place)) / away, rel=1e-12)
+
+
+def test_only_glossy_covers_have_a_lobe() -> None:
+    assert cover_of(Lambertian(0.5))["kind"] == 0
