@@ -22,6 +22,7 @@ from scipy.integrate import dblquad
 
 import radwrap
 from radwrap.process import Programs
+from radwrap.scene.look.wide_sources import divided
 from radwrap.scene.sources import WideSource
 from radwrap.tracers.installation import find_radiance
 from radwrap.tracers.radiance import RadianceOptions, RadianceTracer, build, prepare
@@ -56,13 +57,15 @@ def scene(kind: str, height: float, error: float) -> radwrap.Scene:
         "sensor": {"preset": "fivs"},
     }
     target = {"type": "sheet", "material": "white", "size": [f"{4 * RADIUS} m"] * 2}
-    return radwrap.scene_from_document(
-        {
-            "camera": camera,
-            "sources": [{**source(kind, error), **place}],
-            "materials": {"white": {"type": "lambertian", "reflectance": 1.0}},
-            "targets": [target],
-        }
+    return divided(
+        radwrap.scene_from_document(
+            {
+                "camera": camera,
+                "sources": [{**source(kind, error), **place}],
+                "materials": {"white": {"type": "lambertian", "reflectance": 1.0}},
+                "targets": [target],
+            }
+        )
     )
 
 

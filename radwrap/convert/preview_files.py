@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.files import make_folder, write_bytes
+from radwrap.scene.look.wide_sources import divided
 from radwrap.scene.materials import (
     Anisotropic,
     CoefficientTable,
@@ -52,6 +53,7 @@ def write_preview(scene: Scene, path: Path) -> tuple[Path, ...]:
             where=scene.origin,
             remedy="a preview shows targets of the scene file alone",
         )
+    scene = divided(scene)
     preview = trimesh.Scene()
     for surface in scene.surfaces:
         lift = _LIFT if surface.is_decal else 0.0

@@ -190,12 +190,13 @@ class Stage:
     def _with_fewer_patches(self, rest: float, image: float) -> Iterator[tuple[str, float]]:
         """Light of the same places by a part of the patches, of which only the time counts."""
         scene = self.traced.scene
-        patches = [len(source.patches) for source in scene.sources if isinstance(source, WideSource)]
+        whole = self.traced.tracer_used.whole or ()
+        cut = [source for source in scene.sources if isinstance(source, WideSource) and source.name not in whole]
+        patches = [len(source.patches) for source in cut]
         if self.options.bounces or max(patches, default=0) < _THINNED**2:
             return
         thinned = tuple(
-            replace(source, patches=source.patches[::_THINNED]) if isinstance(source, WideSource) else source
-            for source in scene.sources
+            replace(source, patches=source.patches[::_THINNED]) if source in cut else source for source in scene.sources
         )
         share = seconds_per_ray(self.traced.view_lit_by(thinned)) / seconds_per_ray(self.work.view)
         wide = sum(patches)

@@ -258,7 +258,7 @@ def _trace(run: _Run) -> tuple[TracedRun, list[str]]:
     finally:
         progress.close()
     found = TracedRun(
-        scene=scene,
+        scene=traced.scene,
         options=options,
         identity=run.identity,
         made=made,

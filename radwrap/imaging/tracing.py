@@ -19,6 +19,7 @@ from radwrap.manifest import sha256_of_value
 from radwrap.process import Limits, Programs, available_cores
 from radwrap.progress import note
 from radwrap.scene.camera import ColourChannel
+from radwrap.scene.look.wide_sources import divided
 from radwrap.scene.materials import CoefficientTable, GlassBeads, Lambertian, PerturbedNormal, Specular
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Source, emitters
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
     from radwrap.tracers.compiled.engine import CompiledEngine
 
 
+# Folder of Radiance's files where it traces after all what was first laid out for a comparison.
+_PATCHES: Final = "patches"
 # Sources whose light is traced at a time: a tile of each is held, some 10 MiB.
 _TOGETHER: Final = 16
 
@@ -53,7 +56,6 @@ class LaidOutScene:
     def __init__(
         self, scene: Scene, options: RenderOptions, programs: Programs, work: Path, *, exact_bands: bool = False
     ) -> None:
-        self.scene = scene
         self._options = options
         self._programs = programs
         self._work = work
@@ -61,10 +63,9 @@ class LaidOutScene:
         self._radiance = RadianceOptions(find_radiance(options.radiance), options.trust, limits)
         self.version = version(self._radiance.installation, programs)
         self.banding = banding(scene, options, exact=exact_bands)
-        self._reference = self._radiance_engine(scene, work)
-        self.prepared = self._reference.prepared
-        self._engine: Engine = self._reference
+        self._engine: Engine
         self.tracer_used = candidate(scene, options)
+        self._trace_by_radiance(scene if self.tracer_used.name == "compiled" else divided(scene), work)
         if self.tracer_used.name == "compiled":
             compiled = self._compiled_engine(scene)
             reference = self._reference.tracer(scene, name="reference")
@@ -72,9 +73,19 @@ class LaidOutScene:
             if self.tracer_used.name == "compiled":
                 self._engine = compiled
                 self.tracer_used = replace(self.tracer_used, whole=compiled.whole or None)
+            elif (fine := divided(scene)) is not scene:
+                make_folder(work / _PATCHES)
+                self._trace_by_radiance(fine, work / _PATCHES)
+
+    def _trace_by_radiance(self, scene: Scene, folder: Path) -> None:
+        """Make Radiance the tracer, of a scene that may have more patches for its wide sources."""
+        self.scene = scene
+        self._reference = self._radiance_engine(scene, folder)
+        self.prepared = self._reference.prepared
+        self._engine = self._reference
 
     def _radiance_engine(self, scene: Scene, folder: Path) -> RadianceEngine:
-        prepared = prepare(scene, self._radiance, self._programs, folder)
+        prepared = prepare(scene, self._radiance, self._programs, folder, with_outlines=True)
         # A trusted file may name files beside itself, and Radiance looks for them where it runs.
         search = {(scene.folder / target.file).parent.absolute() for target in scene.included}
         trusted = tuple(sorted(search)) if self._options.trust else ()

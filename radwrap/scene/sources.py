@@ -391,7 +391,9 @@ class WideSource:
     least_patches : int
         So many patches at least, for finer half shadows.
     patches : tuple of Patch
-        What stands for it; made for the scene by `wide_sources.divided`.
+        What stands for it; made for the scene by `wide_sources.outlined` or `wide_sources.divided`.
+    is_outline : bool
+        Whether its patches are but a few that show where it is, whose light is held to no error.
     reached : float
         Largest error that was found.
     step : float
@@ -407,6 +409,7 @@ class WideSource:
     irradiance_error: float
     least_patches: int
     patches: tuple[Patch, ...] = field(default=(), compare=False, repr=False)
+    is_outline: bool = field(default=False, compare=False)
     reached: float = field(default=0.0, compare=False)
     step: float = field(default=0.0, compare=False)
 

@@ -35,6 +35,7 @@ from radwrap.manifest import sha256_of_value
 from radwrap.process import Limits, Programs, available_cores
 from radwrap.progress import Progress
 from radwrap.scene.bands import one_band
+from radwrap.scene.look.wide_sources import divided
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Beam, Ring, SingleSource, Source, WideSource
 from radwrap.study.crosscheck_terms import Seen, sees
@@ -140,7 +141,7 @@ def crosscheck(scene: Scene, out: Path, options: CrosscheckOptions) -> Crosschec
     with ExitStack() as owned, tempfile.TemporaryDirectory(prefix="radwrap-") as folder, Programs() as programs:
         installation = find_povray(programs, options.povray)
         beams = gaussian_beams(scene)
-        scene = without_gaussian_beams(one_band(scene, "sources"))
+        scene = divided(without_gaussian_beams(one_band(scene, "sources")))
         method: FixedMethod = "pinhole" if scene.camera.aperture.is_infinitesimal else "viewpoints"
         number = 1 if method == "pinhole" else options.render.viewpoint_number
         workers = options.render.workers or available_cores()

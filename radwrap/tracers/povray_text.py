@@ -28,6 +28,7 @@ from radwrap.scene.camera import Camera
 from radwrap.scene.look.geometry import in_view
 from radwrap.scene.look.probes import LIT_SHARE
 from radwrap.scene.look.superposed import summed, superposed
+from radwrap.scene.look.wide_sources import divided
 from radwrap.scene.materials import (
     Anisotropic,
     CoefficientTable,
@@ -99,6 +100,7 @@ def povray_scene(scene: Scene, included: Mapping[str, str], frame: TextFrame, *,
     InputError
         Naming what POV-Ray cannot express.
     """
+    scene = divided(scene)
     _check(scene, frame)
     parts = [_HEADER.format(unit=frame.length)]
     skies = scene.surrounds

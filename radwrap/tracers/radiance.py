@@ -16,6 +16,7 @@ from radwrap.errors import InputError, TracerError
 from radwrap.files import disk_failure, make_folder
 from radwrap.frames import fixed_axis_angles
 from radwrap.process import Limits, Programs
+from radwrap.scene.look.wide_sources import divided
 from radwrap.scene.scene import Scene
 from radwrap.scene.targets import MeshPart, MeshShape, RadFile, surfaces
 from radwrap.tracers.included import check_no_cycle, light_in, read_included
@@ -108,6 +109,7 @@ def prepare(
     stem: str = "scene",
     *,
     frame: TextFrame | None = None,
+    with_outlines: bool = False,
 ) -> PreparedScene:
     """Write a scene for Radiance, with the files that it includes.
 
@@ -125,14 +127,18 @@ def prepare(
         What the names of the files beside the text begin with.
     frame : TextFrame, optional
         Origin and units of the text; default `traced_frame`.
+    with_outlines : bool
+        Whether outlines of wide sources shine as they are, for a comparison with a tracer that has the same; else the
+        patches that they need.
 
     Raises
     ------
     InputError
-        If an included file breaks the trust rule, or nothing shines.
+        If an included file breaks the trust rule, nothing shines, or a wide source needs too many patches.
     TracerError
         If Radiance does not accept an included file.
     """
+    scene = scene if with_outlines else divided(scene)
     texts: dict[str, str] = {}
     glowing: dict[str, str] = {}
     files: dict[str, bytes] = {}

@@ -18,6 +18,7 @@ from radwrap.imaging.optics.aperture import Viewpoints, central_viewpoint
 from radwrap.imaging.optics.view import PixelPlan, RayBlock, pixel_means, ray_blocks, traced
 from radwrap.process import Programs
 from radwrap.scene.camera import Camera
+from radwrap.scene.look.wide_sources import divided
 from radwrap.tracers.compiled.layout import compiled_scene
 from radwrap.tracers.compiled.tracer import CompiledTracer
 from radwrap.tracers.engine import EngineName
@@ -122,10 +123,9 @@ class Bench:
         materials: Mapping[str, Mapping[str, Any]],
         targets: Iterable[Mapping[str, Any]],
     ) -> radwrap.Scene:
-        """A validated scene."""
-        return radwrap.scene_from_document(
-            {"camera": camera, "sources": list(sources), "materials": materials, "targets": list(targets)}
-        )
+        """A validated scene, wide sources of which have the patches that Radiance needs."""
+        document = {"camera": camera, "sources": list(sources), "materials": materials, "targets": list(targets)}
+        return divided(radwrap.scene_from_document(document))
 
     def tracer(self, scene: radwrap.Scene) -> Tracer:
         """Radiance with the scene's frozen octree, or the compiled tracer where it can show the scene."""

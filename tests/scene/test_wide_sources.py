@@ -10,7 +10,7 @@ import pytest
 import radwrap
 from radwrap.errors import InputError
 from radwrap.scene.look.checks import warnings_of
-from radwrap.scene.look.wide_sources import MOST_PATCHES
+from radwrap.scene.look.wide_sources import MOST_PATCHES, divided
 from radwrap.scene.sources import Patch, WideSource
 from radwrap.scene.wide_shapes import Annulus, Rectangle, WideShape, Zone, area, corners, first_cells, halves, nodes
 
@@ -40,7 +40,8 @@ RECTANGLE = {"type": "rectangle", "name": "wide", "size": ["100 mm", "50 mm"], *
 
 
 def scene(source: dict[str, Any], **changes: Any) -> radwrap.Scene:
-    return radwrap.scene_from_document({**DOCUMENT, "sources": [source]}, changes or None)
+    """With patches, as Radiance has it."""
+    return divided(radwrap.scene_from_document({**DOCUMENT, "sources": [source]}, changes or None))
 
 
 def newell(vertices: np.ndarray) -> np.ndarray:
@@ -83,7 +84,8 @@ def test_least_patches_are_kept_and_make_half_shadows_finer() -> None:
     ball = {"targets": [*DOCUMENT["targets"], {"type": "sphere", "material": "white", "diameter": "10 mm"}]}
     told = []
     for least in (1, 500):
-        made = radwrap.scene_from_document({**DOCUMENT, **ball, "sources": [{**RECTANGLE, "least_patches": least}]})
+        source = {**RECTANGLE, "least_patches": least}
+        made = divided(radwrap.scene_from_document({**DOCUMENT, **ball, "sources": [source]}))
         (wide,) = made.sources
         assert isinstance(wide, WideSource) and len(wide.patches) >= least
         told.append([line for line in warnings_of(made) if "half shadows" in line])

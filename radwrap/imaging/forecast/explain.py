@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from radwrap.errors import InputError
 from radwrap.imaging.forecast.preview import brightest
 from radwrap.imaging.optics.diffraction import diffraction, diffraction_warning
 from radwrap.imaging.response.exposure import exposure_of_radiance
@@ -17,6 +18,7 @@ from radwrap.scene.bands import scene_bands
 from radwrap.scene.camera import Camera
 from radwrap.scene.look.checks import warnings_of
 from radwrap.scene.look.geometry import project
+from radwrap.scene.look.wide_sources import divided
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Ring, WideSource, emitters
 from radwrap.scene.spectrum import Spectral
@@ -49,6 +51,7 @@ def explain(scene: Scene) -> dict[str, Any]:
         exposure [J m^-2] by closed form (no shadows, no blur but that of a
         source that is seen itself) and where; ``advice``; ``warnings``; ``assumed``.
     """
+    scene, refusal = _in_patches(scene)
     camera = scene.camera
     peak, airy = _peak(scene), diffraction(scene)
     return {
@@ -72,9 +75,17 @@ def explain(scene: Scene) -> dict[str, Any]:
         **_wide(scene),
         "expected_peak": peak,
         "advice": _advice(camera, peak),
-        "warnings": [*warnings_of(scene), *diffraction_warning(airy)],
+        "warnings": [*refusal, *warnings_of(scene), *diffraction_warning(airy)],
         "assumed": dict(sorted(scene.assumed.items())),
     }
+
+
+def _in_patches(scene: Scene) -> tuple[Scene, tuple[str, ...]]:
+    """The scene with patches for wide sources, as Radiance has it; where it refuses, as it is, and a warning."""
+    try:
+        return divided(scene), ()
+    except InputError as refusal:
+        return scene, (f"Radiance cannot trace this scene: {refusal}",)
 
 
 def blur_radius(camera: Camera, depth: float) -> float:

@@ -24,6 +24,7 @@ from radwrap.scene.file.material_files import directional_albedo
 from radwrap.scene.look.geometry import directions
 from radwrap.scene.look.intersections import first_hit
 from radwrap.scene.look.probes import material_number, materials_of
+from radwrap.scene.look.wide_sources import divided
 from radwrap.scene.materials import (
     Anisotropic,
     CoefficientTable,
@@ -85,7 +86,7 @@ class Light:
 def one_light(scene: Scene, kind: LightKind) -> Light:
     """A light in the middle of the scene's own, weighted by radiant intensity; at the camera where that is no place."""
     reference = np.mean([target.pose.position for target in scene.targets], axis=0)
-    lit = [emitter for emitter in scene.emitters if emitter.radiance > 0]
+    lit = [emitter for emitter in divided(scene).emitters if emitter.radiance > 0]
     weights = np.array([emitter.radiant_intensity for emitter in lit])
     place = np.asarray(scene.camera.pose.position)
     if lit:

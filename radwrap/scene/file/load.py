@@ -25,7 +25,7 @@ from radwrap.scene.file.material_convert import material_from_table
 from radwrap.scene.file.material_tables import MaterialModel
 from radwrap.scene.look.checks import check_scene, check_shapes
 from radwrap.scene.look.wide_checks import check_beside, check_coaxial
-from radwrap.scene.look.wide_sources import divided
+from radwrap.scene.look.wide_sources import outlined
 from radwrap.scene.materials import Glass, Material, Mirror, PrintedImage
 from radwrap.scene.scene import Scene
 
@@ -111,7 +111,7 @@ def scene_from_document(
     scene = scene_from_model(model, assumed=dict(_assumed(model)), origin=origin, folder=folder, document=text)
     check_shapes(scene)
     check_beside(scene)
-    scene = divided(scene)
+    scene = outlined(scene)
     check_coaxial(scene)
     check_scene(scene)
     return scene

@@ -10,12 +10,15 @@ from numpy.typing import NDArray
 from radwrap.errors import InputError
 from radwrap.scene.materials import Mirror
 from radwrap.scene.scene import Scene
-from radwrap.scene.sources import WideSource, emitters
+from radwrap.scene.sources import Source, WideSource, emitters
 from radwrap.scene.targets import DiscShape, MeshShape, PolygonShape, SphereShape, Surface, Target, TubeShape, surfaces
-from radwrap.scene.wide_shapes import Annulus
+from radwrap.scene.wide_shapes import Annulus, first_cells, halves, nodes
 
 Array = NDArray[np.float64]
 
+# Cells of a wide source at least, and places along each side of a cell.
+_CELLS: Final = 64
+_NODES: Final = 4
 _BESIDE: Final = 1e-9  # m; what is nearer to a plane lies in it
 
 
@@ -61,11 +64,10 @@ def check_coaxial(scene: Scene) -> None:
     rotation, middle = np.asarray(disc.pose.rotation), np.asarray(disc.pose.position)
     targets = [_hull((_points(target) - middle) @ rotation) for target in scene.targets]
     for index, source in enumerate(scene.sources):
-        lit = [emitter for emitter in emitters(source) if emitter.radiance > 0]
-        if source is disc or not lit:
+        places, widths = _places(source)
+        if source is disc or not len(places):
             continue
-        lights = (np.array([emitter.position for emitter in lit]) - middle) @ rotation
-        widths = np.array([emitter.radius for emitter in lit])
+        lights = (places - middle) @ rotation
         if any(_may_cross(lights, widths, corners, disc.shape.radius).any() for corners in targets):
             raise InputError(
                 f'light of "{source.name}" may cross the place behind the camera where "{disc.name}" is drawn, and '
@@ -73,6 +75,19 @@ def check_coaxial(scene: Scene) -> None:
                 where=f"{scene.origin}: sources[{index}]",
                 remedy="move it in front of that place or aside, or render the two apart and add their exposures",
             )
+
+
+def _places(source: Source) -> tuple[Array, Array]:
+    """Places all over what shines, shape (n, 3), and radii about them that hold the same area, shape (n,) [m]."""
+    if isinstance(source, WideSource) and source.radiance > 0:
+        cells = first_cells(source.shape)
+        while len(cells) < _CELLS:
+            cells = [half for cell in cells for half in halves(source.shape, cell)]
+        points, _, areas = nodes(source.shape, np.array(cells), _NODES)
+        placed = points.reshape(-1, 3) @ np.asarray(source.pose.rotation).T + source.pose.position
+        return placed, np.sqrt(areas.ravel() / np.pi)
+    lit = [] if isinstance(source, WideSource) else [emitter for emitter in emitters(source) if emitter.radiance > 0]
+    return np.array([emitter.position for emitter in lit]), np.array([emitter.radius for emitter in lit])
 
 
 def _may_cross(lights: Array, widths: Array, corners: Array, radius: float) -> NDArray[np.bool_]:

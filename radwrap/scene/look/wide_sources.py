@@ -1,5 +1,7 @@
 """Wide sources cut into patches, each of which shines from its middle, until that is as good as was asked for.
 
+A source that may shine as a whole first gets an outline of a few patches: to cut it takes seconds, and nobody may ask.
+
 What each patch gives is held against quadrature over the true shape, at points
 of the targets that the camera sees: irradiance of a diffuse surface, and what
 another one sends to the camera. Patches that miss most are halved.
@@ -19,7 +21,7 @@ from numpy.typing import NDArray
 from radwrap.errors import InputError
 from radwrap.frames import Pose, Vector
 from radwrap.scene.look.geometry import SurfacePoints, in_view
-from radwrap.scene.look.probes import feet, merged, seen_points, surface_points
+from radwrap.scene.look.probes import feet, materials_of, merged, seen_points, surface_points
 from radwrap.scene.look.reflection import radiance_factor
 from radwrap.scene.materials import (
     Anisotropic,
@@ -53,6 +55,10 @@ from radwrap.scene.wide_shapes import Cell, Zone, corners, first_cells, halves, 
 Array = NDArray[np.float64]
 
 MOST_PATCHES: Final = 4096
+# Patches of an outline at most, but where a source's first cells are more.
+_OUTLINE: Final = 64
+# Materials whose reflection of the light of a whole source is known.
+_SAMPLED: Final = (Lambertian, PrintedImage, Specular, Anisotropic)
 # What is found at some points may be exceeded between them.
 _MARGIN: Final = 0.5
 _NODES: Final = 4  # along each side of a patch
@@ -71,24 +77,71 @@ _GRAZING_LOBE: Final = 0.17  # cos 80 deg: beyond, a Gaussian lobe grows without
 _ROOM: Final = 2.0  # of a surround about all that is there
 
 
-def divided(scene: Scene) -> Scene:
-    """The scene with patches for its wide sources; the same scene where it has none.
+def outlined(scene: Scene) -> Scene:
+    """The scene with an outline for each wide source that may shine as a whole, and patches for all others.
+
+    Raises
+    ------
+    InputError
+        As `divided`.
+    """
+    if not any(isinstance(source, WideSource) for source in scene.sources):
+        return scene
+    sources = [
+        _enclosing(scene, source, index) if isinstance(source, WideSource) else source
+        for index, source in enumerate(scene.sources)
+    ]
+    whole = may_shine_whole(scene)
+    outlines = (_outline(source) if isinstance(source, WideSource) and whole else source for source in sources)
+    return divided(replace(scene, sources=tuple(outlines)), outlines_too=False)
+
+
+def may_shine_whole(scene: Scene) -> bool:
+    """Whether wide sources of even radiance may shine as a whole: what reflects their light can be sampled."""
+    names = {name for target in scene.targets for name in materials_of(target)}
+    return all(isinstance(scene.materials[name], _SAMPLED) for name in names)
+
+
+def divided(scene: Scene, *, outlines_too: bool = True) -> Scene:
+    """The scene with patches for its wide sources; the same scene where it needs none.
+
+    Parameters
+    ----------
+    scene : Scene
+        With `outlined` sources, or with none.
+    outlines_too : bool
+        Whether outlines become patches.
 
     Raises
     ------
     InputError
         If an error cannot be kept with `MOST_PATCHES` patches.
     """
-    if not any(isinstance(source, WideSource) for source in scene.sources):
+    wanted = [
+        isinstance(source, WideSource) and (not source.patches or (outlines_too and source.is_outline))
+        for source in scene.sources
+    ]
+    if not any(wanted):
         return scene
     probes = _probes(scene)
     sources = tuple(
-        _cut(_enclosing(scene, source, index), scene, probes, f"{scene.origin}: sources[{index}]")
-        if isinstance(source, WideSource)
+        _cut(source, scene, probes, f"{scene.origin}: sources[{index}]")
+        if isinstance(source, WideSource) and wanted[index]
         else source
         for index, source in enumerate(scene.sources)
     )
     return replace(scene, sources=sources)
+
+
+def _outline(source: WideSource) -> WideSource:
+    """The source with a few patches; another beam than the Lambertian never shines as a whole."""
+    if source.beam.profile != "lambertian":
+        return source
+    cells = first_cells(source.shape)
+    while 2 * len(cells) <= _OUTLINE:
+        cells = [half for cell in cells for half in halves(source.shape, cell)]
+    patches = tuple(_patch(source, cell, number) for number, cell in enumerate(sorted(cells)))
+    return replace(source, patches=patches, is_outline=True)
 
 
 def _enclosing(scene: Scene, source: WideSource, index: int) -> WideSource:
@@ -303,7 +356,7 @@ def _cut(source: WideSource, scene: Scene, probes: list[_Probe], where: str) -> 
         division.halve(wanted)
     order = sorted(division.cells)
     patches = tuple(_patch(source, cell, number) for number, cell in enumerate(order))
-    return replace(source, patches=patches, reached=worst, step=division.step())
+    return replace(source, patches=patches, is_outline=False, reached=worst, step=division.step())
 
 
 def _blamed(error: Array, shares: Array, source: WideSource) -> NDArray[np.bool_]:

@@ -19,9 +19,10 @@ Whole = NDArray[np.int64]
 TRIANGLE: Final = 0
 RECTANGLE: Final = 1  # half width, half height, height of its plane
 POLYGON: Final = 2  # where its corners begin in `tables`, number of corners, height of its plane
-DISC: Final = 3  # square of the radius, -, height of its plane
+DISC: Final = 3  # squares of the radius and of its hole's, height of its plane
 SPHERE: Final = 4  # radius
 TUBE: Final = 5  # radius, length
+ZONE: Final = 6  # radius of the sphere, least and largest height over its middle, along the normal
 
 # Kinds of beams.
 LAMBERTIAN: Final = 0
@@ -61,8 +62,6 @@ class Shape:
         The cover of a target's shape, or the number of the emitter.
     decal : int
         Row of what is painted on it, or -1.
-    group : int
-        Of a patch of a wide light that shines as a whole, a number below -1; else 0.
     x, y, z : float
         Corner of a triangle or polygon, centre of the others, an end of a tube's axis.
     ux, uy, uz, vx, vy, vz : float
@@ -76,7 +75,6 @@ class Shape:
     kind: int
     owner: int
     decal: int
-    group: int
     x: float
     y: float
     z: float
@@ -278,16 +276,16 @@ class Cluster:
 
 
 class Wide:
-    """A wide light of even radiance, which shines as a whole. What is seen of it, and hides, are its patches.
+    """A wide light of even radiance, which shines as a whole.
 
     Attributes
     ----------
     kind : int
         Kind of its shape, see above.
-    first : int
-        The first of the lights that are its patches.
-    group : int
-        Of the shapes of its patches, which hide nothing of it.
+    light : int
+        Its number among the lights.
+    own : int
+        Its own shape, which does not hide it, among those of emitters.
     may_be_hidden : int
         1 where another emitter may stand between it and a target.
     x, y, z : float
@@ -303,8 +301,8 @@ class Wide:
     """
 
     kind: int
-    first: int
-    group: int
+    light: int
+    own: int
     may_be_hidden: int
     x: float
     y: float

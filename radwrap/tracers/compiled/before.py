@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import product
 from typing import Any, Final
 
 import numpy as np
@@ -20,25 +21,31 @@ from radwrap.tracers.text_frame import TextFrame
 _COPLANAR: Final = 1e-7
 
 
-def own_shapes(shown: Sequence[Emitter], lights: NDArray[np.void], discs: Tree, frame: TextFrame) -> Whole:
-    """Of each light before whose centre another emitter may stand, its own shape; else -1."""
-    own = np.empty(len(shown), dtype=np.int64)
-    own[discs.shapes["owner"]] = np.arange(len(shown))
-    # Discs and spheres by what they rise over a plane, patches by their corners.
-    places = [_places(emitter, frame) for emitter in shown]
+def own_shapes(
+    shown: Sequence[Emitter], wides: NDArray[np.void], lights: NDArray[np.void], discs: Tree, frame: TextFrame
+) -> Whole:
+    """Of each light before whose centre another emitter may stand, its own shape; else -1. Wide lights come last."""
+    own = np.empty(len(lights), dtype=np.int64)
+    own[discs.shapes["owner"]] = np.arange(len(lights))
+    # Discs and spheres by what they rise over a plane, patches by their corners, wide lights by their box's.
+    places = [*(_places(emitter, frame) for emitter in shown), *((_box_corners(wide), 0.0) for wide in wides)]
     points = np.concatenate([np.empty((0, 3)), *(place for place, _ in places)])
-    whose = np.repeat(np.arange(len(shown)), [len(place) for place, _ in places])
+    whose = np.repeat(np.arange(len(lights)), [len(place) for place, _ in places])
     may_hide(lights, points, np.array([radius for _, radius in places])[whose], whose, own)
     return own
 
 
 def nothing_before(light: Any, targets: Tree, discs: Tree) -> bool:
-    """Whether no emitter but the own patches of a wide light, a row of `Wide`, can stand between it and any target."""
+    """Whether no emitter but a wide light itself, a row of `Wide`, can stand between it and any target."""
     if not len(targets.nodes):
         return True
     x0, y0, z0, x1, y1, z1 = (float(targets.nodes[0][name]) for name in ("x0", "y0", "z0", "x1", "y1", "z1"))
-    stack, own = np.empty(DEPTH, dtype=np.int64), int(light["group"])
+    stack, own = np.empty(DEPTH, dtype=np.int64), int(light["own"])
     return clear_between(discs.shapes, discs.nodes, light, x0, y0, z0, x1, y1, z1, own, False, stack)
+
+
+def _box_corners(box: Any) -> Floats:
+    return np.array(list(product(*((box[f"{axis}0"], box[f"{axis}1"]) for axis in "xyz"))), dtype=np.float64)
 
 
 def _places(emitter: Emitter, frame: TextFrame) -> tuple[Floats, float]:

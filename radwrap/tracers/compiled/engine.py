@@ -67,7 +67,7 @@ class CompiledEngine:
     @property
     def whole(self) -> tuple[str, ...]:
         """Names of wide lights that shine as a whole, not from the middles of their patches."""
-        return tuple(name for name, _ in self.arrays.whole)
+        return self.arrays.whole
 
     def in_patches(self) -> CompiledEngine:
         """The same with all wide lights in patches, as Radiance has them."""

@@ -13,6 +13,7 @@ from radwrap.tracers.compiled.arrays import (
     RECTANGLE,
     SPHERE,
     TRIANGLE,
+    TUBE,
     Floats,
     Node,
     Nodes,
@@ -47,12 +48,14 @@ def crossing(s: Shape, tables: Floats, ox: float, oy: float, oz: float, dx: floa
             return math.inf
         px, py, pz = px + t * dx, py + t * dy, pz + t * dz
         if kind == DISC:
-            return t if px * px + py * py + pz * pz <= s.a else math.inf
+            return t if s.b <= px * px + py * py + pz * pz <= s.a else math.inf
         x, y = px * s.ux + py * s.uy + pz * s.uz, px * s.vx + py * s.vy + pz * s.vz
         if kind == RECTANGLE:
             return t if abs(x) <= s.a and abs(y) <= s.b else math.inf
         return t if _inside(tables, int(s.a), int(s.b), x, y) else math.inf
-    return _tube(s, px, py, pz, dx, dy, dz)
+    if kind == TUBE:
+        return _tube(s, px, py, pz, dx, dy, dz)
+    return _zone(s, px, py, pz, dx, dy, dz)
 
 
 @compiled
@@ -105,6 +108,21 @@ def _tube(s: Shape, px: float, py: float, pz: float, dx: float, dy: float, dz: f
     half = math.sqrt(inside / square)
     for t in (along - half, along + half):
         if t > NEAREST and 0 <= place + t * slope <= s.b:
+            return t
+    return math.inf
+
+
+@compiled
+def _zone(s: Shape, px: float, py: float, pz: float, dx: float, dy: float, dz: float) -> float:
+    """The part of a sphere between two heights, from outside or from inside."""
+    along = -(px * dx + py * dy + pz * dz)
+    fx, fy, fz = px + along * dx, py + along * dy, pz + along * dz
+    square = s.a * s.a - (fx * fx + fy * fy + fz * fz)
+    if square < 0:
+        return math.inf
+    half, place, slope = math.sqrt(square), px * s.nx + py * s.ny + pz * s.nz, dx * s.nx + dy * s.ny + dz * s.nz
+    for t in (along - half, along + half):
+        if t > NEAREST and s.b <= place + t * slope <= s.c:
             return t
     return math.inf
 
@@ -208,7 +226,7 @@ def hidden(
     but: int,
     stack: Whole,
 ) -> bool:
-    """Whether any shape but one, or but those of a group, stands on a ray before `farthest`."""
+    """Whether any shape but one stands on a ray before `farthest`."""
     if len(shapes) <= (but >= 0):
         return False
     ix, iy, iz = inverse_of(dx), inverse_of(dy), inverse_of(dz)
@@ -223,9 +241,7 @@ def hidden(
         if count:
             first = nodes[node].first
             for i in range(first, first + count):
-                if i == but or (but < -1 and shapes[i].group == but):
-                    continue
-                if crossing(shapes[i], tables, ox, oy, oz, dx, dy, dz) < farthest:
+                if i != but and crossing(shapes[i], tables, ox, oy, oz, dx, dy, dz) < farthest:
                     return True
         else:
             stack[height], stack[height + 1] = nodes[node].second, node + 1

@@ -14,6 +14,7 @@ from radwrap.tracers.compiled.arrays import (
     SPHERE,
     TRIANGLE,
     TURNED_NORMAL,
+    ZONE,
     Clusters,
     Covers,
     Decals,
@@ -82,7 +83,7 @@ def trace(
     clusters, parts : Clusters
         Lights in groups that lie together, and the same in smaller groups.
     wides : Wides
-        Lights that shine as a whole; their patches are in no group.
+        Lights that shine as a whole; they are in no group.
     cells, pitch : Clusters, float
         Boxes of the cells of those lights, and the size of a place that asks for them; see `wide_cells`.
     background : float
@@ -116,7 +117,7 @@ def trace(
         distances[r] = nearer / units
         if disc >= 0:
             light = lights[discs[disc].owner]
-            if light.beam == LUMINAIRE or _front(light, dx, dy, dz) > 0:
+            if light.beam == LUMINAIRE or _shows_front(light, discs[disc], ox, oy, oz, dx, dy, dz, nearer):
                 values[r, light.column] += radiance_along(light, tables, -dx, -dy, -dz)
             continue
         if met < 0:
@@ -155,7 +156,7 @@ def trace(
             if wides[w].radiance > 0:
                 key = key_of_ray(rays[r, 0], rays[r, 1], rays[r, 2], rays[r, 3], rays[r, 4], rays[r, 5], w)
                 p, n, v = (x, y, z), (nx, ny, nz), (-dx, -dy, -dz)
-                values[r, lights[wides[w].first].column] += sent(
+                values[r, lights[wides[w].light].column] += sent(
                     wides[w],
                     w,
                     cells,
@@ -192,8 +193,13 @@ def placed(
 
 
 @compiled
-def _front(light: Light, dx: float, dy: float, dz: float) -> float:
-    return -(dx * light.nx + dy * light.ny + dz * light.nz)
+def _shows_front(
+    light: Light, s: Shape, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, t: float
+) -> bool:
+    nx, ny, nz = light.nx, light.ny, light.nz
+    if s.kind == ZONE:
+        nx, ny, nz = normal_at(s, ox + t * dx, oy + t * dy, oz + t * dz)
+    return nx * dx + ny * dy + nz * dz < 0
 
 
 @compiled
@@ -203,6 +209,8 @@ def normal_at(s: Shape, x: float, y: float, z: float) -> tuple[float, float, flo
     if kind in (TRIANGLE, RECTANGLE, POLYGON, DISC):
         return s.nx, s.ny, s.nz
     px, py, pz = x - s.x, y - s.y, z - s.z
+    if kind == ZONE:  # it shines to its middle
+        return -px / s.a, -py / s.a, -pz / s.a
     if kind != SPHERE:
         along = px * s.nx + py * s.ny + pz * s.nz
         px, py, pz = px - along * s.nx, py - along * s.ny, pz - along * s.nz

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
@@ -11,9 +11,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from radwrap.frames import Pose
 from radwrap.scene.look.superposed import superposed
+from radwrap.scene.look.wide_sources import may_shine_whole
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Emitter, Luminaire, Patch, TableBeam, WideSource, emitters
+from radwrap.scene.wide_shapes import WideShape
 from radwrap.tracers.compiled import arrays
 from radwrap.tracers.compiled.arrays import Cluster, Floats, Light, Tree, Whole, Wide, put, rows
 from radwrap.tracers.compiled.before import nothing_before, own_shapes
@@ -21,14 +24,12 @@ from radwrap.tracers.compiled.cover_rows import Wardrobe
 from radwrap.tracers.compiled.shadows import TOGETHER
 from radwrap.tracers.compiled.shape_rows import Piece, area_vector, emitter_shape, sorted_shapes
 from radwrap.tracers.compiled.shine import side_by_side
-from radwrap.tracers.compiled.wide_rows import cell_rows, shines_whole, wide_row
-from radwrap.tracers.compiled.wide_shine import WHOLE_COVERS
+from radwrap.tracers.compiled.wide_rows import cell_rows, light_row, shape_row, shines_whole, wide_row
 from radwrap.tracers.text_frame import TextFrame
 
 _MOST_TOGETHER: Final = 64  # lights of a cluster: LEDs of a ring follow each other around it
 _PLACE: Final = 8.0  # pixels
 _APART: Final = -1  # in place of a kind of beam
-_FIRST_GROUP: Final = -2  # of shapes, see `arrays.Shape`
 _BEAMS: Final = {
     "lambertian": arrays.LAMBERTIAN,
     "gaussian": arrays.GAUSSIAN,
@@ -53,7 +54,7 @@ class CompiledScene:
     clusters, parts_of_clusters : ndarray
         `rows` of `Cluster`: the lights, some that follow each other in each, and the same in smaller groups.
     wides : ndarray
-        `rows` of `Wide`: lights that shine as a whole; their patches are in no cluster.
+        `rows` of `Wide`: lights that shine as a whole; they are the last of the lights, and in no cluster.
     cells : ndarray
         `rows` of `Cluster`: the boxes of their cells.
     pitch : float
@@ -70,8 +71,8 @@ class CompiledScene:
         Of each emitter: names by which its light is switched, and radiance of each.
     skies : tuple of (str, float)
         Names of surrounds and their radiance.
-    whole : tuple of (str, float)
-        Of each wide light its name and its radiance.
+    whole : tuple of str
+        Names of the sources that shine as a whole.
     frame : TextFrame
         Origin and unit of the places.
     """
@@ -94,7 +95,7 @@ class CompiledScene:
     part_of_light: Whole
     members: tuple[tuple[tuple[str, float], ...], ...]
     skies: tuple[tuple[str, float], ...]
-    whole: tuple[tuple[str, float], ...]
+    whole: tuple[str, ...]
     frame: TextFrame
 
     def in_light(self, names: Collection[str]) -> CompiledScene:
@@ -102,7 +103,7 @@ class CompiledScene:
         lights = self.lights.copy()
         lights["radiance"] = [math.fsum(level for name, level in group if name in names) for group in self.members]
         wides = self.wides.copy()
-        wides["radiance"] = [level if name in names else 0.0 for name, level in self.whole]
+        wides["radiance"] = lights["radiance"][wides["light"]]
         background = math.fsum(level for name, level in self.skies if name in names)
         return replace(self, lights=lights, beside=side_by_side(lights), wides=wides, background=background)
 
@@ -119,19 +120,27 @@ def compiled_scene(scene: Scene, frame: TextFrame, *, whole: bool = False) -> Co
     whole : bool
         Whether wide lights shine as a whole where that is known; else from the middles of their patches, as Radiance's.
     """
-    groups = superposed(scene.emitters)
-    shown = [group[0] for group in groups]
     tables: list[float] = []
-    discs = sorted_shapes((Piece(emitter_shape(emitter), i) for i, emitter in enumerate(shown)), frame, tables)
     wardrobe = Wardrobe(scene.materials, frame, tables)
+    wholes = _in_places(filter(shines_whole, scene.sources)) if whole and may_shine_whole(scene) else []
+    names_of_wholes = tuple(source.name for group in wholes for source in group)
+    groups = superposed(emitter for emitter in scene.emitters if emitter.source not in names_of_wholes)
+    members: list[list[tuple[str, float]]] = [[(each.source, each.radiance) for each in group] for group in groups]
+    members += [[(source.name, source.radiance) for source in group] for group in wholes]
+    shown = [group[0] for group in groups]
+    wides = np.concatenate([rows(Wide, 0), *(wide_row(group[0], frame) for group in wholes)])
+    pieces = (Piece(emitter_shape(emitter), i) for i, emitter in enumerate(shown))
+    others = [shape_row(wides[i : i + 1], len(shown) + i) for i in range(len(wides))]
+    discs = sorted_shapes(pieces, frame, tables, others)
     targets = sorted_shapes((piece for part in scene.targets for piece in wardrobe.pieces(part)), frame, tables)
-    lights = _lights(shown, frame, tables)
-    lights["radiance"] = [math.fsum(member.radiance for member in group) for group in groups]
-    lights["own"] = own_shapes(shown, lights, discs, frame)
-    wide_lights = list(filter(shines_whole, scene.sources)) if whole and _are_sampled(wardrobe) else []
-    wides = _wides(wide_lights, groups, targets, discs, frame)
+    lights = np.concatenate([_lights(shown, frame, tables), *(light_row(wides[i : i + 1]) for i in range(len(wides)))])
+    lights["radiance"] = [math.fsum(level for _, level in group) for group in members]
+    lights["own"] = own_shapes(shown, wides, lights, discs, frame)
+    _place_wides(wides, len(shown), lights, targets, discs)
     names = tuple(source.name for source in scene.sources)
     number = {emitter.name: index for index, source in enumerate(scene.sources, 1) for emitter in emitters(source)}
+    number |= {name: names.index(name) + 1 for name in names_of_wholes}
+    shining = [*(emitter.name for emitter in shown), *(group[0].name for group in wholes)]
     skies = tuple((sky.name, sky.patches[0].radiance) for sky in scene.surrounds)
     return CompiledScene(
         targets,
@@ -140,44 +149,38 @@ def compiled_scene(scene: Scene, frame: TextFrame, *, whole: bool = False) -> Co
         wardrobe.decals,
         lights,
         side_by_side(lights),
-        *clusters_of(lights, _in_groups(len(lights), discs)),
+        *clusters_of(lights, np.arange(len(lights)) >= len(shown)),
         wides,
-        cell_rows(wide_lights, frame),
+        cell_rows([group[0] for group in wholes], frame),
         _pitch(scene, targets, frame),
         math.fsum(level for _, level in skies),
         np.array(tables, dtype=np.float64),
         (*names, *wardrobe.parts),
         np.arange(len(names) + 1, len(names) + len(wardrobe.parts) + 1),
-        np.array([number[emitter.name] for emitter in shown], dtype=np.int64),
-        tuple(tuple((member.source, member.radiance) for member in group) for group in groups),
+        np.array([number[name] for name in shining], dtype=np.int64),
+        tuple(map(tuple, members)),
         skies,
-        tuple((light.name, light.radiance) for light in wide_lights),
+        names_of_wholes,
         frame,
     )
 
 
-def _are_sampled(wardrobe: Wardrobe) -> bool:
-    return bool(np.isin(wardrobe.covers["kind"], WHOLE_COVERS).all())
+def _in_places(lights: Iterable[WideSource]) -> list[list[WideSource]]:
+    """Lights in groups that fill the same place."""
+    groups: dict[tuple[Pose, WideShape], list[WideSource]] = {}
+    for light in lights:
+        groups.setdefault((light.pose, light.shape), []).append(light)
+    return list(groups.values())
 
 
-def _wides(
-    lights: Sequence[WideSource],
-    groups: Sequence[Sequence[Emitter]],
-    targets: Tree,
-    discs: Tree,
-    frame: TextFrame,
-) -> NDArray[np.void]:
-    """Rows of wide lights, whose patches become their own groups of shapes; lights in one place have the same."""
-    wides = np.concatenate([rows(Wide, 0), *(wide_row(light, frame) for light in lights)])
-    names = [[member.source for member in group] for group in groups]
-    for number, light in enumerate(lights):
-        own = np.array([light.name in group for group in names])
-        first = int(np.flatnonzero(own)[0])
-        wides[number]["first"], wides[number]["group"] = first, _FIRST_GROUP - first
-        discs.shapes["group"][own[discs.shapes["owner"]]] = _FIRST_GROUP - first
+def _place_wides(wides: NDArray[np.void], first: int, lights: NDArray[np.void], targets: Tree, discs: Tree) -> None:
+    """Fill in which lights and shapes are those of wide lights, and what may hide them."""
+    wides["light"] = first + np.arange(len(wides))
+    wides["radiance"] = lights["radiance"][wides["light"]]
+    shape_of = np.argsort(discs.shapes["owner"])
+    wides["own"] = shape_of[wides["light"]]
     for wide in wides:
         wide["may_be_hidden"] = not nothing_before(wide, targets, discs)
-    return wides
 
 
 def _pitch(scene: Scene, targets: Tree, frame: TextFrame) -> float:
@@ -190,13 +193,6 @@ def _pitch(scene: Scene, targets: Tree, frame: TextFrame) -> float:
     away = float(np.linalg.norm(middle - frame.point(camera.pose.position)))
     pixel = min(camera.sensor.pixel_width, camera.sensor.pixel_height) / camera.image_distance
     return _PLACE * pixel * away
-
-
-def _in_groups(count: int, discs: Tree) -> NDArray[np.bool_]:
-    """Whether each light is a patch of one that shines as a whole."""
-    found = np.zeros(count, dtype=bool)
-    found[discs.shapes["owner"]] = discs.shapes["group"] <= _FIRST_GROUP
-    return found
 
 
 def _lights(shown: Sequence[Emitter], frame: TextFrame, tables: list[float]) -> NDArray[np.void]:

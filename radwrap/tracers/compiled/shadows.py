@@ -137,7 +137,7 @@ def clear_between(
     may_touch: bool,
     stack: Whole,
 ) -> bool:
-    """Whether no shape but one, or a group, can stand between any places of two boxes, the second that of a cluster.
+    """Whether no shape but one can stand between any places of two boxes, the second here that of a light or cluster.
 
     Where they `may_touch`, a flat shape in whose plane one of the boxes lies stands between nothing.
 
@@ -165,9 +165,7 @@ def clear_between(
         if count:
             first = box.first
             for i in range(first, first + count):
-                if i == but or (but < -1 and shapes[i].group == but):
-                    continue
-                if not _aside(shapes[i], there, x0, y0, z0, x1, y1, z1, may_touch):
+                if i != but and not _aside(shapes[i], there, x0, y0, z0, x1, y1, z1, may_touch):
                     return False
         else:
             stack[height], stack[height + 1] = box.second, node + 1

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final, assert_never
 
@@ -61,9 +61,29 @@ def emitter_shape(emitter: Emitter) -> WorldShape:
     return DiscShape(emitter.position, emitter.axis, emitter.radius)
 
 
-def sorted_shapes(pieces: Iterable[Piece], frame: TextFrame, tables: list[float]) -> Tree:
-    """Pieces as rows in the frame of the text, with their tree; corners of polygons are added to the tables."""
+def sorted_shapes(
+    pieces: Iterable[Piece],
+    frame: TextFrame,
+    tables: list[float],
+    others: Sequence[tuple[NDArray[np.void], Floats]] = (),
+) -> Tree:
+    """Pieces as rows in the frame of the text, with their tree.
+
+    Parameters
+    ----------
+    pieces : iterable of Piece
+        Shapes in the world.
+    frame : TextFrame
+        Of the text.
+    tables : list of float
+        To which corners of polygons are added.
+    others : sequence of (ndarray, ndarray)
+        Rows that are made already, and their boxes, shape (n, 6).
+    """
     found, boxes = [rows(Shape, 0)], [np.empty((0, 6))]
+    for made, box in others:
+        found.append(made)
+        boxes.append(box)
     for piece in pieces:
         made, box = _row(piece.shape, frame, tables)
         made["owner"], made["decal"] = piece.owner, piece.decal

@@ -221,7 +221,7 @@ def _undisturbed(
                 if free and clusters[c].may_be_hidden:
                     free = clear_between(discs, disc_nodes, clusters[c], x0, y0, z0, x1, y1, z1, -1, True, stack)
             for w in range(len(wides)):
-                own = wides[w].group
+                own = wides[w].own
                 free = free and not (wides[w].kind == WIDE_ZONE and may_be_outside(wides[w], box))
                 free = free and clear_between(shapes, nodes, wides[w], x0, y0, z0, x1, y1, z1, but, True, stack)
                 free = free and clear_between(discs, disc_nodes, wides[w], x0, y0, z0, x1, y1, z1, own, True, stack)

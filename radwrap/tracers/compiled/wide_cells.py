@@ -182,7 +182,7 @@ def _found(
             there = cells[base + cell]
             free = clear_between(shapes, nodes, there, x0, y0, z0, x1, y1, z1, itself, True, stack)
             if free and light.may_be_hidden:
-                free = clear_between(discs, disc_nodes, there, x0, y0, z0, x1, y1, z1, light.group, True, stack)
+                free = clear_between(discs, disc_nodes, there, x0, y0, z0, x1, y1, z1, light.own, True, stack)
             if free:
                 continue
             if level == CELLS:

@@ -12,12 +12,19 @@ from numpy.typing import NDArray
 
 from radwrap.scene.sources import Source, WideSource
 from radwrap.scene.wide_shapes import Annulus, Rectangle, Zone, area
+from radwrap.tracers.compiled import arrays
 from radwrap.tracers.compiled.arrays import (
+    DISC,
+    LAMBERTIAN,
+    RECTANGLE,
     WIDE_ANNULUS,
     WIDE_RECTANGLE,
     WIDE_ZONE,
+    ZONE,
     Cluster,
     Floats,
+    Light,
+    Shape,
     Wide,
     put,
     rows,
@@ -48,6 +55,35 @@ def wide_row(source: WideSource, frame: TextFrame) -> NDArray[np.void]:
     put(row, "ux uy uz vx vy vz nx ny nz", turned.T.ravel())
     put(row, "a b c area radiance", (*sizes, area(source.shape) * units**2, source.radiance))
     put(row, "x0 y0 z0 x1 y1 z1", _box(source, frame, (0.0, 1.0, 0.0, 1.0)))
+    return row
+
+
+def shape_row(wide: NDArray[np.void], owner: int) -> tuple[NDArray[np.void], Floats]:
+    """The shape of a wide light, given its row, and its box; shapes (1,) and (1, 6)."""
+    row, light = rows(Shape, 1), wide[0]
+    at = np.array([light["x"], light["y"], light["z"]])
+    height = float(at @ [light["nx"], light["ny"], light["nz"]])
+    for name in ("x", "y", "z", "ux", "uy", "uz", "vx", "vy", "vz", "nx", "ny", "nz"):
+        row[name] = light[name]
+    a, b, c = float(light["a"]), float(light["b"]), float(light["c"])
+    match int(light["kind"]):
+        case arrays.WIDE_RECTANGLE:
+            row["kind"], sizes = RECTANGLE, (a / 2, b / 2, height)
+        case arrays.WIDE_ANNULUS:
+            row["kind"], sizes = DISC, (b * b, a * a, height)
+        case _:
+            row["kind"], sizes = ZONE, (a, b, c)
+    put(row, "a b c", sizes)
+    row["owner"], row["decal"] = owner, -1
+    return row, np.array([[light[name] for name in ("x0", "y0", "z0", "x1", "y1", "z1")]])
+
+
+def light_row(wide: NDArray[np.void]) -> NDArray[np.void]:
+    """The row of a wide light among all lights, without its radiance; shape (1,)."""
+    row = rows(Light, 1)
+    for name in ("x", "y", "z", "nx", "ny", "nz", "area"):
+        row[name] = wide[name]
+    row["beam"] = LAMBERTIAN
     return row
 
 

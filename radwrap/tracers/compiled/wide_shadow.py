@@ -35,5 +35,5 @@ def is_hidden(
     if hidden(shapes, nodes, tables, p[0], p[1], p[2], d[0], d[1], d[2], end, itself, stack):
         return True
     return light.may_be_hidden != 0 and hidden(
-        discs, disc_nodes, tables, p[0], p[1], p[2], d[0], d[1], d[2], end, light.group, stack
+        discs, disc_nodes, tables, p[0], p[1], p[2], d[0], d[1], d[2], end, light.own, stack
     )

@@ -5,9 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from radwrap.tracers.compiled.arrays import (
-    BRUSHED,
     NOTHING,
-    WARD,
     Clusters,
     Cover,
     Floats,
@@ -24,8 +22,6 @@ from radwrap.tracers.compiled.wide_lobe import SAMPLES, sampled_lobe
 from radwrap.tracers.compiled.wide_nodes import nodes_along, whole_lobe
 from radwrap.tracers.compiled.wide_shape import may_light, unhidden
 
-# Covers that are known to reflect the light of a whole source: those whose lobe can be sampled.
-WHOLE_COVERS: Final = (NOTHING, WARD, BRUSHED)
 # Points of a light that are asked for at most: as many lights would take as long.
 POINTS_OF_A_LIGHT: Final = MOST_POINTS + 2 * SAMPLES
 
@@ -61,7 +57,7 @@ def sent(
     cells, pitch, known
         See `wide_cells.hiding_cells`.
     cover : Cover
-        One of `WHOLE_COVERS`.
+        Of a kind whose lobe can be sampled, see `scene.look.wide_sources.may_shine_whole`.
     diffuse : float
         Its `diffuse_at` the point.
     shapes, nodes, discs, disc_nodes, tables
