@@ -27,6 +27,7 @@ TYPE_CHECKING = False  # as type checkers know it: to import typing takes longer
 if TYPE_CHECKING:
     from typing import Any
 
+    from radwrap.errors import Cancelled as Cancelled
     from radwrap.errors import CheckFailed as CheckFailed
     from radwrap.errors import EnvironmentFailure as EnvironmentFailure
     from radwrap.errors import InputError as InputError
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from radwrap.imaging.render_options import RenderOptions as RenderOptions
     from radwrap.imaging.synthesis import Rendered as Rendered
     from radwrap.imaging.synthesis import render as render
+    from radwrap.progress import Progressed as Progressed
     from radwrap.scene.file.load import load_scene as load_scene
     from radwrap.scene.file.load import scene_from_document as scene_from_document
     from radwrap.scene.file.load import with_value as with_value
@@ -46,9 +48,11 @@ if TYPE_CHECKING:
 # Each public name and its home. They are fetched when they are first used: the command starts at once, and can be
 # interrupted cleanly from its first moment on.
 _HOMES = {
+    "Cancelled": "radwrap.errors",
     "CheckFailed": "radwrap.errors",
     "EnvironmentFailure": "radwrap.errors",
     "InputError": "radwrap.errors",
+    "Progressed": "radwrap.progress",
     "RadwrapError": "radwrap.errors",
     "RenderOptions": "radwrap.imaging.render_options",
     "Rendered": "radwrap.imaging.synthesis",

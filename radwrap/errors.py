@@ -6,6 +6,7 @@
     ├── CheckFailed        exit 1   a check that was asked for failed
     ├── InputError         exit 2   a scene file, an option or an argument is wrong
     ├── ToleranceNotMet    exit 3   the image stands, but not to the asked tolerance
+    ├── Cancelled          exit 130 a render was told to end by its caller
     └── EnvironmentFailure exit 4   a program, a folder or the disk is not as needed
         ├── FolderTaken    exit 4   another run is writing there
         └── TracerError    exit 4   the ray tracer failed, warned or answered too little
@@ -85,6 +86,12 @@ class ToleranceNotMet(RadwrapError):
     """The image stands, but not to the asked tolerance; commands end so, and `render` returns the image."""
 
     exit_code = 3
+
+
+class Cancelled(RadwrapError):
+    """A render was told to end by the program that asked for it; it left no file and no process."""
+
+    exit_code = INTERRUPTED
 
 
 class EnvironmentFailure(RadwrapError):

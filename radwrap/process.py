@@ -90,6 +90,17 @@ class Programs:
         """Whether the programs were told to end."""
         return self._cancelled
 
+    def check(self) -> None:
+        """Go on, unless the programs were told to end.
+
+        Raises
+        ------
+        TracerError
+            If they were.
+        """
+        if self._cancelled:
+            raise TracerError("cancelled", where="programs")
+
     def _start(
         self, argv: Sequence[str], folder: Path, environment: Mapping[str, str], said: IO[bytes] | None = None
     ) -> _Program:

@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Final, TextIO
 
 _BAR_WIDTH: Final = 30
@@ -17,6 +18,23 @@ def note(what: str) -> None:
     """Say a word on stderr of what takes long beside the work that is counted."""
     with suppress(OSError):  # nobody can be told
         print(f"radwrap: {what}", file=sys.stderr)
+
+
+@dataclass(frozen=True, slots=True)
+class Progressed:
+    """How far a render is.
+
+    Attributes
+    ----------
+    done, of : int
+        Rays that are done, of so many; a forecast, which is corrected on the way.
+    seconds_left : float or None
+        At the speed so far [s]; None before the first ray.
+    """
+
+    done: int
+    of: int
+    seconds_left: float | None
 
 
 class Progress:
@@ -69,6 +87,12 @@ class Progress:
             self._skipped += amount
             self._show()
 
+    @property
+    def state(self) -> Progressed:
+        """How far it is now; any thread may ask."""
+        with self._guard:
+            return Progressed(self._done, max(self._total, self._done), self._seconds_left(time.monotonic()))
+
     def close(self) -> None:
         """End the line."""
         if self._shown and self._terminal:
@@ -89,10 +113,13 @@ class Progress:
             self._stream.write(text + "\n")
         self._stream.flush()
 
-    def _time_left(self, now: float) -> str:
+    def _seconds_left(self, now: float) -> float | None:
         fresh = self._done - self._skipped
-        if fresh <= 0:
+        return max((now - self._start) * (self._total - self._done) / fresh, 0.0) if fresh > 0 else None
+
+    def _time_left(self, now: float) -> str:
+        left = self._seconds_left(now)
+        if left is None:
             return ""
-        seconds = (now - self._start) * (self._total - self._done) / fresh
-        minutes, seconds = divmod(max(round(seconds), 0), 60)
+        minutes, seconds = divmod(round(left), 60)
         return f", {minutes} min {seconds:02d} s left" if minutes else f", {seconds} s left"

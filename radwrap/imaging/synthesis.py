@@ -10,7 +10,7 @@ from __future__ import annotations
 import shutil
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -52,8 +52,9 @@ from radwrap.imaging.tolerance.uncertainty import seen_magnifications, share_spr
 from radwrap.imaging.tracing import LaidOutScene
 from radwrap.manifest import plain, read_manifest, sha256_of_value
 from radwrap.process import Programs, children_cpu_time
-from radwrap.progress import Progress
+from radwrap.progress import Progress, Progressed
 from radwrap.scene.scene import Scene
+from radwrap.watched import watched
 
 _VIEWPOINTS: Final = "viewpoints"
 _WORK: Final = ".work"
@@ -93,7 +94,13 @@ class Rendered:
 
 
 def render(
-    scene: Scene, out: str | Path | None = None, options: RenderOptions | None = None, **changes: Any
+    scene: Scene,
+    out: str | Path | None = None,
+    options: RenderOptions | None = None,
+    *,
+    cancelled: Callable[[], bool] | None = None,
+    progress: bool | Callable[[Progressed], object] | None = None,
+    **changes: Any,
 ) -> Rendered:
     """Predict the gray image of a scene.
 
@@ -105,6 +112,12 @@ def render(
         Folder for images and manifest; without it nothing stays on the disk.
     options : RenderOptions, optional
         How.
+    cancelled : callable, optional
+        Whether the render is to end, such as ``is_set`` of a `threading.Event`; asked some twenty times a second, in
+        the caller's thread.
+    progress : bool or callable, optional
+        True shows progress on stderr, as the option does; a callable is told how far the render is, as `Progressed`,
+        in the caller's thread. What it raises ends the render, and is raised here.
     **changes
         Single options, such as ``viewpoints=61``.
 
@@ -119,7 +132,13 @@ def render(
         If scene or options are wrong.
     EnvironmentFailure
         If Radiance or the disk fails, or another run owns the folder.
+    Cancelled
+        If `cancelled` said so before the files were whole: half a second later there is no process and no new result,
+        and an older one in the folder is as it was. Only the compiler of the tracer is waited for.
     """
+    told = progress if callable(progress) else None
+    if progress is not None and told is None:
+        changes["progress"] = progress
     options = replace(options or RenderOptions(), **changes)
     rays, replicates = usual_rays(scene, options), _kept_replicates(options)
     check_size(scene, options.max_pixels, rays, cores(options), replicates=replicates)
@@ -131,10 +150,22 @@ def render(
                     where=name,
                     remedy="name the folder: out",
                 )
+    with Programs() as programs:
+        count = Progress("tracing", 1, shown=options.progress)
+        make = partial(_render, scene, out, options, programs, count)
+        if cancelled is None and told is None:
+            return make()
+        return watched(make, programs, count, cancelled, told)
+
+
+def _render(
+    scene: Scene, out: str | Path | None, options: RenderOptions, programs: Programs, progress: Progress
+) -> Rendered:
+    if out is None:
         with tempfile.TemporaryDirectory(prefix="radwrap-") as folder:
-            return _render_into(scene, Path(folder), options)
+            return _render_into(scene, Path(folder), options, programs, progress)
     make_folder(Path(out))
-    return _render_into(scene, Path(out), options)
+    return _render_into(scene, Path(out), options, programs, progress)
 
 
 def _kept_replicates(options: RenderOptions) -> int:
@@ -142,9 +173,9 @@ def _kept_replicates(options: RenderOptions) -> int:
     return 0 if options.sampling is None else options.sampling.replicates
 
 
-def _render_into(scene: Scene, out: Path, options: RenderOptions) -> Rendered:
+def _render_into(scene: Scene, out: Path, options: RenderOptions, programs: Programs, progress: Progress) -> Rendered:
     start, cpu = time.monotonic(), children_cpu_time()
-    with sole_owner(out), Programs() as programs:
+    with sole_owner(out):
         for name in ALWAYS:
             check_result(out / name)
         work = out / _WORK
@@ -154,7 +185,8 @@ def _render_into(scene: Scene, out: Path, options: RenderOptions) -> Rendered:
         make_folder(work)
         try:
             traced = LaidOutScene(scene, options, programs, work)
-            run = _Run(scene, options, programs, traced, identity_of(scene, options, traced), out, work / _MADE)
+            known_by = identity_of(scene, options, traced)
+            run = _Run(scene, options, programs, progress, traced, known_by, out, work / _MADE)
             if not _is_finished(run):
                 _carry_out(run, start, cpu)
             _clean_up(run)
@@ -185,6 +217,7 @@ class _Run:
     scene: Scene
     options: RenderOptions
     programs: Programs
+    progress: Progress
     traced: LaidOutScene
     identity: Identity
     out: Path
@@ -217,7 +250,8 @@ def _carry_out(run: _Run, start: float, cpu: float) -> None:
     if run.identity.sources:
         make_folder(run.out / FOLDER)  # a file of that name is told before hours of tracing
     found, basis = _trace(run)
-    images, files = write_images(run.made, found.made.radiance, run.scene.camera)
+    run.programs.check()
+    images, files = write_images(run.made, found.made.radiance, run.scene.camera, run.programs.check)
     files += basis
     if found.made.outcome is not None and run.options.sampling is not None:
         files += write_replicates(run.made, kept(found.made.outcome.replicates, found.exposure_of_radiance))
@@ -235,18 +269,18 @@ def _carry_out(run: _Run, start: float, cpu: float) -> None:
     )
     hashes = {name: sha256_of(run.made / name) for name in files}
     write_run_manifest(run.made, found.manifest(images, uncertainty, hashes, timing))
+    run.programs.check()
     publish(run.made, run.out, files)
 
 
 def _trace(run: _Run) -> tuple[TracedRun, list[str]]:
     """What tracing finds, and the files of the light basis, each of which is written once it is traced."""
     scene, options, traced = run.scene, run.options, run.traced
-    progress = Progress("tracing", 1, shown=options.progress)
     view = traced.view()
     try:
         left_out = bounces(scene, view, options.seed, options.tolerance, traced=traced)
         orders = _orders(options.bounces, left_out)
-        work, tracing = _with_bounces(run, view, orders, progress)
+        work, tracing = _with_bounces(run, view, orders)
         beyond = None
         if isinstance(orders, int) and orders:
             beyond = bounces_beyond(traced, orders, options.seed, options.tolerance)
@@ -256,7 +290,7 @@ def _trace(run: _Run) -> tuple[TracedRun, list[str]]:
         spread, magnification = _spread(run), _magnification(scene, view)
         basis = _write_basis(run, work, made, magnification)
     finally:
-        progress.close()
+        run.progress.close()
     found = TracedRun(
         scene=traced.scene,
         options=options,
@@ -275,14 +309,14 @@ def _trace(run: _Run) -> tuple[TracedRun, list[str]]:
     return found, basis
 
 
-def _with_bounces(run: _Run, view: View, orders: Bounces, progress: Progress) -> tuple[Work, RenderOptions]:
+def _with_bounces(run: _Run, view: View, orders: Bounces) -> tuple[Work, RenderOptions]:
     """Who traces what: walks of light from surface to surface where they are asked for."""
     options, known_by = run.options, run.identity.traced_sha256
     if orders:
         view = run.traced.bouncing_view(None if isinstance(orders, str) else orders)
         options = replace(options, method="rays")
         known_by = sha256_of_value({"scene": known_by, "bounces": orders})
-    return Work(view, run.pieces, run.programs, progress, known_by, options.seed), options
+    return Work(view, run.pieces, run.programs, run.progress, known_by, options.seed), options
 
 
 def _write_basis(run: _Run, work: Work, made: Made, magnification: NDArray[np.float64] | None) -> list[str]:

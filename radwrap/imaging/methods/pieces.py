@@ -94,6 +94,7 @@ def run_jobs(jobs: Iterable[Callable[[], None]], programs: Programs, workers: in
             waiting: set[Future[None]] = set(running)
             while waiting:
                 # Awake now and then: a signal that another thread got is heard by the main one only when it runs.
+                programs.check()
                 done, waiting = wait(waiting, timeout=_TICK, return_when=FIRST_EXCEPTION)
                 for job in done:
                     job.result()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,8 +41,21 @@ class ImageSummary:
     dark_fraction: float
 
 
-def write_images(folder: Path, radiance: NDArray[np.float64], camera: Camera) -> tuple[ImageSummary, list[str]]:
+def write_images(
+    folder: Path, radiance: NDArray[np.float64], camera: Camera, check: Callable[[], None] | None = None
+) -> tuple[ImageSummary, list[str]]:
     """Write both, and gray levels in full where the sensor does not round.
+
+    Parameters
+    ----------
+    folder : Path
+        Where to.
+    radiance : ndarray, shape (rows, columns)
+        Mean of L cos^4(theta) [W m^-2 sr^-1].
+    camera : Camera
+        Whose image.
+    check : callable, optional
+        Asked between the steps, each of which takes some tenths of a second of large sensors; it raises to end them.
 
     Returns
     -------
@@ -59,9 +72,12 @@ def write_images(folder: Path, radiance: NDArray[np.float64], camera: Camera) ->
     with ThreadPoolExecutor() as pool:  # one file is compressed while the other one's levels are computed
         exr = pool.submit(write_exr, folder / EXPOSURE, stored, channel="radiant_exposure", metadata=_UNIT)
         levels = gray_levels(exposure.values, sensor)
+        _asked(check)
         gray = image_of_levels(levels, sensor, exposure.provenance)
+        _asked(check)
         write_png(folder / GRAY, gray.codes)
         exr.result()
+    _asked(check)
     files = [EXPOSURE, GRAY]
     if not sensor.rounding:
         write_exr(folder / UNROUNDED, gray.values.astype(np.float32), channel="gray")
@@ -73,6 +89,11 @@ def write_images(folder: Path, radiance: NDArray[np.float64], camera: Camera) ->
         dark_fraction=float(np.mean(levels < sensor.dark_gray + 0.5)),
     )
     return summary, files
+
+
+def _asked(check: Callable[[], None] | None) -> None:
+    if check is not None:
+        check()
 
 
 def read_exposure(folder: Path, provenance: Mapping[str, Any] | None = None) -> ExposureImage:
