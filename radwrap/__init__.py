@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     from radwrap.imaging.render_options import RenderOptions as RenderOptions
     from radwrap.imaging.synthesis import Rendered as Rendered
     from radwrap.imaging.synthesis import render as render
+    from radwrap.imaging.warm import WarmScene as WarmScene
+    from radwrap.imaging.warm import warm as warm
     from radwrap.progress import Progressed as Progressed
     from radwrap.scene.file.load import load_scene as load_scene
     from radwrap.scene.file.load import scene_from_document as scene_from_document
@@ -59,11 +61,13 @@ _HOMES = {
     "Scene": "radwrap.scene.scene",
     "ToleranceNotMet": "radwrap.errors",
     "TracerError": "radwrap.errors",
+    "WarmScene": "radwrap.imaging.warm",
     "effects": "radwrap.imaging.forecast.effects",
     "explain": "radwrap.imaging.forecast.explain",
     "load_scene": "radwrap.scene.file.load",
     "render": "radwrap.imaging.synthesis",
     "scene_from_document": "radwrap.scene.file.load",
+    "warm": "radwrap.imaging.warm",
     "with_value": "radwrap.scene.file.load",
 }
 

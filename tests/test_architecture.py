@@ -28,7 +28,7 @@ ROOMS = {
     "imaging": [
         *("response", "optics", "run_files"),
         *("option_values", "demand", "render_options", "banding", "tracer_choice", "tracing", "truth"),
-        *("methods", "tolerance", "mean_radiance", "relight", "forecast", "output", "forecasting", "synthesis"),
+        *("methods", "tolerance", "mean_radiance", "relight", "forecast", "output", "forecasting", "synthesis", "warm"),
     ],
 }
 

@@ -26,7 +26,7 @@ from radwrap.imaging.forecast.cost import check_size
 from radwrap.imaging.forecast.effects import Effect, bounces, bounces_beyond
 from radwrap.imaging.forecasting import Announcement, cores, usual_rays
 from radwrap.imaging.mean_radiance import Made, fixed_method, make, viewpoint_plan
-from radwrap.imaging.methods.pieces import remove_log, remove_pieces
+from radwrap.imaging.methods.pieces import Pieces, remove_log, remove_pieces
 from radwrap.imaging.methods.viewpoints import missing_viewpoints
 from radwrap.imaging.optics.view import View
 from radwrap.imaging.output.folder import ALWAYS, is_whole, publish
@@ -50,6 +50,7 @@ from radwrap.imaging.tolerance.kept_replicates import kept, write_replicates
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.uncertainty import seen_magnifications, share_spread
 from radwrap.imaging.tracing import LaidOutScene
+from radwrap.kept import Kept
 from radwrap.manifest import plain, read_manifest, sha256_of_value
 from radwrap.process import Programs, children_cpu_time
 from radwrap.progress import Progress, Progressed
@@ -59,6 +60,8 @@ from radwrap.watched import watched
 _VIEWPOINTS: Final = "viewpoints"
 _WORK: Final = ".work"
 _MADE: Final = "made"
+# Pixels of an image whose pieces a warm scene holds in memory while it is made: 64 of them take 256 MiB at most.
+_MOST_IN_MEMORY: Final = 1 << 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,10 +139,41 @@ def render(
         If `cancelled` said so before the files were whole: half a second later there is no process and no new result,
         and an older one in the folder is as it was. Only the compiler of the tracer is waited for.
     """
+    options = options or RenderOptions()
+    return rendered(scene, out, options, changes=changes, cancelled=cancelled, progress=progress)
+
+
+@dataclass(frozen=True, slots=True)
+class Warmth:
+    """What a warm scene lends to each of its renders.
+
+    Attributes
+    ----------
+    kept : Kept
+        What they have in common.
+    folder : Path
+        For results that nobody wants in a folder.
+    """
+
+    kept: Kept
+    folder: Path
+
+
+def rendered(
+    scene: Scene,
+    out: str | Path | None,
+    options: RenderOptions,
+    *,
+    changes: Mapping[str, Any],
+    cancelled: Callable[[], bool] | None,
+    progress: bool | Callable[[Progressed], object] | None,
+    warmth: Warmth | None = None,
+) -> Rendered:
+    """As `render`, of a cold scene or a warm one: the result is the same."""
     told = progress if callable(progress) else None
     if progress is not None and told is None:
-        changes["progress"] = progress
-    options = replace(options or RenderOptions(), **changes)
+        changes = {**changes, "progress": progress}
+    options = replace(options, **changes)
     rays, replicates = usual_rays(scene, options), _kept_replicates(options)
     check_size(scene, options.max_pixels, rays, cores(options), replicates=replicates)
     if out is None:
@@ -152,20 +186,26 @@ def render(
                 )
     with Programs() as programs:
         count = Progress("tracing", 1, shown=options.progress)
-        make = partial(_render, scene, out, options, programs, count)
+        make = partial(_render, scene, out, options, programs=programs, progress=count, warmth=warmth)
         if cancelled is None and told is None:
             return make()
         return watched(make, programs, count, cancelled, told)
 
 
 def _render(
-    scene: Scene, out: str | Path | None, options: RenderOptions, programs: Programs, progress: Progress
+    scene: Scene,
+    out: str | Path | None,
+    options: RenderOptions,
+    *,
+    programs: Programs,
+    progress: Progress,
+    warmth: Warmth | None,
 ) -> Rendered:
     if out is None:
-        with tempfile.TemporaryDirectory(prefix="radwrap-") as folder:
-            return _render_into(scene, Path(folder), options, programs, progress)
+        with tempfile.TemporaryDirectory(prefix="radwrap-", dir=warmth.folder if warmth else None) as folder:
+            return _render_into(scene, Path(folder), options, programs=programs, progress=progress, warmth=warmth)
     make_folder(Path(out))
-    return _render_into(scene, Path(out), options, programs, progress)
+    return _render_into(scene, Path(out), options, programs=programs, progress=progress, warmth=warmth)
 
 
 def _kept_replicates(options: RenderOptions) -> int:
@@ -173,7 +213,9 @@ def _kept_replicates(options: RenderOptions) -> int:
     return 0 if options.sampling is None else options.sampling.replicates
 
 
-def _render_into(scene: Scene, out: Path, options: RenderOptions, programs: Programs, progress: Progress) -> Rendered:
+def _render_into(
+    scene: Scene, out: Path, options: RenderOptions, *, programs: Programs, progress: Progress, warmth: Warmth | None
+) -> Rendered:
     start, cpu = time.monotonic(), children_cpu_time()
     with sole_owner(out):
         for name in ALWAYS:
@@ -184,9 +226,10 @@ def _render_into(scene: Scene, out: Path, options: RenderOptions, programs: Prog
             leftover.unlink(missing_ok=True)
         make_folder(work)
         try:
-            traced = LaidOutScene(scene, options, programs, work)
+            kept = None if warmth is None else warmth.kept
+            traced = LaidOutScene(scene, options, programs, work, kept=kept)
             known_by = identity_of(scene, options, traced)
-            run = _Run(scene, options, programs, progress, traced, known_by, out, work / _MADE)
+            run = _Run(scene, options, programs, progress, traced, known_by, out, work / _MADE, kept)
             if not _is_finished(run):
                 _carry_out(run, start, cpu)
             _clean_up(run)
@@ -222,6 +265,7 @@ class _Run:
     identity: Identity
     out: Path
     made: Path
+    kept: Kept | None
 
     @property
     def pieces(self) -> Path:
@@ -316,7 +360,9 @@ def _with_bounces(run: _Run, view: View, orders: Bounces) -> tuple[Work, RenderO
         view = run.traced.bouncing_view(None if isinstance(orders, str) else orders)
         options = replace(options, method="rays")
         known_by = sha256_of_value({"scene": known_by, "bounces": orders})
-    return Work(view, run.pieces, run.programs, run.progress, known_by, options.seed), options
+    in_memory = run.kept is not None and run.scene.camera.sensor.pixels <= _MOST_IN_MEMORY
+    pieces = Pieces(run.pieces, in_memory=True) if in_memory else None
+    return Work(view, run.pieces, run.programs, run.progress, known_by, options.seed, pieces, run.kept), options
 
 
 def _write_basis(run: _Run, work: Work, made: Made, magnification: NDArray[np.float64] | None) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -93,8 +93,19 @@ def _rays_per_pixel(options: RenderOptions) -> int:
     return options.pixel_samples**2
 
 
-def compared(used: TracerUsed, options: RenderOptions, reference: Tracer, other: Engine, scene: Scene) -> TracerUsed:
-    """The tracer after a comparison of the compiled one with Radiance, on rays all over the image and where parts end.
+def probed(reference: Tracer, other: Engine, scene: Scene) -> Agreement:
+    """A comparison of a tracer with Radiance, on rays all over the image and where parts end."""
+    return agreement(reference, other.tracer(scene), probe_rays(scene.camera, other.numbered()))
+
+
+def geometry_of(camera: Camera) -> Camera:
+    """The camera but for what decides no ray: exposure time, and how its sensor responds to light."""
+    sensor = replace(camera.sensor, gain=1.0, gamma=1.0, dark_gray=0.0, saturation_gray=1.0, rounding=True, linear=None)
+    return replace(camera, exposure_time=1.0, sensor=replace(sensor, bit_depth=8))
+
+
+def compared(used: TracerUsed, options: RenderOptions, found: Agreement) -> TracerUsed:
+    """The tracer after a comparison of the compiled one with Radiance.
 
     Both have wide lights in the same patches.
 
@@ -103,8 +114,6 @@ def compared(used: TracerUsed, options: RenderOptions, reference: Tracer, other:
     EnvironmentFailure
         If the compiled tracer was asked for, and they do not agree.
     """
-    rays = probe_rays(scene.camera, other.numbered())
-    found = agreement(reference, other.tracer(scene), rays)
     if found.agree:
         return TracerUsed(used.name, used.reason, found)
     told = f"the compiled tracer and Radiance differ on {found.differing} of {found.rays} rays"

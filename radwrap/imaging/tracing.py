@@ -14,7 +14,8 @@ from radwrap.files import make_folder
 from radwrap.imaging.banding import banding
 from radwrap.imaging.optics.view import LitView, View
 from radwrap.imaging.render_options import RenderOptions
-from radwrap.imaging.tracer_choice import candidate, compared
+from radwrap.imaging.tracer_choice import candidate, compared, geometry_of, probed
+from radwrap.kept import Kept, of_kept
 from radwrap.manifest import sha256_of_value
 from radwrap.process import Limits, Programs, available_cores
 from radwrap.progress import note
@@ -24,6 +25,7 @@ from radwrap.scene.materials import CoefficientTable, GlassBeads, Lambertian, Pe
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Source, emitters
 from radwrap.scene.targets import surfaces
+from radwrap.tracers.agreement import Agreement
 from radwrap.tracers.bouncing import SURE_STEPS, BouncingTracer, Reflecting
 from radwrap.tracers.engine import Engine
 from radwrap.tracers.installation import find_radiance, version
@@ -40,6 +42,7 @@ if TYPE_CHECKING:
 _PATCHES: Final = "patches"
 # Sources whose light is traced at a time: a tile of each is held, some 10 MiB.
 _TOGETHER: Final = 16
+_SMALL: Final = 1 << 10  # byte; what a few numbers take at most
 
 
 class LaidOutScene:
@@ -54,22 +57,34 @@ class LaidOutScene:
     """
 
     def __init__(
-        self, scene: Scene, options: RenderOptions, programs: Programs, work: Path, *, exact_bands: bool = False
+        self,
+        scene: Scene,
+        options: RenderOptions,
+        programs: Programs,
+        work: Path,
+        *,
+        exact_bands: bool = False,
+        kept: Kept | None = None,
     ) -> None:
+        self._kept = kept
         self._options = options
         self._programs = programs
         self._work = work
         limits = Limits(silence=options.tracer_timeout)
         self._radiance = RadianceOptions(find_radiance(options.radiance), options.trust, limits)
-        self.version = version(self._radiance.installation, programs)
+        self.version = of_kept(
+            kept,
+            lambda: ("version", self._radiance.installation),
+            lambda: version(self._radiance.installation, programs),
+            len,
+        )
         self.banding = banding(scene, options, exact=exact_bands)
         self._engine: Engine
         self.tracer_used = candidate(scene, options)
         self._trace_by_radiance(scene if self.tracer_used.name == "compiled" else divided(scene), work)
         if self.tracer_used.name == "compiled":
             compiled = self._compiled_engine(scene)
-            reference = self._reference.tracer(scene, name="reference")
-            self.tracer_used = compared(self.tracer_used, options, reference, compiled.in_patches(), scene)
+            self.tracer_used = compared(self.tracer_used, options, self._probed(compiled.in_patches()))
             if self.tracer_used.name == "compiled":
                 self._engine = compiled
                 self.tracer_used = replace(self.tracer_used, whole=compiled.whole or None)
@@ -84,8 +99,18 @@ class LaidOutScene:
         self.prepared = self._reference.prepared
         self._engine = self._reference
 
+    def _probed(self, compiled: CompiledEngine) -> Agreement:
+        """What a comparison of the compiled tracer with Radiance shows; kept for the same text, tracers and camera."""
+        scene = self.scene
+        return of_kept(
+            self._kept,
+            lambda: ("probe", self.sha256(), compiled.versions["compiled"], sha256_of_value(geometry_of(scene.camera))),
+            lambda: probed(self._reference.tracer(scene, name="reference"), compiled, scene),
+            lambda _: _SMALL,
+        )
+
     def _radiance_engine(self, scene: Scene, folder: Path) -> RadianceEngine:
-        prepared = prepare(scene, self._radiance, self._programs, folder, with_outlines=True)
+        prepared = prepare(scene, self._radiance, self._programs, folder, with_outlines=True, kept=self._kept)
         # A trusted file may name files beside itself, and Radiance looks for them where it runs.
         search = {(scene.folder / target.file).parent.absolute() for target in scene.included}
         trusted = tuple(sorted(search)) if self._options.trust else ()
@@ -99,7 +124,7 @@ class LaidOutScene:
 
         if self._options.progress and not is_warm():
             note("compiling the tracer, which takes about 20 s, once on this machine")
-        return CompiledEngine.of(scene, self.prepared.scene.frame, lambda: self._programs.cancelled)
+        return CompiledEngine.of(scene, self.prepared.scene.frame, lambda: self._programs.cancelled, self._kept)
 
     @property
     def tracer_versions(self) -> Mapping[str, str]:

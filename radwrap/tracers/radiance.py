@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections import deque
 from collections.abc import Collection, Generator, Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -15,6 +17,7 @@ from numpy.typing import NDArray
 from radwrap.errors import InputError, TracerError
 from radwrap.files import disk_failure, make_folder
 from radwrap.frames import fixed_axis_angles
+from radwrap.kept import Kept, of_kept
 from radwrap.process import Limits, Programs
 from radwrap.scene.look.wide_sources import divided
 from radwrap.scene.scene import Scene
@@ -110,6 +113,7 @@ def prepare(
     *,
     frame: TextFrame | None = None,
     with_outlines: bool = False,
+    kept: Kept | None = None,
 ) -> PreparedScene:
     """Write a scene for Radiance, with the files that it includes.
 
@@ -130,6 +134,8 @@ def prepare(
     with_outlines : bool
         Whether outlines of wide sources shine as they are, for a comparison with a tracer that has the same; else the
         patches that they need.
+    kept : Kept, optional
+        Where meshes are looked up that were compiled before, and kept.
 
     Raises
     ------
@@ -160,11 +166,19 @@ def prepare(
         for surface in surfaces(part) if isinstance(part, MeshPart) else ():
             if isinstance(surface.shape, MeshShape):
                 where = f'{scene.origin}: target "{surface.name}"'
-                files[mesh_file(stem, surface.name)] = compiled_mesh(
-                    surface.shape, frame, options, programs, folder, where=where
+                files[mesh_file(stem, surface.name)] = of_kept(
+                    kept,
+                    partial(_mesh_key, surface.shape, frame, options),
+                    partial(compiled_mesh, surface.shape, frame, options, programs, folder, where=where),
+                    len,
                 )
     identity, parts = identity_text(scene, glowing, frame, stem)
     return PreparedScene(scene_text(scene, texts, files, frame, stem), identity, parts, texts, tuple(shining))
+
+
+def _mesh_key(shape: MeshShape, frame: TextFrame, options: RadianceOptions) -> tuple[object, ...]:
+    vertices, faces = (hashlib.sha256(array.tobytes()).digest() for array in (shape.vertices, shape.faces))
+    return "mesh", vertices, faces, frame, options.installation
 
 
 def compiled_mesh(

@@ -50,6 +50,36 @@ def read_piece(path: Path, plan: str) -> tuple[NDArray[np.float32], dict[str, st
     return pixels, metadata
 
 
+class Pieces:
+    """Where a run's pieces are: in its folder, or in memory, where nobody goes on with a run that was killed.
+
+    Parameters
+    ----------
+    folder : Path
+        For the log, and for the pieces unless they are in memory.
+    in_memory : bool
+        Where they are.
+    """
+
+    def __init__(self, folder: Path, *, in_memory: bool) -> None:
+        self._folder = folder
+        self._memory: dict[tuple[str, str], tuple[NDArray[np.float32], dict[str, str]]] | None
+        self._memory = {} if in_memory else None
+
+    def write(self, name: str, pixels: NDArray[np.float32], plan: str, metadata: Mapping[str, object]) -> None:
+        """As `write_piece`."""
+        if self._memory is None:
+            write_piece(self._folder / name, pixels, plan, metadata)
+        else:
+            self._memory[name, plan] = pixels, {key: str(value) for key, value in metadata.items()}
+
+    def read(self, name: str, plan: str) -> tuple[NDArray[np.float32], dict[str, str]] | None:
+        """As `read_piece`."""
+        if self._memory is None:
+            return read_piece(self._folder / name, plan)
+        return self._memory.get((name, plan))
+
+
 def log_call(folder: Path, name: object) -> None:
     """Note that a piece is begun: while a run is unfinished, the proof that nothing finished is traced again."""
     with (folder / CALL_LOG).open("a", encoding="ascii") as log:

@@ -24,6 +24,7 @@ from radwrap.imaging.optics.falloff import opening_shares
 from radwrap.imaging.optics.view import View, trace_rays
 from radwrap.imaging.response.sensor import GrayWhereAsked, gray_levels
 from radwrap.imaging.tolerance.bounds import Bounded, mean_squares, resampling
+from radwrap.kept import Kept, of_kept
 from radwrap.manifest import ONLY_WHERE_USED
 from radwrap.random_streams import Rendering, generator
 from radwrap.scene.camera import Sensor
@@ -193,9 +194,14 @@ class PixelErrors:
     second: NDArray[np.float64]
     rays: int
 
-    def mean_square(self, sample: PixelSample, seed: tuple[int, ...]) -> Bounded:
-        """Mean square over the image."""
-        again = resampling(sample.stratum, sample.shares, seed)
+    def mean_square(self, sample: PixelSample, seed: tuple[int, ...], kept: Kept | None = None) -> Bounded:
+        """Mean square over the image; resamples of strata of these sizes may be kept."""
+        again = of_kept(
+            kept,
+            lambda: ("resampling", sample.stratum.tobytes(), sample.shares.tobytes(), seed),
+            lambda: resampling(sample.stratum, sample.shares, seed),
+            lambda made: sum(drawn.nbytes for drawn in made.drawn),
+        )
         return mean_squares(self.first[np.newaxis], self.second[np.newaxis], again)[0]
 
 

@@ -51,7 +51,8 @@ from radwrap.imaging.tolerance.survey import (
     survey,
     with_smooth_blocks,
 )
-from radwrap.manifest import finite
+from radwrap.kept import of_kept
+from radwrap.manifest import finite, sha256_of_value
 from radwrap.random_streams import Rendering
 from radwrap.tracers.timed import OutOfTime, TimedTracer
 
@@ -196,7 +197,12 @@ class Search:
     def __init__(self, work: Work, demand: Demand) -> None:
         self.demand, self.tracer = demand, work.view.tracer
         self.start = time.monotonic()
-        self.found = survey(work.view, work.seed)
+        self.found = of_kept(
+            work.kept,
+            lambda: ("survey", sha256_of_value([work.traced_sha256, work.view.camera]), work.seed),
+            lambda: survey(work.view, work.seed),
+            lambda found: found.magnification.nbytes + found.deviations.nbytes,
+        )
         self.view = with_smooth_blocks(work.view, self.found, demand.tolerance)
         self.work = replace(work, view=self.view)
         self.spent = self.found.rays + (self.view.smooth.rays if self.view.smooth else 0)
@@ -404,7 +410,7 @@ class Search:
             at = radiance.ravel()[sample.pixels]
             found = model_errors(view, plan.layers, sample, at, seed=(seed, Rendering.MODEL_RAYS, effort))
             self.spent += found.rays
-            model = found.mean_square(sample, (seed, Rendering.MODEL_RESAMPLES, effort))
+            model = found.mean_square(sample, (seed, Rendering.MODEL_RESAMPLES, effort), self.work.kept)
             wanted = self.demand.tolerance**2
             enough = model.upper + noise.upper <= wanted or max(model.mean, 0.0) + noise.mean > wanted
             # More pairs help where the bound is wide, not the error large.

@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from radwrap.errors import EnvironmentFailure
 from radwrap.imaging.methods.central import Cells, central_rays
 from radwrap.imaging.methods.kernel import KernelPlan, decide_tile, gathered_tile, grid_squares, smooth_share
-from radwrap.imaging.methods.pieces import log_call, read_piece, remove_halves, run_jobs, write_piece
+from radwrap.imaging.methods.pieces import Pieces, log_call, remove_halves, run_jobs
 from radwrap.imaging.methods.rays import RaysPlan, traced_tile
 from radwrap.imaging.optics.view import View
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.tolerance.bounds import Bounded, mean_square_of_differences
+from radwrap.kept import Kept
 from radwrap.manifest import sha256_of_value
 from radwrap.process import Programs
 from radwrap.progress import Progress
@@ -88,6 +89,10 @@ class Work:
         Hash of the scene as the tracer gets it, and of the tracer.
     seed : int
         Of all that is drawn.
+    pieces : Pieces, optional
+        Of the images; default those of the folder.
+    kept : Kept, optional
+        Where what does not hang on the image is looked up, and kept.
     """
 
     view: View
@@ -96,6 +101,8 @@ class Work:
     progress: Progress
     traced_sha256: str
     seed: int
+    pieces: Pieces | None = None
+    kept: Kept | None = None
 
 
 class TooManyRays(Exception):
@@ -240,25 +247,25 @@ class _TilePiece:
 
     def __init__(self, work: Work, plan: Plan, name: str, replicate: int, tile: int) -> None:
         self.replicate, self.tile = replicate, tile
-        self.path = work.folder / f"piece_{name[:12]}_{replicate:03d}_{tile:05d}.exr"
+        self._file = f"piece_{name[:12]}_{replicate:03d}_{tile:05d}.exr"
         self._work, self._plan, self._name = work, plan, f"{name}-{replicate}-{tile}"
         self._whole = name
 
     def read(self) -> tuple[NDArray[np.float32], dict[str, str]] | None:
-        return read_piece(self.path, self._name)
+        return _pieces(self._work).read(self._file, self._name)
 
     def make(self) -> tuple[NDArray[np.float32], Mapping[str, Any]]:
         """Make it, and give it as `read` does; the disk gave it back already when it was written."""
         work = self._work
         seed = tile_seed(work.seed, self.replicate, self.tile)
-        log_call(work.folder, self.path.stem)
+        log_call(work.folder, Path(self._file).stem)
         if isinstance(self._plan, RaysPlan):
             traced = traced_tile(work.view, self._plan, self.tile, seed, work.progress.add)
             values, found = traced.values, {"rays": traced.rays, "grid_square": 0.0}
         else:
             values, found = self._gathered(self._plan, seed)
         pixels = values.astype(np.float32)
-        write_piece(self.path, pixels, self._name, found)
+        _pieces(work).write(self._file, pixels, self._name, found)
         return pixels, found
 
     def _gathered(self, plan: KernelPlan, seed: tuple[int, ...]) -> tuple[NDArray[np.float64], dict[str, Any]]:
@@ -279,15 +286,15 @@ class _CellsPiece:
 
     def __init__(self, work: Work, plan: KernelPlan, name: str, tile: int) -> None:
         self.tile = tile
-        self.path = work.folder / f"cells_{name[:12]}_{tile:05d}.exr"
+        self._file = f"cells_{name[:12]}_{tile:05d}.exr"
         self._work, self._plan, self._name = work, plan, f"{name}-cells-{tile}"
 
     def read(self) -> tuple[NDArray[np.float32], dict[str, str]] | None:
-        return read_piece(self.path, self._name)
+        return _pieces(self._work).read(self._file, self._name)
 
     def make(self) -> None:
         work = self._work
-        log_call(work.folder, self.path.stem)
+        log_call(work.folder, Path(self._file).stem)
         cells = decide_tile(work.view, self._plan, self.tile, cells_seed(work.seed, self.tile), work.progress.add)
         told = {
             "first_row": cells.first[0],
@@ -296,12 +303,13 @@ class _CellsPiece:
             "predicted_rms": repr(cells.predicted_rms),
             "rays": cells.rays,
         }
-        write_piece(self.path, cells.levels.astype(np.float32), self._name, told)
+        _pieces(work).write(self._file, cells.levels.astype(np.float32), self._name, told)
 
     def cells(self) -> Cells:
         found = self.read()
         if found is None:
-            raise EnvironmentFailure("was changed by somebody else", where=str(self.path), remedy="run again")
+            where = str(self._work.folder / self._file)
+            raise EnvironmentFailure("was changed by somebody else", where=where, remedy="run again")
         levels, told = found
         return Cells(
             first=(int(told["first_row"]), int(told["first_column"])),
@@ -318,6 +326,10 @@ def tile_cells(work: Work, plan: KernelPlan, tile: int) -> Cells:
     if piece.read() is None:
         piece.make()
     return piece.cells()
+
+
+def _pieces(work: Work) -> Pieces:
+    return Pieces(work.folder, in_memory=False) if work.pieces is None else work.pieces
 
 
 def _plan_name(work: Work, plan: Plan) -> str:

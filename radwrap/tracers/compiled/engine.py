@@ -10,9 +10,11 @@ from typing import Literal
 
 import numpy as np
 
+from radwrap.kept import Kept
 from radwrap.scene.scene import Scene
 from radwrap.tracers.compiled.arrays import Floats, Whole
 from radwrap.tracers.compiled.compiler import SOURCES, VERSIONS
+from radwrap.tracers.compiled.hits import KeptHits
 from radwrap.tracers.compiled.layout import CompiledScene, compiled_scene
 from radwrap.tracers.compiled.smooth import smooth_blocks
 from radwrap.tracers.compiled.tracer import CompiledTracer
@@ -52,17 +54,22 @@ class CompiledEngine:
         Whether tracing is to end now.
     meter : Meter
         What its tracers have used.
+    kept : Kept, optional
+        Where hits and radiances are looked up, and kept.
     """
 
     scene: Scene
     arrays: CompiledScene
     cancelled: Callable[[], bool]
     meter: Meter = field(default_factory=Meter)
+    kept: Kept | None = None
 
     @classmethod
-    def of(cls, scene: Scene, frame: TextFrame, cancelled: Callable[[], bool]) -> CompiledEngine:
+    def of(
+        cls, scene: Scene, frame: TextFrame, cancelled: Callable[[], bool], kept: Kept | None = None
+    ) -> CompiledEngine:
         """Lay a scene out, in the frame of its Radiance text; it must be expressible."""
-        return cls(scene, compiled_scene(scene, frame, whole=True), cancelled)
+        return cls(scene, compiled_scene(scene, frame, whole=True), cancelled, kept=kept)
 
     @property
     def whole(self) -> tuple[str, ...]:
@@ -94,7 +101,7 @@ class CompiledEngine:
         arrays = self.arrays
         if scene.materials is not self.scene.materials:
             arrays = compiled_scene(scene, arrays.frame, whole=bool(self.whole))
-        return CompiledTracer(arrays if lit is None else arrays.in_light(lit), self.cancelled, self.meter.add)
+        return self._of(arrays if lit is None else arrays.in_light(lit))
 
     def by_source(self, names: Sequence[str]) -> SourcesTracer | None:
         """A tracer that tells sources or LEDs apart, see `Engine.by_source`; None where discs of several are one."""
@@ -103,8 +110,11 @@ class CompiledEngine:
             return None
         place = {name: number for number, name in enumerate(names)}
         column = np.array([place.get(name, len(names)) for group in members for name in group], dtype=np.int64)
-        tracer = CompiledTracer(self.arrays.in_light(names), self.cancelled, self.meter.add)
-        return SourcesTracer(tracer, column, tuple(names))
+        return SourcesTracer(self._of(self.arrays.in_light(names)), column, tuple(names))
+
+    def _of(self, arrays: CompiledScene) -> CompiledTracer:
+        kept = None if self.kept is None else KeptHits.of(self.kept, arrays)
+        return CompiledTracer(arrays, self.cancelled, self.meter.add, kept)
 
     @property
     def smooth_blocks(self) -> Prover:
@@ -113,7 +123,7 @@ class CompiledEngine:
 
     def numbered(self) -> NumberedTracer:
         """A tracer of part numbers; see `Engine.numbered`."""
-        return NumberedTracer(CompiledTracer(self.arrays, self.cancelled, self.meter.add))
+        return NumberedTracer(self._of(self.arrays))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -62,7 +62,9 @@ def trace(
     z0: float,
     units: float,
     values: Floats,
-    distances: Floats,
+    lengths: Floats,
+    met: Whole,
+    again: bool,
     given: Floats,
     known: Whole,
     chosen: Whole,
@@ -96,8 +98,12 @@ def trace(
         The text's origin in the world [m], and its units in a metre.
     values : ndarray, shape (n, columns)
         To which radiance is added [W m^-2 sr^-1], in the column of each light.
-    distances : ndarray, shape (n,)
-        Filled with the distance to the first surface [m], infinite where there is none.
+    lengths : ndarray, shape (n,)
+        Filled with the distance to the first surface in the text's unit, infinite where there is none.
+    met : ndarray of int, shape (n,)
+        Filled with the number of the shape that is met, -2 minus that of an emitter's, or -1 where there is none.
+    again : bool
+        Whether both are filled already, by a call with the same rays and trees.
     given : ndarray, shape (lights,)
         Room to work in.
     known, chosen, stack : ndarray of int
@@ -112,18 +118,21 @@ def trace(
         good, ox, oy, oz, dx, dy, dz = placed(rays, r, x0, y0, z0, units)
         if not good:
             return False
-        distance, met = closest(shapes, nodes, tables, ox, oy, oz, dx, dy, dz, math.inf, stack)
-        nearer, disc = closest(discs, disc_nodes, tables, ox, oy, oz, dx, dy, dz, distance, stack)
-        distances[r] = nearer / units
-        if disc >= 0:
+        if not again:
+            distance, target = closest(shapes, nodes, tables, ox, oy, oz, dx, dy, dz, math.inf, stack)
+            lengths[r], disc = closest(discs, disc_nodes, tables, ox, oy, oz, dx, dy, dz, distance, stack)
+            met[r] = target if disc < 0 else -2 - disc
+        distance, number = lengths[r], met[r]
+        if number < -1:
+            disc = -2 - number
             light = lights[discs[disc].owner]
-            if light.beam == LUMINAIRE or _shows_front(light, discs[disc], ox, oy, oz, dx, dy, dz, nearer):
+            if light.beam == LUMINAIRE or _shows_front(light, discs[disc], ox, oy, oz, dx, dy, dz, distance):
                 values[r, light.column] += radiance_along(light, tables, -dx, -dy, -dz)
             continue
-        if met < 0:
+        if number < 0:
             values[r, -1] += background
             continue
-        shape = shapes[met]
+        shape = shapes[number]
         x, y, z = ox + distance * dx, oy + distance * dy, oz + distance * dz
         nx, ny, nz = normal_at(shape, x, y, z)
         cover = covers[painted(decals, shape.owner, shape.decal, x, y, z)]
@@ -135,7 +144,7 @@ def trace(
         is_flat = shape.kind in (RECTANGLE, POLYGON, DISC)
         flat = 1 / (4 * math.pi) if is_flat else 0.0
         # A flat face does not hide its own points, however grazing the light.
-        itself = met if is_flat or shape.kind == TRIANGLE else -1
+        itself = number if is_flat or shape.kind == TRIANGLE else -1
         least = -2.0 if cover.kind == TURNED_NORMAL else LEAST_COSINE  # a turned normal knows no horizon
         for c in range(len(clusters)):
             cluster = clusters[c]
@@ -239,8 +248,10 @@ def surfaces(
 
     Parameters
     ----------
-    shapes, nodes, discs, disc_nodes, decals, tables, rays, x0, y0, z0, units, distances, stack
+    shapes, nodes, discs, disc_nodes, decals, tables, rays, x0, y0, z0, units, stack
         As `trace`.
+    distances : ndarray, shape (n,)
+        Filled with the distance to the first surface [m], infinite where there is none.
     normals : ndarray, shape (n, 3)
         Filled with unit normals of the front; 0 where nothing is.
     found : ndarray of int, shape (n,)

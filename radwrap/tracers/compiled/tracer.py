@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import TracerError
 from radwrap.tracers.compiled.arrays import Floats, Whole
+from radwrap.tracers.compiled.hits import Hits, KeptHits
 from radwrap.tracers.compiled.kernels import NOTHING_MET, surfaces, trace
 from radwrap.tracers.compiled.layout import CompiledScene
 from radwrap.tracers.compiled.tree import DEPTH
@@ -34,11 +35,14 @@ class CompiledTracer:
         Whether tracing is to end now; it is asked some times a second.
     used : callable, optional
         Is told CPU time [s].
+    kept : KeptHits, optional
+        Where hits and radiances are looked up, and kept.
     """
 
     scene: CompiledScene
     cancelled: Callable[[], bool] = bool  # False
     used: Callable[[float], object] = float
+    kept: KeptHits | None = None
 
     def trace(self, rays: Iterable[Floats]) -> Generator[Floats]:
         """Radiance along rays; see `Tracer.trace`."""
@@ -78,7 +82,8 @@ class CompiledTracer:
     def distances(self, rays: Iterable[Floats]) -> Generator[Floats]:
         """Distance to the first surface [m]; see `Tracer`."""
         for block in rays:
-            yield self._met(block)[0]
+            known = self.kept.hits(self.kept.key(block)) if self.kept else None
+            yield self._met(block)[0] if known is None else known.lengths / self.scene.frame.units
 
     def surfaces(self, rays: Iterable[Floats]) -> Generator[tuple[Floats, Floats, Floats]]:
         """Radiance along rays, distance to the first surface [m], and its normal, shape (n, 3); 0 where nothing is."""
@@ -99,8 +104,26 @@ class CompiledTracer:
             yield numbers
 
     def _traced(self, block: Floats, lights: NDArray[np.void], columns: int) -> tuple[Floats, Floats]:
-        scene = self.scene
-        values, distances = np.zeros((len(block), columns)), np.empty(len(block))
+        if self.kept is None:
+            values, hits = self._shaded(block, lights, columns, None)
+            return values, hits.lengths / self.scene.frame.units
+        key = self.kept.key(block)
+        known = self.kept.hits(key)
+        seen = self.kept.radiance(key) if columns == 1 and known is not None else None
+        if seen is not None and known is not None:
+            return seen, known.lengths / self.scene.frame.units
+        values, hits = self._shaded(block, lights, columns, known)
+        if known is None:
+            self.kept.keep(key, hits)
+        if columns == 1:
+            self.kept.keep_radiance(key, values)
+        return values, hits.lengths / self.scene.frame.units
+
+    def _shaded(self, block: Floats, lights: NDArray[np.void], columns: int, known: Hits | None) -> tuple[Floats, Hits]:
+        """Radiance along rays from each group of emitters, and what they meet, which may be known."""
+        scene, count = self.scene, len(block)
+        hits = known or Hits(np.empty(count), np.empty(count, dtype=np.int64))
+        values = np.zeros((count, columns))
         for part in self._parts(len(block), len(lights) + POINTS_OF_A_LIGHT * len(scene.wides)):
             good = trace(
                 scene.targets.shapes,
@@ -122,7 +145,9 @@ class CompiledTracer:
                 *scene.frame.origin,
                 float(scene.frame.units),
                 values[part],
-                distances[part],
+                hits.lengths[part],
+                hits.met[part],
+                known is not None,
                 np.empty(len(lights)),
                 memory(),
                 np.empty(CELLS * CELLS, dtype=np.int64),
@@ -131,7 +156,7 @@ class CompiledTracer:
             _check(good)
         if not np.isfinite(values.sum()) or values.min(initial=0.0) < 0:
             raise TracerError("answered NaN, infinity or a negative radiance", where="the compiled tracer")
-        return values, distances
+        return values, hits
 
     def _met(self, block: Floats) -> tuple[Floats, Floats, Whole]:
         scene = self.scene

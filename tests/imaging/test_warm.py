@@ -1,0 +1,269 @@
+"""A scene that stays laid out: its renders are those of a cold one, byte by byte."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import tempfile
+import threading
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+
+import radwrap
+from radwrap.imaging import warm as warm_module
+from radwrap.imaging.demand import SamplingPlan
+from radwrap.imaging.tracing import LaidOutScene
+from radwrap.kept import Kept, of_kept
+from radwrap.process import Programs
+from radwrap.tracers.compiled import tracer as compiled_tracer
+
+SCENES = Path(__file__).parents[2] / "rad_scenes"
+OPTIONS = radwrap.RenderOptions(tracer="compiled")
+SMALL = {"rows": 44, "columns": 51, "pixel_width": "28 um", "pixel_height": "28 um"}
+
+
+def document(name: str) -> dict[str, Any]:
+    found = tomllib.loads((SCENES / name / "scene.toml").read_text())
+    found["camera"]["sensor"] |= SMALL
+    return found
+
+
+def board(**changes: Any) -> radwrap.Scene:
+    return radwrap.scene_from_document(document("bench_board"), changes)
+
+
+def told(result: radwrap.Rendered) -> dict[str, Any]:
+    """All that a result says, but for its times."""
+    return {key: value for key, value in result.manifest.items() if key != "timing"}
+
+
+def assert_same(warm: radwrap.Rendered, cold: radwrap.Rendered) -> None:
+    assert told(warm) == told(cold)
+    assert np.array_equal(warm.radiant_exposure.values, cold.radiant_exposure.values)
+    assert np.array_equal(warm.gray.values, cold.gray.values)
+
+
+@pytest.fixture(scope="module")
+def live() -> Iterator[radwrap.WarmScene]:
+    """One scene for all changes: each comes after others, whose values are kept."""
+    with radwrap.warm(board(), OPTIONS) as live:
+        live.render()
+        yield live
+
+
+CHANGES: Mapping[str, Mapping[str, Any]] = {
+    "nothing": {},
+    "level": {"sources[0].radiance": "2400 W/m^2/sr"},
+    "factor of an LED": {"sources[0].leds": [{"index": 3, "radiance_factor": 0.5}]},
+    "axis of an LED": {"sources[0].leds": [{"index": 3, "axis_tilt": "3 deg"}]},
+    "dark LED": {"sources[0].leds": [{"index": 3, "radiance_factor": 0}]},
+    "beam": {"sources[0].beam.width": "9 deg"},
+    "place of the light": {"sources[0].diameter": "26 mm"},
+    "reflectance": {"materials.black.reflectance": 0.06},
+    "roughness": {"materials.sheeting.roughness": 0.03},
+    "exposure": {"camera.exposure_time": "200 ms"},
+    "gamma": {"camera.sensor.gamma": 0.9, "camera.sensor.gain": "3e4 (J/m^2)^-0.9"},
+    "dark level": {"camera.sensor.dark_gray": 12},
+    "bits": {"camera.sensor.bit_depth": 12},
+    "rounding": {"camera.sensor.rounding": False},
+    "pixels": {"camera.sensor.rows": 40},
+    "pinhole": {"camera.aperture.diameter": "0.2 mm"},
+    "pose of the target": {"targets[0].rotation": ["40 deg", "6 deg", "-2 deg"]},
+    "pose of the camera": {"camera.position": ["2 mm", "0 mm", "790 mm"]},
+    "dots": {"targets[0].dot_diameter": "12 mm"},
+}
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_a_changed_scene_gives_the_bytes_of_a_cold_one(name: str, live: radwrap.WarmScene) -> None:
+    assert_same(live.render(CHANGES[name]), radwrap.render(board(**CHANGES[name]), options=OPTIONS))
+
+
+def test_radiance_gives_the_same_bytes_too() -> None:
+    options = radwrap.RenderOptions(tracer="radiance", tolerance=2.0)
+    with radwrap.warm(board(), options) as live:
+        for name in ("level", "exposure", "pose of the camera"):
+            assert_same(live.render(CHANGES[name]), radwrap.render(board(**CHANGES[name]), options=options))
+        assert_same(live.render(tolerance=4.0), radwrap.render(board(), options=options, tolerance=4.0))
+
+
+@pytest.mark.parametrize(
+    "how",
+    [
+        {"tolerance": 2.0},
+        {"tolerance": 0.2},
+        {"seed": 1},
+        {"method": "rays", "tolerance": 1.0},
+        {"method": "kernel", "max_error": 2.0},
+        {"viewpoints": 7},
+        {"truth": True},
+        {"workers": 1},
+        {"sampling": SamplingPlan("rays", rays=16)},
+    ],
+    ids=str,
+)
+def test_other_options_give_the_bytes_of_a_cold_render(how: dict[str, Any], live: radwrap.WarmScene) -> None:
+    assert_same(live.render(**how), radwrap.render(board(), options=OPTIONS, **how))
+
+
+def test_files_are_the_same_too(live: radwrap.WarmScene, tmp_path: Path) -> None:
+    live.render({"sources[0].radiance": "2000 W/m^2/sr"}, tmp_path / "warm", basis=True)
+    radwrap.render(board(**{"sources[0].radiance": "2000 W/m^2/sr"}), tmp_path / "cold", basis=True, options=OPTIONS)
+    names = [path.relative_to(tmp_path / "cold") for path in (tmp_path / "cold").rglob("*.*") if path.is_file()]
+    assert len(names) > 12
+    for name in names:
+        if name.suffix != ".json":
+            assert (tmp_path / "warm" / name).read_bytes() == (tmp_path / "cold" / name).read_bytes()
+
+
+@pytest.mark.parametrize("name", ["ring", "two_bars"])
+def test_cells_of_a_factory_give_the_bytes_of_a_cold_one(name: str) -> None:
+    """Meshes with holes, a lens, wide lights; effects that Radiance measures."""
+    folder = SCENES / "cells"
+    cell = tomllib.loads((folder / f"{name}.toml").read_text())
+    changes: dict[str, Any] = {"camera.sensor.rows": 33, "camera.sensor.columns": 40}
+    scene = radwrap.scene_from_document(cell, changes, folder=folder)
+    nearer = radwrap.scene_from_document(cell, changes | {"camera.exposure_time": "3 ms"}, folder=folder)
+    options = radwrap.RenderOptions(tracer="compiled", tolerance=4.0)
+    with radwrap.warm(scene, options) as live:
+        for one in (scene, nearer, scene):
+            assert_same(live.render(one), radwrap.render(one, options=options))
+
+
+class _Followed:
+    """Blocks of rays that the compiled tracer was asked for, and those that it followed to what they meet."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.asked: dict[bytes, int] = {}
+        self.followed: set[bytes] = set()
+        trace = compiled_tracer.trace
+        names = list(inspect.signature(getattr(trace, "py_func", trace)).parameters)
+
+        def counted(*arguments: Any) -> bool:
+            again, block = (arguments[names.index(name)] for name in ("again", "rays"))
+            self.asked[block.tobytes()] = len(block)
+            if not again:
+                self.followed.add(block.tobytes())
+            return bool(trace(*arguments))
+
+        monkeypatch.setattr(compiled_tracer, "trace", counted)
+
+
+@pytest.mark.parametrize("name", ["level", "factor of an LED", "beam", "reflectance", "roughness", "exposure"])
+@pytest.mark.parametrize(
+    ("how", "rays"), [({"viewpoints": 3}, 3), ({"sampling": SamplingPlan("kernel", cell=0.5)}, 48)], ids=str
+)
+def test_the_same_rays_are_not_followed_again(
+    name: str, how: dict[str, Any], rays: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In other light, by other materials: where no light decides the rays, none of the image's is new."""
+    with radwrap.warm(board(), radwrap.RenderOptions(tracer="compiled", **how)) as live:
+        seen = _Followed(monkeypatch)
+        live.render()
+        first, followed = dict(seen.asked), set(seen.followed)
+        seen.asked.clear()
+        seen.followed.clear()
+        live.render(CHANGES[name])
+    assert len(followed) > 3
+    assert not followed & seen.followed, "blocks that were followed again"
+    known = sum(count for block, count in seen.asked.items() if block in first)
+    # What was seen by the same rays in the same light is known too, and not asked for again.
+    assert known >= rays * 44 * 51 or name == "exposure"
+    assert sum(seen.asked.values()) < sum(first.values()) or name != "exposure"
+
+
+def test_what_is_known_of_the_tracers_is_asked_again_where_it_may_have_changed(monkeypatch: pytest.MonkeyPatch) -> None:
+    programs: list[str] = []
+    start = Programs._enter
+
+    def entered(self: Programs, argv: Any, *more: Any) -> Any:
+        programs.append(Path(argv[0]).name)
+        return start(self, argv, *more)
+
+    monkeypatch.setattr(Programs, "_enter", entered)
+    with radwrap.warm(board(), radwrap.RenderOptions(tracer="compiled")) as live:
+        assert "rtrace" in programs
+        for change, asked in (({}, False), (CHANGES["exposure"], False), (CHANGES["level"], True), ({}, False)):
+            programs.clear()
+            live.render(change)
+            assert ("rtrace" in programs) == asked
+
+
+def test_errors_of_the_scene_come_when_it_is_laid_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(warm_module, "_MEMORY", tmp_path)
+    monkeypatch.setattr(warm_module, "_ROOM", 0)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(radwrap.EnvironmentFailure):
+        radwrap.warm(board(), radwrap.RenderOptions(radiance=str(SCENES)))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nothing_stays_once_it_is_closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(warm_module, "_MEMORY", tmp_path)
+    monkeypatch.setattr(warm_module, "_ROOM", 0)
+    before = set(Path(tempfile.gettempdir()).iterdir())
+    with radwrap.warm(board()) as live:
+        live.render()
+        assert live._kept.held > 0
+        (folder,) = tmp_path.iterdir()
+        assert list(folder.iterdir()) == []  # of a render nothing is left, but what is kept
+    assert list(tmp_path.iterdir()) == [] and live._kept.held == 0
+    assert not {
+        path for path in set(Path(tempfile.gettempdir()).iterdir()) - before if path.name.startswith("radwrap-")
+    }
+    assert psutil.Process().children(recursive=True) == []
+    with pytest.raises(radwrap.InputError, match="closed"):
+        live.render()
+    live.close()
+
+
+def test_a_cancelled_render_leaves_the_scene_warm_and_right(live: radwrap.WarmScene) -> None:
+    wish = threading.Event()
+    with pytest.raises(radwrap.Cancelled):
+        live.render(CHANGES["pinhole"], tolerance=0.02, cancelled=wish.is_set, progress=lambda _: wish.set())
+    assert_same(live.render(), radwrap.render(board(), options=OPTIONS))
+
+
+def test_memory_is_bounded_and_what_was_not_used_for_longest_goes_first() -> None:
+    kept = Kept(100)
+    for number in range(10):
+        kept.put(number, f"value {number}", 30)
+        kept.get(0)
+    assert kept.held == 90
+    assert [number for number in range(10) if kept.get(number)] == [0, 8, 9]
+    kept.put("large", "too large by itself", 101)
+    assert kept.get("large") is None and kept.held == 90
+    kept.put(0, "smaller", 10)
+    assert kept.held == 70
+    assert of_kept(kept, lambda: 0, lambda: "made", len) == "smaller"
+    assert of_kept(kept, lambda: 1, lambda: "made", len) == "made" == kept.get(1)
+    assert of_kept(None, lambda: 0, lambda: "made", len) == "made"
+    kept.clear()
+    assert kept.held == 0 and kept.get(0) is None
+
+
+def test_a_small_memory_changes_no_byte(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(warm_module, "KEPT_AT_MOST", 200_000)
+    options = radwrap.RenderOptions(tracer="compiled")
+    with radwrap.warm(board(), options) as live:
+        for name in ("level", "exposure"):
+            assert_same(live.render(CHANGES[name]), radwrap.render(board(**CHANGES[name]), options=options))
+            assert live._kept.held <= 200_000
+
+
+def test_a_warm_scene_is_what_a_scene_laid_out_alone_says(tmp_path: Path) -> None:
+    """The hash that a run is known by hangs on nothing that is kept."""
+    scene, options = board(), radwrap.RenderOptions(tracer="compiled")
+    with Programs() as programs:
+        cold = LaidOutScene(scene, options, programs, tmp_path).sha256()
+        kept = Kept(1 << 20)
+        warm = [LaidOutScene(scene, options, programs, tmp_path, kept=kept) for _ in range(2)]
+    assert [one.sha256() for one in warm] == [cold, cold]
+    assert warm[1].tracer_used == warm[0].tracer_used
+    assert json.dumps(dict(warm[1].tracer_versions)) == json.dumps(dict(warm[0].tracer_versions))
