@@ -11,6 +11,7 @@ import shutil
 import tempfile
 import time
 from collections.abc import Callable, Mapping
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -226,13 +227,16 @@ def _render_into(
             leftover.unlink(missing_ok=True)
         make_folder(work)
         try:
-            kept = None if warmth is None else warmth.kept
-            traced = LaidOutScene(scene, options, programs, work, kept=kept)
-            known_by = identity_of(scene, options, traced)
-            run = _Run(scene, options, programs, progress, traced, known_by, out, work / _MADE, kept)
-            if not _is_finished(run):
-                _carry_out(run, start, cpu)
-            _clean_up(run)
+            for meanwhile in (warmth is not None, False):
+                kept = None if warmth is None else warmth.kept
+                traced = LaidOutScene(scene, options, programs, work, kept=kept, compared_meanwhile=meanwhile)
+                with closing(traced), suppress(_TracersDiffer):
+                    known_by = identity_of(scene, options, traced)
+                    run = _Run(scene, options, programs, progress, traced, known_by, out, work / _MADE, kept)
+                    if not _is_finished(run):
+                        _carry_out(run, start, cpu)
+                    _clean_up(run)
+                    break
         except OSError as error:
             raise disk_failure(Path(error.filename or out), error) from error
         finally:
@@ -251,6 +255,10 @@ def load_result(scene: Scene, out: Path) -> Rendered:
         run=run,
         truth=read_truth(out) if TRUTH in run.files else None,
     )
+
+
+class _TracersDiffer(Exception):
+    """What was traced before the tracers were compared must not stand: Radiance traces it again."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -294,6 +302,9 @@ def _carry_out(run: _Run, start: float, cpu: float) -> None:
     if run.identity.sources:
         make_folder(run.out / FOLDER)  # a file of that name is told before hours of tracing
     found, basis = _trace(run)
+    if not run.traced.tracers_agree():
+        raise _TracersDiffer
+    found = replace(found, tracer=run.traced.tracer_used)
     run.programs.check()
     images, files = write_images(run.made, found.made.radiance, run.scene.camera, run.programs.check)
     files += basis

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -14,7 +16,7 @@ from radwrap.files import make_folder
 from radwrap.imaging.banding import banding
 from radwrap.imaging.optics.view import LitView, View
 from radwrap.imaging.render_options import RenderOptions
-from radwrap.imaging.tracer_choice import candidate, compared, geometry_of, probed
+from radwrap.imaging.tracer_choice import TracerUsed, candidate, compared, geometry_of, probed
 from radwrap.kept import Kept, of_kept
 from radwrap.manifest import sha256_of_value
 from radwrap.process import Limits, Programs, available_cores
@@ -48,6 +50,24 @@ _SMALL: Final = 1 << 10  # byte; what a few numbers take at most
 class LaidOutScene:
     """A scene's text and files, and the tracers that are built from them in a working folder.
 
+    Parameters
+    ----------
+    scene : Scene
+        What is there.
+    options : RenderOptions
+        How it is rendered.
+    programs : Programs
+        Owner of the processes.
+    work : Path
+        The working folder.
+    exact_bands : bool
+        Whether spectra get as many bands as they have.
+    kept : Kept, optional
+        Where hits, meshes and comparisons of the tracers are looked up, and kept.
+    compared_meanwhile : bool
+        Whether tracing may begin before the tracers are compared; `tracers_agree` then says whether it may stand, and
+        `close` is to be called.
+
     Raises
     ------
     InputError
@@ -65,6 +85,7 @@ class LaidOutScene:
         *,
         exact_bands: bool = False,
         kept: Kept | None = None,
+        compared_meanwhile: bool = False,
     ) -> None:
         self._kept = kept
         self._options = options
@@ -82,12 +103,21 @@ class LaidOutScene:
         self._engine: Engine
         self.tracer_used = candidate(scene, options)
         self._trace_by_radiance(scene if self.tracer_used.name == "compiled" else divided(scene), work)
+        self._comparison: Future[Agreement] | None = None
+        self._whole: tuple[str, ...] | None = None
         if self.tracer_used.name == "compiled":
             compiled = self._compiled_engine(scene)
-            self.tracer_used = compared(self.tracer_used, options, self._probed(compiled.in_patches()))
+            self._whole = compiled.whole or None
+            compare = partial(self._compared, compiled, self._name_of_comparison(compiled))
+            if compared_meanwhile:
+                pool = ThreadPoolExecutor(1)
+                self._comparison = pool.submit(compare)
+                pool.shutdown(wait=False)  # `close` waits
+                self._engine = compiled
+                return
+            self.tracer_used = self._judged(compare())
             if self.tracer_used.name == "compiled":
                 self._engine = compiled
-                self.tracer_used = replace(self.tracer_used, whole=compiled.whole or None)
             elif (fine := divided(scene)) is not scene:
                 make_folder(work / _PATCHES)
                 self._trace_by_radiance(fine, work / _PATCHES)
@@ -99,15 +129,43 @@ class LaidOutScene:
         self.prepared = self._reference.prepared
         self._engine = self._reference
 
-    def _probed(self, compiled: CompiledEngine) -> Agreement:
-        """What a comparison of the compiled tracer with Radiance shows; kept for the same text, tracers and camera."""
-        scene = self.scene
+    def _name_of_comparison(self, compiled: CompiledEngine) -> Hashable:
+        """All that a comparison hangs on, where anything is kept."""
+        if self._kept is None:
+            return None
+        camera = sha256_of_value(geometry_of(self.scene.camera))
+        return "probe", self.sha256(), compiled.versions["compiled"], self._radiance.installation, camera
+
+    def _compared(self, compiled: CompiledEngine, name: Hashable) -> Agreement:
+        """What a comparison of the compiled tracer with Radiance shows."""
         return of_kept(
             self._kept,
-            lambda: ("probe", self.sha256(), compiled.versions["compiled"], sha256_of_value(geometry_of(scene.camera))),
-            lambda: probed(self._reference.tracer(scene, name="reference"), compiled, scene),
+            lambda: name,
+            lambda: probed(self._reference.tracer(self.scene, name="reference"), compiled.in_patches(), self.scene),
             lambda _: _SMALL,
         )
+
+    def _judged(self, found: Agreement) -> TracerUsed:
+        used = compared(self.tracer_used, self._options, found)
+        return replace(used, whole=self._whole) if used.name == "compiled" else used
+
+    def tracers_agree(self) -> bool:
+        """Whether whoever traces may, once the tracers are compared; else the scene is to be laid out again.
+
+        Raises
+        ------
+        EnvironmentFailure
+            If they do not agree, and the compiled tracer was asked for.
+        """
+        if self._comparison is not None and self.tracer_used.probe is None:
+            self.tracer_used = self._judged(self._comparison.result())
+        return self.tracer_used.name == self._engine.name
+
+    def close(self) -> None:
+        """End a comparison that nobody has waited for, with all programs: what it was for has failed."""
+        if self._comparison is not None and not self._comparison.done():
+            self._programs.cancel()
+            wait([self._comparison])
 
     def _radiance_engine(self, scene: Scene, folder: Path) -> RadianceEngine:
         prepared = prepare(scene, self._radiance, self._programs, folder, with_outlines=True, kept=self._kept)

@@ -16,11 +16,13 @@ import psutil
 import pytest
 
 import radwrap
+from radwrap.imaging import tracer_choice, tracing
 from radwrap.imaging import warm as warm_module
 from radwrap.imaging.demand import SamplingPlan
 from radwrap.imaging.tracing import LaidOutScene
 from radwrap.kept import Kept, of_kept
 from radwrap.process import Programs
+from radwrap.tracers.agreement import Agreement
 from radwrap.tracers.compiled import tracer as compiled_tracer
 
 SCENES = Path(__file__).parents[2] / "rad_scenes"
@@ -267,3 +269,21 @@ def test_a_warm_scene_is_what_a_scene_laid_out_alone_says(tmp_path: Path) -> Non
     assert [one.sha256() for one in warm] == [cold, cold]
     assert warm[1].tracer_used == warm[0].tracer_used
     assert json.dumps(dict(warm[1].tracer_versions)) == json.dumps(dict(warm[0].tracer_versions))
+
+
+def test_what_was_traced_before_the_tracers_were_found_to_differ_does_not_stand(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The comparison goes on while an image is traced; where it fails, Radiance makes the image, as without that."""
+    options = radwrap.RenderOptions(tracer="auto", tolerance=4.0)
+    monkeypatch.setattr(tracer_choice, "WORTH_COMPILED", 1)
+    with radwrap.warm(board(), options) as live:
+        assert live.render().run.tracer.name == "compiled"
+        monkeypatch.setattr(tracing, "probed", lambda *_: Agreement(512, 100, 1e-5, 0.1, agree=False))
+        scene = board(**CHANGES["level"])
+        cold, warm = radwrap.render(scene, options=options), live.render(scene)
+        assert warm.run.tracer.name == "radiance" and "differ on 100 of 512" in warm.run.tracer.reason
+        assert_same(warm, cold)
+        with pytest.raises(radwrap.EnvironmentFailure, match="differ on 100"):
+            live.render(scene, tracer="compiled")
+        assert live.render().run.tracer.name == "compiled"  # what is kept of the first scene still holds

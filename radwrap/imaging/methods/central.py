@@ -306,12 +306,14 @@ def _children(row: NDArray[np.intp], column: NDArray[np.intp]) -> tuple[NDArray[
 
 def _spread(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Largest less smallest value of each cell and its four neighbours."""
-    framed = np.pad(values, 1, mode="edge")
-    shifted = (framed[:-2, 1:-1], framed[2:, 1:-1], framed[1:-1, :-2], framed[1:-1, 2:])
-    high, low = values, values
-    for other in shifted:
-        high, low = np.maximum(high, other), np.minimum(low, other)
-    return high - low
+    high, low = values.copy(), values.copy()
+    for most, extreme in ((high, np.maximum), (low, np.minimum)):
+        # In place, from one neighbour after the other: most of the time would be that of new memory.
+        for here, there in ((np.s_[1:], np.s_[:-1]), (np.s_[:-1], np.s_[1:])):
+            extreme(most[here], values[there], out=most[here])
+            extreme(most[:, here], values[:, there], out=most[:, here])
+    high -= low
+    return high
 
 
 def _samples_needed(plan: GridPlan, heights: NDArray[np.float64], cells: int) -> tuple[int, float]:

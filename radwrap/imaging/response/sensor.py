@@ -63,6 +63,11 @@ class GrayWhereAsked:
         rows, columns = self.radiance.shape
         return rows, columns
 
+    @property
+    def whole(self) -> NDArray[np.float64]:
+        """Gray levels of all pixels, shape (rows, columns)."""
+        return gray_levels(self.radiance * self.exposure_of_radiance, self.sensor)
+
     def __getitem__(self, places: tuple[NDArray[np.intp], ...]) -> NDArray[np.float64]:
         """Gray levels, saturated but not rounded, at rows and columns."""
         return gray_levels(self.radiance[places] * self.exposure_of_radiance, self.sensor)

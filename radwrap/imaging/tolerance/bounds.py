@@ -75,7 +75,8 @@ def resampling(stratum: NDArray[np.intp], shares: NDArray[np.float64], seed: tup
     drawn = []
     for places in members:
         n = len(places)
-        chosen = random.integers(0, max(n, 1), (_RESAMPLES, n)) + n * np.arange(_RESAMPLES)[:, np.newaxis]
+        chosen = random.integers(0, max(n, 1), (_RESAMPLES, n))
+        chosen += n * np.arange(_RESAMPLES)[:, np.newaxis]
         times = np.bincount(chosen.ravel(), minlength=_RESAMPLES * n).reshape(_RESAMPLES, n)
         drawn.append(times.astype(np.float64))
     return Resampling(members, tuple(drawn), shares)

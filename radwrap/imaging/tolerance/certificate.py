@@ -146,6 +146,8 @@ def draw_pixels(
     """
     number = math.prod(gray.shape)
     random = generator(*seed)
+    if isinstance(gray, GrayWhereAsked) and number <= _LOOKED_AT:
+        gray = gray.whole  # each is asked for five times
     # Of a large image some pixels, drawn evenly, stand for all.
     drawn = random.choice(number, min(number, _LOOKED_AT), replace=False, shuffle=False)
     apart = np.zeros(len(drawn), dtype=bool) if risky is None else risky.ravel()[drawn]

@@ -29,13 +29,13 @@ def sources_in_sight(scene: Scene) -> Iterator[str]:
 
     A dark source has no disc: it is left out of what is traced.
     """
-    targets = Bounded.of(scene.targets)
+    targets, rays = Bounded.of(scene.targets), _rays(scene)
     for source in scene.sources:
         facing, hiding, hidden = 0, 0, ""
         if isinstance(source, WideSource) and source.kind == "surround":
             continue  # nothing lies behind it
         for emitter in emitters(source):
-            behind = _behind(scene, targets, emitter) if emitter.radiance > 0 else None
+            behind = _behind(scene, targets, emitter, rays) if emitter.radiance > 0 else None
             if behind is None:
                 continue
             towards = np.asarray(scene.camera.pose.position) - emitter.position
@@ -55,10 +55,10 @@ def _discs(source: Source, number: int) -> str:
     return f'the disc of "{source.name}" is' if number == 1 else f'{number} discs of "{source.name}" are'
 
 
-def _behind(scene: Scene, targets: Bounded, emitter: Emitter) -> str | None:
+def _behind(scene: Scene, targets: Bounded, emitter: Emitter, rays_of_view: Array) -> str | None:
     """Name of the target behind what is seen of a disc, "" where there is none; None where nothing of it is seen."""
     eye = np.asarray(scene.camera.pose.position)
-    points = _in_sight(scene, emitter)
+    points = _in_sight(scene, emitter, rays_of_view)
     away = points - eye
     distance = np.linalg.norm(away, axis=1)
     rays = away / distance[:, np.newaxis]
@@ -74,10 +74,10 @@ def _behind(scene: Scene, targets: Bounded, emitter: Emitter) -> str | None:
     return next((name for name, numbers, further in met if np.isfinite(further[seen[numbers]]).any()), "")
 
 
-def _in_sight(scene: Scene, emitter: Emitter) -> Array:
+def _in_sight(scene: Scene, emitter: Emitter, rays: Array) -> Array:
     """Points of a disc that fall on the sensor, or through a finite pinhole beside it; shape (n, 3) [m]."""
     camera, sensor = scene.camera, scene.camera.sensor
-    points = np.vstack([_on_disc(emitter), _on_rays(scene, emitter)])
+    points = np.vstack([_on_disc(emitter), _on_rays(scene, emitter, rays)])
     uv, depth = project(camera, points)
     before = depth > _NEAREST
     uv, depth, points = uv[before], depth[before], points[before]
@@ -95,11 +95,16 @@ def _on_disc(emitter: Emitter) -> Array:
     return points
 
 
-def _on_rays(scene: Scene, emitter: Emitter) -> Array:
-    """Where rays of the camera meet a disc, which may be larger than the field of view."""
-    sensor, eye, axis = scene.camera.sensor, np.asarray(scene.camera.pose.position), np.asarray(emitter.axis)
+def _rays(scene: Scene) -> Array:
+    """Directions of rays of the camera, evenly over its view, shape (n, 3)."""
+    sensor = scene.camera.sensor
     u, v = (np.linspace(0, count - 1, min(count, _VIEW_RAYS)) for count in (sensor.columns, sensor.rows))
-    rays = directions(scene.camera, np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
+    return directions(scene.camera, np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
+
+
+def _on_rays(scene: Scene, emitter: Emitter, rays: Array) -> Array:
+    """Where rays of the camera meet a disc, which may be larger than the field of view."""
+    eye, axis = np.asarray(scene.camera.pose.position), np.asarray(emitter.axis)
     with np.errstate(divide="ignore", invalid="ignore"):
         points = eye + ((emitter.position - eye) @ axis / (rays @ axis))[:, np.newaxis] * rays
         met: Array = points[np.linalg.norm(points - emitter.position, axis=1) <= emitter.radius]
