@@ -93,9 +93,9 @@ def _rays_per_pixel(options: RenderOptions) -> int:
     return options.pixel_samples**2
 
 
-def probed(reference: Tracer, other: Engine, scene: Scene) -> Agreement:
-    """A comparison of a tracer with Radiance, on rays all over the image and where parts end."""
-    return agreement(reference, other.tracer(scene), probe_rays(scene.camera, other.numbered()))
+def probed(reference: Tracer, other: Engine, scene: Scene, rays: NDArray[np.float64]) -> Agreement:
+    """A comparison of a tracer with Radiance along the rays of a probe."""
+    return agreement(reference, other.tracer(scene), rays)
 
 
 def geometry_of(camera: Camera) -> Camera:

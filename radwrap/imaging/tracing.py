@@ -11,12 +11,15 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from radwrap.errors import InputError
 from radwrap.files import make_folder
 from radwrap.imaging.banding import banding
 from radwrap.imaging.optics.view import LitView, View
 from radwrap.imaging.render_options import RenderOptions
-from radwrap.imaging.tracer_choice import TracerUsed, candidate, compared, geometry_of, probed
+from radwrap.imaging.tracer_choice import TracerUsed, candidate, compared, geometry_of, probe_rays, probed
 from radwrap.kept import Kept, of_kept
 from radwrap.manifest import sha256_of_value
 from radwrap.process import Limits, Programs, available_cores
@@ -138,11 +141,20 @@ class LaidOutScene:
 
     def _compared(self, compiled: CompiledEngine, name: Hashable) -> Agreement:
         """What a comparison of the compiled tracer with Radiance shows."""
+        return of_kept(self._kept, lambda: name, lambda: self._probed(compiled.in_patches()), lambda _: _SMALL)
+
+    def _probed(self, patches: CompiledEngine) -> Agreement:
+        reference = self._reference.tracer(self.scene, name="reference")
+        return probed(reference, patches, self.scene, self._probe_rays(patches))
+
+    def _probe_rays(self, compiled: CompiledEngine) -> NDArray[np.float64]:
+        """Rays of a comparison: they hang on the camera and on which part is where."""
+        files = self.prepared.scene.files
         return of_kept(
             self._kept,
-            lambda: name,
-            lambda: probed(self._reference.tracer(self.scene, name="reference"), compiled.in_patches(), self.scene),
-            lambda _: _SMALL,
+            lambda: ("probe rays", self.prepared.identity, tuple(files.items()), geometry_of(self.scene.camera)),
+            lambda: probe_rays(self.scene.camera, compiled.numbered()),
+            lambda rays: rays.nbytes + len(self.prepared.identity) + sum(map(len, files.values())),
         )
 
     def _judged(self, found: Agreement) -> TracerUsed:

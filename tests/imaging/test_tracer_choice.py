@@ -157,13 +157,14 @@ def test_an_error_of_the_compiled_tracer_is_seen(factor: float, lost: int, agree
     with laid_out(scene, RenderOptions(tracer="compiled")) as traced:
         reference = traced.radiance_view().tracer
         planted = Planted(traced._engine, factor, lost)
-        used = compared(asked, RenderOptions(), probed(reference, planted, scene))
+        rays = probe_rays(scene.camera, planted.numbered())
+        used = compared(asked, RenderOptions(), probed(reference, planted, scene, rays))
         assert used.probe is not None and used.probe.rays == 512 and used.probe.agree == agrees
         assert used.name == ("compiled" if agrees else "radiance")
         assert used.probe.differing == (lost if factor < 1 + 2e-5 else pytest.approx(512, abs=200))
         if not agrees:
             with pytest.raises(EnvironmentFailure, match=f"differ on {used.probe.differing} of 512 rays"):
-                compared(asked, RenderOptions(tracer="compiled"), probed(reference, planted, scene))
+                compared(asked, RenderOptions(tracer="compiled"), probed(reference, planted, scene, rays))
 
 
 @dataclass(frozen=True)

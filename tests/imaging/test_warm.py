@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import json
-import tempfile
 import threading
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -207,18 +206,18 @@ def test_errors_of_the_scene_come_when_it_is_laid_out(tmp_path: Path, monkeypatc
 
 
 def test_nothing_stays_once_it_is_closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(warm_module, "_MEMORY", tmp_path)
+    memory, others = tmp_path / "memory", tmp_path / "others"
+    memory.mkdir()
+    others.mkdir()
+    monkeypatch.setattr(warm_module, "_MEMORY", memory)
     monkeypatch.setattr(warm_module, "_ROOM", 0)
-    before = set(Path(tempfile.gettempdir()).iterdir())
+    monkeypatch.setattr("tempfile.tempdir", str(others))
     with radwrap.warm(board()) as live:
         live.render()
         assert live._kept.held > 0
-        (folder,) = tmp_path.iterdir()
+        (folder,) = memory.iterdir()
         assert list(folder.iterdir()) == []  # of a render nothing is left, but what is kept
-    assert list(tmp_path.iterdir()) == [] and live._kept.held == 0
-    assert not {
-        path for path in set(Path(tempfile.gettempdir()).iterdir()) - before if path.name.startswith("radwrap-")
-    }
+    assert [*memory.iterdir(), *others.iterdir()] == [] and live._kept.held == 0
     assert psutil.Process().children(recursive=True) == []
     with pytest.raises(radwrap.InputError, match="closed"):
         live.render()

@@ -286,6 +286,9 @@ def _means(
     values: NDArray[np.float64], magnification: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Mean over each cell's rays, of each source; of m, weighted by the light of all."""
+    if values.ndim == 2 and values.shape[1] == 1:  # most cells have one ray, and the mean of one is slow
+        value, m = values[:, 0], magnification[:, 0]
+        return value, np.where(value > 0, value * m / np.where(value > 0, value, 1.0), m)
     light = values if values.ndim == 2 else values.sum(axis=0)
     total = light.sum(axis=1)
     weighted = (light * magnification).sum(axis=1) / np.where(total > 0, total, 1.0)
