@@ -123,17 +123,24 @@ def test_files_are_the_same_too(live: radwrap.WarmScene, tmp_path: Path) -> None
             assert (tmp_path / "warm" / name).read_bytes() == (tmp_path / "cold" / name).read_bytes()
 
 
-@pytest.mark.parametrize("name", ["ring", "two_bars"])
-def test_cells_of_a_factory_give_the_bytes_of_a_cold_one(name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "level"),
+    [
+        ("ring", {"sources[0].leds": [{"index": 1, "radiance_factor": 0.5}]}),
+        ("two_bars", {"sources[0].radiance": "900 W/m^2/sr"}),
+    ],
+)
+def test_cells_of_a_factory_give_the_bytes_of_a_cold_one(name: str, level: dict[str, Any]) -> None:
     """Meshes with holes, a lens, wide lights; effects that Radiance measures."""
     folder = SCENES / "cells"
     cell = tomllib.loads((folder / f"{name}.toml").read_text())
     changes: dict[str, Any] = {"camera.sensor.rows": 33, "camera.sensor.columns": 40}
     scene = radwrap.scene_from_document(cell, changes, folder=folder)
-    nearer = radwrap.scene_from_document(cell, changes | {"camera.exposure_time": "3 ms"}, folder=folder)
+    shorter = radwrap.scene_from_document(cell, changes | {"camera.exposure_time": "3 ms"}, folder=folder)
+    dimmer = radwrap.scene_from_document(cell, changes | level, folder=folder)
     options = radwrap.RenderOptions(tracer="compiled", tolerance=4.0)
     with radwrap.warm(scene, options) as live:
-        for one in (scene, nearer, scene):
+        for one in (scene, shorter, dimmer, scene):
             assert_same(live.render(one), radwrap.render(one, options=options))
 
 
