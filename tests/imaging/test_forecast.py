@@ -27,8 +27,8 @@ from radwrap.progress import Progress
 from radwrap.tracers.tracer import Tracer
 
 START = Path(__file__).parents[2] / "radwrap" / "data" / "init" / "scene.toml"
-_COST = 2e-4  # s of processor time that a slow tracer takes for a ray; all else takes a tenth of it at most
-_SLACK = 1.3  # of what else is done beside that, and of a clock that ticks
+_COST = 1e-4  # s of processor time that a slow tracer takes for a ray; all else takes a fifth of it at most
+_SLACK = 1.5  # of what else is done beside that, which takes longer beside other tests; as good as a forecast must be
 Array = NDArray[np.float64]
 
 
@@ -68,12 +68,16 @@ class Slow:
             pass
 
 
+def slowed(work: Work) -> Work:
+    return replace(work, view=replace(work.view, tracer=Slow(work.view.tracer)))
+
+
 @contextmanager
 def working(shown: radwrap.Scene, folder: Path, *, slow: bool) -> Iterator[Work]:
     with traced_scene(shown) as traced, Programs() as programs:
-        view = replace(traced, workers=1, tracer=Slow(traced.tracer) if slow else traced.tracer)
         folder.mkdir(exist_ok=True)
-        yield Work(view, folder, programs, Progress("", 1, shown=False), "test", 0)
+        work = Work(replace(traced, workers=1), folder, programs, Progress("", 1, shown=False), "test", 0)
+        yield slowed(work) if slow else work
 
 
 def test_a_stopwatch_counts_the_work_of_this_machine_only() -> None:
@@ -98,12 +102,12 @@ def test_a_slow_tracer_is_seen(tmp_path: Path) -> None:
 def test_an_image_takes_as_long_as_its_rays_and_four_times_the_pixels_four_times_as_long(tmp_path: Path) -> None:
     seconds = []
     for times in (1, 2):
-        with working(scene(times), tmp_path, slow=True) as work:
-            search = Search(work, radwrap.RenderOptions(method="rays", tolerance=4.0).demand)
+        with working(scene(times), tmp_path, slow=False) as work:
+            search = Search(work, radwrap.RenderOptions(method="rays", tolerance=16.0).demand)
             plan, number = search.first_plan()
             expected = search.choice.expected_rays["rays"]
             assert expected is not None
-            found = rehearsed(work, plan, number, expected)
+            found = rehearsed(slowed(work), plan, number, expected)
             assert found.rays * _COST <= found.seconds <= _SLACK * found.rays * _COST
             seconds.append(found.seconds)
     # Smaller pixels see less change in each; both have eight rays to decide and four at least.
@@ -112,11 +116,11 @@ def test_an_image_takes_as_long_as_its_rays_and_four_times_the_pixels_four_times
 
 def test_some_tiles_stand_for_all(tmp_path: Path) -> None:
     """A kernel's image of 16 tiles, of which four or more are made."""
-    with working(scene(20), tmp_path, slow=False) as work:
+    with working(scene(12), tmp_path, slow=False) as work:
         search = Search(work, radwrap.RenderOptions(method="kernel").demand)
         plan, number = search.first_plan()
         tiles = tuple(
-            (row, row + 165, column, column + 240) for row in range(0, 660, 165) for column in range(0, 960, 240)
+            (row, row + 99, column, column + 144) for row in range(0, 396, 99) for column in range(0, 576, 144)
         )
         small = replace(plan, tiles=tiles)
         found = rehearsed(work, small, number, search.choice.expected_rays["kernel"] or 0)

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import psutil
 import pytest
 
 import radwrap
@@ -23,6 +22,7 @@ from radwrap.kept import Kept, of_kept
 from radwrap.process import Programs
 from radwrap.tracers.agreement import Agreement
 from radwrap.tracers.compiled import tracer as compiled_tracer
+from tests.cli.conftest import children
 
 SCENES = Path(__file__).parents[2] / "rad_scenes"
 OPTIONS = radwrap.RenderOptions(tracer="compiled")
@@ -225,7 +225,7 @@ def test_nothing_stays_once_it_is_closed(tmp_path: Path, monkeypatch: pytest.Mon
         (folder,) = memory.iterdir()
         assert list(folder.iterdir()) == []  # of a render nothing is left, but what is kept
     assert [*memory.iterdir(), *others.iterdir()] == [] and live._kept.held == 0
-    assert psutil.Process().children(recursive=True) == []
+    assert children() == []
     with pytest.raises(radwrap.InputError, match="closed"):
         live.render()
     live.close()

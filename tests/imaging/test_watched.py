@@ -9,10 +9,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import psutil
 import pytest
 
 import radwrap
+from tests.cli.conftest import children
 from tests.imaging.test_synthesis import scene
 
 PROMPT = 5.0  # s from the wish to the end; half a second on a machine that has no other work
@@ -23,10 +23,6 @@ LONG = {"viewpoints": 600}
 
 class _Stopped(Exception):
     """Of a callback."""
-
-
-def _children() -> list[psutil.Process]:
-    return psutil.Process().children(recursive=True)
 
 
 def _results(folder: Path) -> set[str]:
@@ -57,7 +53,7 @@ def test_a_cancelled_render_ends_at_once_and_leaves_nothing(tracer: str, how: di
             scene(**LARGE), tmp_path, tracer=tracer, cancelled=caller.wish.is_set, progress=caller.told, **how
         )
     assert time.monotonic() - caller.at < PROMPT
-    assert _children() == []
+    assert children() == []
     assert _results(tmp_path) == set() and not (tmp_path / ".work").exists()
     assert caller.threads == {threading.get_ident()}
 
@@ -112,7 +108,7 @@ def test_what_a_callback_raises_ends_the_render_and_comes_back(tracer: str, tmp_
     with pytest.raises(_Stopped):
         radwrap.render(scene(**LARGE), tmp_path, tracer=tracer, progress=told, **LONG)
     assert len(begin) == 1 and time.monotonic() - begin[0] < PROMPT
-    assert _children() == [] and _results(tmp_path) == set()
+    assert children() == [] and _results(tmp_path) == set()
 
 
 def _of_input() -> bool:
