@@ -190,8 +190,7 @@ class Stage:
     def _with_fewer_patches(self, rest: float, image: float) -> Iterator[tuple[str, float]]:
         """Light of the same places by a part of the patches, of which only the time counts."""
         scene = self.traced.scene
-        whole = self.traced.tracer_used.whole or ()
-        cut = [source for source in scene.sources if isinstance(source, WideSource) and source.name not in whole]
+        cut = [each for each in scene.sources if isinstance(each, WideSource) and each.name not in self.traced.whole]
         patches = [len(source.patches) for source in cut]
         if self.options.bounces or max(patches, default=0) < _THINNED**2:
             return

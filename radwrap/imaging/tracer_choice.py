@@ -24,8 +24,9 @@ from radwrap.tracers.tracer import Tracer
 # Rays times sources that Radiance traces in about the time that the compiled tracer takes to be loaded.
 WORTH_COMPILED: Final = 1_000_000
 _PROBE: Final = 512
-# Half of the probe lies as near as this to where one part ends and another begins [px].
-_NEAR: Final = 1e-3
+# Half of the probe lies as near as this to where one part ends and another begins [px]. Within a hundredth of a pixel
+# of a body's rim Radiance loses grazing light to the rim itself, which no image shows.
+_NEAR: Final = 0.03
 _LOOKED_AT: Final = 4096
 _REMEDY: Final = 'pip install "radwrap[fast]", or trace by Radiance'
 

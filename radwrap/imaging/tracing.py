@@ -202,6 +202,11 @@ class LaidOutScene:
         return {"radiance": self.version, **self._engine.versions}
 
     @property
+    def whole(self) -> tuple[str, ...]:
+        """Names of wide sources that shine as a whole, while Radiance has patches for them."""
+        return self._whole or () if self._engine.name == "compiled" else ()
+
+    @property
     def tracer_cpu_s(self) -> float:
         """CPU time of this process in which rays were traced; that of programs comes besides [s]."""
         return self._engine.cpu_s

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +15,7 @@ pytest.importorskip("numba")
 import radwrap
 from radwrap.errors import InputError
 from radwrap.imaging import tracing
+from radwrap.imaging.forecast.effects import Probe, bounces
 from radwrap.imaging.forecast.explain import explain
 from radwrap.imaging.optics.view import rays_through
 from radwrap.imaging.render_options import RenderOptions
@@ -25,6 +28,7 @@ from radwrap.tracers.text_frame import TextFrame
 from tests.tracers.test_compiled_smooth import at, scene_of
 
 FEW = 64
+BLACK = 1e-3  # reflectance
 PATIENCE = 2.0  # s; to cut the patches of the glossy dome takes longer
 COMPILED, RADIANCE = RenderOptions(tracer="compiled"), RenderOptions(tracer="radiance")
 DOME = {
@@ -114,3 +118,21 @@ def test_too_many_patches_are_refused_only_where_radiance_traces() -> None:
     with pytest.raises(InputError, match="more than 4096 patches"), laid_out(scene, RADIANCE):
         pass
     assert any("more than 4096 patches" in line for line in explain(scene)["warnings"])
+
+
+def test_what_an_outline_is_off_by_does_not_count_as_bounces() -> None:
+    """A black box on a black belt bounces a thousandth of its light; the outline of a near bar is off by far more."""
+    box = {"type": "box", "name": "box", "material": "belt", "size": ["5 mm"] * 3, "position": at(0, 0, 2.5)}
+    black = {"belt": {"type": "lambertian", "reflectance": BLACK}}
+    near = {**BAR, "position": at(-50, 0, 12), "look_at": at(-50, 0, 0), "size": ["60 mm", "60 mm"]}
+    scene = scene_of(box, sources=[near], materials=black)
+    with laid_out(scene, COMPILED) as traced:
+        view, rough = traced.view(), traced.radiance_view()
+        gray = 100 / (np.mean(radiances(scene, COMPILED)) * float(np.mean(view.exposure_of_radiance)))
+        camera = replace(scene.camera, sensor=replace(scene.camera.sensor, gain=gray, rounding=False))
+        view, rough = replace(view, camera=camera), replace(rough, camera=camera)
+        probe = Probe.of(view, 0)
+        assert math.sqrt(probe.mean_square(probe.traced(rough)).mean) > 1.0
+        traced.scene = replace(scene, camera=camera)
+        found = bounces(traced.scene, view, 0, 0.5, traced=traced)
+    assert found.rms_gray < 2 * BLACK * 100

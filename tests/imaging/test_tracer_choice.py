@@ -204,7 +204,7 @@ def test_agreement_by_closed_forms() -> None:
 
 
 def test_half_of_the_probe_lies_where_parts_end() -> None:
-    """Rays in pairs a thousandth of a pixel or less from a step: neighbours there see different parts."""
+    """Rays in pairs 0.03 pixels or less from a step: neighbours there see different parts."""
     scene = small()
     with laid_out(scene, RenderOptions(tracer="compiled")) as traced:
         numbered = traced.numbered_tracer()
@@ -212,7 +212,7 @@ def test_half_of_the_probe_lies_where_parts_end() -> None:
         assert rays.shape == (512, 6)
         central = rays[:256]
         assert np.allclose(central[:, :3], scene.camera.pose.position)
-        sides = scene.camera.sensor.pixel_width * 2e-3
+        sides = scene.camera.sensor.pixel_width * 0.06
         right, up = np.asarray(scene.camera.pose.rotation).T[:2] * sides
         own = next(numbered.trace([central]))
         differs = np.zeros(256, dtype=bool)

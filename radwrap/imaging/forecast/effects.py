@@ -207,6 +207,9 @@ def bounces(
     """
     square, rays = NOTHING, 0
     if not _is_convex(scene):
+        if traced is not None and traced.whole:
+            # Radiance bounces the light of patches: what these are off by is no bounce.
+            probe = Probe.of(traced.radiance_view(), seed)
         probe = probe or Probe.of(view, seed)
         bouncing = None
         if traced is not None and len(scene.emitters) > _MANY_EMITTERS:
