@@ -13,10 +13,13 @@ from radwrap.frames import Pose
 from radwrap.scene.materials import Anisotropic, Lambertian, Material, Specular
 from radwrap.scene.targets import Sheet
 from radwrap.scene.wide_shapes import Annulus, area
+from radwrap.tracers.compiled.arrays import Cover, Floats
+from radwrap.tracers.compiled.compiler import compiled
 from radwrap.tracers.compiled.cover_rows import Wardrobe
 from radwrap.tracers.compiled.covers import glossy
 from radwrap.tracers.compiled.tree import DEPTH
-from radwrap.tracers.compiled.wide_lobe import grain_of, lobe_density, mirrored, sampled_lobe
+from radwrap.tracers.compiled.wide_contour import Place
+from radwrap.tracers.compiled.wide_lobe import Grain, grain_of, lobe_density, mirrored, sampled_lobe
 from radwrap.tracers.compiled.wide_nodes import nodes_along, whole_lobe
 from radwrap.tracers.compiled.wide_points import key_of_ray, spread_point
 from radwrap.tracers.compiled.wide_rows import wide_row
@@ -48,6 +51,22 @@ def shines(name: str, material: Material, v: tuple[float, float, float], *, keys
     return np.array([sampled_lobe(light, cover, *none, *none, *rest, key, stack) for key in found])
 
 
+@compiled
+def lobes(cover: Cover, n: Place, v: Place, directions: Floats, found: Floats) -> None:
+    """What a lobe adds for light from each direction."""
+    for i in range(len(directions)):
+        d = directions[i]
+        found[i] = glossy(cover, n[0], n[1], n[2], v[0], v[1], v[2], d[0], d[1], d[2], 0.0)
+
+
+@compiled
+def lobe_densities(grain: Grain, n: Place, v: Place, directions: Floats, found: Floats) -> None:
+    """Density of what is drawn at each direction."""
+    for i in range(len(directions)):
+        d = directions[i]
+        found[i] = lobe_density(grain, n, v, (d[0], d[1], d[2]))
+
+
 def brute(name: str, material: Material, v: tuple[float, float, float]) -> float:
     """By 2^18 points of the light."""
     source, cover = wide(name), cover_of(material)
@@ -56,8 +75,9 @@ def brute(name: str, material: Material, v: tuple[float, float, float]) -> float
     points, normals = points @ turned + source.pose.position, normals @ turned
     away = np.linalg.norm(points, axis=1)
     leaving = np.maximum(-(points * normals).sum(axis=1) / away, 0.0)
-    each = [glossy(cover, *UP, *v, *d, 0.0) for d in (points / away[:, np.newaxis]).tolist()]
-    return float(source.radiance * area(source.shape) * np.mean(np.array(each) * leaving / away**2))
+    each = np.empty(len(points))
+    lobes(cover, UP, v, points / away[:, np.newaxis], each)
+    return float(source.radiance * area(source.shape) * np.mean(each * leaving / away**2))
 
 
 @pytest.mark.parametrize("material", GLOSSY)
@@ -109,10 +129,9 @@ def test_the_density_is_that_of_what_is_drawn(material: str) -> None:
     around = np.cos(2 * np.pi * turn)[..., None] * across + np.sin(2 * np.pi * turn)[..., None] * np.cross(axis, across)
     directions = np.cos(steep)[..., None] * axis + np.sin(steep)[..., None] * around
     weights = np.sin(steep) * half * 2 * math.pi / steep.size
-    inside = sum(
-        w * lobe_density(grain, UP, SLANTED, tuple(d))
-        for w, d in zip(weights.ravel().tolist(), directions.reshape(-1, 3).tolist(), strict=True)
-    )
+    densities = np.empty(steep.size)
+    lobe_densities(grain, UP, SLANTED, directions.reshape(-1, 3), densities)
+    inside = float(weights.ravel() @ densities)
     share = (drawn @ axis > math.cos(half)).mean()
     assert share == pytest.approx(inside, abs=0.01)
 
