@@ -5,7 +5,7 @@ The data's way::
     scene file with units                                    load_scene, with_value
     -> what it amounts to, which effects matter              explain, effects
     -> Radiance text, rtrace: rays in, radiance out          tracers/
-    -> mean radiance of each pixel, to a tolerance           render: kernel or rays, whichever takes fewer
+    -> mean radiance of each pixel, to a tolerance           render: kernel, rays or both, whichever takes fewest
     -> how far it is off, by rays of its own                 result.manifest["error"]
     -> radiant exposure on the pixel                         Eqs. 1 to 3
     -> gray level                                            Eq. 5: G = K H^gamma + G0

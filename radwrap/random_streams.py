@@ -32,6 +32,9 @@ class Rendering(IntEnum):
     EFFECT_RESAMPLES = 15
     TRACER_PROBE = 18
     REHEARSED_TILES = 19
+    CORRECTED_PIXELS = 24  # then the tile
+    CORRECTIONS = 25  # then replicate and tile
+    FORESEEN_PIXELS = 26
 
 
 @unique

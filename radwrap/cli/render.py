@@ -35,7 +35,8 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         "--method",
         choices=METHODS,
         help="infinitesimal pinhole; finite pinhole by sub-viewpoints, as in the paper; by one image gathered with the "
-        "opening's shape; by rays over pixel and opening (default: the cheapest of the last two)",
+        "opening's shape; by rays over pixel and opening; by one image that rays correct where it errs (default: the "
+        "cheapest of the last three)",
     )
     parser.add_argument(
         "--tolerance", metavar="G", type=shared.number(), help="largest rms error in gray levels (default 0.5)"

@@ -9,7 +9,8 @@ from typing import Any, Final, Literal
 
 from radwrap.errors import InputError
 
-ToleranceMethod = Literal["kernel", "rays"]
+ToleranceMethod = Literal["kernel", "rays", "hybrid"]
+EvenMethod = Literal["kernel", "rays"]
 # Rays of a pixel.
 FEWEST: Final = 4
 MOST: Final = 1 << 14
@@ -48,7 +49,7 @@ class Demand:
     max_error : float, optional
         Largest error of 99 % of the pixels [gray level].
     method : str, optional
-        "kernel" or "rays"; default the cheapest that will do.
+        "kernel", "rays" or "hybrid"; default the cheapest that will do.
     budget : Budget
         What it may cost.
     """
@@ -83,7 +84,7 @@ class SamplingPlan:
         Independent images; their mean is the result, their differences its error.
     """
 
-    method: ToleranceMethod
+    method: EvenMethod
     cell: float | None = None
     layered: bool = False
     rays: int | None = None

@@ -33,7 +33,6 @@ from radwrap.imaging.forecast.rehearsal import (
 )
 from radwrap.imaging.mean_radiance import fixed_method, viewpoint_plan
 from radwrap.imaging.methods.kernel import KernelPlan
-from radwrap.imaging.methods.rays import RaysPlan
 from radwrap.imaging.methods.viewpoints import ViewpointPlan
 from radwrap.imaging.optics.view import View
 from radwrap.imaging.output.image_files import write_images
@@ -117,7 +116,7 @@ class Stage:
             expected = round(sampling.rays_per_pixel * plan.camera.sensor.pixels)
         image = rehearsed(work, plan, number, expected, self.longest)
         parts = {"image": image.seconds, "certificate": comparison_seconds(work, plan, number)}
-        if isinstance(plan, RaysPlan):
+        if not isinstance(plan, KernelPlan):
             return parts, image
         look = look_at_model(work, what, plan)
         parts["certificate"] += look.seconds
@@ -128,20 +127,22 @@ class Stage:
         return parts, image
 
     def _further(self, work: Work, search: Search, first: Rehearsed) -> Rehearsed:
-        """What comes after a kernel that does not hold: one that tells depths apart, then rays."""
-        if not search.one_layer or math.isinf(search.found.model.mean):
-            return self._by_rays(work, search)
+        """What comes after a kernel that does not hold: one that tells depths apart, then rays, or corrections."""
+        if not search.plans.one_layer or math.isinf(search.found.model.mean):
+            return self._instead(work, search)
         layered = copy(search)
-        layered.one_layer = False
+        layered.plans = copy(search.plans)
+        layered.plans.one_layer = False
         plan, _ = layered.first_plan("kernel")
         if isinstance(plan, KernelPlan) and look_at_model(work, layered, plan).holds:
             return first
-        rays = self._by_rays(work, search)
-        return Rehearsed(first.seconds + rays.seconds, first.rays + rays.rays)
+        found = self._instead(work, layered)
+        return Rehearsed(first.seconds + found.seconds, first.rays + found.rays)
 
-    def _by_rays(self, work: Work, search: Search) -> Rehearsed:
-        plan, number = search.first_plan("rays")
-        expected = search.choice.expected_rays["rays"] or USUAL_RAYS * plan.camera.sensor.pixels
+    def _instead(self, work: Work, search: Search) -> Rehearsed:
+        method, aim, _ = search.instead_of_kernel()
+        plan, number = search.plans.planned(method, aim)
+        expected = search.plans.forecast(method, aim) or USUAL_RAYS * plan.camera.sensor.pixels
         return rehearsed(work, plan, number, expected, self.longest)
 
     def _basis(self, image: Rehearsed) -> float:

@@ -14,12 +14,16 @@ from radwrap.imaging.option_values import choice_of, number_of, switch_of
 from radwrap.process import MOST_WORKERS
 
 FixedMethod = Literal["pinhole", "viewpoints"]
-Method = Literal["pinhole", "viewpoints", "kernel", "rays"]
+Method = Literal["pinhole", "viewpoints", "kernel", "rays", "hybrid"]
 TracerName = Literal["auto", "radiance", "compiled"]
 TRACERS: Final[tuple[TracerName, ...]] = get_args(TracerName)
-METHODS: Final[tuple[Method, ...]] = ("pinhole", "viewpoints", "kernel", "rays")
+METHODS: Final[tuple[Method, ...]] = ("pinhole", "viewpoints", "kernel", "rays", "hybrid")
 
-_TO_TOLERANCE: Final[dict[Method | None, ToleranceMethod]] = {"kernel": "kernel", "rays": "rays"}
+_TO_TOLERANCE: Final[dict[Method | None, ToleranceMethod]] = {
+    "kernel": "kernel",
+    "rays": "rays",
+    "hybrid": "hybrid",
+}
 _VIEWPOINTS: Final = 37
 _FINEST: Final = 1e-3  # gray levels; the float32 of the tracer ends near there
 
@@ -62,15 +66,16 @@ class RenderOptions:
     ----------
     method : str, optional
         "pinhole" (infinitesimal), "viewpoints" (the paper's finite pinhole),
-        "kernel" or "rays"; default "viewpoints" where their number is given,
-        or another option of theirs is, else the cheapest of kernel and rays
-        that keeps the tolerance.
+        "kernel", "rays", or "hybrid" (a kernel, and rays where it errs);
+        default "viewpoints" where their number is given, or another option
+        of theirs is, else the cheapest of the last three that keeps the
+        tolerance.
     tolerance : float
-        Largest rms error of kernel or rays [gray level].
+        Largest rms error of kernel, rays or hybrid [gray level].
     max_error : float, optional
         Largest error of 99 % of the pixels, likewise [gray level].
     budget_rays, budget_seconds : float, optional
-        What kernel or rays may cost; by seconds [s] the same image may not
+        What these may cost; by seconds [s] the same image may not
         come out again.
     viewpoints : int, optional
         Number of sub-viewpoints; default 37.
@@ -160,7 +165,7 @@ class RenderOptions:
             raise InputError(
                 f"needs an image to tolerance, not {self.fixed_method}",
                 where="basis",
-                remedy="leave out the method and its options, or name kernel or rays",
+                remedy="leave out the method and its options, or name kernel, rays or hybrid",
             )
 
     def _check_bounces(self) -> None:
@@ -190,7 +195,7 @@ class RenderOptions:
         match self.method:
             case "pinhole" | "viewpoints":
                 return self.method
-            case "kernel" | "rays":
+            case "kernel" | "rays" | "hybrid":
                 return None
         paper = self.viewpoints is not None or self.keep_viewpoints or self.pixel_samples != 1
         paper = paper or self.layout != "rings" or self.pixel_sampling != "centre"
@@ -198,7 +203,7 @@ class RenderOptions:
 
     @property
     def demand(self) -> Demand:
-        """What kernel or rays must keep."""
+        """What kernel, rays or hybrid must keep."""
         budget = Budget(
             math.inf if self.budget_rays is None else self.budget_rays,
             math.inf if self.budget_seconds is None else self.budget_seconds,

@@ -58,6 +58,7 @@ class BasisFile:
     tolerances: Tolerances | None
     even: bool = False
     smooth_share: Annotated[float, Field(gt=0, le=1)] = 1.0
+    every_pixel: bool = False
 
     def __post_init__(self) -> None:
         sensor = self.camera.sensor

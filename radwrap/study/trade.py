@@ -27,9 +27,9 @@ from radwrap.imaging.optics.aperture import LAYOUTS, Layout, Viewpoints, central
 from radwrap.imaging.optics.view import PixelPlan, PixelSampling, View, trace_rays
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.response.sensor import gray_levels
-from radwrap.imaging.tolerance.planner import choose, render_to_tolerance
+from radwrap.imaging.tolerance.planner import render_to_tolerance
 from radwrap.imaging.tolerance.replicates import Work
-from radwrap.imaging.tolerance.survey import survey, with_smooth_blocks
+from radwrap.imaging.tolerance.survey import predicted_rays, survey, with_smooth_blocks
 from radwrap.imaging.tracing import LaidOutScene
 from radwrap.manifest import json_text, sha256_of_value, versions
 from radwrap.process import Programs, available_cores, children_cpu_time
@@ -373,8 +373,8 @@ class _Sweep:
     def _expected_rays(self, setting: Setting) -> float:
         if setting.tolerance is not None:
             view = with_smooth_blocks(self.view, self.survey, setting.tolerance)
-            expected = choose(view, self.survey, Demand(setting.tolerance)).expected_rays
-            return math.inf if (rays := expected[setting.method]) is None else rays
+            rays, kernel = predicted_rays(view, self.survey, setting.tolerance)
+            return kernel if setting.method == "kernel" else rays
         return (setting.viewpoints or 1) * setting.pixel_samples**2 * self.scene.camera.sensor.pixels
 
     def _points(self, setting: Setting) -> Viewpoints:

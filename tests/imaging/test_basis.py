@@ -12,7 +12,6 @@ import pytest
 
 import radwrap
 from radwrap.errors import InputError
-from radwrap.imaging.methods.kernel import KernelPlan
 from radwrap.imaging.optics.view import LitView
 from radwrap.imaging.relight.basis import freeze_tile, grid_pixels, shining, write_basis
 from radwrap.imaging.relight.relit import Basis, read_basis, relit
@@ -20,6 +19,7 @@ from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.tolerance.bounds import Bounded, resampling, stratified_mean, stratified_means
 from radwrap.imaging.tolerance.certificate import certify_by_independent_rays, model_lacks
 from radwrap.imaging.tolerance.planner import Outcome, render_to_tolerance
+from radwrap.imaging.tolerance.plans import kernel_of
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tracing import LaidOutScene, traced_scene
 from radwrap.process import Programs
@@ -96,7 +96,18 @@ DEEP: Final = {  # a second sheet nearer by: several layers, whose shares depend
 }
 
 
-@pytest.fixture(scope="module", params=["kernel", "kernel, deep", "rays", "kernel, deep, compiled", "rays, compiled"])
+@pytest.fixture(
+    scope="module",
+    params=[
+        "kernel",
+        "kernel, deep",
+        "rays",
+        "hybrid, deep",
+        "kernel, deep, compiled",
+        "rays, compiled",
+        "hybrid, deep, compiled",
+    ],
+)
 def made(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Made]:
     method, *how = request.param.split(", ")
     room = scene(**(DEEP if "deep" in how else {}))
@@ -138,9 +149,10 @@ def test_relit_images_equal_those_of_a_scene_with_other_levels(made: Made) -> No
                 assert np.abs(values - relit_images[replicate, r0:r1, c0:c1]).max() < LINEAR * peak
                 changed.append(change)
             assert np.abs(np.concatenate(changed) - relit_grid[replicate]).max(initial=0) < LINEAR * peak
-        if isinstance(plan, KernelPlan):
+        kernel = kernel_of(plan)
+        if kernel is not None:
             assert basis.sample is not None
-            lacks, rays = model_lacks(fresh, plan.layers, basis.sample, seed=(SEED, 15))
+            lacks, rays = model_lacks(fresh, kernel.layers, basis.sample, seed=(SEED, 15))
             assert rays == basis.model_rays
             assert np.abs(lacks - relit_lacks).max() < LINEAR * peak
 
@@ -158,7 +170,7 @@ def test_all_factors_one_give_the_image_itself(made: Made) -> None:
 def test_grid_pixels_are_those_of_the_tiles(made: Made) -> None:
     numbers = grid_pixels(made.outcome.ray_plan)
     assert len(numbers) == made.basis.grid.shape[-1] == len(set(numbers.tolist()))
-    assert (len(numbers) > 0) == isinstance(made.outcome.ray_plan, KernelPlan)
+    assert (len(numbers) > 0) == (kernel_of(made.outcome.ray_plan) is not None)
 
 
 def test_certificates_of_relit_images_hold(made: Made) -> None:

@@ -352,7 +352,7 @@ def test_out_of_time_an_attempt_is_given_up_and_programs_stay(tmp_path: Path) ->
         assert trace_replicates(replace(work, view=seen), plan_rays(seen, 1.0), 2).images.shape[0] == 2
 
 
-def test_rays_in_place_of_a_kernel_that_fails_keep_the_budget_too(tmp_path: Path) -> None:
+def test_what_comes_after_a_kernel_that_fails_keeps_the_budget_too(tmp_path: Path) -> None:
     """A wire before stripes, too thin for the survey: the kernel's certificate tells, and rays would take 6e6."""
 
     def wire(x: Array, y: Array) -> Array:
@@ -363,7 +363,7 @@ def test_rays_in_place_of_a_kernel_that_fails_keep_the_budget_too(tmp_path: Path
 
     seen = view(ROUND, (0.5, wire), (1.0, stripes))
     outcome = search(seen, tmp_path, Demand(0.2, budget=Budget(rays=2e6)))
-    assert [attempt.method for attempt in outcome.record.attempts][-1] == "rays"
+    assert [attempt.method for attempt in outcome.record.attempts][-1] == "hybrid"
     assert outcome.record.rays < 2e6
 
 
@@ -399,7 +399,7 @@ def test_a_kernel_whose_forecast_is_low_keeps_the_budget(tmp_path: Path, monkeyp
         rays, kernel = predicted_rays(*arguments)
         return rays / 10, kernel / 10
 
-    monkeypatch.setattr("radwrap.imaging.tolerance.planner.predicted_rays", low)
+    monkeypatch.setattr("radwrap.imaging.tolerance.plans.predicted_rays", low)
     demand = Demand(0.004, method="kernel", budget=Budget(rays=first))
     outcome = search(seen, tmp_path / "tight", demand)
     assert outcome.record.given_up == "out of rays" and not outcome.met

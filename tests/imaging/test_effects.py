@@ -14,7 +14,7 @@ from radwrap.imaging.demand import Demand
 from radwrap.imaging.forecast.effects import Probe, bounces, effects
 from radwrap.imaging.optics.view import rays_through
 from radwrap.imaging.render_options import RenderOptions
-from radwrap.imaging.tolerance.planner import choose
+from radwrap.imaging.tolerance.plans import Plans, choose
 from radwrap.imaging.tolerance.survey import survey
 from radwrap.imaging.tracing import laid_out
 from radwrap.scene.camera import Aperture
@@ -65,8 +65,8 @@ def test_depths_are_told_apart_only_where_it_matters() -> None:
     deep = view(Aperture("round", 1e-4), (0.02, half), (1.0, stripes))
     level, uneven = survey(flat, 0), survey(deep, 0)
     assert uneven.one_layer.mean > 0.5**2 > 100 * abs(level.one_layer.upper)
-    assert choose(flat, level, Demand(0.5)).one_layer
-    assert not choose(deep, uneven, Demand(0.5)).one_layer
+    assert choose(Plans(flat, level, Demand(0.5), 0)).one_layer
+    assert not choose(Plans(deep, uneven, Demand(0.5), 0)).one_layer
 
 
 def document(targets: list[dict[str, Any]], **more: Any) -> dict[str, Any]:

@@ -215,5 +215,5 @@ def test_the_planner_certifies_the_kernel_and_refuses_it_where_something_hides(t
     assert true_rms(open_view, outcome.radiance) <= outcome.certificate.rms_gray_upper95 + 0.1
     hidden = seen_through(aperture, (0.25, near), (2.0, disc), rows=10, columns=16)
     outcome = search(hidden, tmp_path / "hidden", Demand(0.6))
-    assert outcome.method == "rays" and outcome.met
+    assert outcome.method == "hybrid" and outcome.met
     assert true_rms(hidden, outcome.radiance, 2048) <= outcome.certificate.rms_gray_upper95 + 0.1

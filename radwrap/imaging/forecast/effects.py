@@ -23,7 +23,7 @@ from radwrap.imaging.optics.view import View, rays_through, trace_rays
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.tolerance.bounds import NOTHING, Bounded
 from radwrap.imaging.tolerance.certificate import PixelSample, lacks_in_gray, places_of, root
-from radwrap.imaging.tolerance.planner import NEGLIGIBLE_SHARE, choose
+from radwrap.imaging.tolerance.plans import NEGLIGIBLE_SHARE, Plans, choose
 from radwrap.imaging.tolerance.survey import Survey, survey, with_smooth_blocks
 from radwrap.imaging.tracing import LaidOutScene, laid_out, of_channel, with_bounces
 from radwrap.manifest import plain
@@ -172,7 +172,7 @@ def effects(scene: Scene, options: RenderOptions | None = None) -> dict[str, Any
     with laid_out(scene, options) as traced:
         view = traced.view()
         found = survey(view, options.seed)
-        choice = choose(with_smooth_blocks(view, found, options.tolerance), found, options.demand)
+        choice = choose(Plans(with_smooth_blocks(view, found, options.tolerance), found, options.demand, options.seed))
         each = [effect.as_manifest() for effect in _measured(traced, view, found, options.tolerance, options.seed)]
     planner = {"method": choice.method, "why": choice.why, **choice.as_manifest()}
     tracer = plain(traced.tracer_used, named=False)

@@ -18,6 +18,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from radwrap.imaging.methods.depth_steps import nearest, steps
+from radwrap.imaging.methods.hybrid import HybridPlan, near_share
 from radwrap.imaging.methods.kernel import KernelPlan
 from radwrap.imaging.methods.rays import RaysPlan
 from radwrap.imaging.methods.viewpoints import ViewpointPlan
@@ -25,16 +27,11 @@ from radwrap.imaging.optics.view import View, pixel_means, ray_blocks, trace_ray
 from radwrap.imaging.response.sensor import GrayWhereAsked
 from radwrap.imaging.tolerance.bounds import NOTHING, Bounded
 from radwrap.imaging.tolerance.certificate import draw_pixels, model_errors
-from radwrap.imaging.tolerance.planner import EFFORTS, RISK_SHARE, Search
-from radwrap.imaging.tolerance.replicates import (
-    Replicates,
-    Work,
-    block_of,
-    decide_tiles,
-    discretisation,
-    make_tiles,
-)
-from radwrap.imaging.tolerance.survey import AIM_SHARE, steps
+from radwrap.imaging.tolerance.corrected_replicates import decide_plan, make_plan
+from radwrap.imaging.tolerance.planner import EFFORTS, Search
+from radwrap.imaging.tolerance.plans import RISK_SHARE, kernel_of
+from radwrap.imaging.tolerance.replicates import Plan, Replicates, Work, block_of, discretisation
+from radwrap.imaging.tolerance.survey import AIM_SHARE, surveyed_places
 from radwrap.process import children_cpu_time
 from radwrap.random_streams import Rendering, generator
 
@@ -57,6 +54,8 @@ _SHARED: Final = 1.15
 _HOLDS: Final = 1 - AIM_SHARE**2
 _FAILS: Final = 0.75
 _STRIP: Final = 1 << 16  # px
+# A pixel that may be corrected takes so many times what one of the kernel's takes.
+_CORRECTED_TIMES: Final = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,9 +147,7 @@ def rehearsed_viewpoints(view: View, plan: ViewpointPlan) -> Rehearsed:
     return Rehearsed(plan.rays * _time_per_ray(trace) / view.workers, plan.rays)
 
 
-def rehearsed(
-    work: Work, plan: KernelPlan | RaysPlan, number: int, expected: float, longest: float = LONGEST_TILE
-) -> Rehearsed:
+def rehearsed(work: Work, plan: Plan, number: int, expected: float, longest: float = LONGEST_TILE) -> Rehearsed:
     """What so many replicates of all tiles take, by some tiles.
 
     Parameters
@@ -174,10 +171,10 @@ def rehearsed(
     begun, done = time.monotonic(), 0
     clock = Stopwatch(work.view.workers)
     while done < len(tiles) and (done < _FEWEST_TILES or time.monotonic() - begun < _ENOUGH):
-        some = replace(plan, tiles=tuple(tiles[done : done + at_once]))
-        decide_tiles(work, some)
+        some = _with_tiles(plan, tuple(tiles[done : done + at_once]))
+        decide_plan(work, some)
         deciding += clock.lap()
-        rays += make_tiles(work, some, 1)
+        rays += make_plan(work, some, 1)
         making += clock.lap()
         weight += sum(_weight(work.view, plan, tile) for tile in some.tiles)
         done += at_once
@@ -192,12 +189,20 @@ def rehearsed(
     return Rehearsed(seconds, traced_rays)
 
 
-def _is_even(plan: KernelPlan | RaysPlan) -> bool:
+def _is_even(plan: Plan) -> bool:
     """Whether the number of rays is known beforehand."""
-    return bool(plan.even if isinstance(plan, RaysPlan) else plan.grid.even)
+    kernel = kernel_of(plan)
+    return bool(kernel.grid.even if kernel else isinstance(plan, RaysPlan) and plan.even)
 
 
-def _samples(view: View, plan: KernelPlan | RaysPlan, most: float) -> list[tuple[int, int, int, int]]:
+def _with_tiles(plan: Plan, tiles: tuple[tuple[int, int, int, int], ...]) -> Plan:
+    """The plan for some tiles only."""
+    if isinstance(plan, HybridPlan):
+        return replace(plan, kernel=replace(plan.kernel, tiles=tiles))
+    return replace(plan, tiles=tiles)
+
+
+def _samples(view: View, plan: Plan, most: float) -> list[tuple[int, int, int, int]]:
     """Tiles, or parts of them of so many pixels at most, in such an order that the first few stand for all."""
     tiles = sorted(plan.tiles, key=lambda tile: _weight(view, plan, tile) / _pixels(tile))
     largest = max(map(_pixels, tiles))
@@ -232,17 +237,20 @@ def _pixels(tile: tuple[int, int, int, int]) -> int:
     return (tile[1] - tile[0]) * (tile[3] - tile[2])
 
 
-def _weight(view: View, plan: KernelPlan | RaysPlan, tile: tuple[int, int, int, int]) -> float:
+def _weight(view: View, plan: Plan, tile: tuple[int, int, int, int]) -> float:
     """What making a tile takes, relative to others: the pixels that it gathers from, and of smooth ones a share."""
-    if isinstance(plan, RaysPlan):
+    kernel = kernel_of(plan)
+    if kernel is None:
         return float(_pixels(tile))
-    columns, rows = (far + 2 * plan.grid.cell for far in plan.reach_px)
+    columns, rows = (far + 2 * kernel.grid.cell for far in kernel.reach_px)
     spans = (tile[0] - rows, tile[1] + rows), (tile[2] - columns, tile[3] + columns)
     area = (spans[0][1] - spans[0][0]) * (spans[1][1] - spans[1][0])
-    if view.smooth is None or not plan.grid.smooth:
-        return area
-    rough = 1 - view.smooth.share_of(*spans)
-    return area * (_SMOOTH_SHARE + (1 - _SMOOTH_SHARE) * rough)
+    if view.smooth is not None and kernel.grid.smooth:
+        rough = 1 - view.smooth.share_of(*spans)
+        area *= _SMOOTH_SHARE + (1 - _SMOOTH_SHARE) * rough
+    if isinstance(plan, HybridPlan):
+        area += _CORRECTED_TIMES * near_share(plan, tile) * _pixels(tile)
+    return area
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,13 +285,10 @@ def look_at_model(work: Work, search: Search, plan: KernelPlan) -> Look:
     sensor = camera.sensor
     shape = (sensor.rows, sensor.columns)
     numbers = found.magnification.shape
-    rows, columns = (((np.arange(n) + 0.5) / n * size - 0.5) for n, size in zip(numbers, shape, strict=True))
-    u, v = (places.ravel() for places in np.meshgrid(columns, rows))
-    seen = trace_rays(view, None, u, v)[0].reshape(numbers)
-    nearest = [np.arange(size) * n // size for n, size in zip(numbers, shape, strict=True)]
-    radiance = seen[np.ix_(*nearest)]
+    seen = trace_rays(view, None, *surveyed_places(sensor))[0].reshape(numbers)
+    radiance = seen[np.ix_(*nearest(shape, numbers))]
     gray = GrayWhereAsked(radiance, view.exposure_of_radiance, sensor)
-    risky = steps(view, found.magnification, gray, RISK_SHARE * search.demand.tolerance)
+    risky = steps(camera, found.magnification, gray, RISK_SHARE * search.demand.tolerance)
     pixels, even, near = EFFORTS[0]
     key = (search.work.seed, Rendering.REHEARSED_TILES)
     sample = draw_pixels(gray, pixels, key, risky=risky, pairs=(even, near))
@@ -299,7 +304,7 @@ def look_at_model(work: Work, search: Search, plan: KernelPlan) -> Look:
     return Look(square, seconds * (1 + second / first), holds=True)
 
 
-def comparison_seconds(work: Work, plan: KernelPlan | RaysPlan, number: int) -> float:
+def comparison_seconds(work: Work, plan: Plan, number: int) -> float:
     """What comparing so many replicates takes [s]."""
     sensor, block = plan.camera.sensor, block_of(plan)
     rows = min(sensor.rows, max(-(-_STRIP // sensor.columns), 8 * block[0]))

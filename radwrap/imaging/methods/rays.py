@@ -21,7 +21,7 @@ from radwrap.imaging.optics.view import View, trace_rays
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.manifest import ONLY_WHERE_USED
 from radwrap.random_streams import generator
-from radwrap.scene.camera import Camera
+from radwrap.scene.camera import Camera, Sensor
 
 PILOT: Final = 8  # rays of a pixel that decide how many it gets
 # The error of a mean over n scrambled points falls like n^-0.6 at edges (between n^-0.5 of chance and n^-0.75 of two
@@ -33,7 +33,7 @@ _SPARE: Final = 1 / 16  # of the mean pixel's rays, which every pixel gets
 # whose pilot saw it a deviation above saturation is safe.
 _SAFE: Final = 4.0
 _MOST_SATURATED: Final = 256
-_RAYS_HELD: Final = 1 << 18  # 30 MiB
+RAYS_HELD: Final = 1 << 18  # 30 MiB
 _TILE_PIXELS: Final = 1 << 14
 
 
@@ -142,7 +142,7 @@ def traced_tile(
     values: NDArray[np.float64] | None = None
     for number in np.unique(numbers).tolist():
         chosen = np.flatnonzero(numbers == number)
-        step = max(1, _RAYS_HELD // number)
+        step = max(1, RAYS_HELD // number)
         for start in range(0, len(chosen), step):
             part = chosen[start : start + step]
             means = sampled_radiance(view, u[part], v[part], number, random).mean(axis=-1)
@@ -192,39 +192,53 @@ def _keys(pixels: int, random: np.random.Generator) -> NDArray[np.uint32]:
 def gray_deviation(radiance: NDArray[np.float64], plan: RaysPlan) -> NDArray[np.float64]:
     """Standard deviation of one ray of each pixel, in gray levels through Eq. 5."""
     mean, deviation = radiance.mean(axis=1), radiance.std(axis=1, ddof=1)
-    scale, sensor = plan.exposure_of_radiance, plan.camera.sensor
+    return deviation_in_gray(mean, deviation, radiance.shape[1], plan.exposure_of_radiance, plan.camera.sensor)
+
+
+def deviation_in_gray(
+    mean: NDArray[np.float64], deviation: NDArray[np.float64], number: int, scale: float, sensor: Sensor
+) -> NDArray[np.float64]:
+    """Standard deviations of radiance [W m^-2 sr^-1] in gray levels, where so many values told the mean.
+
+    `scale` is the view's `exposure_of_radiance`.
+    """
     # Of a mean, not of a ray, which would leave the range in which Eq. 5 is nearly straight.
-    step = deviation / radiance.shape[1] ** ORDER
+    step = deviation / number**ORDER
     up, down = (gray_levels(np.maximum(mean + sign * step, 0.0) * scale, sensor) for sign in (1, -1))
-    deviations: NDArray[np.float64] = (up - down) / 2 * radiance.shape[1] ** ORDER
+    deviations: NDArray[np.float64] = (up - down) / 2 * number**ORDER
     return deviations
 
 
 def _numbers(plan: RaysPlan, pilot: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.intp]:
     """Rays of each pixel, so that the rms over the tile meets the aim; all pixels' errors are brought to one level."""
     deviation = _pooled(gray_deviation(pilot, plan).reshape(shape)).ravel()
-    level = _level(MEAN_GAIN * deviation * plan.fewest**-ORDER, plan.aim)
+    level = level_of(MEAN_GAIN * deviation * plan.fewest**-ORDER, plan.aim)
     wanted = (MEAN_GAIN * deviation / level) ** (1 / ORDER)
     powers = 2 ** np.rint(np.log2(np.clip(wanted, plan.fewest, MOST)))
     numbers: NDArray[np.intp] = powers.astype(np.intp)
-    # Where the pilot saw nothing change there may be an edge all the same: some more rays, which cost little, find it.
-    spare = max(plan.fewest, 2 ** math.floor(math.log2(max(1.0, _SPARE * float(numbers.mean())))))
-    enough: NDArray[np.intp] = np.maximum(np.maximum(numbers, spare), _saturated_numbers(plan, pilot, shape))
+    mean, scatter = pilot.mean(axis=1), _pooled(pilot.std(axis=1, ddof=1).reshape(shape)).ravel()
+    saturated = numbers_that_saturate(mean, scatter, plan.fewest, plan.exposure_of_radiance, plan.camera.sensor)
+    enough: NDArray[np.intp] = np.maximum(np.maximum(numbers, spare_rays(numbers, plan.fewest)), saturated)
     return enough
 
 
-def _saturated_numbers(plan: RaysPlan, pilot: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.intp]:
+def spare_rays(numbers: NDArray[np.intp], fewest: int) -> int:
+    """Rays that each pixel gets: where a pilot saw nothing change, some more, which cost little, find an edge."""
+    return max(fewest, int(2 ** math.floor(math.log2(max(1.0, _SPARE * float(numbers.mean()))))))
+
+
+def numbers_that_saturate(
+    mean: NDArray[np.float64], deviation: NDArray[np.float64], fewest: int, scale: float, sensor: Sensor
+) -> NDArray[np.intp]:
     """Rays with which a pixel that saturates does not fall below saturation by chance; else the fewest.
 
     Eq. 5 hides the scatter of such pixels' rays, and a mean of too few of them
     is far off now and then. What lies within the pilot's own deviation of
     saturation is seen by `gray_deviation`.
     """
-    sensor, scale = plan.camera.sensor, plan.exposure_of_radiance
-    mean, deviation = pilot.mean(axis=1), _pooled(pilot.std(axis=1, ddof=1).reshape(shape)).ravel()
     saturates = gray_levels(mean * scale, sensor) >= sensor.saturation_gray
-    numbers = np.full(len(pilot), plan.fewest, dtype=np.intp)
-    number = plan.fewest
+    numbers = np.full(len(mean), fewest, dtype=np.intp)
+    number = fewest
     while number < _MOST_SATURATED and saturates.any():
         lowest = np.maximum(mean - _SAFE * deviation / number**ORDER, 0.0)
         saturates &= gray_levels(lowest * scale, sensor) < sensor.saturation_gray
@@ -233,7 +247,7 @@ def _saturated_numbers(plan: RaysPlan, pilot: NDArray[np.float64], shape: tuple[
     return numbers
 
 
-def _level(largest: NDArray[np.float64], aim: float) -> float:
+def level_of(largest: NDArray[np.float64], aim: float) -> float:
     """The error at which a pixel is left, so that the rms of min(largest, level) is the aim."""
     ordered = np.sort(largest)
     below = np.concatenate([[0.0], np.cumsum(ordered**2)])[:-1]

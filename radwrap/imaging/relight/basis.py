@@ -22,13 +22,16 @@ from radwrap.errors import EnvironmentFailure, InputError
 from radwrap.files import make_folder, sha256_of
 from radwrap.images import write_exr
 from radwrap.imaging.methods.central import Cells
+from radwrap.imaging.methods.hybrid import HybridPlan, corrected, corrections
 from radwrap.imaging.methods.kernel import Gathered, KernelPlan, gathered_sources, gathered_tile, lattice
 from radwrap.imaging.methods.pieces import log_call, read_piece, remove_strangers, run_jobs, write_piece
 from radwrap.imaging.methods.rays import RaysPlan, TracedTile, traced_tile
 from radwrap.imaging.methods.smooth_blocks import in_other_light
 from radwrap.imaging.optics.view import LitView
-from radwrap.imaging.tolerance.certificate import PixelSample, model_lacks
+from radwrap.imaging.tolerance.certificate import PixelSample, model_lacks, rays_of_lacks
+from radwrap.imaging.tolerance.corrected_replicates import corrections_seed, tile_numbers
 from radwrap.imaging.tolerance.planner import Outcome
+from radwrap.imaging.tolerance.plans import kernel_of
 from radwrap.imaging.tolerance.replicates import Plan, Work, tile_cells, tile_seed
 from radwrap.manifest import SCHEMA_VERSION, plain, sha256_of_value, write_manifest
 from radwrap.random_streams import Relighting, generator
@@ -52,7 +55,7 @@ class FrozenTile:
 
     Attributes
     ----------
-    plan : KernelPlan or RaysPlan
+    plan : KernelPlan, RaysPlan or HybridPlan
         Of the image.
     tile : int
         Number of the tile.
@@ -62,6 +65,8 @@ class FrozenTile:
         Of a kernel.
     like : Gathered, TracedTile or None
         The tile in that light; none is needed where all sources are traced in one pass.
+    corrected : Corrected, optional
+        How a hybrid corrects its kernel, whose rays the rest is of.
     """
 
     plan: Plan
@@ -69,6 +74,7 @@ class FrozenTile:
     seed: tuple[int, ...]
     cells: Cells | None
     like: Gathered | TracedTile | None
+    corrected: Corrected | None = None
 
     def trace(
         self, lit: LitView, progress: Callable[[int], None]
@@ -83,7 +89,9 @@ class FrozenTile:
             What the size of the kernel's cells changes at `grid_pixels` [W m^-2 sr^-1].
         """
         view = replace(lit.view, workers=1)
-        if isinstance(self.plan, KernelPlan):
+        if self.corrected is not None:
+            yield from self.corrected.trace(lit, self, progress)
+        elif isinstance(self.plan, KernelPlan):
             if self.cells is None:
                 raise TypeError("a kernel's rays are decided by its cells")
             like = self.like if isinstance(self.like, Gathered) else None
@@ -93,17 +101,52 @@ class FrozenTile:
             for gathered in each:
                 kept = _chosen(self.plan, self.tile, gathered.change.size)
                 yield gathered.values, gathered.change.ravel()[kept]
-        else:
+        elif isinstance(self.plan, RaysPlan):
             numbers = self.like.numbers if isinstance(self.like, TracedTile) else None
             tile = traced_tile(view, self.plan, self.tile, self.seed, progress, numbers=numbers)
             for values in lit.each(tile.values, 2):
                 yield values, np.zeros(0)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Corrected:
+    """How a tile of a hybrid is corrected, as it was decided in the light of all sources.
+
+    Attributes
+    ----------
+    plan : HybridPlan
+        Of the image.
+    seed : tuple of int
+        Of the corrections.
+    signed : ndarray of int, shape (rows, columns)
+        See `corrections`.
+    """
+
+    plan: HybridPlan
+    seed: tuple[int, ...]
+    signed: NDArray[np.intp]
+
+    def trace(
+        self, lit: LitView, tile: FrozenTile, progress: Callable[[int], None]
+    ) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+        """As `FrozenTile.trace`, of that tile."""
+        view = replace(lit.view, workers=1)
+        more = corrections(view, self.plan, tile.tile, self.signed, seed=self.seed, progress=progress)
+        each = lit.each(more, 2)
+        # Where no pixel is corrected there is nothing that has an axis of sources.
+        each = np.broadcast_to(each, (len(lit.names), *self.signed.shape))
+        for one, (values, change) in zip(each, replace(tile, corrected=None).trace(lit, progress), strict=True):
+            yield corrected(values, one, self.signed), change
+
+
 def freeze_tile(work: Work, plan: Plan, replicate: int, tile: int, *, in_one_pass: bool) -> FrozenTile:
     """Decide the rays of a tile in the light of all sources, which are to be traced `in_one_pass` or one by one."""
     view, progress = replace(work.view, workers=1), work.progress.add
     seed = tile_seed(work.seed, replicate, tile)
+    if isinstance(plan, HybridPlan):
+        kernel = freeze_tile(work, plan.kernel, replicate, tile, in_one_pass=in_one_pass)
+        signed = tile_numbers(work, plan, tile)
+        return replace(kernel, corrected=Corrected(plan, corrections_seed(work.seed, replicate, tile), signed))
     if isinstance(plan, KernelPlan):
         cells = tile_cells(work, plan, tile)
         like = None if in_one_pass else gathered_tile(view, plan, tile, cells, seed=seed, progress=progress)
@@ -113,11 +156,12 @@ def freeze_tile(work: Work, plan: Plan, replicate: int, tile: int, *, in_one_pas
 
 def grid_pixels(plan: Plan) -> NDArray[np.intp]:
     """Numbers of the pixels, tile by tile, at which it is kept what the size of the kernel's cells changes."""
-    if not isinstance(plan, KernelPlan):
+    kernel = kernel_of(plan)
+    if kernel is None:
         return np.zeros(0, dtype=np.intp)
     numbers = []
     for tile, place in enumerate(plan.tiles):
-        rows, columns = lattice(1.0 if plan.grid.even else 2 * plan.grid.cell, place)
+        rows, columns = lattice(1.0 if kernel.grid.even else 2 * kernel.grid.cell, place)
         places = (rows[:, np.newaxis] * plan.camera.sensor.columns + columns).ravel()
         numbers.append(places[_chosen(plan, tile, places.size)])
     return np.concatenate(numbers)
@@ -230,20 +274,22 @@ class _Maker:
             self.write(kind, view, np.stack([np.concatenate([values.ravel(), change]) for values, change in traced]))
 
     def _trace_model(self, view: int) -> None:
-        if self.sample is None or not isinstance(self.plan, KernelPlan):
-            raise TypeError("only the kernel has a model")
+        kernel = kernel_of(self.plan)
+        if self.sample is None or kernel is None:
+            raise TypeError("only a kernel has a model")
         log_call(self.folder, f"model {view}")
         seed = (self.work.seed, Relighting.MODEL_RAYS)
         lit = replace(self.views[view].view, workers=1)
-        lacks, rays = model_lacks(lit, self.plan.layers, self.sample, seed=seed)
+        lacks, rays = model_lacks(lit, kernel.layers, self.sample, seed=seed)
         self.work.progress.add(rays)
         self.write("model", view, lacks.reshape(-1, lacks.shape[-1]))
 
     def model_rays(self) -> int:
         """Rays of the model's certificate in the light of one source."""
-        if self.sample is None or not isinstance(self.plan, KernelPlan):
-            return 0
-        return 2 * int(self.sample.pairs.sum()) * (1 + len(self.plan.layers))
+        kernel = kernel_of(self.plan)
+        return (
+            0 if self.sample is None or kernel is None else rays_of_lacks(kernel.layers, int(self.sample.pairs.sum()))
+        )
 
     def replicate(self, view: int, replicate: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Images of a view's sources, shape (sources, rows, columns), and the changes at the grid's pixels."""
@@ -388,10 +434,13 @@ def _description(maker: _Maker) -> dict[str, Any]:
             "rays": maker.model_rays(),
         },
         "ray_plan": plain(maker.plan),
+        **({"every_pixel": True} if isinstance(maker.plan, HybridPlan) else {}),
         **({"even": True, "smooth_share": outcome.replicates.smooth_share} if _is_even(maker.plan) else {}),
     }
 
 
-def _is_even(plan: KernelPlan | RaysPlan) -> bool:
+def _is_even(plan: Plan) -> bool:
     """Whether no image's light decided where rays go."""
-    return bool(plan.grid.even) if isinstance(plan, KernelPlan) else plan.even is not None
+    if isinstance(plan, RaysPlan):
+        return plan.even is not None
+    return isinstance(plan, KernelPlan) and bool(plan.grid.even)

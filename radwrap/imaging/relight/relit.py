@@ -84,6 +84,8 @@ class Basis:
         Whether no light decided where its rays went, see `sampling`.
     smooth_share : float
         As of `Replicates`.
+    every_pixel : bool
+        Whether some pixels have rays of their own, as those of a hybrid: their noise is looked for at all.
     """
 
     sources: tuple[str, ...]
@@ -104,6 +106,7 @@ class Basis:
     magnification: NDArray[np.float32] | None
     even: bool = False
     smooth_share: float = 1.0
+    every_pixel: bool = False
 
     @property
     def sensor(self) -> Sensor:
@@ -194,6 +197,7 @@ def _basis(folder: Path, told: BasisFile) -> Basis:
         magnification=read_image(folder / MAGNIFICATION)[0] if MAGNIFICATION in told.files else None,
         even=told.even,
         smooth_share=told.smooth_share,
+        every_pixel=told.every_pixel,
     )
 
 
@@ -282,7 +286,7 @@ class _Relighter:
         basis = self._basis
         replicates = _combined(levels, basis.images)
         grid = _combined(levels, basis.grid)
-        mean = replicates.mean(axis=1)
+        mean = np.maximum(replicates.mean(axis=1), 0.0)
         errors = self._model_errors(mean, levels)
         models = [NOTHING] * len(levels)
         if self._again is not None:
@@ -311,9 +315,10 @@ class _Relighter:
 
     def _noise(self, replicates: NDArray[np.float64], grid: NDArray[np.float64]) -> tuple[Bounded, NDArray[np.float64]]:
         basis = self._basis
-        rows, columns = looks(basis.block)
-        gray = gray_levels(replicates[:, ::rows, ::columns] * basis.exposure_of_radiance, basis.sensor)
-        noise, samples = noise_of(gray, basis.block)
+        rows, columns = steps = (1, 1) if basis.every_pixel else looks(basis.block)
+        seen = np.maximum(replicates[:, ::rows, ::columns], 0.0)
+        gray = gray_levels(seen * basis.exposure_of_radiance, basis.sensor)
+        noise, samples = noise_of(gray, basis.block, steps)
         if not grid.size:
             return noise, samples
         at = replicates.reshape(len(replicates), -1)[:, basis.grid_pixels]

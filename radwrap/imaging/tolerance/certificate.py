@@ -18,10 +18,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.imaging.methods.kernel import layer_shares
+from radwrap.imaging.methods.pairs import paired
 from radwrap.imaging.methods.rays import rays_over, sampled_radiance
-from radwrap.imaging.optics.falloff import opening_shares
-from radwrap.imaging.optics.view import View, trace_rays
+from radwrap.imaging.optics.view import View
 from radwrap.imaging.response.sensor import GrayWhereAsked, gray_levels
 from radwrap.imaging.tolerance.bounds import Bounded, mean_squares, resampling
 from radwrap.kept import Kept, of_kept
@@ -98,7 +97,7 @@ class PixelSample:
     stratum : ndarray of int
         Of each.
     shares : ndarray of float
-        Share of each stratum in the image.
+        Share of each stratum in the image; where their sum is below 1, the rest has no such error.
     pairs : ndarray of int
         Pairs of rays that each gets where a kernel's model is held against rays; empty where that is not done.
     """
@@ -128,6 +127,7 @@ def draw_pixels(
     *,
     risky: NDArray[np.bool_] | None = None,
     pairs: tuple[int, int] = (0, 0),
+    exact: NDArray[np.bool_] | None = None,
 ) -> PixelSample:
     """Draw pixels, more where gray changes, and more where they are risky; all where there are not more than `count`.
 
@@ -143,6 +143,8 @@ def draw_pixels(
         Pixels that form strata of their own.
     pairs : tuple of int
         Pairs of rays for each pixel, and for each risky one.
+    exact : ndarray of bool, shape (rows, columns), optional
+        Pixels without the error that is looked for: none is drawn.
     """
     number = math.prod(gray.shape)
     random = generator(*seed)
@@ -150,6 +152,9 @@ def draw_pixels(
         gray = gray.whole  # each is asked for five times
     # Of a large image some pixels, drawn evenly, stand for all.
     drawn = random.choice(number, min(number, _LOOKED_AT), replace=False, shuffle=False)
+    looked_at = len(drawn)
+    if exact is not None:
+        drawn = drawn[~exact.ravel()[drawn]]
     apart = np.zeros(len(drawn), dtype=bool) if risky is None else risky.ravel()[drawn]
     part_apart = 1.0 if apart.all() else min(_RISKY_SHARE, _RISKY_TIMES * float(apart.mean()))
     groups = [(drawn[~apart], _STRATA, 1 - part_apart), (drawn[apart], _RISKY_STRATA, part_apart)]
@@ -164,9 +169,9 @@ def draw_pixels(
                 chosen.append(random.choice(order[first:last], size, replace=False))
                 sizes.append(last - first)
     stratum = np.repeat(np.arange(len(chosen)), [len(pixels) for pixels in chosen])
-    pixels = np.concatenate(chosen)
+    pixels = np.concatenate([np.zeros(0, dtype=np.intp), *chosen])
     numbers = np.full(len(pixels), pairs[0]) if risky is None else np.where(risky.ravel()[pixels], pairs[1], pairs[0])
-    return PixelSample(pixels, stratum, np.array(sizes) / len(drawn), numbers)
+    return PixelSample(pixels, stratum, np.array(sizes) / looked_at, numbers)
 
 
 def _change(gray: NDArray[np.float64] | GrayWhereAsked, pixels: NDArray[np.intp]) -> NDArray[np.float64]:
@@ -260,6 +265,8 @@ def model_lacks(
     rays : int
         How many were traced.
     """
+    if not len(sample.pixels):
+        return np.zeros((2, 0)), 0
     # Both halves of all parts in one call, which the workers share.
     numbers = np.unique(sample.pairs).tolist()
     parts = [np.flatnonzero(sample.pairs == pairs) for pairs in numbers]
@@ -268,7 +275,7 @@ def model_lacks(
         u, v = places_of(np.tile(sample.pixels[part], 2), view.camera.sensor.columns)
         drawn.append(rays_over(view.camera, u, v, pairs, generator(*seed, pairs)))
     opening, places_u, places_v = (np.concatenate(arrays) for arrays in zip(*drawn, strict=True))
-    differences = _pair_differences(view, layers, opening, places_u, places_v)
+    differences = paired(view, layers, opening, places_u, places_v)[1]
     lead = differences.shape[:-1]
     lacks = np.empty((*lead, 2, len(sample.pixels)))
     ends = np.cumsum([len(u) for _, u, _ in drawn])[:-1]
@@ -280,30 +287,6 @@ def model_lacks(
 def rays_of_lacks(layers: tuple[float, ...], pairs: int) -> int:
     """How many rays `model_lacks` takes, by the sum of all pixels' pairs."""
     return 2 * (1 + len(layers)) * pairs
-
-
-def _pair_differences(
-    view: View,
-    layers: tuple[float, ...],
-    opening: NDArray[np.float64],
-    u: NDArray[np.float64],
-    v: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Value of each ray less what the kernel takes in its place, shape (n,)."""
-    camera = view.camera
-    difference = trace_rays(view, opening, u, v, alone=True)[0].copy()
-    shares = opening_shares(camera, opening)
-    for number, layer in enumerate(layers):
-        central, magnification = trace_rays(
-            view,
-            None,
-            u + layer * opening[:, 0] / camera.sensor.pixel_width,
-            v + layer * opening[:, 1] / camera.sensor.pixel_height,
-            with_depth=len(layers) > 1,
-            alone=True,
-        )
-        difference -= central * shares * layer_shares(layers, magnification)[number]
-    return difference
 
 
 def independent_errors(

@@ -11,16 +11,15 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.imaging.demand import FEWEST, Demand, SamplingPlan, ToleranceMethod
-from radwrap.imaging.methods.kernel import KernelPlan, plan_kernel
-from radwrap.imaging.methods.rays import RaysPlan, plan_rays
+from radwrap.imaging.demand import Demand, SamplingPlan, ToleranceMethod
+from radwrap.imaging.methods.depth_steps import steps
+from radwrap.imaging.methods.kernel import KernelPlan
 from radwrap.imaging.optics.smooth import SmoothField
-from radwrap.imaging.optics.view import View
 from radwrap.imaging.response.sensor import GrayWhereAsked
 from radwrap.imaging.tolerance.bounds import NOTHING, Bounded
 from radwrap.imaging.tolerance.certificate import (
@@ -32,36 +31,29 @@ from radwrap.imaging.tolerance.certificate import (
     rays_of_lacks,
     root,
 )
-from radwrap.imaging.tolerance.replicates import (
-    Replicates,
-    TooManyRays,
-    Work,
-    discretisation,
-    replicates_needed,
-    trace_replicates,
+from radwrap.imaging.tolerance.corrected_replicates import trace_plan
+from radwrap.imaging.tolerance.plans import (
+    COARSE_TOLERANCE,
+    MODEL_SHARE,
+    NEGLIGIBLE_SHARE,
+    RISK_SHARE,
+    Plans,
+    choose,
+    kernel_of,
+    method_of,
 )
+from radwrap.imaging.tolerance.replicates import Plan, Replicates, TooManyRays, Work, discretisation
 from radwrap.imaging.tolerance.search_record import Attempt, GivenUp, SearchRecord
 from radwrap.imaging.tolerance.survey import (
     AIM_SHARE,
-    Survey,
-    met_by,
-    middle_of,
-    predicted_rays,
-    steps,
     survey,
     with_smooth_blocks,
 )
 from radwrap.kept import of_kept
-from radwrap.manifest import finite, sha256_of_value
+from radwrap.manifest import sha256_of_value
 from radwrap.random_streams import Rendering
 from radwrap.tracers.timed import OutOfTime, TimedTracer
 
-# What costs less than this share of the tolerance is left out: errors add as squares, so it takes 5 % of the tolerance.
-NEGLIGIBLE_SHARE: Final = 0.3
-# Where the model's error takes more than this share of the tolerance, rays are asked instead.
-MODEL_SHARE: Final = 0.85
-# Pixels where that may reach this share of the tolerance are looked at apart.
-RISK_SHARE: Final = 0.1
 _ATTEMPTS: Final = 8
 # By what the fewest rays of a pixel grow from one attempt by rays to the next, and where that ends.
 _MORE: Final = 4
@@ -74,44 +66,11 @@ _SHORTEST: Final = 1e-3  # s; a clock may stand still
 # Where the size of the grid's cells takes more than this share of the tolerance they are halved, so often at most.
 _GRID_SHARE: Final = 0.5
 _FINEST: Final = 2
-# Below this tolerance the usual cells are too coarse at any contrast that matters, and so are the fewest pairs: an edge
-# of 100 gray that is shifted by 0.2 differs in one of 500 [gray level].
-_COARSE_TOLERANCE: Final = 0.25
 # Pixels of the model's certificate, and pairs of each: where depth is even, and near steps; tried in turn.
 EFFORTS: Final = ((512, 4, 16), (1024, 8, 32), (1024, 16, 128), (2048, 64, 1024))
 # A 99 % quantile without an exceedance among so many: 97.5 % sure of each half's 99.5 %.
 _QUANTILE_PIXELS: Final = 1024
 _QUANTILE: Final = 0.995
-
-
-@dataclass(frozen=True, slots=True)
-class Choice:
-    """What a survey advises.
-
-    Attributes
-    ----------
-    method : str
-        "kernel" or "rays".
-    why : str
-        The reason.
-    one_layer : bool
-        Whether the spread of depths is left out.
-    model : Bounded
-        Mean square error of that kernel's model [gray level^2].
-    expected_rays : Mapping[str, int or None]
-        What each method is expected to take; None where it cannot be used.
-    """
-
-    method: ToleranceMethod
-    why: str
-    one_layer: bool
-    model: Bounded
-    expected_rays: Mapping[str, int | None]
-
-    def as_manifest(self) -> dict[str, Any]:
-        """What is expected, before an image is made."""
-        known = {key: value for key, value in self.expected_rays.items() if value is not None}
-        return {"expected_rays": known, "expected_model_rms_gray": finite(root(self.model.mean))}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,12 +88,12 @@ class Outcome:
     met : bool
         Whether it keeps the tolerance.
     method : str
-        "kernel" or "rays".
+        "kernel", "rays" or "hybrid".
     record : SearchRecord
         Why this method, what was tried.
     reused : int
         Pieces that were found on the disk.
-    ray_plan : KernelPlan or RaysPlan
+    ray_plan : KernelPlan, RaysPlan or HybridPlan
         What was traced.
     sample : PixelSample or None
         Pixels of the model's certificate.
@@ -149,30 +108,9 @@ class Outcome:
     method: ToleranceMethod
     record: SearchRecord
     reused: int
-    ray_plan: KernelPlan | RaysPlan
+    ray_plan: Plan
     sample: PixelSample | None
     smooth: SmoothField | None
-
-
-def choose(view: View, found: Survey, demand: Demand) -> Choice:
-    """Pick the cheapest method whose model is expected to hold."""
-    one_layer = root(found.one_layer.upper) <= NEGLIGIBLE_SHARE * demand.tolerance
-    model = found.one_layer if one_layer else found.model
-    rays, kernel = (
-        math.ceil(value) if math.isfinite(value) else None for value in predicted_rays(view, found, demand.tolerance)
-    )
-    method: ToleranceMethod = "rays"
-    if demand.method is not None:
-        method, why = demand.method, "asked for"
-    elif kernel is None or math.isinf(model.mean):
-        why = "the scene is too deep for one central image"
-    elif root(model.mean) > MODEL_SHARE * demand.tolerance:
-        why = f"the kernel's model may be off by {root(model.mean):.3g} gray rms"
-    elif rays is not None and rays < kernel:
-        why = "fewer rays are expected than for the kernel"
-    else:
-        method, why = "kernel", "fewest rays are expected, and its model holds"
-    return Choice(method, why, one_layer, model, {"kernel": kernel, "rays": rays})
 
 
 def render_to_tolerance(work: Work, demand: Demand, before: Callable[[Search], None] | None = None) -> Outcome:
@@ -205,24 +143,27 @@ class Search:
         )
         self.view = with_smooth_blocks(work.view, self.found, demand.tolerance)
         self.work = replace(work, view=self.view)
-        self.spent = self.found.rays + (self.view.smooth.rays if self.view.smooth else 0)
-        self.choice = choose(self.view, self.found, demand)
+        self.traced_rays = self.found.rays + (self.view.smooth.rays if self.view.smooth else 0)
+        self.plans = Plans(self.view, self.found, demand, work.seed)
+        self.choice = choose(self.plans)
         work.progress.expect(self.choice.expected_rays[self.choice.method] or 1)
         self.attempts: list[Attempt] = []
         self.reused = 0
-        fine = demand.tolerance < _COARSE_TOLERANCE
-        self.finer = 1 if fine else 0
-        self.effort = 1 if fine or demand.max_error is not None else 0
-        self.one_layer = self.choice.one_layer
-        self.fewest = FEWEST
+        self.effort = 1 if demand.tolerance < COARSE_TOLERANCE or demand.max_error is not None else 0
         self.last_model = NOTHING
         self.was_over = False
+        self.counted: set[str] = set()
         self.pairs: dict[int, int] = {}  # of rays that a certificate took, by its effort
+
+    @property
+    def spent(self) -> int:
+        """Rays until now."""
+        return self.traced_rays + self.plans.rays
 
     def run(self) -> Outcome:
         """Try until one image keeps the tolerance, or the budget is spent."""
         method, why = self.choice.method, self.choice.why
-        aim = self._affordable(method, self._first_aim(method))
+        aim = self._affordable(method, self.plans.first_aim(method))
         best: Outcome | None = None
         given_up: GivenUp | None = None
         if aim < _COARSE_AIM:
@@ -236,15 +177,18 @@ class Search:
                     break
                 # Some image there must be: the coarsest, whatever it takes.
                 self._limit_time(math.inf)
-                aim, self.finer, self.effort = _COARSE_AIM, 0, 0
+                aim, self.plans.finer, self.effort = _COARSE_AIM, 0, 0
                 continue
             except TooManyRays as found:
                 given_up = "out of rays"
-                self.spent += found.decided
+                self._count(found.parts, sum(found.parts.values()))
                 if best is not None:
                     break
+                if method == "hybrid" and self.was_over and self.demand.method is None:
+                    method, why = "kernel", "its corrections take more rays than are left"
+                    continue
                 aim = self._coarser(method, aim, found.whole)
-                self.finer, self.effort = 0, 0
+                self.plans.finer, self.effort = 0, 0
                 continue
             self._limit_time(1.0)
             if best is None or self._rank(outcome) < self._rank(best):
@@ -255,10 +199,10 @@ class Search:
         assert best is not None  # noqa: S101  (the loop ran)
         return replace(best, record=self.recorded(best.record, given_up=given_up))
 
-    def first_plan(self, method: ToleranceMethod | None = None) -> tuple[KernelPlan | RaysPlan, int]:
+    def first_plan(self, method: ToleranceMethod | None = None) -> tuple[Plan, int]:
         """What is tried first, or first by a method, and how many replicates of it."""
         method = method or self.choice.method
-        return self._planned(method, self._affordable(method, self._first_aim(method)))
+        return self.plans.planned(method, self._affordable(method, self.plans.first_aim(method)))
 
     def recorded(
         self, record: SearchRecord, *, given_up: GivenUp | None = None, sampling: SamplingPlan | None = None
@@ -266,17 +210,19 @@ class Search:
         """An image's record, with all that was tried until now."""
         return replace(record, attempts=tuple(self.attempts), rays=self.spent, given_up=given_up, sampling=sampling)
 
+    def _count(self, parts: Mapping[str, int], rays: int) -> int:
+        """Count rays, but for those of parts that were counted already; gives how many they are."""
+        new = rays - sum(number for name, number in parts.items() if name in self.counted)
+        self.counted.update(parts)
+        self.traced_rays += new
+        return new
+
     def _limit_time(self, share: float) -> None:
         """Let what comes next be given up after a share of a budget of time."""
         deadline = self.start + share * self.demand.budget.seconds
         tracer = self.tracer if math.isinf(deadline) else TimedTracer(self.tracer, deadline)
-        self.view = replace(self.view, tracer=tracer)
+        self.view = self.plans.view = replace(self.view, tracer=tracer)
         self.work = replace(self.work, view=self.view)
-
-    def _forecast(self, method: ToleranceMethod, aim: float) -> float:
-        """Rays that are expected for an aim."""
-        rays, kernel = predicted_rays(self.view, self.found, aim / AIM_SHARE, self.finer)
-        return rays if method == "rays" else kernel
 
     def _rank(self, outcome: Outcome) -> float:
         """How many times what is asked for an image is off; the least is the best, and below 1 one that meets it."""
@@ -287,33 +233,22 @@ class Search:
         quantile = math.inf if found.p99_gray_upper95 is None else found.p99_gray_upper95
         return max(off, quantile / demand.max_error)
 
-    @property
-    def model(self) -> Bounded:
-        """Mean square error of the kernel that is planned [gray level^2]."""
-        return self.found.one_layer if self.one_layer else self.found.model
-
-    def _first_aim(self, method: ToleranceMethod) -> float:
-        """Rms error of the result to aim at."""
-        model = max(self.model.mean, 0.0) if method == "kernel" else 0.0
-        left = self.demand.tolerance**2 - (model if math.isfinite(model) else 0.0)
-        return AIM_SHARE * math.sqrt(max(left, (0.3 * self.demand.tolerance) ** 2))
-
     def _affordable(self, method: ToleranceMethod, aim: float) -> float:
         """The aim, or a larger one that is expected to stay within the budget."""
         budget = min(self.demand.budget.rays - self.spent, self._rays_in_time())
-        if self._forecast(method, aim) > budget:
-            self.finer, self.effort = 0, 0
+        if self.plans.forecast(method, aim) > budget:
+            self.plans.finer, self.effort = 0, 0
         # From some aim on, an image takes no fewer rays.
-        fewest = self._forecast(method, aim * 2**_HALVINGS)
-        while self._forecast(method, aim) > max(budget, fewest):
+        fewest = self.plans.forecast(method, aim * 2**_HALVINGS)
+        while self.plans.forecast(method, aim) > max(budget, fewest):
             aim *= 2
         return aim
 
     def _coarser(self, method: ToleranceMethod, aim: float, whole: int) -> float:
         """What to aim at once a plan needs more rays than are left: by its share of the forecast, then the coarsest."""
-        often = whole / self._forecast(method, aim)
+        often = whole / self.plans.forecast(method, aim)
         left = self.demand.budget.rays - self.spent
-        while aim < _COARSE_AIM and (self.was_over or often * self._forecast(method, aim) > left):
+        while aim < _COARSE_AIM and (self.was_over or often * self.plans.forecast(method, aim) > left):
             aim *= 2
         self.was_over = True
         return aim
@@ -326,30 +261,18 @@ class Search:
         left = max(self.demand.budget.seconds - elapsed, 0.0)
         return _TRACED_SHARE * left * self.found.rays / max(elapsed, _SHORTEST)
 
-    def _plan(self, method: ToleranceMethod, aim: float) -> KernelPlan | RaysPlan:
-        if method == "rays":
-            return plan_rays(self.view, aim, self.fewest)
-        met = met_by(self.view, self.found.magnification)
-        return plan_kernel(self.view, middle_of(met) if self.one_layer else met, aim, self.finer)
-
-    def _planned(self, method: ToleranceMethod, aim: float) -> tuple[KernelPlan | RaysPlan, int]:
-        number = replicates_needed(self._plan(method, aim))
-        return self._plan(method, aim * math.sqrt(number)), number
-
     def _attempt(self, method: ToleranceMethod, aim: float, why: str) -> Outcome:
-        plan, number = self._planned(method, aim)
+        plan, number = self.plans.planned(method, aim)
         # Some image there must be: the coarsest may take what it takes.
         most = self.demand.budget.rays - self.spent - self._certificate_rays(plan) if aim < _COARSE_AIM else math.inf
         return self.made(plan, number, why, aim=aim, most=most)
 
-    def made(
-        self, plan: KernelPlan | RaysPlan, number: int, why: str, *, aim: float | None = None, most: float = math.inf
-    ) -> Outcome:
+    def made(self, plan: Plan, number: int, why: str, *, aim: float | None = None, most: float = math.inf) -> Outcome:
         """The image by a plan, with its certificate."""
-        method: ToleranceMethod = "kernel" if isinstance(plan, KernelPlan) else "rays"
-        replicates = trace_replicates(self.work, plan, number, most)
+        replicates = trace_plan(self.work, plan, number, most)
         self.reused += replicates.reused
-        self.spent += replicates.rays
+        rays = self._count(replicates.parts, replicates.rays)
+        method, kernel = method_of(plan), kernel_of(plan)
         radiance = replicates.mean
         certificate, sample = self._certify(plan, replicates, radiance)
         self.attempts.append(
@@ -357,7 +280,7 @@ class Search:
                 method=method,
                 aim_gray=aim,
                 replicates=number,
-                rays=replicates.rays,
+                rays=rays,
                 rms_gray_upper95=certificate.rms_gray_upper95,
                 p99_gray_upper95=certificate.p99_gray_upper95,
             )
@@ -374,9 +297,9 @@ class Search:
                 why=why,
                 **self.choice.as_manifest(),
                 one_layer_rms_gray=root(self.found.one_layer.mean),
-                layers=len(plan.layers) if isinstance(plan, KernelPlan) else None,
-                base_cell_px=plan.grid.base if isinstance(plan, KernelPlan) else None,
-                grid_cell_px=plan.grid.cell if isinstance(plan, KernelPlan) else None,
+                layers=len(kernel.layers) if kernel else None,
+                base_cell_px=kernel.grid.base if kernel else None,
+                grid_cell_px=kernel.grid.cell if kernel else None,
                 met=met,
                 reproducible=math.isinf(self.demand.budget.seconds),
             ),
@@ -387,29 +310,32 @@ class Search:
         )
 
     def _certify(
-        self, plan: KernelPlan | RaysPlan, replicates: Replicates, radiance: NDArray[np.float64]
+        self, plan: Plan, replicates: Replicates, radiance: NDArray[np.float64]
     ) -> tuple[Certificate, PixelSample | None]:
-        view, seed = self.view, self.work.seed
+        view, seed, kernel = self.view, self.work.seed, kernel_of(plan)
         noise, errors = discretisation(view, replicates)
-        if isinstance(plan, KernelPlan) and plan.grid.smooth and view.smooth is not None:
+        if kernel is not None and kernel.grid.smooth and view.smooth is not None:
             noise += Bounded(view.smooth.square, view.smooth.square)
-        if isinstance(plan, RaysPlan) or view.camera.aperture.is_infinitesimal:
+        if isinstance(plan, KernelPlan):
+            self.plans.kernel = plan, len(replicates.images), noise
+        if kernel is None or view.camera.aperture.is_infinitesimal:
             quantile = noise_quantile(errors, noise) if self.demand.max_error is not None else None
             return certificate_of(NOTHING, noise, quantile, pixels=0, rays=0), None
         gray = GrayWhereAsked(radiance, view.exposure_of_radiance, view.camera.sensor)
-        risky = steps(view, self.found.magnification, gray, RISK_SHARE * self.demand.tolerance)
+        risky = steps(view.camera, self.found.magnification, gray, RISK_SHARE * self.demand.tolerance)
         for effort in range(self.effort, len(EFFORTS)):
             pixels, pairs = self._pixels_and_pairs(effort)
-            drawn = draw_pixels(gray, pixels, (seed, Rendering.MODEL_PIXELS, effort), risky=risky, pairs=pairs)
+            key = (seed, Rendering.MODEL_PIXELS, effort)
+            drawn = draw_pixels(gray, pixels, key, risky=risky, pairs=pairs, exact=replicates.own_rays)
             all_pairs = int(drawn.pairs.sum())
             # The first must be, whatever it takes.
-            if effort > self.effort and self.spent + rays_of_lacks(plan.layers, all_pairs) > self.demand.budget.rays:
+            if effort > self.effort and self.spent + rays_of_lacks(kernel.layers, all_pairs) > self.demand.budget.rays:
                 break
             self.effort, sample = effort, drawn
             self.pairs[effort] = all_pairs
             at = radiance.ravel()[sample.pixels]
-            found = model_errors(view, plan.layers, sample, at, seed=(seed, Rendering.MODEL_RAYS, effort))
-            self.spent += found.rays
+            found = model_errors(view, kernel.layers, sample, at, seed=(seed, Rendering.MODEL_RAYS, effort))
+            self.traced_rays += found.rays
             model = found.mean_square(sample, (seed, Rendering.MODEL_RESAMPLES, effort), self.work.kept)
             wanted = self.demand.tolerance**2
             enough = model.upper + noise.upper <= wanted or max(model.mean, 0.0) + noise.mean > wanted
@@ -426,13 +352,14 @@ class Search:
         pixels, *pairs = EFFORTS[effort]
         return pixels if self.demand.max_error is None else max(pixels, _QUANTILE_PIXELS), (pairs[0], pairs[1])
 
-    def _certificate_rays(self, plan: KernelPlan | RaysPlan) -> int:
+    def _certificate_rays(self, plan: Plan) -> int:
         """What a certificate takes as the last one did, or the fewest where there was none."""
-        if isinstance(plan, RaysPlan) or plan.camera.aperture.is_infinitesimal:
+        kernel = kernel_of(plan)
+        if kernel is None or plan.camera.aperture.is_infinitesimal:
             return 0
         pixels, (even, _) = self._pixels_and_pairs(self.effort)
         pairs = self.pairs.get(self.effort, even * min(pixels, plan.camera.sensor.pixels))
-        return rays_of_lacks(plan.layers, pairs)
+        return rays_of_lacks(kernel.layers, pairs)
 
     def _is_spent(self, outcome: Outcome) -> bool:
         """Whether another attempt, which takes about twice the rays at least, would pass the budget."""
@@ -447,23 +374,59 @@ class Search:
         certificate, wanted = outcome.certificate, self.demand.tolerance
         if outcome.method == "rays":
             # Rays that decide may all have missed what a pixel sees: it then stays at the fewest, whatever the aim.
-            self.fewest = min(_MORE * self.fewest, _MOST_FEWEST)
+            self.plans.fewest = min(_MORE * self.plans.fewest, _MOST_FEWEST)
             return "rays", aim / 2, why
         grid = math.sqrt(outcome.replicates.grid_square)
-        if grid > _GRID_SHARE * wanted and self.finer < _FINEST:
-            self.finer += 1
-            return "kernel", aim, why
+        coarse = grid > _GRID_SHARE * wanted and self.plans.finer < _FINEST
+        model_fails = certificate.model_rms_gray > MODEL_SHARE * wanted
+        if coarse:
+            self.plans.finer += 1
+            self.plans.kernel = None
+            if not model_fails:
+                return outcome.method, aim, why
         rest = root(self.last_model.upper)
-        if self.one_layer and rest > NEGLIGIBLE_SHARE * wanted and math.isfinite(self.found.model.mean):
-            self.one_layer = False
+        if outcome.method == "hybrid":
+            return self._after_hybrid(certificate, aim, why)
+        if self.plans.one_layer and rest > NEGLIGIBLE_SHARE * wanted and math.isfinite(self.found.model.mean):
+            self.plans.one_layer = False
             return "kernel", aim, "depths differ more than the survey saw"
-        stuck = certificate.model_rms_gray > MODEL_SHARE * wanted or rest > wanted or grid > _GRID_SHARE * wanted
+        if self.demand.method is None and (model_fails or rest > wanted):
+            return self.instead_of_kernel()
         tried = [attempt.rays for attempt in self.attempts[-2:] if attempt.method == "kernel"]
-        stuck = stuck or (len(tried) == 2 and tried[0] == tried[1])  # a smaller aim changes nothing
+        # A smaller aim changes nothing, or the cells are as small as they may be.
+        stuck = (len(tried) == 2 and tried[0] == tried[1]) or (grid > _GRID_SHARE * wanted and not coarse)
         if self.demand.method is None and (stuck or aim < wanted * AIM_SHARE / 4):
-            aim = self._affordable("rays", self._first_aim("rays"))
+            aim = self._affordable("rays", self.plans.first_aim("rays"))
             return "rays", aim, "the kernel's certificate did not hold"
         return "kernel", aim / 2, why
+
+    def instead_of_kernel(self) -> tuple[ToleranceMethod, float, str]:
+        """The cheaper of what is left once a kernel's model was seen to fail."""
+        methods: list[ToleranceMethod] = ["rays", "hybrid"]
+        aims = {method: self.plans.first_aim(method) for method in methods}
+        best = min(methods, key=lambda method: self.plans.forecast(method, aims[method]))
+        return best, self._affordable(best, aims[best]), "the kernel's certificate did not hold"
+
+    def _after_hybrid(self, certificate: Certificate, aim: float, why: str) -> tuple[ToleranceMethod, float, str]:
+        """What to try after a kernel that was corrected in vain."""
+        if certificate.model_rms_gray <= MODEL_SHARE * self.demand.tolerance and not (
+            root(self.last_model.upper) > self.demand.tolerance
+        ):
+            self.plans.fewest = min(_MORE * self.plans.fewest, _MOST_FEWEST)
+            return "hybrid", aim / 2, why
+        if self.plans.everywhere and self.demand.method is not None:
+            return "hybrid", aim / 2, why
+        if self.plans.everywhere:
+            return (
+                "rays",
+                self._affordable("rays", self.plans.first_aim("rays")),
+                "pilot pairs missed what the kernel lacks",
+            )
+        self.plans.everywhere = True
+        if self.demand.method is not None:
+            return "hybrid", aim, why
+        method, aim, _ = self.instead_of_kernel()
+        return method, aim, "the kernel's model fails away from steps in depth too"
 
 
 def certificate_of(model: Bounded, noise: Bounded, quantile: float | None, *, pixels: int, rays: int) -> Certificate:

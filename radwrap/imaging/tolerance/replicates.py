@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import EnvironmentFailure
 from radwrap.imaging.methods.central import Cells, central_rays
+from radwrap.imaging.methods.hybrid import HybridPlan
 from radwrap.imaging.methods.kernel import KernelPlan, decide_tile, gathered_tile, grid_squares, smooth_share
 from radwrap.imaging.methods.pieces import Pieces, log_call, remove_halves, run_jobs
 from radwrap.imaging.methods.rays import RaysPlan, traced_tile
@@ -26,7 +27,8 @@ from radwrap.process import Programs
 from radwrap.progress import Progress
 from radwrap.random_streams import Rendering
 
-Plan = KernelPlan | RaysPlan
+PurePlan = KernelPlan | RaysPlan
+Plan = PurePlan | HybridPlan
 _LOOKS: Final = 8
 _HANGS_TOGETHER: Final = 1.2
 # Degrees of freedom that are asked for: the bound is then a third above the error at most.
@@ -52,6 +54,12 @@ class Replicates:
         Rows and columns over which errors hang together [px].
     change : ndarray, shape (rows, columns), optional
         What the size of the kernel's cells may add to each pixel of the mean [W m^-2 sr^-1]; of an even plan.
+    own_rays : ndarray of bool, shape (rows, columns), optional
+        Pixels whose values have no part of the kernel's model, where a hybrid made the image.
+    uncorrected : ndarray, shape (replicates, rows, columns), optional
+        A hybrid's images without corrections, whose errors alone hang together over blocks.
+    parts : Mapping[str, int]
+        Rays of what other plans may have in common with this one, by its name.
     smooth_share : float
         Part of that change which is left in what is measured over many pixels, see `kernel.smooth_share`.
     """
@@ -62,13 +70,16 @@ class Replicates:
     reused: int
     block: tuple[int, int]
     change: NDArray[np.float64] | None = None
+    own_rays: NDArray[np.bool_] | None = None
+    uncorrected: NDArray[np.float32] | None = None
+    parts: Mapping[str, int] = field(default_factory=dict)
     smooth_share: float = 1.0
 
     @property
     def mean(self) -> NDArray[np.float64]:
-        """The result."""
+        """The result; noise of a correction may take light where there is none below zero."""
         mean: NDArray[np.float64] = self.images.mean(axis=0, dtype=np.float64)
-        return mean
+        return mean if self.own_rays is None else np.maximum(mean, 0.0, out=mean)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,18 +121,18 @@ class TooManyRays(Exception):
 
     Attributes
     ----------
-    decided : int
-        Rays that were traced to find that out.
+    parts : Mapping[str, int]
+        Rays that were traced to find that out, as of `Replicates`.
     whole : int
         Rays that it needs, those included.
     """
 
-    def __init__(self, decided: int, whole: int) -> None:
-        super().__init__(decided, whole)
-        self.decided, self.whole = decided, whole
+    def __init__(self, parts: Mapping[str, int], whole: int) -> None:
+        super().__init__(parts, whole)
+        self.parts, self.whole = parts, whole
 
 
-def trace_replicates(work: Work, plan: Plan, number: int, most: float = math.inf) -> Replicates:
+def trace_replicates(work: Work, plan: PurePlan, number: int, most: float = math.inf) -> Replicates:
     """Trace so many replicates, tile by tile; pieces that are finished are not traced again.
 
     Raises
@@ -131,11 +142,11 @@ def trace_replicates(work: Work, plan: Plan, number: int, most: float = math.inf
     TracerError, EnvironmentFailure
         If the tracer or the disk fails.
     """
-    name = _plan_name(work, plan)
+    name = plan_name(work, plan)
     tiles = range(len(plan.tiles))
-    shared = _among(work, len(tiles))
+    shared = among(work, len(tiles))
     decided = [_CellsPiece(shared, plan, name, tile) for tile in tiles] if isinstance(plan, KernelPlan) else []
-    shared = _among(work, number * len(tiles))
+    shared = among(work, number * len(tiles))
     pieces = [_TilePiece(shared, plan, name, replicate, tile) for replicate in range(number) for tile in tiles]
     # Pieces of earlier plans stay: a search that is killed goes through them again.
     remove_halves(work.folder)
@@ -173,7 +184,7 @@ def trace_replicates(work: Work, plan: Plan, number: int, most: float = math.inf
         taken = sum(one.rays for one in cells)
         whole = taken + number * sum(central_rays(plan.grid, one) for one in cells)
         if whole > most:
-            raise TooManyRays(taken, whole)
+            raise TooManyRays({f"cells of {name}": taken}, whole)
     run_jobs([partial(make, piece) for piece in due], work.programs, work.view.workers)
     grid_square, rays = 0.0, 0
     for piece in pieces:
@@ -182,7 +193,7 @@ def trace_replicates(work: Work, plan: Plan, number: int, most: float = math.inf
         grid_square += float(told[piece]["grid_square"]) * (r1 - r0) * (c1 - c0) / images.size
         if change is not None:  # in the order of the pieces, whoever was finished first
             change[r0:r1, c0:c1] += changes[piece].astype(np.float64) / number
-    made = Replicates(images, grid_square, rays, len(pieces) - len(due), block_of(plan), change)
+    made = Replicates(images, grid_square, rays, len(pieces) - len(due), block_of(plan), change, parts={name: rays})
     if change is None:
         return made
     # What replicates have in common, without the noise of each.
@@ -191,18 +202,18 @@ def trace_replicates(work: Work, plan: Plan, number: int, most: float = math.inf
     return replace(made, grid_square=float(squares.mean()), smooth_share=share)
 
 
-def decide_tiles(work: Work, plan: Plan) -> None:
+def decide_tiles(work: Work, plan: PurePlan) -> None:
     """Find the cells of each of a plan's tiles, which `make_tiles` then has."""
-    tiles, name = range(len(plan.tiles)), _plan_name(work, plan)
-    shared = _among(work, len(tiles))
+    tiles, name = range(len(plan.tiles)), plan_name(work, plan)
+    shared = among(work, len(tiles))
     if isinstance(plan, KernelPlan):
         run_jobs([_CellsPiece(shared, plan, name, tile).make for tile in tiles], work.programs, work.view.workers)
 
 
-def make_tiles(work: Work, plan: Plan, number: int) -> int:
+def make_tiles(work: Work, plan: PurePlan, number: int) -> int:
     """Make so many replicates of each of a plan's tiles, and no image of them; gives how many rays they took."""
-    tiles, name = range(len(plan.tiles)), _plan_name(work, plan)
-    shared = _among(work, number * len(tiles))
+    tiles, name = range(len(plan.tiles)), plan_name(work, plan)
+    shared = among(work, number * len(tiles))
     pieces = [_TilePiece(shared, plan, name, replicate, tile) for replicate in range(number) for tile in tiles]
     rays: list[int] = []
 
@@ -213,12 +224,12 @@ def make_tiles(work: Work, plan: Plan, number: int) -> int:
     return sum(rays)
 
 
-def _keeps_change(plan: Plan) -> bool:
+def _keeps_change(plan: PurePlan) -> bool:
     """Whether each piece holds, below its values, what the size of the kernel's cells changes."""
     return isinstance(plan, KernelPlan) and bool(plan.grid.even)
 
 
-def _among(work: Work, jobs: int) -> Work:
+def among(work: Work, jobs: int) -> Work:
     """The work of each of some jobs that run at a time: with its share of the workers."""
     return replace(work, view=replace(work.view, workers=max(1, work.view.workers // jobs)))
 
@@ -245,14 +256,14 @@ def replicates_needed(plan: Plan) -> int:
 class _TilePiece:
     """A tile of a replicate."""
 
-    def __init__(self, work: Work, plan: Plan, name: str, replicate: int, tile: int) -> None:
+    def __init__(self, work: Work, plan: PurePlan, name: str, replicate: int, tile: int) -> None:
         self.replicate, self.tile = replicate, tile
         self._file = f"piece_{name[:12]}_{replicate:03d}_{tile:05d}.exr"
         self._work, self._plan, self._name = work, plan, f"{name}-{replicate}-{tile}"
         self._whole = name
 
     def read(self) -> tuple[NDArray[np.float32], dict[str, str]] | None:
-        return _pieces(self._work).read(self._file, self._name)
+        return pieces_of(self._work).read(self._file, self._name)
 
     def make(self) -> tuple[NDArray[np.float32], Mapping[str, Any]]:
         """Make it, and give it as `read` does; the disk gave it back already when it was written."""
@@ -265,7 +276,7 @@ class _TilePiece:
         else:
             values, found = self._gathered(self._plan, seed)
         pixels = values.astype(np.float32)
-        _pieces(work).write(self._file, pixels, self._name, found)
+        pieces_of(work).write(self._file, pixels, self._name, found)
         return pixels, found
 
     def _gathered(self, plan: KernelPlan, seed: tuple[int, ...]) -> tuple[NDArray[np.float64], dict[str, Any]]:
@@ -290,7 +301,7 @@ class _CellsPiece:
         self._work, self._plan, self._name = work, plan, f"{name}-cells-{tile}"
 
     def read(self) -> tuple[NDArray[np.float32], dict[str, str]] | None:
-        return _pieces(self._work).read(self._file, self._name)
+        return pieces_of(self._work).read(self._file, self._name)
 
     def make(self) -> None:
         work = self._work
@@ -303,7 +314,7 @@ class _CellsPiece:
             "predicted_rms": repr(cells.predicted_rms),
             "rays": cells.rays,
         }
-        _pieces(work).write(self._file, cells.levels.astype(np.float32), self._name, told)
+        pieces_of(work).write(self._file, cells.levels.astype(np.float32), self._name, told)
 
     def cells(self) -> Cells:
         found = self.read()
@@ -322,17 +333,19 @@ class _CellsPiece:
 
 def tile_cells(work: Work, plan: KernelPlan, tile: int) -> Cells:
     """Cells of a tile of an image that was made; they are decided again where they are no longer on the disk."""
-    piece = _CellsPiece(work, plan, _plan_name(work, plan), tile)
+    piece = _CellsPiece(work, plan, plan_name(work, plan), tile)
     if piece.read() is None:
         piece.make()
     return piece.cells()
 
 
-def _pieces(work: Work) -> Pieces:
+def pieces_of(work: Work) -> Pieces:
+    """Where the pieces of a run are."""
     return Pieces(work.folder, in_memory=False) if work.pieces is None else work.pieces
 
 
-def _plan_name(work: Work, plan: Plan) -> str:
+def plan_name(work: Work, plan: Plan) -> str:
+    """What the pieces of a plan are known by."""
     return sha256_of_value({"scene": work.traced_sha256, "plan": plan, "seed": work.seed})
 
 
@@ -356,12 +369,21 @@ def discretisation(view: View, replicates: Replicates) -> tuple[Bounded, NDArray
     errors : ndarray, shape (replicates - 1, rows, columns)
         Each distributed as the error of the mean [gray level].
     """
-    rows, columns = looks(replicates.block)
-    radiance = replicates.images[:, ::rows, ::columns].astype(np.float64)
-    gray = gray_levels(radiance * view.exposure_of_radiance, view.camera.sensor)
-    noise, errors = noise_of(gray, replicates.block)
-    grid = replicates.grid_square
-    return noise + Bounded(grid, grid), errors
+    camera, block = view.camera, replicates.block
+
+    def noise(images: NDArray[np.float32], block: tuple[int, int]) -> tuple[Bounded, NDArray[np.float64]]:
+        rows, columns = looks(block)
+        radiance = np.maximum(images[:, ::rows, ::columns].astype(np.float64), 0.0)
+        return noise_of(gray_levels(radiance * view.exposure_of_radiance, camera.sensor), block, (rows, columns))
+
+    grid = Bounded(replicates.grid_square, replicates.grid_square)
+    if replicates.uncorrected is None:
+        found, errors = noise(replicates.images, block)
+        return found + grid, errors
+    # Corrections of different pixels are independent. Of the kernel's part fewer independent errors are seen.
+    found, errors = noise(replicates.images, (1, 1))
+    kernel, _ = noise(replicates.uncorrected, block)
+    return found + Bounded(0.0, kernel.upper - kernel.mean) + grid, errors
 
 
 def looks(block: tuple[int, int]) -> tuple[int, int]:
@@ -372,17 +394,21 @@ def looks(block: tuple[int, int]) -> tuple[int, int]:
     return max(1, block[0] // _LOOKS), max(1, block[1] // _LOOKS)
 
 
-def noise_of(gray: NDArray[np.float64], block: tuple[int, int]) -> tuple[Bounded, NDArray[np.float64]]:
+def noise_of(
+    gray: NDArray[np.float64], block: tuple[int, int], steps: tuple[int, int]
+) -> tuple[Bounded, NDArray[np.float64]]:
     """Mean square error of the mean of some replicates, and samples of it for each pixel that is looked at.
 
     Parameters
     ----------
     gray : ndarray, shape (replicates, rows, columns)
-        Gray levels at the pixels that `looks` tells.
+        Gray levels at the pixels that are looked at.
     block : tuple of int
         Rows and columns over which errors hang together [px].
+    steps : tuple of int
+        Between the rows and columns that are looked at [px], see `looks`; 1 where pixels have errors of their own.
     """
-    rows, columns = looks(block)
+    rows, columns = steps
     number = len(gray)
     # Helmert's contrasts: independent, each with the variance of the mean of all replicates.
     errors = np.stack([(gray[:k].mean(axis=0) - gray[k]) * math.sqrt(k / (k + 1) / number) for k in range(1, number)])

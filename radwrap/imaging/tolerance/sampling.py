@@ -25,7 +25,8 @@ from radwrap.imaging.methods.kernel import KernelPlan, plan_kernel
 from radwrap.imaging.methods.rays import MEAN_GAIN, ORDER, RaysPlan, plan_rays
 from radwrap.imaging.optics.view import View
 from radwrap.imaging.tolerance.certificate import root
-from radwrap.imaging.tolerance.planner import MODEL_SHARE, NEGLIGIBLE_SHARE, Outcome, Search, noise_quantile
+from radwrap.imaging.tolerance.planner import Outcome, Search, noise_quantile
+from radwrap.imaging.tolerance.plans import MODEL_SHARE, NEGLIGIBLE_SHARE
 from radwrap.imaging.tolerance.replicates import Replicates, Work, discretisation, trace_replicates
 from radwrap.imaging.tolerance.survey import AIM_SHARE, Survey, met_by, middle_of, survey
 

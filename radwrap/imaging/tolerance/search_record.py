@@ -20,7 +20,7 @@ class Attempt:
     Attributes
     ----------
     method : str
-        "kernel" or "rays".
+        "kernel", "rays" or "hybrid".
     aim_gray : float or None
         Rms error that was aimed at [gray level]; None where a plan was given.
     replicates : int
@@ -46,7 +46,7 @@ class SearchRecord:
     Attributes
     ----------
     method : str
-        "kernel" or "rays".
+        "kernel", "rays" or "hybrid".
     why : str
         Why this method.
     expected_rays : Mapping[str, int]
@@ -56,7 +56,7 @@ class SearchRecord:
     one_layer_rms_gray : float
         Error of a kernel of one layer that was expected [gray level].
     layers : int or None
-        Of the kernel.
+        Of the kernel, also of one that is corrected.
     base_cell_px, grid_cell_px : float or None
         Size of the kernel's coarsest and finest cells [px].
     met : bool

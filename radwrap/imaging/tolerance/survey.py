@@ -13,14 +13,13 @@ from radwrap.errors import InputError
 from radwrap.imaging.methods.kernel import plan_kernel
 from radwrap.imaging.methods.rays import ORDER, PILOT, gray_deviation, plan_rays, sampled_radiance
 from radwrap.imaging.methods.smooth_blocks import smooth_field
-from radwrap.imaging.optics.footprint import reach_px
 from radwrap.imaging.optics.smooth import BLOCK
 from radwrap.imaging.optics.view import View, magnifications_at
-from radwrap.imaging.response.sensor import GrayWhereAsked
 from radwrap.imaging.tolerance.bounds import NOTHING, Bounded, stratified_mean
 from radwrap.imaging.tolerance.certificate import PixelSample, model_errors, places_of
 from radwrap.imaging.tolerance.replicates import replicates_needed
 from radwrap.random_streams import Rendering, generator
+from radwrap.scene.camera import Sensor
 
 _SURVEY_SIDE: Final = 128  # rows and columns of the survey's grid of central rays, which are told distances alone
 _SURVEY_PIXELS: Final = 192
@@ -29,8 +28,6 @@ _SURVEY_PAIRS: Final = 4
 AIM_SHARE: Final = 0.75
 # Of fewer blocks most would lie at the image's edge, or at one of a part.
 _FEWEST_BLOCKS: Final = 100
-# A step in depth costs about this share of its difference in magnification and of the contrast (measured).
-_STEP_COST: Final = 0.32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,15 +58,8 @@ class Survey:
 def survey(view: View, seed: int) -> Survey:
     """Look at depths, at the kernel's model and at the spread of rays at a few pixels."""
     sensor = view.camera.sensor
-    rows, columns = (
-        (np.arange(n) + 0.5) / n * size - 0.5
-        for size, n in (
-            (sensor.rows, min(sensor.rows, _SURVEY_SIDE)),
-            (sensor.columns, min(sensor.columns, _SURVEY_SIDE)),
-        )
-    )
-    u, v = (grid.ravel() for grid in np.meshgrid(columns, rows))
-    magnification = magnifications_at(view, u, v).reshape(len(rows), len(columns))
+    shape = tuple(min(size, _SURVEY_SIDE) for size in (sensor.rows, sensor.columns))
+    magnification = magnifications_at(view, *surveyed_places(sensor)).reshape(shape)
     drawn = generator(seed, Rendering.SURVEYED_PIXELS).choice(
         sensor.pixels, min(sensor.pixels, _SURVEY_PIXELS), replace=False
     )
@@ -100,6 +90,19 @@ def survey(view: View, seed: int) -> Survey:
     return Survey(magnification, model, one_layer, deviations, rays)
 
 
+def surveyed_places(sensor: Sensor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Columns and rows of the survey's grid on the sensor [px], row by row."""
+    rows, columns = (
+        (np.arange(n) + 0.5) / n * size - 0.5
+        for size, n in (
+            (sensor.rows, min(sensor.rows, _SURVEY_SIDE)),
+            (sensor.columns, min(sensor.columns, _SURVEY_SIDE)),
+        )
+    )
+    u, v = np.meshgrid(columns, rows)
+    return u.ravel(), v.ravel()
+
+
 def with_smooth_blocks(view: View, found: Survey, tolerance: float) -> View:
     """The view with what is known of its smooth blocks, where a kernel's cells would be smaller than these."""
     if not math.isfinite(found.model.mean) or view.camera.sensor.pixels < _FEWEST_BLOCKS * BLOCK**2:
@@ -118,57 +121,6 @@ def met_by(view: View, magnification: NDArray[np.float64]) -> NDArray[np.float64
 def middle_of(magnification: NDArray[np.float64]) -> NDArray[np.float64]:
     """Their median alone, where there are any."""
     return np.median(magnification, keepdims=True) if magnification.size else magnification
-
-
-def steps(
-    view: View, magnification: NDArray[np.float64], gray: NDArray[np.float64] | GrayWhereAsked, least: float
-) -> NDArray[np.bool_]:
-    """Pixels, shape (rows, columns), that gather light across a step in depth that may matter.
-
-    Parameters
-    ----------
-    view : View
-        For its camera.
-    magnification : ndarray, shape (rows, columns)
-        Of the survey's grid.
-    gray : ndarray, shape (rows, columns)
-        The image [gray level].
-    least : float
-        Smallest error that matters [gray level].
-    """
-    places = [_nearest(size, n) for size, n in zip(gray.shape, magnification.shape, strict=True)]
-    seen = gray[np.ix_(*places)]
-    # Where a survey's point lies between pixels, a step hides by so much: the reach, and a point more.
-    reach = reach_px(view.camera, float(np.abs(magnification).max()))[::-1]
-    far = [
-        min(math.ceil(reach[axis] * n / size) + 1, n - 1)
-        for axis, (size, n) in enumerate(zip(gray.shape, magnification.shape, strict=True))
-    ]
-    cost = _STEP_COST * _range_nearby(magnification, far) * _range_nearby(seen, far)
-    back = [np.arange(size) * n // size for size, n in zip(gray.shape, magnification.shape, strict=True)]
-    wide: NDArray[np.bool_] = (cost > least)[np.ix_(*back)]
-    return wide
-
-
-def _nearest(size: int, number: int) -> NDArray[np.intp]:
-    """Pixels in the middle of `number` equal parts of `size`."""
-    return ((np.arange(number) + 0.5) / number * size).astype(np.intp)
-
-
-def _range_nearby(values: NDArray[np.float64], far: list[int]) -> NDArray[np.float64]:
-    """Largest less smallest within so many steps along each axis."""
-    high = low = values
-    for axis, steps_away in enumerate(far):
-        high, low = _extreme(high, axis, steps_away, np.maximum), _extreme(low, axis, steps_away, np.minimum)
-    return high - low
-
-
-def _extreme(values: NDArray[np.float64], axis: int, far: int, choose: np.ufunc) -> NDArray[np.float64]:
-    """Largest or smallest within so many steps along an axis."""
-    values = np.moveaxis(values, axis, 0)
-    framed = np.concatenate([values[:1].repeat(far, axis=0), values, values[-1:].repeat(far, axis=0)])
-    windows = np.lib.stride_tricks.sliding_window_view(framed, 2 * far + 1, axis=0)
-    return np.moveaxis(choose.reduce(windows, axis=-1), 0, axis)
 
 
 def predicted_rays(view: View, found: Survey, tolerance: float, finer: int = 0) -> tuple[float, float]:

@@ -1,0 +1,86 @@
+"""Where a pixel gathers light across a step in depth: there a kernel may err, for one thing hides another."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.imaging.optics.footprint import reach_px
+from radwrap.imaging.response.sensor import GrayWhereAsked
+from radwrap.scene.camera import Camera
+
+# A step in depth costs about this share of its difference in magnification and of the contrast (measured).
+_STEP_COST: Final = 0.32
+
+
+def steps(
+    camera: Camera, magnification: NDArray[np.float64], gray: NDArray[np.float64] | GrayWhereAsked, least: float
+) -> NDArray[np.bool_]:
+    """Pixels, shape (rows, columns), that gather light across a step in depth that may matter.
+
+    Parameters
+    ----------
+    camera : Camera
+        The view.
+    magnification : ndarray, shape (rows, columns)
+        Of the survey's grid.
+    gray : ndarray, shape (rows, columns)
+        The image [gray level].
+    least : float
+        Smallest error that matters [gray level].
+    """
+    places = [
+        ((np.arange(number) + 0.5) / number * size).astype(np.intp)
+        for size, number in zip(gray.shape, magnification.shape, strict=True)
+    ]
+    cost = cost_on_grid(camera, gray.shape, magnification, gray[np.ix_(*places)])
+    wide: NDArray[np.bool_] = (cost > least)[np.ix_(*nearest(gray.shape, cost.shape))]
+    return wide
+
+
+def nearest(shape: tuple[int, ...], numbers: tuple[int, ...]) -> list[NDArray[np.intp]]:
+    """Along each axis, in which of so many equal parts each pixel lies."""
+    return [np.arange(size) * number // size for size, number in zip(shape, numbers, strict=True)]
+
+
+def cost_on_grid(
+    camera: Camera, shape: tuple[int, ...], magnification: NDArray[np.float64], gray: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """About what a kernel is off by at each point of an even grid over an image of a shape [gray level]."""
+    # Where a survey's point lies between pixels, a step hides by so much: the reach, and a point more.
+    reach = reach_px(camera, float(np.abs(magnification).max()))[::-1]
+    far = [
+        min(math.ceil(reach[axis] * n / size) + 1, n - 1)
+        for axis, (size, n) in enumerate(zip(shape, magnification.shape, strict=True))
+    ]
+    return cost_of_steps(magnification, gray, far)
+
+
+def cost_of_steps(magnification: NDArray[np.float64], gray: NDArray[np.float64], far: list[int]) -> NDArray[np.float64]:
+    """About what a kernel is off by at each point, from what is seen within so many points along each axis."""
+    cost: NDArray[np.float64] = _STEP_COST * _range_nearby(magnification, far) * _range_nearby(gray, far)
+    return cost
+
+
+def _range_nearby(values: NDArray[np.float64], far: list[int]) -> NDArray[np.float64]:
+    """Largest less smallest within so many steps along each axis; what is not a number is passed over."""
+    high = low = values
+    for axis, steps_away in enumerate(far):
+        high, low = _extreme(high, axis, steps_away, np.fmax), _extreme(low, axis, steps_away, np.fmin)
+    return high - low
+
+
+def _extreme(values: NDArray[np.float64], axis: int, far: int, choose: np.ufunc) -> NDArray[np.float64]:
+    """Largest or smallest within so many steps along an axis."""
+    values = np.moveaxis(values, axis, 0)
+    found = np.concatenate([values[:1].repeat(far, axis=0), values, values[-1:].repeat(far, axis=0)])
+    # Of windows twice as wide each time, and last of two that overlap.
+    width, wanted = 1, 2 * far + 1
+    while width < wanted:
+        shift = min(width, wanted - width)
+        found = choose(found[:-shift], found[shift:])
+        width += shift
+    return np.moveaxis(found, 0, axis)
