@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
+from unittest.mock import patch
 
 import pytest
 
@@ -85,6 +87,41 @@ def command(*argv: object) -> Done:
             process.kill()
             raise
     return Done(process.returncode, stdout or "", stderr or "", time.monotonic() - begin)
+
+
+class OneThread:
+    """A pool of one thread of this process: jobs are done as a worker does them, without its start.
+
+    Two seconds of a study of a few small images are the start of its processes. What hangs on these is tested with
+    them, in test_study_run and test_cluster.
+    """
+
+    workers = 1
+
+    def __init__(self, workers: int) -> None:
+        self._executor = ThreadPoolExecutor(self.workers)
+
+    def submit(self, work: Callable[[Any], Any], job: Any) -> Future[Any]:
+        return self._executor.submit(work, job)
+
+    def is_broken(self, error: BaseException) -> bool:
+        return False
+
+    def rebuild(self) -> None:
+        raise AssertionError("a thread does not break")
+
+    def look(self) -> None:
+        pass
+
+    def close(self) -> None:
+        self._executor.shutdown(cancel_futures=True)
+
+
+@pytest.fixture(scope="module")
+def one_process() -> Iterator[None]:
+    """Studies of a module are done in this process."""
+    with patch("radwrap.study.study.LocalPool", OneThread):
+        yield
 
 
 DesignWriter = Callable[[str], Path]

@@ -21,7 +21,9 @@ import radwrap
 from radwrap.errors import EnvironmentFailure, FolderTaken
 from radwrap.files import sole_owner
 from radwrap.study import pool
+from radwrap.study.design import read_design
 from radwrap.study.seal import Unfit, break_seal, check_fit, seal_of, why_unfit
+from radwrap.study.study import StudyOptions, run_study
 from tests.cli.conftest import clean_environment, scene_text, start, wait_for
 from tests.study.conftest import EDGE, PATIENCE, TINY_SMALL, command
 
@@ -98,8 +100,11 @@ def _other_radwrap(folder: Path) -> Path:
     return folder
 
 
+@pytest.mark.usefixtures("one_process")
 def test_workers_that_would_answer_otherwise_are_left_out(memory_path: Path) -> None:
-    """Those that are fit do the study, also where they come late; a scheduler that is gone is told."""
+    """Those that are fit do the study, also where they come late, and its table is the one of this
+    process; a scheduler that is gone is told.
+    """
     (memory_path / "scene.toml").write_text(scene_text(EDGE))
     design = memory_path / "design.toml"
     design.write_text(f'scene = "scene.toml"\n{TINY_SMALL}\n{GRAY}')
@@ -110,10 +115,13 @@ def test_workers_that_would_answer_otherwise_are_left_out(memory_path: Path) -> 
             mark = memory_path / "late" / ".radwrap.cluster"
             assert wait_for(mark.exists, study, PATIENCE)
             time.sleep(1.5)
+            table = memory_path / "late" / "results.csv"
             stack.enter_context(_worker(address, memory_path / "w1"))
             _, told = study.communicate(timeout=PATIENCE)
         assert study.returncode == 0 and "no worker is there" in told, told
         assert not mark.exists()
+        run_study(read_design(design), memory_path / "here", StudyOptions())
+        assert table.read_bytes() == (memory_path / "here" / "results.csv").read_bytes()
 
         stack.enter_context(_worker(address, memory_path / "w2", _other_radwrap(memory_path / "other")))
         _wait_for_workers(address, 2)

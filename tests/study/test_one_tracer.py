@@ -13,7 +13,8 @@ from radwrap.study.design import read_design
 from radwrap.study.journal import read_table
 from radwrap.study.one_tracer import one_tracer
 from radwrap.study.runs import runs_of
-from tests.study.conftest import TINY_SMALL, DesignWriter, command
+from tests.cli.conftest import here
+from tests.study.conftest import TINY_SMALL, DesignWriter
 
 # Radiance answers in float32: of gray levels up to 255, and of pixels.
 SAME: Final = 1e-3
@@ -47,12 +48,13 @@ def test_a_run_that_only_radiance_can_show_decides_for_all(
     assert one_tracer(told, [runs[0], broken], {}) == "compiled"
 
 
-def test_both_tracers_give_the_same_table(design: DesignWriter) -> None:
+@pytest.mark.usefixtures("one_process")
+def test_both_tracers_give_the_same_table(design: DesignWriter, capsys: pytest.CaptureFixture[str]) -> None:
     """The plan says who traced; who is asked for later must be the same, or nobody."""
     path, tables = design(TINY_SMALL), []
     for name in ("radiance", "compiled"):
         out = path.parent / name
-        command("study", "run", path, "--out", out, "--no-report", "--tracer", name).success()
+        here(["study", "run", path, "--out", out, "--no-report", "--tracer", name], capsys).success()
         assert json.loads((out / "plan.json").read_bytes())["tracer"] == name
         tables.append(read_table(out / "results.csv").rows)
     for first, second in zip(*tables, strict=True):
@@ -60,6 +62,6 @@ def test_both_tracers_give_the_same_table(design: DesignWriter) -> None:
         for column in ("u [px]", "mean"):
             assert float(first[column]) == pytest.approx(float(second[column]), abs=SAME)
     out = path.parent / "compiled"
-    assert command("study", "run", path, "--out", out, "--no-report").success()  # auto: as it was begun
-    other = command("study", "run", path, "--out", out, "--no-report", "--tracer", "radiance")
+    here(["study", "run", path, "--out", out, "--no-report"], capsys).success()  # auto: as it was begun
+    other = here(["study", "run", path, "--out", out, "--no-report", "--tracer", "radiance"], capsys)
     assert other.code == 2 and "holds another study" in other.stderr

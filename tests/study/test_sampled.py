@@ -43,6 +43,7 @@ tolerance = 0.7
 BLUR = '[responses.b]\nmeasure = "edge_blur"\ndark = "sensor"\ngamma = "sensor"\n'
 BLUR_OF = Response("b", "edge_blur", "px", {"dark": "sensor", "gamma": "sensor"})
 ONE = StudyOptions(workers=1)
+pytestmark = pytest.mark.usefixtures("one_process")
 
 
 def manifests(out: Path) -> list[dict[str, Any]]:
@@ -50,7 +51,7 @@ def manifests(out: Path) -> list[dict[str, Any]]:
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def finished(tmp_path_factory: pytest.TempPathFactory, one_process: None) -> Path:
     """Results of the darker study, which nothing disturbed; not to be changed."""
     folder = tmp_path_factory.mktemp("finished")
     run_study(read_design(write_design(folder, DARKER, BLUR)), folder / "out", ONE)

@@ -18,7 +18,7 @@ import psutil
 import pytest
 
 from radwrap.study.table import read_table
-from tests.cli.conftest import Done, inhabitants, start
+from tests.cli.conftest import Done, here, inhabitants, start
 from tests.cli.conftest import wait_for as wait
 from tests.study.conftest import PATIENCE, TINY, TINY_SMALL, DesignWriter, command, write_design
 
@@ -69,11 +69,12 @@ def eight(folder: Path) -> Path:
     return write_design(folder, EIGHT, GRAY)
 
 
-def test_three_kills_of_the_whole_study_change_nothing(memory_path: Path, good: bytes) -> None:
+@pytest.mark.parametrize("kills", [(2,), pytest.param((1, 3, 5), marks=pytest.mark.long)], ids=len)
+def test_kills_of_the_whole_study_change_nothing(memory_path: Path, good: bytes, kills: tuple[int, ...]) -> None:
     path, out = eight(memory_path), memory_path / "out"
     dice = random.Random(7)  # noqa: S311  (no secret)
     finished: set[str] = set()
-    for due in (1, 3, 5):
+    for due in kills:
         before = started(out) if out.exists() else Counter[int]()
         with start(["study", "run", path, "--out", out, "--workers", "2", "--no-report"]) as process:
             assert wait_for(lambda due=due: rows_on_disk(out) >= due, process), "the study was too short for this test"
@@ -145,7 +146,8 @@ def test_ctrl_c_ends_everything_and_the_study_goes_on(memory_path: Path, good: b
     assert (out / "results.csv").read_bytes() == good
 
 
-def test_a_run_that_fails_is_a_row_with_its_error(design: DesignWriter) -> None:
+@pytest.mark.usefixtures("one_process")
+def test_a_run_that_fails_is_a_row_with_its_error(design: DesignWriter, capsys: pytest.CaptureFixture[str]) -> None:
     """At 100 s everything is saturated and shows no edge; the mean is measured all the same, and the study goes on."""
     path = design(
         f"""
@@ -158,21 +160,24 @@ key = "camera.exposure_time"
 levels = ["100 ms", "100 s", "90 ms"]
 """
     )
-    done = study(path, path.parent / "out", "--workers", "1", "--json")
+    out = path.parent / "out"
+    words = ["study", "run", path, "--out", out, "--no-report"]
+    done = here([*words, "--json"], capsys)
     assert done.code == 1 and done.json["failed"] == 1
     assert "1 of 3 runs failed, first run 2: u: the image" in done.stderr and "results.csv" in done.stderr
-    bad, *others = sorted(read_table(path.parent / "out" / "results.csv").rows, key=lambda row: row["t"] != "100 s")
+    bad, *others = sorted(read_table(out / "results.csv").rows, key=lambda row: row["t"] != "100 s")
     assert bad["u [px]"] == "" and "u: the image" in bad["error"] and float(bad["mean"]) > 200
     assert all(row["error"] == "" and row["u [px]"] for row in others)
     # It is not tried again, unless it is asked for.
-    again = started(path.parent / "out")
-    assert study(path, path.parent / "out").code == 1
-    assert started(path.parent / "out") == again
-    assert study(path, path.parent / "out", "--retry-failed").code == 1
-    assert started(path.parent / "out") - again == Counter({2: 1})
+    again = started(out)
+    assert here(words, capsys).code == 1
+    assert started(out) == again
+    assert here([*words, "--retry-failed"], capsys).code == 1
+    assert started(out) - again == Counter({2: 1})
 
 
-def test_many_levels_of_leds_cost_one_render(design: DesignWriter) -> None:
+@pytest.mark.usefixtures("one_process")
+def test_many_levels_of_leds_cost_one_render(design: DesignWriter, capsys: pytest.CaptureFixture[str]) -> None:
     """64 runs of three LEDs by a light basis, each the very image that a render of its own has, to its error."""
     factors = "".join(
         f'[factors.L{n}]\nkey = "sources[0].leds[{n}].radiance_factor"\nlevels = [0.2, 0.4, 0.6, 1.0]\n'
@@ -182,7 +187,8 @@ def test_many_levels_of_leds_cost_one_render(design: DesignWriter) -> None:
         f'analysis = "none"\n{TINY}[design]\nkind = "full"\n{factors}', '[responses.mean]\nmeasure = "mean_gray"\n'
     )
     out = path.parent / "out"
-    told = study(path, out, "--json").success().json
+    words = ["study", "run", path, "--out", out, "--no-report"]
+    told = here([*words, "--json"], capsys).success().json
     assert told["renders"] == 1 and told["light_bases"] == 1 and told["relit"] == 64
     rows = read_table(out / "results.csv").rows
     # Gray is linear in the levels here: G = 20 + sum of what each LED alone gives.
@@ -194,7 +200,7 @@ def test_many_levels_of_leds_cost_one_render(design: DesignWriter) -> None:
     table = (out / "results.csv").read_bytes()
     lines = table.splitlines(keepends=True)
     (out / "results.csv").write_bytes(b"".join([lines[0], *lines[5:20], *lines[40:]]))
-    study(path, out).success()
+    here(words, capsys).success()
     assert (out / "results.csv").read_bytes() == table
 
 
@@ -205,8 +211,13 @@ def test_the_report_holds_every_run(undisturbed: Path) -> None:
     assert "http" not in text.replace("http://www.w3.org", ""), "it must need nothing else"
 
 
+@pytest.mark.long
 def test_dask_gives_the_same_table(memory_path: Path, good: bytes) -> None:
-    """On a LocalCluster of two worker processes, one of which is killed."""
+    """On a LocalCluster of two worker processes, one of which is killed.
+
+    Long: that Dask gives the table of this process, and that a worker is killed, test_cluster sees; what is done
+    again after a death is the same for all pools, and is seen above.
+    """
     from distributed import LocalCluster
 
     path, out = eight(memory_path), memory_path / "out"

@@ -28,6 +28,7 @@ from tests.cli.conftest import Done, here
 from tests.study.conftest import SMALL, TINY, TINY_SMALL, DesignWriter
 
 Tolerate = Callable[[Path, str, str], Done]
+pytestmark = pytest.mark.usefixtures("one_process")
 
 # The search stops where the change fills 85 to 100 % of the bound.
 LEAST_FILLED = 0.85
@@ -49,7 +50,7 @@ levels = ["80 ms", "100 ms", "120 ms"]
 
 @pytest.fixture
 def tolerate(capsys: pytest.CaptureFixture[str]) -> Tolerate:
-    """`radwrap study tolerate` in this process, with a worker."""
+    """`radwrap study tolerate` in this process."""
 
     def run(path: Path, response: str, within: str) -> Done:
         words = ("--out", path.parent / "out", "--response", response, "--within", within, "--repeats", 1)
