@@ -277,8 +277,10 @@ def made_since(out: Path, before: dict[int, tuple[int, int]]) -> set[int]:
     return {number for number, stamp in stamps(out).items() if before.get(number) != stamp}
 
 
-def wait_for(condition: Callable[[], bool], process: subprocess.Popen[str], patience: float = PATIENCE) -> bool:
-    """Wait until something is so; False if the process ended before."""
+def wait_for(
+    condition: Callable[[], bool], process: subprocess.Popen[str], patience: float = PATIENCE, look: float = 0.001
+) -> bool:
+    """Wait until something is so, looked at each `look` seconds; False if the process ended before."""
     end = time.monotonic() + patience
     while not condition():
         if process.poll() is not None:
@@ -286,7 +288,7 @@ def wait_for(condition: Callable[[], bool], process: subprocess.Popen[str], pati
         if time.monotonic() > end:
             process.kill()
             raise AssertionError(f"nothing happened within {patience:g} s")
-        time.sleep(0.001)
+        time.sleep(look)
     return True
 
 

@@ -96,18 +96,14 @@ DEEP: Final = {  # a second sheet nearer by: several layers, whose shares depend
 }
 
 
-@pytest.fixture(
-    scope="module",
-    params=[
-        "kernel",
-        "kernel, deep",
-        "rays",
-        "hybrid, deep",
-        "kernel, deep, compiled",
-        "rays, compiled",
-        "hybrid, deep, compiled",
-    ],
-)
+# Each method and each tracer; their other pairs are long.
+MADE: Final = [
+    *("kernel, deep", "rays", "kernel, deep, compiled", "hybrid, deep, compiled"),
+    *(pytest.param(name, marks=pytest.mark.long) for name in ("kernel", "rays, compiled", "hybrid, deep")),
+]
+
+
+@pytest.fixture(scope="module", params=MADE)
 def made(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Made]:
     method, *how = request.param.split(", ")
     room = scene(**(DEEP if "deep" in how else {}))

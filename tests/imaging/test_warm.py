@@ -25,7 +25,8 @@ from radwrap.tracers.compiled import tracer as compiled_tracer
 from tests.cli.conftest import children
 
 SCENES = Path(__file__).parents[2] / "rad_scenes"
-OPTIONS = radwrap.RenderOptions(tracer="compiled")
+# Two gray levels: what is kept hangs on no tolerance, and a render takes a third of the rays of the usual one.
+OPTIONS = radwrap.RenderOptions(tracer="compiled", tolerance=2.0)
 SMALL = {"rows": 44, "columns": 51, "pixel_width": "28 um", "pixel_height": "28 um"}
 
 
@@ -87,20 +88,20 @@ def test_a_changed_scene_gives_the_bytes_of_a_cold_one(name: str, live: radwrap.
 
 
 def test_radiance_gives_the_same_bytes_too() -> None:
-    options = radwrap.RenderOptions(tracer="radiance", tolerance=2.0)
+    options = radwrap.RenderOptions(tracer="radiance", tolerance=4.0)
     with radwrap.warm(board(), options) as live:
-        for name in ("level", "exposure", "pose of the camera"):
+        for name in ("level", "pose of the camera"):
             assert_same(live.render(CHANGES[name]), radwrap.render(board(**CHANGES[name]), options=options))
-        assert_same(live.render(tolerance=4.0), radwrap.render(board(), options=options, tolerance=4.0))
+        assert_same(live.render(tolerance=8.0), radwrap.render(board(), options=options, tolerance=8.0))
 
 
 @pytest.mark.parametrize(
     "how",
     [
-        {"tolerance": 2.0},
-        {"tolerance": 0.2},
+        {"tolerance": 4.0},
+        {"tolerance": 0.5},
         {"seed": 1},
-        {"method": "rays", "tolerance": 1.0},
+        {"method": "rays", "tolerance": 3.0},
         {"method": "kernel", "max_error": 2.0},
         {"viewpoints": 7},
         {"truth": True},
@@ -127,11 +128,11 @@ def test_files_are_the_same_too(live: radwrap.WarmScene, tmp_path: Path) -> None
     ("name", "level"),
     [
         ("ring", {"sources[0].leds": [{"index": 1, "radiance_factor": 0.5}]}),
-        ("two_bars", {"sources[0].radiance": "900 W/m^2/sr"}),
+        pytest.param("two_bars", {"sources[0].radiance": "900 W/m^2/sr"}, marks=pytest.mark.long),
     ],
 )
 def test_cells_of_a_factory_give_the_bytes_of_a_cold_one(name: str, level: dict[str, Any]) -> None:
-    """Meshes with holes, a lens, wide lights; effects that Radiance measures."""
+    """Meshes with holes, a lens; with bars, wide lights and effects that Radiance measures, which is long."""
     folder = SCENES / "cells"
     cell = tomllib.loads((folder / f"{name}.toml").read_text())
     changes: dict[str, Any] = {"camera.sensor.rows": 33, "camera.sensor.columns": 40}

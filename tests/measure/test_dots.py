@@ -176,15 +176,15 @@ def test_light_that_falls_off_shifts_weighted_centres_and_not_contours() -> None
 
 
 def test_the_covariance_is_that_of_repeated_pictures() -> None:
-    """10 pictures of 25 dots, both coordinates: 500 squares of mean 1, with a standard error of 0.06."""
+    """4 pictures of 25 dots, both coordinates: 200 squares of mean 1, with a standard error of 0.1."""
     squares: dict[str, list[float]] = {"gray": [], "ellipse": []}
-    for seed in range(10):
+    for seed in range(4):
         picture = drawn(noise=3.0, seed=seed, rounded=True)
         for method, dots in find_dots_by(picture.gray, 5, 5, methods=("gray", "ellipse")).items():
             for dot, truth in zip(dots.dots, picture.truth, strict=True):
                 error = np.array([dot.u, dot.v]) - truth
                 squares[method].append(error @ np.linalg.solve(dot.covariance, error) / 2)
-    assert 0.8 < np.mean(squares["gray"]) < 1.2
+    assert 0.7 < np.mean(squares["gray"]) < 1.3
     # A contour's points are not as independent as the formula takes them to be: it may be off by a factor of 2.
     assert 0.5 < np.mean(squares["ellipse"]) < 2.0
 
@@ -192,7 +192,7 @@ def test_the_covariance_is_that_of_repeated_pictures() -> None:
 # ---- what a board may look like ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("turn", [-44, -20, 0, 31, 44])
+@pytest.mark.parametrize("turn", [-44, 31, 44, *(pytest.param(turn, marks=pytest.mark.long) for turn in (-20, 0))])
 def test_rows_and_columns_are_the_boards_up_to_45_degrees(turn: float) -> None:
     picture = drawn(turn=turn, pitch=18)
     assert rms(by(picture, "ellipse"), picture) < 0.01
@@ -215,7 +215,9 @@ def test_an_oblong_grid_keeps_its_rows_to_90_degrees(turn: float) -> None:
     assert rms(by(picture, "ellipse", 4, 6), picture) < 0.01
 
 
-@pytest.mark.parametrize(("tilt", "turn"), [(60, 0), (-60, 25), (45, 40)])
+@pytest.mark.parametrize(
+    ("tilt", "turn"), [(-60, 25), *(pytest.param(*pair, marks=pytest.mark.long) for pair in ((60, 0), (45, 40)))]
+)
 def test_tilt_to_60_degrees(tilt: float, turn: float) -> None:
     picture = drawn(tilt=tilt, turn=turn, pitch=26, noise=0.5, rounded=True)
     assert rms(by(picture, "conic"), picture) < 0.03
@@ -396,7 +398,7 @@ def saturated_board(times: float) -> Picture:
     return Picture(GrayImage(np.rint(np.minimum(picture.gray.values, 181)), 8), picture.truth, picture.homography)
 
 
-@pytest.mark.parametrize("times", [2.6, pytest.param(4.0, marks=pytest.mark.long), 6.0])  # between right and an error
+@pytest.mark.parametrize("times", [2.6, *(pytest.param(times, marks=pytest.mark.long) for times in (4.0, 6.0))])
 def test_a_heavily_saturated_board_is_right_or_an_error(times: float) -> None:
     """Never the lattice of the gaps, half a pitch off, nor one that a model of clipped light has moved.
 
@@ -439,7 +441,8 @@ def test_sparse_saturated_dots_under_noise_are_bright() -> None:
 # ---- a very similar image ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("blur", [0.0, 2.0])  # with the second, dots run together
+# With the second, dots run together: the search before differs, and what follows is the same.
+@pytest.mark.parametrize("blur", [0.0, pytest.param(2.0, marks=pytest.mark.long)])
 def test_dots_near_known_ones_are_those_that_a_search_finds(blur: float) -> None:
     """Each settles from where it starts to the same grid: what is left is a thousandth of what the noise moves."""
     first, noisy = (drawn(tilt=20, turn=6, blur=blur, noise=noise, seed=4) for noise in (0.0, 0.5))
