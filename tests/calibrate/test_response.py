@@ -24,11 +24,11 @@ NEAR = exposure_at_distance(TIMES, 0.0471, 0.8)  # saturates at 25 ms
 
 EXACT = 1e-9  # double precision leaves 1e-14
 TRACED = 1e-3  # mean over the patch: 127 sub-viewpoints, 4 x 4 rays a pixel (measured: 5e-5)
-SEEDS = 200
-# Of 200 draws within one sigma (68.27 %): 3.3 % standard deviation, so outside 54 to 80 % once in 1e4 good fits;
-# above it, because rounding counts as noise.
-ONE_SIGMA = (0.54, 0.86)
-# Within three sigma (99.73 % if the variances were known; from a few repeats a little less): 4 of 200 may miss.
+# Draws, and what share of them lies within one sigma (68.27 %). Of 200: 3.3 % standard deviation, so outside 54 to 80 %
+# once in 1e4 good fits; above it, because rounding counts as noise. Of 60: 6 %; standard errors that are half or twice
+# as large, of 38 and 95 %, are seen by them too.
+ONE_SIGMA = {60: (0.46, 0.92), 200: (0.54, 0.86)}
+# Within three sigma (99.73 % if the variances were known; from a few repeats a little less): 2 % may miss.
 THREE_SIGMA = 0.98
 
 
@@ -94,17 +94,18 @@ def test_wrong_start_values_do_not_matter(start: float) -> None:
     assert wrong.gamma == pytest.approx(right.gamma, rel=1e-7)
 
 
-def test_noisy_frames_lie_within_their_standard_errors() -> None:
+@pytest.mark.parametrize("seeds", [60, pytest.param(200, marks=pytest.mark.long)])
+def test_noisy_frames_lie_within_their_standard_errors(seeds: int) -> None:
     pulls = []
-    for seed in range(SEEDS):
+    for seed in range(seeds):
         found = fit_response(*frames(seed))
         for fit in (found.direct, found.eq7):
             ln_gain = math.log(fit.gain / K) / math.sqrt(fit.covariance[0, 0])
             pulls.append((ln_gain, (fit.gamma - GAMMA) / fit.sigma["gamma"]))
     for which in (np.abs(pulls[::2]), np.abs(pulls[1::2])):
         inside = np.mean(which < 1, axis=0)
-        assert (inside > ONE_SIGMA[0]).all()
-        assert (inside < ONE_SIGMA[1]).all()
+        assert (inside > ONE_SIGMA[seeds][0]).all()
+        assert (inside < ONE_SIGMA[seeds][1]).all()
         assert (np.mean(which < 3, axis=0) >= THREE_SIGMA).all()
 
 

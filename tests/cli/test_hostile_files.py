@@ -188,7 +188,7 @@ def test_numbers_of_the_command_line_end_in_a_result_or_one_line(
     places = [(x, y, 0.1 * x * y) for x in (-0.05, 0, 0.05) for y in (-0.05, 0, 0.05)]
     rows = [f"{x},{y},{z},{95 + 900 * x / (1 - y - z)},{82 + 900 * y / (1 - y - z)}\n" for x, y, z in places]
     (bench / "points.csv").write_text("x,y,z,u,v\n" + "".join(rows))
-    for number in (
+    numbers = (
         "nan",
         "inf",
         "-1e300",
@@ -201,7 +201,8 @@ def test_numbers_of_the_command_line_end_in_a_result_or_one_line(
         "0",
         "9" * 5000,
         "1_0",
-    ):
+    )
+    for number in numbers if "points.csv" not in argv else numbers[::3]:  # a fit takes half a second
         done = here([word.replace("{}", number) for word in argv], capsys)
         refused = done.code == 2 and not done.stdout and done.stderr.count("\n") == 1 and len(done.stderr) < 1000
         assert refused or (done.code in (0, 1, 3) and "Traceback" not in done.stderr), (number, done)

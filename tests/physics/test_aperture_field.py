@@ -81,7 +81,9 @@ def expose(tmp_path: Path) -> Callable[..., np.ndarray]:
     [
         (1e-4, (61,)),  # R^2/f^2 is 2e-5, and its 61st part is below the tolerance
         (1e-3, (37, 127)),
-        (1e-2, (37, 127, 469)),  # centred hexagonal numbers: rings of like cells, so that the error goes with 1/N
+        pytest.param(
+            1e-2, (37, 127, 469), marks=pytest.mark.long
+        ),  # centred hexagonal numbers: rings of like cells, so that the error goes with 1/N
     ],
 )
 def test_uniform_field(diameter: float, numbers: tuple[int, ...], expose: Callable[..., np.ndarray]) -> None:
@@ -158,12 +160,15 @@ def test_uniform_field_of_the_real_tracer(bench: Any, diameter: float, numbers: 
     assert converged[1, 1] == pytest.approx(round_opening(diameter / 2, CORNER), rel=CONVERGED)
 
 
-def test_uniform_scene_is_unchanged_by_any_number(bench: Any) -> None:
+@pytest.mark.parametrize(
+    "counts", [(*range(1, 20), 37, 61, 100, 151), pytest.param((*range(1, 201), 4096), marks=pytest.mark.long)], ids=len
+)
+def test_uniform_scene_is_unchanged_by_any_number(bench: Any, counts: tuple[int, ...]) -> None:
     """L cos^4 the same for all rays: what is left is the sum of the weights, which is 1."""
     level = Field(lambda origin, cosine: RADIANCE / cosine**4)
     aperture = Aperture(diameter=1e-3)
     camera = camera_of(aperture)
-    for count in (*range(1, 201), 4096):
+    for count in counts:
         views = sub_viewpoints(aperture, count)
         assert len(views) == count
         assert bench.mean(camera, views, level) == pytest.approx(np.full((2, 2), RADIANCE), rel=ROUNDING)

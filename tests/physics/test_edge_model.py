@@ -111,17 +111,24 @@ def sheared(factor: float) -> Any:
     return bend
 
 
-@pytest.mark.parametrize(("depth", "count"), LIMITS)
+@pytest.mark.parametrize(
+    ("depth", "count"),
+    [(FAR, 37), *(pytest.param(*pair, marks=pytest.mark.long) for pair in LIMITS if pair != (FAR, 37))],
+)
 def test_eq9(bench: Any, depth: float, count: int) -> None:
     assert rms_against_eq9(bench, depth, opening_views(count)) <= LIMITS[depth, count]
 
 
-@pytest.mark.parametrize("count", POINT_LIMITS)
+@pytest.mark.parametrize(
+    "count", [7, 37, *(pytest.param(count, marks=pytest.mark.long) for count in POINT_LIMITS if count not in (7, 37))]
+)
 def test_eq9_at_points(bench: Any, count: int) -> None:
     assert rms_against_eq9(bench, FAR, opening_views(count), samples=1) <= POINT_LIMITS[count]
 
 
-@pytest.mark.parametrize("layout", ["hexagonal", "sunflower", "uneven"])
+@pytest.mark.parametrize(
+    "layout", ["uneven", *(pytest.param(name, marks=pytest.mark.long) for name in ("hexagonal", "sunflower"))]
+)
 def test_eq9_with_the_other_layouts(bench: Any, layout: str) -> None:
     """Spirals and unequal areas cost accuracy: measured .0049, .0081 and .0085 beside .0043 with rings."""
     assert rms_against_eq9(bench, FAR, opening_views(37, layout)) <= 0.012

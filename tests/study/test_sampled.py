@@ -177,15 +177,21 @@ def test_the_bar_of_a_blur_is_what_the_cells_add_to_it(tmp_path: Path) -> None:
     assert 0.7 < coarse.error / (coarse.value - fine.value) < 1.4
 
 
-def test_error_bars_by_replicates_are_what_renders_scatter_by(tmp_path: Path) -> None:
-    """Six renders with seeds of their own: their scatter is known to 32 %, the median of their bars to 10 %."""
+@pytest.mark.parametrize(("number", "within"), [(3, 2.8), pytest.param(6, 2.0, marks=pytest.mark.long)])
+def test_error_bars_by_replicates_are_what_renders_scatter_by(tmp_path: Path, number: int, within: float) -> None:
+    """Six renders with seeds of their own: their scatter is known to 32 %, the median of their bars to 10 %.
+
+    Three know the scatter to 50 %: bars that are four times too small or too large are seen by them too.
+    """
     plan = SamplingPlan("kernel", cell=0.5)
     responses = [
         Response("u", "edge_position", "px", {"dark": "sensor", "gamma": "sensor"}),
         Response("m", "mean_gray"),
     ]
-    found = [answers_of(small_edge(), tmp_path / str(seed), responses, sampling=plan, seed=seed) for seed in range(6)]
+    found = [
+        answers_of(small_edge(), tmp_path / str(seed), responses, sampling=plan, seed=seed) for seed in range(number)
+    ]
     for answers in zip(*found, strict=True):
         scatter = float(np.std([one.value for one in answers], ddof=1))
         stated = float(np.median([one.error for one in answers]))
-        assert 0.5 < stated / scatter < 2
+        assert 1 / within < stated / scatter < within

@@ -98,8 +98,12 @@ def test_an_edge_moves_by_the_projection_of_its_place(design: DesignWriter, tole
     assert LEAST_FILLED * 0.4 * 0.95 <= found["tolerance"] <= 0.4 * 1.05
 
 
+@pytest.mark.long
 def test_two_factors_together_are_held_to_the_share(design: DesignWriter, tolerate: Tolerate) -> None:
-    """Two factors that act alike, each alone within the bound: together they must be narrower."""
+    """Two factors that act alike, each alone within the bound: together they must be narrower.
+
+    Long: the share of systems within a bound and how many must be seen within it are tested below by planted responses.
+    """
     text = TIME.replace('"80 ms", "100 ms", "120 ms"', '"80 ms", "120 ms"') + (
         '[factors.r]\nlabel = "radiance"\nkey = "sources[0].radiance"\nlevels = ["1600 kW/m^2/sr", "2400 kW/m^2/sr"]\n'
     )
@@ -161,8 +165,12 @@ def test_bad_bounds_are_refused(design: DesignWriter, response: str, within: str
         read_bound(study_design(design, SMALL), response, within)
 
 
+@pytest.mark.long
 def test_scatter_that_is_allowed_follows_from_what_fresh_systems_do(design: DesignWriter, tolerate: Tolerate) -> None:
-    """Three LEDs, each even in 1 +- 0.3: the mean scatters by c/3 x 0.3 x sqrt(3)/sqrt(3), c the light of all."""
+    """Three LEDs, each even in 1 +- 0.3: the mean scatters by c/3 x 0.3 x sqrt(3)/sqrt(3), c the light of all.
+
+    Long: planted responses keep their share below, and fresh systems are rendered for the exposure time above.
+    """
     text = TINY_SMALL.replace("beam_width_factor", "radiance_factor").replace("[0.9, 1.1]", "[0.7, 1.3]")
     text = text.partition("[factors.x]")[0] + text[text.index("[factors.s]") :]
     told = tolerate(design(text, MEAN), "mean", "3%").json
