@@ -247,7 +247,7 @@ def _render(home: Path, out: Path) -> list[object]:
 
 
 def test_a_limit_of_file_size_is_told(tmp_path: Path, good: dict[str, Any]) -> None:
-    sizes = [0, 1000, 2500, 4000, 20_000]
+    sizes = [0, 1000, 4000, 20_000]
 
     def limited(size: int) -> Done:
         def limit() -> None:

@@ -162,7 +162,7 @@ def test_without_stdin_there_is_no_enter(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_study_is_played_as_it_was_designed(bench: Path, tmp_path: Path) -> None:
+def test_a_study_is_played_as_it_was_designed(bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """16 rows: the ring shows each to half a PWM step, and its light renders the design's image."""
     argv = led(bench, "play", bench / "scene.toml", "--rows", bench / "rows.csv", "--out", tmp_path / "play")
     run(
@@ -184,7 +184,7 @@ def test_a_study_is_played_as_it_was_designed(bench: Path, tmp_path: Path) -> No
     assert record["emulated"] and record["complete"] and all(frame["verified"] for frame in record["frames"].values())
     grays = {}
     for name, path in (("design", bench / "rows.csv"), ("played", tmp_path / "play" / "played.csv")):
-        run("relight", bench / "basis", "--levels", path, "--out", tmp_path / name, "--exposure").success()
+        here(["relight", bench / "basis", "--levels", path, "--out", tmp_path / name, "--exposure"], capsys).success()
         exposures = {row: read_image(tmp_path / name / f"{row}.exr")[0].astype(float) for row in design}
         grays[name] = {row: 3.38e4 * exposure**0.85 + 22 for row, exposure in exposures.items()}
     for row in design:
@@ -268,13 +268,15 @@ def test_the_twin_calibrates_itself(bench: Path, tmp_path: Path, capsys: pytest.
     """A ring with factors of its own, seen in rendered captures of 8 bit; then a scene loads what was found."""
     changes = [{"index": n, "radiance_factor": factor} for n, factor in enumerate(FACTORS)]
     real = scene_file(tmp_path, "real.toml", leds=changes)
-    run("render", real, "--basis", "--tolerance", 0.2, "--seed", 9, "--out", tmp_path / "real").success()
+    here(["render", real, "--basis", "--tolerance", 0.2, "--seed", 9, "--out", tmp_path / "real"], capsys).success()
     names = [f"ring.led{n:02d}" for n in range(LEDS)]
     rows = [["name", *names], ["dark", *[0] * LEDS]]
     rows += [[f"led{n:02d}", *[int(n == m) for m in range(LEDS)]] for n in range(LEDS)]
     with (tmp_path / "alone.csv").open("w", newline="") as stream:
         csv.writer(stream).writerows(rows)
-    run("relight", tmp_path / "real", "--levels", tmp_path / "alone.csv", "--out", tmp_path / "film").success()
+    here(
+        ["relight", tmp_path / "real", "--levels", tmp_path / "alone.csv", "--out", tmp_path / "film"], capsys
+    ).success()
     copy = "import shutil, sys; shutil.copy(sys.argv[1], '.')"
     film = tmp_path / "film" / "{name}.png"
     play = led(bench, "play", bench / "scene.toml", "--alone", "--out", tmp_path / "play", "--settle", "0 s")

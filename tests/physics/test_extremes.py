@@ -235,6 +235,10 @@ TO_TOLERANCE: dict[str, radwrap.Scene] = {
 }
 
 
+# Less extreme than others, or the same code by another number.
+BETWEEN = ("1 ns", "1e6 s", "dark", "glaring, for a moment", "gamma 0.1", "small", "large")
+
+
 @cache
 def true_gray(name: str) -> np.ndarray:
     """Of many sub-viewpoints with many rays a pixel, the same for all methods."""
@@ -245,8 +249,12 @@ def true_gray(name: str) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("name", "method"),
-    [(name, None) for name in TO_TOLERANCE]
-    + [(name, method) for name in ("1 um", "glaring", "overflowing gain", "2 f") for method in ("kernel", "rays")],
+    [pytest.param(name, None, marks=[pytest.mark.long] if name in BETWEEN else []) for name in TO_TOLERANCE]
+    + [
+        pytest.param(name, method, marks=[pytest.mark.long] if name in ("1 um", "2 f") else [])
+        for name in ("1 um", "glaring", "overflowing gain", "2 f")
+        for method in ("kernel", "rays")
+    ],
 )
 def test_to_tolerance(name: str, method: Any) -> None:
     """Half a gray level, against many sub-viewpoints with many rays a pixel; and what the certificate says holds."""
