@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
+import numpy as np
+
 from radwrap.imaging.demand import FEWEST, Demand, ToleranceMethod
 from radwrap.imaging.methods.hybrid import HybridPlan, Seen
 from radwrap.imaging.methods.kernel import KernelPlan, plan_kernel
@@ -130,7 +132,26 @@ class Plans:
         """Rays that a kernel with corrections is expected to take for what is asked; infinite where there is none."""
         if not math.isfinite(self.model.mean) or self.view.camera.aperture.is_infinitesimal:
             return math.inf
+        self.everywhere = self.everywhere or self._fails_elsewhere()
         return self.forecast("hybrid", self.first_aim("hybrid"))
+
+    def _fails_elsewhere(self) -> bool:
+        """Whether the kernel's model fails at pixels of the survey that lie away from steps in depth too."""
+        sensor, cost = self.view.camera.sensor, self._look().cost
+        places = np.divmod(self.found.pixels, sensor.columns)
+        at = tuple(
+            place * number // size
+            for place, number, size in zip(places, cost.shape, (sensor.rows, sensor.columns), strict=True)
+        )
+        rest = np.where(cost[at] > RISK_SHARE * self.demand.tolerance, 0.0, self.found.lacks)
+        return root(float(rest.mean())) > MODEL_SHARE * self.demand.tolerance
+
+    def _look(self) -> Seen:
+        """What the survey's grid sees; looked at once."""
+        if self._seen is None:
+            self._seen, rays = seen_by(self.view, self.found)
+            self.rays += rays
+        return self._seen
 
     def _foreseen_by(self, plan: HybridPlan) -> Foreseen:
         if self.everywhere not in self._foreseen:
@@ -149,11 +170,8 @@ class Plans:
         return plan_kernel(self.view, middle_of(met) if self.one_layer else met, aim, self.finer)
 
     def _hybrid(self, kernel: KernelPlan, aim: float) -> HybridPlan:
-        if self._seen is None:
-            self._seen, rays = seen_by(self.view, self.found)
-            self.rays += rays
         risk = RISK_SHARE * self.demand.tolerance
-        return HybridPlan(kernel, aim, -1.0 if self.everywhere else risk, risk, self._seen, self.fewest)
+        return HybridPlan(kernel, aim, -1.0 if self.everywhere else risk, risk, self._look(), self.fewest)
 
     def planned(self, method: ToleranceMethod, aim: float) -> tuple[Plan, int]:
         """A plan for an rms error of the result, and how many replicates of it."""

@@ -44,6 +44,10 @@ class Survey:
         The same for a kernel of one magnification, the median: what the spread of depths costs.
     deviations : ndarray
         Standard deviation of one ray at pixels drawn at random [gray level].
+    pixels : ndarray of int
+        Their numbers, row by row.
+    lacks : ndarray
+        Squares of what the kernel's model lacks at each of them, as two independent values tell it [gray level^2].
     rays : int
         What it took.
     """
@@ -52,6 +56,8 @@ class Survey:
     model: Bounded
     one_layer: Bounded
     deviations: NDArray[np.float64]
+    pixels: NDArray[np.intp]
+    lacks: NDArray[np.float64]
     rays: int
 
 
@@ -67,18 +73,18 @@ def survey(view: View, seed: int) -> Survey:
     deviations = gray_deviation(pilot, plan_rays(view, 1.0))
     rays = magnification.size + pilot.size
     model = one_layer = NOTHING
+    lacks = np.zeros(len(drawn))
     if not view.camera.aperture.is_infinitesimal:
         every = np.zeros(len(drawn), dtype=np.intp)
         sample = PixelSample(drawn, every, np.ones(1), every + _SURVEY_PAIRS)
 
         def error_of(layers: tuple[float, ...]) -> Bounded:
-            nonlocal rays
+            nonlocal rays, lacks
             errors = model_errors(view, layers, sample, pilot.mean(axis=1), seed=(seed, Rendering.SURVEYED_MODEL))
             rays += errors.rays
+            lacks = errors.first * errors.second
             # What so few pairs see decides what is tried, not what is certified.
-            return stratified_mean(
-                errors.first * errors.second, sample.stratum, sample.shares, (seed, Rendering.SURVEYED_RESAMPLES)
-            )
+            return stratified_mean(lacks, sample.stratum, sample.shares, (seed, Rendering.SURVEYED_RESAMPLES))
 
         met = met_by(view, magnification)
         model = one_layer = error_of(plan_kernel(view, middle_of(met), 1.0).layers)
@@ -87,7 +93,7 @@ def survey(view: View, seed: int) -> Survey:
             model = error_of(layers) if len(layers) > 1 else one_layer
         except InputError:  # too deep for layers
             model = Bounded(math.inf, math.inf)
-    return Survey(magnification, model, one_layer, deviations, rays)
+    return Survey(magnification, model, one_layer, deviations, drawn, lacks, rays)
 
 
 def surveyed_places(sensor: Sensor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
