@@ -291,10 +291,20 @@ def test_a_budget_of_rays_is_kept(tmp_path: Path) -> None:
     seen = behind_an_edge()
     dear = search(seen, tmp_path / "dear", Demand(0.15))
     budget = dear.record.rays // 2
-    outcome = search(seen, tmp_path / "tight", Demand(0.15, budget=Budget(rays=budget)))
+    outcome = search(seen, tmp_path / "tight", Demand(0.15, method="hybrid", budget=Budget(rays=budget)))
     assert outcome.record.rays <= budget and not outcome.met
-    again = search(seen, tmp_path / "tight", Demand(0.15, budget=Budget(rays=budget)))
+    assert outcome.method == "hybrid"
+    again = search(seen, tmp_path / "tight", Demand(0.15, method="hybrid", budget=Budget(rays=budget)))
     assert again.record == outcome.record and np.array_equal(again.radiance, outcome.radiance)
+
+
+def test_corrections_that_cannot_be_paid_are_not_begun(tmp_path: Path) -> None:
+    """Few of them would be noisier than what the kernel lacks: rays are taken, as many as the budget allows."""
+    seen = behind_an_edge()
+    dear = search(seen, tmp_path / "dear", Demand(0.15))
+    outcome = search(seen, tmp_path / "tight", Demand(0.15, budget=Budget(rays=dear.record.rays // 3)))
+    assert outcome.method == "rays" and not outcome.met
+    assert error_of(seen, outcome) < outcome.certificate.rms_gray_upper95 + 0.05
 
 
 @dataclass(frozen=True)

@@ -184,8 +184,10 @@ class Search:
                 self._count(found.parts, sum(found.parts.values()))
                 if best is not None:
                     break
-                if method == "hybrid" and self.was_over and self.demand.method is None:
-                    method, why = "kernel", "its corrections take more rays than are left"
+                if method == "hybrid" and self.demand.method is None:
+                    # Few corrections add more noise than the kernel lacks; few rays are only noisy.
+                    method, why = "rays", "corrections of the kernel take more rays than are left"
+                    aim = self._affordable(method, self.plans.first_aim(method))
                     continue
                 aim = self._coarser(method, aim, found.whole)
                 self.plans.finer, self.effort = 0, 0
