@@ -24,7 +24,7 @@ from radwrap.imaging.optics.view import View, trace_rays
 from radwrap.imaging.tolerance.certificate import independent_errors
 from radwrap.imaging.tolerance.foreseen import seen_by
 from radwrap.imaging.tolerance.planner import Outcome, render_to_tolerance
-from radwrap.imaging.tolerance.replicates import Work
+from radwrap.imaging.tolerance.replicates import Replicates, Work, discretisation
 from radwrap.imaging.tolerance.survey import met_by, survey
 from radwrap.process import Programs
 from radwrap.progress import Progress
@@ -193,6 +193,21 @@ def test_pairs_that_differ_by_more_than_the_sensor_shows_are_counted_whole() -> 
     # 100 gray levels for the radiance 1.
     assert found.deviation[1, 1] == pytest.approx(100 * spread, rel=0.05)
     assert found.due.tolist() == [False, True]
+
+
+@pytest.mark.parametrize("number", [2, 8])
+def test_noise_that_ends_at_dark_is_told_whole(number: int) -> None:
+    """Half of such images are black: the mean of all is off by more than their gray levels differ."""
+    seen = behind_an_edge(rows=40)
+    truth, noise = 0.05, 2.0
+    random = np.random.default_rng(4)
+    images = random.normal(truth, noise, (number, 40, 72)).astype(np.float32)
+    own = np.ones(images.shape[1:], dtype=bool)
+    made = Replicates(images, 0.0, 0, 0, (1, 1), own_rays=own, uncorrected=np.zeros_like(images))
+    off = gray(seen, made.mean - truth)
+    found, _ = discretisation(seen, made)
+    assert float((off**2).mean()) < found.upper
+    assert found.mean == pytest.approx((100 * noise) ** 2 / number, rel=0.15)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 17), (40, 23)])

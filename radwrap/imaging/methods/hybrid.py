@@ -319,14 +319,14 @@ def needs(plan: HybridPlan, values: Array, differences: Array, pooled: Callable[
     scale, sensor = plan.kernel.grid.exposure_of_radiance, plan.camera.sensor
     count, mean = values.shape[1], values.mean(axis=1)
     of_rays, of_pairs = spread = [found.std(axis=1, ddof=1) for found in (values, differences)]
-    slope = _slope(mean, of_pairs / count**0.5, scale, sensor)
+    slope = slope_in_gray(mean, of_pairs / count**0.5, scale, sensor)
     deviation = deviation_in_gray(mean, of_rays, count, scale, sensor), slope * of_pairs
     off = pooled(slope * np.sqrt((differences**2).mean(axis=1)))
     pooled_spread, pooled_deviation = (np.stack([pooled(each) for each in both]) for both in (spread, deviation))
     return Needs(mean, pooled_spread, pooled_deviation, off > plan.left_out)
 
 
-def _slope(mean: Array, error: Array, scale: float, sensor: Sensor) -> Array:
+def slope_in_gray(mean: Array, error: Array, scale: float, sensor: Sensor) -> Array:
     """Of Eq. 5 at means that may be off by so much [gray level per W m^-2 sr^-1]; 0 where a pixel saturates.
 
     A few pairs may differ by many times what the sensor can show, to either side: their own gray levels tell nothing.

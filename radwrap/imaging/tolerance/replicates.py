@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import EnvironmentFailure
 from radwrap.imaging.methods.central import Cells, central_rays
-from radwrap.imaging.methods.hybrid import HybridPlan
+from radwrap.imaging.methods.hybrid import HybridPlan, slope_in_gray
 from radwrap.imaging.methods.kernel import KernelPlan, decide_tile, gathered_tile, grid_squares, smooth_share
 from radwrap.imaging.methods.pieces import Pieces, log_call, remove_halves, run_jobs
 from radwrap.imaging.methods.rays import RaysPlan, traced_tile
@@ -381,9 +381,21 @@ def discretisation(view: View, replicates: Replicates) -> tuple[Bounded, NDArray
         found, errors = noise(replicates.images, block)
         return found + grid, errors
     # Corrections of different pixels are independent. Of the kernel's part fewer independent errors are seen.
-    found, errors = noise(replicates.images, (1, 1))
+    _, ended = noise(replicates.images, (1, 1))
+    _, straight = noise_of(_straight_gray(view, replicates), (1, 1), (1, 1))
+    # Where single images end at dark or at saturation, their own gray levels differ by less than their mean is off.
+    errors = np.where(np.abs(straight) > np.abs(ended), straight, ended)
+    found = mean_square_of_differences(errors, (1, 1))
     kernel, _ = noise(replicates.uncorrected, block)
     return found + Bounded(0.0, kernel.upper - kernel.mean) + grid, errors
+
+
+def _straight_gray(view: View, replicates: Replicates) -> NDArray[np.float64]:
+    """Gray levels along the slope of Eq. 5 at the mean of all images, which end nowhere."""
+    mean, scale, sensor = replicates.mean, view.exposure_of_radiance, view.camera.sensor
+    images = replicates.images.astype(np.float64)
+    slope = slope_in_gray(mean, images.std(axis=0, ddof=1) / math.sqrt(len(images)), scale, sensor)
+    return slope * images
 
 
 def looks(block: tuple[int, int]) -> tuple[int, int]:
