@@ -7,6 +7,8 @@ import sys
 from itertools import chain
 from pathlib import Path
 
+import pytest
+
 import radwrap
 
 PACKAGE = Path(radwrap.__file__).parent
@@ -89,6 +91,7 @@ def refused(folder: Path) -> dict[str, set[str]]:
     }
 
 
+@pytest.mark.long
 def test_mypy_names_each_place_that_lacks_a_kind(tmp_path: Path) -> None:
     """One run for all kinds, told apart by the names in its messages."""
     shutil.copytree(PACKAGE, tmp_path / "radwrap", ignore=shutil.ignore_patterns("__pycache__"))

@@ -31,11 +31,11 @@ paint sphere ball 0 0 4 0 0 0 .01
 CHANGES: dict[str, Any] = {"sources.1": RING, "materials.white": SHEETING}
 
 
-def test_any_number_of_workers_gives_the_same_bytes(tmp_path: Path) -> None:
+@pytest.mark.parametrize("workers", [[1, 5], pytest.param([1, 2, 5, 2], marks=pytest.mark.long)], ids=len)
+def test_any_number_of_workers_gives_the_same_bytes(tmp_path: Path, workers: list[int]) -> None:
     """Truth and jitter included; each by a process of its own."""
     scene = write_scene(tmp_path, CHANGES)
     options = ["--viewpoints", 19, "--pixel-samples", 2, "--pixel-sampling", "jitter", "--seed", 7, "--truth"]
-    workers = [1, 5, 5]
     outs = [tmp_path / f"out{index}" for index in range(len(workers))]
     argv = [["render", scene, "--out", out, *options, "--workers", w] for out, w in zip(outs, workers, strict=True)]
     assert [done.code for done in side_by_side(lambda words: run(*words), argv)] == [0] * len(workers)
@@ -67,11 +67,11 @@ def test_the_seed_decides_the_jitter_and_nothing_else(tmp_path: Path, capsys: py
     [
         pytest.param("with a blank", marks=pytest.mark.long),
         "größe µ 日本",
-        "quote ' and \" and `",
+        pytest.param("quote ' and \" and `", marks=pytest.mark.long),
         "$HOME; !touch touched; {x} %d * ? [a] ~",
         "-rf",
         pytest.param("colon:and,comma", marks=pytest.mark.long),
-        "a.b/.hidden/..name",
+        pytest.param("a.b/.hidden/..name", marks=pytest.mark.long),
     ],
 )
 def test_folders_may_be_called_anything(

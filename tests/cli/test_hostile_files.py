@@ -180,9 +180,18 @@ NUMBERS: Final = [
 ]
 
 
-@pytest.mark.parametrize("argv", NUMBERS, ids=lambda argv: " ".join(argv[:2] + argv[-1:]))
+# A fit takes half a second: of the numbers each third.
+FITS = [argv for argv in NUMBERS if "points.csv" in argv]
+
+
+@pytest.mark.parametrize(
+    ("argv", "each"),
+    [(argv, 3 if argv in FITS else 1) for argv in NUMBERS]
+    + [pytest.param(argv, 1, marks=pytest.mark.long) for argv in FITS],
+    ids=lambda argv: " ".join(argv[:2] + argv[-1:]) if isinstance(argv, list) else str(argv),
+)
 def test_numbers_of_the_command_line_end_in_a_result_or_one_line(
-    argv: list[str], bench: Path, capsys: pytest.CaptureFixture[str]
+    argv: list[str], each: int, bench: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (bench / "frames.csv").write_text("radiant_exposure,gray\n" + "".join(f"{k},{20 + 9 * k}\n" for k in range(12)))
     places = [(x, y, 0.1 * x * y) for x in (-0.05, 0, 0.05) for y in (-0.05, 0, 0.05)]
@@ -202,7 +211,7 @@ def test_numbers_of_the_command_line_end_in_a_result_or_one_line(
         "9" * 5000,
         "1_0",
     )
-    for number in numbers if "points.csv" not in argv else numbers[::3]:  # a fit takes half a second
+    for number in numbers[::each]:
         done = here([word.replace("{}", number) for word in argv], capsys)
         refused = done.code == 2 and not done.stdout and done.stderr.count("\n") == 1 and len(done.stderr) < 1000
         assert refused or (done.code in (0, 1, 3) and "Traceback" not in done.stderr), (number, done)

@@ -321,8 +321,11 @@ def test_bad_input_is_refused_in_one_line(case: Case, tmp_path: Path, capsys: py
     assert children() == []
 
 
-def test_the_command_itself_refuses_in_the_same_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    cases = ALL[::15]
+@pytest.mark.parametrize("chosen", [45, pytest.param(15, marks=pytest.mark.long)])
+def test_the_command_itself_refuses_in_the_same_words(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], chosen: int
+) -> None:
+    cases = ALL[::chosen]
     scenes = [_lay(tmp_path / str(number), case) for number, case in enumerate(cases)]
     argv = [_argv(case, scene) for case, scene in zip(cases, scenes, strict=True)]
     for words, done in zip(argv, side_by_side(lambda words: run(*words), argv), strict=True):

@@ -64,10 +64,10 @@ def _gone(processes: list[psutil.Process], patience: float) -> bool:
 @pytest.mark.parametrize(
     ("signals", "tracer"),
     [
-        ([signal.SIGTERM], "radiance"),
+        pytest.param([signal.SIGTERM], "radiance", marks=pytest.mark.long),  # as while the octree is built
         ([signal.SIGINT] * 3, "radiance"),
         pytest.param([signal.SIGINT], "radiance", marks=pytest.mark.long),  # the first of three ends it
-        ([signal.SIGINT], "compiled"),
+        pytest.param([signal.SIGINT], "compiled", marks=pytest.mark.long),
     ],
     ids=str,
 )
@@ -117,6 +117,7 @@ def test_a_signal_that_meets_a_worker_thread_is_heeded(tmp_path: Path) -> None:
     assert _gone(tracers, 0)
 
 
+@pytest.mark.long
 def test_after_the_tracers_an_interrupted_run_is_completed(tmp_path: Path) -> None:
     """Whole and small: interrupted once, then the bytes of a run that was not."""
     scene, out, good = write_scene(tmp_path, SLOWER), tmp_path / "out", tmp_path / "good"
@@ -221,7 +222,13 @@ def test_a_signal_while_modules_are_loaded(how: str, chosen: slice, tmp_path: Pa
 _PROGRAM = "import sys; {}; from radwrap.cli.program import program; program()"
 
 
-@pytest.mark.parametrize("closed", ["sys.stdout = None", "sys.stderr = None", "sys.stdout = sys.stderr = None"])
+@pytest.mark.parametrize(
+    "closed",
+    [
+        "sys.stdout = sys.stderr = None",
+        *(pytest.param(f"sys.{stream} = None", marks=pytest.mark.long) for stream in ("stdout", "stderr")),
+    ],
+)
 @pytest.mark.parametrize(("words", "code"), [(["schema"], 0), (["render", "none.toml", "--out", "none"], 2)])
 def test_closed_streams_change_no_exit_code(closed: str, words: list[str], code: int) -> None:
     """As Python leaves them where whoever starts it has closed them."""
@@ -249,7 +256,13 @@ def test_a_message_that_nobody_can_read_changes_no_exit_code() -> None:
 FULL = "No space left on device"
 
 
-@pytest.mark.parametrize("words", [["--help"], ["--version"], ["render", "--help"], ["schema"], ["doctor", "--json"]])
+@pytest.mark.parametrize(
+    "words",
+    [
+        *(["--help"], ["--version"], ["schema"]),
+        *(pytest.param(words, marks=pytest.mark.long) for words in (["render", "--help"], ["doctor", "--json"])),
+    ],
+)
 def test_an_answer_that_cannot_be_written_is_told(words: list[str]) -> None:
     with Path("/dev/full").open("wb") as full:
         done = run(*words, stdout=full)

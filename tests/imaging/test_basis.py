@@ -98,8 +98,11 @@ DEEP: Final = {  # a second sheet nearer by: several layers, whose shares depend
 
 # Each method and each tracer; their other pairs are long.
 MADE: Final = [
-    *("kernel, deep", "rays", "kernel, deep, compiled", "hybrid, deep, compiled"),
-    *(pytest.param(name, marks=pytest.mark.long) for name in ("kernel", "rays, compiled", "hybrid, deep")),
+    *("rays", "hybrid, deep, compiled"),
+    *(
+        pytest.param(name, marks=pytest.mark.long)
+        for name in ("kernel", "kernel, deep", "rays, compiled", "kernel, deep, compiled", "hybrid, deep")
+    ),
 ]
 
 

@@ -249,9 +249,10 @@ def wires(x: Array, y: Array) -> Array:
     return np.where(np.abs((x + 0.01) % 5e-3 - 2e-3) < 2.5e-5, 20.0, 0.2)
 
 
-def test_rays_find_what_the_deciding_rays_missed(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("rows", "columns"), [(12, 16), pytest.param(20, 32, marks=pytest.mark.long)])
+def test_rays_find_what_the_deciding_rays_missed(tmp_path: Path, rows: int, columns: int) -> None:
     """Lines that eight rays of a pixel mostly miss: more rays in each attempt, until the bound is met and true."""
-    seen = view(Aperture("round", 0.0), (1.0, wires), rows=12, columns=16)
+    seen = view(Aperture("round", 0.0), (1.0, wires), rows=rows, columns=columns)
     outcome = search(seen, tmp_path / "work", Demand(2.0, method="rays"))
     assert outcome.met and len(outcome.record.attempts) > 1
     assert true_rms(seen, outcome.radiance) <= outcome.certificate.rms_gray_upper95
@@ -278,6 +279,7 @@ def test_a_small_budget_is_not_overspent(tmp_path: Path) -> None:
     assert not cheap.met and cheap.record.rays < 5e4 < dear.record.rays
 
 
+@pytest.mark.long
 def test_a_certificate_takes_what_a_budget_leaves_and_no_more(tmp_path: Path) -> None:
     """What more pairs of rays take is known before: they are traced where the budget suffices to the ray."""
 
@@ -367,7 +369,7 @@ def test_what_comes_after_a_kernel_that_fails_keeps_the_budget_too(tmp_path: Pat
     assert outcome.record.rays < 2e6
 
 
-@pytest.mark.parametrize(("method", "tolerance"), [("rays", 0.1), ("kernel", 0.02)])
+@pytest.mark.parametrize(("method", "tolerance"), [pytest.param("rays", 0.1, marks=pytest.mark.long), ("kernel", 0.02)])
 def test_the_first_image_is_given_up_too_and_the_coarsest_made(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, method: Literal["rays", "kernel"], tolerance: float
 ) -> None:

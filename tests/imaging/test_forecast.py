@@ -102,6 +102,7 @@ def test_a_slow_tracer_is_seen(tmp_path: Path) -> None:
         assert found.rays * _COST <= found.seconds <= _SLACK * found.rays * _COST
 
 
+@pytest.mark.long
 def test_an_image_takes_as_long_as_its_rays_and_four_times_the_pixels_four_times_as_long(tmp_path: Path) -> None:
     seconds = []
     for times in (1, 2):
@@ -141,7 +142,9 @@ def test_parts_add_up_and_a_run_takes_about_as_long(tmp_path: Path) -> None:
     assert cost.seconds - 1.0 == pytest.approx(clock.lap(), rel=0.5, abs=0.2)
 
 
-@pytest.mark.parametrize("options", [{"method": "rays", "tolerance": 2.0}, {"viewpoints": 37}])
+@pytest.mark.parametrize(
+    "options", [pytest.param({"method": "rays", "tolerance": 2.0}, marks=pytest.mark.long), {"viewpoints": 37}]
+)
 def test_a_long_run_says_so_before_and_what_is_cheaper(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, options: dict[str, Any]
 ) -> None:

@@ -111,6 +111,7 @@ def test_a_dome_over_a_glossy_sheet_is_loaded_at_once() -> None:
     assert time.process_time() - begin < PATIENCE
 
 
+@pytest.mark.long
 def test_too_many_patches_are_refused_only_where_radiance_traces() -> None:
     scene = scene_of(sources=[{**BAR, "position": at(0, 0, 2), "size": ["60 mm", "60 mm"], "irradiance_error": 1e-4}])
     with laid_out(scene, COMPILED) as traced:

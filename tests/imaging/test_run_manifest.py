@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -26,9 +27,18 @@ HOW: list[dict[str, Any]] = [
 ]
 
 
+@pytest.fixture(scope="module")
+def once(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results; not to be changed."""
+    folder = tmp_path_factory.mktemp("once")
+    radwrap.render(scene(), folder, viewpoints=1)
+    return folder
+
+
 @pytest.fixture
-def told(tmp_path: Path) -> dict[str, Any]:
-    radwrap.render(scene(), tmp_path / "made", viewpoints=1)
+def told(once: Path, tmp_path: Path) -> dict[str, Any]:
+    """What the manifest of the results in "made" says."""
+    shutil.copytree(once, tmp_path / "made")
     manifest: dict[str, Any] = json.loads((tmp_path / "made" / MANIFEST).read_bytes())
     return manifest
 

@@ -46,7 +46,7 @@ def test_a_search_by_each_image_samples_darker_ones_coarser(scene: Scene) -> Non
     assert rays[1] < 0.5 * rays[0]
 
 
-@pytest.mark.parametrize("plan", [KERNEL, RAYS])
+@pytest.mark.parametrize("plan", [KERNEL, pytest.param(RAYS, marks=pytest.mark.long)])
 def test_replicates_are_kept_and_a_basis_gives_the_same(scene: Scene, plan: SamplingPlan, tmp_path: Path) -> None:
     made = radwrap.render(scene, tmp_path, sampling=plan, basis=True, workers=1)
     kept = read_replicates(tmp_path, scene.camera.sensor.rows)

@@ -58,7 +58,7 @@ def test_a_cancelled_render_ends_at_once_and_leaves_nothing(tracer: str, how: di
     assert caller.threads == {threading.get_ident()}
 
 
-@pytest.mark.parametrize("tracer", ["radiance", "compiled"])
+@pytest.mark.parametrize("tracer", [pytest.param("radiance", marks=pytest.mark.long), "compiled"])
 def test_the_same_call_works_after_one_that_was_cancelled(tracer: str, tmp_path: Path) -> None:
     few = {"viewpoints": 60, "tracer": tracer}
     radwrap.render(scene(), tmp_path / "a", viewpoints=1)
@@ -77,7 +77,8 @@ def test_what_is_cancelled_before_it_begins_makes_nothing(tmp_path: Path) -> Non
     assert list(tmp_path.rglob("*.*")) == []
 
 
-def test_a_caller_that_never_cancels_gets_the_same_bytes_and_hears_in_its_own_thread() -> None:
+@pytest.mark.parametrize("viewpoints", [12, pytest.param(60, marks=pytest.mark.long)])
+def test_a_caller_that_never_cancels_gets_the_same_bytes_and_hears_in_its_own_thread(viewpoints: int) -> None:
     heard: list[radwrap.Progressed] = []
     threads: set[int] = set()
 
@@ -85,14 +86,14 @@ def test_a_caller_that_never_cancels_gets_the_same_bytes_and_hears_in_its_own_th
         heard.append(state)
         threads.add(threading.get_ident())
 
-    how: dict[str, Any] = {"viewpoints": 12, "tracer": "radiance"}
+    how: dict[str, Any] = {"viewpoints": viewpoints, "tracer": "radiance"}
     watched = radwrap.render(scene(**LARGE), cancelled=lambda: False, progress=told, **how)
     assert watched.manifest["files"] == radwrap.render(scene(**LARGE), **how).manifest["files"]
     assert threads == {threading.get_ident()}
     done = [state.done for state in heard]
     assert done == sorted(done) and done[-1] > 0
     assert all(state.done <= state.of and (state.seconds_left or 0.0) >= 0 for state in heard)
-    assert heard[-1].of == 12 * 240 * 288
+    assert heard[-1].of == viewpoints * 240 * 288
     with pytest.raises(dataclasses.FrozenInstanceError):
         heard[0].done = 0  # type: ignore[misc]
 

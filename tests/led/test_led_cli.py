@@ -264,6 +264,7 @@ def test_a_camera_that_fails_ends_the_play(bench: Path, tmp_path: Path) -> None:
     assert done.code == 2 and "--camera" in done.stderr, "stdin has no Enter to give"
 
 
+@pytest.mark.long
 def test_the_twin_calibrates_itself(bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A ring with factors of its own, seen in rendered captures of 8 bit; then a scene loads what was found."""
     changes = [{"index": n, "radiance_factor": factor} for n, factor in enumerate(FACTORS)]

@@ -139,7 +139,10 @@ def write_broken_exr(path: Path, values: np.ndarray) -> None:
     ("diameter", "options", "limits"),
     # The renderer samples 3 x 3 points of a pixel, or 19 of the pinhole: that leaves some 0.02 px in each centre.
     [
-        ("0 mm", {"method": "pinhole", "pixel_samples": 3}, {"ellipse": 0.06, "conic": 0.03}),
+        pytest.param(
+            *("0 mm", {"method": "pinhole", "pixel_samples": 3}, {"ellipse": 0.06, "conic": 0.03}),
+            marks=pytest.mark.long,
+        ),
         ("0.1 mm", {"viewpoints": 19}, {"ellipse": 0.09, "conic": 0.06}),
     ],
 )

@@ -40,7 +40,7 @@ def test_bases_and_their_turns_are_all_changes_of_a_lattices_steps() -> None:
 
 
 @pytest.mark.parametrize("lost", [0, 1, 3])
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(2, 8))])
 def test_leaving_out_walks_that_are_alike_changes_no_grid(
     seed: int, lost: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

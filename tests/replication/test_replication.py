@@ -117,6 +117,7 @@ def test_eq_8_and_9_are_exact_and_a_changed_focal_length_turns_eq_8() -> None:
     )
 
 
+@pytest.mark.long
 def test_a_smaller_pinhole_turns_the_verdict_of_fig_10(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     task = Task(tmp_path, quick=True)
     list(carry_out("fig10", fig10_board.make, task))

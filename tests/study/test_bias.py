@@ -60,11 +60,12 @@ def edge_image(scene: Scene, shift: float) -> GrayImage:
     return GrayImage(np.rint(20 + 160 * share.mean(axis=-1)))
 
 
-def test_dots_that_are_moved_are_off_by_as_much() -> None:
+@pytest.mark.parametrize("methods", [("gray", "conic"), pytest.param(METHODS, marks=pytest.mark.long)], ids=len)
+def test_dots_that_are_moved_are_off_by_as_much(methods: tuple[str, ...]) -> None:
     """Round discs: the mean error is the shift for each method that does not take a dot's tilt into account."""
     scene = board()
-    points = dot_bias(3.0, scene, board_image(scene, (0.4, -0.3)), METHODS)
-    assert [point.method for point in points] == list(METHODS)
+    points = dot_bias(3.0, scene, board_image(scene, (0.4, -0.3)), methods)
+    assert [point.method for point in points] == list(methods)
     for point in points:
         assert point.value == 3.0
         assert not point.failure

@@ -101,31 +101,37 @@ def _other_radwrap(folder: Path) -> Path:
 
 
 @pytest.mark.usefixtures("one_process")
-def test_workers_that_would_answer_otherwise_are_left_out(memory_path: Path) -> None:
-    """Those that are fit do the study, also where they come late, and its table is the one of this
-    process; a scheduler that is gone is told.
-    """
-    (memory_path / "scene.toml").write_text(scene_text(EDGE))
-    design = memory_path / "design.toml"
-    design.write_text(f'scene = "scene.toml"\n{TINY_SMALL}\n{GRAY}')
+def test_workers_may_come_late(memory_path: Path) -> None:
+    """They do the study, and its table is the one of this process."""
+    design = _laid(memory_path)
     with ExitStack() as stack:
-        scheduler, address = stack.enter_context(_scheduler(memory_path))
-        words = ["study", "run", design, "--no-report", "--dask", address, "--out"]
-        with start([*words, memory_path / "late"]) as study:
+        _, address = stack.enter_context(_scheduler(memory_path))
+        with start([*_words(design, address), memory_path / "late"]) as study:
             mark = memory_path / "late" / ".radwrap.cluster"
             assert wait_for(mark.exists, study, PATIENCE)
             time.sleep(1.5)
-            table = memory_path / "late" / "results.csv"
             stack.enter_context(_worker(address, memory_path / "w1"))
             _, told = study.communicate(timeout=PATIENCE)
         assert study.returncode == 0 and "no worker is there" in told, told
         assert not mark.exists()
-        run_study(read_design(design), memory_path / "here", StudyOptions())
-        assert table.read_bytes() == (memory_path / "here" / "results.csv").read_bytes()
+    run_study(read_design(design), memory_path / "here", StudyOptions())
+    table = memory_path / "late" / "results.csv"
+    assert table.read_bytes() == (memory_path / "here" / "results.csv").read_bytes()
 
+
+@pytest.mark.long
+def test_workers_that_would_answer_otherwise_are_left_out(memory_path: Path) -> None:
+    """Those that are fit do the study; a scheduler that is gone is told.
+
+    Long: who is fit, and what is said of a scheduler that is not there, the tests of seals and servers see.
+    """
+    design = _laid(memory_path)
+    with ExitStack() as stack:
+        scheduler, address = stack.enter_context(_scheduler(memory_path))
+        stack.enter_context(_worker(address, memory_path / "w1"))
         stack.enter_context(_worker(address, memory_path / "w2", _other_radwrap(memory_path / "other")))
         _wait_for_workers(address, 2)
-        with start([*words, memory_path / "lost"]) as study:
+        with start([*_words(design, address), memory_path / "lost"]) as study:
             assert wait_for((memory_path / "lost" / "started.log").exists, study, PATIENCE)
             os.kill(scheduler.pid, signal.SIGKILL)
             _, told = study.communicate(timeout=PATIENCE)
@@ -135,7 +141,22 @@ def test_workers_that_would_answer_otherwise_are_left_out(memory_path: Path) -> 
         assert "the scheduler is gone" in gone
 
 
+def _laid(folder: Path) -> Path:
+    """A study in a folder."""
+    (folder / "scene.toml").write_text(scene_text(EDGE))
+    design = folder / "design.toml"
+    design.write_text(f'scene = "scene.toml"\n{TINY_SMALL}\n{GRAY}')
+    return design
+
+
+def _words(design: Path, address: str) -> list[object]:
+    """The command but for the place of its results."""
+    return ["study", "run", design, "--no-report", "--dask", address, "--out"]
+
+
+@pytest.mark.long
 def test_a_study_for_which_no_worker_is_fit_is_not_begun(memory_path: Path) -> None:
+    """Long: that a worker is not fit is found above."""
     (memory_path / "scene.toml").write_text(scene_text(EDGE))
     design, out = memory_path / "design.toml", memory_path / "out"
     design.write_text(f'scene = "scene.toml"\n{TINY_SMALL}\n{GRAY}')
@@ -150,31 +171,33 @@ def test_a_study_for_which_no_worker_is_fit_is_not_begun(memory_path: Path) -> N
 
 
 def test_a_study_without_workers_ends(memory_path: Path) -> None:
-    """It says once that it waits, also when its last worker is killed at work; then it gives up."""
-    (memory_path / "scene.toml").write_text(scene_text(EDGE))
-    design = memory_path / "design.toml"
-    design.write_text(f'scene = "scene.toml"\n{TINY_SMALL}\n{GRAY}')
+    """It says once that it waits; then it gives up."""
+    design = _laid(memory_path)
     with _scheduler(memory_path) as (_, address):
-        words = ["study", "run", design, "--no-report", "--dask", address, "--worker-timeout", "3 s", "--out"]
-        with start([*words, memory_path / "none"]) as study:
+        with start([*_words(design, address), memory_path / "none", "--worker-timeout", "2 s"]) as study:
             _, told = study.communicate(timeout=PATIENCE)
         assert study.returncode == 4
-        _says_once_that_it_waits(told, address)
+        _says_once_that_it_waits(told, address, 2)
 
-        with _worker(address, memory_path / "w") as worker:
-            _wait_for_workers(address, 1)
-            with start([*words, memory_path / "killed"]) as study:
-                assert wait_for((memory_path / "killed" / "started.log").exists, study, PATIENCE)
-                worker.kill()
-                _, told = study.communicate(timeout=PATIENCE)
+
+@pytest.mark.long
+def test_a_study_whose_last_worker_is_killed_ends(memory_path: Path) -> None:
+    """Long: what it does without a worker is seen above."""
+    design = _laid(memory_path)
+    with _scheduler(memory_path) as (_, address), _worker(address, memory_path / "w") as worker:
+        _wait_for_workers(address, 1)
+        with start([*_words(design, address), memory_path / "killed", "--worker-timeout", "3 s"]) as study:
+            assert wait_for((memory_path / "killed" / "started.log").exists, study, PATIENCE)
+            worker.kill()
+            _, told = study.communicate(timeout=PATIENCE)
         assert study.returncode == 4
-        _says_once_that_it_waits(told, address)
+        _says_once_that_it_waits(told, address, 3)
 
 
-def _says_once_that_it_waits(told: str, address: str) -> None:
+def _says_once_that_it_waits(told: str, address: str, seconds: int) -> None:
     waits, ends = told.splitlines()
-    assert waits == f"radwrap: no worker is there; waiting 3 s for one at {address}"
-    assert ends.startswith(f"radwrap: {address}: no worker for 3 s; start one") and "--worker-timeout" in ends
+    assert waits == f"radwrap: no worker is there; waiting {seconds} s for one at {address}"
+    assert ends.startswith(f"radwrap: {address}: no worker for {seconds} s; start one") and "--worker-timeout" in ends
 
 
 # What a server of another kind says to whoever comes: to Dask these are lengths of a message, and a message of nothing.

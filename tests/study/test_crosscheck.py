@@ -41,7 +41,10 @@ def run(
     return crosscheck(scene, folder, CrosscheckOptions(options, area_samples=area))
 
 
-@pytest.mark.parametrize("name", ["lambertian", "cone_beam", "ring", "shadows", "dots"])
+@pytest.mark.parametrize(
+    "name",
+    ["shadows", "dots", *(pytest.param(name, marks=pytest.mark.long) for name in ("lambertian", "cone_beam", "ring"))],
+)
 def test_direct_light(name: str, tmp_path: Path) -> None:
     result = run(load(name), tmp_path)
     found = as_json(result)
@@ -78,7 +81,9 @@ def eq9(camera: Camera, depth: float, angle: float) -> tuple[np.ndarray, np.ndar
     return share_beyond(s).mean(axis=(2, 3)), np.abs(s.mean(axis=(2, 3))) <= 1
 
 
-@pytest.mark.parametrize(("name", "depth"), [("edge_far", 1.0), ("edge_near", 3 * 10.59e-3)])
+@pytest.mark.parametrize(
+    ("name", "depth"), [pytest.param("edge_far", 1.0, marks=pytest.mark.long), ("edge_near", 3 * 10.59e-3)]
+)
 def test_finite_pinhole(name: str, depth: float, tmp_path: Path) -> None:
     """At 3 f a shift of the wrong sign leaves .13: neither tracer, nor the merge, has it."""
     scene = load(name)

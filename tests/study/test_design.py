@@ -237,15 +237,16 @@ def test_bad_responses_are_refused(
     assert complaint in here(["study", "run", path, "--out", path.parent / "out"], capsys).refusal(2)
 
 
-def test_jobs_of_many_images_read_their_basis_a_few_times(design: DesignWriter) -> None:
-    """1000 images: as many jobs as keep some workers busy, and each image once."""
+@pytest.mark.parametrize("count", [10, pytest.param(16, marks=pytest.mark.long)])
+def test_jobs_of_many_images_read_their_basis_a_few_times(design: DesignWriter, count: int) -> None:
+    """1000 or 4096 images: as many jobs as keep some workers busy, and each image once."""
     led = '[factors.L{0}]\nkey = "sources[0].leds[{0}].radiance_factor"\nlevels = [{1}]\n'
-    levels = ", ".join(f"{n / 10:g}" for n in range(1, 11))
+    levels = ", ".join(f"{n / count:g}" for n in range(1, count + 1))
     path = design('analysis = "none"\n[design]\nkind = "full"\n' + "".join(led.format(n, levels) for n in range(3)))
     study, runs = expanded(path)
     (_, *steps), made = plan_steps(study, runs, path.parent / "out", StudyOptions())
-    assert made.relit == 1000 and 16 <= len(steps) <= 32
-    assert sorted(run.run for step in steps for run in step.job.runs) == list(range(1, 1001))
+    assert made.relit == count**3 and 16 <= len(steps) <= 32
+    assert sorted(run.run for step in steps for run in step.job.runs) == list(range(1, count**3 + 1))
 
 
 def test_a_study_that_is_too_large_is_refused_with_its_replicates(design: DesignWriter) -> None:

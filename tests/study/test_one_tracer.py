@@ -16,6 +16,17 @@ from radwrap.study.runs import runs_of
 from tests.cli.conftest import here
 from tests.study.conftest import TINY_SMALL, DesignWriter
 
+# Two runs.
+TWO: Final = """
+analysis = "none"
+set = { "camera.sensor.rows" = 20, "camera.sensor.columns" = 24 }
+render.tolerance = 1.0
+[design]
+kind = "full"
+[factors.x]
+key = "targets[0].edge_position"
+levels = ["1 mm", "2 mm"]
+"""
 # Radiance answers in float32: of gray levels up to 255, and of pixels.
 SAME: Final = 1e-3
 
@@ -51,7 +62,7 @@ def test_a_run_that_only_radiance_can_show_decides_for_all(
 @pytest.mark.usefixtures("one_process")
 def test_both_tracers_give_the_same_table(design: DesignWriter, capsys: pytest.CaptureFixture[str]) -> None:
     """The plan says who traced; who is asked for later must be the same, or nobody."""
-    path, tables = design(TINY_SMALL), []
+    path, tables = design(TWO), []
     for name in ("radiance", "compiled"):
         out = path.parent / name
         here(["study", "run", path, "--out", out, "--no-report", "--tracer", name], capsys).success()

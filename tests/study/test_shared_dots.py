@@ -30,7 +30,10 @@ def seen() -> Seen:
     return Seen(scene, result.gray, gray, image_error(gray, 0.5, radii), fields)
 
 
-def test_every_method_answers_as_alone_and_seeks_once(seen: Seen, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("methods", [("gray", "conic"), pytest.param(METHODS, marks=pytest.mark.long)], ids=len)
+def test_every_method_answers_as_alone_and_seeks_once(
+    seen: Seen, monkeypatch: pytest.MonkeyPatch, methods: tuple[str, ...]
+) -> None:
     asked: list[object] = []
     seek = responses.seek_dots
 
@@ -41,10 +44,10 @@ def test_every_method_answers_as_alone_and_seeks_once(seen: Seen, monkeypatch: p
     monkeypatch.setattr(responses, "seek_dots", counted)
     seen.sought.clear()
     answers = {
-        method: answer(Response("f", "focal_length", "mm", {"method": method, "draws": 4}), seen) for method in METHODS
+        method: answer(Response("f", "focal_length", "mm", {"method": method, "draws": 4}), seen) for method in methods
     }
     assert asked == [seen.image]
-    assert len({found.value for found in answers.values()}) == len(METHODS)
+    assert len({found.value for found in answers.values()}) == len(methods)
     board = next(target for target in seen.scene.targets if isinstance(target, DotBoard))
     alone = find_dots(
         seen.image,

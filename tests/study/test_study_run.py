@@ -22,8 +22,8 @@ from tests.cli.conftest import Done, here, inhabitants, start
 from tests.cli.conftest import wait_for as wait
 from tests.study.conftest import PATIENCE, TINY, TINY_SMALL, DesignWriter, command, write_design
 
-# Eight runs of a third of a second each: long enough to be killed in between.
-EIGHT = TINY_SMALL.replace("seed = 5", "seed = 5\nreplicates = 2")
+# Runs of a third of a second each, and how often each is done: long enough to be killed in between.
+REPLICATES = {4: 1, 8: 2}
 
 
 GRAY = '[responses.mean]\nmeasure = "mean_gray"\n[responses.contrast]\nmeasure = "contrast"\n'
@@ -49,37 +49,46 @@ def started(out: Path) -> Counter[int]:
     return Counter(int(line.split()[1]) for line in (out / "started.log").read_text().splitlines())
 
 
+@pytest.fixture(scope="module", params=[4, pytest.param(8, marks=pytest.mark.long)])
+def runs(request: pytest.FixtureRequest) -> int:
+    """How many runs a study has."""
+    number: int = request.param
+    return number
+
+
 @pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Results of the eight runs, with their report, by one worker that nobody disturbed."""
+def undisturbed(tmp_path_factory: pytest.TempPathFactory, runs: int) -> Path:
+    """Results of the runs, with their report, by one worker that nobody disturbed."""
     folder = tmp_path_factory.mktemp("good")
-    words = ("study", "run", eight(folder), "--out", folder / "out", "--workers", "1", "--json")
+    words = ("study", "run", several(folder, runs), "--out", folder / "out", "--workers", "1", "--json")
     done = command(*words).success()
-    assert done.json["runs"] == 8 and done.json["failed"] == 0 and done.json["renders"] == 8
+    assert done.json["runs"] == runs and done.json["failed"] == 0 and done.json["renders"] == runs
     return folder / "out"
 
 
 @pytest.fixture(scope="module")
 def good(undisturbed: Path) -> bytes:
-    """The table of the eight runs."""
+    """The table of the runs."""
     return (undisturbed / "results.csv").read_bytes()
 
 
-def eight(folder: Path) -> Path:
-    return write_design(folder, EIGHT, GRAY)
+def several(folder: Path, runs: int) -> Path:
+    return write_design(folder, TINY_SMALL.replace("seed = 5", f"seed = 5\nreplicates = {REPLICATES[runs]}"), GRAY)
 
 
-@pytest.mark.parametrize("kills", [(2,), pytest.param((1, 3, 5), marks=pytest.mark.long)], ids=len)
-def test_kills_of_the_whole_study_change_nothing(memory_path: Path, good: bytes, kills: tuple[int, ...]) -> None:
-    path, out = eight(memory_path), memory_path / "out"
+def test_a_study_that_is_interrupted_and_killed_goes_on(memory_path: Path, good: bytes, runs: int) -> None:
+    """Of few runs once by Ctrl-C and once killed; of many three times killed, and Ctrl-C has a test of its own."""
+    path, out = several(memory_path, runs), memory_path / "out"
     dice = random.Random(7)  # noqa: S311  (no secret)
     finished: set[str] = set()
-    for due in kills:
+    for due, ends in _ends(runs):
         before = started(out) if out.exists() else Counter[int]()
         with start(["study", "run", path, "--out", out, "--workers", "2", "--no-report"]) as process:
             assert wait_for(lambda due=due: rows_on_disk(out) >= due, process), "the study was too short for this test"
             time.sleep(dice.uniform(0, 0.3))
-            process.kill()
+            process.send_signal(ends)
+            process.communicate(timeout=PATIENCE)
+        assert process.returncode == (130 if ends == signal.SIGINT else -signal.SIGKILL)
         assert _empty(out)
         again = started(out) - before
         assert not {str(number) for number in again} & finished, "a finished run was begun again"
@@ -88,6 +97,13 @@ def test_kills_of_the_whole_study_change_nothing(memory_path: Path, good: bytes,
     assert done.json["timing"]["reused_runs"] == len(finished)
     assert (out / "results.csv").read_bytes() == good
     assert inhabitants(out) == []
+
+
+def _ends(runs: int) -> list[tuple[int, signal.Signals]]:
+    """After how many rows a study of so many runs is ended, and by what."""
+    if runs == 4:
+        return [(1, signal.SIGINT), (2, signal.SIGKILL)]
+    return [(due, signal.SIGKILL) for due in (1, 3, 5)]
 
 
 def _whole_lines(out: Path) -> Path:
@@ -115,10 +131,10 @@ def _orphans() -> list[str]:
     return [" ".join(words) for words in found if words and words[0].startswith(ours) and "spawn_main" in str(words)]
 
 
-def test_a_killed_worker_costs_nothing_that_was_finished(memory_path: Path, good: bytes) -> None:
-    path, out = eight(memory_path), memory_path / "out"
+def test_a_killed_worker_costs_nothing_that_was_finished(memory_path: Path, good: bytes, runs: int) -> None:
+    path, out = several(memory_path, runs), memory_path / "out"
     with start(["study", "run", path, "--out", out, "--workers", "2", "--no-report", "--json"]) as process:
-        assert wait_for(lambda: rows_on_disk(out) >= 3, process), "the study was too short for this test"
+        assert wait_for(lambda: rows_on_disk(out) >= runs // 3, process), "the study was too short for this test"
         finished = {int(row["run"]) for row in read_table(_whole_lines(out)).rows}
         victim = next(child for child in psutil.Process(process.pid).children() if "spawn_main" in str(child.cmdline()))
         os.kill(victim.pid, signal.SIGKILL)
@@ -131,12 +147,13 @@ def test_a_killed_worker_costs_nothing_that_was_finished(memory_path: Path, good
     assert inhabitants(out) == []
 
 
-def test_ctrl_c_ends_everything_and_the_study_goes_on(memory_path: Path, good: bytes) -> None:
-    path, out = eight(memory_path), memory_path / "out"
+@pytest.mark.long
+def test_ctrl_c_ends_everything_and_the_study_goes_on(memory_path: Path, good: bytes, runs: int) -> None:
+    path, out = several(memory_path, runs), memory_path / "out"
     with start(
         ["study", "run", path, "--out", out, "--workers", "2", "--no-report"], start_new_session=True
     ) as process:
-        assert wait_for(lambda: rows_on_disk(out) >= 2, process), "the study was too short for this test"
+        assert wait_for(lambda: rows_on_disk(out) >= runs // 4, process), "the study was too short for this test"
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers too
         _, stderr = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130
@@ -204,15 +221,15 @@ def test_many_levels_of_leds_cost_one_render(design: DesignWriter, capsys: pytes
     assert (out / "results.csv").read_bytes() == table
 
 
-def test_the_report_holds_every_run(undisturbed: Path) -> None:
+def test_the_report_holds_every_run(undisturbed: Path, runs: int) -> None:
     text = (undisturbed / "index.html").read_text()
-    assert text.count('alt="run ') == 8 and "place of the edge" in text and "exposure_time" in text
+    assert text.count('alt="run ') == runs and "place of the edge" in text and "exposure_time" in text
     assert "targets[0].edge_position" in text and "built-in" not in text
     assert "http" not in text.replace("http://www.w3.org", ""), "it must need nothing else"
 
 
 @pytest.mark.long
-def test_dask_gives_the_same_table(memory_path: Path, good: bytes) -> None:
+def test_dask_gives_the_same_table(memory_path: Path, good: bytes, runs: int) -> None:
     """On a LocalCluster of two worker processes, one of which is killed.
 
     Long: that Dask gives the table of this process, and that a worker is killed, test_cluster sees; what is done
@@ -220,7 +237,7 @@ def test_dask_gives_the_same_table(memory_path: Path, good: bytes) -> None:
     """
     from distributed import LocalCluster
 
-    path, out = eight(memory_path), memory_path / "out"
+    path, out = several(memory_path, runs), memory_path / "out"
     with LocalCluster(
         n_workers=2,
         threads_per_worker=1,
@@ -231,7 +248,7 @@ def test_dask_gives_the_same_table(memory_path: Path, good: bytes) -> None:
         with start(
             ["study", "run", path, "--out", out, "--dask", cluster.scheduler_address, "--no-report", "--json"]
         ) as process:
-            assert wait_for(lambda: rows_on_disk(out) >= 3, process)
+            assert wait_for(lambda: rows_on_disk(out) >= runs // 3, process)
             finished = {int(row["run"]) for row in read_table(_whole_lines(out)).rows}
             worker = next(iter(cluster.workers.values()))
             os.kill(worker.pid, signal.SIGKILL)

@@ -192,6 +192,7 @@ def test_light_of_the_wall_on_the_floor_by_quadrature() -> None:
     assert found.std() / math.sqrt(count) < 0.03 * irradiance
 
 
+@pytest.mark.long
 def test_a_wide_source_lights_a_ceiling_that_lights_the_floor() -> None:
     """A square of 0.4 m shines upwards: E on the ceiling and from it on the floor by quadrature, less what it hides."""
     wide = {"type": "rectangle", "name": "wide", "size": Bench.metres(0.4, 0.4), "radiance": "10 W/m^2/sr"}
@@ -216,7 +217,7 @@ def test_a_wide_source_lights_a_ceiling_that_lights_the_floor() -> None:
     through = np.maximum(np.abs(point[0] + 0.2 * (x - point[0])), np.abs(point[1] + 0.2 * (y - point[1])))
     seen = np.where(through > 0.2, 0.8 / math.pi * onto, 0.0)
     irradiance = (seen / ((x - point[0]) ** 2 + (y - point[1]) ** 2 + 1) ** 2).mean() * 9
-    count = 10_000
+    count = 30_000
     eyes = np.array([0.5, 0, 0.6]) + np.random.default_rng(4).normal(0, 1e-3, (count, 3))
     rays = np.hstack([eyes, point - eyes])
     with laid_out(scene, RenderOptions()) as traced:
@@ -230,6 +231,6 @@ def test_a_wide_source_lights_a_ceiling_that_lights_the_floor() -> None:
     assert not direct.any()  # it shines away from the floor
     found = whole * math.pi / 0.5
     noise = found.std() / math.sqrt(count)
-    assert noise < 0.02 * irradiance
+    assert noise < 0.01 * irradiance
     # Patches are asked for 1 % where the camera sees, and do better.
     assert abs(found.mean() - irradiance) < SURE * noise + 0.005 * irradiance

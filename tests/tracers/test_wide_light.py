@@ -99,7 +99,7 @@ def received(source: WideSource, tree: Tree, p: tuple[float, float, float], n: t
     return np.array(found)
 
 
-@pytest.mark.parametrize("x", [-0.1, 0.0, 0.04])
+@pytest.mark.parametrize("x", [0.0, *(pytest.param(x, marks=pytest.mark.long) for x in (-0.1, 0.04))])
 @pytest.mark.parametrize("name", LIGHTS)
 def test_half_shadow_behind_an_edge(name: str, x: float) -> None:
     source, edge, height = wide(name), 0.01, 0.3

@@ -113,6 +113,7 @@ def fit_model(
     Model
     """
     from scipy.optimize import minimize
+    from threadpoolctl import threadpool_limits
 
     middle = np.array([[(shape[1] - 1) / 2, (shape[0] - 1) / 2]])
     pitch = math.sqrt(abs(float(np.linalg.det(jacobian(homography, middle)[0]))))
@@ -138,7 +139,8 @@ def fit_model(
     if earlier is None:
         sizes = (0.3, 0.38, 0.46) if radius is None else (radius,)
         starts = [np.array([blur * pitch, 0.0, size]) for blur in (0.04, 0.16, 0.3, 0.5, 0.7) for size in sizes]
-        start, step = min(starts, key=misfit), 0.06
+        with threadpool_limits(1):
+            start, step = min(starts, key=misfit), 0.06
     else:
         wide, high = earlier.blur
         start, step = np.array([math.sqrt(wide * high), math.log(wide / high), earlier.radius]), 0.01
@@ -150,9 +152,10 @@ def fit_model(
         "xatol": 2e-3,
         "fatol": 1e-3 * float(np.median(levels)),
     }
-    found = minimize(misfit, start[:free], method="Nelder-Mead", options=options).x
-    size, blur = unpacked(found)
-    residual, levels, background = _explained(crop, best[1], size, blur / binning, LEVEL_ROUNDS)
+    with threadpool_limits(1):  # of many small matrices: threads would wait for one another most of the time
+        found = minimize(misfit, start[:free], method="Nelder-Mead", options=options).x
+        size, blur = unpacked(found)
+        residual, levels, background = _explained(crop, best[1], size, blur / binning, LEVEL_ROUNDS)
     return Model(size, blur, levels, background, residual)
 
 
