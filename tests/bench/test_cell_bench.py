@@ -133,6 +133,7 @@ def test_a_name_or_size_that_is_not_there_is_one_error(capsys: pytest.CaptureFix
         assert said in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_a_short_bench(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--cells", BOARD, "--sizes", ".001", "--tolerances", "8", "--no-mitsuba", "--out", str(tmp_path)]
     few = ["--truth-pixels", "64", "--truth-rays", "16"]

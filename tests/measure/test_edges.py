@@ -407,6 +407,7 @@ def test_the_reduced_fit_knows_all_that_least_squares_ask_for() -> None:
     assert left @ left == pytest.approx(residual @ residual, rel=1e-13)
 
 
+@pytest.mark.long
 def test_a_large_picture_takes_no_more_memory_than_is_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
