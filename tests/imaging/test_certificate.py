@@ -249,7 +249,7 @@ def wires(x: Array, y: Array) -> Array:
     return np.where(np.abs((x + 0.01) % 5e-3 - 2e-3) < 2.5e-5, 20.0, 0.2)
 
 
-@pytest.mark.parametrize(("rows", "columns"), [(12, 16), pytest.param(20, 32, marks=pytest.mark.long)])
+@pytest.mark.parametrize(("rows", "columns"), [(12, 16), pytest.param(24, 32, marks=pytest.mark.long)])
 def test_rays_find_what_the_deciding_rays_missed(tmp_path: Path, rows: int, columns: int) -> None:
     """Lines that eight rays of a pixel mostly miss: more rays in each attempt, until the bound is met and true."""
     seen = view(Aperture("round", 0.0), (1.0, wires), rows=rows, columns=columns)
