@@ -14,7 +14,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
@@ -214,8 +214,7 @@ class DaskPool:
         self._unfit |= {name: str(why) for name, why in found.items() if why}
         fit = {name: cores for name, cores in there.items() if name not in self._unfit}
         if fit.keys() != self._cores.keys() and fit:
-            # Others are used only where none of these is left, and then refuse; equal jobs are done each time.
-            self._executors.append(self._client.get_executor(pure=False, workers=list(fit), allow_other_workers=True))
+            self._executors.append(self._executor_of(fit))
         self._cores = fit
         self.workers = sum(fit.values())
         if self._unfit and not fit:
@@ -232,6 +231,14 @@ class DaskPool:
                 remedy="start one: dask worker; the same command goes on; or raise `worker_timeout`",
             )
         self._tell(f"no worker is there; waiting {self._patience:g} s for one at {self._address}")
+
+    def _executor_of(self, fit: Collection[str]) -> Executor:
+        """Of equal jobs each is done. Those who came since may refuse one, and are then known to be unfit."""
+        # Dask keeps a job for ever that is for named workers who have all ended, whoever comes: so none are named while
+        # all are fit. Where some are not, they are used only where no other is left, and then refuse.
+        named = {"workers": list(fit), "allow_other_workers": True} if self._unfit else {}
+        made: Executor = self._client.get_executor(pure=False, **named)
+        return made
 
     def _left_out(self) -> str:
         return f"{len(self._unfit)} workers are left out: {next(iter(self._unfit.values()))}"

@@ -101,22 +101,24 @@ def _other_radwrap(folder: Path) -> Path:
 
 
 @pytest.mark.usefixtures("one_process")
-def test_workers_may_come_late(memory_path: Path) -> None:
-    """They do the study, and its table is the one of this process."""
-    design = _laid(memory_path)
+def test_workers_may_come_late_and_go_early(memory_path: Path) -> None:
+    """The last one is killed at work; another goes on, and the table is the one of this process."""
+    design, out = _laid(memory_path), memory_path / "late"
     with ExitStack() as stack:
         _, address = stack.enter_context(_scheduler(memory_path))
-        with start([*_words(design, address), memory_path / "late"]) as study:
-            mark = memory_path / "late" / ".radwrap.cluster"
+        with start([*_words(design, address), out]) as study:
+            mark = out / ".radwrap.cluster"
             assert wait_for(mark.exists, study, PATIENCE)
             time.sleep(1.5)
-            stack.enter_context(_worker(address, memory_path / "w1"))
+            first = stack.enter_context(_worker(address, memory_path / "w1"))
+            assert wait_for(lambda: (out / "results.csv").read_bytes().count(b"\n") > 1, study, PATIENCE)
+            first.kill()
+            stack.enter_context(_worker(address, memory_path / "w2"))
             _, told = study.communicate(timeout=PATIENCE)
         assert study.returncode == 0 and "no worker is there" in told, told
         assert not mark.exists()
     run_study(read_design(design), memory_path / "here", StudyOptions())
-    table = memory_path / "late" / "results.csv"
-    assert table.read_bytes() == (memory_path / "here" / "results.csv").read_bytes()
+    assert (out / "results.csv").read_bytes() == (memory_path / "here" / "results.csv").read_bytes()
 
 
 @pytest.mark.long
