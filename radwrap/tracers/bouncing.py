@@ -33,19 +33,21 @@ Reflecting = Lambertian | Specular
 
 # Steps of a walk that do not end it by chance, and the largest chance to go on after them.
 SURE_STEPS: Final = 3
-_MOST_LIKELY: Final = 0.95
+MOST_LIKELY: Final = 0.95
 # With that chance one walk in 1e22 is longer.
-_LONGEST_WALK: Final = 1000
+LONGEST_WALK: Final = 1000
 # A hit is known to a float32 of its distance; a walk goes on from so far above the surface, in its distance.
-_ABOVE: Final = 1e-6
+ABOVE: Final = 1e-6
 # Behind a surface that is seen from its back, from where its front is asked for its number, in the distance.
 _BEHIND: Final = 1e-6
 _BLOCKS_TOGETHER: Final = 16
-_DRAWS: Final = 4  # numbers that each step of a walk takes at most
+ENDLESS: Final = "light goes on and on between the surfaces"
+DRAWS: Final = 4  # numbers that each step of a walk takes at most
 
-_GOLDEN: Final = np.uint64(0x9E3779B97F4A7C15)
-_FIRST: Final = np.uint64(0xBF58476D1CE4E5B9)
-_SECOND: Final = np.uint64(0x94D049BB133111EB)
+# Of SplitMix64, whose hash makes keys and draws.
+GOLDEN: Final = np.uint64(0x9E3779B97F4A7C15)
+FIRST: Final = np.uint64(0xBF58476D1CE4E5B9)
+SECOND: Final = np.uint64(0x94D049BB133111EB)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,12 +97,12 @@ class BouncingTracer:
         number = np.arange(len(rays))  # of the ray whose walk it is
         keys, share = _keys(rays), np.ones(len(rays))
         here = self._surfaces(rays)
-        for step in range(1, self.sure_steps + _LONGEST_WALK if self.orders is None else self.orders + 1):
+        for step in range(1, self.sure_steps + LONGEST_WALK if self.orders is None else self.orders + 1):
             draws = _draws(keys, step)
             going, weight = self._scattered(here, rays, draws)
             chance = np.ones(len(rays))
             if self.orders is None and step > self.sure_steps:
-                chance = np.minimum(weight, _MOST_LIKELY)
+                chance = np.minimum(weight, MOST_LIKELY)
             goes = (weight > 0) & (draws[:, 3] < chance)
             share = share[goes] * weight[goes] / chance[goes]
             rays, number, keys = going[goes], number[goes], keys[goes]
@@ -114,7 +116,7 @@ class BouncingTracer:
                 return found
             found[number] += share * _whole(self.lit.trace(_parts(rays)))
         if self.orders is None:
-            raise TracerError("light goes on and on between the surfaces", where="bounces")
+            raise TracerError(ENDLESS, where="bounces")
         return found
 
     def _surfaces(self, rays: Array) -> _Surfaces:
@@ -130,7 +132,7 @@ class BouncingTracer:
         material = np.where(np.isfinite(distance), reflecting[number], 0)
         facing = np.where((normal * rays[:, 3:]).sum(axis=1) > 0, -1.0, 1.0)[:, np.newaxis] * normal
         place = _along(rays, np.where(np.isfinite(distance), distance, 0.0))
-        place += np.where(np.isfinite(distance), distance * _ABOVE, 0.0)[:, np.newaxis] * facing
+        place += np.where(np.isfinite(distance), distance * ABOVE, 0.0)[:, np.newaxis] * facing
         return _Surfaces(material, place, facing)
 
     def _asked(self, rays: Array) -> Iterator[tuple[Array, Array, Array]]:
@@ -183,8 +185,8 @@ def _along(rays: Array, length: Array) -> Array:
 
 def _mixed(values: Keys) -> Keys:
     """SplitMix64's finaliser (Steele, Lea and Flood 2014): each bit depends on all bits."""
-    values = (values ^ (values >> np.uint64(30))) * _FIRST
-    values = (values ^ (values >> np.uint64(27))) * _SECOND
+    values = (values ^ (values >> np.uint64(30))) * FIRST
+    values = (values ^ (values >> np.uint64(27))) * SECOND
     return values ^ (values >> np.uint64(31))
 
 
@@ -193,14 +195,14 @@ def _keys(rays: Array) -> Keys:
     words = (np.ascontiguousarray(rays) + 0.0).view(np.uint64)  # + 0.0: one zero
     keys = np.zeros(len(rays), dtype=np.uint64)
     for column in words.T:
-        keys = _mixed((keys ^ column) + _GOLDEN)
+        keys = _mixed((keys ^ column) + GOLDEN)
     return keys
 
 
 def _draws(keys: Keys, step: int) -> Array:
-    """Numbers of a step, even in 0 to 1, shape (n, _DRAWS)."""
-    order = np.arange(step * _DRAWS, (step + 1) * _DRAWS, dtype=np.uint64)
-    numbers = _mixed(keys[:, np.newaxis] + _GOLDEN * order) >> np.uint64(11)
+    """Numbers of a step, even in 0 to 1, shape (n, DRAWS)."""
+    order = np.arange(step * DRAWS, (step + 1) * DRAWS, dtype=np.uint64)
+    numbers = _mixed(keys[:, np.newaxis] + GOLDEN * order) >> np.uint64(11)
     return numbers.astype(np.float64) * 2.0**-53
 
 

@@ -124,7 +124,7 @@ class CompiledTracer:
         scene, count = self.scene, len(block)
         hits = known or Hits(np.empty(count), np.empty(count, dtype=np.int64))
         values = np.zeros((count, columns))
-        for part in self._parts(len(block), len(lights) + POINTS_OF_A_LIGHT * len(scene.wides)):
+        for part in self.portions(len(block), sources_of(scene)):
             good = trace(
                 scene.targets.shapes,
                 scene.targets.nodes,
@@ -153,16 +153,14 @@ class CompiledTracer:
                 np.empty(CELLS * CELLS, dtype=np.int64),
                 np.empty(DEPTH, dtype=np.int64),
             )
-            _check(good)
-        if not np.isfinite(values.sum()) or values.min(initial=0.0) < 0:
-            raise TracerError("answered NaN, infinity or a negative radiance", where="the compiled tracer")
+            checked(values[part], is_good=good)
         return values, hits
 
     def _met(self, block: Floats) -> tuple[Floats, Floats, Whole]:
         scene = self.scene
         distances, normals = np.empty(len(block)), np.empty((len(block), 3))
         found = np.empty(len(block), dtype=np.int64)
-        for part in self._parts(len(block), 1):
+        for part in self.portions(len(block), 1):
             good = surfaces(
                 scene.targets.shapes,
                 scene.targets.nodes,
@@ -178,10 +176,10 @@ class CompiledTracer:
                 found[part],
                 np.empty(DEPTH, dtype=np.int64),
             )
-            _check(good)
+            checked(distances[:0], is_good=good)
         return distances, normals, found
 
-    def _parts(self, rays: int, sources: int) -> Iterator[slice]:
+    def portions(self, rays: int, sources: int) -> Iterator[slice]:
         """Parts of a block, between which an interruption is heeded and time is counted."""
         step = max(1, _WORK_AT_ONCE // (sources + 1))
         for start in range(0, rays, step):
@@ -192,6 +190,22 @@ class CompiledTracer:
             self.used(time.thread_time() - before)
 
 
-def _check(good: bool) -> None:
-    if not good:
+def sources_of(scene: CompiledScene) -> int:
+    """How many shadow rays a point asks for at most."""
+    return len(scene.lights) + POINTS_OF_A_LIGHT * len(scene.wides)
+
+
+def checked(values: Floats, *, is_good: bool) -> None:
+    """Whether what a compiled function answered may be used.
+
+    Raises
+    ------
+    ValueError
+        If it met a bad ray: `is_good` says so.
+    TracerError
+        If radiances are no radiances.
+    """
+    if not is_good:
         raise ValueError("a ray holds NaN or infinity, or has no direction")
+    if not np.isfinite(values.sum()) or values.min(initial=0.0) < 0:
+        raise TracerError("answered NaN, infinity or a negative radiance", where="the compiled tracer")
