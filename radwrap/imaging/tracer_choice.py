@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import EnvironmentFailure, InputError
+from radwrap.imaging.demand import FEWEST
 from radwrap.imaging.optics.view import rays_through
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.manifest import ONLY_WHERE_USED
@@ -17,12 +18,17 @@ from radwrap.random_streams import Rendering, generator
 from radwrap.scene.camera import Camera
 from radwrap.scene.scene import Scene
 from radwrap.tracers.agreement import Agreement, agreement
+from radwrap.tracers.bouncing import SURE_STEPS, Reflecting
 from radwrap.tracers.engine import Engine, EngineName
 from radwrap.tracers.expressible import compiler_lacks, inexpressible
 from radwrap.tracers.tracer import Tracer
 
 # Rays times sources that Radiance traces in about the time that the compiled tracer takes to be loaded.
 WORTH_COMPILED: Final = 1_000_000
+# Rays of a pixel whose walks are the fewest that tell their noise: two replicates, each with a pilot of twice as many.
+_WALKS: Final = 2 * 3 * FEWEST
+# What each step of a walk asks Radiance besides a ray to each source: where the surface is, and whose.
+_ASKED_BESIDES: Final = 2
 _PROBE: Final = 512
 # Half of the probe lies as near as this to where one part ends and another begins [px]. Within a hundredth of a pixel
 # of a body's rim Radiance loses grazing light to the rim itself, which no image shows.
@@ -43,6 +49,8 @@ class TracerUsed:
         Why.
     probe : Agreement, optional
         What a comparison of both showed.
+    walks : Agreement, optional
+        The same of walks of light from surface to surface, over `SURE_STEPS` steps, where they are asked for.
     whole : tuple of str, optional
         Wide lights that shine as a whole, not from the middles of their patches.
     """
@@ -50,6 +58,7 @@ class TracerUsed:
     name: EngineName
     reason: str
     probe: Agreement | None = field(default=None, metadata=ONLY_WHERE_USED)
+    walks: Agreement | None = field(default=None, metadata=ONLY_WHERE_USED)
     whole: tuple[str, ...] | None = field(default=None, metadata=ONLY_WHERE_USED)
 
 
@@ -65,7 +74,7 @@ def candidate(scene: Scene, options: RenderOptions) -> TracerUsed:
     """
     if options.tracer == "radiance":
         return TracerUsed("radiance", "asked for")
-    cannot = inexpressible(scene) or ("light goes from surface to surface" if options.bounces else "")
+    cannot = inexpressible(scene)
     lacks = compiler_lacks()
     if options.tracer == "compiled":
         if cannot:
@@ -79,7 +88,7 @@ def candidate(scene: Scene, options: RenderOptions) -> TracerUsed:
         return TracerUsed("compiled", "asked for")
     if cannot:
         return TracerUsed("radiance", cannot)
-    work = scene.camera.sensor.pixels * max(len(scene.emitters), 1) * _rays_per_pixel(options)
+    work = scene.camera.sensor.pixels * _asked_of_a_pixel(max(len(scene.emitters), 1), options)
     if work < WORTH_COMPILED:
         return TracerUsed("radiance", f"{work} rays times sources at least are below {WORTH_COMPILED}")
     if lacks:
@@ -87,8 +96,19 @@ def candidate(scene: Scene, options: RenderOptions) -> TracerUsed:
     return TracerUsed("compiled", f"{work} rays times sources at least")
 
 
+def _asked_of_a_pixel(sources: int, options: RenderOptions) -> int:
+    """Rays times sources, as many as any image to these options takes."""
+    if options.bounces and options.bounces != "auto":  # which is known to need them once light was traced
+        return _WALKS * (1 + _steps_of(options)) * (sources + _ASKED_BESIDES)
+    return sources * _rays_per_pixel(options)
+
+
+def _steps_of(options: RenderOptions) -> int:
+    """Steps of a walk that is compared."""
+    return min(options.bounces, SURE_STEPS) if isinstance(options.bounces, int) else SURE_STEPS
+
+
 def _rays_per_pixel(options: RenderOptions) -> int:
-    """As many as any image to these options takes."""
     if options.fixed_method == "viewpoints":
         return options.viewpoint_number * options.pixel_samples**2
     return options.pixel_samples**2
@@ -99,14 +119,27 @@ def probed(reference: Tracer, other: Engine, scene: Scene, rays: NDArray[np.floa
     return agreement(reference, other.tracer(scene), rays)
 
 
+def walks_probed(
+    engines: tuple[Engine, Engine],
+    scene: Scene,
+    materials: tuple[Reflecting | None, ...],
+    options: RenderOptions,
+    rays: NDArray[np.float64],
+) -> Agreement:
+    """A comparison of walks by Radiance with those by another tracer, which have the same draws."""
+    steps = _steps_of(options)
+    reference, other = (engine.bouncing(scene, materials, steps) for engine in engines)
+    return agreement(reference, other, rays, places=1 + steps)
+
+
 def geometry_of(camera: Camera) -> Camera:
     """The camera but for what decides no ray: exposure time, and how its sensor responds to light."""
     sensor = replace(camera.sensor, gain=1.0, gamma=1.0, dark_gray=0.0, saturation_gray=1.0, rounding=True, linear=None)
     return replace(camera, exposure_time=1.0, sensor=replace(sensor, bit_depth=8))
 
 
-def compared(used: TracerUsed, options: RenderOptions, found: Agreement) -> TracerUsed:
-    """The tracer after a comparison of the compiled one with Radiance.
+def compared(used: TracerUsed, options: RenderOptions, found: Agreement, walks: Agreement | None = None) -> TracerUsed:
+    """The tracer after a comparison of the compiled one with Radiance, and perhaps of their walks.
 
     Both have wide lights in the same patches.
 
@@ -115,12 +148,17 @@ def compared(used: TracerUsed, options: RenderOptions, found: Agreement) -> Trac
     EnvironmentFailure
         If the compiled tracer was asked for, and they do not agree.
     """
-    if found.agree:
-        return TracerUsed(used.name, used.reason, found)
-    told = f"the compiled tracer and Radiance differ on {found.differing} of {found.rays} rays"
+    differing = [
+        f"{one.differing} of {one.rays} {what}"
+        for one, what in ((found, "rays"), (walks, "walks"))
+        if one is not None and not one.agree
+    ]
+    if not differing:
+        return replace(used, probe=found, walks=walks)
+    told = f"the compiled tracer and Radiance differ on {' and '.join(differing)}"
     if options.tracer == "compiled":
         raise EnvironmentFailure(told, where="tracer", remedy="trace by Radiance, and report the scene")
-    return TracerUsed("radiance", told, found)
+    return TracerUsed("radiance", told, found, walks)
 
 
 def probe_rays(camera: Camera, numbered: Tracer) -> NDArray[np.float64]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -19,19 +19,25 @@ from radwrap.files import make_folder
 from radwrap.imaging.banding import banding
 from radwrap.imaging.optics.view import LitView, View
 from radwrap.imaging.render_options import RenderOptions
-from radwrap.imaging.tracer_choice import TracerUsed, candidate, compared, geometry_of, probe_rays, probed
+from radwrap.imaging.tracer_choice import (
+    TracerUsed,
+    candidate,
+    compared,
+    geometry_of,
+    probe_rays,
+    probed,
+    walks_probed,
+)
 from radwrap.kept import Kept, of_kept
 from radwrap.manifest import sha256_of_value
 from radwrap.process import Limits, Programs, available_cores
 from radwrap.progress import note
 from radwrap.scene.camera import ColourChannel
 from radwrap.scene.look.wide_sources import divided
-from radwrap.scene.materials import CoefficientTable, GlassBeads, Lambertian, PerturbedNormal, Specular
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Source, emitters
-from radwrap.scene.targets import surfaces
 from radwrap.tracers.agreement import Agreement
-from radwrap.tracers.bouncing import SURE_STEPS, BouncingTracer, Reflecting
+from radwrap.tracers.bouncing import SURE_STEPS, reflecting_parts
 from radwrap.tracers.engine import Engine
 from radwrap.tracers.installation import find_radiance, version
 from radwrap.tracers.radiance import PreparedScene, RadianceOptions, RadianceTracer, prepare
@@ -48,6 +54,9 @@ _PATCHES: Final = "patches"
 # Sources whose light is traced at a time: a tile of each is held, some 10 MiB.
 _TOGETHER: Final = 16
 _SMALL: Final = 1 << 10  # byte; what a few numbers take at most
+
+# What a comparison of direct light shows, and one of walks from surface to surface.
+_Agreements = tuple[Agreement, Agreement | None]
 
 
 class LaidOutScene:
@@ -106,7 +115,7 @@ class LaidOutScene:
         self._engine: Engine
         self.tracer_used = candidate(scene, options)
         self._trace_by_radiance(scene if self.tracer_used.name == "compiled" else divided(scene), work)
-        self._comparison: Future[Agreement] | None = None
+        self._comparison: Future[_Agreements] | None = None
         self._whole: tuple[str, ...] | None = None
         if self.tracer_used.name == "compiled":
             compiled = self._compiled_engine(scene)
@@ -118,7 +127,7 @@ class LaidOutScene:
                 pool.shutdown(wait=False)  # `close` waits
                 self._engine = compiled
                 return
-            self.tracer_used = self._judged(compare())
+            self.tracer_used = self._judged(*compare())
             if self.tracer_used.name == "compiled":
                 self._engine = compiled
             elif (fine := divided(scene)) is not scene:
@@ -137,15 +146,21 @@ class LaidOutScene:
         if self._kept is None:
             return None
         camera = sha256_of_value(geometry_of(self.scene.camera))
-        return "probe", self.sha256(), compiled.versions["compiled"], self._radiance.installation, camera
+        versions = compiled.versions["compiled"], self._radiance.installation
+        return "probe", self.sha256(), *versions, camera, self._options.bounces
 
-    def _compared(self, compiled: CompiledEngine, name: Hashable) -> Agreement:
+    def _compared(self, compiled: CompiledEngine, name: Hashable) -> _Agreements:
         """What a comparison of the compiled tracer with Radiance shows."""
         return of_kept(self._kept, lambda: name, lambda: self._probed(compiled.in_patches()), lambda _: _SMALL)
 
-    def _probed(self, patches: CompiledEngine) -> Agreement:
-        reference = self._reference.tracer(self.scene, name="reference")
-        return probed(reference, patches, self.scene, self._probe_rays(patches))
+    def _probed(self, patches: CompiledEngine) -> _Agreements:
+        reference, rays = self._reference.tracer(self.scene, name="reference"), self._probe_rays(patches)
+        walks = None
+        if self._options.bounces:
+            with suppress(InputError):  # whoever comes to trace such walks reports it
+                materials = reflecting_parts(self.scene, self.prepared.parts)
+                walks = walks_probed((self._reference, patches), self.scene, materials, self._options, rays)
+        return probed(reference, patches, self.scene, rays), walks
 
     def _probe_rays(self, compiled: CompiledEngine) -> NDArray[np.float64]:
         """Rays of a comparison: they hang on the camera and on which part is where."""
@@ -157,8 +172,8 @@ class LaidOutScene:
             lambda rays: rays.nbytes + len(self.prepared.identity) + sum(map(len, files.values())),
         )
 
-    def _judged(self, found: Agreement) -> TracerUsed:
-        used = compared(self.tracer_used, self._options, found)
+    def _judged(self, found: Agreement, walks: Agreement | None) -> TracerUsed:
+        used = compared(self.tracer_used, self._options, found, walks)
         return replace(used, whole=self._whole) if used.name == "compiled" else used
 
     def tracers_agree(self) -> bool:
@@ -170,7 +185,7 @@ class LaidOutScene:
             If they do not agree, and the compiled tracer was asked for.
         """
         if self._comparison is not None and self.tracer_used.probe is None:
-            self.tracer_used = self._judged(self._comparison.result())
+            self.tracer_used = self._judged(*self._comparison.result())
         return self.tracer_used.name == self._engine.name
 
     def close(self) -> None:
@@ -292,17 +307,10 @@ class LaidOutScene:
         InputError
             If a material reflects light from all sides in a way that nobody knows, or in colours.
         """
-        if self.scene.spectral is not None:
-            raise InputError(
-                "the scene has spectra, and light that goes from surface to surface changes its colour each time",
-                where="bounces",
-                remedy="render without bounces, or leave out the spectra",
-            )
-        materials = reflecting_parts(self.scene, self.prepared.parts)
-        lit = self.radiance_view()
-        return replace(
-            lit, tracer=BouncingTracer(_radiance(lit), self._reference.numbered(), materials, orders, sure_steps)
+        tracer = self._engine.bouncing(
+            self.scene, reflecting_parts(self.scene, self.prepared.parts), orders, sure_steps
         )
+        return replace(self._view(tracer), prover=None)
 
     def numbered_tracer(self) -> Tracer:
         """A tracer for the same geometry, in which each part glows with its number."""
@@ -312,37 +320,6 @@ class LaidOutScene:
 def _switched(source: Source) -> set[str]:
     """Names by which the light of a source is switched: its own and, of a ring, those of the LEDs."""
     return {source.name, *(emitter.source for emitter in emitters(source))}
-
-
-def reflecting_parts(scene: Scene, parts: tuple[str, ...]) -> tuple[Reflecting | None, ...]:
-    """Material of each part that reflects light from all sides; None of the sources, which do not.
-
-    Raises
-    ------
-    InputError
-        If a part is sheeting or an included file.
-    """
-    if scene.included:
-        raise InputError(
-            "nothing is known of how the surfaces of an included Radiance file reflect light from all sides",
-            where=f"{scene.origin}: targets[{scene.targets.index(scene.included[0])}].rad",
-            remedy="render without bounces, or describe it by targets and parts",
-        )
-    found: dict[str, Reflecting] = {}
-    for target in scene.targets:
-        for surface in surfaces(target):
-            material = scene.materials[surface.material]
-            if not isinstance(material, Lambertian | Specular):
-                raise InputError(
-                    "retroreflective data end a few degrees from the light: nothing is known of how it reflects light "
-                    "from all sides"
-                    if isinstance(material, PerturbedNormal | CoefficientTable | GlassBeads)
-                    else "bounces are known of lambertian and specular materials only",
-                    where=f"{scene.origin}: materials.{surface.material}",
-                    remedy="render without bounces",
-                )
-            found[f"{target.name}.{surface.part}"] = material
-    return tuple(found.get(part) for part in parts)
 
 
 def scene_sha256(scene: Scene, prepared: PreparedScene) -> str:

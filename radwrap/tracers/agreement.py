@@ -37,7 +37,7 @@ class Agreement:
     largest_relative_difference : float
         Of the other rays.
     rms_relative_difference : float
-        Root mean square of all differences but the two largest, over that of the radiance.
+        Root mean square of all differences but those that chance may make, over that of the radiance.
     agree : bool
         Whether the two tracers may stand for each other.
     """
@@ -49,15 +49,19 @@ class Agreement:
     agree: bool
 
 
-def agreement(reference: Tracer, other: Tracer, rays: NDArray[np.float64]) -> Agreement:
-    """Compare the radiance of two tracers along rays, shape (n, 6)."""
+def agreement(reference: Tracer, other: Tracer, rays: NDArray[np.float64], places: int = 1) -> Agreement:
+    """Compare the radiance of two tracers along rays, shape (n, 6).
+
+    Where a ray's radiance comes from several places, such as those of a walk, each may be lit or met otherwise.
+    """
     expected, found = (_radiance(tracer, rays) for tracer in (reference, other))
     scale = np.maximum(expected, _DARK * expected.max(initial=0.0))
     difference = np.abs(found - expected)
     relative = np.where(difference > 0, difference / np.where(scale > 0, scale, 1.0), 0.0)
     relative[(scale == 0) & (difference > 0)] = np.inf
     same = relative <= SAME
-    rest = np.sort(difference)[: max(len(difference) - _CHANCE_HITS, 0)]
+    by_chance, own_shadows, most = _CHANCE_HITS * places, _MESH_SHARE * places * len(rays), _MESH_RMS * places
+    rest = np.sort(difference)[: max(len(difference) - by_chance, 0)]
     mean_square = float((expected**2).mean())
     rms = float(np.sqrt((rest**2).sum() / len(rays) / mean_square)) if mean_square > 0 else float(rest.any())
     differing = int((~same).sum())
@@ -66,7 +70,7 @@ def agreement(reference: Tracer, other: Tracer, rays: NDArray[np.float64]) -> Ag
         differing=differing,
         largest_relative_difference=float(relative[same].max(initial=0.0)),
         rms_relative_difference=rms,
-        agree=differing <= _CHANCE_HITS or (differing <= _MESH_SHARE * len(rays) and rms <= _MESH_RMS),
+        agree=differing <= by_chance or (differing <= own_shadows and rms <= most),
     )
 
 

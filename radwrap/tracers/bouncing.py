@@ -23,8 +23,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.errors import TracerError
-from radwrap.scene.materials import Lambertian, Specular
+from radwrap.errors import InputError, TracerError
+from radwrap.scene.materials import CoefficientTable, GlassBeads, Lambertian, PerturbedNormal, Specular
+from radwrap.scene.scene import Scene
+from radwrap.scene.targets import surfaces
 from radwrap.tracers.radiance import RadianceTracer
 
 Array = NDArray[np.float64]
@@ -165,6 +167,43 @@ class _Surfaces:
 
     def where(self, chosen: NDArray[np.bool_]) -> _Surfaces:
         return _Surfaces(self.material[chosen], self.place[chosen], self.normal[chosen])
+
+
+def reflecting_parts(scene: Scene, parts: tuple[str, ...]) -> tuple[Reflecting | None, ...]:
+    """Material of each part that reflects light from all sides; None of the sources, which do not.
+
+    Raises
+    ------
+    InputError
+        If a part is sheeting or an included file, or light has colours.
+    """
+    if scene.spectral is not None:
+        raise InputError(
+            "the scene has spectra, and light that goes from surface to surface changes its colour each time",
+            where="bounces",
+            remedy="render without bounces, or leave out the spectra",
+        )
+    if scene.included:
+        raise InputError(
+            "nothing is known of how the surfaces of an included Radiance file reflect light from all sides",
+            where=f"{scene.origin}: targets[{scene.targets.index(scene.included[0])}].rad",
+            remedy="render without bounces, or describe it by targets and parts",
+        )
+    found: dict[str, Reflecting] = {}
+    for target in scene.targets:
+        for surface in surfaces(target):
+            material = scene.materials[surface.material]
+            if not isinstance(material, Lambertian | Specular):
+                raise InputError(
+                    "retroreflective data end a few degrees from the light: nothing is known of how it reflects light "
+                    "from all sides"
+                    if isinstance(material, PerturbedNormal | CoefficientTable | GlassBeads)
+                    else "bounces are known of lambertian and specular materials only",
+                    where=f"{scene.origin}: materials.{surface.material}",
+                    remedy="render without bounces",
+                )
+            found[f"{target.name}.{surface.part}"] = material
+    return tuple(found.get(part) for part in parts)
 
 
 def _parts(rays: Array) -> list[Array]:

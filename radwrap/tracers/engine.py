@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.scene.scene import Scene
+from radwrap.tracers.bouncing import SURE_STEPS, Reflecting
 from radwrap.tracers.tracer import Tracer
 
 EngineName = Literal["radiance", "compiled"]
@@ -61,6 +62,28 @@ class Engine(Protocol):
 
         Its radiances have the shape (names, n): the light of each alone,
         the others black. What has none of these names is dark.
+        """
+        ...
+
+    def bouncing(
+        self,
+        scene: Scene,
+        materials: tuple[Reflecting | None, ...],
+        orders: int | None,
+        sure_steps: int = SURE_STEPS,
+    ) -> Tracer:
+        """A tracer that adds what surfaces reflect to each other; see `bouncing.BouncingTracer`.
+
+        Parameters
+        ----------
+        scene : Scene
+            That was laid out.
+        materials : tuple of Lambertian, Specular or None
+            Of the parts with a number, from 1; None of what reflects nothing.
+        orders : int or None
+            How often light is reflected at most on its way; None for no limit.
+        sure_steps : int
+            So far no walk ends by chance.
         """
         ...
 

@@ -11,6 +11,7 @@ from radwrap.files import make_folder
 from radwrap.process import Programs
 from radwrap.scene.camera import ColourChannel
 from radwrap.scene.scene import Scene
+from radwrap.tracers.bouncing import SURE_STEPS, BouncingTracer, Reflecting
 from radwrap.tracers.radiance import NO_LIGHT, PreparedScene, RadianceOptions, RadianceTracer, build
 from radwrap.tracers.radiance_text import RadianceScene
 
@@ -70,6 +71,17 @@ class RadianceEngine:
     def smooth_blocks(self) -> None:
         """Nobody: Radiance answers rays."""
         return None
+
+    def bouncing(
+        self,
+        scene: Scene,
+        materials: tuple[Reflecting | None, ...],
+        orders: int | None,
+        sure_steps: int = SURE_STEPS,
+    ) -> BouncingTracer:
+        """A tracer that adds what surfaces reflect to each other; see `Engine.bouncing`."""
+        lit = self.tracer(scene, name="radiance")
+        return BouncingTracer(lit, self.numbered(), materials, orders, sure_steps)
 
     def numbered(self) -> RadianceTracer:
         """A tracer for the same geometry, in which each part glows with its number."""

@@ -12,12 +12,14 @@ import numpy as np
 
 from radwrap.kept import Kept
 from radwrap.scene.scene import Scene
+from radwrap.tracers.bouncing import SURE_STEPS, Reflecting
 from radwrap.tracers.compiled.arrays import Floats, Whole
 from radwrap.tracers.compiled.compiler import SOURCES, VERSIONS
 from radwrap.tracers.compiled.hits import KeptHits
 from radwrap.tracers.compiled.layout import CompiledScene, compiled_scene
 from radwrap.tracers.compiled.smooth import smooth_blocks
 from radwrap.tracers.compiled.tracer import CompiledTracer
+from radwrap.tracers.compiled.walker import WalkingTracer, reflecting_of
 from radwrap.tracers.engine import Prover
 from radwrap.tracers.text_frame import TextFrame
 
@@ -111,6 +113,17 @@ class CompiledEngine:
         place = {name: number for number, name in enumerate(names)}
         column = np.array([place.get(name, len(names)) for group in members for name in group], dtype=np.int64)
         return SourcesTracer(self._of(self.arrays.in_light(names)), column, tuple(names))
+
+    def bouncing(
+        self,
+        scene: Scene,
+        materials: tuple[Reflecting | None, ...],
+        orders: int | None,
+        sure_steps: int = SURE_STEPS,
+    ) -> WalkingTracer:
+        """A tracer that adds what surfaces reflect to each other; see `Engine.bouncing`."""
+        lit = self.tracer(scene)
+        return WalkingTracer(lit, reflecting_of(lit.scene, materials), orders, sure_steps)
 
     def _of(self, arrays: CompiledScene) -> CompiledTracer:
         kept = None if self.kept is None else KeptHits.of(self.kept, arrays)

@@ -15,6 +15,8 @@ from radwrap.tracers.compiled.covers import painted
 from radwrap.tracers.compiled.kernels import normal_at, placed, trace
 from radwrap.tracers.compiled.wide_contour import Place
 
+Key = np.uint64
+
 # What came of it.
 DONE: Final = 0
 BAD_RAY: Final = 1
@@ -66,8 +68,10 @@ def walk(
 
     Parameters
     ----------
-    shapes, ..., rays, x0, y0, z0, units, lengths, met, given, known, chosen, stack
+    shapes, nodes, discs, disc_nodes, covers, decals, lights, beside, clusters, parts, wides, cells, pitch, background
         As `kernels.trace`.
+    tables, rays, x0, y0, z0, units, lengths, met, given, known, chosen, stack
+        The same.
     values : ndarray, shape (n, 1)
         To which radiance is added [W m^-2 sr^-1].
     reflecting : ndarray, shape (covers, 3)
@@ -152,7 +156,7 @@ def _goes_on(
     units: float,
     length: float,
     number: int,
-    key: int,
+    key: Key,
     step: int,
     may_end: bool,
     ray: Floats,
@@ -182,7 +186,7 @@ def _goes_on(
 
 @compiled
 def scattered(
-    diffuse: float, specular: float, roughness: float, n: Place, v: Place, key: int, step: int
+    diffuse: float, specular: float, roughness: float, n: Place, v: Place, key: Key, step: int
 ) -> tuple[Place, float]:
     """A direction by which a surface reflects, and its weight; 0 where it is lost.
 
@@ -227,7 +231,7 @@ def _from_normal(n: Place, cosine: float, turn: float) -> Place:
 
 
 @compiled
-def key_of(ray: Floats) -> int:
+def key_of(ray: Floats) -> Key:
     """A number of a ray, of all its digits."""
     key = _NO_DRAWS
     for k in range(6):
@@ -236,7 +240,7 @@ def key_of(ray: Floats) -> int:
 
 
 @compiled
-def _mixed(value: int) -> int:
+def _mixed(value: Key) -> Key:
     """SplitMix64's finaliser, see `bouncing`."""
     value = (value ^ (value >> _SHIFTS[0])) * FIRST
     value = (value ^ (value >> _SHIFTS[1])) * SECOND
@@ -244,6 +248,6 @@ def _mixed(value: int) -> int:
 
 
 @compiled
-def _draw(key: int, step: int, which: int) -> float:
+def _draw(key: Key, step: int, which: int) -> float:
     """Number of a step, even in 0 to 1."""
     return float(_mixed(key + GOLDEN * np.uint64(step * DRAWS + which)) >> _SHIFTS[3]) * _UNIT
