@@ -33,8 +33,9 @@ from radwrap.images import read_image, write_png
 from radwrap.manifest import versions
 
 _FULL_PIXELS = 3e5  # from here on Mitsuba gets --samples as they are
-# A board of dots is nearly all edges or nothing: it takes more rays to be sure of an error there.
-_TRUTH_RAYS = {BOARD: 1024}
+# A board of dots is nearly all edges or nothing: it takes more rays to be sure of an error there. So do walks, each of
+# which is off by more than what it is the mean of.
+_TRUTH_RAYS = {BOARD: 1024, TENT: 8192}
 
 
 def parsed(words: list[str]) -> argparse.Namespace:
@@ -53,7 +54,9 @@ def parsed(words: list[str]) -> argparse.Namespace:
     )
     parser.add_argument("--truth-pixels", type=int, default=1500)
     parser.add_argument(
-        "--truth-rays", type=int, help="of each of two values of a pixel (default 256, of the board 1024)"
+        "--truth-rays",
+        type=int,
+        help="of each of two values of a pixel (default 256, of the board 1024, of the tent 8192)",
     )
     parser.add_argument("--tent-tolerance", type=float, default=2.0)
     parser.add_argument("--tent-budget", type=float, help="time for white_tent at 5 MP, such as 600 [s]; left out else")
@@ -77,17 +80,17 @@ def cases(arguments: argparse.Namespace) -> list[Case]:
 
 def all_asked(case: Case, arguments: argparse.Namespace) -> list[Asked]:
     """How a case is rendered."""
+    tracers = arguments.tracers.split(",")
     if case.name != TENT:
         tolerances = [float(text) for text in arguments.tolerances.split(",")]
-        tracers = arguments.tracers.split(",")
         return [Asked(case, tolerance, tracer, arguments.limit) for tolerance in tolerances for tracer in tracers]
     if case.megapixels < 1:
-        return [Asked(case, arguments.tent_tolerance, "radiance", arguments.limit)]
+        return [Asked(case, arguments.tent_tolerance, tracer, arguments.limit) for tracer in tracers]
     if arguments.tent_budget is None:
         return []
     # Start, files and certificate come on top.
     limit = 2 * arguments.tent_budget + arguments.limit
-    return [Asked(case, 0.1, "radiance", limit, arguments.tent_budget)]
+    return [Asked(case, 0.1, tracer, limit, arguments.tent_budget) for tracer in tracers]
 
 
 def measured_rows(case: Case, arguments: argparse.Namespace, mitsuba: Mitsuba | None) -> list[Row]:

@@ -57,7 +57,8 @@ class Truth:
         }
 
     def _taken(self) -> Reference:
-        with laid_out(self.case.scene(), RenderOptions()) as traced:
+        options = RenderOptions(bounces="all" if self.case.bounces else 0)
+        with laid_out(self.case.scene(), options) as traced:
             view = traced.bouncing_view(None) if self.case.bounces else traced.view()
             return take_reference(view, pixels=self.pixels, rays=self.rays, seed=_SEED)
 
@@ -91,7 +92,7 @@ class Asked:
         settings = [
             text for key, value in self.case.overrides.items() for text in ("--set", f"{key}={json.dumps(value)}")
         ]
-        more = ["--bounces", "all"] if self.case.bounces else ["--tracer", self.tracer]
+        more = ["--tracer", self.tracer, *(["--bounces", "all"] if self.case.bounces else [])]
         if self.budget is not None:
             more += ["--budget", f"{self.budget:g} s"]
         options = ["--tolerance", repr(self.tolerance), "--json", *more]

@@ -1,0 +1,212 @@
+"""Walks by the compiled tracer: the draws, steps and directions of numpy's walks, and of those by Radiance."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Generator, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("numba")
+
+import radwrap
+from radwrap.errors import TracerError
+from radwrap.imaging.render_options import RenderOptions
+from radwrap.imaging.tracing import laid_out
+from radwrap.scene.materials import Specular
+from radwrap.scene.scene import Scene
+from radwrap.tracers.agreement import agreement
+from radwrap.tracers.bouncing import BouncingTracer, _diffuse, _draws, _keys, _shiny, reflecting_parts
+from radwrap.tracers.compiled.arrays import Floats
+from radwrap.tracers.compiled.compiler import compiled_with_memory
+from radwrap.tracers.compiled.engine import CompiledEngine
+from radwrap.tracers.compiled.walker import WalkingTracer
+from radwrap.tracers.compiled.walks import key_of, scattered
+from radwrap.tracers.text_frame import traced_frame
+from tests.physics.conftest import Bench
+
+TENT = Path(__file__).parents[2] / "rad_scenes" / "white_tent" / "scene.toml"
+# cos, sin and log of our own and of numpy's are apart in their last digits, which some tens of steps make more of.
+LAST_DIGITS = 1e-9
+ONE_STEP = 1e-13
+# The command promises .5 s from the key to the end of the process; this is the tracer's part of it.
+AT_ONCE_S = 0.3
+SURE = 4.0  # standard errors
+
+
+@dataclass(frozen=True)
+class Met:
+    """A compiled tracer as numpy's walks ask it: for part numbers with their distances and normals."""
+
+    engine: CompiledEngine
+
+    def trace(self, rays: Iterable[Floats]) -> Generator[Floats]:
+        return self.engine.numbered().trace(rays)
+
+    def surfaces(self, rays: Iterable[Floats]) -> Generator[tuple[Floats, Floats, Floats]]:
+        tracer = self.engine.tracer(self.engine.scene)
+        for block in rays:
+            (numbers,), ((_, distances, normals),) = self.trace([block]), tracer.surfaces([block])
+            yield numbers, distances, normals
+
+
+def engine_of(scene: Scene) -> CompiledEngine:
+    return CompiledEngine.of(scene, traced_frame(scene), bool)
+
+
+def walker(scene: Scene, orders: int | None = None) -> WalkingTracer:
+    engine = engine_of(scene)
+    return engine.bouncing(scene, reflecting_parts(scene, engine.arrays.parts), orders)
+
+
+def tent() -> Scene:
+    return radwrap.load_scene(TENT)
+
+
+def rays_into(scene: Scene, count: int, seed: int) -> np.ndarray:
+    """From the camera to even directions about its axis."""
+    random = np.random.default_rng(seed)
+    axes = np.asarray(scene.camera.pose.rotation)
+    local = np.column_stack([random.uniform(-0.25, 0.25, (count, 2)), np.ones(count)])
+    return np.hstack([np.broadcast_to(scene.camera.pose.position, (count, 3)), local @ axes.T])
+
+
+@compiled_with_memory
+def scattered_all(
+    materials: Floats, rays: Floats, normals: Floats, step: int
+) -> tuple[Floats, Floats]:  # pragma: no cover  (compiled)
+    going, weights = np.empty((len(rays), 3)), np.empty(len(rays))
+    ray = np.empty((1, 6))
+    for r in range(len(rays)):
+        ray[0] = rays[r]
+        n, v = (normals[r, 0], normals[r, 1], normals[r, 2]), (-ray[0, 3], -ray[0, 4], -ray[0, 5])
+        d, weights[r] = scattered(materials[0], materials[1], materials[2], n, v, key_of(ray), step)
+        going[r, 0], going[r, 1], going[r, 2] = d
+    return going, weights
+
+
+@pytest.mark.parametrize("material", [Specular(0.7, 0.0, 0.1), Specular(0.0, 1.0, 0.05), Specular(0.3, 0.5, 0.2)])
+def test_one_step_is_that_of_numpy(material: Specular) -> None:
+    random = np.random.default_rng(7)
+    normals = random.normal(size=(5000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    along = -normals + random.normal(scale=0.4, size=(5000, 3))
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    rays = np.hstack([random.normal(size=(5000, 3)), along])
+    rays[0, :3] = [-0.0, 0.0, -0.0]  # one zero
+    numbers = np.array([material.diffuse_reflectance, material.specular_reflectance, material.roughness])
+    for step in (1, 5):
+        draws = _draws(_keys(rays), step)
+        expected, weights = _shiny(material, normals, -along, draws)
+        going, found = scattered_all(numbers, rays, normals, step)
+        goes = weights > 0
+        assert ((found > 0) == goes).all() and goes.mean() > 0.8
+        assert np.abs(going[goes] - expected[goes]).max() < ONE_STEP
+        assert found[goes] == pytest.approx(weights[goes], rel=1e-12)
+        if material.specular_reflectance == 0:
+            assert np.abs(going - _diffuse(normals, draws)).max() < ONE_STEP
+
+
+@pytest.mark.parametrize("orders", [1, 4, None])
+def test_the_same_walk_as_numpys_over_the_same_hits(orders: int | None) -> None:
+    scene = tent()
+    engine, rays = engine_of(scene), rays_into(scene, 2000, 1)
+    materials = reflecting_parts(scene, engine.arrays.parts)
+    lit: Any = engine.tracer(scene)
+    met: Any = Met(engine)
+    (expected,) = BouncingTracer(lit, met, materials, orders).trace([rays])
+    ((found, distances),) = engine.bouncing(scene, materials, orders).trace_with_distances([rays])
+    assert (expected > 0).mean() > 0.4
+    apart = np.abs(found - expected) / np.maximum(expected, 1e-3 * expected.mean())
+    assert np.sort(apart)[-3] < LAST_DIGITS  # two whose last digits decide of an edge
+    assert (distances == next(lit.distances([rays]))).all()
+
+
+def test_without_steps_there_is_direct_light_only() -> None:
+    scene = tent()
+    rays = rays_into(scene, 500, 2)
+    up = rays * [1, 1, 1, 1, 1, -1]  # to the lit ceiling
+    (direct,), (walked,) = engine_of(scene).tracer(scene).trace([up]), walker(scene, 0).trace([up])
+    assert direct.any() and (direct == walked).all()
+
+
+def test_the_same_walk_as_by_radiance() -> None:
+    scene = tent()
+    rays = rays_into(scene, 1500, 3)
+    with laid_out(scene, RenderOptions(tracer="radiance")) as traced:
+        reference = traced.bouncing_view(None).tracer
+        found = agreement(reference, walker(scene), rays, places=9)  # so many places on average
+    assert found.agree and found.differing < 0.01 * len(rays)
+    assert found.rms_relative_difference < 1e-5
+
+
+@pytest.mark.parametrize("size", [1, 700, 2999])
+def test_blocks_and_threads_change_nothing(size: int) -> None:
+    scene = tent()
+    tracer, rays = walker(scene), rays_into(scene, 3000, 4)
+    (expected,) = tracer.trace([rays])
+    blocks = [rays[start : start + size] for start in range(0, 3000, size)]
+    with ThreadPoolExecutor(3) as pool:
+        found = np.concatenate(list(pool.map(lambda block: next(tracer.trace([block])), blocks)))
+    assert found.tobytes() == expected.tobytes()
+
+
+def ball(reflectance: float, lamps: list[dict[str, Any]]) -> Scene:
+    """A hollow ball of 1 m radius; the camera, which plays no part, is outside."""
+    wall = {"type": "sphere", "name": "ball", "material": "white", "diameter": "2 m"}
+    white = {"type": "lambertian", "reflectance": reflectance}
+    return Bench.scene(Bench.camera((0, 0, 3)), lamps, {"white": white}, [wall])
+
+
+@pytest.mark.parametrize(("reflectance", "orders", "share"), [(0.5, 1, 1.0), (0.5, 2, 1.5), (0.9, None, 10.0)])
+@pytest.mark.parametrize("engine", ["radiance", "compiled"])
+def test_an_integrating_sphere(engine: Any, reflectance: float, orders: int | None, share: float) -> None:
+    """What is reflected is even, wherever the lamp shines: rho Phi/(4 pi R^2), and rho of that from each more order."""
+    lamp = Bench.lamp((0.3, 0.1, 0.2), (1.0, 0.4, 0.3), half_angle=30.0)
+    scene = ball(reflectance, [lamp])
+    count = 16_000
+    random = np.random.default_rng(5)
+    toward = random.normal(size=(count, 3))
+    rays = np.hstack([np.broadcast_to([-0.2, 0.0, 0.1], (count, 3)), toward])
+    with laid_out(scene, RenderOptions(tracer=engine)) as traced:
+        (whole,) = traced.bouncing_view(orders).tracer.trace([rays])
+        (direct,) = traced.view().tracer.trace([rays])
+    indirect = (whole - direct) * math.pi / reflectance
+    flux = 2 * math.pi * (1 - math.cos(math.radians(30.0)))  # of 1 W/sr
+    expected = share * reflectance * flux / (4 * math.pi)
+    noise = indirect.std() / math.sqrt(count)
+    assert noise < 0.05 * expected
+    assert abs(indirect.mean() - expected) < SURE * noise + 1e-3 * expected
+
+
+def test_a_cancelled_walk_ends_at_once() -> None:
+    lamp = Bench.lamp((0.3, 0.1, 0.2), (1.0, 0.4, 0.3))
+    scene = ball(0.999, [lamp])
+    ended = threading.Event()
+    engine = CompiledEngine.of(scene, traced_frame(scene), ended.is_set)
+    tracer = engine.bouncing(scene, reflecting_parts(scene, engine.arrays.parts), 1000)
+    rays = np.random.default_rng(6).normal(scale=0.1, size=(1 << 17, 6))
+    next(tracer.trace([rays[:1]]))  # compiled
+    said: list[float] = []
+
+    def say() -> None:
+        said.append(time.monotonic())
+        ended.set()
+
+    timer = threading.Timer(0.2, say)
+    timer.start()
+    with pytest.raises(TracerError, match="cancelled"):
+        next(tracer.trace([rays]))
+    assert time.monotonic() - said[0] < AT_ONCE_S
+
+
+def test_a_ray_without_a_direction_is_refused() -> None:
+    with pytest.raises(ValueError, match="has no direction"):
+        next(walker(tent()).trace([np.zeros((1, 6))]))
