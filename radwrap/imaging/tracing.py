@@ -217,9 +217,14 @@ class LaidOutScene:
         return {"radiance": self.version, **self._engine.versions}
 
     @property
+    def is_compiled(self) -> bool:
+        """Whether the compiled tracer traces."""
+        return self._engine.name == "compiled"
+
+    @property
     def whole(self) -> tuple[str, ...]:
         """Names of wide sources that shine as a whole, while Radiance has patches for them."""
-        return self._whole or () if self._engine.name == "compiled" else ()
+        return self._whole or () if self.is_compiled else ()
 
     @property
     def tracer_cpu_s(self) -> float:

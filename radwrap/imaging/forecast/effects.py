@@ -203,20 +203,21 @@ def bounces(
     probe : Probe, optional
         Of that view and seed, where it is there already.
     traced : LaidOutScene, optional
-        Of that view: with many sources walks take an eighth of the time of the tracer's own interreflection.
+        Of that view: walks are compiled, and with many sources Radiance's walks take an eighth of the time of its own
+        interreflection.
     """
     square, rays = NOTHING, 0
     if not _is_convex(scene):
-        if traced is not None and traced.whole:
-            # Radiance bounces the light of patches: what these are off by is no bounce.
-            probe = Probe.of(traced.radiance_view(), seed)
-        probe = probe or Probe.of(view, seed)
         bouncing = None
-        if traced is not None and len(scene.emitters) > _MANY_EMITTERS:
+        if traced is not None and (traced.is_compiled or len(scene.emitters) > _MANY_EMITTERS):
             with suppress(InputError):  # of sheeting and the like walks know nothing
                 bouncing = traced.bouncing_view(_BOUNCES)
         if bouncing is None:
             bouncing = with_bounces(traced.radiance_view() if traced else view, _BOUNCES)
+            if traced is not None and traced.whole:
+                # Radiance bounces the light of patches: what these are off by is no bounce.
+                probe = Probe.of(traced.radiance_view(), seed)
+        probe = probe or Probe.of(view, seed)
         square = probe.mean_square(probe.traced(bouncing))
         rays = 2 * len(probe.u)
     return _effect("bounces", "surfaces do not light each other", square, rays, tolerance)
