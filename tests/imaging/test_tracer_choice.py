@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import math
 from collections.abc import Collection, Generator, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -80,10 +81,25 @@ def test_what_the_compiled_tracer_cannot_show_goes_to_radiance(
     assert candidate(unused, RenderOptions()).name == "compiled"
 
 
-def test_light_between_surfaces_goes_to_radiance(worth_it: None) -> None:
-    assert candidate(small(), RenderOptions(bounces=1, method="rays")).name == "radiance"
-    with pytest.raises(InputError, match="from surface to surface"):
-        candidate(small(), RenderOptions(bounces=1, method="rays", tracer="compiled"))
+def test_walks_are_counted_by_what_the_tolerance_asks_for() -> None:
+    """Pixels times walks times places of each times sources and what else Radiance is asked for there."""
+    scene = small()
+    pixels, sources = 20 * 24, 1
+    assert len(scene.emitters) == sources
+    for bounces, tolerance, walks, places in ((1, 500.0, 24, 2), (2, 500.0, 24, 3), ("all", 500.0, 24, 4)):
+        options = RenderOptions(bounces=bounces, tolerance=tolerance)
+        work = pixels * walks * places * (sources + 2)
+        assert candidate(scene, options).reason == (
+            f"about {work} rays of walks times sources are below {tracer_choice.WORTH_COMPILED}"
+        )
+    sensor = scene.camera.sensor
+    fine = math.ceil(((sensor.saturation_gray - sensor.dark_gray) / 2 / 0.5) ** 2)
+    assert candidate(scene, RenderOptions(bounces="all")) == TracerUsed(
+        "compiled", f"about {pixels * fine * 4 * 3} rays of walks times sources"
+    )
+    # Whether "auto" means walks is known once light was traced: it is decided as without them.
+    assert candidate(scene, RenderOptions(bounces="auto")) == candidate(scene, RenderOptions())
+    assert candidate(scene, RenderOptions(bounces="all", tracer="radiance")) == TracerUsed("radiance", "asked for")
 
 
 def test_without_the_compiler_radiance_traces(worth_it: None, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -124,6 +140,9 @@ class Planted:
 
     def numbered(self) -> Tracer:
         return self.engine.numbered()
+
+    def bouncing(self, scene: Scene, materials: Any, orders: int | None, sure_steps: int = 3) -> Tracer:
+        return self.engine.bouncing(scene, materials, orders, sure_steps)
 
 
 @dataclass(frozen=True)
@@ -243,6 +262,71 @@ def test_both_tracers_make_the_same_image(tmp_path: Path) -> None:
     for name in ("radiant_exposure.exr", "depth.exr", "mask.png"):
         assert (tmp_path / "alone" / name).read_bytes() == (tmp_path / "compiled" / name).read_bytes()
     assert alone.run.run_sha256 == second.run.run_sha256
+
+
+def in_a_corner() -> Scene:
+    """Two sheets that light each other."""
+    gray = {"type": "lambertian", "reflectance": 0.5}
+    shiny = {"type": "specular", "diffuse_reflectance": 0.3, "specular_reflectance": 0.4, "roughness": 0.1}
+    sheet = {"type": "sheet", "size": ["80 mm", "80 mm"]}
+    wall = {**sheet, "name": "wall", "material": "shiny"}
+    wall |= {"position": ["15 mm", "0 mm", "40 mm"], "rotation": ["0 deg", "-90 deg", "0 deg"]}
+    floor = {**sheet, "name": "floor", "material": "gray"}
+    return small(materials={"gray": gray, "shiny": shiny}, targets=[floor, wall])
+
+
+def test_both_tracers_walk_the_same_ways(tmp_path: Path) -> None:
+    """The manifest holds the comparison of walks; a warm scene comes by it in the same way."""
+    scene, made = in_a_corner(), {}
+    for name in ("radiance", "compiled"):
+        made[name] = radwrap.render(scene, tmp_path / name, tracer=name, tolerance=5.0, bounces="all", workers=2)
+    first, second = made["radiance"], made["compiled"]
+    assert "walks" not in first.manifest["tracer"]
+    walks = second.manifest["tracer"]["walks"]
+    assert walks["agree"] and walks["rays"] == 512 and walks["differing"] < 0.02 * 512
+    assert walks["largest_relative_difference"] > 0  # walks, not direct light
+    assert first.manifest["rays"] == second.manifest["rays"]
+    both = [one.radiant_exposure.values for one in (first, second)]
+    # Some walks of a few per pixel pass the wall's rim on its other side.
+    assert math.sqrt(np.mean((both[1] - both[0]) ** 2)) < 0.01 * both[0].max()
+    assert np.median(np.abs(both[1] - both[0])) <= FLOAT32 * both[0].max()
+    alone = radwrap.render(scene, tmp_path / "alone", tracer="compiled", tolerance=5.0, bounces="all", workers=1)
+    assert (tmp_path / "alone" / "gray.png").read_bytes() == (tmp_path / "compiled" / "gray.png").read_bytes()
+    assert alone.run.run_sha256 == second.run.run_sha256
+    with radwrap.warm(scene, RenderOptions(tracer="compiled", tolerance=5.0, bounces="all")) as live:
+        assert (live.render().radiant_exposure.values == both[1]).all()
+        assert live.render().manifest["tracer"]["walks"] == walks
+
+
+def test_walks_that_differ_are_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Direct light is the same; what is off by a thousandth are the walks alone."""
+    from radwrap.tracers.compiled.engine import CompiledEngine
+
+    asked = CompiledEngine.bouncing
+
+    def brighter(engine: Any, *how: Any) -> Any:
+        return Off(asked(engine, *how), 1.001, 0)
+
+    monkeypatch.setattr(CompiledEngine, "bouncing", brighter)
+    monkeypatch.setattr(tracer_choice, "WORTH_COMPILED", 1)
+    scene, how = in_a_corner(), RenderOptions(bounces=2, tolerance=20.0)
+    with laid_out(scene, how) as traced:
+        used = traced.tracer_used
+        assert used.name == "radiance" and used.probe is not None and used.probe.agree
+        assert used.walks is not None and not used.walks.agree
+        assert used.reason == f"the compiled tracer and Radiance differ on {used.walks.differing} of 512 walks"
+    with pytest.raises(EnvironmentFailure, match="of 512 walks"), laid_out(scene, replace(how, tracer="compiled")):
+        pass
+    with laid_out(scene, replace(how, bounces=0)) as traced:
+        assert traced.tracer_used.name == "compiled" and traced.tracer_used.walks is None
+
+
+def test_walks_that_nobody_knows_are_not_compared(worth_it: None) -> None:
+    """With "auto" sheeting is refused where bounces matter, and by whoever comes to trace them."""
+    beads = {"type": "retroreflective", "model": "coefficient", "function": "glass_beads", "outside": "hold"}
+    scene = with_pane({**beads, "anchor": "95 cd/lx/m^2"})
+    with laid_out(scene, RenderOptions(bounces="auto")) as traced:
+        assert traced.tracer_used.name == "compiled" and traced.tracer_used.walks is None
 
 
 def test_a_basis_by_the_compiled_tracer_adds_up(tmp_path: Path) -> None:

@@ -15,8 +15,10 @@ import pytest
 
 pytest.importorskip("numba")
 
+from radwrap.tracers.bouncing import SURE_STEPS
 from radwrap.tracers.compiled.layout import compiled_scene
 from radwrap.tracers.compiled.tracer import CompiledTracer
+from radwrap.tracers.compiled.walker import WalkingTracer
 from radwrap.tracers.text_frame import traced_frame
 from tests.tracers.crowd import crowd, rays_at
 
@@ -36,7 +38,15 @@ def answers(tracer: CompiledTracer, rays: np.ndarray) -> bytes:
     ((values, distances),) = tracer.trace_with_distances([rays])
     ((_, _, normals),) = tracer.surfaces([rays])
     (parts,) = tracer.parts([rays])
-    return b"".join(array.tobytes() for array in (values, distances, normals, parts))
+    (walked,) = walks(tracer).trace([rays])
+    return b"".join(array.tobytes() for array in (values, distances, normals, parts, walked))
+
+
+def walks(tracer: CompiledTracer) -> WalkingTracer:
+    """Walks over surfaces that reflect as diffuse and glossy ones do, whatever they are in direct light."""
+    covers = np.arange(len(tracer.scene.part_of_cover))
+    reflecting = np.column_stack([0.2 + 0.1 * (covers % 3), 0.3 * (covers % 2), 0.05 + 0.1 * (covers % 2)])
+    return WalkingTracer(tracer, reflecting, None, SURE_STEPS)
 
 
 @pytest.mark.parametrize("size", [1, 7, 1000, 2999])
