@@ -103,7 +103,7 @@ $(READY): requirements.lock pyproject.toml
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@$(BIN)/python -m compileall -q radwrap  # a command starts in 0.15 s less, also where Python may not write byte code
-	@$(BIN)/radwrap doctor --warm >/dev/null  # compiles our own tracer, some 20 s, once for each of its versions
+	@$(BIN)/radwrap doctor --warm >/dev/null  # compiles our own tracer, some 30 s, once for each of its versions
 	@touch $(READY)
 
 # POV-Ray is for cross-checks alone; where there is no apt, tests that need it say so.

@@ -105,8 +105,8 @@ class RenderOptions:
     trust : bool
         Let included Radiance files run commands and name any file.
     tracer : str
-        "radiance"; "compiled", our own tracer, for direct light without mirrors, glass and Radiance files; or "auto",
-        which is "compiled" where the scene has work enough for it, and it agrees with Radiance on a sample of rays.
+        "radiance"; "compiled", our own tracer, for scenes without mirrors, glass and Radiance files; or "auto", which
+        is "compiled" where the scene has work enough for it, and it agrees with Radiance on a sample of rays.
     radiance : str, optional
         Folder of a Radiance other than the wheel's.
     max_pixels : int

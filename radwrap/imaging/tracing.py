@@ -208,7 +208,7 @@ class LaidOutScene:
         from radwrap.tracers.compiled.warm import is_warm
 
         if self._options.progress and not is_warm():
-            note("compiling the tracer, which takes about 20 s, once on this machine")
+            note("compiling the tracer, which takes about 30 s, once on this machine")
         return CompiledEngine.of(scene, self.prepared.scene.frame, lambda: self._programs.cancelled, self._kept)
 
     @property
