@@ -92,8 +92,9 @@ def add_tracer(parser: argparse.ArgumentParser) -> None:
         "--tracer",
         choices=TRACERS,
         default="auto",
-        help="who traces: Radiance; our own compiled tracer, which must agree with Radiance on a sample of rays, and "
-        "of walks of light between surfaces; or auto, the compiled one where a scene can be shown by it and has work enough (default)",
+        help="who traces: Radiance; our own compiled tracer, which must agree with Radiance on a sample of rays, and of "
+        "walks between surfaces; or auto, the compiled one where a scene can be shown by it and has work enough "
+        "(default)",
     )
     add_radiance(parser)
 
