@@ -92,8 +92,8 @@ def add_tracer(parser: argparse.ArgumentParser) -> None:
         "--tracer",
         choices=TRACERS,
         default="auto",
-        help="who traces: Radiance; our own compiled tracer, which must agree with Radiance on a sample of rays, and of "
-        "walks between surfaces; or auto, the compiled one where a scene can be shown by it and has work enough "
+        help="who traces: Radiance; our own compiled tracer, which must agree with Radiance on a sample of rays, and "
+        "of walks between surfaces; or auto, the compiled one where a scene can be shown by it and has work enough "
         "(default)",
     )
     add_radiance(parser)
