@@ -97,7 +97,7 @@ class BouncingTracer:
         """What walks find that begin where rays end."""
         found = np.zeros(len(rays))
         number = np.arange(len(rays))  # of the ray whose walk it is
-        keys, share = _keys(rays), np.ones(len(rays))
+        keys, share = keys_of(rays), np.ones(len(rays))
         here = self._surfaces(rays)
         for step in range(1, self.sure_steps + LONGEST_WALK if self.orders is None else self.orders + 1):
             draws = _draws(keys, step)
@@ -229,7 +229,7 @@ def _mixed(values: Keys) -> Keys:
     return values ^ (values >> np.uint64(31))
 
 
-def _keys(rays: Array) -> Keys:
+def keys_of(rays: Array) -> Keys:
     """A number of each ray, of all its digits."""
     words = (np.ascontiguousarray(rays) + 0.0).view(np.uint64)  # + 0.0: one zero
     keys = np.zeros(len(rays), dtype=np.uint64)

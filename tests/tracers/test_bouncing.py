@@ -18,7 +18,7 @@ from radwrap.imaging.forecast.effects import bounces, bounces_beyond, effects
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.tracing import laid_out
 from radwrap.scene.materials import Specular
-from radwrap.tracers.bouncing import _draws, _keys, _shiny
+from radwrap.tracers.bouncing import _draws, _shiny, keys_of
 from radwrap.validate.bounces import _DIRECT, _cube
 from tests.physics.conftest import Bench
 
@@ -96,10 +96,10 @@ def test_a_ray_has_its_own_draws_in_any_order_and_block(how: RenderOptions) -> N
 
 
 def test_draws_are_even_and_independent() -> None:
-    draws = _draws(_keys(rays_up(20_000)), 3)
+    draws = _draws(keys_of(rays_up(20_000)), 3)
     assert draws.min() >= 0 and draws.max() < 1
     assert np.abs(draws.mean(axis=0) - 0.5).max() < SURE / math.sqrt(12 * len(draws))
-    between = np.corrcoef(np.hstack([draws, _draws(_keys(rays_up(20_000)), 4)]).T) - np.eye(8)
+    between = np.corrcoef(np.hstack([draws, _draws(keys_of(rays_up(20_000)), 4)]).T) - np.eye(8)
     assert np.abs(between).max() < SURE / math.sqrt(len(draws))
 
 

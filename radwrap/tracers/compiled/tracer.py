@@ -79,6 +79,11 @@ class CompiledTracer:
         for block in rays:
             yield self._traced(block, lights, groups + 1)
 
+    def lit(self, block: Floats) -> tuple[Floats, Hits]:
+        """Radiance along rays [W m^-2 sr^-1], shape (n,), and what they met; nothing is kept of it."""
+        values, hits = self._shaded(block, self.scene.lights, 1, None)
+        return values[:, 0], hits
+
     def distances(self, rays: Iterable[Floats]) -> Generator[Floats]:
         """Distance to the first surface [m]; see `Tracer`."""
         for block in rays:
@@ -124,7 +129,7 @@ class CompiledTracer:
         scene, count = self.scene, len(block)
         hits = known or Hits(np.empty(count), np.empty(count, dtype=np.int64))
         values = np.zeros((count, columns))
-        for part in self.portions(len(block), sources_of(scene)):
+        for part in self._parts(len(block), len(lights) + POINTS_OF_A_LIGHT * len(scene.wides)):
             good = trace(
                 scene.targets.shapes,
                 scene.targets.nodes,
@@ -153,14 +158,16 @@ class CompiledTracer:
                 np.empty(CELLS * CELLS, dtype=np.int64),
                 np.empty(DEPTH, dtype=np.int64),
             )
-            checked(values[part], is_good=good)
+            _check(good)
+        if not np.isfinite(values.sum()) or values.min(initial=0.0) < 0:
+            raise TracerError("answered NaN, infinity or a negative radiance", where="the compiled tracer")
         return values, hits
 
     def _met(self, block: Floats) -> tuple[Floats, Floats, Whole]:
         scene = self.scene
         distances, normals = np.empty(len(block)), np.empty((len(block), 3))
         found = np.empty(len(block), dtype=np.int64)
-        for part in self.portions(len(block), 1):
+        for part in self._parts(len(block), 1):
             good = surfaces(
                 scene.targets.shapes,
                 scene.targets.nodes,
@@ -176,10 +183,10 @@ class CompiledTracer:
                 found[part],
                 np.empty(DEPTH, dtype=np.int64),
             )
-            checked(distances[:0], is_good=good)
+            _check(good)
         return distances, normals, found
 
-    def portions(self, rays: int, sources: int) -> Iterator[slice]:
+    def _parts(self, rays: int, sources: int) -> Iterator[slice]:
         """Parts of a block, between which an interruption is heeded and time is counted."""
         step = max(1, _WORK_AT_ONCE // (sources + 1))
         for start in range(0, rays, step):
@@ -190,22 +197,6 @@ class CompiledTracer:
             self.used(time.thread_time() - before)
 
 
-def sources_of(scene: CompiledScene) -> int:
-    """How many shadow rays a point asks for at most."""
-    return len(scene.lights) + POINTS_OF_A_LIGHT * len(scene.wides)
-
-
-def checked(values: Floats, *, is_good: bool) -> None:
-    """Whether what a compiled function answered may be used.
-
-    Raises
-    ------
-    ValueError
-        If it met a bad ray: `is_good` says so.
-    TracerError
-        If radiances are no radiances.
-    """
-    if not is_good:
+def _check(good: bool) -> None:
+    if not good:
         raise ValueError("a ray holds NaN or infinity, or has no direction")
-    if not np.isfinite(values.sum()) or values.min(initial=0.0) < 0:
-        raise TracerError("answered NaN, infinity or a negative radiance", where="the compiled tracer")

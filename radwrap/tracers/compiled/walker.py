@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Generator, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from radwrap.errors import TracerError
 from radwrap.scene.materials import Lambertian, Specular
-from radwrap.tracers.bouncing import ENDLESS, MOST_LIKELY, Reflecting
-from radwrap.tracers.compiled.arrays import Floats
+from radwrap.tracers.bouncing import ENDLESS, LONGEST_WALK, Reflecting, keys_of
+from radwrap.tracers.compiled.arrays import Floats, Whole
+from radwrap.tracers.compiled.hits import Hits
 from radwrap.tracers.compiled.layout import CompiledScene
-from radwrap.tracers.compiled.tracer import CompiledTracer, checked, sources_of
-from radwrap.tracers.compiled.tree import DEPTH
-from radwrap.tracers.compiled.walks import BAD_RAY, ENDLESS_WALK, walk
-from radwrap.tracers.compiled.wide_cells import CELLS, memory
+from radwrap.tracers.compiled.tracer import CompiledTracer
+from radwrap.tracers.compiled.walks import go_on
 
-# Steps that walks take after those that are sure, where they lose as little light as they may.
-_UNSURE_STEPS: Final = round(1 / (1 - MOST_LIKELY))
+# Blocks whose walks take their steps together: the last steps have few.
+_BLOCKS_TOGETHER: Final = 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,7 +35,7 @@ class WalkingTracer:
     tracer : CompiledTracer
         Of direct light.
     reflecting : ndarray, shape (covers, 3)
-        See `walks.walk`.
+        See `walks.go_on`.
     orders : int or None
         How often light is reflected at most before it reaches what a ray sees; None for no limit.
     sure_steps : int
@@ -52,61 +54,59 @@ class WalkingTracer:
 
     def trace_with_distances(self, rays: Iterable[Floats]) -> Generator[tuple[Floats, Floats]]:
         """Radiance and distance along rays; see `Tracer`."""
-        for block in rays:
-            values, lengths = self._walked(block)
-            yield values, lengths / self.tracer.scene.frame.units
+        blocks = iter(rays)
+        while together := list(islice(blocks, _BLOCKS_TOGETHER)):
+            values, distances = self._walked(np.concatenate(together))
+            ends = np.cumsum([len(block) for block in together])[:-1]
+            yield from zip(np.split(values, ends), np.split(distances, ends), strict=True)
 
     def distances(self, rays: Iterable[Floats]) -> Generator[Floats]:
         """Distance to the first surface alone [m]; see `Tracer`."""
         return self.tracer.distances(rays)
 
-    def _walked(self, block: Floats) -> tuple[Floats, Floats]:
-        scene, count = self.tracer.scene, len(block)
-        values, lengths, met = np.zeros((count, 1)), np.empty(count), np.empty(count, dtype=np.int64)
-        steps = 1 + (self.sure_steps + _UNSURE_STEPS if self.orders is None else self.orders)
-        for part in self.tracer.portions(count, steps * (1 + sources_of(scene))):
-            came = walk(
-                scene.targets.shapes,
-                scene.targets.nodes,
-                scene.emitters.shapes,
-                scene.emitters.nodes,
-                scene.covers,
-                scene.decals,
-                scene.lights,
-                scene.beside,
-                scene.clusters,
-                scene.parts_of_clusters,
-                scene.wides,
-                scene.cells,
-                scene.pitch,
-                scene.background,
-                scene.tables,
-                block[part],
-                *scene.frame.origin,
-                float(scene.frame.units),
-                values[part],
-                lengths[part],
-                met[part],
-                np.empty(len(scene.lights)),
-                memory(),
-                np.empty(CELLS * CELLS, dtype=np.int64),
-                np.empty(DEPTH, dtype=np.int64),
-                self.reflecting,
-                -1 if self.orders is None else self.orders,
-                self.sure_steps,
-                np.empty((1, 6)),
-                np.empty((1, 1)),
-                np.empty(1),
-                np.empty(1, dtype=np.int64),
-            )
-            if came == ENDLESS_WALK:
-                raise TracerError(ENDLESS, where="bounces")
-            checked(values[part], is_good=came != BAD_RAY)
-        return values[:, 0], lengths
+    def _walked(self, rays: Floats) -> tuple[Floats, Floats]:
+        found, hits = self.tracer.lit(rays)
+        distances = hits.lengths / self.tracer.scene.frame.units
+        numbers, keys, shares = np.arange(len(rays)), keys_of(rays), np.ones(len(rays))
+        for step in range(1, self.sure_steps + LONGEST_WALK if self.orders is None else self.orders + 1):
+            count = self._go_on(step, rays, hits, numbers, keys, shares)
+            if not count:
+                return found, distances
+            rays, numbers, keys, shares = rays[:count], numbers[:count], keys[:count], shares[:count]
+            values, hits = self.tracer.lit(rays)
+            # A lamp shines straight on what the walk came from, and was counted there.
+            met = hits.met >= 0
+            found[numbers[met]] += shares[met] * values[met]
+        if self.orders is None:
+            raise TracerError(ENDLESS, where="bounces")
+        return found, distances
+
+    def _go_on(
+        self, step: int, rays: Floats, hits: Hits, numbers: Whole, keys: NDArray[np.uint64], shares: Floats
+    ) -> int:
+        """See `walks.go_on`."""
+        scene, before = self.tracer.scene, time.thread_time()
+        count = go_on(
+            scene.targets.shapes,
+            scene.decals,
+            *scene.frame.origin,
+            float(scene.frame.units),
+            rays,
+            hits.lengths,
+            hits.met,
+            self.reflecting,
+            step,
+            self.orders is None and step > self.sure_steps,
+            numbers,
+            keys,
+            shares,
+        )
+        self.tracer.used(time.thread_time() - before)
+        return count
 
 
 def reflecting_of(scene: CompiledScene, materials: Sequence[Reflecting | None]) -> Floats:
-    """What each cover of a scene reflects, see `walks.walk`.
+    """What each cover of a scene reflects, see `walks.go_on`.
 
     Parameters
     ----------

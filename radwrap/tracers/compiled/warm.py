@@ -22,7 +22,7 @@ from radwrap.tracers.compiled.walker import WalkingTracer
 from radwrap.tracers.text_frame import TextFrame
 
 # Functions that programs call, each of which brings with it those that it calls.
-_KEPT: Final = ("kernels.trace", "kernels.surfaces", "walks.walk", "tree._grow", "smooth._met", "smooth._undisturbed")
+_KEPT: Final = ("kernels.trace", "kernels.surfaces", "walks.go_on", "tree._grow", "smooth._met", "smooth._undisturbed")
 
 
 def is_warm() -> bool:
@@ -63,5 +63,5 @@ def warm_up() -> None:
     tracer, ray = CompiledTracer(scene), np.array([[0.0, 0.0, 1.0, 0.0, 0.0, -1.0]])
     next(tracer.trace([ray]))
     next(tracer.distances([ray]))
-    next(WalkingTracer(tracer, np.zeros((1, 3)), 0, 0).trace([ray]))
+    next(WalkingTracer(tracer, np.zeros((1, 3)), 1, 0).trace([ray]))
     smooth_blocks(scene, np.tile(ray, (2, 2, 1)), ray[np.newaxis])
