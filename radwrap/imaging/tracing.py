@@ -315,7 +315,8 @@ class LaidOutScene:
         tracer = self._engine.bouncing(
             self.scene, reflecting_parts(self.scene, self.prepared.parts), orders, sure_steps
         )
-        return replace(self._view(tracer), prover=None)
+        # Plans of Radiance's walks stay as they were, so that their images do.
+        return replace(self._view(tracer), prover=None, walks=self.is_compiled)
 
     def numbered_tracer(self) -> Tracer:
         """A tracer for the same geometry, in which each part glows with its number."""

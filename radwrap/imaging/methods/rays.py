@@ -28,6 +28,7 @@ PILOT: Final = 8  # rays of a pixel that decide how many it gets
 # dimensions); 64 to 256 rays on rad_scenes/bench_board gave 0.57.
 ORDER: Final = 0.6
 MEAN_GAIN: Final = 0.8  # that error over the deviation of a ray, extrapolated to n = 1: 0.6 to 1 on random scenes
+ORDER_OF_WALKS: Final = 0.5  # of chance; their gain is 1
 _SPARE: Final = 1 / 16  # of the mean pixel's rays, which every pixel gets
 # Standard deviations by which a pixel's mean stays above saturation, and the most rays for it: those with which one
 # whose pilot saw it a deviation above saturation is safe.
@@ -55,6 +56,8 @@ class RaysPlan:
         Rays of a pixel at least, a power of 2.
     even : int, optional
         Rays of every pixel, whatever is seen there; a power of 2.
+    walks : bool, optional
+        True where the view's rays go on as walks, see `View`.
     """
 
     camera: Camera
@@ -63,6 +66,7 @@ class RaysPlan:
     tiles: tuple[tuple[int, int, int, int], ...]
     fewest: int = FEWEST
     even: int | None = field(default=None, metadata=ONLY_WHERE_USED)
+    walks: bool | None = field(default=None, metadata=ONLY_WHERE_USED)
 
     @property
     def pilot(self) -> int:
@@ -94,7 +98,7 @@ def plan_rays(view: View, aim: float, fewest: int = FEWEST, *, even: int | None 
     sensor = view.camera.sensor
     step = max(1, _TILE_PIXELS // sensor.columns)
     tiles = tuple((first, min(first + step, sensor.rows), 0, sensor.columns) for first in range(0, sensor.rows, step))
-    return RaysPlan(view.camera, view.exposure_of_radiance, aim, tiles, fewest, even)
+    return RaysPlan(view.camera, view.exposure_of_radiance, aim, tiles, fewest, even, view.walks or None)
 
 
 def traced_tile(
@@ -212,8 +216,9 @@ def deviation_in_gray(
 def _numbers(plan: RaysPlan, pilot: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.intp]:
     """Rays of each pixel, so that the rms over the tile meets the aim; all pixels' errors are brought to one level."""
     deviation = _pooled(gray_deviation(pilot, plan).reshape(shape)).ravel()
-    level = level_of(MEAN_GAIN * deviation * plan.fewest**-ORDER, plan.aim)
-    wanted = (MEAN_GAIN * deviation / level) ** (1 / ORDER)
+    gain, order = (1.0, ORDER_OF_WALKS) if plan.walks else (MEAN_GAIN, ORDER)
+    level = level_of(gain * deviation * plan.fewest**-order, plan.aim)
+    wanted = (gain * deviation / level) ** (1 / order)
     powers = 2 ** np.rint(np.log2(np.clip(wanted, plan.fewest, MOST)))
     numbers: NDArray[np.intp] = powers.astype(np.intp)
     mean, scatter = pilot.mean(axis=1), _pooled(pilot.std(axis=1, ddof=1).reshape(shape)).ravel()

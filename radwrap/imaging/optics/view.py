@@ -237,6 +237,8 @@ class View:
         Which blocks of an image can only change smoothly; see `Engine.smooth_blocks`.
     smooth : SmoothField, optional
         Blocks of which the central image is known without more rays.
+    walks : bool
+        Whether rays go on as compiled walks, the noise of which falls with their number as that of chance.
     """
 
     camera: Camera
@@ -244,6 +246,7 @@ class View:
     workers: int = 1
     prover: Prover | None = None
     smooth: SmoothField | None = None
+    walks: bool = False
 
     @property
     def exposure_of_radiance(self) -> float:
