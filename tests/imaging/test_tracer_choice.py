@@ -15,6 +15,7 @@ import pytest
 import radwrap
 from radwrap.errors import EnvironmentFailure, InputError
 from radwrap.imaging import tracer_choice
+from radwrap.imaging.demand import SamplingPlan
 from radwrap.imaging.relight.relit import read_basis, relit
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.tracer_choice import TracerUsed, candidate, compared, probe_rays, probed
@@ -278,8 +279,9 @@ def in_a_corner() -> Scene:
 def test_both_tracers_walk_the_same_ways(tmp_path: Path) -> None:
     """The manifest holds the comparison of walks; a warm scene comes by it in the same way."""
     scene, made = in_a_corner(), {}
+    how: dict[str, Any] = {"bounces": "all", "sampling": SamplingPlan("rays", rays=16, replicates=2)}
     for name in ("radiance", "compiled"):
-        made[name] = radwrap.render(scene, tmp_path / name, tracer=name, tolerance=5.0, bounces="all", workers=2)
+        made[name] = radwrap.render(scene, tmp_path / name, tracer=name, workers=2, **how)
     first, second = made["radiance"], made["compiled"]
     assert "walks" not in first.manifest["tracer"]
     walks = second.manifest["tracer"]["walks"]
@@ -290,10 +292,10 @@ def test_both_tracers_walk_the_same_ways(tmp_path: Path) -> None:
     # Some walks of a few per pixel pass the wall's rim on its other side.
     assert math.sqrt(np.mean((both[1] - both[0]) ** 2)) < 0.01 * both[0].max()
     assert np.median(np.abs(both[1] - both[0])) <= FLOAT32 * both[0].max()
-    alone = radwrap.render(scene, tmp_path / "alone", tracer="compiled", tolerance=5.0, bounces="all", workers=1)
+    alone = radwrap.render(scene, tmp_path / "alone", tracer="compiled", workers=1, **how)
     assert (tmp_path / "alone" / "gray.png").read_bytes() == (tmp_path / "compiled" / "gray.png").read_bytes()
     assert alone.run.run_sha256 == second.run.run_sha256
-    with radwrap.warm(scene, RenderOptions(tracer="compiled", tolerance=5.0, bounces="all")) as live:
+    with radwrap.warm(scene, RenderOptions(tracer="compiled", **how)) as live:
         assert (live.render().radiant_exposure.values == both[1]).all()
         assert live.render().manifest["tracer"]["walks"] == walks
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import math
 import threading
 import time
-from collections.abc import Generator, Iterable
+import tomllib
+from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,6 +42,8 @@ ONE_STEP = 1e-13
 # The command promises .5 s from the key to the end of the process; this is the tracer's part of it.
 AT_ONCE_S = 0.3
 SURE = 4.0  # standard errors
+OF_SO_FEW_PIXELS = 0.15  # 750 of them, whose errors are not alike
+FORESEEN = 0.4  # by eight walks of each pixel of a sample
 
 
 @dataclass(frozen=True)
@@ -182,6 +186,45 @@ def test_an_integrating_sphere(engine: Any, reflectance: float, orders: int | No
     noise = indirect.std() / math.sqrt(count)
     assert noise < 0.05 * expected
     assert abs(indirect.mean() - expected) < SURE * noise + 1e-3 * expected
+
+
+def under_a_baffle() -> Scene:
+    """The tent in the light of an area under a sheet that hides half of it from each place of the ceiling."""
+    document = tomllib.loads(TENT.read_text())
+    document["sources"] = [
+        {
+            "type": "rectangle",
+            "name": "area",
+            "position": ["-120 mm", "0 mm", "100 mm"],
+            "look_at": ["-120 mm", "0 mm", "500 mm"],
+            "size": ["120 mm", "120 mm"],
+            "radiance": "3000 W/m^2/sr",
+        }
+    ]
+    sheet = {"type": "sheet", "name": "baffle", "material": "painted", "size": ["80 mm", "120 mm"]}
+    document["targets"].append({**sheet, "position": ["-120 mm", "0 mm", "160 mm"]})
+    return radwrap.scene_from_document(document)
+
+
+@pytest.mark.parametrize("scene", [tent, under_a_baffle])
+def test_the_certificate_holds_the_noise_of_walks(scene: Callable[[], Scene]) -> None:
+    """Two images of other rays differ by it; a plan keeps the tolerance with hardly more rays than it needs."""
+    asked = 12.0
+    changes: dict[str, Any] = {"camera.sensor.rows": 25, "camera.sensor.columns": 30, "camera.sensor.rounding": False}
+    changes |= {f"camera.sensor.pixel_{side}": "120 um" for side in ("width", "height")}
+    found = radwrap.scene_from_document(json.loads(scene().document), changes)
+    images = [radwrap.render(found, bounces="all", tolerance=asked, tracer="compiled", seed=seed) for seed in (0, 1)]
+    first, second = (image.gray.values for image in images)
+    got = math.sqrt(((first - second) ** 2).mean() / 2)
+    told = math.sqrt(sum(image.run.error.rms_gray**2 for image in images) / 2)
+    assert got == pytest.approx(told, rel=OF_SO_FEW_PIXELS)
+    for image in images:
+        error = image.run.error
+        assert 0.4 * asked < error.rms_gray_upper95 <= asked
+        assert image.run.plan is not None and len(image.run.plan.attempts) <= 2
+        assert image.run.plan.attempts[0].rays == pytest.approx(image.run.plan.expected_rays["rays"], rel=FORESEEN)
+    assert bool(images[0].manifest["tracer"].get("whole")) == (scene is under_a_baffle)
+    assert first.mean() > 3 * asked
 
 
 def test_a_cancelled_walk_ends_at_once() -> None:

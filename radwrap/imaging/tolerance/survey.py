@@ -11,7 +11,15 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.imaging.methods.kernel import plan_kernel
-from radwrap.imaging.methods.rays import ORDER, ORDER_OF_WALKS, PILOT, gray_deviation, plan_rays, sampled_radiance
+from radwrap.imaging.methods.rays import (
+    GAIN_OF_WALKS,
+    ORDER,
+    ORDER_OF_WALKS,
+    PILOT,
+    gray_deviation,
+    plan_rays,
+    sampled_radiance,
+)
 from radwrap.imaging.methods.smooth_blocks import smooth_field
 from radwrap.imaging.optics.smooth import BLOCK
 from radwrap.imaging.optics.view import View, magnifications_at
@@ -136,8 +144,8 @@ def predicted_rays(view: View, found: Survey, tolerance: float, finer: int = 0) 
     """
     sensor = view.camera.sensor
     aim = AIM_SHARE * tolerance * math.sqrt(2)
-    order = ORDER_OF_WALKS if view.walks else ORDER
-    numbers = np.clip((found.deviations / aim) ** (1 / order), 4, 1 << 14)
+    gain, order = (GAIN_OF_WALKS, ORDER_OF_WALKS) if view.walks else (1.0, ORDER)
+    numbers = np.clip((gain * found.deviations / aim) ** (1 / order), 4, 1 << 14)
     rays = 2 * sensor.pixels * (PILOT + float(numbers.mean()))
     if not math.isfinite(found.model.mean):
         return rays, math.inf
