@@ -139,6 +139,7 @@ def test_a_view_file_refuses_a_lens_by_name(tmp_path: Path, capsys: pytest.Captu
 
 
 @pytest.mark.skipif(shutil.which("povray") is None, reason="POV-Ray is not installed: no cross-check was made")
+@pytest.mark.long
 def test_crosscheck_traces_a_lens_twice(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """POV-Ray sees the same sheared frustum of each sub-viewpoint: out of focus too."""
     scene = SCENES / "crosscheck" / "edge_near" / "scene.toml"

@@ -87,7 +87,9 @@ def box(unit: str) -> str:
     )
 
 
-@pytest.mark.parametrize(("unit", "millimetres"), [(".MILLI.,", 1.0), ("$,", 1000.0)])
+@pytest.mark.parametrize(
+    ("unit", "millimetres"), [pytest.param(".MILLI.,", 1.0, marks=pytest.mark.long), ("$,", 1000.0)]
+)
 def test_a_step_file(unit: str, millimetres: float, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("cascadio", reason="cascadio is not installed: STEP files were not read")
     (tmp_path / "block.step").write_text(box(unit))

@@ -276,7 +276,7 @@ def guardians(socket: str) -> list[psutil.Process]:
     return found
 
 
-@pytest.mark.parametrize("number", range(3))
+@pytest.mark.parametrize("number", [0, *(pytest.param(number, marks=pytest.mark.long) for number in (1, 2))])
 def test_sigkill_leaves_no_light(driver: Any, shines: Callable[[], bool], number: int) -> None:
     process = driver()
     wait(shines, PATIENCE)

@@ -134,6 +134,7 @@ def test_eq9_with_the_other_layouts(bench: Any, layout: str) -> None:
     assert rms_against_eq9(bench, FAR, opening_views(37, layout)) <= 0.012
 
 
+@pytest.mark.long
 def test_measuring_sees_a_shift_of_the_wrong_sign(bench: Any) -> None:
     """The same measurement fails at 3 f, .13, with the shear's sign turned; at 1 m it would see nothing."""
     views = opening_views(61)
@@ -195,7 +196,13 @@ def test_edge_of_the_paper(bench: Any) -> None:
     assert share[columns > position + blur + 0.5] == pytest.approx(1.0, abs=1e-4)
 
 
-@pytest.mark.parametrize(("turn", "direction"), [(0.0, (1.0, 0.0)), (90.0, (0.0, 1.0)), (210.0, (-0.8660254, -0.5))])
+@pytest.mark.parametrize(
+    ("turn", "direction"),
+    [
+        (210.0, (-0.8660254, -0.5)),
+        *(pytest.param(*pair, marks=pytest.mark.long) for pair in ((0.0, (1.0, 0.0)), (90.0, (0.0, 1.0)))),
+    ],
+)
 def test_half_disc_moves_the_image_of_a_spot_away_from_it(
     bench: Any, turn: float, direction: tuple[float, float]
 ) -> None:

@@ -236,7 +236,10 @@ TO_TOLERANCE: dict[str, radwrap.Scene] = {
 
 
 # Less extreme than others, or the same code by another number.
-BETWEEN = ("1 ns", "1e6 s", "dark", "glaring, for a moment", "gamma 0.1", "small", "large")
+BETWEEN = (
+    *("1 ns", "1e6 s", "dark", "glaring, for a moment", "gamma 0.1", "small", "large"),
+    *("2 f", "10 mm", "1 km", "far away", "half disc"),
+)
 
 
 @cache

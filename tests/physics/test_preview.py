@@ -179,7 +179,7 @@ def test_a_lit_disc_that_is_seen_is_the_peak(bench: Any) -> None:
     assert brightest(turned).target == "sheet"
 
 
-@pytest.mark.parametrize("diameter", [3e-3, 6e-3])
+@pytest.mark.parametrize("diameter", [pytest.param(3e-3, marks=pytest.mark.long), 6e-3])
 def test_a_lit_disc_that_is_smaller_than_its_blur(bench: Any, diameter: float) -> None:
     """Of 3 and 6 mm, 0.2 m away; its blur is 0.4 mm (1 + 0.2/0.01) = 8.4 mm wide there."""
     facing = bench.lamp((0.025, 0.0, 0.2), (0.05, 0, 0.4), diameter=diameter, radiant_intensity=1.0, name="facing")

@@ -79,7 +79,12 @@ def test_a_failing_method_leaves_the_others(seen: Seen, monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize(
-    ("rms", "methods"), [(0.5, ("conic",)), (0.0, ("gray",)), pytest.param(0.5, METHODS, marks=pytest.mark.long)]
+    ("rms", "methods"),
+    [
+        (0.5, ("conic",)),
+        pytest.param(0.0, ("gray",), marks=pytest.mark.long),
+        pytest.param(0.5, METHODS, marks=pytest.mark.long),
+    ],
 )
 def test_an_image_that_is_not_rounded_has_an_error_too(seen: Seen, rms: float, methods: tuple[str, ...]) -> None:
     scene = radwrap.with_value(seen.scene, "camera.sensor.rounding", False)

@@ -28,9 +28,9 @@ PROBED = 0.1  # 256 pixels of 16 walks
 TURNED_OTHERWISE = 0.02
 
 
-@pytest.fixture(params=["radiance", "compiled"])
+@pytest.fixture(params=[pytest.param("radiance", marks=pytest.mark.long), "compiled"])
 def how(request: pytest.FixtureRequest) -> RenderOptions:
-    """By whom walks are traced."""
+    """By whom walks are traced: that they are the same ones test_compiled_walks sees."""
     if request.param == "compiled":
         pytest.importorskip("numba")
     return RenderOptions(tracer=request.param)

@@ -116,7 +116,7 @@ def test_one_step_is_that_of_numpy(material: Specular) -> None:
             assert np.abs(going - _diffuse(normals, draws)).max() < ONE_STEP
 
 
-@pytest.mark.parametrize("orders", [1, 4, None])
+@pytest.mark.parametrize("orders", [None, *(pytest.param(orders, marks=pytest.mark.long) for orders in (1, 4))])
 def test_the_same_walk_as_numpys_over_the_same_hits(orders: int | None) -> None:
     scene = tent()
     engine, rays = engine_of(scene), rays_into(scene, 2000, 1)
@@ -149,7 +149,7 @@ def test_the_same_walk_as_by_radiance() -> None:
     assert found.rms_relative_difference < 1e-5
 
 
-@pytest.mark.parametrize("size", [1, 700, 2999])
+@pytest.mark.parametrize("size", [700, *(pytest.param(size, marks=pytest.mark.long) for size in (1, 2999))])
 def test_blocks_and_threads_change_nothing(size: int) -> None:
     scene = tent()
     tracer, rays = walker(scene), rays_into(scene, 3000, 4)
@@ -167,8 +167,19 @@ def ball(reflectance: float, lamps: list[dict[str, Any]]) -> Scene:
     return Bench.scene(Bench.camera((0, 0, 3)), lamps, {"white": white}, [wall])
 
 
-@pytest.mark.parametrize(("reflectance", "orders", "share"), [(0.5, 1, 1.0), (0.5, 2, 1.5), (0.9, None, 10.0)])
-@pytest.mark.parametrize("engine", ["radiance", "compiled"])
+@pytest.mark.parametrize(
+    ("engine", "reflectance", "orders", "share"),
+    [
+        ("compiled", 0.5, 2, 1.5),
+        ("compiled", 0.9, None, 10.0),
+        pytest.param("compiled", 0.5, 1, 1.0, marks=pytest.mark.long),
+        # Radiance's walks are the same, see above.
+        *(
+            pytest.param("radiance", *one, marks=pytest.mark.long)
+            for one in ((0.5, 1, 1.0), (0.5, 2, 1.5), (0.9, None, 10.0))
+        ),
+    ],
+)
 def test_an_integrating_sphere(engine: Any, reflectance: float, orders: int | None, share: float) -> None:
     """What is reflected is even, wherever the lamp shines: rho Phi/(4 pi R^2), and rho of that from each more order."""
     lamp = Bench.lamp((0.3, 0.1, 0.2), (1.0, 0.4, 0.3), half_angle=30.0)
@@ -206,7 +217,7 @@ def under_a_baffle() -> Scene:
     return radwrap.scene_from_document(document)
 
 
-@pytest.mark.parametrize("scene", [tent, under_a_baffle])
+@pytest.mark.parametrize("scene", [tent, pytest.param(under_a_baffle, marks=pytest.mark.long)])
 def test_the_certificate_holds_the_noise_of_walks(scene: Callable[[], Scene]) -> None:
     """Two images of other rays differ by it; a plan keeps the tolerance with hardly more rays than it needs."""
     asked = 12.0
