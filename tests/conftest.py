@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-import tempfile
-from collections.abc import Iterator
+import shutil
 from pathlib import Path
 
 import pytest
@@ -21,19 +20,19 @@ FIRST = (
 )
 
 
+# Renders flush what they write, and a real disk makes them wait: tests write to the one in memory where that has room.
+MEMORY = Path("/dev/shm")  # noqa: S108  (pytest makes a folder of the user's own in it)
+LEAST_ROOM = 2 << 30  # byte; all tests together leave an eighth of it, less as what passed is removed
+
+
+def pytest_configure() -> None:
+    """Have pytest make its temporary folders in memory."""
+    if os.access(MEMORY, os.W_OK) and shutil.disk_usage(MEMORY).free > LEAST_ROOM:
+        os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(MEMORY))  # noqa: TID251  (pytest has no other way)
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put the longest files first; the order within a file stays."""
     here = Path(__file__).parent
     place = {(here / f"{name}.py"): number for number, name in enumerate(FIRST)}
     items.sort(key=lambda item: place.get(item.path, len(FIRST)))
-
-
-@pytest.fixture
-def memory_path(tmp_path: Path) -> Iterator[Path]:
-    """A folder in memory, where there is such a disk: thousands of files that are flushed take long on a real one."""
-    memory = Path("/dev/shm")  # noqa: S108  (made by mkdtemp)
-    if not os.access(memory, os.W_OK):
-        yield tmp_path
-        return
-    with tempfile.TemporaryDirectory(prefix="radwrap-test-", dir=memory) as folder:
-        yield Path(folder)

@@ -1,11 +1,8 @@
 """Purposes do not share random numbers."""
 
-import ast
 from enum import IntEnum
 from itertools import combinations
-from pathlib import Path
 
-import radwrap
 from radwrap import random_streams
 from radwrap.random_streams import Camera, Relighting, Rendering, Studying, Trading, generator
 
@@ -37,14 +34,3 @@ def test_streams_of_one_seed_are_told_apart() -> None:
     drawn = [generator(3, stream, 1).integers(2**62) for stream in Rendering]
     assert len(set(drawn)) == len(Rendering)
     assert generator(3, Rendering.TILE, 1).integers(2**62) == generator(3, 2, 1).integers(2**62)
-
-
-def test_nobody_else_makes_generators() -> None:
-    package = Path(radwrap.__file__).parent
-    makers = {
-        path.relative_to(package).as_posix()
-        for path in package.rglob("*.py")
-        for node in ast.walk(ast.parse(path.read_text("utf-8")))
-        if isinstance(node, ast.Call) and getattr(node.func, "attr", "") in {"default_rng", "RandomState", "PCG64"}
-    }
-    assert makers == {"random_streams.py"}

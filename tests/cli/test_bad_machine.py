@@ -101,7 +101,11 @@ FAKES = [
     ),
     Fake("rtrace hangs after its answer", ("rtrace",), f"{ANSWER}; exec sleep 600", slow=True, long=True),
     Fake(
-        "rtrace hangs without output", ("rtrace", "within 0.8 s"), f"{ANSWER}; exec >&- 2>&-; exec sleep 600", slow=True
+        "rtrace hangs without output",
+        ("rtrace", "within 0.8 s"),
+        f"{ANSWER}; exec >&- 2>&-; exec sleep 600",
+        slow=True,
+        long=True,
     ),
     Fake("rtrace leaves a child behind", ("rtrace",), f"{ANSWER}; sleep 600 & exit 0", slow=True),
     Fake("rtrace goes into the background", ("rtrace",), "setsid sleep 600 & exit 0", slow=True, long=True),
@@ -117,7 +121,7 @@ FAKES = [
     Fake("rtrace prints too little", ("rtrace", "12 bytes"), f"cat > /dev/null; head -c {SIZE - 12} /dev/zero"),
     Fake("rtrace prints a byte too little", ("rtrace", "1 byte"), f"cat > /dev/null; head -c {SIZE - 1} /dev/zero"),
     Fake("rtrace prints too much", ("rtrace", "too much"), f"{ANSWER}; head -c 12 /dev/zero"),
-    Fake("rtrace prints without end", ("rtrace", "too much"), "exec cat /dev/zero", slow=True),
+    Fake("rtrace prints without end", ("rtrace", "too much"), "exec cat /dev/zero", slow=True, long=True),
     Fake("rtrace prints nothing", ("rtrace", "bytes"), "cat > /dev/null"),
     Fake("rtrace reads nothing", ("rtrace", "bytes"), "exit 0"),
     Fake("rtrace prints NaN", ("rtrace", "NaN"), f"{ANSWER} | tr '\\0' '\\377'"),

@@ -171,24 +171,24 @@ def test_a_dark_source_has_no_factor(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert 'the source "second" is dark in the scene' in line
 
 
-def test_a_killed_basis_goes_on_where_it_was(memory_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    scene = write_scene(memory_path, {**SLOWER, **TWO})
+def test_a_killed_basis_goes_on_where_it_was(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = write_scene(tmp_path, {**SLOWER, **TWO})
     how = ["--basis", "--method", "kernel", "--tolerance", 0.5, "--workers", 1]
-    argv = ["render", scene, *how, "--out", memory_path / "out"]
-    pieces = memory_path / "out" / "viewpoints" / "basis"
+    argv = ["render", scene, *how, "--out", tmp_path / "out"]
+    pieces = tmp_path / "out" / "viewpoints" / "basis"
     with start(argv) as process:
         assert wait_for(lambda: len(list(pieces.glob("tile_*.exr"))) > 0, process), "the run was too short"
         process.kill()
     assert process.returncode == -signal.SIGKILL
-    assert not (memory_path / "out" / "manifest.json").exists()
+    assert not (tmp_path / "out" / "manifest.json").exists()
     kept = {path.name: path.read_bytes() for path in pieces.glob("tile_*.exr")}
     here(argv, capsys).success()
-    here([*argv[:-1], memory_path / "good"], capsys).success()
+    here([*argv[:-1], tmp_path / "good"], capsys).success()
     assert kept
-    assert products(memory_path / "out") == products(memory_path / "good")
-    assert files_in(memory_path / "out" / "basis") == files_in(memory_path / "good" / "basis")
-    assert not (memory_path / "out" / "viewpoints").exists()
-    assert inhabitants(memory_path) == []
+    assert products(tmp_path / "out") == products(tmp_path / "good")
+    assert files_in(tmp_path / "out" / "basis") == files_in(tmp_path / "good" / "basis")
+    assert not (tmp_path / "out" / "viewpoints").exists()
+    assert inhabitants(tmp_path) == []
 
 
 def test_relit_images_have_an_interval_where_the_scene_states_tolerances(

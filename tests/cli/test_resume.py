@@ -57,13 +57,13 @@ def _is_on_its_way(out: Path, due: int, begun: int) -> bool:
 
 @pytest.mark.long
 @pytest.mark.parametrize("kills", [10])
-def test_kills_at_random_change_nothing(memory_path: Path, capsys: pytest.CaptureFixture[str], kills: int) -> None:
+def test_kills_at_random_change_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str], kills: int) -> None:
     """Moments between those of the next test, which kills at each rename there is."""
     number = 37
-    scene, out = write_scene(memory_path, SLOWER), memory_path / "out"
+    scene, out = write_scene(tmp_path, SLOWER), tmp_path / "out"
     argv = _argv(scene, out, KEPT, number=number)
-    here(_argv(scene, memory_path / "good", KEPT, number=number), capsys).success()
-    good = products(memory_path / "good")
+    here(_argv(scene, tmp_path / "good", KEPT, number=number), capsys).success()
+    good = products(tmp_path / "good")
     dice = random.Random(20)  # noqa: S311  (no secret)
     known: set[int] = set()
     log: list[int] = []
@@ -84,7 +84,7 @@ def test_kills_at_random_change_nothing(memory_path: Path, capsys: pytest.Captur
     assert done.json["timing"]["reused_viewpoints"] == len(known)
     assert made_since(out, before) == set(range(number)) - known
     _again_is_the_same(out, good)
-    assert files_in(out / "viewpoints") == files_in(memory_path / "good" / "viewpoints")
+    assert files_in(out / "viewpoints") == files_in(tmp_path / "good" / "viewpoints")
 
 
 # A process that kills itself: the command's own code, forked for each moment, so that libraries are loaded once.
@@ -189,68 +189,68 @@ SOME: Final = [
 
 
 @pytest.mark.parametrize("chosen", [SOME, pytest.param(MOMENTS, marks=pytest.mark.long)], ids=["some", "all"])
-def test_killed_at_every_rename_and_while_merging(memory_path: Path, chosen: list[tuple[str, int]]) -> None:
-    scene, good = write_scene(memory_path), memory_path / "good"
-    argv = _argv(scene, memory_path / "{}", "--truth", "--workers", 1, number=3)
+def test_killed_at_every_rename_and_while_merging(tmp_path: Path, chosen: list[tuple[str, int]]) -> None:
+    scene, good = write_scene(tmp_path), tmp_path / "good"
+    argv = _argv(scene, tmp_path / "{}", "--truth", "--workers", 1, number=3)
     # The folders hold another scene's result first, which must neither be taken for this one's nor mixed with it.
     moments = [(f"{kind} {number}", kind, number) for kind, number in chosen]
     everywhere = [(name, "never", 0) for name, _, _ in moments]
     assert _carry_out(argv, moments) == [signal.SIGKILL] * len(moments)
-    left = {name: finished(memory_path / name) for name, _, _ in moments}
-    logs = {name: traced(memory_path / name) for name, _, _ in moments}
+    left = {name: finished(tmp_path / name) for name, _, _ in moments}
+    logs = {name: traced(tmp_path / name) for name, _, _ in moments}
     for name, kind, number in moments:
-        manifest = memory_path / name / "manifest.json"
+        manifest = tmp_path / name / "manifest.json"
         assert manifest.exists() == ((kind, number) in (("after rename", len(RENAMES)), ("clean-up", 2)))
         if kind != "clean-up":
             assert len(left[name]) == min(number - (kind != "after rename"), 3) or kind == "merge"
         assert logs[name] == list(range(len(logs[name])))
     assert left["merge 1"] == {0, 1, 2}
-    before = {name: stamps(memory_path / name) for name, _, _ in moments}
+    before = {name: stamps(tmp_path / name) for name, _, _ in moments}
 
     again = [*argv, KEPT]
     assert _carry_out(again, [("good", "never", 0), *everywhere]) == [0] * (len(moments) + 1)
     expected = products(good)
     assert set(expected) == {"gray.png", "radiant_exposure.exr", "depth.exr", "mask.png", "truth.json", "manifest.json"}
-    wrong = [name for name, _, _ in moments if products(memory_path / name) != expected]
+    wrong = [name for name, _, _ in moments if products(tmp_path / name) != expected]
     assert wrong == []
     for name, kind, _ in moments:
         if kind == "clean-up":
             continue  # a run that asks for the files has them, see below
-        assert made_since(memory_path / name, before[name]) == {0, 1, 2} - left[name], name
-        assert files_in(memory_path / name / "viewpoints") == files_in(good / "viewpoints"), name
-    assert [name for name in files_in(memory_path) if ".part" in name or "/.work/" in name] == []
+        assert made_since(tmp_path / name, before[name]) == {0, 1, 2} - left[name], name
+        assert files_in(tmp_path / name / "viewpoints") == files_in(good / "viewpoints"), name
+    assert [name for name in files_in(tmp_path) if ".part" in name or "/.work/" in name] == []
 
 
 @pytest.mark.parametrize(
     ("removed", "renamed"), [((), (7, 11)), pytest.param((1,), (7, 10, 11, 12, 13), marks=pytest.mark.long)]
 )
 def test_killed_while_replacing_another_result(
-    memory_path: Path, capsys: pytest.CaptureFixture[str], removed: tuple[int, ...], renamed: tuple[int, ...]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], removed: tuple[int, ...], renamed: tuple[int, ...]
 ) -> None:
     """From the first new image on there is no manifest, and so nobody takes old and new for one result."""
-    old, scene = write_scene(memory_path / "old", {"targets.0.rotation": REST}), write_scene(memory_path / "new")
-    here(_argv(scene, memory_path / "good"), capsys).success()
+    old, scene = write_scene(tmp_path / "old", {"targets.0.rotation": REST}), write_scene(tmp_path / "new")
+    here(_argv(scene, tmp_path / "good"), capsys).success()
     kinds = [
         *(("old manifest removed", number) for number in removed),
         *(("after rename", number) for number in renamed),
     ]
     moments = [(f"{kind} {number}", kind, number) for kind, number in kinds]
     for name, _, _ in moments:
-        here(_argv(old, memory_path / name), capsys).success()
-    before = products(memory_path / moments[0][0])
-    argv = _argv(scene, memory_path / "{}", "--workers", 1)
+        here(_argv(old, tmp_path / name), capsys).success()
+    before = products(tmp_path / moments[0][0])
+    argv = _argv(scene, tmp_path / "{}", "--workers", 1)
     assert _carry_out(argv, moments) == [signal.SIGKILL] * len(moments)
     for name, _, number in moments:
-        left = products(memory_path / name)
+        left = products(tmp_path / name)
         if number in (7, 10):  # the last sub-viewpoint, the new manifest beside: the old result stands, all of it
             assert left == before
         elif number == 13:
-            assert left == products(memory_path / "good")
+            assert left == products(tmp_path / "good")
         else:
             assert "manifest.json" not in left
     assert _carry_out(argv, [(name, "never", 0) for name, _, _ in moments]) == [0] * len(moments)
     for name, _, _ in moments:
-        _again_is_the_same(memory_path / name, products(memory_path / "good"))
+        _again_is_the_same(tmp_path / name, products(tmp_path / "good"))
 
 
 REST: Final = ["0 deg", "0 deg", "0 deg"]
@@ -284,14 +284,14 @@ def _folder_instead(path: Path) -> None:
     path.mkdir()
 
 
-def test_a_bad_file_is_noticed_and_traced_again(memory_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    scene, out = write_scene(memory_path), memory_path / "out"
+def test_a_bad_file_is_noticed_and_traced_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene, out = write_scene(tmp_path), tmp_path / "out"
     argv = _argv(scene, out, KEPT, number=19)
     here(argv, capsys).success()
     good = products(out)
     folder = out / "viewpoints"
-    foreign, plan = memory_path / "foreign", memory_path / "plan"
-    other = write_scene(memory_path / "other", {"targets.0.rotation": REST})
+    foreign, plan = tmp_path / "foreign", tmp_path / "plan"
+    other = write_scene(tmp_path / "other", {"targets.0.rotation": REST})
     here(_argv(other, foreign, KEPT, number=19), capsys).success()
     here(_argv(scene, plan, KEPT, "--pixel-samples", 2, number=19), capsys).success()
 
@@ -322,10 +322,10 @@ def test_a_bad_file_is_noticed_and_traced_again(memory_path: Path, capsys: pytes
     assert not list(folder.glob(".*"))
 
 
-def test_a_flipped_bit_is_noticed(memory_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_flipped_bit_is_noticed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """One bit in each of 61 files: where it changes a pixel the file is traced again, so the images stay."""
     number = 61
-    scene, out = write_scene(memory_path), memory_path / "out"
+    scene, out = write_scene(tmp_path), tmp_path / "out"
     argv = _argv(scene, out, KEPT, number=number)
     here(argv, capsys).success()
     good = products(out)
@@ -347,8 +347,8 @@ def test_a_flipped_bit_is_noticed(memory_path: Path, capsys: pytest.CaptureFixtu
     _again_is_the_same(out, good)
 
 
-def test_a_final_image_that_was_changed_is_made_again(memory_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    scene, out = write_scene(memory_path), memory_path / "out"
+def test_a_final_image_that_was_changed_is_made_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene, out = write_scene(tmp_path), tmp_path / "out"
     argv = _argv(scene, out, KEPT, "--truth")
     here(argv, capsys).success()
     good, before = products(out), stamps(out)
@@ -377,10 +377,10 @@ def test_a_final_image_that_was_changed_is_made_again(memory_path: Path, capsys:
     ids=["some", "all"],
 )
 def test_a_changed_scene_in_the_same_folder_gives_its_own_result(
-    memory_path: Path, capsys: pytest.CaptureFixture[str], chosen: tuple[str, ...] | None
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], chosen: tuple[str, ...] | None
 ) -> None:
-    scene = write_scene(memory_path)
-    out = memory_path / "out"
+    scene = write_scene(tmp_path)
+    out = tmp_path / "out"
     steps: list[tuple[str, list[object]]] = [
         ("first", []),
         ("moved", ["--set", "targets[0].rotation[0]=25 deg"]),
@@ -399,19 +399,19 @@ def test_a_changed_scene_in_the_same_folder_gives_its_own_result(
     ]
     results = []
     for name, options in [step for step in steps if chosen is None or step[0] in chosen]:
-        for folder in (out, memory_path / name):
+        for folder in (out, tmp_path / name):
             here(_argv(scene, folder, KEPT, *options), capsys).success()
         results.append(products(out))
         # What an earlier run left under a final name does not belong to this one.
-        assert results[-1] == products(memory_path / name), name
-        assert finished(out) == finished(memory_path / name)
+        assert results[-1] == products(tmp_path / name), name
+        assert finished(out) == finished(tmp_path / name)
     assert results[0] == results[-1]
     # A change that no ray sees re-uses every ray.
     assert len({str(result["gray.png"]) for result in results}) > len(results) - 4
 
 
-def test_exposure_and_response_need_no_new_rays(memory_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    scene, out = write_scene(memory_path), memory_path / "out"
+def test_exposure_and_response_need_no_new_rays(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene, out = write_scene(tmp_path), tmp_path / "out"
     here(_argv(scene, out, KEPT), capsys).success()
     before = stamps(out)
     for key, value in {"exposure_time": "100 ms", "sensor.dark_gray": 30, "sensor.saturation_gray": 100}.items():
@@ -419,8 +419,8 @@ def test_exposure_and_response_need_no_new_rays(memory_path: Path, capsys: pytes
     assert set(before) == set(range(7)) and stamps(out) == before
 
 
-def test_a_finished_run_is_not_run_again(memory_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    scene, out = write_scene(memory_path), memory_path / "out"
+def test_a_finished_run_is_not_run_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene, out = write_scene(tmp_path), tmp_path / "out"
     argv = _argv(scene, out, KEPT)
     first = here([*argv, "--json"], capsys).success().json
     before, good = stamps(out), files_in(out)
@@ -440,11 +440,9 @@ def test_a_finished_run_is_not_run_again(memory_path: Path, capsys: pytest.Captu
     assert finished(out) == set(range(7))
 
 
-def test_who_asks_for_the_sub_viewpoints_gets_all_of_them(
-    memory_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_who_asks_for_the_sub_viewpoints_gets_all_of_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """As after a run that was killed while it cleaned up."""
-    scene, out = write_scene(memory_path), memory_path / "out"
+    scene, out = write_scene(tmp_path), tmp_path / "out"
     argv = _argv(scene, out, KEPT)
     here(argv, capsys).success()
     good = products(out)
@@ -457,7 +455,9 @@ def test_who_asks_for_the_sub_viewpoints_gets_all_of_them(
     assert products(out) == good
 
 
-def test_a_second_run_in_the_same_folder_is_refused_at_once(tmp_path: Path, radiance: Path) -> None:
+def test_a_second_run_in_the_same_folder_is_refused_at_once(
+    tmp_path: Path, radiance: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The first one's tracer waits until it may go on."""
     scene, out, gated, gate = write_scene(tmp_path), tmp_path / "out", tmp_path / "gated", tmp_path / "gate"
     shutil.copytree(radiance / "lib", gated / "lib", ignore=shutil.ignore_patterns("[!r]*"))
@@ -471,7 +471,7 @@ def test_a_second_run_in_the_same_folder_is_refused_at_once(tmp_path: Path, radi
     with start(argv) as first:
         assert wait_for(lambda: len(traced(out)) > 0, first)
         for words in (argv, _argv(scene, tmp_path / "." / "out", "--viewpoints", 3, KEPT)):
-            second = run(*words)
+            second = here(words, capsys)
             line = second.refusal(4)
             assert str(out) in line and "another run" in line
             assert second.wall < PATIENCE / 2  # the first one ends when it is let
@@ -479,5 +479,5 @@ def test_a_second_run_in_the_same_folder_is_refused_at_once(tmp_path: Path, radi
         gate.touch()
         _, said = first.communicate()
     assert first.returncode == 0, said
-    run(*_argv(scene, tmp_path / "good")).success()
+    here(_argv(scene, tmp_path / "good"), capsys).success()
     _again_is_the_same(out, products(tmp_path / "good"))

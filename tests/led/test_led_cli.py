@@ -29,6 +29,8 @@ FULL: Final = 0.06  # W/sr, of the emulated LEDs
 NOMINAL: Final = 0.05  # W/sr, in the scene
 FACTORS: Final = (1.13, 0.88, 1.0, 0.94)
 STEP: Final = FULL / NOMINAL / 4096
+# A camera that takes each frame once, in a twentieth of a second.
+FILM: Final = ("sh", "-c", 'set -C; : > "$0"; sleep 0.05')
 # Of a rendered image at the tolerance below, in the light of one LED.
 GRAY_ERROR: Final = 0.5
 SENSOR: Final = {
@@ -165,16 +167,7 @@ def test_without_stdin_there_is_no_enter(
 def test_a_study_is_played_as_it_was_designed(bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """16 rows: the ring shows each to half a PWM step, and its light renders the design's image."""
     argv = led(bench, "play", bench / "scene.toml", "--rows", bench / "rows.csv", "--out", tmp_path / "play")
-    run(
-        *argv,
-        "--settle",
-        "0 s",
-        "--camera",
-        sys.executable,
-        "-c",
-        "import sys; open(sys.argv[1], 'x')",
-        "{name} {number}",
-    )
+    here([*argv, "--settle", "0 s", "--camera", *FILM, "{name} {number}"], capsys).success()
     assert len(list((tmp_path / "play").glob("row*"))) == 16
     design, played = table(bench / "rows.csv"), table(tmp_path / "play" / "played.csv")
     assert list(played) == ["dark", *design]
@@ -194,10 +187,11 @@ def test_a_study_is_played_as_it_was_designed(bench: Path, tmp_path: Path, capsy
         assert allowed < 0.2
 
 
-def test_an_interrupted_play_goes_on_where_it_was(bench: Path, tmp_path: Path) -> None:
+def test_an_interrupted_play_goes_on_where_it_was(
+    bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     argv = led(bench, "play", bench / "scene.toml", "--rows", bench / "rows.csv", "--alone", "--out", tmp_path / "play")
-    code = "import sys, time; open(sys.argv[1], 'x'); time.sleep(0.05)"
-    argv += ["--settle", "0 s", "--camera", sys.executable, "-c", code, "{name}"]
+    argv += ["--settle", "0 s", "--camera", *FILM, "{name}"]
     with start(argv) as process:
         assert wait_for((tmp_path / "play" / "row03").exists, process), "the run was too short"
         process.kill()
@@ -208,11 +202,11 @@ def test_an_interrupted_play_goes_on_where_it_was(bench: Path, tmp_path: Path) -
     for path in (tmp_path / "play").glob("row*"):
         if path.name not in record["frames"]:
             path.unlink()  # of a frame that was not done, whose file the camera writes anew
-    run(*argv).success()
+    here(argv, capsys).success()
     frames = json.loads((tmp_path / "play" / "play.json").read_text())["frames"]
     assert list(frames) == ["dark", *(f"led{n:02d}" for n in range(LEDS)), *(f"row{n:02d}" for n in range(16))]
     changed = [word if word != "60 mW/sr" else "61 mW/sr" for word in argv]
-    assert "another sequence" in run(*changed).stderr
+    assert "another sequence" in here(changed, capsys).stderr
     assert inhabitants(tmp_path) == []
 
 
@@ -256,9 +250,9 @@ def test_what_is_wrong_with_a_frame_is_told_without_gaps(bench: Path, tmp_path: 
     assert 'frame "dark": radiant intensities need a calibration' in done.stderr
 
 
-def test_a_camera_that_fails_ends_the_play(bench: Path, tmp_path: Path) -> None:
+def test_a_camera_that_fails_ends_the_play(bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     argv = led(bench, "play", bench / "scene.toml", "--alone", "--out", tmp_path / "play")
-    done = run(*argv, "--camera", sys.executable, "-c", "import sys; sys.exit('no film')")
+    done = here([*argv, "--camera", "sh", "-c", "echo no film >&2; exit 1"], capsys)
     assert done.code == 4 and "no film" in done.stderr
     done = run(*argv)
     assert done.code == 2 and "--camera" in done.stderr, "stdin has no Enter to give"

@@ -133,15 +133,14 @@ def test_a_smaller_pinhole_turns_the_verdict_of_fig_10(tmp_path: Path, monkeypat
     assert verdicts(tmp_path, "fig10")["fig10.softer"] == "not_reproduced"
 
 
-def test_a_figure_is_the_same_again(tmp_path: Path) -> None:
-    """A figure that renders and a table that does not; all of them, and their page, are long."""
+def test_a_table_is_the_same_again(tmp_path: Path) -> None:
+    """One that renders nothing; all figures, tables and their page are long, and equal renders have tests."""
     scripts = dict(zip(NAMES, replicate.SCRIPTS, strict=True))
     made = []
     for folder in (tmp_path / "first", tmp_path / "again"):
-        for name in ("fig13", "table4"):
-            list(carry_out(name, scripts[name].make, Task(folder, quick=True)))
+        list(carry_out("table4", scripts["table4"].make, Task(folder, quick=True)))
         made.append(contents(folder))
-    assert len(made[0]) >= 4
+    assert len(made[0]) >= 2
     assert made[0] == made[1]
 
 

@@ -136,9 +136,9 @@ def write_design(folder: Path, text: str, responses: str = RESPONSES) -> Path:
 
 
 @pytest.fixture
-def design(memory_path: Path) -> DesignWriter:
+def design(tmp_path: Path) -> DesignWriter:
     """Write the scene and a design into a folder of the test's own; returns the design's path."""
-    return partial(write_design, memory_path)
+    return partial(write_design, tmp_path)
 
 
 # Two factors that move the edge and the light, one of them by draws; 4 runs.

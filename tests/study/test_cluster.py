@@ -101,40 +101,40 @@ def _other_radwrap(folder: Path) -> Path:
 
 
 @pytest.mark.usefixtures("one_process")
-def test_workers_may_come_late_and_go_early(memory_path: Path) -> None:
+def test_workers_may_come_late_and_go_early(tmp_path: Path) -> None:
     """The last one is killed at work; another goes on, and the table is the one of this process."""
-    design, out = _laid(memory_path), memory_path / "late"
+    design, out = _laid(tmp_path), tmp_path / "late"
     with ExitStack() as stack:
-        _, address = stack.enter_context(_scheduler(memory_path))
+        _, address = stack.enter_context(_scheduler(tmp_path))
         with start([*_words(design, address), out]) as study:
             mark = out / ".radwrap.cluster"
             assert wait_for(mark.exists, study, PATIENCE)
             time.sleep(1.5)
-            first = stack.enter_context(_worker(address, memory_path / "w1"))
+            first = stack.enter_context(_worker(address, tmp_path / "w1"))
             assert wait_for(lambda: (out / "results.csv").read_bytes().count(b"\n") > 1, study, PATIENCE)
             first.kill()
-            stack.enter_context(_worker(address, memory_path / "w2"))
+            stack.enter_context(_worker(address, tmp_path / "w2"))
             _, told = study.communicate(timeout=PATIENCE)
         assert study.returncode == 0 and "no worker is there" in told, told
         assert not mark.exists()
-    run_study(read_design(design), memory_path / "here", StudyOptions())
-    assert (out / "results.csv").read_bytes() == (memory_path / "here" / "results.csv").read_bytes()
+    run_study(read_design(design), tmp_path / "here", StudyOptions())
+    assert (out / "results.csv").read_bytes() == (tmp_path / "here" / "results.csv").read_bytes()
 
 
 @pytest.mark.long
-def test_workers_that_would_answer_otherwise_are_left_out(memory_path: Path) -> None:
+def test_workers_that_would_answer_otherwise_are_left_out(tmp_path: Path) -> None:
     """Those that are fit do the study; a scheduler that is gone is told.
 
     Long: who is fit, and what is said of a scheduler that is not there, the tests of seals and servers see.
     """
-    design = _laid(memory_path)
+    design = _laid(tmp_path)
     with ExitStack() as stack:
-        scheduler, address = stack.enter_context(_scheduler(memory_path))
-        stack.enter_context(_worker(address, memory_path / "w1"))
-        stack.enter_context(_worker(address, memory_path / "w2", _other_radwrap(memory_path / "other")))
+        scheduler, address = stack.enter_context(_scheduler(tmp_path))
+        stack.enter_context(_worker(address, tmp_path / "w1"))
+        stack.enter_context(_worker(address, tmp_path / "w2", _other_radwrap(tmp_path / "other")))
         _wait_for_workers(address, 2)
-        with start([*_words(design, address), memory_path / "lost"]) as study:
-            assert wait_for((memory_path / "lost" / "started.log").exists, study, PATIENCE)
+        with start([*_words(design, address), tmp_path / "lost"]) as study:
+            assert wait_for((tmp_path / "lost" / "started.log").exists, study, PATIENCE)
             os.kill(scheduler.pid, signal.SIGKILL)
             _, told = study.communicate(timeout=PATIENCE)
         assert study.returncode == 4
@@ -157,14 +157,14 @@ def _words(design: Path, address: str) -> list[object]:
 
 
 @pytest.mark.long
-def test_a_study_for_which_no_worker_is_fit_is_not_begun(memory_path: Path) -> None:
+def test_a_study_for_which_no_worker_is_fit_is_not_begun(tmp_path: Path) -> None:
     """Long: that a worker is not fit is found above."""
-    (memory_path / "scene.toml").write_text(scene_text(EDGE))
-    design, out = memory_path / "design.toml", memory_path / "out"
+    (tmp_path / "scene.toml").write_text(scene_text(EDGE))
+    design, out = tmp_path / "design.toml", tmp_path / "out"
     design.write_text(f'scene = "scene.toml"\n{TINY_SMALL}\n{GRAY}')
     with ExitStack() as stack:
-        _, address = stack.enter_context(_scheduler(memory_path))
-        stack.enter_context(_worker(address, memory_path / "w", _other_radwrap(memory_path / "other")))
+        _, address = stack.enter_context(_scheduler(tmp_path))
+        stack.enter_context(_worker(address, tmp_path / "w", _other_radwrap(tmp_path / "other")))
         _wait_for_workers(address, 1)
         done = command("study", "run", design, "--out", out, "--no-report", "--dask", address)
         assert done.code == 4 and "no worker is fit: another radwrap's files" in done.stderr
@@ -172,24 +172,24 @@ def test_a_study_for_which_no_worker_is_fit_is_not_begun(memory_path: Path) -> N
         assert (out / "results.csv").read_text().count("\n") == 1, "no run is finished"
 
 
-def test_a_study_without_workers_ends(memory_path: Path) -> None:
+def test_a_study_without_workers_ends(tmp_path: Path) -> None:
     """It says once that it waits; then it gives up."""
-    design = _laid(memory_path)
-    with _scheduler(memory_path) as (_, address):
-        with start([*_words(design, address), memory_path / "none", "--worker-timeout", "2 s"]) as study:
+    design = _laid(tmp_path)
+    with _scheduler(tmp_path) as (_, address):
+        with start([*_words(design, address), tmp_path / "none", "--worker-timeout", "2 s"]) as study:
             _, told = study.communicate(timeout=PATIENCE)
         assert study.returncode == 4
         _says_once_that_it_waits(told, address, 2)
 
 
 @pytest.mark.long
-def test_a_study_whose_last_worker_is_killed_ends(memory_path: Path) -> None:
+def test_a_study_whose_last_worker_is_killed_ends(tmp_path: Path) -> None:
     """Long: what it does without a worker is seen above."""
-    design = _laid(memory_path)
-    with _scheduler(memory_path) as (_, address), _worker(address, memory_path / "w") as worker:
+    design = _laid(tmp_path)
+    with _scheduler(tmp_path) as (_, address), _worker(address, tmp_path / "w") as worker:
         _wait_for_workers(address, 1)
-        with start([*_words(design, address), memory_path / "killed", "--worker-timeout", "3 s"]) as study:
-            assert wait_for((memory_path / "killed" / "started.log").exists, study, PATIENCE)
+        with start([*_words(design, address), tmp_path / "killed", "--worker-timeout", "3 s"]) as study:
+            assert wait_for((tmp_path / "killed" / "started.log").exists, study, PATIENCE)
             worker.kill()
             _, told = study.communicate(timeout=PATIENCE)
         assert study.returncode == 4

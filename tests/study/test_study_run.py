@@ -76,9 +76,9 @@ def several(folder: Path, runs: int) -> Path:
     return write_design(folder, TINY_SMALL.replace("seed = 5", f"seed = 5\nreplicates = {REPLICATES[runs]}"), GRAY)
 
 
-def test_a_study_that_is_interrupted_and_killed_goes_on(memory_path: Path, good: bytes, runs: int) -> None:
+def test_a_study_that_is_interrupted_and_killed_goes_on(tmp_path: Path, good: bytes, runs: int) -> None:
     """Of few runs once by Ctrl-C and once killed; of many three times killed, and Ctrl-C has a test of its own."""
-    path, out = several(memory_path, runs), memory_path / "out"
+    path, out = several(tmp_path, runs), tmp_path / "out"
     dice = random.Random(7)  # noqa: S311  (no secret)
     finished: set[str] = set()
     for due, ends in _ends(runs):
@@ -93,7 +93,7 @@ def test_a_study_that_is_interrupted_and_killed_goes_on(memory_path: Path, good:
         again = started(out) - before
         assert not {str(number) for number in again} & finished, "a finished run was begun again"
         finished = {row["run"] for row in read_table(_whole_lines(out)).rows}
-    done = study(path, out, "--workers", "2", "--json").success()
+    done = study(path, out, "--workers", "1", "--json").success()
     assert done.json["timing"]["reused_runs"] == len(finished)
     assert (out / "results.csv").read_bytes() == good
     assert inhabitants(out) == []
@@ -131,8 +131,8 @@ def _orphans() -> list[str]:
     return [" ".join(words) for words in found if words and words[0].startswith(ours) and "spawn_main" in str(words)]
 
 
-def test_a_killed_worker_costs_nothing_that_was_finished(memory_path: Path, good: bytes, runs: int) -> None:
-    path, out = several(memory_path, runs), memory_path / "out"
+def test_a_killed_worker_costs_nothing_that_was_finished(tmp_path: Path, good: bytes, runs: int) -> None:
+    path, out = several(tmp_path, runs), tmp_path / "out"
     with start(["study", "run", path, "--out", out, "--workers", "2", "--no-report", "--json"]) as process:
         assert wait_for(lambda: rows_on_disk(out) >= runs // 3, process), "the study was too short for this test"
         finished = {int(row["run"]) for row in read_table(_whole_lines(out)).rows}
@@ -148,8 +148,8 @@ def test_a_killed_worker_costs_nothing_that_was_finished(memory_path: Path, good
 
 
 @pytest.mark.long
-def test_ctrl_c_ends_everything_and_the_study_goes_on(memory_path: Path, good: bytes, runs: int) -> None:
-    path, out = several(memory_path, runs), memory_path / "out"
+def test_ctrl_c_ends_everything_and_the_study_goes_on(tmp_path: Path, good: bytes, runs: int) -> None:
+    path, out = several(tmp_path, runs), tmp_path / "out"
     with start(
         ["study", "run", path, "--out", out, "--workers", "2", "--no-report"], start_new_session=True
     ) as process:
@@ -229,7 +229,7 @@ def test_the_report_holds_every_run(undisturbed: Path, runs: int) -> None:
 
 
 @pytest.mark.long
-def test_dask_gives_the_same_table(memory_path: Path, good: bytes, runs: int) -> None:
+def test_dask_gives_the_same_table(tmp_path: Path, good: bytes, runs: int) -> None:
     """On a LocalCluster of two worker processes, one of which is killed.
 
     Long: that Dask gives the table of this process, and that a worker is killed, test_cluster sees; what is done
@@ -237,13 +237,13 @@ def test_dask_gives_the_same_table(memory_path: Path, good: bytes, runs: int) ->
     """
     from distributed import LocalCluster
 
-    path, out = several(memory_path, runs), memory_path / "out"
+    path, out = several(tmp_path, runs), tmp_path / "out"
     with LocalCluster(
         n_workers=2,
         threads_per_worker=1,
         processes=True,
         dashboard_address="127.0.0.1:0",  # any free port: other tests' schedulers run beside this one
-        local_directory=str(memory_path / "d"),
+        local_directory=str(tmp_path / "d"),
     ) as cluster:
         with start(
             ["study", "run", path, "--out", out, "--dask", cluster.scheduler_address, "--no-report", "--json"]

@@ -158,17 +158,18 @@ def measure_edge(
         raise InputError("is saturated all over", where="the image", remedy="shorten the exposure")
     if low == high:
         raise InputError(f"is blank: gray {low:g} all over", where="the image", remedy="aim at an edge")
-    from threadpoolctl import threadpool_limits
+    from threadpoolctl import ThreadpoolController
 
     progress = progress or Progress("", 1, shown=False)
     progress.expect(2 * values.size)
     found = find_line(values, progress)
+    libraries = ThreadpoolController()  # to look for them takes as long as a fit
     for tolerance in (1e-4, 1e-10, 1e-10, 1e-10):  # the strip follows the blur; it stands after two or three rounds
         _check_size(found, values.size)
         strip = _strip(values, usable, found)
         last = found
         progress.left(_USUAL_TRIALS * _TRIAL_WORK * strip.u.size)
-        with threadpool_limits(1):  # of many small matrices: threads would wait for one another most of the time
+        with libraries.limit(limits=1):  # small matrices: threads would wait for one another most of the time
             found, edge = _fit(strip, found, dark, gamma, aspect=pixel_aspect, tolerance=tolerance, look=progress.add)
         if abs(found.half_width - last.half_width) < 1.0 and abs(found.shift_from(last)) < 0.05:
             break
