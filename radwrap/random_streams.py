@@ -35,6 +35,8 @@ class Rendering(IntEnum):
     CORRECTED_PIXELS = 24  # then the tile
     CORRECTIONS = 25  # then replicate and tile
     FORESEEN_PIXELS = 26
+    LIT_PIXELS = 27
+    LIT_RAYS = 28
 
 
 @unique

@@ -9,7 +9,7 @@ from typing import Any
 from radwrap.cli import options as shared
 from radwrap.imaging.forecast.effects import effects
 from radwrap.imaging.forecast.explain import explain
-from radwrap.imaging.render_options import TOLERANCE, RenderOptions
+from radwrap.imaging.render_options import RenderOptions
 from radwrap.manifest import json_text
 
 
@@ -21,13 +21,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         "gray levels of leaving each out.",
     )
     shared.add_scene(parser)
-    parser.add_argument(
-        "--tolerance",
-        metavar="GRAY",
-        type=shared.number(),
-        default=TOLERANCE,
-        help="gray levels rms that are wanted (default 0.5)",
-    )
+    shared.add_tolerance(parser, "rms error that is wanted")
     parser.add_argument(
         "--seed", metavar="S", type=shared.whole(), default=0, help="seed of all that is drawn (default 0)"
     )
@@ -122,7 +116,8 @@ def _lines(found: Mapping[str, Any]) -> Iterator[str]:
     if tracer := found.get("tracer"):
         yield f"tracer: {tracer['name']} ({tracer['reason']}){_probe(tracer)}"
     if planner := found.get("planner"):
-        yield f"method for a tolerance of {found['tolerance']:g}: {planner['method']} ({planner['why']})"
+        asked = found.get("tolerance_asked", {"asked": "gray levels rms"})["asked"]
+        yield f"method for a tolerance of {found['tolerance']:g} ({asked}): {planner['method']} ({planner['why']})"
     for warning in found["warnings"]:
         yield f"warning: {warning}"
     for key, value in found["assumed"].items():

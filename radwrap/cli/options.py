@@ -41,6 +41,26 @@ def number(low: float = -_LARGEST, high: float = _LARGEST) -> Callable[[str], fl
     return read
 
 
+def tolerance(text: str) -> float | str:
+    """Reader of a tolerance: a number of gray levels, or a text with a unit that `RenderOptions` reads."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def add_tolerance(parser: argparse.ArgumentParser, what: str) -> None:
+    """--tolerance."""
+    parser.add_argument(
+        "--tolerance",
+        metavar="G",
+        type=tolerance,
+        help=f'{what}: gray levels, "0.2 %%" of saturation minus dark, or "0.5 noise", of one frame\'s temporal noise, '
+        "rms over the lit pixels (default 0.5 gray; for a linear camera half of that noise, and at least 0.5/255 of "
+        "full scale)",
+    )
+
+
 def whole(low: int = -_LARGEST_WHOLE, high: int = _LARGEST_WHOLE) -> Callable[[str], int]:
     """Reader of an option's whole number, in a range."""
 

@@ -15,7 +15,7 @@ from radwrap.imaging.forecast.cost import duration
 from radwrap.imaging.forecast.photo_realistic import check_drawable, write_beside
 from radwrap.imaging.forecasting import forecast
 from radwrap.imaging.output.run_manifest import RunManifest
-from radwrap.imaging.render_options import METHODS, TOLERANCE, RenderOptions
+from radwrap.imaging.render_options import METHODS, RenderOptions
 from radwrap.imaging.synthesis import render
 from radwrap.manifest import json_text, plain
 from radwrap.scene.scene import Scene
@@ -38,9 +38,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         "opening's shape; by rays over pixel and opening; by one image that rays correct where it errs (default: the "
         "cheapest of the last three)",
     )
-    parser.add_argument(
-        "--tolerance", metavar="G", type=shared.number(), help="largest rms error in gray levels (default 0.5)"
-    )
+    shared.add_tolerance(parser, "largest rms error")
     parser.add_argument(
         "--max-error", metavar="G", type=shared.number(), help="largest error of 99 %% of the pixels, likewise"
     )
@@ -166,7 +164,7 @@ def _options(arguments: argparse.Namespace) -> RenderOptions:
         raise InputError("must lie between 1 and 1e12", where="--max-pixels")
     options = RenderOptions(
         method=arguments.method,
-        tolerance=TOLERANCE if arguments.tolerance is None else arguments.tolerance,
+        tolerance=arguments.tolerance,
         max_error=arguments.max_error,
         **_budget(arguments.budget),
         viewpoints=arguments.viewpoints,

@@ -25,6 +25,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser = verbs.add_parser("trade", description=_DESCRIPTION)
     shared.add_scene(parser)
     parser.add_argument("--out", metavar="DIR", help="folder for trade.csv, trade.json and trade.png")
+    shared.add_tolerance(parser, "rms error that is wanted, which the settings lie around")
     parser.add_argument(
         "--longest", metavar="TIME", default="60 s", help='leave out what is expected to take longer (default "60 s")'
     )
@@ -62,6 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
         reference_pixels=arguments.reference_pixels,
         reference_rays=arguments.reference_rays,
         render=RenderOptions(
+            tolerance=arguments.tolerance,
             seed=arguments.seed,
             workers=arguments.workers,
             **shared.tracer_options(arguments),
@@ -92,4 +94,4 @@ def _lines(trade: Trade) -> Iterator[str]:
         f"* none is faster and more exact; the reference, {len(trade.reference.sample.pixels)} pixels with "
         f"{trade.reference.rays:.3g} rays, is itself off by {trade.reference.rms_gray:.2g} gray rms, which is taken out"
     )
-    yield recommendation(trade.rows)
+    yield recommendation(trade.rows, trade.tolerance)

@@ -45,7 +45,7 @@ class Banding:
         if self.gray == 0.0:
             return options
         largest = None if options.max_error is None else options.max_error - self.gray
-        return replace(options, tolerance=options.tolerance - self.gray, max_error=largest)
+        return replace(options, tolerance=options.gray_tolerance - self.gray, max_error=largest)
 
     def summary(self) -> BandsSummary | None:
         """What the manifest says; None where the scene tells no spectra."""
@@ -60,7 +60,9 @@ def banding(scene: Scene, options: RenderOptions, *, exact: bool = False) -> Ban
     if scene.spectral is None:
         return Banding(None)
     sensor = scene.camera.sensor
-    asked = options.tolerance if options.max_error is None else min(options.tolerance, options.max_error)
+    # Of a tolerance that hangs on the noise the least that it can be: no light is known yet.
+    tolerance = options.asked_tolerance.in_gray(sensor)
+    asked = tolerance if options.max_error is None else min(tolerance, options.max_error)
     allowed = _EXACT if exact or options.basis else allowed_error(sensor, _SHARE * asked)
     found = scene_bands(scene, scene.spectral, allowed)
     return Banding(found, gray_error(sensor, found.error))

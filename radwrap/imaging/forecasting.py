@@ -39,6 +39,7 @@ from radwrap.imaging.output.image_files import write_images
 from radwrap.imaging.relight.basis import shining
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.response.noise import linear_of
+from radwrap.imaging.tolerance.lit_noise import ToleranceAsked, with_gray_tolerance
 from radwrap.imaging.tolerance.planner import Search
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.sampling import even_plan
@@ -275,7 +276,9 @@ def forecast(scene: Scene, options: RenderOptions, *, started: float = 0.0) -> C
     clock = Stopwatch()
     with _stage(scene, options) as stage:
         parts = {"start": started, "layout": clock.lap()}
-        bounces(scene, stage.work.view, options.seed, options.tolerance, traced=stage.traced)
+        options, _ = with_gray_tolerance(options, stage.traced.view_with_bounces(options.bounces))
+        stage.options = options
+        bounces(scene, stage.work.view, options.seed, options.gray_tolerance, traced=stage.traced)
         parts["light between surfaces"] = clock.lap()
         what = _prepared(scene, options, stage)
         parts["survey"] = clock.lap()
@@ -293,8 +296,7 @@ def _prepared(scene: Scene, options: RenderOptions, stage: Stage) -> Search | Vi
     method = fixed_method(scene, options)
     if options.bounces:
         # Whether "auto" means all is not known before rays are traced: what it costs at most is told.
-        orders = options.bounces if isinstance(options.bounces, int) else None
-        stage.work = replace(stage.work, view=stage.traced.bouncing_view(orders))
+        stage.work = replace(stage.work, view=stage.traced.view_with_bounces(options.bounces))
     if method is not None:
         return viewpoint_plan(scene, options, method, "rehearsal")
     demand = replace(options.demand, method="rays") if options.bounces else options.demand
@@ -328,6 +330,8 @@ class Announcement:
         For what is rehearsed; goes with the run's other temporary files.
     programs : Programs
         Ended with the run.
+    tolerance_asked : ToleranceAsked or None
+        The tolerance as it was asked for, where that is not in gray levels.
     foretold : Foretold or None
         What was said of the time that was to come.
     """
@@ -336,10 +340,13 @@ class Announcement:
     options: RenderOptions
     folder: Path
     programs: Programs
+    tolerance_asked: ToleranceAsked | None
     foretold: Foretold | None = field(default=None, init=False)
 
     def before(self, view: View, what: Search | ViewpointPlan) -> None:
-        """Look at what will be traced, and say so where it takes long."""
+        """Say what a tolerance means that is not in gray levels, and what will be traced where that takes long."""
+        if isinstance(what, Search) and self.tolerance_asked is not None:
+            note(_meaning(self.tolerance_asked, what))
         expected = what.rays if isinstance(what, ViewpointPlan) else what.choice.expected_rays[what.choice.method] or 0
         scene = self.traced.scene
         if expected * max(len(scene.emitters), 1) < _MANY:
@@ -356,3 +363,13 @@ class Announcement:
         note(f"this will take about {cost}")
         for one in cost.cheaper:
             note(str(one))
+
+
+def _meaning(asked: ToleranceAsked, what: Search) -> str:
+    """What a tolerance is in gray levels, and about what half and twice as much would take."""
+    noise = "" if asked.noise_rms_gray is None else f", where one frame's noise is {asked.noise_rms_gray:.3g} gray"
+    finer, coarser = what.times_as_many(0.5), what.times_as_many(2.0)
+    return (
+        f"tolerance {what.demand.tolerance:g} gray rms ({asked.asked}{noise}): half as much takes about {finer:.2g} "
+        f"times as many rays, twice as much down to {coarser:.2g} times"
+    )

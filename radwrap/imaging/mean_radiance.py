@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
+from radwrap.imaging.asked_tolerance import USUAL
 from radwrap.imaging.methods.viewpoints import ViewpointPlan, merge, trace_viewpoints
 from radwrap.imaging.optics.aperture import Layout, central_viewpoint, sub_viewpoints
 from radwrap.imaging.optics.view import PixelPlan, PixelSampling
@@ -94,11 +95,14 @@ def how(scene: Scene, options: RenderOptions) -> dict[str, Any]:
     """All options that decide the pixels; not where they go, who traces them and how fast."""
     method = fixed_method(scene, options)
     if method is None:
-        keys = ("method", "tolerance", "max_error", "budget_rays", "budget_seconds", "seed")
+        keys = ("max_error", "budget_rays", "budget_seconds", "seed")
+        # A default that hangs on the light is known by its name; what was asked for in gray levels, by these.
+        usual = "default" if scene.camera.sensor.linear else USUAL
+        asked = {"method": options.method, "tolerance": usual if options.tolerance is None else options.tolerance}
         # Named only where it is asked for: what a run is known by stays as it was for all others.
         bounces = {"bounces": options.bounces} if options.bounces else {}
         sampling = {"sampling": options.sampling} if options.sampling else {}
-        return {key: getattr(options, key) for key in keys} | bounces | sampling
+        return asked | {key: getattr(options, key) for key in keys} | bounces | sampling
     pixels = {"samples": options.pixel_samples, "sampling": options.pixel_sampling}
     opening = {"viewpoints": options.viewpoint_number, "layout": options.layout} if method == "viewpoints" else {}
     return {"method": method, "seed": options.seed, **pixels, **opening}

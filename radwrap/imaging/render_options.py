@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 from typing import Any, Final, Literal, get_args
 
 from radwrap.errors import InputError
+from radwrap.imaging.asked_tolerance import COARSEST, FINEST, AskedTolerance, asked_tolerance
 from radwrap.imaging.demand import Budget, Demand, SamplingPlan, ToleranceMethod
 from radwrap.imaging.optics.aperture import LAYOUTS, Layout
 from radwrap.imaging.optics.view import PixelSampling
@@ -25,7 +26,6 @@ _TO_TOLERANCE: Final[dict[Method | None, ToleranceMethod]] = {
     "hybrid": "hybrid",
 }
 _VIEWPOINTS: Final = 37
-_FINEST: Final = 1e-3  # gray levels; the float32 of the tracer ends near there
 
 _PIXEL_SAMPLINGS: Final = get_args(PixelSampling)
 # Least and largest of each number.
@@ -39,8 +39,8 @@ _WHOLE: Final = {
     "max_pixels": (1, 10**12),
 }
 _REAL: Final = {
-    "tolerance": (_FINEST, 1e6),
-    "max_error": (_FINEST, 1e6),
+    "tolerance": (FINEST, COARSEST),
+    "max_error": (FINEST, COARSEST),
     "budget_rays": (1, 1e18),
     "budget_seconds": (1e-3, 1e9),
     "tracer_timeout": (1e-3, 1e9),
@@ -53,9 +53,6 @@ _NAMES: Final = {
     "tracer": TRACERS,
 }
 _SWITCHES: Final = ("keep_viewpoints", "truth", "basis", "trust", "progress")
-
-# Gray levels rms, where nothing else is asked for.
-TOLERANCE: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +67,10 @@ class RenderOptions:
         default "viewpoints" where their number is given, or another option
         of theirs is, else the cheapest of the last three that keeps the
         tolerance.
-    tolerance : float
-        Largest rms error of kernel, rays or hybrid [gray level].
+    tolerance : float or str, optional
+        Largest rms error of kernel, rays or hybrid: gray levels, or "0.2 %" of saturation minus dark, or "0.5 noise",
+        of one frame's temporal noise, rms over the lit pixels. Default 0.5 gray levels; for a linear camera half of
+        that noise, and at least 0.5/255 of full scale.
     max_error : float, optional
         Largest error of 99 % of the pixels, likewise [gray level].
     budget_rays, budget_seconds : float, optional
@@ -118,7 +117,7 @@ class RenderOptions:
     """
 
     method: Method | None = None
-    tolerance: float = TOLERANCE
+    tolerance: float | str | None = None
     max_error: float | None = None
     budget_rays: float | None = None
     budget_seconds: float | None = None
@@ -202,17 +201,31 @@ class RenderOptions:
         return "viewpoints" if paper else None
 
     @property
+    def asked_tolerance(self) -> AskedTolerance:
+        """The tolerance as it was asked for."""
+        return asked_tolerance(self.tolerance)
+
+    @property
+    def gray_tolerance(self) -> float:
+        """The tolerance, once it is known in gray levels, see `asked_tolerance`; ValueError before."""
+        if isinstance(self.tolerance, str) or self.tolerance is None:
+            raise ValueError("the tolerance is not known in gray levels yet")
+        return self.tolerance
+
+    @property
     def demand(self) -> Demand:
-        """What kernel, rays or hybrid must keep."""
+        """What kernel, rays or hybrid must keep, once the tolerance is known in gray levels."""
         budget = Budget(
             math.inf if self.budget_rays is None else self.budget_rays,
             math.inf if self.budget_seconds is None else self.budget_seconds,
         )
-        return Demand(self.tolerance, self.max_error, _TO_TOLERANCE.get(self.method), budget)
+        return Demand(self.gray_tolerance, self.max_error, _TO_TOLERANCE.get(self.method), budget)
 
 
 def _checked(name: str, value: Any) -> Any:
     """The value of an option, as JSON can hold it; those of other kinds are checked where they are used."""
+    if name == "tolerance" and isinstance(value, str):
+        return str(asked_tolerance(value))
     if name in _NAMES and not (name in _WHOLE and not isinstance(value, str)):
         return choice_of(value, name, _NAMES[name])
     if name in _WHOLE:

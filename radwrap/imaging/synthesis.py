@@ -48,6 +48,7 @@ from radwrap.imaging.output.truth_files import TRUTH, read_truth, write_truth
 from radwrap.imaging.relight.basis import FOLDER, shining, write_basis
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.tolerance.kept_replicates import kept, write_replicates
+from radwrap.imaging.tolerance.lit_noise import with_gray_tolerance
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.uncertainty import seen_magnifications, share_spread
 from radwrap.imaging.tracing import LaidOutScene
@@ -175,6 +176,7 @@ def rendered(
     if progress is not None and told is None:
         changes = {**changes, "progress": progress}
     options = replace(options, **changes)
+    options.asked_tolerance.needs_noise(scene.camera.sensor)
     rays, replicates = usual_rays(scene, options), _kept_replicates(options)
     check_size(scene, options.max_pixels, rays, cores(options), replicates=replicates)
     if out is None:
@@ -330,16 +332,18 @@ def _carry_out(run: _Run, start: float, cpu: float) -> None:
 
 def _trace(run: _Run) -> tuple[TracedRun, list[str]]:
     """What tracing finds, and the files of the light basis, each of which is written once it is traced."""
-    scene, options, traced = run.scene, run.options, run.traced
+    scene, traced = run.scene, run.traced
     view = traced.view()
     try:
-        left_out = bounces(scene, view, options.seed, options.tolerance, traced=traced)
+        options, asked = with_gray_tolerance(run.options, traced.view_with_bounces(run.options.bounces))
+        run = replace(run, options=options)
+        left_out = bounces(scene, view, options.seed, options.gray_tolerance, traced=traced)
         orders = _orders(options.bounces, left_out)
         work, tracing = _with_bounces(run, view, orders)
         beyond = None
         if isinstance(orders, int) and orders:
-            beyond = bounces_beyond(traced, orders, options.seed, options.tolerance)
-        announcement = Announcement(traced, options, run.made.parent / "rehearsal", run.programs)
+            beyond = bounces_beyond(traced, orders, options.seed, options.gray_tolerance)
+        announcement = Announcement(traced, options, run.made.parent / "rehearsal", run.programs, asked)
         before = partial(announcement.before, work.view) if options.progress else None
         made = make(scene, traced.banding.left(tracing), work, before)
         spread, magnification = _spread(run), _magnification(scene, view)
@@ -360,6 +364,7 @@ def _trace(run: _Run) -> tuple[TracedRun, list[str]]:
         spread=spread,
         magnification=magnification,
         foretold=announcement.foretold,
+        tolerance_asked=asked,
     )
     return found, basis
 
@@ -384,7 +389,7 @@ def _write_basis(run: _Run, work: Work, made: Made, magnification: NDArray[np.fl
     told = {
         "scene_sha256": identity.scene_sha256,
         "run_sha256": identity.run_sha256,
-        "tolerance": run.options.tolerance,
+        "tolerance": run.options.gray_tolerance,
         "max_error": run.options.max_error,
         "seed": run.options.seed,
         "dark": sorted({emitter.source for emitter in scene.emitters} - set(sources)),

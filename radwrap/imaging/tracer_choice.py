@@ -108,7 +108,7 @@ def _walked(sources: int, sensor: Sensor, options: RenderOptions) -> int:
     if options.bounces in (0, "auto"):  # of which it is known only once light was traced
         return 0
     off = (sensor.saturation_gray - sensor.dark_gray) / 2
-    walks = max(_WALKS, math.ceil((off / options.tolerance) ** 2))
+    walks = max(_WALKS, math.ceil((off / options.asked_tolerance.in_gray(sensor)) ** 2))
     return walks * (1 + _steps_of(options)) * (sources + _ASKED_BESIDES)
 
 

@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -317,6 +317,12 @@ class LaidOutScene:
         )
         # Plans of Radiance's walks stay as they were, so that their images do.
         return replace(self._view(tracer), prover=None, walks=self.is_compiled)
+
+    def view_with_bounces(self, bounces: int | Literal["all", "auto"]) -> View:
+        """The camera with what is asked for of light between surfaces; "auto" is all of it."""
+        if not bounces:
+            return self.view()
+        return self.bouncing_view(bounces if isinstance(bounces, int) else None)
 
     def numbered_tracer(self) -> Tracer:
         """A tracer for the same geometry, in which each part glows with its number."""

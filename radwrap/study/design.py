@@ -228,6 +228,8 @@ def _check_names(factors: tuple[Factor, ...], responses: tuple[Response, ...], o
 
 def check_render_option(key: str, value: Any, where: str) -> None:
     """Refuse what is no option of a render, or of the wrong type."""
+    if key == "tolerance" and isinstance(value, str):
+        raise InputError("must be gray levels, so that levels can be compared", where=f"{where}: tolerance")
     validated(RenderModel, {key: value}, where)
 
 

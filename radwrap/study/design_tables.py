@@ -43,7 +43,13 @@ def _number(value: Any) -> Any:
     return value
 
 
+def _tolerance(value: Any) -> Any:
+    """A number, or a text with a unit, whose limits are those of `RenderOptions`."""
+    return value if isinstance(value, str) else _number(value)
+
+
 Number = Annotated[Any, BeforeValidator(_number)]
+Tolerance = Annotated[Any, BeforeValidator(_tolerance)]
 Text = Annotated[str, Field(strict=True, min_length=1)]
 Table = dict[str, Any]
 
@@ -99,7 +105,7 @@ class RenderModel(Model):
     """[render]: options of a render that a study may name; their limits are those of `RenderOptions`."""
 
     method: Literal["pinhole", "viewpoints", "kernel", "rays"] | None = None
-    tolerance: Number = None
+    tolerance: Tolerance = None
     max_error: Number = None
     budget_rays: Number = None
     viewpoints: Whole | None = None

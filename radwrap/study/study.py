@@ -13,7 +13,9 @@ from typing import Any, Final
 
 from radwrap.errors import InputError
 from radwrap.files import make_folder, sha256_of, sole_owner
+from radwrap.imaging.asked_tolerance import USUAL
 from radwrap.imaging.render_options import TracerName
+from radwrap.imaging.tolerance.lit_noise import ToleranceAsked
 from radwrap.manifest import SCHEMA_VERSION, STUDY_PACKAGES, read_manifest, sha256_of_value, versions, write_manifest
 from radwrap.process import MOST_WORKERS, Programs, available_cores
 from radwrap.progress import Progress
@@ -21,6 +23,7 @@ from radwrap.scene.file.named_files import named_files
 from radwrap.study.design import Design, render_options
 from radwrap.study.journal import RESULTS, Journal
 from radwrap.study.light import reference_levels, split_light, with_levels
+from radwrap.study.one_tolerance import with_one_tolerance
 from radwrap.study.one_tracer import one_tracer
 from radwrap.study.pilots import Plans, told_of
 from radwrap.study.pool import WORKER_TIMEOUT, DaskPool, LocalPool, Pool
@@ -134,7 +137,9 @@ def run_study(design: Design, out: Path, options: StudyOptions) -> Study:
     with sole_owner(out):
         known_one = known_tracer(out) if options.tracer == "auto" else None
         options = replace(options, tracer=known_one or one_tracer(design, runs, options.of_render))
-        take_possession(out, design, runs, options)
+        design, asked = with_one_tolerance(design, runs, options.of_render)
+        runs = runs if asked is None else runs_of(design)
+        take_possession(out, design, runs, options, asked)
         journal = Journal(out, design, runs)
         known = journal.finished()
         if options.retry_failed:
@@ -191,7 +196,9 @@ def open_pool(options: StudyOptions, folder: Path) -> Pool:
     return LocalPool(options.workers or available_cores())
 
 
-def take_possession(out: Path, design: Design, runs: Sequence[Run], options: StudyOptions) -> None:
+def take_possession(
+    out: Path, design: Design, runs: Sequence[Run], options: StudyOptions, asked: ToleranceAsked | None = None
+) -> None:
     """Write what the study is, or make sure that it is the one that lies there."""
     told = {
         "schema_version": SCHEMA_VERSION,
@@ -202,6 +209,7 @@ def take_possession(out: Path, design: Design, runs: Sequence[Run], options: Stu
         "versions": versions(*STUDY_PACKAGES) | {"radiance": _radiance_version(options)},
         "trust": options.trust,
         "tracer": options.tracer,
+        **({} if asked is None else {"tolerance_asked": asdict(asked)}),
         "files": _file_hashes(design, runs, options),
     }
     told["study_sha256"] = _identity(told, runs)
@@ -310,6 +318,8 @@ def _job(design: Design, run: Run, out: Path, options: StudyOptions, *, name: st
     render = render_options(
         run.render, f"{design.origin}: render", seed=run.seed, workers=1, **options.of_render, **how
     )
+    if render.tolerance is None:  # others are in gray levels already, see `with_one_tolerance`
+        render = replace(render, tolerance=USUAL)
     return Job(
         name=name,
         study=str(out.absolute()),

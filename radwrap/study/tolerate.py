@@ -357,7 +357,9 @@ def tolerate(
     if not search.deviations and not search.scatters:
         raise InputError("no factor has numbers or draws as levels", where=f"{design.origin}: factors")
     study = run_study(design, out, options)
-    options = replace(options, tracer=known_tracer(out) or options.tracer)
+    # With the one tolerance and the one tracer that all its runs have.
+    design, options = study.design, replace(options, tracer=known_tracer(out) or options.tracer)
+    search = Search(design, share=share, systems=systems)
     with sole_owner(out), closing(open_pool(options, out)) as pool:
         plans = known_plans(out)
         fresh = FreshRenders(design, out, bound.response, options, pool, repeats=repeats, plans=plans)

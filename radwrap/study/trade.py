@@ -27,6 +27,7 @@ from radwrap.imaging.optics.aperture import LAYOUTS, Layout, Viewpoints, central
 from radwrap.imaging.optics.view import PixelPlan, PixelSampling, View, trace_rays
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.response.sensor import gray_levels
+from radwrap.imaging.tolerance.lit_noise import with_gray_tolerance
 from radwrap.imaging.tolerance.planner import render_to_tolerance
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.survey import predicted_rays, survey, with_smooth_blocks
@@ -56,7 +57,7 @@ _REFERENCE: Final = "reference"
 _NUMBERS: Final = (7, 19, 37, 61, 127, 217)
 _TRIAL_NUMBER: Final = 37  # on which layouts and samplings are compared
 _SMALL_NUMBERS: Final = (7, 19)  # where more rays a pixel may pay
-_TOLERANCES: Final = (2.0, 1.0, 0.5, 0.2, 0.1)
+_SHARES: Final = (4.0, 2.0, 1.0, 0.4, 0.2)  # of the tolerance that is wanted, which kernel and rays are asked for
 # A method that misses its tolerance tries again; after so many times the rays that were expected, or the longest time,
 # it has shown enough.
 _PATIENCE: Final = 8
@@ -160,7 +161,7 @@ class TradeOptions:
     reference_pixels, reference_rays : int
         Pixels of the reference, and rays of each of its two values.
     render : RenderOptions
-        Seed, workers, tracer; its method is not used.
+        Seed, workers, tracer, and the tolerance that is wanted; its method is not used.
     """
 
     longest: float = 60.0
@@ -192,6 +193,8 @@ class Trade:
         Of all that decides the numbers.
     options : TradeOptions
         How.
+    tolerance : float
+        What is wanted [gray level rms].
     reference : Reference
         What errors are taken against.
     rows : tuple of Row
@@ -203,6 +206,7 @@ class Trade:
     title: str
     run_sha256: str
     options: TradeOptions
+    tolerance: float
     reference: Reference
     rows: tuple[Row, ...]
     left_out: tuple[LeftOut, ...]
@@ -246,6 +250,7 @@ class _Sweep:
         self.scene, self.folder, self.work, self.options, self.programs = scene, rows, work, options, programs
         traced = LaidOutScene(scene, options.render, programs, work, exact_bands=True)
         self.view = traced.view()
+        self.tolerance = with_gray_tolerance(options.render, self.view)[0].gray_tolerance
         self.traced_sha256 = traced.sha256()
         self.sha256 = sha256_of_value(
             {
@@ -263,17 +268,18 @@ class _Sweep:
         self.reference = self._reference()
         self.seconds_per_ray = _seconds_per_ray(self.view)
         self.survey = survey(self.view, self.options.render.seed)
-        self.progress = Progress("settings", len(_NUMBERS) + 2 * len(_TOLERANCES), shown=self.options.render.progress)
+        self.progress = Progress("settings", len(_NUMBERS) + 2 * len(_SHARES), shown=self.options.render.progress)
         try:
             self._pinhole()
             if not self.scene.camera.aperture.is_infinitesimal:
                 self._viewpoints()
             for method in ("kernel", "rays"):
-                self._all(Setting(method, tolerance=tolerance) for tolerance in _TOLERANCES)
+                self._all(Setting(method, tolerance=float(f"{share * self.tolerance:.3g}")) for share in _SHARES)
         finally:
             self.progress.close()
         title = "/".join(Path(self.scene.origin).parts[-2:])
-        return Trade(title, self.sha256, self.options, self.reference, tuple(self.rows), tuple(self.left_out))
+        rows, left_out = tuple(self.rows), tuple(self.left_out)
+        return Trade(title, self.sha256, self.options, self.tolerance, self.reference, rows, left_out)
 
     def _reference(self) -> Reference:
         options, known = self.options, self._read(_REFERENCE)

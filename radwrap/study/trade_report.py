@@ -19,8 +19,6 @@ NUMBERS: Final = "trade.json"
 PICTURE: Final = "trade.png"
 FILES: Final = (TABLE, NUMBERS, PICTURE)
 
-# The rms error that most users want: what rounding to whole gray levels adds anyway is 0.29.
-_USUAL_TOLERANCE: Final = 0.5
 _SMALLEST_SHOWN: Final = 1e-3  # gray levels; a logarithmic axis has no zero
 _MARKERS: Final = {"pinhole": "s", "viewpoints": "o", "kernel": "D", "rays": "^"}
 
@@ -37,21 +35,21 @@ def pareto_front(rows: Sequence[Row]) -> tuple[Row, ...]:
     return tuple(front)
 
 
-def recommendation(rows: Sequence[Row]) -> str:
-    """What to use on this scene, in one sentence."""
+def recommendation(rows: Sequence[Row], tolerance: float) -> str:
+    """What to use on this scene for an rms error below a tolerance [gray level], in one sentence."""
     if not rows:
         return "Nothing was measured: every setting was expected to take longer than --longest."
     # A setting that ended without its own certificate ends so on another seed too.
-    good = [row for row in rows if row.error.rms_gray_upper <= _USUAL_TOLERANCE and row.met is not False]
+    good = [row for row in rows if row.error.rms_gray_upper <= tolerance and row.met is not False]
     if not good:
         best = min(rows, key=lambda row: row.error.rms_gray_upper)
         return (
-            f"No setting that was tried came surely below {_USUAL_TOLERANCE:g} gray rms; the most exact is "
+            f"No setting that was tried came surely below {tolerance:g} gray rms; the most exact is "
             f"`{best.setting.options}` with {_told(best)}."
         )
     best = min(good, key=lambda row: row.wall_s)
     paper = [row for row in good if row.setting.method == "viewpoints"]
-    text = f"For an rms error below {_USUAL_TOLERANCE:g} gray use `{best.setting.options}`: {_told(best)}"
+    text = f"For an rms error below {tolerance:g} gray use `{best.setting.options}`: {_told(best)}"
     if best.setting.method == "viewpoints":
         return f"{text}; no other method that was tried is as fast."
     if not paper:
@@ -76,6 +74,7 @@ def as_json(trade: Trade) -> dict[str, Any]:
         "scene": trade.title,
         "run_sha256": trade.run_sha256,
         "seed": options.render.seed,
+        "tolerance": trade.tolerance,
         "reference": {
             "pixels": len(trade.reference.sample.pixels),
             "rays_per_value": options.reference_rays,
@@ -91,7 +90,7 @@ def as_json(trade: Trade) -> dict[str, Any]:
             "longest_s": options.longest,
             "settings": {row.setting.name: {"wall_s": row.wall_s, "cpu_s": row.cpu_s} for row in trade.rows},
             "pareto_front": [row.setting.name for row in pareto_front(trade.rows)],
-            "recommendation": recommendation(trade.rows),
+            "recommendation": recommendation(trade.rows, trade.tolerance),
         },
     }
 

@@ -22,7 +22,7 @@ COLUMNS: Final = {"options", "rays", "rms_gray", "rms_gray_upper", "p99_gray", "
 def _few_settings(monkeypatch: pytest.MonkeyPatch) -> None:
     """Those that take long are left to users."""
     monkeypatch.setattr("radwrap.study.trade._NUMBERS", (7, 19))
-    monkeypatch.setattr("radwrap.study.trade._TOLERANCES", (2.0, 1.0))
+    monkeypatch.setattr("radwrap.study.trade._SHARES", (4.0, 2.0))
 
 
 def _argv(scene: Path, out: Path, *more: object) -> list[object]:

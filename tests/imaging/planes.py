@@ -29,7 +29,7 @@ class Planes:
             value = texture(point[:, 0], point[:, 1])
             new = np.isnan(radiance) & ~np.isnan(value)
             radiance[new] = value[new]
-            distance[new] = (along * np.linalg.norm(rays[:, 3:], axis=1))[new]
+            distance[new] = along[new] * np.sqrt(np.einsum("ij,ij->i", rays[new, 3:], rays[new, 3:]))
         return np.nan_to_num(radiance, nan=0.0), distance
 
     def trace(self, rays: Iterable[Array]) -> Generator[Array]:

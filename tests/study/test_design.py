@@ -157,7 +157,7 @@ BAD = [
     ("seed = 5", "[render]\nspeed = 3", "unknown"),
     ('key = "targets[0].edge_position"', 'key = "responses.z.gamma"', 'no response "z"'),
     ('key = "targets[0].edge_position"', 'key = "responses.u.gama"', "unknown option"),
-    ('key = "targets[0].edge_position"', 'key = "render.tolerance"', "tolerance: must be a number, not '1 mm'"),
+    ('key = "targets[0].edge_position"', 'key = "render.tolerance"', "tolerance: must be gray levels, so that levels"),
     ("label = ", "lable = ", "unknown key; known are label, key, keys, levels, range, draws"),
     ('key = "targets[0].edge_position"', "keys = []", "keys: must have at least 1"),
     ('key = "targets[0].edge_position"', "key = 3", "key: must be a string, not 3"),

@@ -142,17 +142,17 @@ def test_the_front_holds_what_nothing_beats() -> None:
 def test_the_sentence_names_the_fastest_that_is_good_enough() -> None:
     pinhole, kernel = _row("pinhole", 17.0, 0.1), _row("kernel", 0.4, 1.0, tolerance=0.5)
     finer, paper = _row("kernel", 0.1, 2.0, tolerance=0.1), _row("viewpoints", 0.45, 8.0, 127)
-    text = recommendation([pinhole, finer, kernel, paper])
+    text = recommendation([pinhole, finer, kernel, paper], 0.5)
     assert "use `--method kernel --tolerance 0.5`: 0.4 gray (below 0.4 by 97.5 %) in 1 s" in text
     assert "`--method viewpoints --viewpoints 127 --layout rings`, took 8 times as long" in text
-    assert "did not come so far" in recommendation([pinhole, kernel])
-    assert "use `--method viewpoints" in recommendation([pinhole, paper])
+    assert "did not come so far" in recommendation([pinhole, kernel], 0.5)
+    assert "use `--method viewpoints" in recommendation([pinhole, paper], 0.5)
     lucky, unmet = _row("kernel", 0.0, 0.3, tolerance=2.0, upper=1.4), _row("rays", 0.4, 0.2, tolerance=0.5, met=False)
-    assert recommendation([pinhole, lucky, unmet, kernel]) == recommendation([pinhole, kernel])
+    assert recommendation([pinhole, lucky, unmet, kernel], 0.5) == recommendation([pinhole, kernel], 0.5)
     assert pareto_front([lucky, kernel]) == (lucky, kernel)
-    none = recommendation([pinhole, _row("viewpoints", 1.2, 3.0, 37)])
+    none = recommendation([pinhole, _row("viewpoints", 1.2, 3.0, 37)], 0.5)
     assert none.startswith("No setting") and "--viewpoints 37" in none
-    for sentence in (text, none, recommendation([])):
+    for sentence in (text, none, recommendation([], 0.5)):
         assert sentence.endswith(".") and sentence.count(". ") == 0
 
 

@@ -23,6 +23,7 @@ from radwrap.imaging.optics.view import View, rays_through, trace_rays
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.tolerance.bounds import NOTHING, Bounded
 from radwrap.imaging.tolerance.certificate import PixelSample, lacks_in_gray, places_of, root
+from radwrap.imaging.tolerance.lit_noise import with_gray_tolerance
 from radwrap.imaging.tolerance.plans import NEGLIGIBLE_SHARE, Plans, choose
 from radwrap.imaging.tolerance.survey import Survey, survey, with_smooth_blocks
 from radwrap.imaging.tracing import LaidOutScene, laid_out, of_channel, with_bounces
@@ -159,7 +160,8 @@ def effects(scene: Scene, options: RenderOptions | None = None) -> dict[str, Any
     Returns
     -------
     dict
-        ``tolerance`` [gray level]; ``tracer``: which traces, and why, see `TracerUsed`; ``effects``: a list of `Effect`
+        ``tolerance`` [gray level]; ``tolerance_asked``, where that was not in gray levels, see `ToleranceAsked`;
+        ``tracer``: which traces, and why, see `TracerUsed`; ``effects``: a list of `Effect`
         as dicts;
         ``planner``: ``method``, ``why``, ``expected_rays`` of each method, ``expected_model_rms_gray``.
 
@@ -171,12 +173,15 @@ def effects(scene: Scene, options: RenderOptions | None = None) -> dict[str, Any
     options = options or RenderOptions()
     with laid_out(scene, options) as traced:
         view = traced.view()
+        options, asked = with_gray_tolerance(options, view)
+        tolerance = options.gray_tolerance
         found = survey(view, options.seed)
-        choice = choose(Plans(with_smooth_blocks(view, found, options.tolerance), found, options.demand, options.seed))
-        each = [effect.as_manifest() for effect in _measured(traced, view, found, options.tolerance, options.seed)]
+        choice = choose(Plans(with_smooth_blocks(view, found, tolerance), found, options.demand, options.seed))
+        each = [effect.as_manifest() for effect in _measured(traced, view, found, tolerance, options.seed)]
     planner = {"method": choice.method, "why": choice.why, **choice.as_manifest()}
     tracer = plain(traced.tracer_used, named=False)
-    return {"tolerance": options.tolerance, "tracer": tracer, "effects": each, "planner": planner}
+    told = {} if asked is None else {"tolerance_asked": plain(asked, named=False)}
+    return {"tolerance": tolerance, **told, "tracer": tracer, "effects": each, "planner": planner}
 
 
 def bounces(

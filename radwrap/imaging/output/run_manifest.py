@@ -17,6 +17,7 @@ from radwrap.imaging.optics.aperture import Layout
 from radwrap.imaging.optics.view import PixelSampling
 from radwrap.imaging.render_options import Method
 from radwrap.imaging.tolerance.certificate import Certificate
+from radwrap.imaging.tolerance.lit_noise import ToleranceAsked
 from radwrap.imaging.tolerance.search_record import SearchRecord
 from radwrap.imaging.tolerance.uncertainty import UncertaintySummary
 from radwrap.imaging.tracer_choice import TracerUsed
@@ -75,6 +76,8 @@ class RunManifest:
         As in `MethodUsed`.
     tolerance, max_error : float or None
         That the image was made to [gray level]; None where the rays were fixed beforehand.
+    tolerance_asked : ToleranceAsked or None
+        The tolerance as it was asked for, where that is not in gray levels.
     plan : SearchRecord or None
         How the image to that tolerance came about.
     seed : int
@@ -120,6 +123,7 @@ class RunManifest:
     pixel_samples: Count | None
     pixel_sampling: PixelSampling | None
     tolerance: Positive | None = field(default=None, metadata=ONLY_WHERE_USED)
+    tolerance_asked: ToleranceAsked | None = field(default=None, metadata=ONLY_WHERE_USED)
     max_error: Positive | None = None
     rays_per_pixel: NotNegative
     rays: Rays

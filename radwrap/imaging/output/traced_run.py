@@ -17,6 +17,7 @@ from radwrap.imaging.output.identity import Identity
 from radwrap.imaging.output.image_files import ImageSummary
 from radwrap.imaging.output.run_manifest import Bounces, BouncesTraced, RunManifest, Timing
 from radwrap.imaging.render_options import RenderOptions
+from radwrap.imaging.tolerance.lit_noise import ToleranceAsked
 from radwrap.imaging.tolerance.uncertainty import UncertaintySummary
 from radwrap.imaging.tracer_choice import TracerUsed
 from radwrap.manifest import plain
@@ -50,6 +51,8 @@ class TracedRun:
         How much a wider opening blurs each pixel, where a lens has one that is not sure.
     foretold : Foretold, optional
         What was said of the run's time before it was carried out, where that is long.
+    tolerance_asked : ToleranceAsked, optional
+        The tolerance as it was asked for, where that is not in gray levels.
     """
 
     scene: Scene
@@ -65,6 +68,7 @@ class TracedRun:
     spread: NDArray[np.float64] | None
     magnification: NDArray[np.float64] | None
     foretold: Foretold | None = None
+    tolerance_asked: ToleranceAsked | None = None
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -95,7 +99,8 @@ class TracedRun:
             viewpoints=used.viewpoints,
             pixel_samples=used.pixel_samples,
             pixel_sampling=used.pixel_sampling,
-            tolerance=options.tolerance if outcome else None,
+            tolerance=options.gray_tolerance if outcome else None,
+            tolerance_asked=self.tolerance_asked if outcome else None,
             max_error=options.max_error if outcome else None,
             rays_per_pixel=used.rays_per_pixel,
             rays=used.rays,
