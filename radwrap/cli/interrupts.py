@@ -10,7 +10,6 @@ from radwrap.errors import INTERRUPTED
 
 _MESSAGE = "radwrap: interrupted; the same command goes on where it was"
 _PATIENCE = 5.0  # s for a command's end, in which further signals would only disturb
-_AGAIN = 0.05  # s until an interrupt that was lost comes again
 
 
 class Interrupts:
@@ -50,13 +49,10 @@ class Interrupts:
         if lost.exc_type is not KeyboardInterrupt:
             sys.__unraisablehook__(lost)
             return
-        import _thread
-        import threading
+        from radwrap.lost_interrupts import interrupt_again
 
         self._heard = None
-        again = threading.Timer(_AGAIN, _thread.interrupt_main)
-        again.daemon = True
-        again.start()
+        interrupt_again()
 
 
 def tell_interrupted() -> int:

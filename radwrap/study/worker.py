@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping
@@ -36,6 +37,7 @@ from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.synthesis import Rendered, load_result, render
 from radwrap.imaging.tolerance.kept_replicates import REPLICATES, read_replicates
+from radwrap.lost_interrupts import interrupt_again
 from radwrap.scene.file.load import scene_from_document
 from radwrap.scene.scene import Scene
 from radwrap.study.image_error import COPIES, ErrorFields, blur_radii, error_fields, image_error, model_error
@@ -161,6 +163,7 @@ def _ended_by_signal() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
+    hook, sys.unraisablehook = sys.unraisablehook, _lost
     before = signal.signal(signal.SIGTERM, _interrupt)
     try:
         yield
@@ -168,11 +171,21 @@ def _ended_by_signal() -> Iterator[None]:
         os._exit(INTERRUPTED)
     finally:
         signal.signal(signal.SIGTERM, before)
+        sys.unraisablehook = hook
 
 
 def _interrupt(*_: object) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     raise KeyboardInterrupt
+
+
+def _lost(lost: sys.UnraisableHookArgs) -> None:
+    """An error where Python cannot raise one; an interrupt must not be lost there."""
+    if lost.exc_type is not KeyboardInterrupt:
+        sys.__unraisablehook__(lost)
+        return
+    signal.signal(signal.SIGTERM, _interrupt)
+    interrupt_again(signal.SIGTERM)
 
 
 def _log(job: Job) -> None:

@@ -157,10 +157,29 @@ def test_ctrl_c_ends_everything_and_the_study_goes_on(tmp_path: Path, good: byte
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers too
         _, stderr = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130
-    assert "Traceback" not in stderr and stderr.endswith("the same command goes on where it was\n")
+    assert "Traceback" not in stderr and stderr.endswith("the same command goes on where it was\n"), stderr
     assert _empty(out)
     study(path, out).success()
     assert (out / "results.csv").read_bytes() == good
+
+
+_FINALISED = """
+import os, signal, time
+from radwrap.study.worker import _ended_by_signal
+class Finalised:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(0)
+with _ended_by_signal():
+    Finalised()
+    time.sleep(60)
+"""
+
+
+def test_a_worker_ends_although_its_end_came_where_python_cannot_raise() -> None:
+    """In a finaliser, say: without a word, and soon."""
+    done = subprocess.run([sys.executable, "-c", _FINALISED], capture_output=True, timeout=PATIENCE / 2, check=False)
+    assert (done.returncode, done.stderr) == (130, b"")
 
 
 @pytest.mark.usefixtures("one_process")
