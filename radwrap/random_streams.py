@@ -77,6 +77,13 @@ class Studying(IntEnum):
     FRESH_ROW = 1 << 20  # of draws: none that a study made
 
 
+@unique
+class Measuring(IntEnum):
+    """Of a measurement, each first in its key; images give no seed."""
+
+    RIMS = 61  # then the number of points
+
+
 def generator(*key: int) -> np.random.Generator:
     """Random numbers that a key decides: seed, stream, and what else tells them apart."""
     return np.random.default_rng(tuple(map(int, key)))

@@ -4,9 +4,9 @@ from enum import IntEnum
 from itertools import combinations
 
 from radwrap import random_streams
-from radwrap.random_streams import Camera, Relighting, Rendering, Studying, Trading, generator
+from radwrap.random_streams import Camera, Measuring, Relighting, Rendering, Studying, Trading, generator
 
-STREAMS = (Rendering, Relighting, Camera, Trading, Studying)
+STREAMS = (Rendering, Relighting, Camera, Trading, Studying, Measuring)
 # Numbers of two classes, and what else tells their keys apart. They decide bytes, so that they stay.
 APART = {
     ("Rendering.EFFECT_RESAMPLES", "Relighting.MODEL_RAYS"): "the second goes on with the number of pairs",

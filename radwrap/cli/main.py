@@ -35,7 +35,7 @@ _VERBS: Final = {
     "study": ("study", "change a scene by a design, measure, and say what matters"),
     "convert": ("convert", "write a scene for Radiance, POV-Ray or as a preview; a mesh for Radiance"),
     "crosscheck": ("crosscheck", "compare Radiance with POV-Ray on a scene"),
-    "measure": ("measure", "find dots, an edge or parts in a gray image, or noise in frames"),
+    "measure": ("measure", "measure circles, widths, edges, dots, parts, gray levels or noise in images"),
     "calibrate": ("calibrate", "calibrate a camera or a sensor"),
     "compare": ("compare", "compare a captured image with the predicted one"),
     "led": ("led", "drive the real LED ring over USB HID"),

@@ -92,6 +92,7 @@ def _json(found: Parts, arguments: argparse.Namespace) -> dict[str, Any]:
         "image": str(arguments.image),
         "pixel_convention": "u is the column, v the row; the centre of the first pixel is (0, 0)",
         "angles": "rad, from u towards v, in -pi/2 to pi/2",
+        "axes": "of the ellipse with equal second moments, which are no diameters",
         "pixel_aspect": arguments.pixel_aspect,
         "contrast": found.kind,
         "count": len(found.parts),
@@ -140,6 +141,6 @@ def _lines(found: Parts) -> Iterator[str]:
         border = "; cut by the image's border" if part.touches_border else ""
         yield (
             f"{number}: u {part.u:.4f} +- {part.sigma_u:.4f}, v {part.v:.4f} +- {part.sigma_v:.4f} px; {turn}; "
-            f"area {part.area:.2f} +- {part.sigma_area:.2f} px^2; axes {part.major_axis:.2f} x "
+            f"area {part.area:.2f} +- {part.sigma_area:.2f} px^2; ellipse of equal moments {part.major_axis:.2f} x "
             f"{part.minor_axis:.2f} px{border}"
         )

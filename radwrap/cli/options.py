@@ -182,7 +182,12 @@ def add_json(parser: argparse.ArgumentParser) -> None:
 
 def load(arguments: argparse.Namespace) -> Scene:
     """Read the scene, with what --set changes."""
-    return load_scene(arguments.scene, dict(map(_override, arguments.overrides)))
+    return load_scene(arguments.scene, overrides_of(arguments))
+
+
+def overrides_of(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Key -> value of what --set changes."""
+    return dict(map(_override, arguments.overrides))
 
 
 def time_of(text: str, where: str) -> float:

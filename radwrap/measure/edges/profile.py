@@ -36,10 +36,10 @@ def disc_edge(distance: Array, radius: float, order: int = 0) -> Array:
     ndarray
         E_n [px^n]; 0 for x < -radius.
     """
-    return _antiderivatives(distance, radius, (order,))[0]
+    return antiderivatives(distance, radius, (order,))[0]
 
 
-def _antiderivatives(distance: Array, radius: float, orders: tuple[int, ...]) -> list[Array]:
+def antiderivatives(distance: Array, radius: float, orders: tuple[int, ...]) -> list[Array]:
     """E_n(x) = int_{t<x} (x - t)^n/n! k(t) dt from the disc's one-sided moments M_j = int_{t<x} t^j k(t) dt."""
     x = distance / radius
     s = np.clip(x, -1.0, 1.0)
@@ -94,6 +94,6 @@ def _all_at(
 ) -> Iterable[Iterable[Array]]:
     """Antiderivatives at shifted places: for each order those of all shifts."""
     if distance.size > _CACHED:
-        return zip(*(_antiderivatives(distance + shift, radius, orders) for shift in shifts), strict=True)
+        return zip(*(antiderivatives(distance + shift, radius, orders) for shift in shifts), strict=True)
     # Of few pixels the calls take longer than the arithmetic.
-    return _antiderivatives(np.stack([distance + shift for shift in shifts]), radius, orders)
+    return antiderivatives(np.stack([distance + shift for shift in shifts]), radius, orders)

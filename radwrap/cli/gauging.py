@@ -1,0 +1,356 @@
+"""What the verbs of gauges have in common: the camera, the way to lengths, truth, and the certified error."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from radwrap.cli import options as shared
+from radwrap.errors import InputError
+from radwrap.images import GrayImage, read_gray
+from radwrap.imaging.output.run_manifest import MANIFEST
+from radwrap.manifest import SCHEMA_VERSION, finite, read_manifest
+from radwrap.measure.gauges import WAYS, Plane, Response, Scale
+from radwrap.scene.file.load import load_scene
+from radwrap.scene.look.faces import Face, face_towards
+from radwrap.scene.scene import Scene
+from radwrap.units import ANGLE, LENGTH, parse_quantity
+
+BYTES: Final = 120  # a pixel, as measured
+MM: Final = 1e-3
+_SCALE: Final = re.compile(r"\s*([^\s+]+)\s*(?:\+-\s*(\S+)\s*)?")
+# Names of what functions refuse, by the option that gives it.
+_OPTIONS: Final = frozenset(
+    {
+        *(
+            "at",
+            "radius",
+            "inner_radius",
+            "band",
+            "inside",
+            "arc",
+            "angle",
+            "length",
+            "dark",
+            "gamma",
+            "saturation",
+            "pixel_aspect",
+        ),
+        *("region", "against", "mm_per_px", "plane", "shape", "cells", "noise", "truth", "scene", "pose_sigma"),
+    }
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Look:
+    """An image, and what is known of how it came about.
+
+    Attributes
+    ----------
+    path : Path
+        Of the image.
+    image : GrayImage
+        Its gray levels.
+    response : Response
+        Of the camera.
+    aspect : float
+        Height of a pixel over its width.
+    scale : Scale or None
+        Of all of the image.
+    scene : Scene or None
+        What --scene names.
+    face : Face or None
+        Of the target that the caliper is placed on.
+    plane : Plane or None
+        That plane.
+    truth : str or None
+        The target that the caliper is placed on.
+    """
+
+    path: Path
+    image: GrayImage
+    response: Response
+    aspect: float
+    scale: Scale | None
+    scene: Scene | None
+    face: Face | None
+    plane: Plane | None
+    truth: str | None
+
+    @property
+    def unit(self) -> str:
+        """Of lengths that are told."""
+        return "px" if self.scale is None and self.plane is None else "mm"
+
+    @property
+    def relative_sigma(self) -> float:
+        """Standard error of the way to lengths, as a share."""
+        if self.plane is not None:
+            return self.plane.relative_sigma
+        return 0.0 if self.scale is None else self.scale.relative_sigma
+
+    def told(self, length: float, measured_in: str) -> float:
+        """A length in the unit that is told: of [px] or [m]."""
+        if measured_in == "m":
+            return length / MM
+        return length if self.scale is None else length * self.scale.length / MM
+
+    def pixels(self, text: str, where: str, at: tuple[float, float]) -> float:
+        """A length that an option gives, in pixels or with a unit, near a place of the image [px]."""
+        bare = text.removesuffix("px").strip()
+        try:
+            value = float(bare)
+        except ValueError:
+            value = math.nan
+        if not math.isnan(value):
+            return value
+        try:
+            length = parse_quantity(text, LENGTH)
+        except InputError as error:
+            raise InputError(f'"{text}" is neither pixels nor a length', where=where, remedy=error.remedy) from error
+        if self.scale is not None:
+            return length / self.scale.length
+        if self.plane is None:
+            raise InputError("needs a scale", where=where, remedy="give --mm-per-px, or --scene and --plane, or pixels")
+        ends = np.array(at) + np.array([[-0.5, 0], [0.5, 0], [0, -0.5], [0, 0.5]])
+        there = self.plane.to_plane(ends)
+        size = math.sqrt(abs(float(np.linalg.det(np.stack([there[1] - there[0], there[3] - there[2]])))) / self.aspect)
+        return length / size
+
+
+def add_response(parser: argparse.ArgumentParser) -> None:
+    """--dark, --gamma and --saturation."""
+    parser.add_argument(
+        "--dark", metavar="G", type=shared.GRAY_LEVEL, help="gray level without light; needed with --gamma"
+    )
+    parser.add_argument("--gamma", metavar="G", type=shared.number(), help="exponent of the response (default 1)")
+    parser.add_argument(
+        "--saturation",
+        metavar="G",
+        type=shared.GRAY_LEVEL,
+        help="pixels of this gray level and above are left out (default: full scale)",
+    )
+
+
+def add_look(parser: argparse.ArgumentParser, *, plane: bool) -> None:
+    """IMAGE and the options that all gauges of edges have."""
+    parser.add_argument("image", metavar="IMAGE", type=Path, help="PNG, TIFF, PGM of 8 or 16 bits, or EXR")
+    parser.add_argument(
+        "--edge",
+        choices=WAYS,
+        default="model",
+        help="how edges are found: by a fit of the blurred step (default), by the gradient, or by moments of gray "
+        "levels along scan lines",
+    )
+    add_response(parser)
+    parser.add_argument(
+        "--pixel-aspect", metavar="A", type=shared.number(), help="height of a pixel over its width (default 1)"
+    )
+    if plane:
+        parser.add_argument(
+            "--mm-per-px",
+            metavar="S",
+            help='width of a pixel in the object, with its standard error: "0.0512 +- 0.0001"',
+        )
+    parser.add_argument(
+        "--scene",
+        metavar="SCENE.toml",
+        help="scene that the image was rendered from: gives the camera's response and pixels where no option does, "
+        "and what --truth and --plane name",
+    )
+    parser.add_argument(
+        "--set", metavar="KEY=VALUE", action="append", default=[], dest="overrides", help="change one key of the scene"
+    )
+    parser.add_argument("--truth", metavar="TARGET", help="place the caliper on this target of the scene")
+    if plane:
+        parser.add_argument(
+            "--plane",
+            metavar="TARGET",
+            help="measure in the face that this target turns to the camera, in mm; default that of --truth",
+        )
+        parser.add_argument(
+            "--pose-sigma",
+            metavar="LENGTH",
+            help="standard error of that face's distance from the camera (default: the scene's pose is exact)",
+        )
+    shared.add_json(parser)
+
+
+def look(arguments: argparse.Namespace, verb: str) -> Look:
+    """Read what the options of `add_look` name."""
+    image = read_gray(arguments.image)
+    shared.tell_memory(verb, image.values.size, BYTES)
+    scene = None if arguments.scene is None else load_scene(arguments.scene, shared.overrides_of(arguments))
+    named = [name for name in ("truth", "plane", "pose_sigma") if getattr(arguments, name, None) is not None]
+    if scene is None and (named or arguments.overrides):
+        raise InputError("needs a scene", where=(*named, "set")[0], remedy="give --scene")
+    if scene is not None and image.values.shape != (scene.camera.sensor.rows, scene.camera.sensor.columns):
+        rows, columns = image.values.shape
+        raise InputError(
+            f"has {columns} x {rows} pixels, the scene's sensor {scene.camera.sensor.columns} x "
+            f"{scene.camera.sensor.rows}",
+            where=str(arguments.image),
+            remedy="name the scene that it was rendered from",
+        )
+    response, aspect = _camera(arguments, scene)
+    scale = _scale(getattr(arguments, "mm_per_px", None))
+    face, plane = _plane(arguments, scene)
+    if scale is not None and plane is not None:
+        if arguments.plane is not None:
+            raise InputError("is given beside a plane", where="mm_per_px", remedy="leave one of them out")
+        plane = None
+    return Look(arguments.image, image, response, aspect, scale, scene, face, plane, arguments.truth)
+
+
+def _camera(arguments: argparse.Namespace, scene: Scene | None) -> tuple[Response, float]:
+    """What options say of the camera, and for the rest the scene."""
+    dark, gamma, saturation, aspect = arguments.dark, arguments.gamma, arguments.saturation, arguments.pixel_aspect
+    if scene is None:
+        return Response(dark, 1.0 if gamma is None else gamma, saturation), 1.0 if aspect is None else aspect
+    sensor = scene.camera.sensor
+    response = Response(
+        sensor.dark_gray if dark is None else dark,
+        sensor.gamma if gamma is None else gamma,
+        sensor.saturation_gray if saturation is None else saturation,
+    )
+    return response, sensor.pixel_height / sensor.pixel_width if aspect is None else aspect
+
+
+def _scale(text: str | None) -> Scale | None:
+    if text is None:
+        return None
+    match = _SCALE.fullmatch(text)
+    try:
+        if match is None:
+            raise ValueError
+        length, sigma = float(match[1]), float(match[2] or 0.0)
+    except ValueError as error:
+        raise InputError(f'"{text}" is no scale', where="mm_per_px", remedy='write "0.0512 +- 0.0001"') from error
+    return Scale(length * MM, sigma * MM)
+
+
+def _plane(arguments: argparse.Namespace, scene: Scene | None) -> tuple[Face | None, Plane | None]:
+    """The face that the caliper is placed on, and the plane that is measured in: its own, unless another is named."""
+    if scene is None:
+        return None, None
+    on, plane = (_face(scene, getattr(arguments, name, None), name) for name in ("truth", "plane"))
+    face = plane or on
+    if face is None:
+        return None, None
+    camera, sigma = scene.camera, 0.0
+    if getattr(arguments, "pose_sigma", None) is not None:
+        try:
+            sigma = abs(parse_quantity(arguments.pose_sigma, LENGTH)) / face.depth(camera)
+        except InputError as error:
+            raise InputError(error.what, where="pose_sigma", remedy=error.remedy) from error
+    return on, Plane(lambda uv: face.from_image(camera, uv), lambda xy: face.to_image(camera, xy), sigma)
+
+
+def _face(scene: Scene, name: str | None, where: str) -> Face | None:
+    if name is None:
+        return None
+    target = next((one for one in scene.targets if one.name == name), None)
+    if target is None:
+        known = ", ".join(one.name for one in scene.targets)
+        raise InputError(f'the scene has no target "{name}"', where=where, remedy=f"its targets are {known}")
+    try:
+        return face_towards(scene.camera, target)
+    except InputError as error:
+        raise InputError(f'"{name}" {error.what}', where=where, remedy=error.remedy) from error
+
+
+def truth_face(found: Look) -> tuple[Face, Scene]:
+    """The face that --truth names, and the scene."""
+    if found.face is None or found.scene is None:
+        raise InputError("is missing", where="at", remedy="place the caliper by --at, or by --scene and --truth")
+    return found.face, found.scene
+
+
+def angle_of(text: str, where: str) -> float:
+    """An angle that an option gives, in degrees or with a unit [rad]."""
+    try:
+        return math.radians(float(text))
+    except ValueError:
+        pass
+    try:
+        return parse_quantity(text, ANGLE)
+    except InputError as error:
+        raise InputError(error.what, where=where, remedy=error.remedy) from error
+
+
+def certified(path: Path) -> float | None:
+    """Certified bound of the rendered image's rms error [gray], where its manifest lies beside it."""
+    manifest = path.parent / MANIFEST
+    if not manifest.is_file():
+        return None
+    told = read_manifest(manifest)
+    error = told.get("error")
+    if path.name not in told.get("files", {}) or not isinstance(error, dict):
+        return None
+    bound = error.get("rms_gray_upper95")
+    return float(bound) if isinstance(bound, int | float) and math.isfinite(bound) else None
+
+
+def head(found: Look, way: str) -> dict[str, Any]:
+    """What all results begin with."""
+    told: dict[str, Any] = {
+        "schema_version": SCHEMA_VERSION,
+        "image": str(found.path),
+        "pixel_convention": "u is the column, v the row; the centre of the first pixel is (0, 0)",
+        "angles": "rad, from u towards v",
+        "edge": way,
+        "unit": found.unit,
+        "dark": found.response.dark,
+        "gamma": found.response.gamma,
+        "pixel_aspect": found.aspect,
+        "scale_relative_sigma": found.relative_sigma,
+        "scale_source": _source(found),
+        "certified_rms_gray": certified(found.path),
+    }
+    return told
+
+
+def _source(found: Look) -> str:
+    if found.plane is not None:
+        known = "its distance's error given" if found.plane.relative_sigma > 0 else "taken as exact"
+        return f"the scene's pose, {known}"
+    if found.scale is not None:
+        return "given" if found.scale.sigma > 0 else "given without an error"
+    return "none"
+
+
+def length_with_errors(found: Look, name: str, values: tuple[float, float, float], measured_in: str) -> dict[str, Any]:
+    """A length: value, standard error of noise, that of the scale, and what the rendering's error may change.
+
+    `values` are the length, its standard error, and what an error of one gray level may change.
+    """
+    value, sigma, by_rendering = values
+    error = certified(found.path)
+    told = {
+        name: found.told(value, measured_in),
+        f"{name}_sigma": found.told(sigma, measured_in),
+        f"{name}_sigma_scale": found.told(value, measured_in) * found.relative_sigma,
+        f"{name}_rendering": None if error is None else finite(found.told(by_rendering * error, measured_in)),
+    }
+    return {**told, f"{name}_px": value} if found.scale is not None and measured_in == "px" else told
+
+
+def in_words(told: dict[str, Any], name: str, unit: str) -> str:
+    """The same in a line."""
+    text = f"{told[name]:.4f} +- {told[f'{name}_sigma']:.4f} {unit}"
+    if told[f"{name}_sigma_scale"] > 0:
+        text += f", scale +- {told[f'{name}_sigma_scale']:.4f}"
+    if told[f"{name}_rendering"] is not None:
+        text += f", rendering at most {told[f'{name}_rendering']:.4f}"
+    return text
+
+
+def located(error: InputError, path: Path) -> InputError:
+    """The file's name, or the option's, where the function speaks of its arguments."""
+    return InputError(error.what, where=error.where if error.where in _OPTIONS else str(path), remedy=error.remedy)

@@ -1,0 +1,239 @@
+"""``radwrap measure width`` and ``measure line``: straight edges, to a small part of a pixel."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Iterator
+from typing import Any, Final
+
+import numpy as np
+
+from radwrap.cli import gauging
+from radwrap.cli import options as shared
+from radwrap.errors import InputError
+from radwrap.imaging.truth import edge_line
+from radwrap.manifest import finite, json_text
+from radwrap.measure.gauges import Line, StraightCaliper, Width, measure_line, measure_width
+from radwrap.scene.targets import EdgeTarget
+
+_LENGTH: Final = 0.6  # of a true edge, so that the caliper keeps clear of its ends
+_MARGIN: Final = 10.0  # px of band beyond true edges
+
+
+def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
+    """Add both verbs."""
+    width = verbs.add_parser(
+        "width",
+        help="width between two straight edges",
+        description="Distance of two straight edges that face each other, to a small part of a pixel.",
+    )
+    gauging.add_look(width, plane=True)
+    _add_caliper(width)
+    width.add_argument("--inside", choices=["bright", "dark"], help="what lies between them (default: as it is)")
+    width.add_argument(
+        "--across",
+        choices=["x", "y"],
+        default="x",
+        help="with --truth: the axis to measure along (default x)",
+    )
+    width.set_defaults(run=run_width)
+    line = verbs.add_parser(
+        "line",
+        help="place and direction of a straight edge or stripe",
+        description="Place and direction of one straight edge, or of a stripe's middle and its width. Unlike `measure "
+        "edge` it needs a caliper, and leaves out what does not belong to the line; it fits no gamma.",
+    )
+    gauging.add_look(line, plane=False)
+    _add_caliper(line)
+    line.add_argument("--stripe", action="store_true", help="measure a stripe: its middle, and its width")
+    line.set_defaults(run=run_line)
+
+
+def _add_caliper(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--at", metavar=("U", "V"), nargs=2, type=shared.number(), help="the caliper's middle [px]")
+    parser.add_argument(
+        "--angle", metavar="A", help="of the edges' normal, from u towards v, in degrees or with a unit (default 0)"
+    )
+    parser.add_argument("--length", metavar="L", help="along the edges: pixels, or mm where there is a scale")
+    parser.add_argument("--band", metavar="B", help="edges lie within so much of the middle, along the normal")
+
+
+def run_width(arguments: argparse.Namespace) -> int:
+    """Carry out ``measure width``."""
+    found = gauging.look(arguments, "measure width")
+    try:
+        caliper, true_width = _caliper_of_width(arguments, found)
+        width = measure_width(
+            found.image,
+            caliper,
+            response=found.response,
+            inside=arguments.inside,
+            plane=found.plane,
+            way=arguments.edge,
+            pixel_aspect=found.aspect,
+        )
+    except InputError as error:
+        raise gauging.located(error, arguments.image) from error
+    told = gauging.head(found, arguments.edge) | _told_width(found, width)
+    if true_width is not None:
+        told["true_width_mm"] = true_width / gauging.MM
+    print(json_text(told) if arguments.json else "\n".join(_width_lines(told)) + "\n", end="")
+    return 0
+
+
+def run_line(arguments: argparse.Namespace) -> int:
+    """Carry out ``measure line``."""
+    found = gauging.look(arguments, "measure line")
+    try:
+        caliper = _given(arguments, found) if arguments.at is not None else _true_line(found)
+        line = measure_line(
+            found.image,
+            caliper,
+            response=found.response,
+            stripe=arguments.stripe,
+            way=arguments.edge,
+            pixel_aspect=found.aspect,
+        )
+    except InputError as error:
+        raise gauging.located(error, arguments.image) from error
+    told = gauging.head(found, arguments.edge) | _told_line(found, line)
+    print(json_text(told) if arguments.json else "\n".join(_line_lines(told)) + "\n", end="")
+    return 0
+
+
+def _given(arguments: argparse.Namespace, found: gauging.Look) -> StraightCaliper:
+    """The caliper that options place."""
+    at = (arguments.at[0], arguments.at[1])
+    for name in ("length", "band"):
+        if getattr(arguments, name) is None:
+            raise InputError("is missing", where=name, remedy="--at goes with --length and --band")
+    angle = 0.0 if arguments.angle is None else gauging.angle_of(arguments.angle, "angle")
+    length, band = (found.pixels(getattr(arguments, name), name, at) for name in ("length", "band"))
+    return StraightCaliper(at, angle, length, band)
+
+
+def _caliper_of_width(arguments: argparse.Namespace, found: gauging.Look) -> tuple[StraightCaliper, float | None]:
+    if arguments.at is not None:
+        return _given(arguments, found), None
+    face, scene = gauging.truth_face(found)
+    if face.size is None:
+        raise InputError("shows no rectangle", where="truth", remedy="place the caliper by --at")
+    axis = 0 if arguments.across == "x" else 1
+    ends = np.zeros((5, 2))
+    ends[1, axis], ends[2, axis] = face.size[axis] / 2, -face.size[axis] / 2
+    ends[3, 1 - axis], ends[4, 1 - axis] = face.size[1 - axis] / 2, -face.size[1 - axis] / 2
+    uv = face.to_image(scene.camera, ends)
+    if not np.isfinite(uv).all():
+        raise InputError("lies behind the camera", where="truth")
+    flat = uv * np.array([1.0, found.aspect])
+    across, along = flat[1] - flat[2], flat[3] - flat[4]
+    # The edges run along the other axis, which perspective may turn.
+    normal = np.array([along[1], -along[0]]) / np.linalg.norm(along)
+    middle = (uv[1] + uv[2]) / 2
+    caliper = StraightCaliper(
+        (float(middle[0]), float(middle[1])),
+        math.atan2(normal[1], normal[0]),
+        _LENGTH * float(np.linalg.norm(along)),
+        abs(float(across @ normal)) / 2 + _MARGIN,
+    )
+    return caliper, face.size[axis]
+
+
+def _true_line(found: gauging.Look) -> StraightCaliper:
+    """A caliper along the edge of the target that --truth names."""
+    _, scene = gauging.truth_face(found)
+    target = next((one for one in scene.targets if isinstance(one, EdgeTarget) and one.name == found.truth), None)
+    line = None if target is None else edge_line(scene.camera, target)
+    if line is None:
+        raise InputError("is no target of type edge before the camera", where="truth", remedy="place it by --at")
+    middle = line.ends.mean(axis=0)
+    length = float(np.linalg.norm((line.ends[1] - line.ends[0]) * np.array([1.0, found.aspect])))
+    rows, columns = found.image.values.shape
+    # Of an edge that goes beyond the image the part within it is looked at.
+    inside = np.linspace(line.ends[0], line.ends[1], 257)
+    seen = inside[(inside >= 0).all(axis=1) & (inside[:, 0] <= columns - 1) & (inside[:, 1] <= rows - 1)]
+    if len(seen) == 0:
+        raise InputError("lies outside the image", where="truth")
+    middle = seen.mean(axis=0)
+    angle = math.atan2(math.sin(line.angle) / found.aspect, math.cos(line.angle))
+    return StraightCaliper(
+        (float(middle[0]), float(middle[1])), angle, _LENGTH * length * len(seen) / len(inside), _MARGIN
+    )
+
+
+def _told_width(found: gauging.Look, width: Width) -> dict[str, Any]:
+    told = gauging.length_with_errors(
+        found, "width", (width.width, width.width_sigma, width.width_by_rendering), width.unit
+    )
+    return {
+        **told,
+        "inside": width.inside,
+        "centre": list(width.centre),
+        "angle": width.angle,
+        "angle_sigma": width.angle_sigma,
+        "slant": width.slant,
+        "slant_sigma": width.slant_sigma,
+        "blur_radius": finite(width.blur),
+        "misfit": finite(width.misfit),
+        "left_out": width.left_out,
+        "points": width.points,
+        "warnings": list(width.warnings),
+    }
+
+
+def _told_line(found: gauging.Look, line: Line) -> dict[str, Any]:
+    error = gauging.certified(found.path)
+    told: dict[str, Any] = {
+        "line": "u cos(angle) + v sin(angle) = offset [px]",
+        "angle": line.angle,
+        "angle_sigma": line.angle_sigma,
+        "offset": line.offset,
+        "centre": list(line.centre),
+        "position_sigma": line.position_sigma,
+        "position_rendering": None if error is None else finite(error * line.position_by_rendering),
+        "bright_side": line.bright_side,
+        "blur_radius": finite(line.blur),
+        "blur_radius_sigma": finite(line.blur_sigma),
+        "misfit": finite(line.misfit),
+        "left_out": line.left_out,
+        "points": line.points,
+        "warnings": list(line.warnings),
+    }
+    if line.width is not None and line.width_sigma is not None and line.width_by_rendering is not None:
+        told |= {"inside": line.inside}
+        told |= gauging.length_with_errors(
+            found, "width", (line.width, line.width_sigma, line.width_by_rendering), "px"
+        )
+    return told
+
+
+def _width_lines(told: dict[str, Any]) -> Iterator[str]:
+    yield f"width: {gauging.in_words(told, 'width', told['unit'])}; {told['inside']} inside"
+    u, v = told["centre"]
+    yield f"  about u {u:.3f}, v {v:.3f} px, normal at {math.degrees(told['angle']):.4f} deg"
+    if "true_width_mm" in told:
+        yield f"  the scene's: {told['true_width_mm']:.4f} mm"
+    yield from _more(told)
+    if told["unit"] == "mm":
+        yield f"scale: {told['scale_source']}"
+
+
+def _line_lines(told: dict[str, Any]) -> Iterator[str]:
+    u, v = told["centre"]
+    yield (
+        f"line: u cos a + v sin a = {told['offset']:.4f} px, a = {math.degrees(told['angle']):.4f} +- "
+        f"{math.degrees(told['angle_sigma']):.4f} deg"
+    )
+    by = told["position_rendering"]
+    rendering = "" if by is None else f", rendering at most {by:.4f}"
+    yield f"  at u {u:.3f}, v {v:.3f}, where it is known to {told['position_sigma']:.4f} px{rendering}"
+    if "width" in told:
+        yield f"  width {gauging.in_words(told, 'width', told['unit'])}; {told['inside']} inside"
+    yield from _more(told)
+
+
+def _more(told: dict[str, Any]) -> Iterator[str]:
+    if told["blur_radius"] is not None:
+        yield f"  blur: radius {told['blur_radius']:.3f} px; {told['left_out']:.0%} of the edge left out"
+    yield from (f"  warning: {text}" for text in told["warnings"])

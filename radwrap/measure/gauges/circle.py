@@ -1,0 +1,280 @@
+"""Diameter and centre of a circle, whole or in part; of an ellipse; and of a circle in a tilted plane."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.errors import InputError
+from radwrap.images import GrayImage
+from radwrap.measure.gauges.calipers import Caliper, Side
+from radwrap.measure.gauges.contour import Contour, fit_contour
+from radwrap.measure.gauges.points import PointFit, fit_points, robust_circle
+from radwrap.measure.gauges.response import Response, light_of
+from radwrap.measure.gauges.rims import Shape
+from radwrap.measure.gauges.round_shapes import circle_shape, ellipse_shape, plane_shape
+from radwrap.measure.gauges.scale import Plane
+from radwrap.measure.gauges.scan import ScanLines, Way, crossings
+
+Array = NDArray[np.float64]
+Form = Literal["circle", "ellipse"]
+
+_FEWEST_POINTS: Final = 8
+_FEWEST_SHARE: Final = 0.45  # of the scan lines, that must lie on the rim
+_TURN: Final = 2 * math.pi
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Circle:
+    """A circle, or an ellipse, with its errors.
+
+    Errors by noise are standard errors. Those by rendering are the largest change where no pixel is off by more than
+    one gray level, with the worst signs; NaN where the way gives none.
+
+    Attributes
+    ----------
+    centre, centre_sigma, centre_by_rendering : tuple of float
+        (u, v) [px].
+    diameters, diameters_sigma, diameters_by_rendering : tuple of float
+        One of a circle, [px] or, in a plane, [m]; the major and the minor axis of an ellipse [px].
+    unit : str
+        "px" or "m", of diameters.
+    orientation, orientation_sigma : float or None
+        Direction of an ellipse's major axis, from u towards v, -pi/2 to pi/2 [rad].
+    centre_in_plane, centre_in_plane_sigma : tuple of float or None
+        In the plane [m].
+    inside : str
+        "bright" or "dark".
+    blur, blur_sigma : float
+        Radius of the disc of blur [px]; NaN where the way gives none.
+    misfit : float
+        Departure of the rim from the shape, rms beyond noise [px]; NaN where the way gives none.
+    left_out : float
+        Share of the rim that shows something else.
+    points : int
+        Pixels that were fitted, or points on scan lines.
+    way : str
+        How the rim was found.
+    warnings : tuple of str
+        Where the model does not fit.
+    """
+
+    centre: tuple[float, ...]
+    centre_sigma: tuple[float, ...]
+    centre_by_rendering: tuple[float, ...]
+    diameters: tuple[float, ...]
+    diameters_sigma: tuple[float, ...]
+    diameters_by_rendering: tuple[float, ...]
+    unit: Literal["px", "m"]
+    orientation: float | None
+    orientation_sigma: float | None
+    centre_in_plane: tuple[float, ...] | None
+    centre_in_plane_sigma: tuple[float, ...] | None
+    inside: Side
+    blur: float
+    blur_sigma: float
+    misfit: float
+    left_out: float
+    points: int
+    way: Way
+    warnings: tuple[str, ...]
+
+    @property
+    def diameter(self) -> float:
+        """Of a circle; an ellipse has two axes and none."""
+        return self.diameters[0] if len(self.diameters) == 1 else math.nan
+
+    @property
+    def diameter_sigma(self) -> float:
+        """Its standard error by noise."""
+        return self.diameters_sigma[0] if len(self.diameters) == 1 else math.nan
+
+
+def measure_circle(
+    image: GrayImage,
+    caliper: Caliper,
+    *,
+    response: Response | None = None,
+    form: Form = "circle",
+    plane: Plane | None = None,
+    way: Way = "model",
+    pixel_aspect: float = 1.0,
+) -> Circle:
+    """Measure the circle that a caliper holds.
+
+    Parameters
+    ----------
+    image : GrayImage
+        Gray levels.
+    caliper : Caliper
+        Where to look.
+    response : Response, optional
+        Of the camera; default gray levels that follow light.
+    form : str
+        "circle" or "ellipse".
+    plane : Plane, optional
+        In which the circle lies; then it is round there, whatever the image shows.
+    way : str
+        "model": a fit of the blurred step; "gradient", "moment": points along scan lines, for comparison with what
+        other programs do. Blur across a bent rim moves their points, and no standard error holds that.
+    pixel_aspect : float
+        Height of a pixel over its width.
+
+    Returns
+    -------
+    Circle
+        With standard errors of noise.
+
+    Raises
+    ------
+    InputError
+        If there is no such circle.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> v, u = np.indices((64, 64))
+    >>> disc = 40 + 160 / (1 + np.exp((np.hypot(u - 31.5, v - 30.0) - 20.0) * 3))
+    >>> found = measure_circle(GrayImage(disc), Caliper((31, 31), 19, 6))
+    >>> bool(abs(found.diameter - 40) < 0.02)
+    True
+    """
+    if not 0.01 <= pixel_aspect <= 100:
+        raise InputError("must lie between 0.01 and 100", where="pixel_aspect", remedy="give height over width")
+    if form == "ellipse" and plane is not None:
+        raise InputError("in a plane a circle is measured", where="shape", remedy="leave it out")
+    light = light_of(image, response or Response())
+    lines = _scan_lines(caliper, pixel_aspect)
+    rising = None if caliper.inside is None else caliper.inside == "dark"
+    found = crossings(light.values, lines, "moment" if way == "moment" else "gradient", rising)
+    if found is None:
+        raise _no_rim()
+    points = lines.origins[found.line] + found.offsets[:, None] * lines.directions[found.line]
+    centre, radius, near = robust_circle(points, _nearness(caliper, form, plane))
+    fewest = max(_FEWEST_POINTS, _FEWEST_SHARE * len(lines.origins))
+    if near.sum() < fewest or not abs(radius - caliper.radius) <= caliper.band:
+        raise _no_rim()
+    named = _Named(form, plane, pixel_aspect)
+    shape = _shape(caliper, (centre, radius), -1.0 if found.rising else 1.0, named)
+    fit: Contour | PointFit
+    if way == "model":
+        if form == "ellipse" or plane is not None:
+            begun = fit_points(shape, points[near]).parameters
+            shape = Shape(shape.rims, begun, shape.units, shape.length, shape.closed)
+        fit = fit_contour(light, shape, 2 * found.width, caliper.band + 2, pixel_aspect)
+    else:
+        fit = fit_points(shape, points[near])
+    return _circle(fit, named, way, "dark" if found.rising else "bright", 1 - float(near.mean()))
+
+
+def _no_rim() -> InputError:
+    return InputError(
+        "shows no rim in the caliper's band", where="the image", remedy="move the caliper, or widen its band"
+    )
+
+
+def _nearness(caliper: Caliper, form: Form, plane: Plane | None) -> float:
+    """How far rim points may lie from a circle [px]: those of an ellipse lie off it."""
+    return 1.0 if form == "circle" and plane is None else caliper.band
+
+
+def _scan_lines(caliper: Caliper, aspect: float) -> ScanLines:
+    """One for each pixel of the rim."""
+    start, extent = caliper.arc or (0.0, _TURN)
+    count = max(2 * _FEWEST_POINTS, math.ceil(extent * caliper.radius))
+    angles = start + extent * (np.arange(count) + 0.5) / count
+    away = np.column_stack([np.cos(angles), np.sin(angles)])
+    centre = np.array([caliper.centre[0], caliper.centre[1] * aspect])
+    return ScanLines(centre + caliper.radius * away, away, caliper.band, aspect)
+
+
+def _shape(caliper: Caliper, about: tuple[Array, float], sign: float, named: _Named) -> Shape:
+    (centre, radius), plane, aspect = about, named.plane, named.aspect
+    if named.form == "ellipse":
+        return ellipse_shape(np.array([*centre, radius * 1.01, radius / 1.01, 0.3]), sign, caliper.arc)
+    if plane is None:
+        return circle_shape(np.array([*centre, radius]), sign, caliper.arc)
+    reach = radius + caliper.band + 8
+    local = plane.near(centre - reach, centre + reach, aspect)
+    middle, slopes = local(centre[None])
+    scale = math.sqrt(abs(float(np.linalg.det(slopes[0]))))
+    start = np.array([*middle[0], radius * scale])
+    return plane_shape(start, sign, caliper.arc, local, scale=scale, centre=centre, radius=radius)
+
+
+@dataclass(frozen=True, slots=True)
+class _Named:
+    """What the parameters of a fit mean."""
+
+    form: Form
+    plane: Plane | None
+    aspect: float
+
+    @property
+    def to_centre(self) -> Array:
+        """Derivatives of the image's (u, v) by the first two parameters, where there is no plane."""
+        return np.diag([1.0, 1 / self.aspect])
+
+    def centre(self, parameters: Array) -> tuple[Array, Array]:
+        """Centre [px], and its derivatives by all parameters."""
+        slopes = np.zeros((2, len(parameters)))
+        if self.plane is None:
+            slopes[:, :2] = self.to_centre
+            return parameters[:2] / np.array([1.0, self.aspect]), slopes
+        step = 1e-3 * parameters[2]
+        ends = parameters[:2] + step * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
+        there = self.plane.to_image(ends)
+        slopes[:, 0], slopes[:, 1] = (there[1] - there[2]) / (2 * step), (there[3] - there[4]) / (2 * step)
+        return there[0], slopes
+
+    def diameters(self, parameters: Array) -> tuple[Array, Array]:
+        """Diameter, or axes, the larger first, and their derivatives."""
+        which = [2] if self.form == "circle" else sorted([2, 3], key=lambda k: -parameters[k])
+        slopes = np.zeros((len(which), len(parameters)))
+        slopes[np.arange(len(which)), which] = 2.0
+        return slopes @ parameters, slopes
+
+    def orientation(self, parameters: Array) -> float:
+        turn = parameters[4] + (0.0 if parameters[2] >= parameters[3] else math.pi / 2)
+        return float((turn + math.pi / 2) % math.pi - math.pi / 2)
+
+
+def _circle(fit: Contour | PointFit, named: _Named, way: Way, inside: Side, missed: float) -> Circle:
+    centre, by_centre = named.centre(fit.parameters)
+    sizes, by_sizes = named.diameters(fit.parameters)
+    modelled = fit if isinstance(fit, Contour) else None
+    ellipse, plane = named.form == "ellipse", named.plane
+
+    def sigmas(slopes: Array) -> tuple[float, ...]:
+        return tuple(np.sqrt(np.maximum(np.diag(slopes @ fit.covariance @ slopes.T), 0.0)).tolist())
+
+    def rendering(slopes: Array) -> tuple[float, ...]:
+        by: Callable[[Array], float] = (lambda _: math.nan) if modelled is None else modelled.by_rendering
+        return tuple(map(by, slopes))
+
+    return Circle(
+        centre=tuple(centre.tolist()),
+        centre_sigma=sigmas(by_centre),
+        centre_by_rendering=rendering(by_centre),
+        diameters=tuple(np.abs(sizes).tolist()),
+        diameters_sigma=sigmas(by_sizes),
+        diameters_by_rendering=rendering(by_sizes),
+        unit="px" if plane is None else "m",
+        orientation=named.orientation(fit.parameters) if ellipse else None,
+        orientation_sigma=math.sqrt(fit.covariance[4, 4]) if ellipse else None,
+        centre_in_plane=None if plane is None else tuple(fit.parameters[:2].tolist()),
+        centre_in_plane_sigma=None if plane is None else sigmas(np.eye(3)[:2]),
+        inside=inside,
+        blur=math.nan if modelled is None else modelled.blur,
+        blur_sigma=math.nan if modelled is None else modelled.blur_sigma,
+        misfit=math.nan if modelled is None else modelled.misfit,
+        left_out=float(missed) if modelled is None else modelled.left_out,
+        points=int(fit.pixels if isinstance(fit, Contour) else fit.points),
+        way=way,
+        warnings=() if modelled is None else modelled.warnings,
+    )

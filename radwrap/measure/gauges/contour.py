@@ -1,0 +1,341 @@
+"""One least-squares fit of a contour in a strip of pixels: its shape, the blur, and the light on either side.
+
+The shape says how far each pixel lies from the contour, and how the contour is bent there; `step` says what the pixel
+sees. Light may differ from place to place along the contour and change across it. Pixels and stretches of the contour
+that belong to something else, a neighbour or a burr, are left out and counted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.errors import InputError
+from radwrap.measure.background import QUANTISATION
+from radwrap.measure.edges.correlation import variance_factor
+from radwrap.measure.gauges.response import Light
+from radwrap.measure.gauges.rims import Shape
+from radwrap.measure.gauges.strip import NARROWEST, State, Strip, jacobian_of, solved, terms_of
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+BEYOND: Final = 4.0  # px of level on either side of the blur
+_ROUNDS: Final = 8  # of strip, weights and outliers
+_STILL: Final = 1e-3  # px; pixels no longer come and go
+_OUTLIER: Final = 4.5  # standard deviations
+_BLOCK: Final = 8.0  # px along the contour
+_SHORT_BLOCK: Final = 3.0  # px, that tells a polygon from a circle
+_BAD_BLOCK: Final = 2.0  # times the usual rms of a block, from where on it shows something else
+_USUAL: Final = 0.35  # quantile of the blocks' rms that is usual, where some show something else
+_FEWEST_BLOCKS: Final = 6
+_FEWEST_PIXELS: Final = 30  # of a side, for its noise
+LEAST_CONTOUR: Final = 0.4  # of it must be seen as the model has it
+_MISFIT_SIGMA: Final = 5.0  # so far above what noise makes of the blocks' places the contour is of another shape
+MISFIT: Final = 0.02  # px; a departure from the shape that is less is no matter
+_PROFILE: Final = 0.025  # of the contrast, rms, by which the profile may differ from that of one blurred step
+_BIN: Final = 0.5  # px across the contour
+_FAINTEST: Final = 0.3  # standard deviations of a pixel; the best contour in noise reaches half of that
+_ABOVE: Final = 0.1  # of the contrast, by which a fitted level may lie above the brightest pixel
+_STEEP: Final = 0.15  # of the contrast, by which light may change across a pixel
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contour:
+    """What came of the fit.
+
+    Attributes
+    ----------
+    parameters : ndarray, shape (k,)
+        Of the shape.
+    covariance : ndarray, shape (k, k)
+        Of noise.
+    blur, blur_sigma : float
+        Radius of the disc of blur [px].
+    low, high : float
+        Mean light of either side.
+    influence : ndarray, shape (k, n)
+        What an error of one gray level in each pixel of the strip does to the parameters.
+    residual_rms : float
+        What the fit leaves [light].
+    pixels : int
+        That were fitted.
+    left_out : float
+        Share of the contour that shows something else.
+    misfit : float
+        Departure of the contour from the shape, rms beyond noise [px].
+    warnings : tuple of str
+        Where the model does not fit.
+    """
+
+    parameters: Array
+    covariance: Array
+    blur: float
+    blur_sigma: float
+    low: float
+    high: float
+    influence: Array = field(repr=False)
+    residual_rms: float
+    pixels: int
+    left_out: float
+    misfit: float
+    warnings: tuple[str, ...]
+
+    def by_rendering(self, weights: Array) -> float:
+        """Largest change of a sum of parameters where no pixel is off by more than one gray level."""
+        return float(np.abs(weights @ self.influence).sum())
+
+
+def fit_contour(
+    light: Light, shape: Shape, blur: float, band: float, aspect: float, *, reach: float | None = None
+) -> Contour:
+    """Fit a shape to the light of an image.
+
+    Parameters
+    ----------
+    light : Light
+        Of the image.
+    shape : Shape
+        Where to begin, within a pixel or two.
+    blur : float
+        Radius of the disc of blur to begin with [px].
+    band : float
+        The contour is not looked for farther away than this [px].
+    aspect : float
+        Height of a pixel over its width.
+    reach : float, optional
+        How far from the contour pixels are fitted [px]; default by the blur.
+
+    Raises
+    ------
+    InputError
+        If too little of the contour is seen, or the fit does not come to rest in the band.
+    """
+    parameters, blur, noise = shape.start, max(blur, NARROWEST), (0.0, 0.0)
+    for _ in range(_ROUNDS):
+        before = parameters, blur
+        strip = _strip(light, shape, parameters, min(reach or blur + BEYOND, band), aspect)
+        state = solved(shape, _weighted(strip, shape, before, noise), *before)
+        keep, left_out = _kept(shape, state)
+        if left_out > 1 - LEAST_CONTOUR:
+            raise InputError(
+                f"only {1 - left_out:.0%} of the contour looks like one",
+                where="the image",
+                remedy="place the caliper on it, with a narrower band, or give an arc",
+            )
+        first, noise = min(noise) == 0, _side_noise(strip, state, keep)
+        strip = _weighted(strip, shape, (state.parameters, state.blur), noise).only(keep)
+        state = solved(shape, strip, state.parameters, state.blur)
+        parameters, blur = state.parameters, state.blur
+        moved = float(np.abs((parameters - shape.start) / shape.units).max())
+        if not moved <= band + 1:
+            raise InputError(
+                "the fit leaves the band", where="the image", remedy="place the caliper nearer to the contour"
+            )
+        still = max(float(np.abs((parameters - before[0]) / shape.units).max()), abs(blur - before[1]))
+        if not first and still < _STILL:
+            break
+    return _told(shape, light, strip, state, left_out)
+
+
+def _strip(light: Light, shape: Shape, parameters: Array, reach: float, aspect: float) -> Strip:
+    """Usable pixels so near to the contour."""
+    v, u = np.indices(light.values.shape, dtype=np.float64)
+    places = np.column_stack([u.ravel(), v.ravel() * aspect])
+    rims = shape.rims(parameters, places)
+    near = np.min([np.abs(rim.distance) for rim in rims], axis=0) <= reach
+    near &= (rims[0].along >= 0) & (rims[0].along <= shape.length)
+    some = near & light.usable.ravel()
+    inside = np.min([rim.distance for rim in rims], axis=0) > 0
+    for side in (near & inside, near & ~inside):
+        if (some & side).sum() < max(2 * (len(shape.start) + 1), LEAST_CONTOUR * side.sum()):
+            raise InputError(
+                "has too few usable pixels on one side of the contour",
+                where="the image",
+                remedy="see whether it is saturated there, or ends",
+            )
+    weight = np.ones(int(some.sum()))
+    return Strip(places[some], light.values.ravel()[some], light.slope.ravel()[some], weight, aspect)
+
+
+def _weighted(strip: Strip, shape: Shape, at: tuple[Array, float], noise: tuple[float, float]) -> Strip:
+    """The same pixels with their noise: that of the dark side, of the bright side, and between."""
+    if min(noise) <= 0:
+        return strip
+    bright = terms_of(shape, shape.rims(at[0], strip.places), at[1], strip.aspect).brightness
+    variance = noise[0] ** 2 + bright * (noise[1] ** 2 - noise[0] ** 2)
+    return replace(strip, weight=1 / np.sqrt(variance))
+
+
+def _side_noise(strip: Strip, state: State, keep: Flags) -> tuple[float, float]:
+    """Standard deviation of the pixels of the dark and of the bright side; of all where a side has few."""
+    left = strip.light - state.fitted
+    # Of a picture without noise what is left is rounding of the arithmetic.
+    everywhere = max(_spread(left[keep]), 1e-9 * float(np.ptp(strip.light)), 1e-300)
+    signed = np.stack([rim.distance for rim in state.rims])
+    shared = _shared_noise(np.clip(left[keep] / everywhere, -4, 4) ** 2, state.terms.brightness[keep]) * everywhere
+    found = []
+    for number, far in enumerate(((signed < -state.blur - 1).any(axis=0), (signed > state.blur + 1).all(axis=0))):
+        some = keep & far
+        here = _spread(left[some]) if some.sum() >= _FEWEST_PIXELS else float(shared[number])
+        found.append(max(here, 0.3 * everywhere))
+    return found[0], found[1]
+
+
+def _shared_noise(square: Array, bright: Array) -> Array:
+    """Standard deviations of both sides, of pixels that see something of both: their variances add up."""
+    columns = np.stack([1 - bright, bright], axis=1)
+    variance = np.ones(2)
+    for _ in range(3):  # the square of noise is spread in proportion to its mean
+        weight = 1 / np.maximum(columns @ variance, 0.1)
+        variance = np.linalg.lstsq(columns * weight[:, None], square * weight, rcond=None)[0].clip(0.01)
+    return np.asarray(np.sqrt(variance))
+
+
+def _spread(values: Array) -> float:
+    """Standard deviation, by the median of what few are off, but not below half of the plain one."""
+    if values.size == 0:
+        return 0.0
+    return max(1.4826 * float(np.median(np.abs(values))), 0.5 * float(np.sqrt(np.mean(values**2))))
+
+
+def _kept(shape: Shape, state: State) -> tuple[Flags, float]:
+    """Pixels that show the contour, and the share of the contour that shows something else."""
+    scale = max(_spread(state.residual), 1e-300)
+    good = np.abs(state.residual) < _OUTLIER * scale
+    block, count = _blocks(shape, state)
+    number = np.bincount(block, minlength=count)
+    seen = number > 0
+    if seen.sum() < _FEWEST_BLOCKS:
+        return good, 0.0
+    square = np.bincount(block, np.minimum((state.residual / scale) ** 2, 100.0), minlength=count)
+    rms = np.sqrt(square / np.maximum(number, 1))
+    bad = seen & (rms > _BAD_BLOCK * float(np.quantile(rms[seen], _USUAL)))
+    return good & ~bad[block], float(bad.sum() / seen.sum())
+
+
+def _blocks(shape: Shape, state: State, length: float = _BLOCK) -> tuple[NDArray[np.intp], int]:
+    """Number of each pixel's stretch of the contour, and how many there are."""
+    count = max(1, round(shape.length / length))
+    share = np.clip(state.rims[0].along / shape.length, 0, 1 - 1e-9)
+    return np.asarray((share * count).astype(np.intp) + count * state.nearest), count * len(state.rims)
+
+
+def _told(shape: Shape, light: Light, strip: Strip, state: State, left_out: float) -> Contour:
+    """Covariance, influence of each pixel, and what speaks against the model."""
+    count = len(state.parameters)
+    jacobian = jacobian_of(shape, strip, state)
+    norms = np.linalg.norm(jacobian, axis=0)
+    norms[norms == 0] = 1.0
+    inverse = np.linalg.pinv(jacobian / norms, rcond=1e-9) / norms[:, None]
+    variance = state.cost / max(strip.light.size - jacobian.shape[1], 1)
+    across = np.choose(state.nearest, [rim.distance for rim in state.rims])
+    # Rounding is noise of its own, also where a still image shows none.
+    rounding = (QUANTISATION if is_whole(light) else 0.0) * (strip.slope * strip.weight) ** 2
+    factor = variance_factor(across, state.rims[0].along, state.residual)
+    covariance = (inverse * np.maximum(variance, rounding)) @ inverse.T * factor
+    low, high = _levels(strip, state)
+    if abs(high - low) < _FAINTEST / float(np.median(strip.weight)):
+        raise InputError("shows no contour above its noise", where="the image", remedy="raise contrast or exposure")
+    misfit, significant = _misfit(shape, strip, state, variance)
+    return Contour(
+        parameters=state.parameters,
+        covariance=covariance[:count, :count],
+        blur=state.blur,
+        blur_sigma=math.sqrt(covariance[count, count]),
+        low=low,
+        high=high,
+        influence=inverse[:count] * (strip.weight * strip.slope),
+        residual_rms=float(np.sqrt(np.mean((state.residual / strip.weight) ** 2))),
+        pixels=strip.light.size,
+        left_out=left_out,
+        misfit=misfit,
+        warnings=tuple(_warnings(strip, state, misfit if significant else 0.0)),
+    )
+
+
+def is_whole(light: Light) -> bool:
+    """Whether gray levels were rounded, as far as light of a gamma of 1 shows it."""
+    some = light.values[:64]
+    return bool(np.ptp(some) > 0 and (np.abs(np.mod(some - some.flat[0] + 0.5, 1.0) - 0.5) < 1e-6).all())
+
+
+def _levels(strip: Strip, state: State) -> tuple[float, float]:
+    """Mean light of the dark and of the bright side, as fitted."""
+    parts = state.terms.parts(state.levels)
+    low = state.terms.wide @ parts[0]
+    contrast = (state.terms.wide if len(parts) > 3 else state.terms.slow) @ parts[2 if len(parts) > 3 else 1]
+    return float(low.mean()), float((low + contrast).mean())
+
+
+def _misfit(shape: Shape, strip: Strip, state: State, variance: float) -> tuple[float, bool]:
+    """By how much stretches of the contour lie off the shape, rms beyond noise [px]; whether that is significant."""
+    block, count = _blocks(shape, state, _SHORT_BLOCK)
+    used = np.unique(block)
+    if len(used) < _FEWEST_BLOCKS:
+        return 0.0, False
+    slope = _by_shift(shape, strip, state) * strip.weight
+    power = np.maximum(np.bincount(block, slope**2, minlength=count)[used], 1e-300)
+    shift = np.bincount(block, slope * state.residual, minlength=count)[used] / power
+    sigma = np.sqrt(variance / power)
+    known = sigma < 10 * np.median(sigma)
+    shift, sigma = shift[known], sigma[known]
+    free = max(len(shift) - len(state.parameters), 1)
+    chi = float(((shift / sigma) ** 2).sum())
+    beyond = float(np.mean(shift**2) - np.mean(sigma**2) * free / len(shift))
+    return math.sqrt(max(beyond, 0.0)), chi > free + _MISFIT_SIGMA * math.sqrt(2 * free)
+
+
+def _profile(strip: Strip, state: State) -> float:
+    """Mean of what the fit leaves at each distance from the contour, rms beyond noise [light]; 0 by chance."""
+    across = np.choose(state.nearest, [rim.distance for rim in state.rims])
+    here = np.abs(across) <= state.blur + 1.5
+    number = np.floor((across[here] - across[here].min()) / _BIN).astype(np.intp)
+    left, weight = state.residual[here] / strip.weight[here], strip.weight[here]
+    count = np.bincount(number)
+    some = count > 3
+    if some.sum() < 3:
+        return 0.0
+    mean = np.bincount(number, left)[some] / count[some]
+    variance = np.bincount(number, 1 / weight**2)[some] / count[some] ** 2
+    chi = float((mean**2 / variance).sum())
+    if chi < some.sum() + _MISFIT_SIGMA * math.sqrt(2 * some.sum()):
+        return 0.0
+    return math.sqrt(max(float(np.mean(mean**2 - variance)), 0.0))
+
+
+def _by_shift(shape: Shape, strip: Strip, state: State) -> Array:
+    """Derivative of the model by a shift of the nearest rim to its dark side."""
+    step = 1e-3
+    moved = [replace(rim, distance=rim.distance + step) for rim in state.rims]
+    there = [
+        terms_of(shape, [*state.rims[:k], moved[k], *state.rims[k + 1 :]], state.blur, strip.aspect)
+        for k in range(len(moved))
+    ]
+    return np.choose(state.nearest, [(terms.matrix @ state.levels - state.fitted) / step for terms in there])
+
+
+def _warnings(strip: Strip, state: State, misfit: float) -> Iterator[str]:
+    low, high = _levels(strip, state)
+    contrast = max(abs(high - low), 1e-300)
+    off = _profile(strip, state) / contrast
+    if off > _PROFILE:
+        yield (
+            f"across the contour light differs by {off:.1%} of the contrast from one blurred step: a chamfer, a "
+            "shadow or the side of a thick part may lie there"
+        )
+    if misfit > MISFIT:
+        yield f"the contour departs from the shape by {misfit:.2g} px rms beyond noise: it is of another one"
+    if high > float(strip.light.max()) + _ABOVE * contrast:
+        yield "the fitted level lies above the brightest pixel: the object is smaller than its blur"
+    if len(state.rims) == 1:
+        dark, across = (state.terms.parts(state.levels)[number] for number in (1, 3))
+        slopes = state.terms.slow @ np.stack([dark, dark + across], axis=1)
+        steep = float(np.median(np.abs(slopes), axis=0).max()) / contrast
+        if steep > _STEEP:
+            yield f"light beside the contour changes by {steep:.0%} of the contrast a pixel: see what lies there"

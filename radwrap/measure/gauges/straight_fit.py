@@ -1,0 +1,166 @@
+"""Fits of one edge, of two that face each other, and of a stripe, in a caliper."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.errors import InputError
+from radwrap.images import GrayImage
+from radwrap.measure.gauges.calipers import Side, StraightCaliper
+from radwrap.measure.gauges.contour import BEYOND, Contour, fit_contour
+from radwrap.measure.gauges.points import PointFit, fit_points, robust_line
+from radwrap.measure.gauges.response import Light, Response, light_of
+from radwrap.measure.gauges.rims import Shape
+from radwrap.measure.gauges.scan import Crossings, ScanLines, Way, crossings
+from radwrap.measure.gauges.straight_shapes import line_shape, stripe_shape
+
+Array = NDArray[np.float64]
+
+_FEWEST_SHARE: Final = 0.3  # of the scan lines, that must cross the edge
+_LARGEST_TURN: Final = math.radians(30)  # between the caliper and the edge
+_NARROW: Final = 4.0  # widths of blur
+_SWAPPED: Final = 0.85  # of twice the blur, the width of the stripe that looks alike
+_SAME: Final = 0.02  # of the width
+_AS_GOOD: Final = 1.01  # times the residual: of a thousand pixels chance makes as much in one of thousands
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pair:
+    """Crossings of two edges, the one at lower offsets first, and what lies between them."""
+
+    low: Crossings
+    high: Crossings
+    inside: Side
+
+    @property
+    def gap(self) -> float:
+        """Their distance [px]."""
+        return float(np.median(self.high.offsets) - np.median(self.low.offsets))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StraightGauge:
+    """Light, caliper and scan lines of a measurement, in pixel widths."""
+
+    light: Light
+    centre: Array
+    angle: float
+    lines: ScanLines
+    length: float
+    aspect: float
+
+    @classmethod
+    def of(cls, image: GrayImage, caliper: StraightCaliper, response: Response | None, aspect: float) -> StraightGauge:
+        """A gauge on an image."""
+        if not 0.01 <= aspect <= 100:
+            raise InputError("must lie between 0.01 and 100", where="pixel_aspect", remedy="give height over width")
+        centre = np.array([caliper.centre[0], caliper.centre[1] * aspect])
+        normal = np.array([math.cos(caliper.angle), math.sin(caliper.angle)])
+        count = max(8, math.ceil(caliper.length))
+        along = ((np.arange(count) + 0.5) / count - 0.5) * caliper.length
+        origins = centre + along[:, None] * np.array([-normal[1], normal[0]])
+        lines = ScanLines(origins, np.tile(normal, (count, 1)), caliper.band, aspect)
+        return cls(light_of(image, response or Response()), centre, caliper.angle, lines, caliper.length, aspect)
+
+    def crossings(self, rising: bool | None, way: Way) -> Crossings:
+        """Where the scan lines cross the strongest edge."""
+        found = crossings(self.light.values, self.lines, "moment" if way == "moment" else "gradient", rising)
+        if found is None or len(found.line) < _FEWEST_SHARE * len(self.lines.origins):
+            raise InputError(
+                "shows no edge in the caliper's band", where="the image", remedy="move the caliper, or widen its band"
+            )
+        return found
+
+    def pair(self, way: Way, inside: Side | None = None) -> Pair:
+        """The rising and the falling edge; of two kinds of object the one that is asked for."""
+        up, down = self.crossings(True, way), self.crossings(False, way)
+        between: Side = "bright" if np.median(up.offsets) < np.median(down.offsets) else "dark"
+        if inside is not None and between != inside:
+            raise InputError(
+                f"shows what is {between} between its two strongest edges, not {inside}",
+                where="the image",
+                remedy="move the caliper",
+            )
+        return Pair(*((up, down) if between == "bright" else (down, up)), between)
+
+    def points(self, found: Crossings) -> Array:
+        """The same as places, in pixel widths."""
+        at: Array = self.lines.origins[found.line] + found.offsets[:, None] * self.lines.directions[found.line]
+        return at
+
+    def start(self, found: Crossings) -> tuple[Array, Array]:
+        """Shift and turn of the line through most of the points, and the points that lie on it."""
+        points = self.points(found)
+        middle, along, near = robust_line(points)
+        angle = math.atan2(along[1], along[0]) - math.pi / 2
+        turn = (angle - self.angle + math.pi / 2) % math.pi - math.pi / 2
+        if near.sum() < _FEWEST_SHARE * len(self.lines.origins) or abs(turn) > _LARGEST_TURN:
+            raise InputError(
+                "shows no straight edge along the caliper", where="the image", remedy="turn or move the caliper"
+            )
+        normal = np.array([math.cos(self.angle + turn), math.sin(self.angle + turn)])
+        return np.array([float((middle - self.centre) @ normal), turn]), points[near]
+
+    def edge_fit(self, found: Crossings, way: Way, band: float) -> Contour | PointFit:
+        """Shift and turn of one edge."""
+        start, points = self.start(found)
+        shape = line_shape(self.centre, self.angle, self.length, 1.0 if found.rising else -1.0, start)
+        if way != "model":
+            return fit_points(shape, points)
+        return fit_contour(self.light, shape, 2 * found.width, band, self.aspect)
+
+    def stripe_fit(self, both: Pair, way: Way) -> Contour | PointFit:
+        """Shift, turn and width of a stripe."""
+        first, points = self.start(both.low)
+        second, others = self.start(both.high)
+        start = np.array([(first[0] + second[0]) / 2, (first[1] + second[1]) / 2, abs(second[0] - first[0])])
+        shape = stripe_shape(self.centre, self.angle, self.length, start)
+        if way != "model":
+            return _stripe_points(shape, points, others)
+        fit = self._stripe(start, both.low.width + both.high.width)
+        shift, turn, width = fit.parameters
+        if width > _NARROW * fit.blur:
+            return fit
+        # A narrow stripe with much blur looks much like a wide one with little: whichever fits better.
+        starts = (width, fit.blur), (_SWAPPED * 2 * fit.blur, width / 2 / _SWAPPED)
+        reach = max(blur for _, blur in starts) + BEYOND  # of the same pixels residuals can be held against each other
+        fits = [self._stripe(np.array([shift, turn, size]), blur, reach) for size, blur in starts]
+        best, worse = sorted(fits, key=lambda one: one.residual_rms)
+        apart = abs(best.parameters[2] - worse.parameters[2]) > _SAME * width
+        if apart and worse.residual_rms < _AS_GOOD * best.residual_rms:
+            told = (
+                f"a width of {abs(worse.parameters[2]):.3g} px with a blur of {worse.blur:.3g} px fits nearly as well"
+            )
+            return replace(best, warnings=(*best.warnings, told))
+        return best
+
+    def _stripe(self, start: Array, blur: float, reach: float | None = None) -> Contour:
+        shape = stripe_shape(self.centre, self.angle, self.length, start)
+        return fit_contour(self.light, shape, blur, self.lines.half_length, self.aspect, reach=reach)
+
+
+def _stripe_points(shape: Shape, low: Array, high: Array) -> PointFit:
+    """Stripe through points on either edge."""
+    parts = [fit_points(_one_rim(shape, number), points) for number, points in enumerate((low, high))]
+    to = np.array([[0.5, 0.0, 0.5, 0.0], [0.0, 0.5, 0.0, 0.5], [-1.0, 0.0, 1.0, 0.0]])
+    both = np.concatenate([part.parameters for part in parts])
+    covariance = np.zeros((4, 4))
+    covariance[:2, :2], covariance[2:, 2:] = parts[0].covariance, parts[1].covariance
+    rms = math.hypot(parts[0].rms, parts[1].rms) / math.sqrt(2)
+    return PointFit(to @ both, to @ covariance @ to.T, rms, parts[0].points + parts[1].points)
+
+
+def _one_rim(shape: Shape, number: int) -> Shape:
+    """One edge of a stripe as a shape of its own, with shift and turn."""
+    side = -1.0 if number == 0 else 1.0
+
+    def rims(parameters: Array, places: Array) -> list[Any]:
+        return [shape.rims(np.array([parameters[0], parameters[1], 0.0]), places)[number]]
+
+    start = np.array([shape.start[0] + side * shape.start[2] / 2, shape.start[1]])
+    return Shape(rims, start, shape.units[:2], shape.length, closed=False)

@@ -1,0 +1,433 @@
+"""Gauges on pictures of known geometry: values, what their standard errors promise, and what is of another shape."""
+
+from __future__ import annotations
+
+import doctest
+import math
+from collections.abc import Callable
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from radwrap.errors import InputError
+from radwrap.images import GrayImage
+from radwrap.measure.gauges import (
+    Box,
+    Caliper,
+    Circle,
+    Plane,
+    Response,
+    Scale,
+    StraightCaliper,
+    contrast_of,
+    measure_circle,
+    measure_line,
+    measure_region,
+    measure_uniformity,
+    measure_width,
+)
+from radwrap.measure.gauges import circle as circle_gauge
+from radwrap.measure.gauges import region as region_gauge
+from radwrap.measure.gauges import straight as straight_gauge
+from radwrap.measure.gauges import uniformity as uniformity_gauge
+from tests.measure.pictures import any_picture, edge_picture, noisy, ring_picture, stripe_picture
+
+Array = NDArray[np.float64]
+
+CENTRE = (29.77, 31.31)
+SHAPE = (62, 60)
+# Light at a place in terms of that in the middle: a quarter from one side to the other.
+UNEVEN = 1 + 0.25 * (np.indices(SHAPE)[1] - 30) / 60
+
+
+def ring(radius: float, blur: float, levels: tuple[float, ...] = (30.0, 190.0)) -> Array:
+    return ring_picture(SHAPE, CENTRE, (radius,), blur, levels)
+
+
+def circle(light: Array, radius: float, **more: Any) -> Circle:
+    return measure_circle(GrayImage(light, 16), Caliper((30, 31), radius + 0.7, 6), **more)
+
+
+@pytest.mark.parametrize(("radius", "blur"), [(9.0, 0.3), (9.0, 1.5), (20.0, 1.0), (20.0, 3.0)])
+@pytest.mark.parametrize("levels", [(30.0, 190.0), (190.0, 30.0)])
+def test_a_circle_without_noise_is_known_to_a_thousandth(
+    radius: float, blur: float, levels: tuple[float, float]
+) -> None:
+    """What is left is second order in blur over radius, and the quadrature of the sharpest picture."""
+    found = circle(ring(radius, blur, levels), radius)
+    assert found.diameter == pytest.approx(2 * radius, abs=1e-3)
+    assert found.centre == pytest.approx(CENTRE, abs=1e-3)
+    assert found.blur == pytest.approx(blur, abs=0.02)
+    assert found.inside == ("bright" if levels[1] > levels[0] else "dark")
+    assert found.warnings == () and found.left_out == 0
+
+
+def test_uneven_light_and_a_response_do_not_move_a_circle() -> None:
+    light = ring(18.0, 1.5) * UNEVEN
+    assert circle(light, 18.0).diameter == pytest.approx(36, abs=4e-3)
+    gray = 20 + 235 * (light / 255) ** 0.7
+    bent = measure_circle(GrayImage(gray), Caliper((30, 31), 18.5, 6), response=Response(20, 0.7))
+    assert bent.diameter == pytest.approx(36, abs=4e-3)
+    assert measure_circle(GrayImage(gray), Caliper((30, 31), 18.5, 6)).diameter > 36.05, "gamma matters"
+
+
+def spread(measured: Callable[[GrayImage], tuple[float, float]], light: Array, frames: int, seed: int) -> Array:
+    """Error over its standard error in some frames."""
+    dice = np.random.default_rng(seed)
+    found = [measured(GrayImage(noisy(light, dice))) for _ in range(frames)]
+    return np.array([error / sigma for error, sigma in found])
+
+
+# Of 48 frames the spread of z is known to 10 %, and its mean to 0.15: what is off by a factor of two is seen.
+FRAMES = 48
+
+
+def honest(z: Array) -> bool:
+    return bool(0.7 < z.std() < 1.35 and abs(z.mean()) < 0.5)
+
+
+@pytest.mark.parametrize("blur", [0.6, 1.5, 3.5])
+def test_standard_errors_of_a_circle_are_those_of_repeated_frames(blur: float) -> None:
+    def measured(image: GrayImage) -> tuple[float, float]:
+        found = measure_circle(image, Caliper((30, 31), 16, 6))
+        return found.diameter - 32, found.diameter_sigma
+
+    z = spread(measured, ring(16.0, blur) * UNEVEN, FRAMES, 5)
+    assert honest(z)
+    assert not honest(z / 2) and not honest(z * 2)
+
+
+def test_other_ways_find_the_circle_but_not_where_it_is() -> None:
+    """Blur across a bent rim moves the steepest place inwards, by some blur^2/(4 R): the model's does not move."""
+    light = ring(12.0, 3.0)
+    for way in ("gradient", "moment"):
+        found = circle(light, 12.0, way=way)
+        assert 23 < found.diameter < 23.9 and math.isnan(found.blur)
+        assert found.centre == pytest.approx(CENTRE, abs=0.02)
+    assert circle(light, 12.0).diameter == pytest.approx(24, abs=2e-3)
+
+
+def test_an_arc_is_enough() -> None:
+    light = ring(20.0, 1.2)
+    light[:, :22] = 120  # the rest is hidden
+    dice = np.random.default_rng(4)
+    caliper = Caliper((30, 31), 20.5, 6, arc=(math.radians(-75), math.radians(150)))
+    errors = []
+    for _ in range(12):
+        found = measure_circle(GrayImage(noisy(light, dice)), caliper)
+        errors.append((found.diameter - 40) / found.diameter_sigma)
+    assert np.abs(errors).max() < 4 and abs(np.mean(errors)) < 1.2
+    whole = measure_circle(GrayImage(noisy(ring(20.0, 1.2), dice)), Caliper((30, 31), 20.5, 6))
+    assert found.diameter_sigma > 3 * whole.diameter_sigma
+
+
+ELLIPSE = (21.0, 15.0, 0.6)  # semi-axes [px] and direction [rad]
+
+
+def in_ellipse(u: Array, v: Array) -> Array:
+    a, b, turn = ELLIPSE
+    x, y = u - CENTRE[0], v - CENTRE[1]
+    along, across = x * math.cos(turn) + y * math.sin(turn), y * math.cos(turn) - x * math.sin(turn)
+    return (along / a) ** 2 + (across / b) ** 2 < 1
+
+
+@pytest.fixture(scope="module")
+def tilted() -> Array:
+    """An ellipse, blurred by a round spot."""
+    return any_picture(SHAPE, in_ellipse, 1.6, np.array([30.0, 190.0]))
+
+
+def test_an_ellipse_has_two_axes(tilted: Array) -> None:
+    found = measure_circle(GrayImage(tilted, 16), Caliper((30, 31), 18, 8), form="ellipse")
+    assert found.diameters == pytest.approx((42, 30), abs=6e-3)
+    assert found.orientation == pytest.approx(0.6, abs=1e-3)
+    assert math.isnan(found.diameter), "it has none"
+    as_circle = measure_circle(GrayImage(tilted, 16), Caliper((30, 31), 18, 8), form="circle")
+    assert any("another" in text for text in as_circle.warnings)
+
+
+def test_a_circle_in_a_tilted_plane_is_round_there(tilted: Array) -> None:
+    """The plane's map makes the ellipse a circle of 10 mm radius about (3 mm, -2 mm)."""
+    a, b, turn = ELLIPSE
+    rotation = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
+    linear = rotation @ np.diag([a, b]) / 0.01
+    homography = np.eye(3)
+    homography[:2, :2] = linear
+    homography[:2, 2] = CENTRE - linear @ [0.003, -0.002]
+    plane = Plane.of_homography(homography, relative_sigma=0.01)
+    dice = np.random.default_rng(2)
+    found = measure_circle(GrayImage(noisy(tilted, dice)), Caliper((30, 31), 18, 8), plane=plane)
+    assert found.unit == "m"
+    assert abs(found.diameter - 0.02) < 4 * found.diameter_sigma < 4e-5
+    assert found.centre_in_plane == pytest.approx((0.003, -0.002), abs=1e-5)
+    assert found.centre == pytest.approx(CENTRE, abs=0.02)
+    assert found.warnings == ()
+
+
+def polygon(corners: int) -> Callable[[Array, Array], Array]:
+    def inside(u: Array, v: Array) -> Array:
+        turn = np.mod(np.arctan2(v - CENTRE[1], u - CENTRE[0]), 2 * math.pi / corners) - math.pi / corners
+        return np.hypot(u - CENTRE[0], v - CENTRE[1]) * np.cos(turn) < 20 * math.cos(math.pi / corners)
+
+    return inside
+
+
+def nearly_round(u: Array, v: Array) -> Array:
+    return (u - CENTRE[0]) ** 2 + ((v - CENTRE[1]) / 0.98) ** 2 < 400
+
+
+@pytest.mark.parametrize("inside", [polygon(6), polygon(8), polygon(12), nearly_round])
+@pytest.mark.parametrize("blur", [0.8, 2.5])
+def test_what_is_no_circle_is_warned_of(inside: Callable[[Array, Array], Array], blur: float) -> None:
+    light = any_picture(SHAPE, inside, blur, np.array([30.0, 190.0]))
+    dice = np.random.default_rng(1)
+    found = [measure_circle(GrayImage(noisy(light, dice)), Caliper((30, 31), 20, 6)) for _ in range(3)]
+    assert all(any("departs" in text for text in one.warnings) for one in found)
+
+
+def beside(u: Array, v: Array) -> Array:
+    """A part that touches the circle, which has a notch too."""
+    own = np.hypot(u - CENTRE[0], v - CENTRE[1])
+    notch = (np.abs(v - CENTRE[1]) < 3) & (u < CENTRE[0] - 15)
+    return ((own < 18) & ~notch) | (np.hypot(u - CENTRE[0] - 24, v - CENTRE[1] - 3) < 6.5)
+
+
+def test_neighbours_and_notches_are_left_out() -> None:
+    light = any_picture(SHAPE, beside, 1.2, np.array([30.0, 190.0]))
+    dice = np.random.default_rng(9)
+    found = [measure_circle(GrayImage(noisy(light, dice)), Caliper((30, 31), 18, 6)) for _ in range(8)]
+    assert all(0.1 < one.left_out < 0.5 and one.warnings == () for one in found)
+    errors = np.array([one.diameter - 36 for one in found])
+    assert np.abs(errors).max() < 0.06 and abs(errors.mean()) < 0.03
+
+
+def test_a_chamfer_is_warned_of() -> None:
+    light = ring_picture(SHAPE, CENTRE, (20.0, 16.5), 0.6, (30.0, 110.0, 190.0))
+    found = measure_circle(GrayImage(noisy(light, np.random.default_rng(3))), Caliper((30, 31), 18, 6))
+    assert any("chamfer" in text for text in found.warnings)
+
+
+def test_the_rendering_error_is_carried_through_the_gauge() -> None:
+    """No pattern of +-1 gray moves the diameter by more than is told, and the worst pattern by nearly as much."""
+    light = ring(14.0, 1.0)
+    plain = circle(light, 14.0)
+    told = plain.diameters_by_rendering[0]
+    distance = np.hypot(*(np.indices(SHAPE)[::-1] - np.array(CENTRE)[:, None, None])) - 14
+    dice = np.random.default_rng(0)
+    chance = dice.choice([-0.1, 0.1], SHAPE)
+    worst = np.where(np.abs(distance) < 0.7, 0.1, -0.1)
+    moved = [abs(circle(light + pattern, 14.0).diameter - plain.diameter) for pattern in (chance, worst)]
+    assert moved[0] < 0.1 * told
+    assert 0.4 * 0.1 * told < moved[1] < 1.05 * 0.1 * told
+
+
+@pytest.mark.parametrize(
+    ("light", "caliper", "message"),
+    [
+        (np.full(SHAPE, 40.0), Caliper((30, 31), 20, 6), "no rim"),
+        (ring(20.0, 1.0), Caliper((30, 31), 9, 3), "no rim"),
+        (np.clip(ring(20.0, 1.0) * 2, 0, 255), Caliper((30, 31), 20, 6), "usable|saturated"),
+        (ring(20.0, 1.0), Caliper((300, 31), 20, 6), "no rim"),
+    ],
+)
+def test_where_no_circle_is_there_is_an_error(light: Array, caliper: Caliper, message: str) -> None:
+    noise = np.random.default_rng(1).standard_normal(SHAPE)
+    with pytest.raises(InputError, match=message):
+        measure_circle(GrayImage(np.clip(light + (noise if light.max() < 255 else 0), 0, 255)), caliper)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        lambda: Caliper((0, 0), 1.0, 0.5),
+        lambda: Caliper((0, 0), 10, 12),
+        lambda: Caliper((math.nan, 0), 10, 5),
+        lambda: Caliper((0, 0), 10, 5, arc=(0, 0.1)),
+        lambda: StraightCaliper((0, 0), 0, 2, 5),
+        lambda: StraightCaliper((0, 0), 0, 20, 0.2),
+        lambda: Response(gamma=0.8),
+        lambda: Scale(0.0),
+        lambda: Scale(1.0, -1.0),
+        lambda: Plane.of_homography(np.zeros((3, 3))),
+    ],
+)
+def test_bad_calipers_are_refused(bad: Callable[[], object]) -> None:
+    with pytest.raises(InputError):
+        bad()
+
+
+# ------------------------------------------------------------------------------------------------------------ straight
+
+BAR = {"angle": 0.3, "offset": 42.0}
+MIDDLE = (39.0, 17.5)  # u cos 0.3 + v sin 0.3 = 42.43
+
+
+@pytest.mark.parametrize("blur", [0.5, 1.5, 4.0])
+@pytest.mark.parametrize("levels", [(30.0, 190.0), (190.0, 30.0)])
+def test_a_line_is_known_to_a_thousandth(blur: float, levels: tuple[float, float]) -> None:
+    light = edge_picture((60, 80), 0.3, 42.0, blur, levels)
+    found = measure_line(GrayImage(light, 16), StraightCaliper(MIDDLE, 0.33, 24, 10))
+    u, v = found.centre
+    assert u * math.cos(0.3) + v * math.sin(0.3) == pytest.approx(42, abs=1e-3)
+    assert found.angle == pytest.approx(0.3, abs=2e-4)
+    assert found.bright_side == ("positive" if levels[1] > levels[0] else "negative")
+    assert found.warnings == ()
+
+
+@pytest.mark.parametrize("width", [4.0, 21.3])
+@pytest.mark.parametrize("levels", [(30.0, 190.0), (190.0, 30.0)])
+def test_a_width_is_known_to_a_thousandth(width: float, levels: tuple[float, float]) -> None:
+    light = stripe_picture((60, 80), 0.3, 42.0, width, blur=1.4, levels=levels)
+    found = measure_width(GrayImage(light, 16), StraightCaliper(MIDDLE, 0.33, 24, width / 2 + 9))
+    assert found.width == pytest.approx(width, abs=2e-3)
+    assert found.inside == ("bright" if levels[1] > levels[0] else "dark")
+    assert abs(found.slant) < 1e-3 and found.warnings == ()
+
+
+@pytest.mark.parametrize("kind", ["line", "width", "stripe"])
+def test_standard_errors_of_lines_are_those_of_repeated_frames(kind: str) -> None:
+    size = {"line": 0.0, "width": 22.0, "stripe": 5.0}[kind]
+    edge = edge_picture((60, 80), 0.3, 42.0, 1.3, (30.0, 190.0))
+    light = edge if kind == "line" else stripe_picture((60, 80), 0.3, 42.0, size, blur=1.3, levels=(30.0, 190.0))
+    caliper = StraightCaliper(MIDDLE, 0.3, 24, size / 2 + 9)
+
+    def measured(image: GrayImage) -> tuple[float, float]:
+        if kind == "width":
+            width = measure_width(image, caliper)
+            return width.width - size, width.width_sigma
+        line = measure_line(image, caliper, stripe=kind == "stripe")
+        if line.width is not None and line.width_sigma is not None:
+            return line.width - size, line.width_sigma
+        return line.centre[0] * math.cos(0.3) + line.centre[1] * math.sin(0.3) - 42, line.position_sigma
+
+    z = spread(measured, light, FRAMES, 3)
+    assert honest(z)
+    assert not honest(z / 2) and not honest(z * 2)
+
+
+def test_edges_that_are_not_parallel_are_warned_of() -> None:
+    wedge = edge_picture((60, 80), 0.0, 30.0, 1.0, (30, 190)) - edge_picture((60, 80), 0.02, 52.0, 1.0, (0, 160))
+    dice = np.random.default_rng(1)
+    found = measure_width(GrayImage(noisy(wedge, dice)), StraightCaliper((41, 30), 0.0, 40, 20))
+    assert any("parallel" in text for text in found.warnings)
+    assert abs(found.slant) == pytest.approx(0.02, abs=3e-3)
+    # Half-way along, the second edge lies at 52 - 30 tan(0.02), seen along the mean normal.
+    assert found.width == pytest.approx(22 - 30 * 0.02, abs=0.05)
+
+
+def test_a_bent_edge_is_no_line() -> None:
+    light = ring(20.0, 1.0)
+    dice = np.random.default_rng(6)
+    found = measure_line(GrayImage(noisy(light, dice)), StraightCaliper((CENTRE[0] - 19, CENTRE[1]), 0.0, 22, 6))
+    assert any("departs" in text for text in found.warnings)
+
+
+def test_a_width_in_a_plane_is_a_length() -> None:
+    """A pixel is 0.1 mm along u and 0.2 mm along v: seen across u the width is in tenths of a millimetre."""
+    plane = Plane.of_homography(np.diag([1e4, 0.5e4, 1.0]))
+    light = stripe_picture((60, 80), 0.0, 42.0, 21.3, blur=1.0, levels=(30.0, 190.0))
+    found = measure_width(GrayImage(light, 16), StraightCaliper((41, 30), 0.0, 24, 20), plane=plane)
+    assert found.unit == "m" and found.width == pytest.approx(2.13e-3, abs=2e-7)
+
+
+def test_pixels_that_are_not_square() -> None:
+    """Of rows 1.2 widths apart a round thing is an ellipse in the picture, and a circle in pixel widths."""
+
+    def inside(u: Array, v: Array) -> Array:
+        return np.hypot(u - 30, (v - 31) * 1.2) < 20
+
+    light = any_picture(SHAPE, inside, 0.4, np.array([30.0, 190.0]))
+    found = measure_circle(GrayImage(light, 16), Caliper((30, 31), 20.5, 6), pixel_aspect=1.2)
+    assert found.diameter == pytest.approx(40, abs=0.01)
+    assert found.centre == pytest.approx((30, 31), abs=0.005)
+    edge = edge_picture((60, 80), 0.3, 42.0, 1.0, (30.0, 190.0))
+    line = measure_line(GrayImage(edge, 16), StraightCaliper(MIDDLE, 0.26, 24, 9), pixel_aspect=1.2)
+    assert line.angle == pytest.approx(0.3, abs=2e-3) and line.offset == pytest.approx(42.0, abs=0.05)
+
+
+# -------------------------------------------------------------------------------------------------------------- levels
+
+
+def test_a_region_tells_noise_from_structure() -> None:
+    """A ramp of sd 5.77 under noise of 2: the spread is both, the noise is noise, by one frame or by many."""
+    dice = np.random.default_rng(7)
+    ramp = np.tile(np.linspace(90, 110, 80), (60, 1))
+    frames = [GrayImage(ramp + 2 * dice.standard_normal(ramp.shape), 16) for _ in range(4)]
+    box = Box(0, 0, 79, 59)
+    one, four = measure_region(frames[0], box), measure_region(frames, box)
+    for found, sigmas in ((one, 5), (four, 5)):
+        assert found.noise == pytest.approx(2, abs=sigmas * found.noise_sigma)
+        assert found.mean == pytest.approx(100, abs=5 * found.mean_sigma)
+        assert found.sd == pytest.approx(math.hypot(ramp.std(), 2), rel=0.03)
+    assert one.mean_sigma == pytest.approx(2 / math.sqrt(4800), rel=0.1)
+    assert four.mean_sigma == pytest.approx(one.mean_sigma / 2, rel=0.1)
+    assert four.frames == 4 and four.pixels == 4800
+
+
+def test_the_error_of_the_noise_is_that_of_repeated_frames() -> None:
+    dice = np.random.default_rng(2)
+    found = [measure_region(GrayImage(50 + dice.standard_normal((24, 24))), Box(0, 0, 23, 23)) for _ in range(200)]
+    assert np.std([one.noise for one in found]) == pytest.approx(np.mean([one.noise_sigma for one in found]), rel=0.2)
+    assert np.mean([one.noise for one in found]) == pytest.approx(1, abs=0.02)
+    assert np.std([one.mean for one in found]) == pytest.approx(np.mean([one.mean_sigma for one in found]), rel=0.2)
+
+
+def test_contrast_and_contrast_to_noise() -> None:
+    """Levels 110 and 60 above a dark of 10, noise 2 and 1: Michelson 1/3, ratio 50/sqrt(5)."""
+    dice = np.random.default_rng(11)
+    ratios, michelsons, sigmas = [], [], []
+    for _ in range(60):
+        image = np.concatenate([110 + 2 * dice.standard_normal((20, 20)), 60 + dice.standard_normal((20, 20))], axis=1)
+        regions = [measure_region(GrayImage(image), Box(u, 0, u + 19, 19)) for u in (0, 20)]
+        found = contrast_of(regions[0], regions[1], dark=10)
+        ratios.append(found.contrast_to_noise)
+        michelsons.append(found.michelson)
+        sigmas.append((found.contrast_to_noise_sigma, found.michelson_sigma))
+    true_values = 50 / math.sqrt(5), 1 / 3
+    for values, true, sigma in zip((ratios, michelsons), true_values, np.mean(sigmas, axis=0), strict=True):
+        assert np.mean(values) == pytest.approx(true, rel=0.02)
+        assert 0.7 < np.std(values) / sigma < 1.4
+    assert contrast_of(regions[1], regions[0], dark=10).michelson == pytest.approx(-found.michelson)
+    with pytest.raises(InputError, match="dark"):
+        contrast_of(*regions, dark=200)
+
+
+def test_uniformity_of_a_ramp() -> None:
+    """Light from 80 to 120: by extremes of 16 cells 0.1875, by deviation 1 - 11.5/100 of their means."""
+    ramp = np.tile(80 + 40 * (np.arange(160) + 0.5) / 160, (96, 1))
+    exact = measure_uniformity(GrayImage(ramp, 16))
+    assert exact.by_extremes == pytest.approx(0.1875, abs=1e-9)
+    assert exact.by_deviation == pytest.approx(1 - np.std((np.arange(16) + 0.5) * 2.5) / 100, abs=1e-9)
+    assert exact.brightest[0] > 149 and exact.darkest[0] < 10
+    dice = np.random.default_rng(5)
+    noise = [measure_uniformity(GrayImage(ramp + 5 * dice.standard_normal(ramp.shape), 16)) for _ in range(40)]
+    assert np.mean([one.by_deviation for one in noise]) == pytest.approx(exact.by_deviation, abs=1e-3)
+    sigma = np.mean([one.by_deviation_sigma for one in noise])
+    assert 0.6 < np.std([one.by_deviation for one in noise]) / sigma < 1.5
+    gray = 10 + 245 * (ramp / 255) ** 0.6
+    bent = measure_uniformity(GrayImage(gray), response=Response(10, 0.6))
+    assert bent.by_extremes == pytest.approx(exact.by_extremes, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [(np.full((20, 20), 255.0), "saturated"), (np.zeros((20, 20)), "not lit")],
+)
+def test_areas_without_light_have_no_uniformity(values: Array, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        measure_uniformity(GrayImage(values))
+
+
+@pytest.mark.parametrize("box", [Box(0, 0, 20, 5), Box(-1, 0, 5, 5), Box(5, 5, 4, 9), Box(3, 3, 4, 3)])
+def test_boxes_that_do_not_lie_in_the_image_are_refused(box: Box) -> None:
+    with pytest.raises(InputError):
+        measure_region(GrayImage(np.zeros((20, 20))), box)
+
+
+@pytest.mark.parametrize("module", [circle_gauge, straight_gauge, region_gauge, uniformity_gauge])
+def test_examples_run(module: ModuleType) -> None:
+    done = doctest.testmod(module)
+    assert done.attempted > 0 and done.failed == 0
