@@ -18,8 +18,9 @@ from radwrap.imaging.output.run_manifest import MANIFEST
 from radwrap.manifest import SCHEMA_VERSION, finite, read_manifest
 from radwrap.measure.gauges import WAYS, Plane, Response, Scale
 from radwrap.scene.file.load import load_scene
-from radwrap.scene.look.faces import Face, face_towards
+from radwrap.scene.look.faces import Face
 from radwrap.scene.scene import Scene
+from radwrap.study.placed_calipers import aspect_of, named_face, plane_of, response_of
 from radwrap.units import ANGLE, LENGTH, parse_quantity
 
 BYTES: Final = 120  # a pixel, as measured
@@ -213,13 +214,13 @@ def _camera(arguments: argparse.Namespace, scene: Scene | None) -> tuple[Respons
     dark, gamma, saturation, aspect = arguments.dark, arguments.gamma, arguments.saturation, arguments.pixel_aspect
     if scene is None:
         return Response(dark, 1.0 if gamma is None else gamma, saturation), 1.0 if aspect is None else aspect
-    sensor = scene.camera.sensor
+    known = response_of(scene.camera)
     response = Response(
-        sensor.dark_gray if dark is None else dark,
-        sensor.gamma if gamma is None else gamma,
-        sensor.saturation_gray if saturation is None else saturation,
+        known.dark if dark is None else dark,
+        known.gamma if gamma is None else gamma,
+        known.saturation if saturation is None else saturation,
     )
-    return response, sensor.pixel_height / sensor.pixel_width if aspect is None else aspect
+    return response, aspect_of(scene.camera) if aspect is None else aspect
 
 
 def _scale(text: str | None) -> Scale | None:
@@ -243,26 +244,20 @@ def _plane(arguments: argparse.Namespace, scene: Scene | None) -> tuple[Face | N
     face = plane or on
     if face is None:
         return None, None
-    camera, sigma = scene.camera, 0.0
+    sigma = 0.0
     if getattr(arguments, "pose_sigma", None) is not None:
         try:
-            sigma = abs(parse_quantity(arguments.pose_sigma, LENGTH)) / face.depth(camera)
+            sigma = abs(parse_quantity(arguments.pose_sigma, LENGTH))
         except InputError as error:
             raise InputError(error.what, where="pose_sigma", remedy=error.remedy) from error
-    return on, Plane(lambda uv: face.from_image(camera, uv), lambda xy: face.to_image(camera, xy), sigma)
+    return on, plane_of(scene.camera, face, sigma)
 
 
 def _face(scene: Scene, name: str | None, where: str) -> Face | None:
-    if name is None:
-        return None
-    target = next((one for one in scene.targets if one.name == name), None)
-    if target is None:
-        known = ", ".join(one.name for one in scene.targets)
-        raise InputError(f'the scene has no target "{name}"', where=where, remedy=f"its targets are {known}")
     try:
-        return face_towards(scene.camera, target)
+        return None if name is None else named_face(scene, name)
     except InputError as error:
-        raise InputError(f'"{name}" {error.what}', where=where, remedy=error.remedy) from error
+        raise InputError(error.what, where=where, remedy=error.remedy) from error
 
 
 def truth_face(found: Look) -> tuple[Face, Scene]:

@@ -5,31 +5,14 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any, Final
-
-import numpy as np
+from typing import Any
 
 from radwrap.cli import gauging
 from radwrap.cli import options as shared
 from radwrap.errors import InputError
 from radwrap.manifest import finite, json_text
 from radwrap.measure.gauges import Caliper, Circle, measure_circle
-from radwrap.scene.look.faces import FaceRim, rings
-
-_BAND: Final = 0.2  # of the radius, where no option says how wide the band is
-_LARGEST_BAND: Final = 16.0  # px
-_SMALLEST_BAND: Final = 4.0  # px
-_ROUND: Final = 64  # points that stand for a rim
-
-
-@dataclass(frozen=True, slots=True)
-class _Place:
-    """Where to look for one rim [px]."""
-
-    centre: tuple[float, float]
-    radius: float
-    true_diameter: float | None = None  # [m]
+from radwrap.study.placed_calipers import RimName, RimPlace, rim_places
 
 
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
@@ -69,7 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
     found = gauging.look(arguments, "measure circle")
     plane = None if arguments.shape == "ellipse" else found.plane
     try:
-        rims: dict[str, tuple[_Place, Circle]] = {}
+        rims: dict[str, tuple[RimPlace, Circle]] = {}
         places = _places(arguments, found)
         for number, (name, place) in enumerate(places.items()):
             caliper = Caliper(
@@ -99,54 +82,33 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _places(arguments: argparse.Namespace, found: gauging.Look) -> dict[str, _Place]:
+def _places(arguments: argparse.Namespace, found: gauging.Look) -> dict[RimName, RimPlace]:
     """Outer and inner rim, by hand or by the scene's truth."""
     if arguments.at is None:
         return _true_places(found)
     if arguments.radius is None:
         raise InputError("is missing", where="radius", remedy="say about how large the circle is")
     at = (arguments.at[0], arguments.at[1])
-    places = {"outer": _Place(at, found.pixels(arguments.radius, "radius", at))}
+    places: dict[RimName, RimPlace] = {"outer": RimPlace(at, found.pixels(arguments.radius, "radius", at))}
     if arguments.inner_radius is not None:
-        places["inner"] = _Place(at, found.pixels(arguments.inner_radius, "inner_radius", at))
+        places["inner"] = RimPlace(at, found.pixels(arguments.inner_radius, "inner_radius", at))
         if places["inner"].radius >= places["outer"].radius:
             raise InputError("must be smaller than the radius", where="inner_radius")
     return places
 
 
-def _true_places(found: gauging.Look) -> dict[str, _Place]:
+def _true_places(found: gauging.Look) -> dict[RimName, RimPlace]:
     face, scene = gauging.truth_face(found)
-    circles = rings(face)
-    if not circles:
-        raise InputError(
-            "has no round rim on the face that it shows", where="truth", remedy="place the caliper by --at"
-        )
-    return {
-        name: _place(found, face.to_image(scene.camera, _round(rim)), rim)
-        for name, rim in zip(("outer", "inner"), circles, strict=False)
-    }
+    try:
+        return rim_places(scene.camera, face, found.aspect)
+    except InputError as error:
+        raise InputError(error.what, where="truth", remedy="place it by --at") from error
 
 
-def _round(rim: FaceRim) -> Any:
-    turn = 2 * np.pi * np.arange(_ROUND) / _ROUND
-    return np.array(rim.centre) + rim.radius * np.column_stack([np.cos(turn), np.sin(turn)])
-
-
-def _place(found: gauging.Look, uv: Any, rim: FaceRim) -> _Place:
-    """Caliper about a rim's image: the mean of its points, and their mean distance in pixel widths."""
-    if not np.isfinite(uv).all():
-        raise InputError("lies behind the camera", where="truth")
-    centre = uv.mean(axis=0)
-    radius = float(np.linalg.norm((uv - centre) * np.array([1.0, found.aspect]), axis=1).mean())
-    return _Place((float(centre[0]), float(centre[1])), radius, 2 * rim.radius)
-
-
-def _band(arguments: argparse.Namespace, found: gauging.Look, place: _Place, others: list[float]) -> float:
+def _band(arguments: argparse.Namespace, found: gauging.Look, place: RimPlace, others: list[float]) -> float:
     if arguments.band is not None:
         return found.pixels(arguments.band, "band", place.centre)
-    band = min(max(_BAND * place.radius, _SMALLEST_BAND), _LARGEST_BAND, 0.9 * place.radius)
-    # Half-way to the other rim: what lies there is the other's.
-    return min([band, *(max(abs(place.radius - other) / 2, 1.0) for other in others)])
+    return place.band(others)
 
 
 def _arc(arguments: argparse.Namespace) -> tuple[float, float] | None:
@@ -156,7 +118,7 @@ def _arc(arguments: argparse.Namespace) -> tuple[float, float] | None:
     return first, extent
 
 
-def _told(found: gauging.Look, place: _Place, circle: Circle) -> dict[str, Any]:
+def _told(found: gauging.Look, place: RimPlace, circle: Circle) -> dict[str, Any]:
     names = ["diameter"] if len(circle.diameters) == 1 else ["major_axis", "minor_axis"]
     told: dict[str, Any] = {}
     for number, name in enumerate(names):

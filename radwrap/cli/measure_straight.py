@@ -5,20 +5,14 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Iterator
-from typing import Any, Final
-
-import numpy as np
+from typing import Any
 
 from radwrap.cli import gauging
 from radwrap.cli import options as shared
 from radwrap.errors import InputError
-from radwrap.imaging.truth import edge_line
 from radwrap.manifest import finite, json_text
 from radwrap.measure.gauges import Line, StraightCaliper, Width, measure_line, measure_width
-from radwrap.scene.targets import EdgeTarget
-
-_LENGTH: Final = 0.6  # of a true edge, so that the caliper keeps clear of its ends
-_MARGIN: Final = 10.0  # px of band beyond true edges
+from radwrap.study.placed_calipers import AXES, line_caliper, width_caliper
 
 
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
@@ -33,7 +27,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     width.add_argument("--inside", choices=["bright", "dark"], help="what lies between them (default: as it is)")
     width.add_argument(
         "--across",
-        choices=["x", "y"],
+        choices=AXES,
         default="x",
         help="with --truth: the axis to measure along (default x)",
     )
@@ -117,49 +111,19 @@ def _caliper_of_width(arguments: argparse.Namespace, found: gauging.Look) -> tup
     if arguments.at is not None:
         return _given(arguments, found), None
     face, scene = gauging.truth_face(found)
-    if face.size is None:
-        raise InputError("shows no rectangle", where="truth", remedy="place the caliper by --at")
-    axis = 0 if arguments.across == "x" else 1
-    ends = np.zeros((5, 2))
-    ends[1, axis], ends[2, axis] = face.size[axis] / 2, -face.size[axis] / 2
-    ends[3, 1 - axis], ends[4, 1 - axis] = face.size[1 - axis] / 2, -face.size[1 - axis] / 2
-    uv = face.to_image(scene.camera, ends)
-    if not np.isfinite(uv).all():
-        raise InputError("lies behind the camera", where="truth")
-    flat = uv * np.array([1.0, found.aspect])
-    across, along = flat[1] - flat[2], flat[3] - flat[4]
-    # The edges run along the other axis, which perspective may turn.
-    normal = np.array([along[1], -along[0]]) / np.linalg.norm(along)
-    middle = (uv[1] + uv[2]) / 2
-    caliper = StraightCaliper(
-        (float(middle[0]), float(middle[1])),
-        math.atan2(normal[1], normal[0]),
-        _LENGTH * float(np.linalg.norm(along)),
-        abs(float(across @ normal)) / 2 + _MARGIN,
-    )
-    return caliper, face.size[axis]
+    try:
+        return width_caliper(scene.camera, face, arguments.across, found.aspect)
+    except InputError as error:
+        raise InputError(error.what, where="truth", remedy="place it by --at") from error
 
 
 def _true_line(found: gauging.Look) -> StraightCaliper:
     """A caliper along the edge of the target that --truth names."""
     _, scene = gauging.truth_face(found)
-    target = next((one for one in scene.targets if isinstance(one, EdgeTarget) and one.name == found.truth), None)
-    line = None if target is None else edge_line(scene.camera, target)
-    if line is None:
-        raise InputError("is no target of type edge before the camera", where="truth", remedy="place it by --at")
-    middle = line.ends.mean(axis=0)
-    length = float(np.linalg.norm((line.ends[1] - line.ends[0]) * np.array([1.0, found.aspect])))
-    rows, columns = found.image.values.shape
-    # Of an edge that goes beyond the image the part within it is looked at.
-    inside = np.linspace(line.ends[0], line.ends[1], 257)
-    seen = inside[(inside >= 0).all(axis=1) & (inside[:, 0] <= columns - 1) & (inside[:, 1] <= rows - 1)]
-    if len(seen) == 0:
-        raise InputError("lies outside the image", where="truth")
-    middle = seen.mean(axis=0)
-    angle = math.atan2(math.sin(line.angle) / found.aspect, math.cos(line.angle))
-    return StraightCaliper(
-        (float(middle[0]), float(middle[1])), angle, _LENGTH * length * len(seen) / len(inside), _MARGIN
-    )
+    try:
+        return line_caliper(scene, found.truth or "", found.aspect)
+    except InputError as error:
+        raise InputError(error.what, where="truth", remedy="place it by --at") from error
 
 
 def _told_width(found: gauging.Look, width: Width) -> dict[str, Any]:

@@ -28,9 +28,11 @@ from radwrap.measure.parts import find_parts
 from radwrap.random_streams import Studying, generator
 from radwrap.scene.scene import Scene
 from radwrap.scene.targets import DotBoard, EdgeTarget
+from radwrap.study.gauge_responses import GAUGES
 from radwrap.study.image_error import Cause, ImageError
+from radwrap.study.response_kind import BOX, Kind, Options
 from radwrap.study.seen import Answer, Seen, again, again_by_number, spread, tried
-from radwrap.units import ANGLE, LENGTH, PIXEL, Dimension
+from radwrap.units import ANGLE, LENGTH, PIXEL
 
 Array = NDArray[np.float64]
 _T = TypeVar("_T", DotBoard, EdgeTarget)
@@ -38,6 +40,7 @@ _T = TypeVar("_T", DotBoard, EdgeTarget)
 _DRAWS: Final = 24  # of dot centres; the scatter of so many is known to 15 %
 _FEWEST_DRAWS: Final = 4
 _DOT_REACH: Final = 1.3  # of a dot's radius: where the errors lie that move its centre
+_CORNERS: Final = 4  # numbers of a box
 SENSOR: Final = "sensor"  # as an option: what the scene's sensor has
 
 
@@ -79,37 +82,6 @@ class Response:
         return 1.0 if dimension is None or not self.unit else dimension.units[self.unit]
 
 
-Options = Mapping[str, Any]
-
-
-@dataclass(frozen=True, slots=True)
-class Kind:
-    """A measurement.
-
-    Attributes
-    ----------
-    what : str
-        For people.
-    dimension : Dimension or None
-        Of its value.
-    unit : str
-        In which it is told where nothing else is said.
-    options : Mapping
-        Name -> what it may be: choices, a type, or "gray" for a number or "sensor".
-    answer : callable
-        Image and options -> value with error.
-    copies : bool
-        Whether its error is found on copies of the image.
-    """
-
-    what: str
-    dimension: Dimension | None
-    unit: str
-    options: Mapping[str, Any]
-    answer: Callable[[Seen, Options], Answer]
-    copies: bool = True
-
-
 def check_options(kind: str, options: Options, where: str) -> None:
     """Refuse options that the measurement does not have.
 
@@ -131,6 +103,13 @@ def check_options(kind: str, options: Options, where: str) -> None:
         elif allowed is str:
             if not isinstance(value, str):
                 raise InputError("must be a name", where=f"{where}.{name}")
+        elif allowed == BOX:
+            if not (
+                isinstance(value, list | tuple) and len(value) == _CORNERS and all(type(one) is int for one in value)
+            ):
+                raise InputError(
+                    "must be four whole numbers: first column and row, last column and row", where=f"{where}.{name}"
+                )
         elif (allowed is float or value != SENSOR) and not _is_number(value):
             also = "" if allowed is float else f' or "{SENSOR}"'
             raise InputError(f"must be a number{also}, not {value!r}", where=f"{where}.{name}")
@@ -152,6 +131,12 @@ def check_target(kind: str, scene: Scene, options: Options, where: str) -> None:
         If there is no board or no edge.
     """
     try:
+        for name in KINDS[kind].needed:
+            if name not in options:
+                raise InputError(f"needs the option {name}", remedy=f'write {name} = ... below `measure = "{kind}"`')
+        check = KINDS[kind].check
+        if check is not None:
+            check(scene, options)
         if "board" in KINDS[kind].options:
             _target(scene, DotBoard, options.get("board"))
         elif kind == "edge_error":
@@ -402,6 +387,7 @@ KINDS: Final[Mapping[str, Kind]] = {
     "mean_gray": Kind("mean gray level", None, "", {}, _mean_gray, copies=False),
     "contrast": Kind("Michelson contrast of 99th and 1st percentile", None, "", {}, _contrast),
     "saturated_share": Kind("share of saturated pixels", None, "", {}, _saturated_share),
+    **GAUGES,
 }
 
 

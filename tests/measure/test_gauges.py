@@ -239,6 +239,16 @@ def test_where_no_circle_is_there_is_an_error(light: Array, caliper: Caliper, me
         measure_circle(GrayImage(np.clip(light + (noise if light.max() < 255 else 0), 0, 255)), caliper)
 
 
+@pytest.mark.parametrize("way", ["gradient", "moment"])
+def test_scan_lines_refuse_saturation(way: Any) -> None:
+    clipped = GrayImage(np.clip(ring(20.0, 2.0) * 3, 0, 255))
+    with pytest.raises(InputError, match="saturated"):
+        measure_circle(clipped, Caliper((30, 31), 20, 6), way=way)
+    bar = np.clip(edge_picture((60, 80), 0.3, 42.0, 2.0, (30.0, 190.0)) * 3, 0, 255)
+    with pytest.raises(InputError, match="saturated"):
+        measure_line(GrayImage(bar), StraightCaliper(MIDDLE, 0.3, 24, 9), way=way)
+
+
 @pytest.mark.parametrize(
     "bad",
     [
@@ -306,6 +316,14 @@ def test_standard_errors_of_lines_are_those_of_repeated_frames(kind: str) -> Non
     z = spread(measured, light, FRAMES, 3)
     assert honest(z)
     assert not honest(z / 2) and not honest(z * 2)
+
+
+def test_a_stripe_hardly_wider_than_its_blur_is_warned_of() -> None:
+    light = stripe_picture((60, 80), 0.3, 42.0, 3.2, blur=3.6, levels=(30.0, 190.0))
+    dice = np.random.default_rng(2)
+    for _ in range(4):
+        found = measure_line(GrayImage(noisy(light, dice)), StraightCaliper(MIDDLE, 0.3, 24, 12), stripe=True)
+        assert found.warnings != ()
 
 
 def test_edges_that_are_not_parallel_are_warned_of() -> None:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -154,6 +154,11 @@ def noise_variance(radiant_exposure: Array, sensor: Sensor) -> Array:
         cut, _ = _through_response(radiant_exposure, np.maximum(square - behind, 0.0), sensor)
         variance = np.where(high >= sensor.saturation_gray, cut + added, variance)
     return variance + (ROUNDING_VARIANCE if sensor.rounding else 0.0)
+
+
+def without_pattern(sensor: Sensor) -> Sensor:
+    """The sensor with pixels that are all alike: what differs between them is the same in every frame."""
+    return replace(sensor, linear=replace(linear_of(sensor), dsnu=0.0, prnu=0.0))
 
 
 def _through_response(radiant_exposure: Array, square: Array, sensor: Sensor) -> tuple[Array, Array]:

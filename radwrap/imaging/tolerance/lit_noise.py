@@ -9,11 +9,10 @@ from typing import Final
 from radwrap.imaging.methods.rays import sampled_radiance
 from radwrap.imaging.optics.view import View
 from radwrap.imaging.render_options import RenderOptions
-from radwrap.imaging.response.noise import linear_of, noise_variance
+from radwrap.imaging.response.noise import noise_variance, without_pattern
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.tolerance.certificate import places_of
 from radwrap.random_streams import Rendering, generator
-from radwrap.scene.camera import Sensor
 from radwrap.written import NotNegative, Rays
 
 # Lit is what lies so far above dark, as a share of the brightest.
@@ -83,9 +82,4 @@ def lit_noise(view: View) -> tuple[float, int]:
     above = gray_levels(exposure, sensor) - sensor.dark_gray
     lit = above > _LIT * above.max()
     shown = exposure[lit] if lit.any() else exposure
-    return math.sqrt(float(noise_variance(shown, _temporal(sensor)).mean())), radiance.size * _RAYS
-
-
-def _temporal(sensor: Sensor) -> Sensor:
-    """The sensor with pixels that are all alike: what differs between them is the same in every frame."""
-    return replace(sensor, linear=replace(linear_of(sensor), dsnu=0.0, prnu=0.0))
+    return math.sqrt(float(noise_variance(shown, without_pattern(sensor)).mean())), radiance.size * _RAYS

@@ -19,7 +19,7 @@ from radwrap.measure.gauges.response import Response, light_of
 from radwrap.measure.gauges.rims import Shape
 from radwrap.measure.gauges.round_shapes import circle_shape, ellipse_shape, plane_shape
 from radwrap.measure.gauges.scale import Plane
-from radwrap.measure.gauges.scan import ScanLines, Way, crossings
+from radwrap.measure.gauges.scan import ScanLines, Way, check_unsaturated, crossings
 
 Array = NDArray[np.float64]
 Form = Literal["circle", "ellipse"]
@@ -168,6 +168,7 @@ def measure_circle(
             shape = Shape(shape.rims, begun, shape.units, shape.length, shape.closed)
         fit = fit_contour(light, shape, 2 * found.width, caliper.band + 2, pixel_aspect)
     else:
+        check_unsaturated(light.usable, lines, found)
         fit = fit_points(shape, points[near])
     return _circle(fit, named, way, "dark" if found.rising else "bright", 1 - float(near.mean()))
 

@@ -9,6 +9,8 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from radwrap.errors import InputError
+
 Array = NDArray[np.float64]
 Way = Literal["model", "gradient", "moment"]
 WAYS: Final[tuple[Way, ...]] = ("model", "gradient", "moment")
@@ -17,6 +19,8 @@ SAMPLING: Final = 0.5  # px between samples of a scan line
 _SMOOTHING: Final = 1.0  # px, of the gradient
 _WINDOW: Final = 2.5  # of moments, in widths of the gradient's peak: both levels are in it
 _SHORTEST_WINDOW: Final = 3.0  # px
+_BESIDE: Final = 1.5  # px
+_MOST_SATURATED: Final = 0.05
 _FAINT: Final = 0.25  # of the median gradient; a scan line whose strongest is less crosses no rim
 
 
@@ -126,6 +130,25 @@ def crossings(values: Array, lines: ScanLines, way: Way = "gradient", rising: bo
     if way == "moment":
         fine = _by_moments(light[found], offsets, fine, max(_WINDOW * width, _SHORTEST_WINDOW))
     return Crossings(found, fine, width, rising)
+
+
+def check_unsaturated(usable: NDArray[np.bool_], lines: ScanLines, found: Crossings) -> None:
+    """Refuse points of scan lines beside which pixels are saturated: there the steepest place is that of clipping.
+
+    Raises
+    ------
+    InputError
+        If that is so on more than a twentieth of them.
+    """
+    bad = np.zeros(len(found.line), dtype=np.bool_)
+    for shift in (-_BESIDE, 0.0, _BESIDE):
+        places = lines.origins[found.line] + (found.offsets + shift)[:, None] * lines.directions[found.line]
+        u, v = (np.rint(part).astype(np.intp) for part in (places[:, 0], places[:, 1] / lines.aspect))
+        bad |= ~usable[v.clip(0, usable.shape[0] - 1), u.clip(0, usable.shape[1] - 1)]
+    if bad.mean() > _MOST_SATURATED:
+        raise InputError(
+            f"is saturated beside {bad.mean():.0%} of the rim", where="the image", remedy="shorten the exposure"
+        )
 
 
 def _by_moments(light: Array, offsets: Array, start: Array, half: float) -> Array:

@@ -16,7 +16,7 @@ from radwrap.measure.gauges.contour import BEYOND, Contour, fit_contour
 from radwrap.measure.gauges.points import PointFit, fit_points, robust_line
 from radwrap.measure.gauges.response import Light, Response, light_of
 from radwrap.measure.gauges.rims import Shape
-from radwrap.measure.gauges.scan import Crossings, ScanLines, Way, crossings
+from radwrap.measure.gauges.scan import Crossings, ScanLines, Way, check_unsaturated, crossings
 from radwrap.measure.gauges.straight_shapes import line_shape, stripe_shape
 
 Array = NDArray[np.float64]
@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 _FEWEST_SHARE: Final = 0.3  # of the scan lines, that must cross the edge
 _LARGEST_TURN: Final = math.radians(30)  # between the caliper and the edge
 _NARROW: Final = 4.0  # widths of blur
+_TOO_NARROW: Final = 1.3  # widths of blur; fits of random stripes that went wrong ended below
 _SWAPPED: Final = 0.85  # of twice the blur, the width of the stripe that looks alike
 _SAME: Final = 0.02  # of the width
 _AS_GOOD: Final = 1.01  # times the residual: of a thousand pixels chance makes as much in one of thousands
@@ -74,6 +75,8 @@ class StraightGauge:
             raise InputError(
                 "shows no edge in the caliper's band", where="the image", remedy="move the caliper, or widen its band"
             )
+        if way != "model":
+            check_unsaturated(self.light.usable, self.lines, found)
         return found
 
     def pair(self, way: Way, inside: Side | None = None) -> Pair:
@@ -136,6 +139,9 @@ class StraightGauge:
             told = (
                 f"a width of {abs(worse.parameters[2]):.3g} px with a blur of {worse.blur:.3g} px fits nearly as well"
             )
+            return replace(best, warnings=(*best.warnings, told))
+        if best.parameters[2] < _TOO_NARROW * best.blur:
+            told = "the stripe is hardly wider than its blur: a wider one with less blur looks much alike"
             return replace(best, warnings=(*best.warnings, told))
         return best
 

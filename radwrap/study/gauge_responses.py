@@ -1,0 +1,214 @@
+"""Gauges as responses of a study: calipers are placed by each run's own scene."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Final
+
+import numpy as np
+
+from radwrap.errors import InputError
+from radwrap.images import GrayImage
+from radwrap.imaging.response.noise import noise_variance, without_pattern
+from radwrap.imaging.response.sensor import radiant_exposure_of
+from radwrap.measure.gauges import (
+    WAYS,
+    Box,
+    contrast_of,
+    measure_circle,
+    measure_region,
+    measure_uniformity,
+    measure_width,
+)
+from radwrap.scene.scene import Scene
+from radwrap.study.placed_calipers import (
+    AXES,
+    RIMS,
+    RimName,
+    RimPlace,
+    aspect_of,
+    named_face,
+    plane_of,
+    response_of,
+    rim_caliper,
+    rim_places,
+    width_caliper,
+)
+from radwrap.study.response_kind import BOX, Kind, Options
+from radwrap.study.seen import Answer, Seen, again
+from radwrap.units import LENGTH
+
+
+def _diameter(seen: Seen, options: Options, true: float = 0.0) -> Answer:
+    camera = seen.scene.camera
+    face = named_face(seen.scene, options["target"])
+    places = rim_places(camera, face, aspect_of(camera))
+    name = _rim(places, options)
+    caliper, plane, response = rim_caliper(places, name), plane_of(camera, face), response_of(camera)
+
+    def diameter(image: GrayImage) -> float:
+        found = measure_circle(
+            image,
+            caliper,
+            response=response,
+            plane=plane,
+            way=options.get("edge", "model"),
+            pixel_aspect=aspect_of(camera),
+        )
+        return found.diameter - true
+
+    return again(seen, diameter)
+
+
+def _rim(places: Mapping[RimName, RimPlace], options: Options) -> RimName:
+    name: RimName = options.get("rim", "outer")
+    if name not in places:
+        raise InputError("has no inner rim on the face that it shows")
+    return name
+
+
+def _diameter_error(seen: Seen, options: Options) -> Answer:
+    camera = seen.scene.camera
+    places = rim_places(camera, named_face(seen.scene, options["target"]), aspect_of(camera))
+    return _diameter(seen, options, places[_rim(places, options)].true_diameter or 0.0)
+
+
+def _has_rim(scene: Scene, options: Options) -> None:
+    _rim(rim_places(scene.camera, named_face(scene, options["target"]), aspect_of(scene.camera)), options)
+
+
+def _width(seen: Seen, options: Options, *, less_true: bool = False) -> Answer:
+    camera = seen.scene.camera
+    face = named_face(seen.scene, options["target"])
+    caliper, true = width_caliper(camera, face, options.get("across", "x"), aspect_of(camera))
+    plane, response = plane_of(camera, face), response_of(camera)
+
+    def width(image: GrayImage) -> float:
+        found = measure_width(
+            image,
+            caliper,
+            response=response,
+            plane=plane,
+            way=options.get("edge", "model"),
+            pixel_aspect=aspect_of(camera),
+        )
+        return found.width - (true if less_true else 0.0)
+
+    return again(seen, width)
+
+
+def _width_error(seen: Seen, options: Options) -> Answer:
+    return _width(seen, options, less_true=True)
+
+
+def _has_width(scene: Scene, options: Options) -> None:
+    camera = scene.camera
+    width_caliper(camera, named_face(scene, options["target"]), options.get("across", "x"), aspect_of(camera))
+
+
+def _box(seen: Seen, options: Options, name: str = "region") -> Box:
+    rows, columns = seen.image.values.shape
+    return Box(*options.get(name, (0, 0, columns - 1, rows - 1)))
+
+
+def _region_mean(seen: Seen, options: Options) -> Answer:
+    return again(seen, lambda image: measure_region(image, _box(seen, options)).mean)
+
+
+def _region_contrast(seen: Seen, options: Options) -> Answer:
+    dark = seen.scene.camera.sensor.dark_gray
+
+    def michelson(image: GrayImage) -> float:
+        regions = (measure_region(image, _box(seen, options, name)) for name in ("region", "against"))
+        return contrast_of(*regions, dark=dark).michelson
+
+    return again(seen, michelson)
+
+
+def _contrast_to_noise(seen: Seen, options: Options) -> Answer:
+    """Of one frame: the predicted image has no noise, the sensor's model has."""
+    sensor = seen.scene.camera.sensor
+
+    def ratio(image: GrayImage) -> float:
+        regions = [measure_region(image, _box(seen, options, name)) for name in ("region", "against")]
+        if any(region.saturated for region in regions):
+            raise InputError("is saturated in part, where there is no noise to compare with")
+        means = np.array([region.mean for region in regions])
+        variance = float(noise_variance(radiant_exposure_of(means, sensor), without_pattern(sensor)).sum())
+        return abs(float(means[0] - means[1])) / math.sqrt(variance)
+
+    return again(seen, ratio)
+
+
+def _is_linear(scene: Scene, _: Options) -> None:
+    if scene.camera.sensor.linear is None:
+        raise InputError("needs the noise of a linear camera", remedy='give the sensor `model = "linear"`')
+
+
+def _uniformity(name: str) -> Callable[[Seen, Options], Answer]:
+    def answer(seen: Seen, options: Options) -> Answer:
+        response, box = response_of(seen.scene.camera), _box(seen, options)
+        return again(seen, lambda image: float(getattr(measure_uniformity(image, response=response, box=box), name)))
+
+    return answer
+
+
+_CIRCLE: Final = {"target": str, "rim": RIMS, "edge": WAYS}
+_SIDES: Final = {"target": str, "across": AXES, "edge": WAYS}
+_BOTH: Final = {"region": BOX, "against": BOX}
+GAUGES: Final[Mapping[str, Kind]] = {
+    "diameter": Kind(
+        "diameter of a target's rim, in the plane of its face",
+        LENGTH,
+        "mm",
+        _CIRCLE,
+        _diameter,
+        needed=("target",),
+        check=_has_rim,
+    ),
+    "diameter_error": Kind(
+        "measured less true diameter of a target's rim",
+        LENGTH,
+        "mm",
+        _CIRCLE,
+        _diameter_error,
+        needed=("target",),
+        check=_has_rim,
+    ),
+    "width": Kind(
+        "width of a target's rectangle, in its plane",
+        LENGTH,
+        "mm",
+        _SIDES,
+        _width,
+        needed=("target",),
+        check=_has_width,
+    ),
+    "width_error": Kind(
+        "measured less true width of a target's rectangle",
+        LENGTH,
+        "mm",
+        _SIDES,
+        _width_error,
+        needed=("target",),
+        check=_has_width,
+    ),
+    "region_mean": Kind("mean gray level of a region", None, "", {"region": BOX}, _region_mean),
+    "region_contrast": Kind(
+        "Michelson contrast of two regions, above dark", None, "", _BOTH, _region_contrast, needed=("region", "against")
+    ),
+    "contrast_to_noise": Kind(
+        "contrast of two regions over one frame's temporal noise",
+        None,
+        "",
+        _BOTH,
+        _contrast_to_noise,
+        needed=("region", "against"),
+        check=_is_linear,
+    ),
+    "uniformity": Kind("1 - sd/mean of light over a region", None, "", {"region": BOX}, _uniformity("by_deviation")),
+    "unevenness": Kind(
+        "(max - min)/(max + min) of light over a region", None, "", {"region": BOX}, _uniformity("by_extremes")
+    ),
+}

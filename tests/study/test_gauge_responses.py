@@ -1,0 +1,140 @@
+"""Gauges as responses of a study: placed by each run's own scene, and right there."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from radwrap.study.design import read_design
+from radwrap.study.runs import check_design
+from radwrap.study.study import StudyOptions, run_study
+from tests.cli.conftest import here, write_scene
+from tests.measure.test_gauges_cli import TILTED
+
+LINEAR: dict[str, Any] = {
+    "model": "linear",
+    "rows": 60,
+    "columns": 72,
+    "pixel_width": "32 um",
+    "pixel_height": "36 um",
+    "bit_depth": 12,
+    "wavelength": "650 nm",
+    "quantum_efficiency": 0.5,
+    "system_gain": "0.1 DN/e",
+    "offset": 64,
+    "full_well": "36 ke",
+    "read_noise": "5 e",
+}
+DESIGN = """
+scene = "scene.toml"
+analysis = "none"
+[render]
+tolerance = 4.0
+[design]
+kind = "full"
+[factors.place]
+key = "targets[1].position[0]"
+levels = ["0 mm", "6 mm"]
+[responses.diameter]
+measure = "diameter"
+target = "coin"
+[responses.off]
+measure = "diameter_error"
+target = "coin"
+edge = "gradient"
+[responses.width]
+measure = "width"
+target = "ground"
+[responses.mean]
+measure = "region_mean"
+region = [34, 26, 40, 32]
+[responses.contrast]
+measure = "region_contrast"
+region = [34, 26, 40, 32]
+against = [2, 2, 8, 8]
+[responses.ratio]
+measure = "contrast_to_noise"
+region = [34, 26, 40, 32]
+against = [2, 2, 8, 8]
+[responses.even]
+measure = "uniformity"
+region = [34, 26, 40, 32]
+[responses.uneven]
+measure = "unevenness"
+region = [34, 26, 40, 32]
+"""
+# Its ground reaches beyond the image: no width can be measured, which costs the width alone.
+SCENE: dict[str, Any] = {**{k: v for k, v in TILTED.items() if "sensor" not in k}, "camera.sensor": LINEAR}
+
+
+def written(folder: Path, text: str = DESIGN, **more: Any) -> Path:
+    write_scene(folder, {**SCENE, "camera.exposure_time": "100 ms", **more})
+    path = folder / "design.toml"
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.usefixtures("one_process")
+def test_each_run_is_measured_where_its_scene_has_the_part(tmp_path: Path) -> None:
+    done = run_study(read_design(written(tmp_path)), tmp_path / "out", StudyOptions(workers=1))
+    rows = list(csv.DictReader((tmp_path / "out" / "results.csv").read_text().splitlines()))
+    assert len(rows) == len(done.rows) == 2
+    for row in rows:
+        assert float(row["diameter [mm]"]) == pytest.approx(30, abs=0.12)
+        assert 0 < float(row["diameter_error [mm]"]) < 0.12
+        assert float(row["off [mm]"]) == pytest.approx(0, abs=0.4)
+        assert row["width [mm]"] == "" and "width: " in row["error"], "costs itself and not its run"
+        mean, contrast, ratio = (float(row[name]) for name in ("mean", "contrast", "ratio"))
+        # Means a and b above an offset of 64: their difference, and the noise of light and read-out at 0.1 DN/e.
+        total = 2 * (mean - 64) / (1 + contrast)
+        a, b = mean - 64, total - (mean - 64)
+        variance = 0.1 * (a + b) + 2 * (0.5**2 + 1 / 12)
+        assert ratio == pytest.approx((a - b) / variance**0.5, rel=1e-3)
+        assert 0.8 < float(row["even"]) < 1 and 0 < float(row["uneven"]) < 0.2
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes", "message"),
+    [
+        ('target = "coin"\nedge', 'target = "nobody"\nedge', 'no target "nobody"'),
+        ('measure = "width"\ntarget = "ground"', 'measure = "width"\ntarget = "coin"', "no rectangle"),
+        ('measure = "width"\ntarget = "ground"', 'measure = "width"', "needs the option target"),
+        ('measure = "width"\ntarget = "ground"', 'measure = "diameter"\ntarget = "ground"', "no round rim"),
+        ('edge = "gradient"', 'rim = "inner"', "no inner rim"),
+        ('edge = "gradient"', 'edge = "steepest"', "not one of"),
+        ("against = [2, 2, 8, 8]\n[responses.ratio]", "[responses.ratio]", "needs the option against"),
+        (
+            'measure = "region_mean"\nregion = [34, 26, 40, 32]',
+            'measure = "region_mean"\nregion = [34, 26]',
+            "four whole",
+        ),
+    ],
+)
+def test_what_cannot_be_measured_is_refused_before_the_first_ray(
+    tmp_path: Path, was: str, becomes: str, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert DESIGN.count(was) == 1
+    path = written(tmp_path, DESIGN.replace(was, becomes))
+    done = here(["study", "run", path, "--out", tmp_path / "out"], capsys)
+    assert done.code == 2 and message in done.stderr and "design.toml: responses" in done.stderr
+
+
+def test_contrast_to_noise_needs_a_linear_camera(tmp_path: Path) -> None:
+    path = written(tmp_path, **{"camera.sensor": {**SMALL_POWER_LAW}})
+    with pytest.raises(Exception, match="linear camera"):
+        check_design(read_design(path), {})
+
+
+SMALL_POWER_LAW = {
+    "rows": 60,
+    "columns": 72,
+    "pixel_width": "32 um",
+    "pixel_height": "36 um",
+    "gain": "3.38e4 (J/m^2)^-0.85",
+    "gamma": 0.85,
+    "dark_gray": 22,
+    "saturation_gray": 255,
+}
