@@ -156,6 +156,7 @@ READ_ELSEWHERE = {
     },
     "tracers/compiled/compiler.py": {"path.read_bytes": "its own sources, for their hash"},
     "study/worker.py": {"os.open": "appends to a log"},
+    "study/user_process.py": {"os.fdopen": "the process's own stdout"},
 }
 LONGEST_MODULE = 500  # lines; a longer one becomes a folder
 

@@ -88,6 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(
             f"{study.folder}/results.csv: {told['runs']} runs, {told['failed']} failed, by {told['renders']} renders"
             + (f" ({told['relit']} images from {told['light_bases']} light bases)" if told["relit"] else "")
+            + (f"; {told['warned']} with warnings of gauges" if told["warned"] else "")
         )
     _check(study)
     return 0

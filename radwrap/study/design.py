@@ -16,9 +16,10 @@ from radwrap.imaging.render_options import RenderOptions
 from radwrap.reading import FileKind, read_toml
 from radwrap.scene.file.faults import validated
 from radwrap.scene.file.load import load_scene
+from radwrap.study.design_responses import read_responses
 from radwrap.study.design_tables import DesignModel, FactorModel, RenderModel
 from radwrap.study.factors import Factor, Level, quantity, read_draw, with_all_leds
-from radwrap.study.responses import KINDS, Response, check_options, unit_of
+from radwrap.study.responses import Response
 
 Kind = Literal["full", "fractional", "latin_hypercube", "list"]
 Analysis = Literal["lenth", "anova", "none"]
@@ -58,6 +59,8 @@ class Design:
     responses : tuple of Response
     analysis : str
         "lenth", "anova" or "none".
+    home : Path
+        Folder of the design's own file, below which the user's functions lie.
     """
 
     title: str
@@ -74,6 +77,7 @@ class Design:
     factors: tuple[Factor, ...]
     responses: tuple[Response, ...]
     analysis: Analysis | None
+    home: Path = Path()
 
 
 def read_design(path: Path) -> Design:
@@ -88,7 +92,7 @@ def read_design(path: Path) -> Design:
     told = validated(DesignModel, read_toml(path, _DESIGN_FILE), origin, "docs/study.md shows a design file")
     scene = load_scene(path.parent / told.scene, told.set)
     plan = told.design.model_dump(exclude={"kind"})
-    responses = _responses(told.responses, f"{origin}: responses")
+    responses = read_responses(told.responses, path.parent, f"{origin}: responses")
     factors = _factors(told.factors, told.design.kind, f"{origin}: factors")
     _check_names(factors, responses, origin)
     render_options(told.render.given(), f"{origin}: render")
@@ -107,6 +111,7 @@ def read_design(path: Path) -> Design:
         factors=factors,
         responses=responses,
         analysis=cast("Analysis | None", told.analysis),
+        home=path.parent,
     )
 
 
@@ -192,26 +197,10 @@ def _values(value: Any, keys: int, where: str, *, is_list: bool) -> tuple[Any, .
 # -------------------------------------------------------------------------------------------- the rest of what is asked
 
 
-def _responses(tables: Mapping[str, Mapping[str, Any]], where: str) -> tuple[Response, ...]:
-    if not tables:
-        raise InputError("there is none", where=where)
-    found = []
-    for name, given in tables.items():
-        place = f"{where}.{name}"
-        table = dict(given)
-        kind = table.pop("measure", None)
-        if not isinstance(kind, str) or kind not in KINDS:
-            raise InputError(f"must be one of {', '.join(KINDS)}", where=f"{place}.measure")
-        unit = table.pop("unit", None)
-        check_options(kind, table, place)
-        found.append(Response(name, kind, unit_of(kind, unit, f"{place}.unit"), table))
-    return tuple(found)
-
-
 def _check_names(factors: tuple[Factor, ...], responses: tuple[Response, ...], origin: str) -> None:
     """Names become columns of a table, and letters of interactions."""
     names = [factor.name for factor in factors] + [response.name for response in responses]
-    taken = {"run", "replicate", "seed", "error", "met", "image_error"}
+    taken = {"run", "replicate", "seed", "warnings", "error", "met", "image_error"}
     errors = {f"{response.name}_error": response.name for response in responses}
     for name in names:
         if not name.isidentifier() or name in taken or names.count(name) > 1:

@@ -15,6 +15,8 @@ from radwrap.imaging.response.sensor import radiant_exposure_of
 from radwrap.measure.gauges import (
     WAYS,
     Box,
+    Circle,
+    Width,
     contrast_of,
     measure_circle,
     measure_region,
@@ -36,7 +38,7 @@ from radwrap.study.placed_calipers import (
     width_caliper,
 )
 from radwrap.study.response_kind import BOX, Kind, Options
-from radwrap.study.seen import Answer, Seen, again
+from radwrap.study.seen import Answer, Seen, again, again_with_warnings
 from radwrap.units import LENGTH
 
 
@@ -47,8 +49,8 @@ def _diameter(seen: Seen, options: Options, true: float = 0.0) -> Answer:
     name = _rim(places, options)
     caliper, plane, response = rim_caliper(places, name), plane_of(camera, face), response_of(camera)
 
-    def diameter(image: GrayImage) -> float:
-        found = measure_circle(
+    def circle(image: GrayImage) -> Circle:
+        return measure_circle(
             image,
             caliper,
             response=response,
@@ -56,9 +58,8 @@ def _diameter(seen: Seen, options: Options, true: float = 0.0) -> Answer:
             way=options.get("edge", "model"),
             pixel_aspect=aspect_of(camera),
         )
-        return found.diameter - true
 
-    return again(seen, diameter)
+    return again_with_warnings(seen, circle, lambda found: float(found.diameter) - true)
 
 
 def _rim(places: Mapping[RimName, RimPlace], options: Options) -> RimName:
@@ -84,8 +85,8 @@ def _width(seen: Seen, options: Options, *, less_true: bool = False) -> Answer:
     caliper, true = width_caliper(camera, face, options.get("across", "x"), aspect_of(camera))
     plane, response = plane_of(camera, face), response_of(camera)
 
-    def width(image: GrayImage) -> float:
-        found = measure_width(
+    def width(image: GrayImage) -> Width:
+        return measure_width(
             image,
             caliper,
             response=response,
@@ -93,9 +94,8 @@ def _width(seen: Seen, options: Options, *, less_true: bool = False) -> Answer:
             way=options.get("edge", "model"),
             pixel_aspect=aspect_of(camera),
         )
-        return found.width - (true if less_true else 0.0)
 
-    return again(seen, width)
+    return again_with_warnings(seen, width, lambda found: float(found.width) - (true if less_true else 0.0))
 
 
 def _width_error(seen: Seen, options: Options) -> Answer:

@@ -25,7 +25,7 @@ def columns_of(design: Design) -> tuple[str, ...]:
     """Headings of the table of results."""
     factors = [factor.name for factor in design.factors]
     responses = [column for response in design.responses for column in (response.column, response.error_column)]
-    return ("run", "replicate", "seed", *factors, *responses, "image_error", "met", "error")
+    return ("run", "replicate", "seed", *factors, *responses, "image_error", "met", "warnings", "error")
 
 
 class Journal:
@@ -126,7 +126,8 @@ class Journal:
                 row[response.column] = answer.value / response.scale
                 row[response.error_column] = answer.error / response.scale
         met = "" if outcome.image_error is None else int(outcome.met)
-        return {**row, "image_error": outcome.image_error, "met": met, "error": outcome.error}
+        told = {"warnings": outcome.warnings, "error": outcome.error}
+        return {**row, "image_error": outcome.image_error, "met": met, **told}
 
     def close(self) -> list[Mapping[str, str]]:
         """Put the rows in order; returns them."""

@@ -20,7 +20,7 @@ from radwrap.study.table import Table, bare, read_table, unit
 from radwrap.written import read_back
 
 # Columns of a table of results that are no factors.
-_OTHERS: Final = ("run", "replicate", "seed", "image_error", "met", "error")
+_OTHERS: Final = ("run", "replicate", "seed", "image_error", "met", "warnings", "error")
 # Words for low and high, in any case.
 _WORDS: Final = ({"l", "low", "-", "-1", "off", "no"}, {"h", "high", "+", "+1", "on", "yes"})
 

@@ -34,6 +34,8 @@ class Kind:
         Whether its error is found on copies of the image.
     needed : tuple of str
         Options that must be given.
+    period : float, optional
+        Of an answer that comes round to itself, in SI.
     check : callable, optional
         Refuses a scene, with the options, that does not hold what is measured.
     """
@@ -45,4 +47,5 @@ class Kind:
     answer: Callable[[Seen, Options], Answer]
     copies: bool = True
     needed: tuple[str, ...] = ()
+    period: float | None = None
     check: Callable[[Scene, Options], object] | None = None

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from radwrap.calibrate.tsai import SOLVERS, CameraCalibration, calibrate_camera
 from radwrap.errors import InputError
 from radwrap.images import GrayImage
+from radwrap.imaging.response.noise import linear_of
 from radwrap.imaging.truth import dot_places, edge_line
 from radwrap.measure.dots import METHODS, Dots, measured_dots, seek_dots
 from radwrap.measure.edges import Edge, measure_edge
@@ -30,8 +31,11 @@ from radwrap.scene.scene import Scene
 from radwrap.scene.targets import DotBoard, EdgeTarget
 from radwrap.study.gauge_responses import GAUGES
 from radwrap.study.image_error import Cause, ImageError
+from radwrap.study.repeatability import repeatability
 from radwrap.study.response_kind import BOX, Kind, Options
 from radwrap.study.seen import Answer, Seen, again, again_by_number, spread, tried
+from radwrap.study.user_function import UserFunction
+from radwrap.study.user_response import user_answer
 from radwrap.units import ANGLE, LENGTH, PIXEL
 
 Array = NDArray[np.float64]
@@ -41,6 +45,7 @@ _DRAWS: Final = 24  # of dot centres; the scatter of so many is known to 15 %
 _FEWEST_DRAWS: Final = 4
 _DOT_REACH: Final = 1.3  # of a dot's radius: where the errors lie that move its centre
 _CORNERS: Final = 4  # numbers of a box
+REPEATABILITY: Final = "_repeatability"  # behind the name of what scatters
 SENSOR: Final = "sensor"  # as an option: what the scene's sensor has
 
 
@@ -58,12 +63,24 @@ class Response:
         In which it is told; empty for a bare number.
     options : Mapping
         Of the measurement.
+    table : str
+        Name of its table in the design, where that is another.
+    frames : int
+        How many frames with noise are measured too; 0 for none.
+    repeatability : bool
+        Whether it is the scatter over these frames, not the value itself.
+    user : UserFunction, optional
+        The user's own, in place of one of `KINDS`; the response is that of its answers which has its name.
     """
 
     name: str
     kind: str
     unit: str = ""
     options: Mapping[str, Any] = field(default_factory=dict)
+    table: str = ""
+    frames: int = 0
+    repeatability: bool = False
+    user: UserFunction | None = None
 
     @property
     def column(self) -> str:
@@ -78,8 +95,18 @@ class Response:
     @property
     def scale(self) -> float:
         """Size of its unit in SI."""
-        dimension = KINDS[self.kind].dimension
+        dimension = None if self.user is not None else KINDS[self.kind].dimension
         return 1.0 if dimension is None or not self.unit else dimension.units[self.unit]
+
+    @property
+    def told_in(self) -> str:
+        """Name of its table in the design."""
+        return self.table or self.name
+
+    @property
+    def copies(self) -> bool:
+        """Whether its error is found on copies of the image."""
+        return self.user is not None or KINDS[self.kind].copies
 
 
 def check_options(kind: str, options: Options, where: str) -> None:
@@ -122,14 +149,24 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
 
-def check_target(kind: str, scene: Scene, options: Options, where: str) -> None:
+def check_response(response: Response, scene: Scene, where: str) -> None:
     """Refuse a measurement of something that the scene does not hold.
 
     Raises
     ------
     InputError
-        If there is no board or no edge.
+        If there is no board or no edge, or frames are asked for of a camera without noise.
     """
+    if response.frames:
+        try:
+            linear_of(scene.camera.sensor)
+        except InputError as error:
+            raise InputError(error.what, where=f"{where}.frames", remedy=error.remedy) from error
+    if response.user is None:
+        _check_target(response.kind, scene, response.options, where)
+
+
+def _check_target(kind: str, scene: Scene, options: Options, where: str) -> None:
     try:
         for name in KINDS[kind].needed:
             if name not in options:
@@ -153,7 +190,13 @@ def answer(response: Response, seen: Seen) -> Answer:
     InputError
         If the image does not show it.
     """
-    found = KINDS[response.kind].answer(seen, response.options)
+    if response.user is not None:
+        key = response.name.removesuffix(REPEATABILITY) if response.repeatability else response.name
+        found = user_answer(seen, response.user, key, response.frames, repeatability=response.repeatability)
+    elif response.repeatability:
+        found = repeatability(seen, KINDS[response.kind], response.options, response.frames)
+    else:
+        found = KINDS[response.kind].answer(seen, response.options)
     if not (math.isfinite(found.value) and math.isfinite(found.error)):
         raise InputError("is not finite", where=response.name)
     return found
@@ -383,6 +426,7 @@ KINDS: Final[Mapping[str, Kind]] = {
         "deg",
         {"dark": "gray", "gamma": "gray", "threshold": float, "min_area": float},
         _part_orientation,
+        period=math.pi,
     ),
     "mean_gray": Kind("mean gray level", None, "", {}, _mean_gray, copies=False),
     "contrast": Kind("Michelson contrast of 99th and 1st percentile", None, "", {}, _contrast),

@@ -20,7 +20,7 @@ from radwrap.study.design import Analysis, Design, check_render_option, render_o
 from radwrap.study.design_tables import MOST_RUNS
 from radwrap.study.factors import Draw, Factor, Level, expanded, settings, steps_of
 from radwrap.study.lenth import check_contrasts
-from radwrap.study.responses import Response, check_options, check_target
+from radwrap.study.responses import Response, check_options, check_response
 
 _RENDER: Final = "render."
 _RESPONSES: Final = "responses."
@@ -85,7 +85,7 @@ def run_with(design: Design, levels: tuple[Level, ...], *, index: int, replicate
     """The run of a combination of levels; `replicate` and `row` from 0, they decide what is drawn."""
     document: dict[str, Any] = json.loads(json.dumps(design.document))
     render = dict(design.render)
-    options = {response.name: dict(response.options) for response in design.responses}
+    options = {response.told_in: dict(response.options) for response in design.responses}
     for factor, level in zip(design.factors, levels, strict=True):
         random = factor.random(design.seed, replicate, row)
         for key, value in settings(factor, level, design.document, random):
@@ -96,7 +96,7 @@ def run_with(design: Design, levels: tuple[Level, ...], *, index: int, replicate
                 options[name][option] = value
             else:
                 set_key(document, key, value, design.scene_origin)
-    responses = tuple(replace(response, options=options[response.name]) for response in design.responses)
+    responses = tuple(replace(response, options=options[response.told_in]) for response in design.responses)
     return Run(index, replicate + 1, row + 1, levels, design.seed + replicate, document, render, responses)
 
 
@@ -206,15 +206,27 @@ def check_design(design: Design, options: Mapping[str, Any]) -> None:
             raise InputError(error.what, where=f"{design.origin}: design", remedy=error.remedy) from error
     if design.analysis == "anova":
         _check_anova(design)
+    _check_trusted(design, trust=bool(options.get("trust")))
     for factor in design.factors:
         for level in factor.levels or (factor.level_at(0.0), factor.level_at(1.0)):
             _check_level(design, factor, level, options)
     _check_keys(design)
     scene = scene_from_document(design.document, origin=design.scene_origin, folder=design.folder)
     for response in design.responses:
-        check_target(response.kind, scene, response.options, f"{design.origin}: responses.{response.name}")
+        check_response(response, scene, f"{design.origin}: responses.{response.told_in}")
     if design.basis:
         render_options(design.render, f"{design.origin}: render", basis=True)
+
+
+def _check_trusted(design: Design, *, trust: bool) -> None:
+    """Refuse to run the user's code, unless the user says so."""
+    for response in design.responses:
+        if response.user is not None and not trust:
+            raise InputError(
+                f"{response.user.file} is code that would be run",
+                where=f"{design.origin}: responses.{response.table}.measure",
+                remedy="read it, then set `trust`",
+            )
 
 
 def _check_anova(design: Design) -> None:
@@ -290,7 +302,9 @@ def _ends(level: Level) -> list[tuple[Any, ...]]:
 
 def _check_response_key(design: Design, key: str, value: Any, where: str) -> None:
     name, _, option = key.removeprefix(_RESPONSES).partition(".")
-    response = next((response for response in design.responses if response.name == name), None)
+    response = next((response for response in design.responses if response.told_in == name), None)
     if response is None:
         raise InputError(f'no response "{name}"', where=where, remedy="define it in [responses]")
+    if response.user is not None:
+        raise InputError("a Python function has no options that vary", where=where, remedy="define two responses")
     check_options(response.kind, {option: value}, where)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,8 @@ from radwrap.measure.dots import SoughtDots
 from radwrap.measure.edges import Edge
 from radwrap.scene.scene import Scene
 from radwrap.study.image_error import Cause, Changed, ErrorFields, ImageError, changed_by_replicates, copies_of
+from radwrap.study.user_call import Called
+from radwrap.study.user_function import UserFunction
 
 Array = NDArray[np.float64]
 
@@ -41,13 +44,21 @@ class Seen:
     replicates : KeptReplicates, optional
         Of the image, where it has them: radiant exposure [J m^-2].
     exposure : ndarray, optional
-        Its own [J m^-2], where it has replicates.
+        Its own [J m^-2].
     model : ImageError, optional
         Of an image with replicates: what the kernel's model may add to what they show.
     sought : dict
         Dots that were found on it and its copies, by copy, board and dark level: several responses measure the same.
     edges : dict
         The edge on each copy, likewise, by dark level and gamma.
+    seed : int
+        Of its run: decides the noise of frames.
+    home : Path, optional
+        Folder of the design, where the user's own functions lie.
+    told : Mapping
+        What a user's function is told of the image.
+    called : dict
+        What users' functions gave for it, its copies and its frames.
     """
 
     scene: Scene
@@ -60,6 +71,10 @@ class Seen:
     model: ImageError | None = None
     sought: dict[tuple[int, str | None, float | None], SoughtDots] = field(default_factory=dict)
     edges: dict[tuple[int, float | None, float | None], Edge] = field(default_factory=dict)
+    seed: int = 0
+    home: Path | None = None
+    told: Mapping[str, Any] = field(default_factory=dict)
+    called: dict[tuple[UserFunction, int], Sequence[Called]] = field(default_factory=dict)
 
     def changed(self) -> Iterator[Changed]:
         """The image with errors as they may be."""
@@ -74,10 +89,11 @@ class Seen:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """A value and its standard uncertainty by the image's certified error, in SI."""
+    """A value and its standard uncertainty by the image's certified error, in SI, and what the gauge warns of."""
 
     value: float
     error: float
+    warnings: tuple[str, ...] = ()
 
 
 def tried(measure: Callable[[Any], float], what: Any) -> float:
@@ -102,6 +118,13 @@ def spread(value: float, again: list[tuple[Cause, float]]) -> Answer:
 def again(seen: Seen, measure: Callable[[GrayImage], float]) -> Answer:
     """Measure the image, and copies of it with its error."""
     return again_by_number(seen, lambda _, image: measure(image))
+
+
+def again_with_warnings(seen: Seen, measure: Callable[[GrayImage], Any], value: Callable[[Any], float]) -> Answer:
+    """The same for a gauge: one of its numbers, and what it warns of on the image itself."""
+    found = measure(seen.image)
+    copies = [(copy.cause, tried(lambda image: value(measure(image)), copy.image)) for copy in seen.changed()]
+    return replace(spread(value(found), copies), warnings=tuple(found.warnings))
 
 
 def again_by_number(seen: Seen, measure: Callable[[int, GrayImage], float]) -> Answer:

@@ -27,6 +27,7 @@ from radwrap.study.one_tolerance import with_one_tolerance
 from radwrap.study.one_tracer import one_tracer
 from radwrap.study.pilots import Plans, told_of
 from radwrap.study.pool import WORKER_TIMEOUT, DaskPool, LocalPool, Pool
+from radwrap.study.responses import Response
 from radwrap.study.runner import Scheduler, Step, chunks
 from radwrap.study.runs import Run, analysis_of, check_design, runs_of
 from radwrap.study.sampled import PILOTS, read_plans, sampled, with_pilots
@@ -203,7 +204,7 @@ def take_possession(
     told = {
         "schema_version": SCHEMA_VERSION,
         "title": design.title,
-        "design": asdict(replace(design, folder=Path(design.folder.name))) | {"folder": design.folder.name},
+        "design": _told_of(design),
         "analysis": analysis_of(design),
         "runs": len(runs),
         "versions": versions(*STUDY_PACKAGES) | {"radiance": _radiance_version(options)},
@@ -224,6 +225,13 @@ def take_possession(
     if (out / RESULTS).exists():
         raise InputError(f"holds a {RESULTS} of something else", where=str(out), remedy="choose another `out`")
     write_manifest(out / PLAN, told)
+
+
+def _told_of(design: Design) -> dict[str, Any]:
+    """A design as JSON, without the places where it lies."""
+    told = asdict(replace(design, folder=Path(), home=Path()))
+    del told["home"]
+    return told | {"folder": design.folder.name}
 
 
 def _identity(told: Mapping[str, Any], runs: Sequence[Run]) -> str:
@@ -329,6 +337,7 @@ def _job(design: Design, run: Run, out: Path, options: StudyOptions, *, name: st
         folder=str(design.folder.absolute()),
         options=render,
         runs=(),
+        home=str(design.home.absolute()),
     )
 
 
@@ -397,15 +406,20 @@ def _summary(design: Design, rows: Sequence[Mapping[str, str]], made: Made, out:
         "runs": len(rows),
         "failed": len(failed),
         "not_met": sum(row["met"] == "0" for row in rows),
+        "warned": sum(bool(row["warnings"]) for row in rows),
         "missed": {row["run"]: float(row["image_error"]) for row in rows if row["met"] == "0"},
         "renders": made.renders + made.bases,
         "light_bases": made.bases,
         "relit": made.relit,
         "factors": {factor.name: factor.label for factor in design.factors},
         "responses": {
-            response.name: {"measure": response.kind, "unit": response.unit, **response.options}
+            response.name: {"measure": response.kind, "unit": response.unit, **response.options, **_frames(response)}
             for response in design.responses
         },
         "analysis": analysis_of(design),
         "versions": versions(*STUDY_PACKAGES),
     }
+
+
+def _frames(response: Response) -> dict[str, int]:
+    return {"frames": response.frames} if response.repeatability else {}

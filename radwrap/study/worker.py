@@ -38,12 +38,13 @@ from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.synthesis import Rendered, load_result, render
 from radwrap.imaging.tolerance.kept_replicates import REPLICATES, read_replicates
 from radwrap.lost_interrupts import interrupt_again
+from radwrap.manifest import SCHEMA_VERSION, plain
 from radwrap.scene.file.load import scene_from_document
 from radwrap.scene.scene import Scene
 from radwrap.study.image_error import COPIES, ErrorFields, blur_radii, error_fields, image_error, model_error
 from radwrap.study.light import factors
 from radwrap.study.pilots import write_pilot
-from radwrap.study.responses import KINDS, Response, answer
+from radwrap.study.responses import Response, answer
 from radwrap.study.seen import Answer, Seen
 
 STARTED: Final = "started.log"
@@ -81,6 +82,8 @@ class Job:
         What to measure; none where a basis is made.
     pilot : bool
         Whether it only finds out what sampling the image needs, into a file in place of the folder.
+    home : str
+        Folder of the design, below which the user's functions lie.
     reference : Mapping
         Where the images come from a light basis: emitter -> level that the basis was rendered with.
     """
@@ -95,6 +98,7 @@ class Job:
     runs: tuple[Measured, ...]
     reference: Mapping[str, float] | None = None
     pilot: bool = False
+    home: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +118,8 @@ class Outcome:
         Why something is missing; empty where nothing is.
     wall_s : float
         How long it took [s].
+    warnings : str
+        What gauges warn of; empty where of nothing.
     """
 
     run: int
@@ -122,6 +128,7 @@ class Outcome:
     met: bool
     error: str
     wall_s: float
+    warnings: str = ""
 
 
 def carry_out(job: Job) -> list[Outcome]:
@@ -211,6 +218,7 @@ def _outcomes(job: Job, start: float) -> Iterator[Outcome]:
     if not job.runs:
         return
     seen = seen_of(scene, result, out, _fields(job, scene, blur_radii(scene)))
+    seen = replace(seen, told={**_lasting(result.manifest)}, **_known(job))
     for run in job.runs:
         yield _outcome(job, run, seen, met=result.run.met, wall_s=time.monotonic() - start)
 
@@ -233,11 +241,22 @@ def seen_of(scene: Scene, result: Rendered, out: Path, fields: ErrorFields) -> S
     gray = gray_levels(result.radiant_exposure.values, scene.camera.sensor)
     error, radii = result.run.error, blur_radii(scene)
     seen = Seen(scene, result.gray, gray, image_error(gray, error.rms_gray_upper95, radii), fields)
+    seen = replace(seen, exposure=result.radiant_exposure.values)
     if REPLICATES not in result.run.files:
         return seen
     kept = read_replicates(out, scene.camera.sensor.rows)
     model = model_error(gray, error.model_rms_gray, error.discretisation_rms_gray, radii)
-    return replace(seen, replicates=kept, exposure=result.radiant_exposure.values, model=model)
+    return replace(seen, replicates=kept, model=model)
+
+
+def _known(job: Job) -> dict[str, Any]:
+    """What decides frames and users' functions, besides the image."""
+    return {"seed": job.options.seed, "home": Path(job.home or job.folder)}
+
+
+def _lasting(manifest: Mapping[str, Any]) -> Mapping[str, Any]:
+    """A manifest without what differs between equal runs."""
+    return {key: value for key, value in manifest.items() if key != "timing"}
 
 
 def _relit(job: Job, scene: Scene, out: Path, start: float) -> Iterator[Outcome]:
@@ -246,22 +265,27 @@ def _relit(job: Job, scene: Scene, out: Path, start: float) -> Iterator[Outcome]
     levels = [factors(run.levels, job.reference, basis.sources) for run in job.runs]
     radii = blur_radii(scene)
     fields = _fields(job, scene, radii)
-    for run, image in zip(job.runs, relit(basis, levels), strict=True):
+    for run, shares, image in zip(job.runs, levels, relit(basis, levels), strict=True):
         gray = gray_levels(image.radiant_exposure.values, scene.camera.sensor)
         certificate = image.certificate
         seen = Seen(scene, image.gray, gray, image_error(gray, certificate.rms_gray_upper95, radii), fields)
         if image.replicates is not None:
             model = model_error(gray, certificate.model_rms_gray, certificate.discretisation_rms_gray, radii)
-            seen = replace(seen, replicates=image.replicates, exposure=image.radiant_exposure.values, model=model)
+            seen = replace(seen, replicates=image.replicates, model=model)
+        told = {
+            "schema_version": SCHEMA_VERSION,
+            "scene_sha256": basis.scene_sha256,
+            "levels": dict(zip(basis.sources, map(float, shares), strict=True)),
+            "error": plain(certificate, named=False),
+        }
+        seen = replace(seen, exposure=image.radiant_exposure.values, told=told, **_known(job))
         yield _outcome(job, run, seen, met=image.keeps(basis), wall_s=time.monotonic() - start)
         start = time.monotonic()
 
 
 def _fields(job: Job, scene: Scene, radii: tuple[float, float]) -> ErrorFields:
     """Error fields for the scene's images; none where no response needs them."""
-    needed = job.options.sampling is not None or any(
-        KINDS[response.kind].copies for run in job.runs for response in run.responses
-    )
+    needed = job.options.sampling is not None or any(response.copies for run in job.runs for response in run.responses)
     sensor = scene.camera.sensor
     return error_fields((sensor.rows, sensor.columns), radii, COPIES if needed else 0)
 
@@ -279,7 +303,9 @@ def _outcome(job: Job, run: Measured, seen: Seen, *, met: bool, wall_s: float) -
             errors.append(f"{response.name}: {type(error).__name__}: {error}")
     write_thumbnail(Path(job.study), run.run, seen.image)
     told = one_line("; ".join(errors))
-    return Outcome(run.run, answers, seen.error.rms, met, told, wall_s + time.monotonic() - start)
+    warned = [f"{name}: {text}" for name, found in answers.items() for text in found.warnings]
+    wall_s += time.monotonic() - start
+    return Outcome(run.run, answers, seen.error.rms, met, told, wall_s, one_line("; ".join(warned)))
 
 
 def thumbnail_path(study: Path, run: int) -> Path:
