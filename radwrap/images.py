@@ -37,6 +37,7 @@ _PNM_HEADER: Final = 4096  # bytes, with comments
 
 # Judged by the header: 8192 x 8192 pixels for what is measured, more for what is only read back.
 MOST_PIXELS: Final = 1 << 26
+PREVIEW_BITS: Final = 8  # what viewers show as it is; of deeper pictures they show nearly nothing
 _MOST_STORED: Final = 1 << 28
 _MOST_CHANNELS: Final = 4
 _PICTURE: Final = FileKind("image", 1 << 30)
@@ -417,6 +418,15 @@ def _read_floats(path: Path, most_pixels: int, *, gray: bool) -> tuple[NDArray[n
         values *= full / (2 ** _BITS[kind] - 1)
         np.rint(values, out=values)
     return values, full.bit_length() if full else _BITS[kind], kind in _WHOLE
+
+
+def preview_codes(image: GrayImage) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    """Gray levels for people's eyes: linear, full scale as 255; those of up to 8 bits as they are."""
+    if image.bit_depth <= PREVIEW_BITS:
+        return image.codes
+    shares = image.values / (2.0**image.bit_depth - 1)
+    codes: NDArray[np.uint8] = np.rint(255 * shares).astype(np.uint8)
+    return codes
 
 
 def png_bytes(codes: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:

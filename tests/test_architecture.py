@@ -21,7 +21,7 @@ ORDER = ["ground", "scene", "tracers", "imaging", "convert", "measure", "calibra
 # The rooms of the two largest folders, wings and modules beside them. Each may import itself and what stands before it.
 ROOMS = {
     "scene": [
-        *("distortion", "linear_sensor", "pixel_window", "camera"),
+        *("distortion", "linear_sensor", "pixel_window", "camera", "sensor_part"),
         *("materials", "mesh", "wide_shapes", "spectrum", "sources", "targets", "tolerances", "scene", "bands"),
         *("mesh_files", "look", "file"),
     ],

@@ -165,9 +165,7 @@ def add_look(parser: argparse.ArgumentParser, *, plane: bool) -> None:
         help="scene that the image was rendered from: gives the camera's response and pixels where no option does, "
         "and what --truth and --plane name",
     )
-    parser.add_argument(
-        "--set", metavar="KEY=VALUE", action="append", default=[], dest="overrides", help="change one key of the scene"
-    )
+    shared.add_changes(parser)
     parser.add_argument("--truth", metavar="TARGET", help="place the caliper on this target of the scene")
     if plane:
         parser.add_argument(
@@ -187,9 +185,10 @@ def look(arguments: argparse.Namespace, verb: str) -> Look:
     """Read what the options of `add_look` name."""
     image = read_gray(arguments.image)
     shared.tell_memory(verb, image.values.size, BYTES)
-    scene = None if arguments.scene is None else load_scene(arguments.scene, shared.overrides_of(arguments))
+    changes = shared.overrides_of(arguments)
+    scene = None if arguments.scene is None else load_scene(arguments.scene, changes)
     named = [name for name in ("truth", "plane", "pose_sigma") if getattr(arguments, name, None) is not None]
-    if scene is None and (named or arguments.overrides):
+    if scene is None and (named or changes):
         raise InputError("needs a scene", where=(*named, "set")[0], remedy="give --scene")
     if scene is not None and image.values.shape != (scene.camera.sensor.rows, scene.camera.sensor.columns):
         rows, columns = image.values.shape

@@ -94,8 +94,13 @@ GRAY_LEVEL: Final = number(-1e9, 1e9)  # far beyond 16 bits: files of floats hol
 
 
 def add_scene(parser: argparse.ArgumentParser) -> None:
-    """SCENE and --set."""
+    """SCENE and the options of `add_changes`."""
     parser.add_argument("scene", metavar="SCENE.toml", help="scene file")
+    add_changes(parser)
+
+
+def add_changes(parser: argparse.ArgumentParser) -> None:
+    """--set, --scale and --roi."""
     parser.add_argument(
         "--set",
         metavar="KEY=VALUE",
@@ -103,6 +108,16 @@ def add_scene(parser: argparse.ArgumentParser) -> None:
         default=[],
         dest="overrides",
         help='change one key of the scene, such as --set camera.exposure_time="64 ms"; may be repeated',
+    )
+    parser.add_argument(
+        "--scale", metavar="1/N", help="make one pixel of N x N, with their sum of electrons; gray levels stay"
+    )
+    parser.add_argument(
+        "--roi",
+        nargs=4,
+        metavar=("U0", "V0", "U1", "V1"),
+        type=whole(0),
+        help="read out a region: first column and row, last column and row [px]",
     )
 
 
@@ -181,13 +196,27 @@ def add_json(parser: argparse.ArgumentParser) -> None:
 
 
 def load(arguments: argparse.Namespace) -> Scene:
-    """Read the scene, with what --set changes."""
-    return load_scene(arguments.scene, overrides_of(arguments))
+    """Read the scene, with what --set, --scale and --roi change."""
+    scene = load_scene(arguments.scene, overrides_of(arguments))
+    note_crop(scene)
+    return scene
+
+
+def note_crop(scene: Scene) -> None:
+    """Say on stderr which region is left where the scale does not fit all of the sensor."""
+    region = scene.assumed.get("camera.sensor.roi")
+    if region is not None:
+        print(f"radwrap: the scale leaves pixels over: read out is {region} [px]", file=sys.stderr)
 
 
 def overrides_of(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Key -> value of what --set changes."""
-    return dict(map(_override, arguments.overrides))
+    """Key -> value of what --set, --scale and --roi change."""
+    changes = dict(map(_override, arguments.overrides))
+    for name in ("scale", "roi"):
+        value = getattr(arguments, name)
+        if value is not None:
+            changes[f"camera.sensor.{name}"] = value
+    return changes
 
 
 def time_of(text: str, where: str) -> float:

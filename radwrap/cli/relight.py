@@ -12,7 +12,7 @@ import numpy as np
 from radwrap.cli import options as shared
 from radwrap.errors import InputError, ToleranceNotMet
 from radwrap.files import check_result, make_folder, sha256_of, sole_owner
-from radwrap.images import write_exr, write_png
+from radwrap.images import PREVIEW_BITS, preview_codes, write_exr, write_png
 from radwrap.imaging.relight.levels import Levels, read_levels
 from radwrap.imaging.relight.relit import Basis, Relit, read_basis, relit
 from radwrap.imaging.relight.relit_uncertainty import relit_uncertainty
@@ -20,10 +20,12 @@ from radwrap.manifest import SCHEMA_VERSION, json_text, plain, write_manifest
 
 RESULT: Final = "relight.json"
 SIGMAS: Final = "gray_sigma"  # a folder: no image's name can be that of another's file
+PREVIEWS: Final = "preview"  # likewise
 _DESCRIPTION = (
     "Makes images for any levels of the sources from the basis that radwrap render --basis wrote, without a ray. "
     "Writes NAME.png for each row of the table, and relight.json with each image's certified error, into DIR; "
-    "gray_sigma/NAME.exr too where the scene states tolerances or its camera is linear."
+    "gray_sigma/NAME.exr too where the scene states tolerances or its camera is linear, and preview/NAME.png for eyes "
+    "of more than 8 bits."
 )
 
 
@@ -75,10 +77,14 @@ def _write(out: Path, basis: Basis, levels: Levels, *, with_exposure: bool) -> d
     for name, factors, image in zip(levels.names, levels.factors, relit(basis, levels.factors), strict=True):
         files = [f"{name}.png"]
         write_png(out / files[0], image.gray.codes)
+        if image.gray.bit_depth > PREVIEW_BITS:
+            files.append(f"{PREVIEWS}/{name}.png")
+            make_folder(out / PREVIEWS)
+            write_png(out / files[-1], preview_codes(image.gray))
         if with_exposure:
             files.append(f"{name}.exr")
             stored = image.radiant_exposure.values.astype(np.float32)
-            write_exr(out / files[1], stored, channel="radiant_exposure", metadata={"radwrap:unit": "J m^-2"})
+            write_exr(out / files[-1], stored, channel="radiant_exposure", metadata={"radwrap:unit": "J m^-2"})
         unsure = relit_uncertainty(basis, factors, image)
         if unsure is not None:
             files.append(f"{SIGMAS}/{name}.exr")

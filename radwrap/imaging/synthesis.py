@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.files import TEMPORARY_SUFFIX, check_result, disk_failure, make_folder, sha256_of, sole_owner
-from radwrap.images import ExposureImage, GrayImage, png_bytes
+from radwrap.images import ExposureImage, GrayImage, png_bytes, preview_codes
 from radwrap.imaging.forecast.cost import check_size
 from radwrap.imaging.forecast.effects import Effect, bounces, bounces_beyond
 from radwrap.imaging.forecasting import Announcement, cores, usual_rays
@@ -95,7 +95,7 @@ class Rendered:
     truth: Mapping[str, Any] | None = None
 
     def _repr_png_(self) -> bytes:
-        return png_bytes(self.gray.codes)
+        return png_bytes(preview_codes(self.gray))
 
 
 def render(

@@ -343,6 +343,8 @@ LINEAR: Final = (
 # Each option that takes part, with what its use must change in the manifest.
 OPTIONS: Final[dict[str, tuple[list[object], dict[str, Any]]]] = {
     "--set": (["--set", "camera.exposure_time=100 ms"], {"camera.exposure_time": 0.1}),
+    "--scale": (["--scale", "1/4"], {"camera.sensor.rows": 5, "camera.sensor.pixel_width": 4e-4}),
+    "--roi": (["--roi", 2, 3, 11, 7], {"camera.sensor.rows": 5, "camera.sensor.columns": 10}),
     "--out": ([], {}),
     "--method": (["--method", "pinhole"], {"method": "pinhole", "viewpoints": 1, "rays_per_pixel": 1}),
     "--viewpoints": (["--viewpoints", 3], {"viewpoints": 3, "rays_per_pixel": 3}),

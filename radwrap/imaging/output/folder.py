@@ -10,7 +10,7 @@ from radwrap.errors import InputError
 from radwrap.files import move_files, sha256_of
 from radwrap.imaging.forecast import photo_realistic
 from radwrap.imaging.methods.pieces import remove_pieces
-from radwrap.imaging.output.image_files import EXPOSURE, GRAY, UNROUNDED
+from radwrap.imaging.output.image_files import EXPOSURE, GRAY, PREVIEW, UNROUNDED
 from radwrap.imaging.output.run_manifest import MANIFEST, read_run_manifest
 from radwrap.imaging.output.sigma_file import SIGMA
 from radwrap.imaging.output.truth_files import DEPTH, PARTS, TRUTH
@@ -20,7 +20,7 @@ from radwrap.imaging.tolerance.kept_replicates import REPLICATES
 
 # What every run leaves, and what some do.
 ALWAYS: Final = (EXPOSURE, GRAY, MANIFEST)
-_SOMETIMES: Final = (UNROUNDED, SIGMA, DEPTH, PARTS, TRUTH, REPLICATES, *photo_realistic.FILES)
+_SOMETIMES: Final = (PREVIEW, UNROUNDED, SIGMA, DEPTH, PARTS, TRUTH, REPLICATES, *photo_realistic.FILES)
 
 
 def is_whole(folder: Path, run_sha256: str | None = None) -> bool:

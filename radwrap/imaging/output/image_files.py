@@ -11,7 +11,16 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.images import ExposureImage, GrayImage, RadianceImage, read_image, write_exr, write_png
+from radwrap.images import (
+    PREVIEW_BITS,
+    ExposureImage,
+    GrayImage,
+    RadianceImage,
+    preview_codes,
+    read_image,
+    write_exr,
+    write_png,
+)
 from radwrap.imaging.output.run_manifest import Extent
 from radwrap.imaging.response.exposure import radiant_exposure
 from radwrap.imaging.response.sensor import gray_levels, image_of_levels
@@ -20,6 +29,7 @@ from radwrap.scene.camera import Camera, Sensor
 EXPOSURE: Final = "radiant_exposure.exr"
 GRAY: Final = "gray.png"
 UNROUNDED: Final = "gray.exr"
+PREVIEW: Final = "preview.png"
 _UNIT: Final = {"radwrap:unit": "J m^-2"}
 
 
@@ -44,7 +54,7 @@ class ImageSummary:
 def write_images(
     folder: Path, radiance: NDArray[np.float64], camera: Camera, check: Callable[[], None] | None = None
 ) -> tuple[ImageSummary, list[str]]:
-    """Write both, and gray levels in full where the sensor does not round.
+    """Write both, gray levels in full where the sensor does not round, and of more than 8 bits a preview.
 
     Parameters
     ----------
@@ -79,6 +89,9 @@ def write_images(
         exr.result()
     _asked(check)
     files = [EXPOSURE, GRAY]
+    if sensor.bit_depth > PREVIEW_BITS:
+        write_png(folder / PREVIEW, preview_codes(gray))
+        files.append(PREVIEW)
     if not sensor.rounding:
         write_exr(folder / UNROUNDED, gray.values.astype(np.float32), channel="gray")
         files.append(UNROUNDED)

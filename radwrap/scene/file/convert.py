@@ -14,11 +14,13 @@ from radwrap.scene.file import document as tables
 from radwrap.scene.file.material_convert import check_places, material_from_table
 from radwrap.scene.file.optics_tables import LensModel
 from radwrap.scene.file.poses import placed_pose, pose_of
+from radwrap.scene.file.sensor_tables import PixelsModel
 from radwrap.scene.file.sensor_values import sensor_from_table
 from radwrap.scene.file.source_convert import sources_from_tables
 from radwrap.scene.file.spectral import with_spectra
 from radwrap.scene.mesh import mesh_of
 from radwrap.scene.scene import Scene
+from radwrap.scene.sensor_part import binned, cropped, whole_region
 from radwrap.scene.sources import Source
 from radwrap.scene.targets import (
     Box,
@@ -133,7 +135,7 @@ def _camera(table: tables.CameraModel, where: str, assumed: dict[str, str]) -> C
     principal_point = table.principal_point or centre
     if table.principal_point is None:
         assumed["camera.principal_point"] = f"[{centre[0]:g} px, {centre[1]:g} px]"
-    return Camera(
+    camera = Camera(
         pose=pose_of(table, where, "camera", assumed),
         focal_length=table.focal_length,
         principal_point=principal_point,
@@ -149,6 +151,21 @@ def _camera(table: tables.CameraModel, where: str, assumed: dict[str, str]) -> C
         distortion=_distortion(table, centre, where),
         lens=None if table.lens is None else _lens(table.lens, table, principal_point, f"{where}.lens", assumed),
     )
+    return _part_of(camera, sensor, assumed)
+
+
+def _part_of(camera: Camera, table: PixelsModel, assumed: dict[str, str]) -> Camera:
+    """The part of the sensor that is read out, by pixels as large as its scale says; all else is of the whole one."""
+    number, region = table.binned_pixels, table.region
+    if number == 1:
+        return camera if table.roi is None else cropped(camera, region)
+    whole = whole_region(region, number)
+    if whole != region:
+        assumed["camera.sensor.roi"] = str(list(whole))
+    linear = camera.sensor.linear
+    if linear is not None and (linear.hot_share or linear.dead_share):
+        assumed["camera.sensor.defects"] = "none, as pixels are scaled"
+    return binned(cropped(camera, whole), number)
 
 
 def _distortion(table: tables.CameraModel, centre: tuple[float, float], where: str) -> Distortion | None:

@@ -31,6 +31,8 @@ Gamma = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.01, le=10)
 GrayLevel = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
 # A fill factor: beyond this a pixel has no area worth the name.
 FillShare = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.01, le=1)]
+Column = Annotated[int, Field(strict=True, ge=0, lt=1_000_000)]
+_REGION = Field(description="first column and row, last column and row that are read out")
 Sensitivity = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=1e6)]
 Sensitivities = Annotated[tuple[Sensitivity, ...], Field(min_length=1, max_length=256)]
 
@@ -60,6 +62,8 @@ class PixelsModel(Model):
     fill_height: FillShare | None = None
     sensitivity_across: Sensitivities | None = None
     sensitivity_down: Sensitivities | None = None
+    roi: Annotated[tuple[Column, Column, Column, Column], _REGION] | None = None
+    scale: Annotated[str, Field(strict=True, pattern=r"^1/[1-9][0-9]{0,3}$")] | None = None
 
     @model_validator(mode="after")
     def _one_window(self) -> PixelsModel:
@@ -70,6 +74,27 @@ class PixelsModel(Model):
             if values is not None and not any(values):
                 raise ValueError(f"{strips}: all are 0, so the pixel sees nothing")
         return self
+
+    @model_validator(mode="after")
+    def _some_pixels(self) -> PixelsModel:
+        left, top, right, bottom = self.region
+        if not (left <= right < self.columns and top <= bottom < self.rows):
+            raise ValueError(
+                f"roi: must be first column and row, last column and row, within {self.columns} x {self.rows} pixels"
+            )
+        if min(right - left, bottom - top) + 1 < self.binned_pixels:
+            raise ValueError(f"scale: no whole pixel is left of {right - left + 1} x {bottom - top + 1}")
+        return self
+
+    @property
+    def region(self) -> tuple[int, int, int, int]:
+        """First column and row, last column and row of what is read out."""
+        return self.roi or (0, 0, self.columns - 1, self.rows - 1)
+
+    @property
+    def binned_pixels(self) -> int:
+        """How many pixels a side become one."""
+        return int(self.scale.removeprefix("1/")) if self.scale else 1
 
 
 class SensorModel(PixelsModel):
