@@ -3,20 +3,32 @@
 from __future__ import annotations
 
 import argparse
+import re
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from radwrap.errors import InputError
 from radwrap.files import make_folder, write_bytes
 from radwrap.manifest import json_text
 from radwrap.scene.file.document import SceneModel
 
+_SCENE: Final = "scene.toml"
+_PAPER: Final = "retro"
+TEMPLATES: Final = ("ring", "dome", "backlight", "darkfield", "coaxial", "calibration", _PAPER)
+
 
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     """Add the verbs."""
     init = verbs.add_parser("init", description="Writes DIR/scene.toml.")
     init.add_argument("folder", metavar="DIR", help="folder for the scene")
+    init.add_argument(
+        "--template",
+        choices=TEMPLATES,
+        help="what to start from: a part under a ring of LEDs, under a dome, before a backlight, in a dark field, in "
+        "coaxial light, a calibration board (all with a lens and a linear sensor), or the paper's retroreflective "
+        "board behind a pinhole (default)",
+    )
     init.set_defaults(run=run_init)
     schema = verbs.add_parser("schema", description="Editors complete scene files from it.")
     schema.add_argument("--json", action="store_true", help="accepted for uniformity: the schema always is JSON")
@@ -29,12 +41,27 @@ def run_init(arguments: argparse.Namespace) -> int:
         raise InputError("has no name", where="DIR", remedy='name a folder; "." is this one')
     folder = Path(arguments.folder)
     make_folder(folder)
-    path = folder / "scene.toml"
-    if path.exists():
-        raise InputError("is there already", where=str(path), remedy="choose another folder")
-    write_bytes(path, (files("radwrap") / "data" / "init" / "scene.toml").read_bytes())
+    written = _files_of(arguments.template or _PAPER)
+    for name in written:
+        if (folder / name).exists():
+            raise InputError("is there already", where=str(folder / name), remedy="choose another folder")
+    for name, content in written.items():
+        write_bytes(folder / name, content)
+    path = folder / _SCENE
     print(f"{path}\nrender it: radwrap render {path} --out {folder / 'out'}")
+    if arguments.template not in (None, _PAPER):
+        print(f"a first look: radwrap render {path} --scale 1/4 --out {folder / 'look'}")
     return 0
+
+
+def _files_of(template: str) -> dict[str, bytes]:
+    """Name and content of all files of a template; the scene last, as it names the others."""
+    if template == _PAPER:
+        return {_SCENE: (files("radwrap") / "data" / "init" / _SCENE).read_bytes()}
+    scene = (files("radwrap") / "data" / "templates" / f"{template}.toml").read_bytes()
+    parts = re.findall(r'^part = "([^"]+)"', scene.decode(), re.MULTILINE)
+    found = {name: (files("radwrap") / "data" / "templates" / name).read_bytes() for name in parts}
+    return found | {_SCENE: scene}
 
 
 def run_schema(_: argparse.Namespace) -> int:

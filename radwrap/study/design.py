@@ -15,10 +15,11 @@ from radwrap.errors import InputError
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.reading import FileKind, read_toml
 from radwrap.scene.file.faults import validated
+from radwrap.scene.file.keys import with_all_leds
 from radwrap.scene.file.load import load_scene
 from radwrap.study.design_responses import read_responses
 from radwrap.study.design_tables import DesignModel, FactorModel, RenderModel
-from radwrap.study.factors import Factor, Level, quantity, read_draw, with_all_leds
+from radwrap.study.factors import Factor, Level, quantity, read_draw
 from radwrap.study.responses import Response
 
 Kind = Literal["full", "fractional", "latin_hypercube", "list"]

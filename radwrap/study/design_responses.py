@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from radwrap.errors import InputError
+from radwrap.nearest import did_you_mean
 from radwrap.study.repeatability import FEWEST_FRAMES, MOST_FRAMES
 from radwrap.study.responses import KINDS, REPEATABILITY, Response, check_options, unit_of
 from radwrap.study.user_function import PREFIX, read_user_function
@@ -54,7 +55,8 @@ def read_responses(tables: Mapping[str, Mapping[str, Any]], home: Path, where: s
 def _known(name: str, kind: Any, table: dict[str, Any], place: str) -> Response:
     if not isinstance(kind, str) or kind not in KINDS:
         known = ", ".join((*KINDS, f"{PREFIX}FILE.py:FUNCTION"))
-        raise InputError(f"must be one of {known}", where=f"{place}.measure")
+        near = did_you_mean(kind, KINDS)
+        raise InputError(f"must be one of {known}", where=f"{place}.measure", remedy=near)
     unit = table.pop("unit", None)
     check_options(kind, table, place)
     return Response(name, kind, unit_of(kind, unit, f"{place}.unit"), table)

@@ -11,10 +11,8 @@ A key may hold ``[*]`` for every entry of a list; a draw is then made for each e
 from __future__ import annotations
 
 import math
-import re
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
-from copy import deepcopy
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -22,12 +20,10 @@ import numpy as np
 
 from radwrap.errors import InputError
 from radwrap.random_streams import generator
-from radwrap.reading import whole_number
+from radwrap.scene.file.keys import expanded
 from radwrap.units import DIMENSIONS, Dimension, parse_gain, parse_quantity
 
 _DRAWS: Final = ("uniform", "normal")
-_LEDS: Final = re.compile(r"sources\[(\d{1,9}|\*)\]\.leds\[(?:\d+|\*)\]\.")
-_STEP: Final = re.compile(r"[^.\[\]]+")  # of a key path
 _GAIN: Final = " (J/m^2)^-"  # in the unit of a sensor's gain, which holds gamma
 _DIGITS: Final = 9  # of drawn and interpolated values, so that a table shows what was rendered
 
@@ -224,59 +220,6 @@ def read_draw(table: Mapping[str, Any], where: str) -> Draw:
     if kind == "normal" and second <= 0:
         raise InputError("normal needs a standard deviation above zero", where=where)
     return Draw(kind, first, second, unit)
-
-
-def with_all_leds(document: Mapping[str, Any], keys: Sequence[str]) -> dict[str, Any]:
-    """A scene's tables in which rings list every LED in order, where a key names LEDs: entry i then is LED i."""
-    filled: dict[str, Any] = deepcopy(dict(document))
-    sources = filled.get("sources", [])
-    for key in keys:
-        match = _LEDS.match(key)
-        if match is None:
-            continue
-        chosen = range(len(sources)) if match[1] == "*" else [int(match[1])]
-        for number in chosen:
-            if number < len(sources) and isinstance(sources[number].get("count"), int):
-                sources[number]["leds"] = _all_leds(sources[number])
-    return filled
-
-
-def _all_leds(ring: Mapping[str, Any]) -> list[dict[str, Any]]:
-    given = {led.get("index"): led for led in ring.get("leds", []) if isinstance(led, dict)}
-    return [dict(given.get(index, {"index": index})) for index in range(ring["count"])]
-
-
-def expanded(key: str, document: Mapping[str, Any]) -> list[str]:
-    """The keys that a key with ``[*]`` stands for; itself where it holds none.
-
-    Raises
-    ------
-    InputError
-        If there is no such list, or it is empty.
-    """
-    before, star, after = key.partition("[*]")
-    if not star:
-        return [key]
-    entries = found(document, before)
-    if not isinstance(entries, list) or not entries:
-        raise InputError("names no entry of a list of the scene", where=key)
-    return [full for number in range(len(entries)) for full in expanded(f"{before}[{number}]{after}", document)]
-
-
-def found(document: Any, key: str) -> Any:
-    """What stands at a key path; None where nothing does."""
-    place = document
-    for step in _STEP.findall(key):
-        try:
-            place = place[int(step)] if isinstance(place, list) else place[step]
-        except (KeyError, IndexError, TypeError, ValueError):
-            return None
-    return place
-
-
-def steps_of(key: str) -> tuple[str | int, ...]:
-    """A key path as names and numbers of entries."""
-    return tuple(step if (number := whole_number(step)) is None else number for step in _STEP.findall(key))
 
 
 def settings(

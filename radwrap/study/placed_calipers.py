@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from radwrap.errors import InputError
 from radwrap.imaging.truth import edge_line
 from radwrap.measure.gauges import Caliper, Plane, Response, StraightCaliper
+from radwrap.nearest import did_you_mean
 from radwrap.scene.camera import Camera
 from radwrap.scene.look.faces import Face, FaceRim, face_towards, rings
 from radwrap.scene.scene import Scene
@@ -84,8 +85,9 @@ def named_face(scene: Scene, name: str) -> Face:
     """
     target = next((one for one in scene.targets if one.name == name), None)
     if target is None:
-        known = ", ".join(one.name for one in scene.targets)
-        raise InputError(f'the scene has no target "{name}"', remedy=f"its targets are {known}")
+        names = [one.name for one in scene.targets]
+        near = did_you_mean(name, names)
+        raise InputError(f'the scene has no target "{name}"', remedy=near or f"its targets are {', '.join(names)}")
     try:
         return face_towards(scene.camera, target)
     except InputError as error:

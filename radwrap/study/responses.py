@@ -26,6 +26,7 @@ from radwrap.imaging.truth import dot_places, edge_line
 from radwrap.measure.dots import METHODS, Dots, measured_dots, seek_dots
 from radwrap.measure.edges import Edge, measure_edge
 from radwrap.measure.parts import find_parts
+from radwrap.nearest import did_you_mean
 from radwrap.random_streams import Studying, generator
 from radwrap.scene.scene import Scene
 from radwrap.scene.targets import DotBoard, EdgeTarget
@@ -120,9 +121,8 @@ def check_options(kind: str, options: Options, where: str) -> None:
     known = KINDS[kind].options
     for name, value in options.items():
         if name not in known:
-            raise InputError(
-                f"unknown option of {kind}", where=f"{where}.{name}", remedy=f"known are {', '.join(known) or 'none'}"
-            )
+            near = did_you_mean(name, known) or f"known are {', '.join(known) or 'none'}"
+            raise InputError(f"unknown option of {kind}", where=f"{where}.{name}", remedy=near)
         allowed = known[name]
         if isinstance(allowed, tuple):
             if value not in allowed:

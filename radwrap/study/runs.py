@@ -15,10 +15,11 @@ from radwrap.imaging.demand import REPLICATES
 from radwrap.imaging.forecast.cost import check_size
 from radwrap.manifest import sha256_of_value
 from radwrap.random_streams import generator
-from radwrap.scene.file.load import scene_from_document, set_key
+from radwrap.scene.file.keys import expanded, set_key, steps_of
+from radwrap.scene.file.load import scene_from_document
 from radwrap.study.design import Analysis, Design, check_render_option, render_options
 from radwrap.study.design_tables import MOST_RUNS
-from radwrap.study.factors import Draw, Factor, Level, expanded, settings, steps_of
+from radwrap.study.factors import Draw, Factor, Level, settings
 from radwrap.study.lenth import check_contrasts
 from radwrap.study.responses import Response, check_options, check_response
 

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.random_streams import Studying, generator
+from radwrap.scene.file.keys import found
 from radwrap.scene.file.load import scene_from_document
 from radwrap.study.design import Design
-from radwrap.study.factors import Factor, Level, found, in_si, number_and_unit, written
+from radwrap.study.factors import Factor, Level, in_si, number_and_unit, written
 
 Array = NDArray[np.float64]
 

@@ -158,7 +158,7 @@ BAD = [
     ('key = "targets[0].edge_position"', 'key = "responses.z.gamma"', 'no response "z"'),
     ('key = "targets[0].edge_position"', 'key = "responses.u.gama"', "unknown option"),
     ('key = "targets[0].edge_position"', 'key = "render.tolerance"', "tolerance: must be gray levels, so that levels"),
-    ("label = ", "lable = ", "unknown key; known are label, key, keys, levels, range, draws"),
+    ("label = ", "lable = ", 'unknown key; did you mean "label"?'),
     ('key = "targets[0].edge_position"', "keys = []", "keys: must have at least 1"),
     ('key = "targets[0].edge_position"', "key = 3", "key: must be a string, not 3"),
     ('["1 mm", "2 mm"]', '["1 mm", "2 mm"]\nrange = [1, 2]', "exactly one of levels and range, not 2"),

@@ -27,12 +27,13 @@ def diffraction(scene: Scene) -> dict[str, Any] | None:
     camera = scene.camera
     if camera.aperture.is_infinitesimal:
         return None
-    wavelength = scene.spectral.wavelength if scene.spectral else _ASSUMED_WAVELENGTH
+    known = scene.spectral or camera.sensor.linear
+    wavelength = known.wavelength if known else _ASSUMED_WAVELENGTH
     radius = _FIRST_ZERO * wavelength * camera.image_distance / camera.aperture.diameter
     pixels = [radius / camera.sensor.pixel_width, radius / camera.sensor.pixel_height]
     return {
         "wavelength": wavelength,
-        "wavelength_assumed": scene.spectral is None,
+        "wavelength_assumed": known is None,
         "airy_radius": radius,
         "airy_radius_px": pixels,
         "matters": max(pixels) > _MATTERS,

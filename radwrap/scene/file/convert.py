@@ -8,6 +8,7 @@ from itertools import count
 from pathlib import Path
 
 from radwrap.errors import InputError
+from radwrap.nearest import did_you_mean
 from radwrap.scene.camera import Aperture, Camera, Lens, image_distance
 from radwrap.scene.distortion import Distortion, bounded, opencv_distortion
 from radwrap.scene.file import document as tables
@@ -104,7 +105,7 @@ def _check_materials(targets: tuple[Target, ...], materials: Mapping[str, object
                 raise InputError(
                     f'no material "{name}"',
                     where=f"{origin}: targets[{index}].{key}",
-                    remedy=f"define [materials.{name}]",
+                    remedy=did_you_mean(name, materials) or f"define [materials.{name}]",
                 )
 
 

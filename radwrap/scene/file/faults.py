@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Final, TypeVar, get_args
+from types import UnionType
+from typing import Annotated, Any, Final, Literal, TypeVar, Union, get_args, get_origin
 
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from radwrap.errors import InputError
+from radwrap.nearest import did_you_mean
 from radwrap.scene.file.border import Model
 
 AnyModel = TypeVar("AnyModel", bound=Model)
@@ -51,19 +54,51 @@ def validated(shape: type[AnyModel], table: Mapping[str, Any], origin: str, reme
     try:
         return shape.model_validate(table)
     except ValidationError as error:
-        found = fault(error, origin, table)
-        unknown = [detail for detail in error.errors(include_url=False) if detail["type"] == "extra_forbidden"]
-        if unknown and (known := _known(shape, unknown[0]["loc"])):
-            remedy = f"known are {', '.join(known)}"
-        raise InputError(found.what, where=found.where, remedy=remedy) from error
+        found = fault(error, origin, table, shape)
+        raise InputError(found.what, where=found.where, remedy=found.remedy or remedy) from error
 
 
 def _known(shape: Any, steps: Sequence[int | str]) -> tuple[str, ...]:
-    """Keys of the table in which the last step is unknown, through tables and arrays of tables."""
+    """Keys of the table in which the last step is unknown; steps are pydantic's, with the tags of alternatives."""
+    shapes = _alternatives(shape)
     for step in steps[:-1]:
-        inside = isinstance(shape, type) and issubclass(shape, Model)
-        shape = shape.model_fields[step].annotation if inside else get_args(shape)[-1]
-    return tuple(shape.model_fields) if isinstance(shape, type) and issubclass(shape, Model) else ()
+        inside = [one for shape in shapes for one in _inside(shape, step)]
+        shapes = inside or [shape for shape in shapes if _is_tagged(shape, step)] or shapes
+    return tuple(dict.fromkeys(key for shape in shapes if _is_table(shape) for key in shape.model_fields))
+
+
+def _is_table(shape: Any) -> bool:
+    return isinstance(shape, type) and issubclass(shape, Model)
+
+
+def _alternatives(shape: Any) -> list[Any]:
+    """Tables, arrays and the like that an annotation allows."""
+    if _is_table(shape):
+        return [shape]
+    origin = get_origin(shape)
+    if origin is Annotated:
+        return _alternatives(get_args(shape)[0])
+    if origin in (Union, UnionType):
+        return [one for part in get_args(shape) for one in _alternatives(part)]
+    return [shape] if origin in (tuple, list, dict) else []
+
+
+def _inside(shape: Any, step: int | str) -> list[Any]:
+    """What may stand at a key of a table, or an entry of an array."""
+    if _is_table(shape):
+        return _alternatives(shape.model_fields[step].annotation) if step in shape.model_fields else []
+    parts = get_args(shape)
+    return _alternatives(parts[-1] if get_origin(shape) is dict else parts[0])
+
+
+def _is_tagged(shape: Any, tag: int | str) -> bool:
+    """Whether it is the alternative of a tag: a table one of whose keys can hold nothing else."""
+    return _is_table(shape) and any(
+        tag in get_args(one)
+        for field in shape.model_fields.values()
+        for one in (field.annotation, *get_args(field.annotation))
+        if get_origin(one) is Literal
+    )
 
 
 def _steps(detail: ErrorDetails, document: Any) -> list[int | str]:
@@ -82,7 +117,7 @@ def _steps(detail: ErrorDetails, document: Any) -> list[int | str]:
     return steps
 
 
-def fault(error: ValidationError, origin: str, document: Mapping[str, Any]) -> InputError:
+def fault(error: ValidationError, origin: str, document: Mapping[str, Any], shape: type[Model]) -> InputError:
     """One line for the first thing that is wrong, in the user's words.
 
     Parameters
@@ -93,6 +128,8 @@ def fault(error: ValidationError, origin: str, document: Mapping[str, Any]) -> I
         File.
     document : Mapping
         Its tables.
+    shape : type
+        The model of the whole.
     """
     details = error.errors(include_url=False)
     # An unknown key often explains the missing one beside it, so it is told first.
@@ -100,7 +137,21 @@ def fault(error: ValidationError, origin: str, document: Mapping[str, Any]) -> I
     first = details[0]
     more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
     steps = _steps(first, document)
-    return InputError(_message(first, _written(document, steps)) + more, where=f"{origin}: {_key_path(steps)}")
+    what = _message(first, _written(document, steps)) + more
+    return InputError(what, where=f"{origin}: {_key_path(steps)}", remedy=_remedy(first, shape))
+
+
+def _remedy(detail: ErrorDetails, shape: type[Model]) -> str:
+    """For a name that there is not: the one that may have been meant, else those that there are."""
+    context: Mapping[str, Any] = detail.get("ctx", {})
+    match detail["type"]:
+        case "extra_forbidden":
+            known = _known(shape, detail["loc"])
+            return did_you_mean(detail["loc"][-1], known) or (f"known are {', '.join(known)}" if known else "")
+        case "literal_error" | "union_tag_invalid":
+            allowed = str(context.get("expected", context.get("expected_tags", "")))
+            return did_you_mean(context.get("tag", detail["input"]), re.findall(r"'([^']+)'", allowed))
+    return ""
 
 
 def _key_path(steps: Iterable[int | str]) -> str:

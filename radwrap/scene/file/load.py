@@ -14,13 +14,14 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import PydanticUndefined
 
 from radwrap.errors import InputError
-from radwrap.reading import FileKind, check_tree, read_toml, shortened, whole_number
+from radwrap.reading import FileKind, check_tree, read_toml
 from radwrap.scene.file.border import Model
 from radwrap.scene.file.calibrated import with_calibration
 from radwrap.scene.file.convert import scene_from_model
 from radwrap.scene.file.data_sheet import in_sheet, with_data_sheet
 from radwrap.scene.file.document import SceneModel
 from radwrap.scene.file.faults import fault
+from radwrap.scene.file.keys import set_all
 from radwrap.scene.file.material_convert import material_from_table
 from radwrap.scene.file.material_tables import MaterialModel
 from radwrap.scene.look.checks import check_scene, check_shapes
@@ -41,7 +42,8 @@ def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> 
         The TOML file.
     overrides : Mapping[str, Any], optional
         Key path -> value as the file would hold it, such as
-        ``{"camera.exposure_time": "64 ms", "targets[0].rotation": ["46 deg", "6 deg", "-2 deg"]}``.
+        ``{"camera.exposure_time": "64 ms", "targets[0].rotation": ["46 deg", "6 deg", "-2 deg"]}``. ``[*]`` stands
+        for every entry of a list; ``leds[i]`` is LED i of a ring, listed in the file or not.
 
     Returns
     -------
@@ -72,7 +74,7 @@ def load_materials(path: str | Path) -> dict[str, Material]:
     try:
         model = _MaterialsModel.model_validate(document)
     except ValidationError as error:
-        raise fault(error, path.name, document) from error
+        raise fault(error, path.name, document, _MaterialsModel) from error
     found = {
         name: material_from_table(table, f"{path}: materials.{name}", f"materials.{name}", {}, path.parent)
         for name, table in model.materials.items()
@@ -99,15 +101,15 @@ def scene_from_document(
     folder: Path = Path(),
 ) -> Scene:
     """Make a Scene from the tables of a scene file; arguments, result and errors as `load_scene`."""
-    document = json.loads(_checked_json(document, origin))
+    tables: dict[str, Any] = json.loads(_checked_json(document, origin))
     for key, value in (overrides or {}).items():
-        set_key(document, key, value, origin)
-    text = _checked_json(document, origin)
-    whole = with_calibration(with_data_sheet(document, origin, folder), origin, folder)
+        tables = set_all(tables, key, value, origin)
+    text = _checked_json(tables, origin)
+    whole = with_calibration(with_data_sheet(tables, origin, folder), origin, folder)
     try:
         model = SceneModel.model_validate(whole)
     except ValidationError as error:
-        raise in_sheet(fault(error, origin, whole), document, whole, origin) from error
+        raise in_sheet(fault(error, origin, whole, SceneModel), tables, whole, origin) from error
     scene = scene_from_model(model, assumed=dict(_assumed(model)), origin=origin, folder=folder, document=text)
     check_shapes(scene)
     check_beside(scene)
@@ -145,43 +147,6 @@ def _leaves(value: Any, key: str) -> Iterator[tuple[str, Any]]:
             yield from _leaves(item, f"{key}[{index}]")
     else:
         yield key, value
-
-
-def set_key(document: Any, key: str, value: Any, origin: str) -> None:
-    """Set one key path in a scene's tables; tables on the way are made, list entries must exist.
-
-    Raises
-    ------
-    InputError
-        If there is no such place.
-    """
-    where = f"{origin}: {shortened(key, 200)}"
-    steps: list[str | int] = []
-    for part in key.split("."):
-        name, *indices = part.replace("]", "").split("[")
-        numbers = [number for index in indices if (number := whole_number(index)) is not None]
-        if not name or len(numbers) < len(indices):
-            raise InputError(
-                "is no key path",
-                where=where,
-                remedy='write it as "camera.exposure_time" or "targets[0].pitch"',
-            )
-        steps += [name, *numbers]
-    place = document
-    for step in steps[:-1]:
-        if isinstance(step, str) and isinstance(place, dict):
-            place = place.setdefault(step, {})
-        elif isinstance(step, int) and isinstance(place, list) and step < len(place):
-            place = place[step]
-        else:
-            raise InputError("the scene has no such place", where=where)
-    last = steps[-1]
-    if isinstance(last, str) and isinstance(place, dict):  # noqa: SIM114  (a type checker needs them apart)
-        place[last] = value
-    elif isinstance(last, int) and isinstance(place, list) and last < len(place):
-        place[last] = value
-    else:
-        raise InputError("the scene has no such place", where=where)
 
 
 def _assumed(model: BaseModel, prefix: str = "") -> Iterator[tuple[str, str]]:

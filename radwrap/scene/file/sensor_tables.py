@@ -11,6 +11,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import ConfigDict, Discriminator, Field, Tag, model_validator
 
 from radwrap.errors import InputError
+from radwrap.nearest import did_you_mean
 from radwrap.scene.file.border import (
     Count,
     ElectronRate,
@@ -233,5 +234,6 @@ def sensor_preset(name: str) -> dict[str, Any]:
     """
     known = sensor_presets()
     if name not in known:
-        raise ValueError(f'preset: no sensor "{name}"; known: {", ".join(known)}')
+        near = did_you_mean(name, known)
+        raise ValueError(f'preset: no sensor "{name}"; {near or "known: " + ", ".join(known)}')
     return tomllib.loads((files("radwrap") / "data" / "sensors" / f"{name}.toml").read_text("utf-8"))
