@@ -206,6 +206,15 @@ def fit_response(
     InputError
         If the numbers are no frames, dark or saturation cannot be had from
         them, or fewer than three exposures lie between the two.
+
+    Examples
+    --------
+    >>> import numpy as np, radwrap
+    >>> exposure = np.linspace(0, 2e-3, 40)
+    >>> gray = np.rint(22 + 3.38e4 * exposure**0.85)
+    >>> found = radwrap.fit_response(exposure, gray, saturation=255)
+    >>> bool(abs(found.direct.gamma - 0.85) < 0.02)
+    True
     """
     exposure, gray = np.asarray(radiant_exposure, np.float64), np.asarray(gray, np.float64)
     _check(exposure, gray, [quantisation, *(value for value in (noise, dark, saturation) if value is not None)])

@@ -85,6 +85,17 @@ def calibrate_camera(
     InputError
         If the points cannot tell what is asked for, with the reason: see :mod:`radwrap.calibrate.tsai_checks`.
 
+    Examples
+    --------
+    >>> import numpy as np, radwrap
+    >>> x, y = np.meshgrid(np.linspace(-0.04, 0.04, 5), np.linspace(-0.04, 0.04, 5))
+    >>> board = np.column_stack([x.ravel(), y.ravel(), 0 * x.ravel()])
+    >>> seen = board @ np.array([[1, 0, 0], [0, 0.8, -0.6], [0, 0.6, 0.8]]).T + [0, 0, 0.8]  # tilted, 0.8 m away
+    >>> image = 0.0125 / 1e-5 * seen[:, :2] / seen[:, 2:] + 100
+    >>> found = radwrap.calibrate_camera(board, image, pixel_width=1e-5, pixel_height=1e-5, centre=(100, 100))
+    >>> bool(abs(found.focal_length - 0.0125) < 1e-4)
+    True
+
     Notes
     -----
     Tsai (1987), key tsai1987. A mirrored image of a flat board cannot be told from its back seen unmirrored: u must run

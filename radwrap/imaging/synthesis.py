@@ -15,6 +15,7 @@ from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from types import EllipsisType
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -22,14 +23,16 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.files import TEMPORARY_SUFFIX, check_result, disk_failure, make_folder, sha256_of, sole_owner
-from radwrap.images import ExposureImage, GrayImage, png_bytes, preview_codes
+from radwrap.images import read_image
+from radwrap.imaging.demand import SamplingPlan
 from radwrap.imaging.forecast.cost import check_size
 from radwrap.imaging.forecast.effects import Effect, bounces, bounces_beyond
 from radwrap.imaging.forecasting import Announcement, cores, usual_rays
 from radwrap.imaging.mean_radiance import Made, fixed_method, make, viewpoint_plan
 from radwrap.imaging.methods.pieces import Pieces, remove_log, remove_pieces
 from radwrap.imaging.methods.viewpoints import missing_viewpoints
-from radwrap.imaging.optics.view import View
+from radwrap.imaging.optics.aperture import Layout
+from radwrap.imaging.optics.view import PixelSampling, View
 from radwrap.imaging.output.folder import ALWAYS, is_whole, publish
 from radwrap.imaging.output.frame_files import write_frames
 from radwrap.imaging.output.identity import Identity, identity_of
@@ -37,16 +40,16 @@ from radwrap.imaging.output.image_files import read_exposure, read_gray_levels, 
 from radwrap.imaging.output.run_manifest import (
     MANIFEST,
     Bounces,
-    RunManifest,
     Timing,
     run_manifest_of,
     write_run_manifest,
 )
-from radwrap.imaging.output.sigma_file import write_sigma
+from radwrap.imaging.output.sigma_file import SIGMA, write_sigma
 from radwrap.imaging.output.traced_run import TracedRun
 from radwrap.imaging.output.truth_files import TRUTH, read_truth, write_truth
 from radwrap.imaging.relight.basis import FOLDER, shining, write_basis
-from radwrap.imaging.render_options import RenderOptions
+from radwrap.imaging.render_options import Method, RenderOptions, TracerName
+from radwrap.imaging.rendered import Rendered
 from radwrap.imaging.tolerance.kept_replicates import kept, write_replicates
 from radwrap.imaging.tolerance.lit_noise import with_gray_tolerance
 from radwrap.imaging.tolerance.replicates import Work
@@ -66,38 +69,6 @@ _MADE: Final = "made"
 _MOST_IN_MEMORY: Final = 1 << 20
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Rendered:
-    """What a run made; a notebook shows its picture.
-
-    Attributes
-    ----------
-    radiant_exposure : ExposureImage
-        H [J m^-2].
-    gray : GrayImage
-        What the camera gives.
-    manifest : Mapping
-        What was made, of what, with what, as manifest.json holds it.
-    run : RunManifest
-        The same as values with types.
-    truth : Mapping, optional
-        With ``truth=True``: ``depth`` along the axis, 0 where nothing is seen,
-        float32, shape (rows, columns) [m]; ``mask``, the number of the part
-        that each pixel's centre sees, uint16, of that shape; and what
-        truth.json holds: ``parts`` (name -> number), ``targets`` (poses, dots,
-        edges), ``pixel_convention``.
-    """
-
-    radiant_exposure: ExposureImage
-    gray: GrayImage
-    manifest: Mapping[str, Any]
-    run: RunManifest
-    truth: Mapping[str, Any] | None = None
-
-    def _repr_png_(self) -> bytes:
-        return png_bytes(preview_codes(self.gray))
-
-
 def render(
     scene: Scene,
     out: str | Path | None = None,
@@ -105,7 +76,28 @@ def render(
     *,
     cancelled: Callable[[], bool] | None = None,
     progress: bool | Callable[[Progressed], object] | None = None,
-    **changes: Any,
+    method: Method | EllipsisType | None = ...,
+    tolerance: float | str | EllipsisType | None = ...,
+    max_error: float | EllipsisType | None = ...,
+    budget_rays: float | EllipsisType | None = ...,
+    budget_seconds: float | EllipsisType | None = ...,
+    viewpoints: int | EllipsisType | None = ...,
+    layout: Layout | EllipsisType = ...,
+    pixel_samples: int | EllipsisType = ...,
+    pixel_sampling: PixelSampling | EllipsisType = ...,
+    seed: int | EllipsisType = ...,
+    workers: int | EllipsisType | None = ...,
+    keep_viewpoints: bool | EllipsisType = ...,
+    truth: bool | EllipsisType = ...,
+    bounces: int | Literal["all", "auto"] | EllipsisType = ...,
+    basis: bool | EllipsisType = ...,
+    sampling: SamplingPlan | EllipsisType | None = ...,
+    frames: int | EllipsisType = ...,
+    trust: bool | EllipsisType = ...,
+    tracer: TracerName | EllipsisType = ...,
+    radiance: str | EllipsisType | None = ...,
+    max_pixels: int | EllipsisType = ...,
+    tracer_timeout: float | EllipsisType = ...,
 ) -> Rendered:
     """Predict the gray image of a scene.
 
@@ -123,8 +115,20 @@ def render(
     progress : bool or callable, optional
         True shows progress on stderr, as the option does; a callable is told how far the render is, as `Progressed`,
         in the caller's thread. What it raises ends the render, and is raised here.
-    **changes
-        Single options, such as ``viewpoints=61``.
+    method, tolerance, max_error
+        How, and how exactly. As in `RenderOptions`; an ellipsis leaves it as `options` has it.
+    budget_rays, budget_seconds
+        What it may cost. As in `RenderOptions`; an ellipsis leaves it as `options` has it.
+    viewpoints, layout, pixel_samples, pixel_sampling, keep_viewpoints
+        Of the paper's method. As in `RenderOptions`; an ellipsis leaves it as `options` has it.
+    bounces
+        Light from surface to surface. As in `RenderOptions`; an ellipsis leaves it as `options` has it.
+    sampling, seed
+        What is drawn. As in `RenderOptions`; an ellipsis leaves it as `options` has it.
+    truth, basis, frames
+        What is made besides. As in `RenderOptions`; an ellipsis leaves it as `options` has it.
+    workers, trust, tracer, radiance, max_pixels, tracer_timeout
+        By whom, and within which limits. As in `RenderOptions`; an ellipsis leaves it as `options` has it.
 
     Returns
     -------
@@ -140,7 +144,40 @@ def render(
     Cancelled
         If `cancelled` said so before the files were whole: half a second later there is no process and no new result,
         and an older one in the folder is as it was. Only the compiler of the tracer is waited for.
+
+    Examples
+    --------
+    >>> import radwrap
+    >>> scene = radwrap.load_scene("scene.toml")
+    >>> result = radwrap.render(scene, tolerance=8, seed=1)
+    >>> bool(result.error.rms_gray_upper95 < 8), result.gray.values.shape
+    (True, (165, 192))
     """
+    given = {
+        "method": method,
+        "tolerance": tolerance,
+        "max_error": max_error,
+        "budget_rays": budget_rays,
+        "budget_seconds": budget_seconds,
+        "viewpoints": viewpoints,
+        "layout": layout,
+        "pixel_samples": pixel_samples,
+        "pixel_sampling": pixel_sampling,
+        "seed": seed,
+        "workers": workers,
+        "keep_viewpoints": keep_viewpoints,
+        "truth": truth,
+        "bounces": bounces,
+        "basis": basis,
+        "sampling": sampling,
+        "frames": frames,
+        "trust": trust,
+        "tracer": tracer,
+        "radiance": radiance,
+        "max_pixels": max_pixels,
+        "tracer_timeout": tracer_timeout,
+    }
+    changes = {name: value for name, value in given.items() if value is not ...}
     options = options or RenderOptions()
     return rendered(scene, out, options, changes=changes, cancelled=cancelled, progress=progress)
 
@@ -250,12 +287,15 @@ def load_result(scene: Scene, out: Path) -> Rendered:
     """Read back what a run left in its folder."""
     manifest = read_manifest(out / MANIFEST)
     run = run_manifest_of(manifest, str(out / MANIFEST))
+    stated = scene.tolerances is not None and SIGMA in run.files  # else it follows from the image
     return Rendered(
         radiant_exposure=read_exposure(out, manifest),
         gray=read_gray_levels(out, scene.camera.sensor, manifest),
         manifest=manifest,
         run=run,
         truth=read_truth(out) if TRUTH in run.files else None,
+        scene=scene,
+        stated_sigma=read_image(out / SIGMA)[0].astype(np.float64) if stated else None,
     )
 
 

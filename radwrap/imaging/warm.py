@@ -13,7 +13,8 @@ from typing import Any, Final
 
 from radwrap.errors import InputError
 from radwrap.imaging.render_options import RenderOptions
-from radwrap.imaging.synthesis import Rendered, Warmth, rendered
+from radwrap.imaging.rendered import Rendered
+from radwrap.imaging.synthesis import Warmth, rendered
 from radwrap.imaging.tracing import LaidOutScene
 from radwrap.kept import Kept
 from radwrap.process import Programs
@@ -132,5 +133,14 @@ def warm(scene: Scene, options: RenderOptions | None = None) -> WarmScene:
     ------
     InputError, EnvironmentFailure
         As `render`.
+
+    Examples
+    --------
+    >>> import radwrap
+    >>> with radwrap.warm(radwrap.load_scene("scene.toml")) as live:
+    ...     first = live.render(tolerance=8)
+    ...     dimmer = live.render({"sources[0].radiance": "1162 W/m^2/sr"}, tolerance=8)
+    >>> bool(dimmer.gray.values.mean() < first.gray.values.mean())
+    True
     """
     return WarmScene(scene, options or RenderOptions())

@@ -173,6 +173,14 @@ def compare(
     InputError
         If sizes differ without a homography, the images cannot be registered,
         or a region has no pixel to compare.
+
+    Examples
+    --------
+    >>> import numpy as np, radwrap
+    >>> predicted = radwrap.GrayImage(np.outer(np.arange(40.0), np.ones(50)) + 20)
+    >>> captured = radwrap.GrayImage(predicted.values + 2)
+    >>> radwrap.compare(captured, predicted).overall.mean
+    2.0
     """
     if register != "homography" and captured.values.shape != predicted.values.shape:
         sizes = [f"{image.values.shape[1]} x {image.values.shape[0]}" for image in (captured, predicted)]

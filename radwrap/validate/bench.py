@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.imaging.render_options import RenderOptions
-from radwrap.imaging.synthesis import Rendered, render
+from radwrap.imaging.rendered import Rendered
+from radwrap.imaging.synthesis import render
 from radwrap.imaging.tracing import traced_scene
 from radwrap.scene.file.load import scene_from_document
 from radwrap.scene.scene import Scene

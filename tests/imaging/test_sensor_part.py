@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from radwrap.errors import InputError
 from radwrap.images import ExposureImage, GrayImage, preview_codes, read_image
 from radwrap.imaging.render_options import RenderOptions
+from radwrap.imaging.rendered import Rendered
 from radwrap.imaging.response.noise import fixed_pattern, linear_of, noisy_frame
-from radwrap.imaging.synthesis import Rendered, render
+from radwrap.imaging.synthesis import render
 from radwrap.scene.camera import Camera
 from radwrap.scene.file.load import load_scene
 from radwrap.scene.look.geometry import project

@@ -17,7 +17,8 @@ from radwrap.imaging.methods.smooth_blocks import in_other_light, smooth_field
 from radwrap.imaging.optics.smooth import BLOCK
 from radwrap.imaging.optics.view import View, trace_rays
 from radwrap.imaging.render_options import RenderOptions
-from radwrap.imaging.synthesis import Rendered, render
+from radwrap.imaging.rendered import Rendered
+from radwrap.imaging.synthesis import render
 from radwrap.imaging.tolerance.certificate import PixelErrors, independent_errors, root
 from radwrap.imaging.tracing import laid_out
 from radwrap.scene.scene import Scene

@@ -169,6 +169,13 @@ def effects(scene: Scene, options: RenderOptions | None = None) -> dict[str, Any
     ------
     InputError, TracerError, EnvironmentFailure
         As `render`.
+
+    Examples
+    --------
+    >>> import radwrap
+    >>> found = radwrap.effects(radwrap.load_scene("scene.toml"), radwrap.RenderOptions(tolerance=8))
+    >>> found["planner"]["method"]
+    'kernel'
     """
     options = options or RenderOptions()
     with laid_out(scene, options) as traced:

@@ -50,6 +50,12 @@ def explain(scene: Scene) -> dict[str, Any]:
         ``expected_peak``: gray, irradiance on the sensor [W m^-2] and radiant
         exposure [J m^-2] by closed form (no shadows, no blur but that of a
         source that is seen itself) and where; ``advice``; ``warnings``; ``assumed``.
+
+    Examples
+    --------
+    >>> import radwrap
+    >>> round(radwrap.explain(radwrap.load_scene("scene.toml"))["f_number"])
+    125
     """
     scene, refusal = _in_patches(scene)
     camera = scene.camera

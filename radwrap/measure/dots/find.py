@@ -86,6 +86,16 @@ def find_dots(
         If not every dot is found, or dots go on beyond the grid.
     InputError
         If a parameter or the image is not usable.
+
+    Examples
+    --------
+    >>> import numpy as np, radwrap
+    >>> v, u = np.indices((90, 90))
+    >>> away = np.hypot((u - 5) % 20 - 10, (v - 5) % 20 - 10)
+    >>> inside = (abs(u - 45) < 40) & (abs(v - 45) < 40)
+    >>> picture = radwrap.GrayImage(np.rint(20 + 150 * inside / (1 + np.exp(3 * (away - 6)))))
+    >>> radwrap.find_dots(picture, 4, 4).centres[0].round(1).tolist()
+    [15.0, 15.0]
     """
     return find_dots_by(
         image,

@@ -148,6 +148,15 @@ def measure_edge(
     InputError
         If the image is too small, blank, saturated, without an edge, with more than one, or if the edge
         tells nothing about gamma.
+
+    Examples
+    --------
+    >>> import numpy as np, radwrap
+    >>> v, u = np.indices((40, 60))
+    >>> picture = radwrap.GrayImage(np.rint(30 + 150 / (1 + np.exp((31.4 - u - 0.1 * v) / 0.4))))
+    >>> edge = radwrap.measure_edge(picture, gamma=1.0)
+    >>> bool(abs(edge.offset - 31.4 / np.hypot(1, 0.1)) < 0.05)
+    True
     """
     _check_options(dark, gamma, pixel_aspect, saturation)
     values, corner = _cut(image, region)

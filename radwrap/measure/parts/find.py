@@ -67,6 +67,15 @@ def find_parts(
     ------
     InputError
         If the image is too small, blank, saturated, or shows no part.
+
+    Examples
+    --------
+    >>> import numpy as np, radwrap
+    >>> v, u = np.indices((60, 80))
+    >>> picture = radwrap.GrayImage(np.rint(20 + 150 / (1 + np.exp(2 * (np.hypot(u - 40, v - 30) - 12)))))
+    >>> (part,) = radwrap.find_parts(picture).parts
+    >>> round(part.u), round(part.v)
+    (40, 30)
     """
     from threadpoolctl import threadpool_limits
 

@@ -52,7 +52,7 @@ def scene_from_model(
         Where values that are right one by one do not go together.
     """
     names: set[str] = set()
-    camera = _camera(model.camera, f"{origin}: camera", assumed)
+    camera = camera_from_table(model.camera, f"{origin}: camera", assumed)
     sources = sources_from_tables(model.sources, camera.pose, assumed=assumed, origin=origin, folder=folder)
     target_names = _target_names(model, assumed)
     targets = tuple(
@@ -123,7 +123,14 @@ def _target_names(model: tables.SceneModel, assumed: dict[str, str]) -> list[str
     return names
 
 
-def _camera(table: tables.CameraModel, where: str, assumed: dict[str, str]) -> Camera:
+def camera_from_table(table: tables.CameraModel, where: str, assumed: dict[str, str]) -> Camera:
+    """Convert a validated ``[camera]``.
+
+    Raises
+    ------
+    InputError
+        Where values that are right one by one do not go together.
+    """
     sensor = table.sensor
     opening = table.aperture
     if table.lens is not None and table.lens.f_number is not None:

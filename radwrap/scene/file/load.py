@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,9 +18,9 @@ from radwrap.errors import InputError
 from radwrap.reading import FileKind, check_tree, read_toml
 from radwrap.scene.file.border import Model
 from radwrap.scene.file.calibrated import with_calibration
-from radwrap.scene.file.convert import scene_from_model
+from radwrap.scene.file.convert import camera_from_table, scene_from_model
 from radwrap.scene.file.data_sheet import in_sheet, with_data_sheet
-from radwrap.scene.file.document import SceneModel
+from radwrap.scene.file.document import CameraModel, SceneModel
 from radwrap.scene.file.faults import fault
 from radwrap.scene.file.keys import set_all
 from radwrap.scene.file.material_convert import material_from_table
@@ -54,6 +55,12 @@ def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> 
     ------
     InputError
         What is wrong, with file and key path.
+
+    Examples
+    --------
+    >>> import radwrap
+    >>> radwrap.load_scene("scene.toml", {"camera.exposure_time": "64 ms"}).camera.sensor.columns
+    192
     """
     path = Path(path)
     document = read_toml(path, _SCENE_FILE)
@@ -100,7 +107,16 @@ def scene_from_document(
     origin: str = "scene",
     folder: Path = Path(),
 ) -> Scene:
-    """Make a Scene from the tables of a scene file; arguments, result and errors as `load_scene`."""
+    """Make a Scene from the tables of a scene file; arguments, result and errors as `load_scene`.
+
+    Examples
+    --------
+    >>> import json, radwrap
+    >>> tables = json.loads(radwrap.load_scene("scene.toml").document)
+    >>> tables["sources"][0]["count"] = 6
+    >>> len(radwrap.scene_from_document(tables).emitters)
+    6
+    """
     tables: dict[str, Any] = json.loads(_checked_json(document, origin))
     for key, value in (overrides or {}).items():
         tables = set_all(tables, key, value, origin)
@@ -119,12 +135,54 @@ def scene_from_document(
     return scene
 
 
+class _CameraModel(Model):
+    """The camera of a scene for itself."""
+
+    camera: CameraModel
+
+
+def with_camera(scene: Scene, overrides: Mapping[str, Any]) -> Scene:
+    """A scene that differs in keys of its camera; what does not hang on the camera is not looked at again.
+
+    Raises
+    ------
+    InputError
+        As `load_scene`; and if a key is none of the camera, or another sensor may weigh the scene's spectra otherwise.
+    """
+    origin, folder = scene.origin, scene.folder
+    tables: dict[str, Any] = json.loads(scene.document)
+    for key, value in overrides.items():
+        if not key.startswith("camera."):
+            raise InputError("is no key of the camera", where=f"{origin}: {key}")
+        if scene.spectral is not None and key != "camera.exposure_time":
+            raise InputError("may weigh the scene's spectra otherwise", where=key, remedy="render that camera")
+        tables = set_all(tables, key, value, origin)
+    text = _checked_json(tables, origin)
+    whole = with_calibration(with_data_sheet(tables, origin, folder), origin, folder)
+    try:
+        model = _CameraModel.model_validate({"camera": whole["camera"]})
+    except ValidationError as error:
+        raise in_sheet(fault(error, origin, whole, _CameraModel), tables, whole, origin) from error
+    assumed = {key: value for key, value in scene.assumed.items() if not key.startswith("camera.")}
+    assumed |= dict(_assumed(model))
+    camera = camera_from_table(model.camera, f"{origin}: camera", assumed)
+    return replace(scene, camera=camera, assumed=assumed, document=text)
+
+
 def with_value(scene: Scene, key: str, value: Any) -> Scene:
     """A scene that differs in one key, written as the scene file would hold it.
 
+    Raises
+    ------
+    InputError
+        As `load_scene`.
+
     Examples
     --------
-    >>> brighter = with_value(scene, "camera.exposure_time", "64 ms")  # doctest: +SKIP
+    >>> import radwrap
+    >>> scene = radwrap.load_scene("scene.toml")
+    >>> radwrap.with_value(scene, "camera.exposure_time", "64 ms").camera.exposure_time
+    0.064
     """
     return scene_from_document(json.loads(scene.document), {key: value}, origin=scene.origin, folder=scene.folder)
 

@@ -1,0 +1,125 @@
+"""The same light on another exposure or another sensor's electronics: an image without a ray, and how far it is off.
+
+Radiant exposure is proportional to exposure time, and an error of Eq. 5 to its own factor: K' (s H)^gamma is off by
+(K'/K) s^gamma times what K H^gamma is off by, at each pixel. Clipping makes errors smaller, so that this holds where
+the new image saturates earlier than the old one. Where it saturates later, pixels that were saturated before are not
+bound by anything: rays were spent, and errors measured, on clipped gray levels.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from radwrap.errors import InputError
+from radwrap.images import ExposureImage, GrayImage
+from radwrap.imaging.response.sensor import gray_levels, image_of_levels
+from radwrap.imaging.tolerance.certificate import Certificate
+from radwrap.scene.camera import Camera, Sensor
+from radwrap.scene.file.load import with_camera
+from radwrap.scene.scene import Scene
+
+_SAME: Final = 1e-9  # of a level; rounding alone
+# So many times the certified rms below saturation a pixel may be saturated in truth.
+_MAY_SATURATE: Final = 3.0
+_SHAPE: Final = ("rows", "columns", "pixel_width", "pixel_height", "window", "channel")
+_BOUNDS: Final = (
+    "rms_gray",
+    "rms_gray_upper95",
+    "p99_gray_upper95",
+    "model_rms_gray",
+    "discretisation_rms_gray",
+    "bands_gray",
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Developed:
+    """What another camera makes of the same light.
+
+    Attributes
+    ----------
+    scene : Scene
+        With that camera.
+    radiant_exposure : ExposureImage
+        H [J m^-2].
+    gray : GrayImage
+        What the camera gives.
+    certificate : Certificate
+        How far the gray levels may be off; infinite where nothing is known of that.
+    """
+
+    scene: Scene
+    radiant_exposure: ExposureImage
+    gray: GrayImage
+    certificate: Certificate
+
+
+def in_other_camera(
+    scene: Scene, exposure: ExposureImage, certificate: Certificate, changes: Mapping[str, Any]
+) -> Developed:
+    """Another exposure time, or other electronics of the sensor, on the same light.
+
+    Parameters
+    ----------
+    scene : Scene
+        That was rendered.
+    exposure : ExposureImage
+        Its radiant exposure [J m^-2].
+    certificate : Certificate
+        How far its gray levels may be off.
+    changes : Mapping
+        Key of the scene file, of the camera -> value as the file would hold it.
+
+    Raises
+    ------
+    InputError
+        If a value is wrong, or the change is one of what light the pixels get.
+    """
+    other = with_camera(scene, changes)
+    old, new = scene.camera, other.camera
+    _check_same_light(old, new)
+    if not old.exposure_time:
+        raise InputError("is 0, which leaves nothing to scale", where="camera.exposure_time", remedy="render the scene")
+    times = new.exposure_time / old.exposure_time
+    made = ExposureImage(exposure.values * times, exposure.provenance)
+    gray = image_of_levels(gray_levels(made.values, new.sensor), new.sensor, made.provenance)
+    return Developed(
+        other, made, gray, _scaled(certificate, _growth(old.sensor, new.sensor, times, exposure, certificate))
+    )
+
+
+def _check_same_light(old: Camera, new: Camera) -> None:
+    shape = next((name for name in _SHAPE if getattr(old.sensor, name) != getattr(new.sensor, name)), None)
+    if shape is not None:
+        raise InputError(
+            "changes which light a pixel gets", where=f"camera.sensor.{shape}", remedy="render that camera"
+        )
+    if replace(new, exposure_time=old.exposure_time, sensor=old.sensor) != old:
+        raise InputError("changes which light a pixel gets", where="camera", remedy="render that camera")
+
+
+def _growth(old: Sensor, new: Sensor, times: float, exposure: ExposureImage, certificate: Certificate) -> float:
+    """How many times as large an error of a gray level is, at most; infinite where that is not known."""
+    if new.gamma != old.gamma:
+        return math.inf
+    growth: float = new.gain / old.gain * times**new.gamma
+    span, reached = old.saturation_gray - old.dark_gray, new.saturation_gray - new.dark_gray
+    if reached > growth * span * (1 + _SAME):
+        near = span - _MAY_SATURATE * certificate.rms_gray_upper95
+        if bool(np.any(gray_levels(exposure.values, old) - old.dark_gray >= near)):
+            return math.inf
+    return growth
+
+
+def _scaled(certificate: Certificate, growth: float) -> Certificate:
+    found: dict[str, Any] = {}
+    for name in _BOUNDS:
+        value = getattr(certificate, name)
+        if value is not None:
+            found[name] = growth * value if math.isfinite(growth) else math.inf
+    return replace(certificate, **found)

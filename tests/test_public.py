@@ -1,0 +1,34 @@
+"""The public names: help lists them, and the example of each runs as it stands."""
+
+from __future__ import annotations
+
+import doctest
+import inspect
+import pydoc
+from importlib.resources import files
+from pathlib import Path
+
+import pytest
+
+import radwrap
+
+FUNCTIONS = sorted(name for name in radwrap.__all__ if inspect.isfunction(getattr(radwrap, name)))
+
+
+def test_help_lists_every_public_name() -> None:
+    text = pydoc.render_doc(radwrap, renderer=pydoc.plaintext)
+    for name in radwrap.__all__:
+        assert f"{name}(" in text or f"class {name}" in text, name
+
+
+@pytest.mark.parametrize("name", ["", "Rendered", *FUNCTIONS])
+def test_the_example_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "scene.toml").write_bytes((files("radwrap") / "data" / "init" / "scene.toml").read_bytes())
+    one = getattr(radwrap, name) if name else radwrap
+    tests = doctest.DocTestFinder(recurse=False).find(one, name or "radwrap", globs={} if name else None)
+    assert tests[0].examples, "has an example"
+    assert not any(doctest.SKIP in example.options for example in tests[0].examples)
+    home = inspect.getmodule(one)
+    tests[0].globs = dict(vars(home)) if home is not None else {}
+    assert doctest.DocTestRunner().run(tests[0]).failed == 0
