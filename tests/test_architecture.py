@@ -37,7 +37,18 @@ ROOMS = {
             "tracing",
             "truth",
         ),
-        *("methods", "tolerance", "mean_radiance", "relight", "forecast", "output", "forecasting", "synthesis", "warm"),
+        *(
+            "methods",
+            "tolerance",
+            "mean_radiance",
+            "relight",
+            "forecast",
+            "output",
+            "forecasting",
+            "other_camera",
+            "rendered",
+        ),
+        *("synthesis", "warm"),
     ],
 }
 

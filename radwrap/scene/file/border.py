@@ -10,6 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema, model_validator
 
 from radwrap.errors import InputError
+from radwrap.nearest import did_you_mean
 from radwrap.units import (
     ANGLE,
     COEFFICIENT_OF_RETROREFLECTION,
@@ -145,7 +146,8 @@ def read_preset(folder: str, what: str, name: str) -> dict[str, Any]:
     """
     known = preset_names(folder)
     if name not in known:
-        raise ValueError(f'preset: no {what} "{name}"; known: {", ".join(known)}')
+        near = did_you_mean(name, known) or f"known: {', '.join(known)}"
+        raise ValueError(f'preset: no {what} "{name}"; {near}')
     return tomllib.loads((files("radwrap") / "data" / folder / f"{name}.toml").read_text("utf-8"))
 
 

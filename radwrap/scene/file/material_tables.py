@@ -24,6 +24,33 @@ class Coloured(Model):
     spectrum: CurveModel | None = None
 
 
+class FromCatalog(Model):
+    """A material that may stand in radwrap's own catalog; what is given beside the preset replaces its value."""
+
+    preset: Name | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_preset(cls, table: Any) -> Any:
+        if not isinstance(table, dict) or not isinstance(table.get("preset"), str):
+            return table
+        found = read_preset("materials", "material", table["preset"])
+        del found["catalog"]
+        if table.get("type") != found["type"]:
+            raise ValueError(f'preset: "{table["preset"]}" is a material of type "{found["type"]}"')
+        return {**found, **table}
+
+    @property
+    def assumed(self) -> dict[str, str]:
+        """Key -> value of all that the preset says without a measurement behind it."""
+        if self.preset is None:
+            return {}
+        found = read_preset("materials", "material", self.preset)
+        told = found["catalog"]["from"]
+        keys = [key for key in told if told[key]["basis"] == "assumed" and found[key] == getattr(self, key)]
+        return {key: f"{found[key]}: of the preset {self.preset}, which nobody measured" for key in keys}
+
+
 class LambertianModel(Coloured):
     """Diffuse material."""
 
@@ -31,8 +58,10 @@ class LambertianModel(Coloured):
     reflectance: Share
 
 
-class SpecularModel(Coloured):
+class SpecularModel(Coloured, FromCatalog):
     """Gaussian lobe over a diffuse part; two roughnesses are along the target's x and across it."""
+
+    model_config: ClassVar[ConfigDict] = ConfigDict(json_schema_extra=preset_or_all)
 
     type: Literal["specular"]
     diffuse_reflectance: Share = 0.0
@@ -118,8 +147,10 @@ class MirrorModel(Model):
     reflectance: Share
 
 
-class GlassModel(Model):
+class GlassModel(FromCatalog):
     """Thin pane."""
+
+    model_config: ClassVar[ConfigDict] = ConfigDict(json_schema_extra=preset_or_all)
 
     type: Literal["glass"]
     transmittance: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=1)]
