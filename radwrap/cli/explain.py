@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, Final
 
 from radwrap.cli import options as shared
 from radwrap.imaging.forecast.effects import effects
 from radwrap.imaging.forecast.explain import explain
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.manifest import json_text
+
+# Depths of a target that differ by less are one [share].
+_FLAT: Final = 1e-4
+# Values that a scene seldom says because they are what anybody expects.
+_QUIET: Final = re.compile(
+    r".*\.(name|rotation|rotation_order|position|up|first_angle|channel|rounding|device_seed|gamma)"
+    r"|.*\.(misalignment|defects)\.\w+|camera\.aperture\.(shape|rotation)"
+)
 
 
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
@@ -24,6 +33,9 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     shared.add_tolerance(parser, "rms error that is wanted")
     parser.add_argument(
         "--seed", metavar="S", type=shared.whole(), default=0, help="seed of all that is drawn (default 0)"
+    )
+    parser.add_argument(
+        "--assumed", action="store_true", help="list all values that were taken because the scene is silent"
     )
     parser.add_argument("--no-rays", action="store_true", help="closed forms alone; needs no Radiance")
     shared.add_tracer(parser)
@@ -42,11 +54,63 @@ def run(arguments: argparse.Namespace) -> int:
             **shared.tracer_options(arguments),
         )
         found |= effects(scene, options)
-    print(json_text(found) if arguments.json else "\n".join(_lines(found)) + "\n", end="")
+    print(
+        json_text(found) if arguments.json else "\n".join(_lines(found, all_assumed=arguments.assumed)) + "\n", end=""
+    )
     return 0
 
 
-def _lines(found: Mapping[str, Any]) -> Iterator[str]:
+def _asked_first(found: Mapping[str, Any]) -> Iterator[str]:
+    """What an engineer asks: millimetres, sharpness, levels and noise, bits, exposure."""
+    for seen in found["in_sight"]:
+        width, height = (f"{size * 1e3:.4g}" for size in seen["field_of_view"])
+        across, down = (f"{size * 1e3:.3g}" for size in seen["pixel"])
+        pixel = f"{across} mm/px" if across == down else f"{across} x {down} mm/px"
+        near, far = seen["nearest"], seen["farthest"]
+        deep = f"{near * 1e3:.5g} mm" if far - near < _FLAT * far else f"{near * 1e3:.5g} to {far * 1e3:.5g} mm"
+        blur = " to ".join(dict.fromkeys(f"{radius:.2g}" for radius in sorted(seen["blur_radius_px"])))
+        yield f"{seen['target']}: {width} x {height} mm in view, {pixel}, {deep} away, blur radius {blur} px"
+        yield f"{seen['target']}: {_level(seen['middle'])}; at most {_level(seen['peak'])}"
+    if not found["in_sight"]:
+        yield "no target is in sight"
+    if focus := found.get("focus"):
+        far = focus["farthest_sharp"]
+        end = "infinity" if far is None else f"{far * 1e3:.5g} mm"
+        yield f"depth of focus: {focus['nearest_sharp'] * 1e3:.5g} mm to {end} (blur radius below a pixel)"
+    yield f"exposure: {found['advice']}"
+    if wanted := found["exposure_for_80_percent"]:
+        yield f"exposure for 80 % at the brightest: {wanted * 1e3:.4g} ms"
+    if eight := found["eight_bits"]:
+        enough = "are enough" if eight["enough"] else "are too few"
+        yield (
+            f"8 bits {enough}: their step is {eight['step']:g} gray of this camera, one frame's noise on "
+            f"{eight['target']} {eight['noise']:.2g}"
+        )
+
+
+def _level(level: Mapping[str, Any]) -> str:
+    """Gray level, electrons and signal-to-noise ratio, as far as they are known."""
+    told = [f"gray {level['gray']:.4g}"]
+    if level["electrons"] is not None:
+        told.append(f"{level['electrons']:.3g} electrons")
+        told.append("saturated" if level["snr"] is None else f"SNR {level['snr']:.3g}")
+    return ", ".join(told)
+
+
+def _assumed(found: Mapping[str, Any], *, whole: bool) -> Iterator[str]:
+    """Values that were taken because the scene is silent: those that change the image of a usual cell, or all."""
+    quiet = 0
+    for key, value in found["assumed"].items():
+        if not whole and _QUIET.fullmatch(key):
+            quiet += 1
+            continue
+        yield f"assumed: {key} = {value}"
+    if quiet:
+        yield f"assumed: {quiet} values besides that seldom matter; --assumed lists them"
+
+
+def _lines(found: Mapping[str, Any], *, all_assumed: bool) -> Iterator[str]:
+    yield from _asked_first(found)
     camera = found["scene"]["camera"]
     sensor = camera["sensor"]
     width, height = found["field_of_view_deg"]
@@ -87,12 +151,12 @@ def _lines(found: Mapping[str, Any]) -> Iterator[str]:
         yield f"bands for a relative error: {needed}; mean wavelength {spectrum['wavelength'] * 1e9:.4g} nm"
     for target in found["targets"]:
         if target["blur_radius_px"] is None:
-            yield f"target {target['name']}: behind the camera"
+            yield f"target {target['name']}: its origin lies behind the camera"
             continue
         u, v = target["blur_radius_px"]
         yield (
-            f"target {target['name']}: {target['depth']:.4g} m along the axis, blur radius {u:.3g} x {v:.3g} px, "
-            f"{target['pinhole_projection_radius'] * 1e3:.3g} mm on the target"
+            f"target {target['name']}: origin {target['depth']:.4g} m along the axis, blur radius there {u:.3g} x "
+            f"{v:.3g} px, {target['pinhole_projection_radius'] * 1e3:.3g} mm on the target"
         )
     for ring in found["rings"]:
         for name, angle in ring["observation_angle_deg"].items():
@@ -106,7 +170,9 @@ def _lines(found: Mapping[str, Any]) -> Iterator[str]:
             f"expected peak: gray {peak['gray']:.1f} ({peak['radiant_exposure']:.3g} J/m^2) on {peak['target']} "
             f"({peak['material']}), by closed form without shadows and blur"
         )
-    yield f"advice: {found['advice']}"
+    exposure = found.get("effects_exposure_time", camera["exposure_time"])
+    if exposure != camera["exposure_time"]:
+        yield f"effects and method are those of an exposure of {exposure * 1e3:.4g} ms, as the scene's saturates"
     for effect in found.get("effects", ()):
         needed = "needed" if effect["needed"] else "not needed"
         yield (
@@ -120,8 +186,7 @@ def _lines(found: Mapping[str, Any]) -> Iterator[str]:
         yield f"method for a tolerance of {found['tolerance']:g} ({asked}): {planner['method']} ({planner['why']})"
     for warning in found["warnings"]:
         yield f"warning: {warning}"
-    for key, value in found["assumed"].items():
-        yield f"assumed: {key} = {value}"
+    yield from _assumed(found, whole=all_assumed)
 
 
 def _wide(wide: Mapping[str, Any], *, shines_whole: bool) -> str:

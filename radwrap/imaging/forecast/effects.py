@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
+from radwrap.imaging.forecast.explain import unsaturated
 from radwrap.imaging.methods.rays import rays_over
 from radwrap.imaging.optics.view import View, rays_through, trace_rays
 from radwrap.imaging.render_options import RenderOptions
@@ -160,7 +161,9 @@ def effects(scene: Scene, options: RenderOptions | None = None) -> dict[str, Any
     Returns
     -------
     dict
-        ``tolerance`` [gray level]; ``tolerance_asked``, where that was not in gray levels, see `ToleranceAsked`;
+        ``effects_exposure_time``: at which all was measured [s]; the scene's, unless that saturates, then that which
+        brings the peak to 80 %; ``tolerance`` [gray level]; ``tolerance_asked``, where that was not in gray levels, see
+        `ToleranceAsked`;
         ``tracer``: which traces, and why, see `TracerUsed`; ``effects``: a list of `Effect`
         as dicts;
         ``planner``: ``method``, ``why``, ``expected_rays`` of each method, ``expected_model_rms_gray``.
@@ -178,6 +181,7 @@ def effects(scene: Scene, options: RenderOptions | None = None) -> dict[str, Any
     'kernel'
     """
     options = options or RenderOptions()
+    scene = unsaturated(scene)
     with laid_out(scene, options) as traced:
         view = traced.view()
         options, asked = with_gray_tolerance(options, view)
@@ -188,7 +192,8 @@ def effects(scene: Scene, options: RenderOptions | None = None) -> dict[str, Any
     planner = {"method": choice.method, "why": choice.why, **choice.as_manifest()}
     tracer = plain(traced.tracer_used, named=False)
     told = {} if asked is None else {"tolerance_asked": plain(asked, named=False)}
-    return {"tolerance": tolerance, **told, "tracer": tracer, "effects": each, "planner": planner}
+    exposure = {"effects_exposure_time": scene.camera.exposure_time}
+    return {"tolerance": tolerance, **told, **exposure, "tracer": tracer, "effects": each, "planner": planner}
 
 
 def bounces(

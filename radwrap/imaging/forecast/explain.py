@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 
 from radwrap.errors import InputError
-from radwrap.imaging.forecast.preview import brightest
+from radwrap.imaging.forecast.in_sight import eight_bits, in_sight, told
+from radwrap.imaging.forecast.preview import brightest, spread_look
 from radwrap.imaging.optics.diffraction import diffraction, diffraction_warning
 from radwrap.imaging.response.exposure import exposure_of_radiance
 from radwrap.imaging.response.sensor import unclipped_gray
 from radwrap.manifest import SCHEMA_VERSION, finite, plain
 from radwrap.scene.bands import scene_bands
 from radwrap.scene.camera import Camera
+from radwrap.scene.file.load import with_camera
 from radwrap.scene.look.checks import warnings_of
 from radwrap.scene.look.geometry import project
 from radwrap.scene.look.wide_sources import divided
@@ -25,7 +28,7 @@ from radwrap.scene.spectrum import Spectral
 
 # Below this share of the gray range above dark the image is called dim; the advice aims at the other one.
 _DIM_SHARE: Final = 0.25
-_ADVISED_SHARE: Final = 0.85
+_ADVISED_SHARE: Final = 0.8
 # Relative errors of the exposure for which the number of bands is told.
 _BAND_ERRORS: Final = (1e-4, 1e-3, 1e-2, 0.1)
 
@@ -45,7 +48,10 @@ def explain(scene: Scene) -> dict[str, Any]:
         relative errors need;
         ``diffraction``: what the opening's Airy disc is, see `diffraction`;
         ``targets``: for each its depth [m], blur radius [px] and R of Eq. 8
-        [m]; ``rings``: observation angle at each target [deg];
+        [m], at its origin; ``rings``: observation angle at each target [deg];
+        ``in_sight``: of each target that is seen its visible depths, what a pixel and the sensor cover there, blur,
+        gray levels, electrons and signal-to-noise ratio, see `InSight`; ``eight_bits``: whether they would do;
+        ``exposure_for_80_percent``: the exposure time that brings the peak there [s];
         ``wide_sources``, where there are any: patches, and the error asked for and found;
         ``expected_peak``: gray, irradiance on the sensor [W m^-2] and radiant
         exposure [J m^-2] by closed form (no shadows, no blur but that of a
@@ -59,9 +65,12 @@ def explain(scene: Scene) -> dict[str, Any]:
     """
     scene, refusal = _in_patches(scene)
     camera = scene.camera
-    peak, airy = _peak(scene), diffraction(scene)
+    peak, airy, seen = _peak(scene), diffraction(scene), in_sight(scene)
     return {
         "schema_version": SCHEMA_VERSION,
+        "in_sight": told(seen),
+        "eight_bits": eight_bits(scene, seen),
+        "exposure_for_80_percent": _exposure_for_advice(camera, peak),
         "scene": {
             "camera": plain(camera),
             "sources": plain(scene.sources),
@@ -192,6 +201,30 @@ def _peak(scene: Scene) -> dict[str, Any] | None:
     }
 
 
+def _exposure_for_advice(camera: Camera, peak: Mapping[str, Any] | None) -> float | None:
+    """Exposure time that brings the peak to the advised share of the range [s]; None without light."""
+    if peak is None or peak["irradiance"] <= 0:
+        return None
+    sensor = camera.sensor
+    span = sensor.saturation_gray - sensor.dark_gray
+    wanted: float = (_ADVISED_SHARE * span / sensor.gain) ** (1 / sensor.gamma)
+    return wanted / float(peak["irradiance"])
+
+
+def unsaturated(scene: Scene) -> Scene:
+    """The scene, with the advised exposure time where its peak saturates: effects on a saturated image are none."""
+    camera = scene.camera
+    # A look that misses a highlight finds no saturation where effects on all that is around it can be measured.
+    value = spread_look(_in_patches(scene)[0])[0].value
+    brightest_seen = float(np.nanmax(value, initial=0.0))
+    gray = unclipped_gray(np.array([brightest_seen * exposure_of_radiance(camera)]), camera.sensor)[0]
+    if brightest_seen <= 0 or (camera.exposure_time and gray < camera.sensor.saturation_gray):
+        return scene
+    irradiance = brightest_seen * exposure_of_radiance(replace(camera, exposure_time=1.0))
+    advised = _exposure_for_advice(camera, {"irradiance": irradiance})
+    return with_camera(scene, {"camera.exposure_time": f"{advised!r} s"})
+
+
 def _advice(camera: Camera, peak: dict[str, Any] | None) -> str:
     if peak is None:
         return "nothing that is known beforehand was found in view"
@@ -199,8 +232,7 @@ def _advice(camera: Camera, peak: dict[str, Any] | None) -> str:
     gray, span = peak["gray_without_saturation"], sensor.saturation_gray - sensor.dark_gray
     if peak["irradiance"] <= 0:
         return "no light was found on what the camera sees: check that sources shine there"
-    wanted = (_ADVISED_SHARE * span / sensor.gain) ** (1 / sensor.gamma)
-    advised = f"{wanted / peak['irradiance'] * 1e3:.4g} ms"
+    advised = f"{(_exposure_for_advice(camera, peak) or 0.0) * 1e3:.4g} ms"
     goal = f"an exposure time of {advised} brings the peak to {_ADVISED_SHARE:.0%} of the range"
     if camera.exposure_time == 0:
         return f"the exposure time is 0 s, so the image stays dark; {goal}"

@@ -29,6 +29,9 @@ from radwrap.scene.targets import Target
 Array = NDArray[np.float64]
 
 _MOST_RAYS: Final = 20_000  # of the search's first look at the sensor, and from special places
+_FEWEST_SPREAD: Final = 500  # rays of a look that finds out what is in sight
+_MOST_SPREAD: Final = 10_000
+_SPREAD_VALUES: Final = 400_000  # rays times sources of that look: some tenths of a second
 _MOST_VALUES: Final = 2_000_000  # rays times sources of a first look: a few seconds
 _MOST_BEAMS: Final = 200  # sources, spread over all, whose beams are followed
 _MOST_PAIRS: Final = 20_000  # of targets and sources whose beams are followed to them: a few seconds
@@ -92,11 +95,14 @@ class Seen:
         Place of what is seen in `names`; -1 for nothing.
     names : tuple of tuple of str
         (target, material), or (source, "light").
+    distance : ndarray, shape (n,)
+        Along the ray [m]; infinite where it meets nothing.
     """
 
     value: Array
     number: NDArray[np.intp]
     names: tuple[tuple[str, str], ...]
+    distance: Array
 
 
 def look(scene: Scene, rays: Array, weights: Array | None = None) -> Seen:
@@ -144,7 +150,7 @@ def _looked(known: _Known, rays: Array, weights: Array | None = None) -> Seen:
         names.append((emitter.name, "light"))
     if weights is None:
         weights = (rays @ np.asarray(scene.camera.pose.z_axis)) ** 4
-    return Seen(value * weights, number, tuple(names))
+    return Seen(value * weights, number, tuple(names), nearest)
 
 
 def _reflected(known: _Known, group: SurfacePoints, eye: Array) -> Array:
@@ -202,6 +208,18 @@ def brightest(scene: Scene) -> Brightest | None:
                 best = float(finer.value[top]), finer.names[finer.number[top]]
             place, width = around[top], width / 4
     return None if best is None else Brightest(*best[1], best[0])
+
+
+def spread_look(scene: Scene) -> tuple[Seen, Array]:
+    """What is seen on rays that are spread evenly over the sensor, and how deep it lies along the axis [m]."""
+    known = _Known.of(scene)
+    sensor = scene.camera.sensor
+    most = max(_FEWEST_SPREAD, min(_MOST_SPREAD, _SPREAD_VALUES // max(1, len(known.lit))))
+    step = max(1.0, math.sqrt(sensor.pixels / most))
+    u, v = (np.arange(step / 2 - 0.5, size - 0.5, step) for size in (sensor.columns, sensor.rows))
+    uv = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    seen = _shown(known, uv)
+    return seen, seen.distance * (directions(scene.camera, uv) @ np.asarray(scene.camera.pose.z_axis))
 
 
 def _shown(known: _Known, uv: Array) -> Seen:
