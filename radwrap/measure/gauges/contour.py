@@ -31,6 +31,7 @@ _STILL: Final = 1e-3  # px; pixels no longer come and go
 _OUTLIER: Final = 4.5  # standard deviations
 _BLOCK: Final = 8.0  # px along the contour
 _SHORT_BLOCK: Final = 3.0  # px, that tells a polygon from a circle
+_SHORTEST_CONTOUR: Final = 8  # blocks of a short contour, which are then shorter
 _BAD_BLOCK: Final = 2.0  # times the usual rms of a block, from where on it shows something else
 _USUAL: Final = 0.35  # quantile of the blocks' rms that is usual, where some show something else
 _FEWEST_BLOCKS: Final = 6
@@ -275,7 +276,7 @@ def _levels(strip: Strip, state: State) -> tuple[float, float]:
 
 def _misfit(shape: Shape, strip: Strip, state: State, variance: float) -> tuple[float, bool]:
     """By how much stretches of the contour lie off the shape, rms beyond noise [px]; whether that is significant."""
-    block, count = _blocks(shape, state, _SHORT_BLOCK)
+    block, count = _blocks(shape, state, min(_SHORT_BLOCK, shape.length / _SHORTEST_CONTOUR))
     used = np.unique(block)
     if len(used) < _FEWEST_BLOCKS:
         return 0.0, False

@@ -27,6 +27,7 @@ _NARROW: Final = 4.0  # widths of blur
 _TOO_NARROW: Final = 1.3  # widths of blur; fits of random stripes that went wrong ended below
 _SWAPPED: Final = 0.85  # of twice the blur, the width of the stripe that looks alike
 _SAME: Final = 0.02  # of the width
+_CERTAIN: Final = 100.0  # variances; beyond that no other fit counts
 _AS_GOOD: Final = 1.01  # times the residual: of a thousand pixels chance makes as much in one of thousands
 
 
@@ -131,10 +132,12 @@ class StraightGauge:
             return fit
         # A narrow stripe with much blur looks much like a wide one with little: whichever fits better.
         starts = (width, fit.blur), (_SWAPPED * 2 * fit.blur, width / 2 / _SWAPPED)
-        reach = max(blur for _, blur in starts) + BEYOND  # of the same pixels residuals can be held against each other
-        fits = [self._stripe(np.array([shift, turn, size]), blur, reach) for size, blur in starts]
+        # As far from the middle for both: of the same pixels residuals can be held against each other.
+        extent = width / 2 + max(blur for _, blur in starts) + BEYOND
+        fits = [self._stripe(np.array([shift, turn, size]), blur, extent - size / 2) for size, blur in starts]
         best, worse = sorted(fits, key=lambda one: one.residual_rms)
         apart = abs(best.parameters[2] - worse.parameters[2]) > _SAME * width
+        best = _unsure(best, worse)
         if apart and worse.residual_rms < _AS_GOOD * best.residual_rms:
             told = (
                 f"a width of {abs(worse.parameters[2]):.3g} px with a blur of {worse.blur:.3g} px fits nearly as well"
@@ -148,6 +151,19 @@ class StraightGauge:
     def _stripe(self, start: Array, blur: float, reach: float | None = None) -> Contour:
         shape = stripe_shape(self.centre, self.angle, self.length, start)
         return fit_contour(self.light, shape, blur, self.lines.half_length, self.aspect, reach=reach)
+
+
+def _unsure(best: Contour, other: Contour) -> Contour:
+    """The better of two fits, whose width may as well be the other's, by how likely noise makes that fit worse.
+
+    Where their sums of squares differ by d variances the other one holds the truth with a chance of
+    1/(1 + exp(d/2)); that chance times the square of their distance adds to the variance.
+    """
+    further = best.pixels * (other.residual_rms**2 / max(best.residual_rms**2, 1e-300) - 1)
+    chance = 1 / (1 + math.exp(min(further, _CERTAIN) / 2))
+    covariance = best.covariance.copy()
+    covariance[2, 2] += chance * (best.parameters[2] - other.parameters[2]) ** 2
+    return replace(best, covariance=covariance)
 
 
 def _stripe_points(shape: Shape, low: Array, high: Array) -> PointFit:
