@@ -43,7 +43,19 @@ _OPTIONS: Final = frozenset(
             "saturation",
             "pixel_aspect",
         ),
-        *("region", "against", "mm_per_px", "plane", "shape", "cells", "noise", "truth", "scene", "pose_sigma"),
+        *(
+            "region",
+            "against",
+            "mm_per_px",
+            "plane",
+            "shape",
+            "cells",
+            "noise",
+            "truth",
+            "against_truth",
+            "scene",
+            "pose_sigma",
+        ),
     }
 )
 
@@ -190,36 +202,51 @@ def look(arguments: argparse.Namespace, verb: str) -> Look:
     named = [name for name in ("truth", "plane", "pose_sigma") if getattr(arguments, name, None) is not None]
     if scene is None and (named or changes):
         raise InputError("needs a scene", where=(*named, "set")[0], remedy="give --scene")
-    if scene is not None and image.values.shape != (scene.camera.sensor.rows, scene.camera.sensor.columns):
-        rows, columns = image.values.shape
-        raise InputError(
-            f"has {columns} x {rows} pixels, the scene's sensor {scene.camera.sensor.columns} x "
-            f"{scene.camera.sensor.rows}",
-            where=str(arguments.image),
-            remedy="name the scene that it was rendered from",
-        )
-    response, aspect = _camera(arguments, scene)
+    if scene is not None:
+        check_size(scene, image, arguments.image)
+    aspect = _aspect(arguments.pixel_aspect, scene)
     scale = _scale(getattr(arguments, "mm_per_px", None))
     face, plane = _plane(arguments, scene)
     if scale is not None and plane is not None:
         if arguments.plane is not None:
             raise InputError("is given beside a plane", where="mm_per_px", remedy="leave one of them out")
         plane = None
-    return Look(arguments.image, image, response, aspect, scale, scene, face, plane, arguments.truth)
+    return Look(arguments.image, image, response(arguments, scene), aspect, scale, scene, face, plane, arguments.truth)
 
 
-def _camera(arguments: argparse.Namespace, scene: Scene | None) -> tuple[Response, float]:
-    """What options say of the camera, and for the rest the scene."""
-    dark, gamma, saturation, aspect = arguments.dark, arguments.gamma, arguments.saturation, arguments.pixel_aspect
-    if scene is None:
-        return Response(dark, 1.0 if gamma is None else gamma, saturation), 1.0 if aspect is None else aspect
-    known = response_of(scene.camera)
-    response = Response(
+def response(arguments: argparse.Namespace, scene: Scene | None) -> Response:
+    """What options say of the camera's response, and for the rest the scene."""
+    dark, gamma, saturation = arguments.dark, arguments.gamma, arguments.saturation
+    known = Response() if scene is None else response_of(scene.camera)
+    return Response(
         known.dark if dark is None else dark,
         known.gamma if gamma is None else gamma,
         known.saturation if saturation is None else saturation,
     )
-    return response, aspect_of(scene.camera) if aspect is None else aspect
+
+
+def _aspect(given: float | None, scene: Scene | None) -> float:
+    if given is not None:
+        return given
+    return 1.0 if scene is None else aspect_of(scene.camera)
+
+
+def check_size(scene: Scene, image: GrayImage, path: Path) -> None:
+    """Refuse an image that is not of the scene's sensor.
+
+    Raises
+    ------
+    InputError
+        With both sizes.
+    """
+    rows, columns = image.values.shape
+    sensor = scene.camera.sensor
+    if (rows, columns) != (sensor.rows, sensor.columns):
+        raise InputError(
+            f"has {columns} x {rows} pixels, the scene's sensor {sensor.columns} x {sensor.rows}",
+            where=str(path),
+            remedy="name the scene that it was rendered from, with its `scale` and `roi`",
+        )
 
 
 def _scale(text: str | None) -> Scale | None:

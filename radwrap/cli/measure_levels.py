@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import asdict, astuple
 from pathlib import Path
 from typing import Any
 
 from radwrap.cli import gauging
 from radwrap.cli import options as shared
 from radwrap.errors import InputError
-from radwrap.images import read_gray
+from radwrap.images import GrayImage, read_gray
 from radwrap.manifest import SCHEMA_VERSION, finite, json_text
-from radwrap.measure.gauges import Box, Response, contrast_of, measure_region, measure_uniformity
+from radwrap.measure.gauges import Box, contrast_of, measure_region, measure_uniformity
 from radwrap.measure.gauges.uniformity import CELLS
+from radwrap.scene.file.load import load_scene
+from radwrap.scene.scene import Scene
+from radwrap.study.placed_calipers import region_of
 
 
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
@@ -34,7 +37,16 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     )
     _add_box(region, "--region", "which pixels (default: the whole image)")
     _add_box(region, "--against", "the region to hold it against")
-    region.add_argument("--dark", metavar="G", type=shared.GRAY_LEVEL, help="gray level without light (default 0)")
+    _add_scene(region)
+    region.add_argument(
+        "--against-truth", metavar="TARGET", help="hold it against the largest rectangle that shows this target alone"
+    )
+    region.add_argument(
+        "--dark",
+        metavar="G",
+        type=shared.GRAY_LEVEL,
+        help="gray level without light (default that of --scene, else 0)",
+    )
     region.add_argument(
         "--noise",
         choices=["spatial", "temporal"],
@@ -50,6 +62,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     )
     even.add_argument("image", metavar="IMAGE", type=Path, help="PNG, TIFF, PGM of 8 or 16 bits, or EXR")
     _add_box(even, "--region", "which pixels (default: the whole image)")
+    _add_scene(even)
     gauging.add_response(even)
     even.add_argument(
         "--cells",
@@ -72,24 +85,64 @@ def _add_box(parser: argparse.ArgumentParser, name: str, purpose: str) -> None:
     )
 
 
+def _add_scene(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--scene", metavar="SCENE.toml", help="scene that the image was rendered from")
+    shared.add_changes(parser)
+    parser.add_argument(
+        "--truth", metavar="TARGET", help="measure the largest rectangle of pixels that shows this target alone"
+    )
+
+
+def _scene(arguments: argparse.Namespace, image: GrayImage, path: Path) -> Scene | None:
+    """The scene that --scene names, whose sensor must have the image's size."""
+    changes = shared.overrides_of(arguments)
+    if arguments.scene is None:
+        named = [name for name in ("truth", "against_truth") if getattr(arguments, name, None) is not None]
+        if named or changes:
+            raise InputError("needs a scene", where=(*named, "set")[0], remedy="give --scene")
+        return None
+    scene = load_scene(arguments.scene, changes)
+    gauging.check_size(scene, image, path)
+    return scene
+
+
+def _box_of(arguments: argparse.Namespace, scene: Scene | None, box: str, truth: str) -> list[int] | None:
+    """The pixels that one option gives, or those of the target that the other one names."""
+    given, name = getattr(arguments, box), getattr(arguments, truth)
+    if name is None or scene is None:
+        return None if given is None else list(given)
+    if given is not None:
+        raise InputError(f"is given beside `{truth}`", where=box, remedy="leave one of them out")
+    try:
+        return list(astuple(region_of(scene, name)))
+    except InputError as error:
+        raise InputError(error.what, where=truth, remedy=error.remedy) from error
+
+
 def run_region(arguments: argparse.Namespace) -> int:
     """Carry out ``measure region``."""
     frames = [read_gray(path) for path in arguments.images]
     rows, columns = frames[0].values.shape
+    scene = _scene(arguments, frames[0], arguments.images[0])
+    dark = arguments.dark
+    if dark is None:
+        dark = 0.0 if scene is None else scene.camera.sensor.dark_gray
+    box = _box_of(arguments, scene, "region", "truth")
+    against = _box_of(arguments, scene, "against", "against_truth")
     told: dict[str, Any] = {
         "schema_version": SCHEMA_VERSION,
         "images": list(map(str, arguments.images)),
-        "dark": arguments.dark or 0.0,
+        "dark": dark,
         "certified_rms_gray": gauging.certified(arguments.images[0]),
     }
     whole = [0, 0, columns - 1, rows - 1]
     try:
-        first = measure_region(frames, Box(*(arguments.region or whole)))
-        told["region"] = _numbers(asdict(first)) | {"box": arguments.region or whole}
-        if arguments.against is not None:
-            second = _against(frames, arguments.against)
-            told["against"] = _numbers(asdict(second)) | {"box": arguments.against}
-            contrast = contrast_of(first, second, dark=arguments.dark or 0.0, noise=arguments.noise)
+        first = measure_region(frames, Box(*(box or whole)))
+        told["region"] = _numbers(asdict(first)) | {"box": box or whole}
+        if against is not None:
+            second = _against(frames, against)
+            told["against"] = _numbers(asdict(second)) | {"box": against}
+            contrast = contrast_of(first, second, dark=dark, noise=arguments.noise)
             told["contrast"] = _numbers(asdict(contrast))
     except InputError as error:
         raise gauging.located(error, arguments.images[0]) from error
@@ -135,13 +188,13 @@ def _region_lines(told: dict[str, Any]) -> Iterator[str]:
 def run_uniformity(arguments: argparse.Namespace) -> int:
     """Carry out ``measure uniformity``."""
     image = read_gray(arguments.image)
+    scene = _scene(arguments, image, arguments.image)
+    box = _box_of(arguments, scene, "region", "truth")
     try:
         found = measure_uniformity(
             image,
-            response=Response(
-                arguments.dark, 1.0 if arguments.gamma is None else arguments.gamma, arguments.saturation
-            ),
-            box=None if arguments.region is None else Box(*arguments.region),
+            response=gauging.response(arguments, scene),
+            box=None if box is None else Box(*box),
             cells=arguments.cells,
         )
     except InputError as error:

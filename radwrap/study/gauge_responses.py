@@ -32,6 +32,7 @@ from radwrap.study.placed_calipers import (
     aspect_of,
     named_face,
     plane_of,
+    region_of,
     response_of,
     rim_caliper,
     rim_places,
@@ -109,7 +110,14 @@ def _has_width(scene: Scene, options: Options) -> None:
 
 def _box(seen: Seen, options: Options, name: str = "region") -> Box:
     rows, columns = seen.image.values.shape
-    return Box(*options.get(name, (0, 0, columns - 1, rows - 1)))
+    asked = options.get(name, (0, 0, columns - 1, rows - 1))
+    return region_of(seen.scene, asked) if isinstance(asked, str) else Box(*asked)
+
+
+def _has_regions(scene: Scene, options: Options) -> None:
+    for name in ("region", "against"):
+        if isinstance(options.get(name), str):
+            region_of(scene, options[name])
 
 
 def _region_mean(seen: Seen, options: Options) -> Answer:
@@ -141,7 +149,8 @@ def _contrast_to_noise(seen: Seen, options: Options) -> Answer:
     return again(seen, ratio)
 
 
-def _is_linear(scene: Scene, _: Options) -> None:
+def _is_linear(scene: Scene, options: Options) -> None:
+    _has_regions(scene, options)
     if scene.camera.sensor.linear is None:
         raise InputError("needs the noise of a linear camera", remedy='give the sensor `model = "linear"`')
 
@@ -194,9 +203,15 @@ GAUGES: Final[Mapping[str, Kind]] = {
         needed=("target",),
         check=_has_width,
     ),
-    "region_mean": Kind("mean gray level of a region", None, "", {"region": BOX}, _region_mean),
+    "region_mean": Kind("mean gray level of a region", None, "", {"region": BOX}, _region_mean, check=_has_regions),
     "region_contrast": Kind(
-        "Michelson contrast of two regions, above dark", None, "", _BOTH, _region_contrast, needed=("region", "against")
+        "Michelson contrast of two regions, above dark",
+        None,
+        "",
+        _BOTH,
+        _region_contrast,
+        needed=("region", "against"),
+        check=_has_regions,
     ),
     "contrast_to_noise": Kind(
         "contrast of two regions over one frame's temporal noise",
@@ -207,8 +222,15 @@ GAUGES: Final[Mapping[str, Kind]] = {
         needed=("region", "against"),
         check=_is_linear,
     ),
-    "uniformity": Kind("1 - sd/mean of light over a region", None, "", {"region": BOX}, _uniformity("by_deviation")),
+    "uniformity": Kind(
+        "1 - sd/mean of light over a region", None, "", {"region": BOX}, _uniformity("by_deviation"), check=_has_regions
+    ),
     "unevenness": Kind(
-        "(max - min)/(max + min) of light over a region", None, "", {"region": BOX}, _uniformity("by_extremes")
+        "(max - min)/(max + min) of light over a region",
+        None,
+        "",
+        {"region": BOX},
+        _uniformity("by_extremes"),
+        check=_has_regions,
     ),
 }

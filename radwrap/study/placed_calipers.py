@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.imaging.truth import edge_line
-from radwrap.measure.gauges import Caliper, Plane, Response, StraightCaliper
+from radwrap.measure.gauges import Box, Caliper, Plane, Response, StraightCaliper
 from radwrap.nearest import did_you_mean
 from radwrap.scene.camera import Camera
 from radwrap.scene.look.faces import Face, FaceRim, face_towards, rings
+from radwrap.scene.look.seen_box import seen_box
 from radwrap.scene.scene import Scene
-from radwrap.scene.targets import EdgeTarget
+from radwrap.scene.targets import EdgeTarget, Target
 
 Array = NDArray[np.float64]
 RimName = Literal["outer", "inner"]
@@ -58,6 +59,18 @@ class RimPlace:
         return min([band, *(max(abs(self.radius - other) / 2, 1.0) for other in others)])
 
 
+def region_of(scene: Scene, name: str) -> Box:
+    """The largest rectangle of pixels that show a target alone.
+
+    Raises
+    ------
+    InputError
+        If there is no such target, or none of it is seen alone.
+    """
+    named_target(scene, name)
+    return Box(*seen_box(scene.camera, scene.targets, name))
+
+
 def aspect_of(camera: Camera) -> float:
     """Height of a pixel over its width."""
     return camera.sensor.pixel_height / camera.sensor.pixel_width
@@ -75,6 +88,22 @@ def plane_of(camera: Camera, face: Face, sigma: float = 0.0) -> Plane:
     return Plane(lambda uv: face.from_image(camera, uv), lambda xy: face.to_image(camera, xy), relative)
 
 
+def named_target(scene: Scene, name: str) -> Target:
+    """The target of a name.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
+    target = next((one for one in scene.targets if one.name == name), None)
+    if target is None:
+        names = [one.name for one in scene.targets]
+        near = did_you_mean(name, names)
+        raise InputError(f'the scene has no target "{name}"', remedy=near or f"its targets are {', '.join(names)}")
+    return target
+
+
 def named_face(scene: Scene, name: str) -> Face:
     """The face that the target of a name turns to the camera.
 
@@ -83,11 +112,7 @@ def named_face(scene: Scene, name: str) -> Face:
     InputError
         If there is no such target, or it shows no flat face.
     """
-    target = next((one for one in scene.targets if one.name == name), None)
-    if target is None:
-        names = [one.name for one in scene.targets]
-        near = did_you_mean(name, names)
-        raise InputError(f'the scene has no target "{name}"', remedy=near or f"its targets are {', '.join(names)}")
+    target = named_target(scene, name)
     try:
         return face_towards(scene.camera, target)
     except InputError as error:

@@ -11,7 +11,9 @@ from radwrap.study.seen import Answer, Seen
 from radwrap.units import Dimension
 
 Options = Mapping[str, Any]
-BOX: Final = "box"  # as what an option may be: four whole numbers, the first and the last column and row
+BOX: Final = (
+    "box"  # as what an option may be: four whole numbers, the first and the last column and row; or a target's name
+)
 
 
 @dataclass(frozen=True, slots=True)

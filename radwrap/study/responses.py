@@ -131,11 +131,12 @@ def check_options(kind: str, options: Options, where: str) -> None:
             if not isinstance(value, str):
                 raise InputError("must be a name", where=f"{where}.{name}")
         elif allowed == BOX:
-            if not (
+            if not isinstance(value, str) and not (
                 isinstance(value, list | tuple) and len(value) == _CORNERS and all(type(one) is int for one in value)
             ):
                 raise InputError(
-                    "must be four whole numbers: first column and row, last column and row", where=f"{where}.{name}"
+                    "must be four whole numbers, first column and row, last column and row, or a target's name",
+                    where=f"{where}.{name}",
                 )
         elif (allowed is float or value != SENSOR) and not _is_number(value):
             also = "" if allowed is float else f' or "{SENSOR}"'

@@ -59,6 +59,10 @@ against = [2, 2, 8, 8]
 measure = "contrast_to_noise"
 region = [34, 26, 40, 32]
 against = [2, 2, 8, 8]
+[responses.named]
+measure = "region_contrast"
+region = "coin"
+against = "ground"
 [responses.even]
 measure = "uniformity"
 region = [34, 26, 40, 32]
@@ -93,6 +97,7 @@ def test_each_run_is_measured_where_its_scene_has_the_part(tmp_path: Path) -> No
         a, b = mean - 64, total - (mean - 64)
         variance = 0.1 * (a + b) + 2 * (0.5**2 + 1 / 12)
         assert ratio == pytest.approx((a - b) / variance**0.5, rel=1e-3)
+        assert float(row["named"]) == pytest.approx(contrast, abs=0.1)
         assert 0.8 < float(row["even"]) < 1 and 0 < float(row["uneven"]) < 0.2
 
 
@@ -104,6 +109,8 @@ def test_each_run_is_measured_where_its_scene_has_the_part(tmp_path: Path) -> No
         ('measure = "width"\ntarget = "ground"', 'measure = "width"', "needs the option target"),
         ('measure = "width"\ntarget = "ground"', 'measure = "diameter"\ntarget = "ground"', "no round rim"),
         ('edge = "gradient"', 'rim = "inner"', "no inner rim"),
+        ('region = "coin"', 'region = "coim"', 'did you mean "coin"?'),
+        ('region = "coin"', "region = 3", "or a target's name"),
         ('edge = "gradient"', 'edge = "steepest"', "not one of"),
         ("against = [2, 2, 8, 8]\n[responses.ratio]", "[responses.ratio]", "needs the option against"),
         (
