@@ -30,6 +30,7 @@ Array = NDArray[np.float64]
 
 GRID_ERROR: Final = math.sqrt(1 / 120 - 1 / 144)  # px^3, see above
 ROUNDEST: Final = 0.01  # (m_pp - m_qq)/(m_pp + m_qq); below it an axis is the shape's tolerance, not its orientation
+_FEWEST_CORNERS: Final = 4  # of a closed line, the first one twice
 LOOSEST: Final = math.radians(7)  # of the orientation's error; then the axes are within 4 sigma of changing places
 
 
@@ -78,6 +79,7 @@ def measured(cover: Cover, scene: PartScene) -> Part | None:
         minor_axis=minor,
         rectangle=rectangle,
         rectangle_orientation=rectangle_orientation,
+        contours=_contours(cover),
         contrast=cover.depth,
         noise=cover.noise,
         blur_radius=cover.blur,
@@ -111,6 +113,18 @@ def _grid(cover: Cover, scene: PartScene, gradients_u: Array, gradients_v: Array
     left = GRID_ERROR**2 * np.exp(-(math.pi**2) * squared_blur)
     variances: Array = (left * across**2 * length * alike).sum(axis=1)
     return variances
+
+
+def _contours(cover: Cover) -> tuple[Array, ...]:
+    """Lines along which half of a pixel is covered, the longest first."""
+    from contourpy import contour_generator
+
+    # A frame of empty pixels closes what ends at the border of the piece that was looked at.
+    share = np.pad(np.where(cover.band | cover.inside, cover.share, 0.0), 1)
+    lines = contour_generator(z=share).lines(0.5)
+    offset = np.array([cover.u[0, 0] - 1, cover.v[0, 0] - 1])
+    found = [np.asarray(line, dtype=np.float64) + offset for line in lines if len(line) > _FEWEST_CORNERS]
+    return tuple(sorted(found, key=lambda line: -float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())))
 
 
 def _rectangle(cover: Cover, u: float, v: float) -> tuple[tuple[float, float, float, float], float] | None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +30,9 @@ class Part:
     rectangle_orientation : float
         Of its longer side, in -pi/2 to pi/2 [rad]; told also where the moments are even, then up to the part's
         own symmetry.
+    contours : tuple of ndarray, shape (n, 2)
+        Closed lines of half-covered pixels, the outer one first, then holes: u and v of their corners [px]; the last
+        corner is the first.
     contrast, noise : float
         Background minus part, and what pixels differ from both levels [gray, or linear light where gamma was given].
     blur_radius : float
@@ -48,6 +54,7 @@ class Part:
     minor_axis: float
     rectangle: tuple[float, float, float, float]
     rectangle_orientation: float
+    contours: tuple[NDArray[np.float64], ...] = field(compare=False, repr=False)
     contrast: float
     noise: float
     blur_radius: float
