@@ -11,6 +11,7 @@ from typing import Final, TextIO
 
 _BAR_WIDTH: Final = 30
 _TERMINAL_PERIOD: Final = 0.2  # s between updates of a bar that is seen
+_BEYOND: Final = 1.02  # of the whole; by so little more it may be said to be done
 _LOG_PERIOD: Final = 10.0  # s between lines where stderr goes to a file
 
 
@@ -29,7 +30,7 @@ class Progressed:
     done, of : int
         Rays that are done, of so many; a forecast, which is corrected on the way.
     seconds_left : float or None
-        At the speed so far [s]; None before the first ray.
+        At the speed so far [s]; None before the first ray, and where it takes more rays than were forecast.
     """
 
     done: int
@@ -104,8 +105,15 @@ class Progress:
         if not self._shown or now - self._last < (_TERMINAL_PERIOD if self._terminal else _LOG_PERIOD):
             return
         self._last = now
-        share = min(self._done / self._total, 1.0)
-        text = f"{self._what} {100 * share:3.0f} %{self._time_left(now)}"
+        share = self._done / self._total
+        # Nobody knows how much more than it was expected to be it is.
+        told = (
+            f"{100 * min(share, 1.0):3.0f} %{self._time_left(now)}"
+            if share <= _BEYOND
+            else "takes longer than was forecast"
+        )
+        text = f"{self._what} {told}"
+        share = min(share, 1.0)
         if self._terminal:
             filled = round(_BAR_WIDTH * share)
             self._stream.write(f"\r[{'#' * filled}{'.' * (_BAR_WIDTH - filled)}] {text}\x1b[K")
@@ -115,7 +123,9 @@ class Progress:
 
     def _seconds_left(self, now: float) -> float | None:
         fresh = self._done - self._skipped
-        return max((now - self._start) * (self._total - self._done) / fresh, 0.0) if fresh > 0 else None
+        if fresh <= 0 or self._done > _BEYOND * self._total:
+            return None
+        return max((now - self._start) * (self._total - self._done) / fresh, 0.0)
 
     def _time_left(self, now: float) -> str:
         left = self._seconds_left(now)

@@ -275,6 +275,9 @@ class Search:
 
     def _attempt(self, method: ToleranceMethod, aim: float, why: str) -> Outcome:
         plan, number = self.plans.planned(method, aim)
+        forecast = self.plans.forecast(method, aim)
+        if self.attempts and math.isfinite(forecast):  # the first one is what the whole was expected to take
+            self.work.progress.left(round(forecast))
         # Some image there must be: the coarsest may take what it takes.
         most = self.demand.budget.rays - self.spent - self._certificate_rays(plan) if aim < _COARSE_AIM else math.inf
         return self.made(plan, number, why, aim=aim, most=most)

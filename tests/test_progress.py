@@ -1,0 +1,40 @@
+"""How far work is: shares, time left, and that nobody says it is done before it is."""
+
+from __future__ import annotations
+
+import io
+
+import pytest
+
+from radwrap import progress as module
+from radwrap.progress import Progress
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """The time that progress sees."""
+    now = [100.0]
+    monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
+    return now
+
+
+def test_time_left_is_by_the_speed_so_far(clock: list[float]) -> None:
+    told = io.StringIO()
+    work = Progress("tracing", 200, stream=told)
+    clock[0] += 20
+    work.add(50)
+    assert told.getvalue() == "tracing  25 %, 1 min 00 s left\n"
+    assert work.state.seconds_left == pytest.approx(60)
+    work.left(50)  # half of it is done after all
+    assert work.state.seconds_left == pytest.approx(20) and work.state.of == 100
+
+
+def test_work_beyond_its_forecast_is_not_said_to_be_done(clock: list[float]) -> None:
+    told = io.StringIO()
+    work = Progress("tracing", 100, stream=told)
+    clock[0] += 20
+    work.add(101)
+    clock[0] += 20
+    work.add(10)
+    assert told.getvalue() == "tracing 100 %, 0 s left\ntracing takes longer than was forecast\n"
+    assert work.state.seconds_left is None and work.state.of == 111
