@@ -16,7 +16,7 @@ from radwrap.study.factors import Factor
 from radwrap.study.figures import figures
 from radwrap.study.journal import RESULTS, columns_of
 from radwrap.study.levels import read_data
-from radwrap.study.responses import KINDS, Response
+from radwrap.study.responses import Response
 from radwrap.study.study import Study
 from radwrap.study.worker import thumbnail_path
 
@@ -57,7 +57,7 @@ def report(study: Study) -> str:
 
 
 def _response(study: Study, response: Response) -> dict[str, Any]:
-    what = f"{response.name}: {KINDS[response.kind].what}" + (f" [{response.unit}]" if response.unit else "")
+    what = f"{response.name}: {response.what}" + (f" [{response.unit}]" if response.unit else "")
     empty: dict[str, Any] = {"heading": what, "unit": "", "effects": [], "plots": [], "limits": "", "notes": []}
     try:
         analysis = analyse(read_data(study.folder / RESULTS, response.column))

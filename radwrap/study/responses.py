@@ -37,7 +37,7 @@ from radwrap.study.response_kind import BOX, Kind, Options
 from radwrap.study.seen import Answer, Seen, again, again_by_number, spread, tried
 from radwrap.study.user_function import UserFunction
 from radwrap.study.user_response import user_answer
-from radwrap.units import ANGLE, LENGTH, PIXEL
+from radwrap.units import ANGLE, LENGTH, PIXEL, Dimension
 
 Array = NDArray[np.float64]
 _T = TypeVar("_T", DotBoard, EdgeTarget)
@@ -96,8 +96,18 @@ class Response:
     @property
     def scale(self) -> float:
         """Size of its unit in SI."""
-        dimension = None if self.user is not None else KINDS[self.kind].dimension
-        return 1.0 if dimension is None or not self.unit else dimension.units[self.unit]
+        return 1.0 if self.dimension is None or not self.unit else self.dimension.units[self.unit]
+
+    @property
+    def dimension(self) -> Dimension | None:
+        """Of its value; None of a bare number, and of what the user's own code gives."""
+        return None if self.user is not None else KINDS[self.kind].dimension
+
+    @property
+    def what(self) -> str:
+        """For people."""
+        own = self.kind if self.user is not None else KINDS[self.kind].what
+        return f"standard deviation over {self.frames} frames: {own}" if self.repeatability else own
 
     @property
     def told_in(self) -> str:

@@ -21,7 +21,6 @@ from radwrap.random_streams import generator
 from radwrap.study.design import Design
 from radwrap.study.factors import Draw, Factor, Level, number_and_unit
 from radwrap.study.fresh import FRESH_ROW, FreshRenders, nominal_level
-from radwrap.study.responses import KINDS
 from radwrap.study.runs import check_design
 from radwrap.study.study import StudyOptions, known_plans, known_tracer, open_pool, run_study
 from radwrap.study.tolerance_model import Deviation, Model, deviation_of, fit
@@ -54,7 +53,7 @@ def read_bound(design: Design, response: str, within: str) -> Bound:
         known_names = ", ".join(known.name for known in design.responses)
         raise InputError(f'no response "{response}"', where="response", remedy=f"the design has {known_names}")
     text = within.strip()
-    dimension = KINDS[one.kind].dimension
+    dimension = one.dimension
     try:
         if text.endswith("%"):
             relative = float(text[:-1]) / 100

@@ -101,9 +101,9 @@ def test_what_is_left_out_is_said(path: Path, capsys: pytest.CaptureFixture[str]
         ({"roi": [0, 0, 4]}, "roi"),
         ({"roi": [0, 0, -1, 4]}, "roi"),
         ({"scale": "1/63"}, "no whole pixel is left of 73 x 62"),
-        ({"scale": "1/0"}, "scale"),
-        ({"scale": "0.5"}, "scale"),
-        ({"scale": 0.5}, "scale"),
+        ({"scale": "1/0"}, 'must be "1/N"'),
+        ({"scale": "0.5"}, 'must be "1/N"'),
+        ({"scale": 0.5}, 'must be "1/N"'),
     ],
 )
 def test_parts_that_there_are_not_are_refused(path: Path, changes: dict[str, Any], message: str) -> None:

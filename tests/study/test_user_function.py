@@ -225,3 +225,12 @@ def test_all_local_modules_belong_to_the_study(tmp_path: Path) -> None:
     assert [file for file, _ in own.sha256] == ["own.py", "package/__init__.py", "package/inner.py", "package/other.py"]
     found = call_user_function(own, tmp_path, [GRAY], rounded=True, manifest={}, truth={})
     assert found[0].of("a") == (1, 0)
+
+
+@pytest.mark.usefixtures("one_process")
+def test_the_whole_command_goes_through_with_own_code(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = study(tmp_path, DESIGN.replace("frames = 40", "frames = 3"))
+    done = here(["study", "run", path, "--out", tmp_path / "out", "--trust", "--workers", 1], capsys).success()
+    assert "2 runs, 0 failed" in done.stdout
+    page = (tmp_path / "out" / "index.html").read_text()
+    assert "python:code/gauge.py:look" in page and "standard deviation over 3 frames: mean gray level" in page

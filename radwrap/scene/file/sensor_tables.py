@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 import tomllib
 from importlib.resources import files
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal
 
-from pydantic import ConfigDict, Discriminator, Field, Tag, model_validator
+from pydantic import BeforeValidator, ConfigDict, Discriminator, Field, Tag, model_validator
 
 from radwrap.errors import InputError
 from radwrap.nearest import did_you_mean
@@ -33,9 +34,16 @@ GrayLevel = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
 # A fill factor: beyond this a pixel has no area worth the name.
 FillShare = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.01, le=1)]
 Column = Annotated[int, Field(strict=True, ge=0, lt=1_000_000)]
+_SCALE: Final = r"^1/[1-9][0-9]{0,3}$"
 _REGION = Field(description="first column and row, last column and row that are read out")
 Sensitivity = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=1e6)]
 Sensitivities = Annotated[tuple[Sensitivity, ...], Field(min_length=1, max_length=256)]
+
+
+def _scale(value: Any) -> Any:
+    if value is not None and not (isinstance(value, str) and re.fullmatch(_SCALE, value)):
+        raise ValueError(f'must be "1/N" with a whole number N, not {value!r}')
+    return value
 
 
 def _open_to(*keys: str) -> Any:
@@ -64,7 +72,7 @@ class PixelsModel(Model):
     sensitivity_across: Sensitivities | None = None
     sensitivity_down: Sensitivities | None = None
     roi: Annotated[tuple[Column, Column, Column, Column], _REGION] | None = None
-    scale: Annotated[str, Field(strict=True, pattern=r"^1/[1-9][0-9]{0,3}$")] | None = None
+    scale: Annotated[str, BeforeValidator(_scale), Field(pattern=_SCALE)] | None = None
 
     @model_validator(mode="after")
     def _one_window(self) -> PixelsModel:
