@@ -121,14 +121,16 @@ def _has_regions(scene: Scene, options: Options) -> None:
 
 
 def _region_mean(seen: Seen, options: Options) -> Answer:
-    return again(seen, lambda image: measure_region(image, _box(seen, options)).mean)
+    box = _box(seen, options)
+    return again(seen, lambda image: measure_region(image, box).mean)
 
 
 def _region_contrast(seen: Seen, options: Options) -> Answer:
     dark = seen.scene.camera.sensor.dark_gray
+    boxes = [_box(seen, options, name) for name in ("region", "against")]
 
     def michelson(image: GrayImage) -> float:
-        regions = (measure_region(image, _box(seen, options, name)) for name in ("region", "against"))
+        regions = (measure_region(image, box) for box in boxes)
         return contrast_of(*regions, dark=dark).michelson
 
     return again(seen, michelson)
@@ -137,9 +139,10 @@ def _region_contrast(seen: Seen, options: Options) -> Answer:
 def _contrast_to_noise(seen: Seen, options: Options) -> Answer:
     """Of one frame: the predicted image has no noise, the sensor's model has."""
     sensor = seen.scene.camera.sensor
+    boxes = [_box(seen, options, name) for name in ("region", "against")]
 
     def ratio(image: GrayImage) -> float:
-        regions = [measure_region(image, _box(seen, options, name)) for name in ("region", "against")]
+        regions = [measure_region(image, box) for box in boxes]
         if any(region.saturated for region in regions):
             raise InputError("is saturated in part, where there is no noise to compare with")
         means = np.array([region.mean for region in regions])

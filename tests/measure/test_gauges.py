@@ -449,3 +449,21 @@ def test_boxes_that_do_not_lie_in_the_image_are_refused(box: Box) -> None:
 def test_examples_run(module: ModuleType) -> None:
     done = doctest.testmod(module)
     assert done.attempted > 0 and done.failed == 0
+
+
+def test_a_plane_without_distortion_is_mapped_by_a_homography_and_one_with_it_by_polynomials() -> None:
+    matrix = np.array([[2000.0, 150.0, 60.0], [80.0, 1900.0, 50.0], [0.9, -0.6, 1.0]])
+    straight = Plane.of_homography(matrix)
+
+    def bent(at: Array) -> Array:
+        return np.asarray(straight.to_plane(at + 1e-6 * (at - 60) ** 3 / 60))
+
+    at = np.random.default_rng(1).uniform(30, 90, (40, 2))
+    for plane, tolerance in ((straight, 1e-12), (Plane(bent, straight.to_image), 1e-6)):
+        local = plane.near(np.array([20.0, 20.0]), np.array([100.0, 100.0]), 1.0)
+        places, slopes = local(at)
+        assert places == pytest.approx(plane.to_plane(at), abs=tolerance)
+        for axis in (0, 1):
+            step = np.eye(2)[axis] * 1e-3
+            by_difference = (plane.to_plane(at + step) - plane.to_plane(at - step)) / 2e-3
+            assert slopes[:, :, axis] == pytest.approx(by_difference, abs=1e-3 * np.abs(by_difference).max())

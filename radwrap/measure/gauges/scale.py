@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 _DEGREE: Final = 6  # of the polynomials that stand for a plane's map near a caliper
 _GRID: Final = 15
 _TRUE: Final = 1e-3  # px; they must follow it so closely
+_STRAIGHT: Final = 1e-6  # px; without distortion a homography follows it to rounding
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,10 +94,14 @@ class Plane:
         there = self.to_plane((middle + half * grid) / np.array([1.0, aspect]))
         if not np.isfinite(there).all():
             raise InputError("is not before the camera all over the caliper", where="plane")
-        terms, _ = _polynomials(grid)
-        weights, *_ = np.linalg.lstsq(terms, there, rcond=None)
         size = float(np.median(np.linalg.norm(np.diff(there.reshape(_GRID, _GRID, 2)[_GRID // 2], axis=0), axis=1)))
         pixel = size / float(np.median(np.abs(np.diff(nodes)))) / half[0]
+        matrix = _homography(grid, there)
+        if np.abs(_mapped(matrix, grid) - there).max() <= _STRAIGHT * pixel:
+            # Without distortion a plane's image is a homography, which is thirty times as fast.
+            return lambda at: _mapped_with_slopes(matrix, at, middle, half)
+        terms, _ = _polynomials(grid)
+        weights, *_ = np.linalg.lstsq(terms, there, rcond=None)
         if np.abs(terms @ weights - there).max() > _TRUE * pixel:
             raise InputError("is seen too much askew for the caliper", where="plane", remedy="take a smaller one")
 
@@ -111,6 +116,36 @@ def _mapped(matrix: Array, at: Array) -> Array:
     """Places through a homography."""
     whole = np.column_stack([at, np.ones(len(at))]) @ matrix.T
     return np.asarray(whole[:, :2] / whole[:, 2:])
+
+
+def _mapped_with_slopes(matrix: Array, at: Array, middle: Array, half: Array) -> tuple[Array, Array]:
+    """Places through a homography of (place - middle)/half, and their derivatives by the place, shape (n, 2, 2)."""
+    x, y = ((at - middle) / half).T
+    a, b, c = matrix
+    down = 1 / (c[0] * x + c[1] * y + c[2])
+    u, v = (a[0] * x + a[1] * y + a[2]) * down, (b[0] * x + b[1] * y + b[2]) * down
+    slopes = np.empty((len(at), 2, 2))
+    for axis in (0, 1):
+        slopes[:, 0, axis] = (a[axis] - u * c[axis]) * down / half[axis]
+        slopes[:, 1, axis] = (b[axis] - v * c[axis]) * down / half[axis]
+    return np.column_stack([u, v]), slopes
+
+
+def _homography(at: Array, there: Array) -> Array:
+    """The matrix, shape (3, 3), that takes places to others best: least squares of the linear equations."""
+    centre, spread = there.mean(axis=0), float(there.std()) or 1.0
+    u, v = ((there - centre) / spread).T
+    x, y = at.T
+    one, zero = np.ones_like(x), np.zeros_like(x)
+    rows = np.concatenate(
+        [
+            np.stack([x, y, one, zero, zero, zero, -u * x, -u * y, -u], axis=1),
+            np.stack([zero, zero, zero, x, y, one, -v * x, -v * y, -v], axis=1),
+        ]
+    )
+    found = np.linalg.svd(rows, full_matrices=False)[2][-1].reshape(3, 3)
+    back = np.array([[spread, 0, centre[0]], [0, spread, centre[1]], [0, 0, 1]])
+    return np.asarray(back @ found)
 
 
 def _polynomials(at: Array) -> tuple[Array, Array]:
