@@ -114,8 +114,9 @@ def _convert_mesh(arguments: argparse.Namespace) -> int:
 
     out = Path(arguments.out)
     _only_rad(out)
-    if shared.overrides_of(arguments):
-        raise InputError("goes with a scene alone", where="--set, --scale or --roi", remedy="leave it out")
+    for given, option in ((arguments.overrides, "set"), (arguments.scale, "scale"), (arguments.roi, "roi")):
+        if given:
+            raise InputError("goes with a scene only", where=f"--{option}", remedy="leave it out")
     groups = read_groups(Path(arguments.scene), _unit(arguments.length_unit))
     materials = load_materials(arguments.materials) if arguments.materials else {}
     written = write_mesh(groups, out, materials, _radiance(arguments), polygons=arguments.polygons)

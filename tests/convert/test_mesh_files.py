@@ -236,7 +236,9 @@ def test_materials_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     [
         ([], "does not say its unit of length"),
         (["--length-unit", "1"], "--length-unit"),
-        (["--length-unit", "1 mm", "--set", "a=1"], "--set: goes with a scene alone"),
+        (["--length-unit", "1 mm", "--set", "a=1"], "--set: goes with a scene only"),
+        (["--length-unit", "1 mm", "--scale", "1/2"], "--scale: goes with a scene only"),
+        (["--length-unit", "1 mm", "--roi", "0", "0", "8", "8"], "--roi: goes with a scene only"),
         (["--length-unit", "-1 mm"], "--length-unit: must lie between"),
     ],
 )

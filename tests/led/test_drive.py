@@ -45,7 +45,8 @@ BAD: Final = {
     "max_sum = 3": ("max_sum = -3", "max_sum: must be above zero"),
     "= 0.5": ('= "0.5"', "max_level: must be a number, not '0.5'"),
     '"50 mA"\nmax': ('"0 mA"\nmax', "drive_current: must be above zero"),
-    "count =": ("cont =", "known are count, wavelength"),
+    "count =": ("cont =", 'cont: unknown key (and 1 more); did you mean "count"?'),
+    '"850 nm"\n': ('"850 nm"\nzzz = 1\n', "zzz: unknown key; known are count, wavelength"),
     "max_level =": ("max_level ==", "is not TOML"),
 }
 
