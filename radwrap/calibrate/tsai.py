@@ -228,6 +228,7 @@ def _result(
         sse=found.sse,
         sigma=standard_errors(camera, covariance, free),
         covariance=covariance,
+        centroid=vector(camera.origin),
         condition=found.condition,
         gradient_norm=found.gradient_norm,
         predicted_decrease=found.predicted_decrease,

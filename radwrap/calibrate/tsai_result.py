@@ -82,6 +82,8 @@ class CameraCalibration:
     covariance : ndarray, shape (11, 11)
         Of camera_model.COLUMNS: turn about the camera's axes, position of the points' centroid, focal length, kappa1,
         sx, centre; in SI units and px; 0 for what was held.
+    centroid : tuple of float, shape (3,)
+        Of the points, in the world [m].
     condition : float
         Condition number of the Jacobian by the free of these, its columns scaled to unit length.
     gradient_norm : float
@@ -114,6 +116,7 @@ class CameraCalibration:
     sse: float
     sigma: Errors
     covariance: Array = field(repr=False, compare=False)
+    centroid: Vector
     condition: float
     gradient_norm: float
     predicted_decrease: float
@@ -153,6 +156,8 @@ def as_json(found: CameraCalibration) -> dict[str, Any]:
             "sx": sigma.sx,
             "centre": sigma.centre,
         },
+        "centroid": found.centroid,
+        "covariance": found.covariance.tolist(),
         "condition": found.condition,
         "gradient_norm": found.gradient_norm,
         "predicted_decrease_px2": found.predicted_decrease,

@@ -5,18 +5,20 @@ from __future__ import annotations
 import argparse
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
+from radwrap.calibrate.calibrated_plane import plane_from_calibration
 from radwrap.cli import options as shared
 from radwrap.errors import InputError
 from radwrap.images import GrayImage, read_gray
 from radwrap.imaging.output.run_manifest import MANIFEST
 from radwrap.manifest import SCHEMA_VERSION, finite, read_manifest
 from radwrap.measure.gauges import WAYS, Plane, Response, Scale
+from radwrap.reading import FileKind, read_json
 from radwrap.scene.file.load import load_scene
 from radwrap.scene.look.faces import Face
 from radwrap.scene.scene import Scene
@@ -25,6 +27,7 @@ from radwrap.units import ANGLE, LENGTH, parse_quantity
 
 BYTES: Final = 120  # a pixel, as measured
 MM: Final = 1e-3
+_CALIBRATION: Final = FileKind("calibration", 1 << 20, "make one by `radwrap calibrate camera --json`")
 _SCALE: Final = re.compile(r"\s*([^\s+]+)\s*(?:\+-\s*(\S+)\s*)?")
 # Names of what functions refuse, by the option that gives it.
 _OPTIONS: Final = frozenset(
@@ -84,6 +87,8 @@ class Look:
         That plane.
     truth : str or None
         The target that the caliper is placed on.
+    calibrated : bool
+        Whether the plane is that of a calibration's board.
     """
 
     path: Path
@@ -95,6 +100,7 @@ class Look:
     face: Face | None
     plane: Plane | None
     truth: str | None
+    calibrated: bool = False
 
     @property
     def unit(self) -> str:
@@ -178,6 +184,17 @@ def add_look(parser: argparse.ArgumentParser, *, plane: bool) -> None:
         "and what --truth and --plane name",
     )
     shared.add_changes(parser)
+    if plane:
+        parser.add_argument(
+            "--calibration",
+            metavar="FILE.json",
+            type=Path,
+            help="measure in the plane of this calibration's board, in mm; of radwrap calibrate camera --json, whose "
+            "covariance gives the scale's error",
+        )
+        parser.add_argument(
+            "--height", metavar="LENGTH", help="of what is measured above that board, along its z axis (default 0)"
+        )
     parser.add_argument("--truth", metavar="TARGET", help="place the caliper on this target of the scene")
     if plane:
         parser.add_argument(
@@ -207,11 +224,18 @@ def look(arguments: argparse.Namespace, verb: str) -> Look:
     aspect = _aspect(arguments.pixel_aspect, scene)
     scale = _scale(getattr(arguments, "mm_per_px", None))
     face, plane = _plane(arguments, scene)
+    calibrated = _calibrated(arguments, image)
+    if calibrated is not None:
+        if plane is not None or scale is not None:
+            raise InputError("is given beside another scale", where="calibration", remedy="leave one of them out")
+        plane = calibrated
     if scale is not None and plane is not None:
         if arguments.plane is not None:
             raise InputError("is given beside a plane", where="mm_per_px", remedy="leave one of them out")
         plane = None
-    return Look(arguments.image, image, response(arguments, scene), aspect, scale, scene, face, plane, arguments.truth)
+    known = response(arguments, scene)
+    found = Look(arguments.image, image, known, aspect, scale, scene, face, plane, arguments.truth)
+    return replace(found, calibrated=calibrated is not None)
 
 
 def response(arguments: argparse.Namespace, scene: Scene | None) -> Response:
@@ -279,6 +303,23 @@ def _plane(arguments: argparse.Namespace, scene: Scene | None) -> tuple[Face | N
     return on, plane_of(scene.camera, face, sigma)
 
 
+def _calibrated(arguments: argparse.Namespace, image: GrayImage) -> Plane | None:
+    """The plane of a calibration's board; lengths are known as they are where the caliper is, or in the middle."""
+    path = getattr(arguments, "calibration", None)
+    height = getattr(arguments, "height", None)
+    if path is None:
+        if height is not None:
+            raise InputError("needs a calibration", where="height", remedy="give --calibration")
+        return None
+    try:
+        above = 0.0 if height is None else parse_quantity(height, LENGTH)
+    except InputError as error:
+        raise InputError(error.what, where="height", remedy=error.remedy) from error
+    rows, columns = image.values.shape
+    at = getattr(arguments, "at", None) or ((columns - 1) / 2, (rows - 1) / 2)
+    return plane_from_calibration(read_json(path, _CALIBRATION), str(path), (float(at[0]), float(at[1])), above)
+
+
 def _face(scene: Scene, name: str | None, where: str) -> Face | None:
     try:
         return None if name is None else named_face(scene, name)
@@ -338,6 +379,8 @@ def head(found: Look, way: str) -> dict[str, Any]:
 
 
 def _source(found: Look) -> str:
+    if found.plane is not None and found.calibrated:
+        return "the calibration, its errors by their covariance"
     if found.plane is not None:
         known = "its distance's error given" if found.plane.relative_sigma > 0 else "taken as exact"
         return f"the scene's pose, {known}"
