@@ -23,6 +23,7 @@ from typing import Final, Literal
 import numpy as np
 
 from radwrap.calibrate.response_fits import (
+    GAMMA_LIMITS,
     Array,
     Flags,
     Groups,
@@ -172,6 +173,7 @@ def fit_response(
     saturation: float | None = None,
     quantisation: float = 1.0,
     noise: float | None = None,
+    gamma: float | None = None,
     start_gamma: float | None = None,
     exposure_unit: str = "J/m^2",
 ) -> Response:
@@ -191,6 +193,8 @@ def fit_response(
         Step of the gray levels, whose rounding has the variance step^2/12; 0 if they are not rounded.
     noise : float, optional
         Standard deviation of a frame without rounding [gray]; default from repeats, else from the residuals.
+    gamma : float, optional
+        Exponent where it is known, such as 1 of a linear camera; default fitted.
     start_gamma : float, optional
         Where the direct fit starts; default from Eq. 7. For each gamma the best K and G0 are known at once.
     exposure_unit : str
@@ -218,6 +222,8 @@ def fit_response(
     """
     exposure, gray = np.asarray(radiant_exposure, np.float64), np.asarray(gray, np.float64)
     _check(exposure, gray, [quantisation, *(value for value in (noise, dark, saturation) if value is not None)])
+    if gamma is not None and not GAMMA_LIMITS[0] <= gamma <= GAMMA_LIMITS[1]:
+        raise InputError(f"gamma must lie between {GAMMA_LIMITS[0]:g} and {GAMMA_LIMITS[1]:g}, not {gamma:g}")
     groups = Groups(exposure, gray, quantisation)
     if dark is None and not groups.is_dark.any():
         raise InputError(
@@ -233,7 +239,7 @@ def fit_response(
     if level <= first_dark:
         raise InputError(f"saturation ({level:g}) is not above dark ({first_dark:g})", remedy="is there any light?")
     variance = groups.noise_model(noise, first_dark, ~plateau)
-    task = _Task(groups, variance, first_dark, dark is None, saturation is None, start_gamma, exposure_unit)
+    task = _Task(groups, variance, first_dark, dark is None, saturation is None, gamma, start_gamma, exposure_unit)
     return _settle(task, level)
 
 
@@ -259,6 +265,7 @@ class _Task:
     dark: float
     free_dark: bool
     free_saturation: bool
+    gamma: float | None
     start_gamma: float | None
     exposure_unit: str
 
@@ -293,9 +300,10 @@ def _settle(task: _Task, level: float) -> Response:
                 remedy="add frames between the two",
             )
         line = Selection(groups, lit, spread, task.variance)
-        eq7 = fit_logarithms(line, clipped, dark, dark_variance)
+        eq7 = fit_logarithms(line, clipped, dark, dark_variance, task.gamma)
         used = Selection(groups, unsaturated & (task.free_dark | ~groups.is_dark), spread, task.variance)
-        direct = fit_gray(used, task.start_gamma or eq7.gamma, dark, free_dark=task.free_dark)
+        first = task.gamma or task.start_gamma or eq7.gamma
+        direct = fit_gray(used, first, dark, free_dark=task.free_dark, free_gamma=task.gamma is None)
         predicted = direct.gray(groups.exposure)
         same = ((predicted < level - margin) == unsaturated).all()
         if same and abs(direct.gamma / gamma - 1) < _SETTLED:

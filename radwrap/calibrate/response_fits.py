@@ -196,7 +196,9 @@ def _from_middle(covariance: Array, middle: float) -> Array:
     return result
 
 
-def fit_logarithms(frames: Selection, predicted: Array, dark: float, dark_variance: float) -> PowerFit:
+def fit_logarithms(
+    frames: Selection, predicted: Array, dark: float, dark_variance: float, gamma: float | None = None
+) -> PowerFit:
     """Eq. 7 as a weighted straight line; the weights are 1/var(ln(G - G0)) = (G - G0)^2/var(G).
 
     Parameters
@@ -207,29 +209,37 @@ def fit_logarithms(frames: Selection, predicted: Array, dark: float, dark_varian
         Gray level of every exposure, for the weights.
     dark, dark_variance : float
         G0 and its variance.
+    gamma : float, optional
+        Where it is known.
     """
     groups, lit = frames.groups, frames.use
+    size = 2 if gamma is None else 1
     clear = groups.mean[lit] - dark
     weight = frames.weight * (predicted[lit] - dark) ** 2
     ln_exposure = np.log(groups.exposure[lit])
     middle = float(np.average(ln_exposure, weights=weight))
-    design = np.column_stack([np.ones(len(clear)), ln_exposure - middle])
+    known = 0.0 if gamma is None else gamma * (ln_exposure - middle)
+    design = np.column_stack([np.ones(len(clear)), ln_exposure - middle])[:, :size]
     normal = np.linalg.inv(design.T @ (design * weight[:, np.newaxis]))
     pull = normal @ (design * weight[:, np.newaxis]).T
-    solution = pull @ np.log(clear)
-    residual = np.log(clear) - design @ solution
-    chi_square, freedom = float(residual @ (weight * residual)), len(clear) - 2
+    solution = pull @ (np.log(clear) - known)
+    residual = np.log(clear) - known - design @ solution
+    chi_square, freedom = float(residual @ (weight * residual)), len(clear) - size
     # G0 is one number for all frames: its error moves them together.
     factor = frames.scale(chi_square, freedom)
-    by_dark = np.array([*(pull @ (-1 / clear)), 1.0])
+    by_dark = np.zeros(3)
+    by_dark[:size], by_dark[2] = pull @ (-1 / clear), 1.0
     small = factor * dark_variance * np.outer(by_dark, by_dark)
-    small[:2, :2] += factor * normal
-    gain = math.exp(solution[0] - solution[1] * middle)
+    small[:size, :size] += factor * normal
+    slope = float(solution[1]) if gamma is None else gamma
+    gain = math.exp(solution[0] - slope * middle)
     covariance = _from_middle(small, middle)
-    return PowerFit(gain, float(solution[1]), dark, covariance, groups.frames_of(lit), chi_square, freedom)
+    return PowerFit(gain, slope, dark, covariance, groups.frames_of(lit), chi_square, freedom)
 
 
-def fit_gray(frames: Selection, start_gamma: float, dark: float, *, free_dark: bool) -> PowerFit:
+def fit_gray(
+    frames: Selection, start_gamma: float, dark: float, *, free_dark: bool, free_gamma: bool = True
+) -> PowerFit:
     """Weighted least squares of Eq. 5 in gray levels.
 
     Parameters
@@ -237,11 +247,11 @@ def fit_gray(frames: Selection, start_gamma: float, dark: float, *, free_dark: b
     frames : Selection
         Unsaturated exposures.
     start_gamma : float
-        Where gamma starts; the best K and G0 for it are a linear matter.
+        Where gamma starts; the best K and G0 for it are a linear matter. Gamma itself where it is known.
     dark : float
         G0 where it is known.
-    free_dark : bool
-        Whether G0 is fitted.
+    free_dark, free_gamma : bool
+        Whether G0 and gamma are fitted.
 
     Raises
     ------
@@ -256,43 +266,50 @@ def fit_gray(frames: Selection, start_gamma: float, dark: float, *, free_dark: b
     # Against the middle exposure the unknowns hardly depend on each other, and are of the order of the gray levels.
     middle = float(np.log(exposure[lit]).mean())
     ln_exposure = np.log(exposure, where=lit, out=np.zeros_like(exposure)) - middle
-    size = 3 if free_dark else 2
-    gamma = min(max(start_gamma, GAMMA_LIMITS[0]), GAMMA_LIMITS[1])
+    free = [0] + [1] * free_gamma + [2] * free_dark  # of level, gamma, G0
+    found = np.array([0.0, min(max(start_gamma, GAMMA_LIMITS[0]), GAMMA_LIMITS[1]), dark])
 
-    def power(gamma: float) -> Array:
-        result: Array = np.where(lit, np.exp(np.minimum(gamma * ln_exposure, 300.0)), 0.0)
+    def whole(unknown: Array) -> Array:
+        values = found.copy()
+        values[free] = unknown
+        return values
+
+    def slopes(unknown: Array) -> Array:
+        level, gamma, _ = whole(unknown)
+        shape: Array = np.where(lit, np.exp(np.minimum(gamma * ln_exposure, 300.0)), 0.0)
+        columns = np.column_stack([shape, level * shape * ln_exposure, np.ones(len(gray))])
+        result: Array = columns[:, free] * weight[:, np.newaxis]
         return result
 
     def residual(unknown: Array) -> Array:
-        result: Array = (unknown[0] * power(unknown[1]) + (unknown[2] if free_dark else dark) - gray) * weight
+        level, gamma, offset = whole(unknown)
+        shape = np.where(lit, np.exp(np.minimum(gamma * ln_exposure, 300.0)), 0.0)
+        result: Array = (level * shape + offset - gray) * weight
         return result
 
-    def jacobian(unknown: Array) -> Array:
-        shape = power(unknown[1])
-        columns = [shape, unknown[0] * shape * ln_exposure, np.ones(len(gray))][:size]
-        result: Array = np.column_stack(columns) * weight[:, np.newaxis]
-        return result
-
-    # For the first gamma the best level and G0 are a linear matter.
-    columns = np.column_stack([power(gamma), np.ones(len(gray))][: size - 1]) * weight[:, np.newaxis]
-    level, *rest = np.linalg.lstsq(columns, (gray - (0.0 if free_dark else dark)) * weight, rcond=None)[0]
-    first = np.array([level, gamma, *rest])
-    found = least_squares(residual, first, jacobian, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15)
-    level, gamma = float(found.x[0]), float(found.x[1])
+    # For the first gamma the best level and G0 are a linear matter: the only one where gamma is known.
+    linear = [place for place, number in enumerate(free) if number != 1]
+    first = found[free]
+    first[linear] = 0.0
+    first[linear] = np.linalg.lstsq(slopes(first)[:, linear], -residual(first), rcond=None)[0]
+    if free_gamma:
+        first = least_squares(residual, first, slopes, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15).x
+    found = whole(first)
+    level, gamma, offset = map(float, found)
     if not (level > 0 and GAMMA_LIMITS[0] <= gamma <= GAMMA_LIMITS[1]):
         raise InputError(
             f"the gray levels do not rise as a power of the exposure (gamma {gamma:.3g})",
             remedy="check that the columns are not swapped and the lamp was stable",
         )
-    slopes = jacobian(found.x)
-    slopes[:, 0] *= level  # the level's logarithm in place of the level
-    chi_square, freedom = float(np.sum(found.fun**2)), len(gray) - size
+    design = slopes(first)
+    design[:, 0] *= level  # the level's logarithm in place of the level
+    chi_square, freedom = float(np.sum(residual(first) ** 2)), len(gray) - len(free)
     small = np.zeros((3, 3))
-    small[:size, :size] = np.linalg.inv(slopes.T @ slopes) * frames.scale(chi_square, freedom)
+    small[np.ix_(free, free)] = np.linalg.inv(design.T @ design) * frames.scale(chi_square, freedom)
     return PowerFit(
         gain=level * math.exp(-gamma * middle),
         gamma=gamma,
-        dark_gray=float(found.x[2]) if free_dark else dark,
+        dark_gray=offset,
         covariance=_from_middle(small, middle),
         frames=groups.frames_of(used),
         chi_square=chi_square,

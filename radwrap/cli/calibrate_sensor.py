@@ -53,6 +53,12 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         "--saturation", metavar="G", type=shared.GRAY_LEVEL, help="highest gray level (default: the plateau)"
     )
     parser.add_argument(
+        "--gamma",
+        metavar="G",
+        type=shared.number(),
+        help="exponent where it is known: 1 of a linear camera (default: fitted)",
+    )
+    parser.add_argument(
         "--noise", metavar="G", type=shared.GRAY_LEVEL, help="standard deviation of a frame (default: repeats)"
     )
     parser.add_argument(
@@ -90,6 +96,7 @@ def run(arguments: argparse.Namespace) -> int:
             saturation=arguments.saturation,
             quantisation=arguments.quantisation,
             noise=arguments.noise,
+            gamma=arguments.gamma,
             exposure_unit=unit,
         )
     except InputError as error:
@@ -178,12 +185,16 @@ def _exposure(arguments: argparse.Namespace, kind: str, values: Array) -> tuple[
         if given:
             raise InputError(f"goes with the column {TIME}, the file has {EXPOSURE}", where=given[0])
         return values, "J/m^2"
-    if arguments.radiant_intensity is None:
-        raise InputError(f"is needed for the column {TIME}", where="--radiant-intensity")
+    # What is missing is named at once, not one option after the other.
+    missing = [] if "--radiant-intensity" in given else ["--radiant-intensity"]
     if ("--distance" in given) == ("--cone-angle" in given):
+        missing.append(
+            "only one of --distance and --cone-angle" if "--distance" in given else "--distance or --cone-angle"
+        )
+    if missing:
         raise InputError(
-            f"the column {TIME} needs one of the two",
-            where="--distance or --cone-angle",
+            f"the column {TIME} needs {' and '.join(missing)}",
+            where="options",
             remedy="--distance reads Eq. 6 as energy per area, --cone-angle as printed",
         )
     intensity = _quantity(arguments.radiant_intensity, RADIANT_INTENSITY, "--radiant-intensity")

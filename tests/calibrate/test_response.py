@@ -231,9 +231,9 @@ def test_equal_frames_give_an_equal_plot(tmp_path: Path) -> None:
         ("radiant_exposure,gray\nnan,2\n", (), "not a finite number"),
         ("radiant_exposure,gray\n-1,2\n", (), "line 2: the radiant_exposure is negative"),
         ("radiant_exposure,gray\n0,2\n", SOURCE, "goes with the column exposure_time"),
-        ("exposure_time,gray\n0,2\n", (), "--radiant-intensity: is needed"),
-        ("exposure_time,gray\n0,2\n", SOURCE[:2], "needs one of the two"),
-        ("exposure_time,gray\n0,2\n", (*SOURCE, "--cone-angle", "7 deg"), "needs one of the two"),
+        ("exposure_time,gray\n0,2\n", (), "needs --radiant-intensity and --distance or --cone-angle"),
+        ("exposure_time,gray\n0,2\n", SOURCE[:2], "needs --distance or --cone-angle"),
+        ("exposure_time,gray\n0,2\n", (*SOURCE, "--cone-angle", "7 deg"), "needs only one of"),
         ("exposure_time,gray\n0,2\n", (*SOURCE, "--solid-angle", "exact"), "goes with --cone-angle"),
         ("exposure_time,gray\n0,2\n", (*SOURCE[:3], "0.8"), "--distance"),
         ("exposure_time,gray\n0,2\n", (*SOURCE[:3], "-1 m"), "must be above zero"),
@@ -251,3 +251,24 @@ def test_tables_and_options_that_cannot_be_used(
     with pytest.raises(InputError) as error:
         command(str(file), *words)
     assert message in str(error.value)
+
+
+def test_a_gamma_that_is_known_is_held() -> None:
+    """A linear camera: K and G0 are a straight line's, and known better than with gamma free."""
+    exposure = np.linspace(0, 1e-3, 21)
+    exact = fit_response(exposure, 10 + 1e5 * exposure, saturation=255, quantisation=0, gamma=1)
+    assert (exact.gain, exact.gamma, exact.dark_gray) == pytest.approx((1e5, 1, 10), rel=EXACT)
+    assert exact.eq7.gain == pytest.approx(1e5, rel=EXACT)
+    random = np.random.default_rng(5)
+    pulls = []
+    for _ in range(60):
+        level = np.repeat(10 + 1e5 * exposure, 4)
+        noisy = np.rint(level + random.standard_normal(len(level)))
+        found = fit_response(np.repeat(exposure, 4), noisy, saturation=255, gamma=1)
+        assert found.gamma == found.eq7.gamma == 1 and found.sigma["gamma"] == found.eq7.sigma["gamma"] == 0
+        pulls.append([math.log(fit.gain / 1e5) / math.sqrt(fit.covariance[0, 0]) for fit in (found.direct, found.eq7)])
+    inside = np.mean(np.abs(pulls) < 1, axis=0)
+    assert (inside > ONE_SIGMA[60][0]).all() and (inside < ONE_SIGMA[60][1]).all()
+    assert found.sigma["K"] < 0.5 * fit_response(np.repeat(exposure, 4), noisy, saturation=255).sigma["K"]
+    with pytest.raises(InputError, match="gamma must lie between"):
+        fit_response(exposure, 10 + 1e5 * exposure, saturation=255, gamma=0)
