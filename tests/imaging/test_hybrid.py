@@ -257,8 +257,8 @@ def test_a_coarse_survey_is_looked_at_more_nearly(monkeypatch: pytest.MonkeyPatc
 
 
 def wire(x: Array, y: Array) -> Array:
-    """Too thin for the survey."""
-    return np.where(np.abs(x - 2e-3) < 1e-4, 0.1, np.nan)
+    """Too thin for the survey, and brighter than what it hides."""
+    return np.where(np.abs(x - 2e-3) < 1.5e-4, 2.5, np.nan)
 
 
 def stripes(x: Array, y: Array) -> Array:
@@ -268,7 +268,7 @@ def stripes(x: Array, y: Array) -> Array:
 def test_what_the_survey_missed_is_corrected_too(tmp_path: Path) -> None:
     """The kernel's certificate tells, and then pilot pairs look at all pixels."""
     seen = view(Aperture("round", 2e-4), (0.5, wire), (1.0, stripes))
-    outcome = search(seen, tmp_path, Demand(0.2))
+    outcome = search(seen, tmp_path, Demand(0.4))
     assert outcome.met and outcome.method == "hybrid"
     assert outcome.record.attempts[0].method == "kernel"
     assert "away from steps" in outcome.record.why

@@ -16,6 +16,7 @@ from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter
 
 from radwrap.imaging.optics.view import View, trace_rays
 from radwrap.imaging.response.sensor import unclipped_gray
@@ -34,6 +35,9 @@ _LARGEST_HEIGHT: Final = 1e100  # gray level; its square does not overflow, what
 # Variance of the mean over n x n strata of a cell that an edge of height d crosses is about d^2/(4 n^3): about 1.5 n
 # strata are crossed, each with the variance d^2/6. Of the cells beside an edge about every third is crossed.
 _EDGE_VARIANCE: Final = 12.0
+# Where all that a pixel gathers from lies by so much of the range above saturation, the pixel stays saturated whatever
+# a finer look would find there.
+_SURELY_SATURATED: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,14 +186,14 @@ def decide_cells(
     cut = []
     least = 0.0
     for level in range(plan.levels):
-        spread = _spread(plan.gray(values))
+        spread = _spread_that_counts(plan, values, math.ldexp(plan.base, -level))
         least = max(least, _least_cut(plan, spread, math.ldexp(plan.base, -level)))
         cut.append(spread > least)
         row, column = _children(*np.nonzero(cut[-1]))
         values = _doubled(values)
         size = 2 ** (plan.levels - level - 1)
         values[row, column] = sampler.trace(*sampler.places(row, column, size, random), with_depth=False)[0]
-    spread = _spread(plan.gray(values))
+    spread = _spread_that_counts(plan, values, plan.cell)
     cut.append(spread > max(least, _least_cut(plan, spread, plan.cell)))
     samples, predicted = _samples_needed(plan, spread[cut[-1]], values.size)
     return Cells((first[0], first[1]), _levels(cut), samples, predicted, sampler.rays)
@@ -319,6 +323,29 @@ def _spread(values: NDArray[np.float64]) -> NDArray[np.float64]:
     return high
 
 
+def _spread_that_counts(plan: GridPlan, values: NDArray[np.float64], size: float) -> NDArray[np.float64]:
+    """Spread of gray levels, 0 where each pixel that gathers from there is saturated.
+
+    Parameters
+    ----------
+    plan : GridPlan
+        How fine.
+    values : ndarray, shape (rows, columns)
+        Of cells [W m^-2 sr^-1].
+    size : float
+        Of a cell [px].
+    """
+    gray = plan.gray(values)
+    spread = _spread(gray)
+    sensor = plan.sensor
+    enough = sensor.saturation_gray + _SURELY_SATURATED * (sensor.saturation_gray - sensor.dark_gray)
+    if gray.max() > enough:
+        # What a pixel gathers from here reaches as far again on its other side.
+        reach = math.ceil(2 * math.sqrt(plan.area) / size)
+        spread[minimum_filter(gray, 2 * reach + 1, mode="nearest") > enough] = 0.0
+    return spread
+
+
 def _samples_needed(plan: GridPlan, heights: NDArray[np.float64], cells: int) -> tuple[int, float]:
     """Fewest n of `SUB_SAMPLES` whose predicted rms error [gray level] meets the aim, and that error.
 
@@ -327,7 +354,10 @@ def _samples_needed(plan: GridPlan, heights: NDArray[np.float64], cells: int) ->
     """
     # Sum over pixels of their squared weights of a cell, over the number of pixels: cell^2 is pixels a cell.
     share = (plan.cell**2 / plan.area) ** 2 * plan.area / (cells * plan.cell**2)
-    energy = float((np.minimum(heights, _LARGEST_HEIGHT) ** 2).sum()) * share / _EDGE_VARIANCE
+    # Beside an edge higher than the range a pixel is saturated but for that share of the edge's places.
+    heights = np.minimum(heights, _LARGEST_HEIGHT)
+    squares = heights * np.minimum(heights, plan.sensor.saturation_gray - plan.sensor.dark_gray)
+    energy = float(squares.sum()) * share / _EDGE_VARIANCE
     rms = [math.sqrt(energy / n**3) for n in SUB_SAMPLES]
     for n, error in zip(SUB_SAMPLES, rms, strict=True):
         if error <= plan.aim:

@@ -66,7 +66,7 @@ _SPARED: Final = 0.85  # of the aim of walks that would just do: a bound differs
 _HALVINGS: Final = 24  # of the accuracy, until a budget suffices
 # Of a budget of time so much goes into rays of the first image, the rest into its certificate and what comes next.
 _TRACED_SHARE: Final = 0.5
-_COARSE_AIM: Final = 16.0  # gray levels; what is made where nothing better was finished in time
+_COARSE_AIM: Final = 16.0  # gray levels of eight bits; what is made where nothing better was finished in time
 _SHORTEST: Final = 1e-3  # s; a clock may stand still
 # Where the size of the grid's cells takes more than this share of the tolerance they are halved, so often at most.
 _GRID_SHARE: Final = 0.5
@@ -158,6 +158,7 @@ class Search:
         self.last_model = NOTHING
         self.was_over = False
         self.counted: set[str] = set()
+        self.coarse_aim = math.ldexp(_COARSE_AIM, max(0, work.view.camera.sensor.bit_depth - 8))
         self.pairs: dict[int, int] = {}  # of rays that a certificate took, by its effort
 
     @property
@@ -171,7 +172,7 @@ class Search:
         aim = self._affordable(method, self.plans.first_aim(method))
         best: Outcome | None = None
         given_up: GivenUp | None = None
-        if aim < _COARSE_AIM:
+        if aim < self.coarse_aim:
             self._limit_time(_TRACED_SHARE)
         for _ in range(_ATTEMPTS):
             try:
@@ -182,7 +183,7 @@ class Search:
                     break
                 # Some image there must be: the coarsest, whatever it takes.
                 self._limit_time(math.inf)
-                aim, self.plans.finer, self.effort = _COARSE_AIM, 0, 0
+                aim, self.plans.finer, self.effort = self.coarse_aim, 0, 0
                 continue
             except TooManyRays as found:
                 given_up = "out of rays"
@@ -260,7 +261,7 @@ class Search:
         """What to aim at once a plan needs more rays than are left: by its share of the forecast, then the coarsest."""
         often = whole / self.plans.forecast(method, aim)
         left = self.demand.budget.rays - self.spent
-        while aim < _COARSE_AIM and (self.was_over or often * self.plans.forecast(method, aim) > left):
+        while aim < self.coarse_aim and (self.was_over or often * self.plans.forecast(method, aim) > left):
             aim *= 2
         self.was_over = True
         return aim
@@ -279,7 +280,9 @@ class Search:
         if self.attempts and math.isfinite(forecast):  # the first one is what the whole was expected to take
             self.work.progress.left(round(forecast))
         # Some image there must be: the coarsest may take what it takes.
-        most = self.demand.budget.rays - self.spent - self._certificate_rays(plan) if aim < _COARSE_AIM else math.inf
+        most = (
+            self.demand.budget.rays - self.spent - self._certificate_rays(plan) if aim < self.coarse_aim else math.inf
+        )
         return self.made(plan, number, why, aim=aim, most=most)
 
     def made(self, plan: Plan, number: int, why: str, *, aim: float | None = None, most: float = math.inf) -> Outcome:
@@ -353,9 +356,10 @@ class Search:
             self.traced_rays += found.rays
             model = found.mean_square(sample, (seed, Rendering.MODEL_RESAMPLES, effort), self.work.kept)
             wanted = self.demand.tolerance**2
-            enough = model.upper + noise.upper <= wanted or max(model.mean, 0.0) + noise.mean > wanted
-            # More pairs help where the bound is wide, not the error large.
-            if enough or noise.upper > wanted:
+            # More pairs help where the bound is wide, not where the error is surely large: one pixel of few pairs on a
+            # highlight may look like it.
+            surely = 2 * model.mean - model.upper + noise.mean > wanted
+            if surely or model.upper + noise.upper <= wanted or noise.upper > wanted:
                 break
         self.last_model = model
         quantile = None
