@@ -1,7 +1,7 @@
 """What each method and setting costs on one scene, and how far its gray levels are off.
 
 Every setting is timed alone, with the scene laid out and its octree built;
-images stay in memory. The time of kernel and rays holds their certificate;
+images stay in memory. The time of kernel, hybrid and rays holds their certificate;
 pinhole and viewpoints, which know no certificate of their own, go without.
 Errors are taken against rays that no method used.
 """
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.files import make_folder, sole_owner, write_bytes
-from radwrap.imaging.demand import Budget, Demand
+from radwrap.imaging.demand import Budget, Demand, ToleranceMethod
 from radwrap.imaging.forecast.cost import check_size
 from radwrap.imaging.optics.aperture import LAYOUTS, Layout, Viewpoints, central_viewpoint, sub_viewpoints
 from radwrap.imaging.optics.view import PixelPlan, PixelSampling, View, trace_rays
@@ -29,6 +29,7 @@ from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.tolerance.lit_noise import with_gray_tolerance
 from radwrap.imaging.tolerance.planner import render_to_tolerance
+from radwrap.imaging.tolerance.plans import Plans
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.survey import predicted_rays, survey, with_smooth_blocks
 from radwrap.imaging.tracing import LaidOutScene
@@ -49,7 +50,7 @@ from radwrap.study.reference import (
     take_reference,
 )
 
-Family = Literal["pinhole", "viewpoints", "kernel", "rays"]
+Family = Literal["pinhole", "viewpoints", "kernel", "hybrid", "rays"]
 
 ROWS: Final = "settings"
 _WORK: Final = ".work"
@@ -57,7 +58,14 @@ _REFERENCE: Final = "reference"
 _NUMBERS: Final = (7, 19, 37, 61, 127, 217)
 _TRIAL_NUMBER: Final = 37  # on which layouts and samplings are compared
 _SMALL_NUMBERS: Final = (7, 19)  # where more rays a pixel may pay
-_SHARES: Final = (4.0, 2.0, 1.0, 0.4, 0.2)  # of the tolerance that is wanted, which kernel and rays are asked for
+_CERTIFIED: Final[tuple[ToleranceMethod, ...]] = ("kernel", "hybrid", "rays")
+_SHARES: Final = (
+    4.0,
+    2.0,
+    1.0,
+    0.4,
+    0.2,
+)  # of the tolerance that is wanted, which kernel, hybrid and rays are asked for
 # A method that misses its tolerance tries again; after so many times the rays that were expected, or the longest time,
 # it has shown enough.
 _PATIENCE: Final = 8
@@ -72,7 +80,7 @@ class Setting:
     Attributes
     ----------
     method : str
-        "pinhole", "viewpoints", "kernel" or "rays".
+        "pinhole", "viewpoints", "kernel", "hybrid" or "rays".
     viewpoints : int, optional
         Number of sub-viewpoints.
     layout : str, optional
@@ -82,7 +90,7 @@ class Setting:
     pixel_sampling : str
         "centre" or "jitter".
     tolerance : float, optional
-        Asked of kernel or rays [gray level rms].
+        Asked of kernel, hybrid or rays [gray level rms].
     """
 
     method: Family
@@ -124,7 +132,7 @@ class Row:
     rays : int
         Rays in all.
     met : bool or None
-        Whether kernel or rays certified their tolerance.
+        Whether kernel, hybrid or rays certified their tolerance.
     certified_rms_gray_upper95 : float or None
         What they certified [gray level].
     error : Distance
@@ -268,12 +276,16 @@ class _Sweep:
         self.reference = self._reference()
         self.seconds_per_ray = _seconds_per_ray(self.view)
         self.survey = survey(self.view, self.options.render.seed)
-        self.progress = Progress("settings", len(_NUMBERS) + 2 * len(_SHARES), shown=self.options.render.progress)
+        self.progress = Progress(
+            "settings", len(_NUMBERS) + len(_CERTIFIED) * len(_SHARES), shown=self.options.render.progress
+        )
         try:
             self._pinhole()
             if not self.scene.camera.aperture.is_infinitesimal:
                 self._viewpoints()
-            for method in ("kernel", "rays"):
+            for method in _CERTIFIED:
+                if method == "hybrid" and self.scene.camera.aperture.is_infinitesimal:
+                    continue  # nothing is left to correct
                 self._all(Setting(method, tolerance=float(f"{share * self.tolerance:.3g}")) for share in _SHARES)
         finally:
             self.progress.close()
@@ -379,6 +391,8 @@ class _Sweep:
     def _expected_rays(self, setting: Setting) -> float:
         if setting.tolerance is not None:
             view = with_smooth_blocks(self.view, self.survey, setting.tolerance)
+            if setting.method == "hybrid":
+                return Plans(view, self.survey, Demand(setting.tolerance), self.options.render.seed).hybrid_rays()
             rays, kernel = predicted_rays(view, self.survey, setting.tolerance)
             return kernel if setting.method == "kernel" else rays
         return (setting.viewpoints or 1) * setting.pixel_samples**2 * self.scene.camera.sensor.pixels
@@ -390,8 +404,8 @@ class _Sweep:
         return sub_viewpoints(aperture, setting.viewpoints, setting.layout)
 
     def _to_tolerance(self, setting: Setting, expected: float) -> tuple[NDArray[np.float64], int, bool, float]:
-        assert setting.tolerance is not None and setting.method in {"kernel", "rays"}  # noqa: S101
-        method: Literal["kernel", "rays"] = "kernel" if setting.method == "kernel" else "rays"
+        assert setting.tolerance is not None  # noqa: S101
+        method = next(method for method in _CERTIFIED if method == setting.method)
         folder = self.work / setting.name
         make_folder(folder)
         quiet = Progress("", 1, shown=False)

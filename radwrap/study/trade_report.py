@@ -20,7 +20,7 @@ PICTURE: Final = "trade.png"
 FILES: Final = (TABLE, NUMBERS, PICTURE)
 
 _SMALLEST_SHOWN: Final = 1e-3  # gray levels; a logarithmic axis has no zero
-_MARKERS: Final = {"pinhole": "s", "viewpoints": "o", "kernel": "D", "rays": "^"}
+_MARKERS: Final = {"pinhole": "s", "viewpoints": "o", "kernel": "D", "hybrid": "v", "rays": "^"}
 
 
 def pareto_front(rows: Sequence[Row]) -> tuple[Row, ...]:

@@ -39,7 +39,8 @@ def test_a_trade_writes_all_it_promises_and_goes_on(tmp_path: Path, capsys: pyte
     numbers = done.json
     assert json.loads((out / "trade.json").read_bytes()) == numbers
     rows = _rows(numbers)
-    assert {"pinhole", "kernel_tolerance-2"} <= set(rows)
+    assert {"pinhole", "kernel_tolerance-2", "hybrid_tolerance-2"} <= set(rows)
+    assert rows["hybrid_tolerance-2"]["rms_gray_upper"] < rows["pinhole"]["rms_gray"]
     assert any(name.startswith("viewpoints-7") for name in rows)
     assert rows["pinhole"]["rms_gray"] > 5 * rows["kernel_tolerance-2"]["rms_gray"]
     assert rows["kernel_tolerance-2"]["certified_rms_gray_upper95"] <= 2
@@ -72,7 +73,9 @@ def test_other_seeds_do_not_use_what_is_there(tmp_path: Path, capsys: pytest.Cap
     first = here(_argv(scene, tmp_path / "out"), capsys).success()
     rows = (tmp_path / "out" / "settings").iterdir
     before = {path.name: json.loads(path.read_bytes())["run_sha256"] for path in rows()}
-    assert "pinhole_pixel-samples-4.json" in before and not any(name.startswith("viewpoints") for name in before)
+    assert "pinhole_pixel-samples-4.json" in before and not any(
+        name.startswith(("viewpoints", "hybrid")) for name in before
+    )
     last = first.stdout.splitlines()[-1]
     assert last.endswith(".") and "gray" in last
     here(_argv(scene, tmp_path / "out", "--seed", 1), capsys).success()
