@@ -47,9 +47,9 @@ def test_another_exposure_is_a_fresh_render_within_both_certificates(tmp_path: P
     sensor = {"camera.sensor.gamma": gamma, "camera.sensor.gain": f"3.38e4 (J/m^2)^{unit}"}
     first = rendered(tmp_path, **sensor)
     fresh = rendered(tmp_path, **sensor, **{"camera.exposure_time": LONG})
-    start = time.perf_counter()
+    start = time.thread_time()
     made = first.with_exposure(LONG)
-    taken = time.perf_counter() - start
+    taken = time.thread_time() - start
     # Eq. 5 is homogeneous: all above dark, and all errors of it, grow by 1.5^gamma.
     growth = 1.5**gamma
     assert made.error.rms_gray_upper95 == pytest.approx(growth * first.error.rms_gray_upper95)
@@ -58,7 +58,7 @@ def test_another_exposure_is_a_fresh_render_within_both_certificates(tmp_path: P
     rounding = math.sqrt(2 / 12)
     assert np.sqrt(np.mean(off**2)) < made.error.rms_gray_upper95 + fresh.error.rms_gray_upper95 + rounding
     assert made.met == (made.error.rms_gray_upper95 <= 0.5)
-    assert taken < 0.05  # s; the render takes half a second
+    assert taken < 0.05  # s of processor time, as other tests run beside; the render takes half a second
     assert made.manifest["made_from"] == first.run.run_sha256 and made.scene.camera.exposure_time == 0.9
     # The way back is the image that was there.
     assert made.with_exposure(0.6).gray.values == pytest.approx(first.gray.values, abs=1)

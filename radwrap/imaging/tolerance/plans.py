@@ -23,6 +23,9 @@ from radwrap.manifest import finite
 
 # What costs less than this share of the tolerance is left out: errors add as squares, so it takes 5 % of the tolerance.
 NEGLIGIBLE_SHARE: Final = 0.3
+# What one layer lacks lies at few edges, of which a survey sees too little. Several layers take as many rays, and only
+# some more time to gather.
+_ONE_LAYER_SHARE: Final = 0.1
 # Where the model's error takes more than this share of the tolerance, rays are asked instead.
 MODEL_SHARE: Final = 0.85
 # Pixels where that may reach this share of the tolerance are looked at apart.
@@ -98,7 +101,7 @@ class Plans:
     def __init__(self, view: View, found: Survey, demand: Demand, seed: int) -> None:
         self.view, self.found, self.demand = view, found, demand
         self.finer = 1 if demand.tolerance < COARSE_TOLERANCE else 0
-        self.one_layer = root(found.one_layer.upper) <= NEGLIGIBLE_SHARE * demand.tolerance
+        self.one_layer = root(found.one_layer.upper) <= _ONE_LAYER_SHARE * demand.tolerance
         self.fewest = FEWEST
         self.everywhere = False
         self.kernel: tuple[KernelPlan, int, Bounded] | None = None
