@@ -211,12 +211,17 @@ def note_crop(scene: Scene) -> None:
 
 def overrides_of(arguments: argparse.Namespace) -> dict[str, Any]:
     """Key -> value of what --set, --scale and --roi change."""
-    changes = dict(map(_override, arguments.overrides))
+    changes = changes_of(arguments.overrides)
     for name in ("scale", "roi"):
         value = getattr(arguments, name)
         if value is not None:
             changes[f"camera.sensor.{name}"] = value
     return changes
+
+
+def changes_of(overrides: Sequence[str]) -> dict[str, Any]:
+    """Key -> value of KEY=VALUE texts."""
+    return dict(map(_override, overrides))
 
 
 def time_of(text: str, where: str) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,7 +14,9 @@ from radwrap.cli import options as shared
 from radwrap.errors import InputError, ToleranceNotMet
 from radwrap.files import check_result, make_folder, sha256_of, sole_owner
 from radwrap.images import PREVIEW_BITS, preview_codes, write_exr, write_png
-from radwrap.imaging.relight.levels import Levels, read_levels
+from radwrap.imaging.other_camera import SceneText, basis_in_other_camera
+from radwrap.imaging.output.run_manifest import MANIFEST, read_run_manifest
+from radwrap.imaging.relight.levels import Levels, levels_of, read_levels
 from radwrap.imaging.relight.relit import Basis, Relit, read_basis, relit
 from radwrap.imaging.relight.relit_uncertainty import relit_uncertainty
 from radwrap.manifest import SCHEMA_VERSION, json_text, plain, write_manifest
@@ -23,9 +26,9 @@ SIGMAS: Final = "gray_sigma"  # a folder: no image's name can be that of another
 PREVIEWS: Final = "preview"  # likewise
 _DESCRIPTION = (
     "Makes images for any levels of the sources from the basis that radwrap render --basis wrote, without a ray. "
-    "Writes NAME.png for each row of the table, and relight.json with each image's certified error, into DIR; "
-    "gray_sigma/NAME.exr too where the scene states tolerances or its camera is linear, and preview/NAME.png for eyes "
-    "of more than 8 bits."
+    "Writes NAME.png for each row of the table, or gray.png for --level; gray_sigma/NAME.exr, how far each gray level "
+    "may be off; relight.json with each image's certified error; and preview/NAME.png for eyes of more than 8 bits, "
+    "into DIR. Exposure time and the sensor's electronics may be others than those of the basis."
 )
 
 
@@ -36,8 +39,29 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument(
         "--levels",
         metavar="LEVELS.csv",
-        required=True,
         help='table with the columns "name" and one for each source: the factor on its radiance in the scene',
+    )
+    parser.add_argument(
+        "--level",
+        metavar="NAME=FACTOR",
+        action="append",
+        default=[],
+        help="one image, gray.png, with this factor on a source or on all LEDs of a ring; may be repeated, and what "
+        "comes later replaces what came before (default 1 for each)",
+    )
+    parser.add_argument(
+        "--set",
+        metavar="KEY=VALUE",
+        action="append",
+        default=[],
+        dest="overrides",
+        help='change the exposure time or a key of the sensor, such as --set camera.exposure_time="64 ms", with the '
+        "error measured anew; may be repeated",
+    )
+    parser.add_argument(
+        "--scene-folder",
+        metavar="DIR",
+        help="folder of the scene file; needed with --set where its camera names a data sheet or a calibration",
     )
     parser.add_argument("--out", metavar="DIR", required=True, help="folder for the images and relight.json")
     parser.add_argument("--exposure", action="store_true", help="write radiant exposures too, as NAME.exr [J/m^2]")
@@ -47,29 +71,49 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out the verb."""
-    basis = read_basis(Path(arguments.basis))
-    levels = read_levels(Path(arguments.levels), basis.sources, basis.dark)
+    if arguments.levels and arguments.level:
+        raise InputError("goes without --levels", where="--level", remedy="give one of the two")
+    folder = Path(arguments.basis)
+    basis = read_basis(folder)
+    changes = shared.changes_of(arguments.overrides)
+    if changes:
+        basis = basis_in_other_camera(basis, _scene_text(folder, basis, arguments.scene_folder), changes)
+    if arguments.levels:
+        levels = read_levels(Path(arguments.levels), basis.sources, basis.dark)
+    else:
+        factors = levels_of(arguments.level, basis.sources, basis.dark)
+        levels = Levels(("gray",), np.array([factors], dtype=np.float64))
     out = Path(arguments.out)
     basis_folder, real = (Path(os.path.realpath(folder)) for folder in (arguments.basis, out))  # links in a circle too
     if basis_folder in (real, *real.parents):
         raise InputError("is the folder of the basis, or lies in it", where="--out", remedy="choose another")
     make_folder(out)
     with sole_owner(out):
-        result = _write(out, basis, levels, with_exposure=arguments.exposure)
+        result = _write(out, basis, levels, changes, with_exposure=arguments.exposure)
     failed = [name for name, image in result["images"].items() if not image["met"]]
     if arguments.json:
         print(json_text(result), end="")
     else:
         worst = max(image["error"]["rms_gray_upper95"] for image in result["images"].values())
         error = f"error in gray levels before rounding below {worst:.2g} rms (95 % for each)"
-        print(f"{out}: {len(levels.names)} images; {error}")
+        print(f"{out}: {len(levels.names)} image{'s' if len(levels.names) > 1 else ''}; {error}")
     if failed:
         more = f" and {len(failed) - 1} more" if len(failed) > 1 else ""
         raise ToleranceNotMet("the tolerance of the basis was not met", where=f"{failed[0]}{more}")
     return 0
 
 
-def _write(out: Path, basis: Basis, levels: Levels, *, with_exposure: bool) -> dict[str, Any]:
+def _scene_text(folder: Path, basis: Basis, scene_folder: str | None) -> SceneText:
+    """The scene of a basis, as the manifest of its run tells it."""
+    run = read_run_manifest(folder)
+    if run.scene_sha256 != basis.scene_sha256:
+        raise InputError("is of another run", where=str(folder / MANIFEST), remedy="make the basis again")
+    return SceneText(run.scene, Path(scene_folder or folder), run.bands is not None)
+
+
+def _write(
+    out: Path, basis: Basis, levels: Levels, changes: Mapping[str, Any], *, with_exposure: bool
+) -> dict[str, Any]:
     """Write all images, and what is told of them last."""
     check_result(out / RESULT)
     (out / RESULT).unlink(missing_ok=True)
@@ -86,14 +130,13 @@ def _write(out: Path, basis: Basis, levels: Levels, *, with_exposure: bool) -> d
             stored = image.radiant_exposure.values.astype(np.float32)
             write_exr(out / files[-1], stored, channel="radiant_exposure", metadata={"radwrap:unit": "J m^-2"})
         unsure = relit_uncertainty(basis, factors, image)
-        if unsure is not None:
-            files.append(f"{SIGMAS}/{name}.exr")
-            make_folder(out / SIGMAS)
-            write_exr(out / files[-1], unsure.sigma.astype(np.float32), channel="gray_sigma")
+        files.append(f"{SIGMAS}/{name}.exr")
+        make_folder(out / SIGMAS)
+        write_exr(out / files[-1], unsure.sigma.astype(np.float32), channel="gray_sigma")
         images[name] = {
             "levels": dict(zip(basis.sources, factors.tolist(), strict=True)),
             **_summary(image),
-            **({} if unsure is None else {"uncertainty": plain(unsure.summary(), named=False)}),
+            "uncertainty": plain(unsure.summary(), named=False),
             "met": image.keeps(basis),
             "files": {file: sha256_of(out / file) for file in files},
         }
@@ -102,6 +145,7 @@ def _write(out: Path, basis: Basis, levels: Levels, *, with_exposure: bool) -> d
         "scene_sha256": basis.scene_sha256,
         "tolerance": basis.tolerance,
         "max_error": basis.max_error,
+        **({"changed": dict(changes)} if changes else {}),
         "images": images,
     }
     write_manifest(out / RESULT, result)

@@ -4,6 +4,9 @@ Radiant exposure is proportional to exposure time, and an error of Eq. 5 to its 
 (K'/K) s^gamma times what K H^gamma is off by, at each pixel. Clipping makes errors smaller, so that this holds where
 the new image saturates earlier than the old one. Where it saturates later, pixels that were saturated before are not
 bound by anything: rays were spent, and errors measured, on clipped gray levels.
+
+A light basis keeps what its certificate needs in radiance, before Eq. 5: in another camera its errors are not scaled,
+but measured anew.
 """
 
 from __future__ import annotations
@@ -11,16 +14,18 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from radwrap.errors import InputError
 from radwrap.images import ExposureImage, GrayImage
+from radwrap.imaging.relight.relit import Basis
 from radwrap.imaging.response.sensor import gray_levels, image_of_levels
 from radwrap.imaging.tolerance.certificate import Certificate
 from radwrap.scene.camera import Camera, Sensor
-from radwrap.scene.file.load import with_camera
+from radwrap.scene.file.load import camera_with, with_camera
 from radwrap.scene.scene import Scene
 
 _SAME: Final = 1e-9  # of a level; rounding alone
@@ -83,14 +88,73 @@ def in_other_camera(
     other = with_camera(scene, changes)
     old, new = scene.camera, other.camera
     _check_same_light(old, new)
-    if not old.exposure_time:
-        raise InputError("is 0, which leaves nothing to scale", where="camera.exposure_time", remedy="render the scene")
-    times = new.exposure_time / old.exposure_time
+    times = _times(old, new)
     made = ExposureImage(exposure.values * times, exposure.provenance)
     gray = image_of_levels(gray_levels(made.values, new.sensor), new.sensor, made.provenance)
     return Developed(
         other, made, gray, _scaled(certificate, _growth(old.sensor, new.sensor, times, exposure, certificate))
     )
+
+
+@dataclass(frozen=True, slots=True)
+class SceneText:
+    """A scene as its basis' run knows it: enough to read its camera again.
+
+    Attributes
+    ----------
+    document : str
+        As `Scene.document`.
+    folder : Path
+        Against which the camera's files are resolved, where it names any.
+    spectral : bool
+        Whether it tells spectra.
+    origin : str
+        For messages.
+    """
+
+    document: str
+    folder: Path
+    spectral: bool
+    origin: str = "scene"
+
+    @classmethod
+    def of(cls, scene: Scene) -> SceneText:
+        """Of a scene."""
+        return cls(scene.document, scene.folder, scene.spectral is not None, scene.origin)
+
+
+def basis_in_other_camera(basis: Basis, scene: SceneText, changes: Mapping[str, Any]) -> Basis:
+    """A light basis as another exposure time, or other electronics of the sensor, would have it, without a ray.
+
+    Parameters
+    ----------
+    basis : Basis
+        See `read_basis`.
+    scene : SceneText
+        Of which it was made.
+    changes : Mapping
+        As of `in_other_camera`.
+
+    Raises
+    ------
+    InputError
+        As `in_other_camera`.
+    """
+    if not changes:
+        return basis
+    camera, _, _ = camera_with(
+        scene.document, changes, origin=scene.origin, folder=scene.folder, spectral=scene.spectral
+    )
+    old, new = basis.camera, replace(camera, distortion=None)
+    _check_same_light(old, new)
+    return replace(basis, camera=new, exposure_of_radiance=basis.exposure_of_radiance * _times(old, new))
+
+
+def _times(old: Camera, new: Camera) -> float:
+    """By how much the exposure grows."""
+    if not old.exposure_time:
+        raise InputError("is 0, which leaves nothing to scale", where="camera.exposure_time", remedy="render the scene")
+    return new.exposure_time / old.exposure_time
 
 
 def _check_same_light(old: Camera, new: Camera) -> None:

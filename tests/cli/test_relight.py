@@ -44,6 +44,7 @@ def test_relight_writes_an_image_for_each_row(basis: Path, tmp_path: Path, capsy
     assert {path.name for path in out.iterdir()} == {
         ".radwrap.lock",
         "both.png",
+        "gray_sigma",
         "half.png",
         "off.png",
         "relight.json",
@@ -68,7 +69,77 @@ def test_exposures_are_linear_in_the_factors(basis: Path, tmp_path: Path, capsys
     images = here(_argv(basis, tmp_path, text, "--exposure", "--json"), capsys).json["images"]
     a, b, c = (read_image(tmp_path / "out" / f"{name}.exr")[0].astype(float) for name in "abc")
     assert np.abs(0.25 * a + 3 * b - c).max() < 1e-6 * c.max()  # each is rounded to float32
-    assert set(images["c"]["files"]) == {"c.png", "c.exr"}
+    assert set(images["c"]["files"]) == {"c.png", "c.exr", "gray_sigma/c.exr"}
+
+
+def _one(basis: Path, folder: Path, *more: object) -> list[object]:
+    return ["relight", basis, *more, "--out", folder / "out"]
+
+
+def test_one_image_by_its_levels(basis: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    here(_argv(basis, tmp_path, "name,lamp,second\na,0.25,1\n"), capsys).success()
+    told = here(_one(basis, tmp_path, "--level", "lamp=3", "--level", "lamp=0.25", "--json"), capsys).success().json
+    assert told["images"]["gray"]["levels"] == {"lamp": 0.25, "second": 1.0} and "changed" not in told
+    assert (tmp_path / "out" / "gray.png").read_bytes() == (tmp_path / "out" / "a.png").read_bytes()
+    sigma = read_image(tmp_path / "out" / "gray_sigma" / "gray.exr")[0].astype(float)
+    assert np.sqrt((sigma**2).mean()) == pytest.approx(told["images"]["gray"]["uncertainty"]["sigma_rms_gray"])
+    here(_one(basis, tmp_path), capsys).success()
+    assert (tmp_path / "out" / "gray.png").read_bytes() == (basis / "gray.png").read_bytes()
+
+
+def test_one_image_in_another_camera(basis: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    more = ("--set", "camera.exposure_time=774 ms", "--set", "camera.sensor.dark_gray=5")
+    told = here(_one(basis, tmp_path, *more, "--json"), capsys).json
+    assert told["changed"] == {"camera.exposure_time": "774 ms", "camera.sensor.dark_gray": 5}
+    here(_one(basis, tmp_path, "--level", "lamp=2", "--level", "second=2", *more[2:], "--json"), capsys)
+    twice = json.loads((tmp_path / "out" / "relight.json").read_bytes())
+    upper = [one["images"]["gray"]["error"]["rms_gray_upper95"] for one in (told, twice)]
+    assert upper[0] == pytest.approx(upper[1], rel=1e-9)
+    assert told["images"]["gray"]["gray"]["min"] == 5
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        (("--level", "lump=1"), 'level "lump": unknown source "lump"; known are'),
+        (("--level", "lamp"), '"lamp" is not NAME=FACTOR'),
+        (("--level", "lamp=-1"), 'level lamp: "-1" is no number from 0 on'),
+        (("--level", "lamp=1e999"), "is no number from 0 on"),
+        (("--level", "lamp=1", "--levels", "levels.csv"), "--level: goes without --levels"),
+        (("--set", "camera.position=[]"), "camera.position"),
+        (("--set", "camera.focal_length=13 mm"), "changes which light a pixel gets"),
+        (("--set", "sources.0.radiance=1 W/m^2/sr"), "is no key of the camera"),
+        (("--set", "camera.exposure_time=5"), "camera.exposure_time"),
+        (("--set", "camera.exposure_time=1e300 s"), "must be at most 1e+09"),
+        (("--set", "camera.sensor.data_sheet=x.toml", "--set", 'camera.sensor.model="linear"'), "x.toml"),
+    ],
+)
+def test_bad_turns_are_refused(
+    basis: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], more: tuple[str, ...], says: str
+) -> None:
+    assert says in here(_one(basis, tmp_path, *more), capsys).refusal(2)
+    assert not list(tmp_path.rglob("*.png"))
+
+
+def test_a_data_sheet_is_found_in_the_scenes_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The manifest holds the scene as it was written; the sheet it names lies beside the scene file."""
+    folder, sensor = tmp_path / "scene", SMALL["camera"]["sensor"]
+    folder.mkdir()
+    keys = ("gain", "gamma", "dark_gray", "saturation_gray")
+    (folder / "sheet.toml").write_text("".join(f"{key} = {json.dumps(sensor[key])}\n" for key in keys))
+    rest = {key: value for key, value in sensor.items() if key not in keys}
+    linear = {**rest, "model": "linear", "data_sheet": "sheet.toml"}
+    (folder / "sheet.toml").write_text(
+        'wavelength = "525 nm"\nquantum_efficiency = 0.5\nsystem_gain = "0.01 DN/e"\noffset = 20\n'
+        'full_well = "20000 e"\nread_noise = "5 e"\n'
+    )
+    scene = write_scene(folder, {**TWO, "camera.sensor": linear})
+    basis = tmp_path / "basis"
+    run("render", scene, "--basis", "--tolerance", 2, "--out", basis).success()
+    turn = ("--set", "camera.exposure_time=10 ms")
+    assert "sheet.toml" in here(_one(basis, tmp_path, *turn), capsys).refusal(2)
+    found = here(_one(basis, tmp_path, *turn, "--scene-folder", folder, "--json"), capsys).success().json
+    assert "noise" in found["images"]["gray"]["uncertainty"]["parts_rms_gray"]
 
 
 def test_the_same_table_gives_the_same_bytes(basis: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -80,24 +80,53 @@ def read_levels(path: Path, sources: Sequence[str], dark: Sequence[str] = ()) ->
     return Levels(tuple(name for name, _ in factors), np.array([row for _, row in factors], dtype=np.float64))
 
 
+def levels_of(given: Sequence[str], sources: Sequence[str], dark: Sequence[str] = ()) -> tuple[float, ...]:
+    """A factor for each source, from texts such as ``"lamp=0.5"``; one that none names stays as it is.
+
+    Parameters
+    ----------
+    given : sequence of str
+        NAME=FACTOR; a ring's name stands for all its LEDs, and what comes later replaces what came before.
+    sources, dark : sequence of str
+        As of `read_levels`.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown or dark, or a factor is no number from 0 on.
+    """
+    factors = dict.fromkeys(sources, 1.0)
+    for text in given:
+        name, equals, cell = text.rpartition("=")
+        if not equals:
+            raise InputError(f'"{shortened(text)}" is not NAME=FACTOR', where="level")
+        named = [source for source in sources if name in (source, source.rpartition(".")[0])]
+        if not named:
+            _check_name(name, sources, dark, f'level "{shortened(name)}"', "source")
+        factors.update(dict.fromkeys(named, _factor(cell, f"level {name}")))
+    return tuple(factors.values())
+
+
 def _check_header(header: Sequence[str], sources: Sequence[str], dark: Sequence[str], where: str) -> None:
     wanted = (NAME, *sources)
     for column in header:
-        if column in dark:
-            raise InputError(
-                f'the source "{column}" is dark in the scene, no factor changes that',
-                where=where,
-                remedy="give it a radiance in the scene, make the basis again",
-            )
-        if column not in wanted:
-            raise InputError(
-                f'unknown column "{shortened(column)}"', where=where, remedy=f"known are {', '.join(wanted)}"
-            )
+        _check_name(column, wanted, dark, where, "column")
         if header.count(column) > 1:
             raise InputError(f'the column "{column}" comes twice', where=where)
     for column in wanted:
         if column not in header:
             raise InputError(f'the column "{column}" is missing', where=where, remedy="1 leaves a source as it is")
+
+
+def _check_name(name: str, known: Sequence[str], dark: Sequence[str], where: str, what: str) -> None:
+    if name in dark:
+        raise InputError(
+            f'the source "{name}" is dark in the scene, no factor changes that',
+            where=where,
+            remedy="give it a radiance in the scene, make the basis again",
+        )
+    if name not in known:
+        raise InputError(f'unknown {what} "{shortened(name)}"', where=where, remedy=f"known are {', '.join(known)}")
 
 
 def _image_name(name: str, known: dict[str, int], where: str) -> str:

@@ -245,13 +245,7 @@ def relit(basis: Basis, factors: Sequence[Sequence[float]] | NDArray[np.float64]
     InputError
         If the factors are not so, or a radiant exposure overflows.
     """
-    levels = np.array(factors, dtype=np.float64)
-    if levels.ndim != 2 or levels.shape[1] != len(basis.sources):
-        raise InputError(f"have the shape {levels.shape}", where="factors", remedy="give one for each image and source")
-    if not (np.isfinite(levels).all() and (levels >= 0).all()):
-        raise InputError("must be finite and not negative", where="factors")
-    _check_overflow(basis, levels)
-    return _in_batches(basis, levels)
+    return Relighter(basis).images(factors)
 
 
 def _check_overflow(basis: Basis, levels: NDArray[np.float64]) -> None:
@@ -263,25 +257,58 @@ def _check_overflow(basis: Basis, levels: NDArray[np.float64]) -> None:
         raise InputError(f"the radiant exposure of image {over[0] + 1} overflows", remedy="lower its factors")
 
 
-def _in_batches(basis: Basis, levels: NDArray[np.float64]) -> Iterator[Relit]:
-    relighter = _Relighter(basis)
-    together = min(_TOGETHER, max(1, _VALUES_HELD // basis.images[0].size))
-    for first in range(0, len(levels), together):
-        part = levels[first : first + together]
-        full = np.zeros((together, levels.shape[1]))
-        full[: len(part)] = part
-        yield from relighter.images(full, len(part))
+class Relighter:
+    """What is made once for all images of a basis, for whoever asks for one image after the other.
 
-
-class _Relighter:
-    """What is made once for all images."""
+    Parameters
+    ----------
+    basis : Basis
+        See `read_basis`.
+    """
 
     def __init__(self, basis: Basis) -> None:
         self._basis = basis
         sample, key = basis.sample, (Relighting.RESAMPLES,)
         self._again = None if sample is None else resampling(sample.stratum, sample.shares, key)
 
-    def images(self, levels: NDArray[np.float64], count: int) -> Iterator[Relit]:
+    @property
+    def basis(self) -> Basis:
+        """Of which images are made."""
+        return self._basis
+
+    def in_camera(self, basis: Basis) -> Relighter:
+        """The same for the basis in another camera; nothing is drawn anew, as that hangs on the light alone."""
+        if basis.sample is not self._basis.sample:
+            raise ValueError("is another basis")
+        other = object.__new__(Relighter)
+        other._basis, other._again = basis, self._again
+        return other
+
+    def image(self, factors: Sequence[float] | NDArray[np.float64]) -> Relit:
+        """The image for a factor on each source: the very same as `relit` gives among others; raises as that."""
+        return next(self.images([factors]))
+
+    def images(self, factors: Sequence[Sequence[float] | NDArray[np.float64]] | NDArray[np.float64]) -> Iterator[Relit]:
+        """Images for any levels of the sources, as `relit`."""
+        basis, levels = self._basis, np.array(factors, dtype=np.float64)
+        if levels.ndim != 2 or levels.shape[1] != len(basis.sources):
+            raise InputError(
+                f"have the shape {levels.shape}", where="factors", remedy="give one for each image and source"
+            )
+        if not (np.isfinite(levels).all() and (levels >= 0).all()):
+            raise InputError("must be finite and not negative", where="factors")
+        _check_overflow(basis, levels)
+        return self._in_batches(levels)
+
+    def _in_batches(self, levels: NDArray[np.float64]) -> Iterator[Relit]:
+        together = min(_TOGETHER, max(1, _VALUES_HELD // self._basis.images[0].size))
+        for first in range(0, len(levels), together):
+            part = levels[first : first + together]
+            full = np.zeros((together, levels.shape[1]))
+            full[: len(part)] = part
+            yield from self._batch(full, len(part))
+
+    def _batch(self, levels: NDArray[np.float64], count: int) -> Iterator[Relit]:
         """The first `count` images for some levels."""
         basis = self._basis
         replicates = _combined(levels, basis.images)

@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.imaging.relight.relit import Basis, Relit
-from radwrap.imaging.tolerance.uncertainty import Uncertainty, spread_of, uncertainty
+from radwrap.imaging.tolerance.uncertainty import Uncertainty, combined, spread_of, uncertainty_squares
 from radwrap.scene.tolerances import Tolerances
 
 Array = NDArray[np.float64]
 
 
-def relit_uncertainty(basis: Basis, factors: Array, image: Relit) -> Uncertainty | None:
-    """How far a captured frame may be off a relit image; None where nothing is known of it.
+def relit_uncertainty(basis: Basis, factors: Array, image: Relit) -> Uncertainty:
+    """How far a captured frame may be off a relit image: by the rays and by rounding at least.
 
     Parameters
     ----------
@@ -28,9 +28,12 @@ def relit_uncertainty(basis: Basis, factors: Array, image: Relit) -> Uncertainty
     image : Relit
         The image.
     """
+    return combined(relit_squares(basis, factors, image))
+
+
+def relit_squares(basis: Basis, factors: Array, image: Relit) -> dict[str, Array]:
+    """Square of what each cause adds at each pixel, see `uncertainty_squares`; arguments as `relit_uncertainty`."""
     tolerances = basis.tolerances
-    if tolerances is None and basis.sensor.linear is None:
-        return None
     spread = None
     if tolerances is not None and tolerances.each_source_radiance:
         spread = spread_of(
@@ -38,7 +41,7 @@ def relit_uncertainty(basis: Basis, factors: Array, image: Relit) -> Uncertainty
             for factor, parts in zip(factors.tolist(), basis.images, strict=True)
         )
     magnification = None if basis.magnification is None else basis.magnification.astype(np.float64)
-    return uncertainty(
+    return uncertainty_squares(
         image.radiant_exposure,
         basis.camera,
         tolerances or Tolerances(),

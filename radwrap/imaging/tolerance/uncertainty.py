@@ -74,7 +74,26 @@ def uncertainty(
     *,
     magnification: Array | None = None,
 ) -> Uncertainty:
-    """Combine all causes.
+    """Combine all causes; arguments as of `uncertainty_squares`."""
+    return combined(uncertainty_squares(exposure, camera, tolerances, ray_error, spread, magnification=magnification))
+
+
+def combined(squares: Mapping[str, Array]) -> Uncertainty:
+    """All causes together, of what each adds at each pixel; see `uncertainty_squares`."""
+    sigma = np.sqrt(np.sum(list(squares.values()), axis=0))
+    return Uncertainty(sigma, {name: math.sqrt(float(square.mean())) for name, square in squares.items()})
+
+
+def uncertainty_squares(
+    exposure: ExposureImage,
+    camera: Camera,
+    tolerances: Tolerances,
+    ray_error: float,
+    spread: Array | None = None,
+    *,
+    magnification: Array | None = None,
+) -> dict[str, Array]:
+    """Square of what each cause adds at each pixel, shape (rows, columns) [gray level^2].
 
     Parameters
     ----------
@@ -133,8 +152,7 @@ def uncertainty(
         squares["noise"] = noise_variance(values, sensor)
     elif sensor.rounding:
         squares["rounding"] = np.full(values.shape, ROUNDING_VARIANCE)
-    sigma = np.sqrt(np.sum(list(squares.values()), axis=0))
-    return Uncertainty(sigma, {name: math.sqrt(float(square.mean())) for name, square in squares.items()})
+    return squares
 
 
 def _where_rays_err(signal: Array) -> Array:

@@ -16,6 +16,7 @@ from pydantic_core import PydanticUndefined
 
 from radwrap.errors import InputError
 from radwrap.reading import FileKind, check_tree, read_toml
+from radwrap.scene.camera import Camera
 from radwrap.scene.file.border import Model
 from radwrap.scene.file.calibrated import with_calibration
 from radwrap.scene.file.convert import camera_from_table, scene_from_model
@@ -149,12 +150,39 @@ def with_camera(scene: Scene, overrides: Mapping[str, Any]) -> Scene:
     InputError
         As `load_scene`; and if a key is none of the camera, or another sensor may weigh the scene's spectra otherwise.
     """
-    origin, folder = scene.origin, scene.folder
-    tables: dict[str, Any] = json.loads(scene.document)
+    camera, told, text = camera_with(
+        scene.document, overrides, origin=scene.origin, folder=scene.folder, spectral=scene.spectral is not None
+    )
+    assumed = {key: value for key, value in scene.assumed.items() if not key.startswith("camera.")}
+    return replace(scene, camera=camera, assumed=assumed | told, document=text)
+
+
+def camera_with(
+    document: str, overrides: Mapping[str, Any], *, origin: str, folder: Path, spectral: bool
+) -> tuple[Camera, dict[str, str], str]:
+    """The camera of a scene's document with some keys changed; errors as `with_camera`.
+
+    Parameters
+    ----------
+    document : str
+        The scene file's content as JSON, as `Scene.document` has it.
+    overrides : Mapping[str, Any]
+        Key of the camera -> value as the file would hold it.
+    origin, folder : str, Path
+        As of `Scene`.
+    spectral : bool
+        Whether the scene tells spectra, which another sensor may weigh otherwise.
+
+    Returns
+    -------
+    Camera, dict, str
+        The camera, what it takes because the document is silent, and the document with the changes.
+    """
+    tables: dict[str, Any] = json.loads(document)
     for key, value in overrides.items():
         if not key.startswith("camera."):
             raise InputError("is no key of the camera", where=f"{origin}: {key}")
-        if scene.spectral is not None and key != "camera.exposure_time":
+        if spectral and key != "camera.exposure_time":
             raise InputError("may weigh the scene's spectra otherwise", where=key, remedy="render that camera")
         tables = set_all(tables, key, value, origin)
     text = _checked_json(tables, origin)
@@ -163,10 +191,8 @@ def with_camera(scene: Scene, overrides: Mapping[str, Any]) -> Scene:
         model = _CameraModel.model_validate({"camera": whole["camera"]})
     except ValidationError as error:
         raise in_sheet(fault(error, origin, whole, _CameraModel), tables, whole, origin) from error
-    assumed = {key: value for key, value in scene.assumed.items() if not key.startswith("camera.")}
-    assumed |= dict(_assumed(model))
-    camera = camera_from_table(model.camera, f"{origin}: camera", assumed)
-    return replace(scene, camera=camera, assumed=assumed, document=text)
+    told = dict(_assumed(model))
+    return camera_from_table(model.camera, f"{origin}: camera", told), told, text
 
 
 def with_value(scene: Scene, key: str, value: Any) -> Scene:
