@@ -45,6 +45,8 @@ SEAL: Final = "sha256"
 _WORK: Final = "basis"
 # Pixels that tell what the size of the kernel's cells changes; the sampling error of so many is in the bound.
 _GRID_PIXELS: Final = 4096
+# Values side by side in a file: OpenImageIO reads no image wider than 2^20.
+_WIDEST: Final = 1 << 16
 # Pairs of each pixel of the model's certificate, at least: any levels must do with them.
 _LEAST_PAIRS: Final = 16
 
@@ -224,7 +226,10 @@ class _Maker:
     def read(self, kind: str, view: int) -> NDArray[np.float32] | None:
         """What was made of a view, a row or more for each of its sources."""
         found = read_piece(self.path(kind, view), f"{self.name}-{kind}-{view}")
-        return None if found is None else found[0]
+        if found is None:
+            return None
+        length = int(found[1]["length"])
+        return found[0].reshape(-1, _folded(length))[:, :length]
 
     def each(self, kind: str, view: int) -> list[NDArray[np.float32]]:
         """The rows of each source of a view."""
@@ -235,7 +240,11 @@ class _Maker:
         return np.split(rows, len(self.views[view].names))
 
     def write(self, kind: str, view: int, rows: NDArray[np.float64]) -> None:
-        write_piece(self.path(kind, view), rows.astype(np.float32), f"{self.name}-{kind}-{view}", {})
+        length = rows.shape[1]
+        folded = np.zeros((len(rows), _folded(length)), dtype=np.float32)
+        folded[:, :length] = rows
+        pixels = folded.reshape(-1, min(length, _WIDEST))
+        write_piece(self.path(kind, view), pixels, f"{self.name}-{kind}-{view}", {"length": length})
 
     def kinds(self) -> Iterator[str]:
         yield from (self.tile_kind(replicate, tile) for replicate, tile in self.tiles())
@@ -366,6 +375,11 @@ def sealed(description: Mapping[str, Any]) -> dict[str, Any]:
     """What tells of a basis with its own hash: a number in it that was changed would make certificates wrong."""
     rest = {key: value for key, value in description.items() if key != SEAL}
     return {**rest, SEAL: sha256_of_value(rest)}
+
+
+def _folded(length: int) -> int:
+    """Length of a row that is folded to the width that an image file may have."""
+    return length if length <= _WIDEST else -(-length // _WIDEST) * _WIDEST
 
 
 def _maker(work: Work, views: tuple[LitView, ...], outcome: Outcome) -> _Maker:
