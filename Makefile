@@ -10,14 +10,16 @@ FIGURES := fig05_response fig08_09_field fig10_board fig11_edge fig12_transition
 	table1_ambient table3_focal_length table3_reason table4_lenth
 NUMBERED := fig05 fig08 fig09 fig10 fig11 fig12 fig13 table1 table3 table3_reason table4
 
-.PHONY: demo test test-long test-hid test-report coverage lint bench bias invariance crosscheck validate figures replication $(NUMBERED) povray chromium clean help
+.PHONY: demo face test test-long test-hid test-report test-face coverage lint bench bias invariance crosscheck validate figures replication $(NUMBERED) povray chromium node clean help
 
 help:
 	@echo "make demo   set up, render the calibration board, say where the picture lies"
+	@echo "make face   set up, and turn the light of the calibration board in the browser"
 	@echo "make test   set up (POV-Ray by apt where missing), lint, run the tests"
 	@echo "make test-long  the whole samples of slow statistics, of which make test takes a part"
 	@echo "make test-hid  the LED cases on real HID devices, in two virtual machines (qemu by apt where missing)"
 	@echo "make test-report  open the report of a study in a real browser (Chromium by apt where missing)"
+	@echo "make test-face  check the types of the page's modules, and turn its knobs in a real browser (apt, npm)"
 	@echo "make coverage  lines and branches that the tests run, in all processes"
 	@echo "make lint   ruff and mypy --strict"
 	@echo "make bench  speed, overhead, memory, what a tolerance costs, and real cells beside Mitsuba (ARGS: bench_cells.py)"
@@ -32,6 +34,9 @@ help:
 demo: $(READY)
 	@$(BIN)/radwrap render rad_scenes/bench_board/scene.toml --out out/demo
 	@echo "The picture is out/demo/gray.png"
+
+face: $(READY)
+	@$(BIN)/radwrap face rad_scenes/bench_board/scene.toml $(ARGS)
 
 # Three processes, as the machine that the suite is timed on has two cores, and tests that kill or time something wait
 # for a sixth of the time; tests of a file share what they make, and the longest files are begun first (conftest.py).
@@ -54,6 +59,12 @@ test-hid: $(READY)
 
 test-report: $(READY) chromium
 	@$(BIN)/python -m pytest tests/study/report_in_browser.py
+
+# Ten minutes at most. What is missing is installed by apt and npm; where that fails the tests fail.
+FACE := tests/face/browser
+test-face: $(READY) chromium node
+	@cd $(FACE) && npm ci --no-audit --no-fund --silent && npx tsc -p tsconfig.json
+	@timeout 600 node --test $(FACE)/face.test.mjs
 
 # ARGS are pytest's: a folder of tests, say.
 coverage: $(READY) povray
@@ -123,6 +134,14 @@ chromium:
 		{ $$SUDO apt-get update -qq && $$SUDO env DEBIAN_FRONTEND=noninteractive \
 			apt-get install -qq -y --no-install-recommends chromium; } >/dev/null 2>&1 \
 		|| echo "warning: Chromium could not be installed" >&2; }
+
+node:
+	@{ command -v node && command -v npm; } >/dev/null 2>&1 || ! command -v apt-get >/dev/null 2>&1 || { \
+		SUDO=; [ "$$(id -u)" = 0 ] || SUDO=sudo; \
+		echo "installing Node.js ..."; \
+		{ $$SUDO apt-get update -qq && $$SUDO env DEBIAN_FRONTEND=noninteractive \
+			apt-get install -qq -y --no-install-recommends nodejs npm; } >/dev/null 2>&1 \
+		|| echo "warning: Node.js could not be installed" >&2; }
 
 clean:
 	rm -rf $(VENV) out

@@ -21,7 +21,12 @@ _ROUNDS: Final = 5  # between two looks a process may have started another
 
 def new_mark() -> str:
     """A mark that no other process has."""
-    return f"{os.getpid()}-{secrets.token_hex(8)}"
+    return f"{marks_of(os.getpid())}{secrets.token_hex(8)}"
+
+
+def marks_of(process: int) -> str:
+    """What all marks begin with that a process makes."""
+    return f"{process}-"
 
 
 def marked(mark: str) -> dict[str, str]:

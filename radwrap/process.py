@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Final
 
-from radwrap.descendants import end_marked, marked, new_mark
+from radwrap.descendants import end_marked, marked, marks_of, new_mark
 from radwrap.errors import EnvironmentFailure, TracerError
 from radwrap.pipes import PIPE_BYTES, Feeder, Listener, is_readable, widen
 
@@ -417,6 +417,16 @@ class Child:
                 return line.decode(errors="replace") if byte or line else None
             line += byte
         return None
+
+    @property
+    def pid(self) -> int:
+        """Of its process."""
+        return self._program.pid
+
+    def kill(self) -> None:
+        """End it at once, with all that it has started through `Programs`."""
+        self.close(0.0)
+        end_marked(marks_of(self._program.pid))
 
     def close(self, patience: float) -> None:
         """End its stdin, wait for its end for `patience` seconds, then kill it."""

@@ -16,7 +16,20 @@ import radwrap
 PACKAGE = Path(radwrap.__file__).parent
 
 # Each folder may import itself, the ground, and what stands before it.
-ORDER = ["ground", "scene", "tracers", "imaging", "convert", "measure", "calibrate", "study", "led", "validate", "cli"]
+ORDER = [
+    "ground",
+    "scene",
+    "tracers",
+    "imaging",
+    "convert",
+    "measure",
+    "calibrate",
+    "study",
+    "led",
+    "validate",
+    "face",
+    "cli",
+]
 
 # The rooms of the two largest folders, wings and modules beside them. Each may import itself and what stands before it.
 ROOMS = {
@@ -46,6 +59,7 @@ ROOMS = {
             "output",
             "forecasting",
             "other_camera",
+            "page",
             "rendered",
         ),
         *("synthesis", "warm"),
@@ -102,6 +116,10 @@ DOORS = {
     "hidraw": {"led/ports.py": "the same, by the kernel's own driver"},
     "multiprocessing": {"study/pool.py": "workers of this machine"},
     "distributed": {"study/pool.py": "workers of a Dask cluster"},
+    "starlette": {"face/app.py": "requests and answers of the page's server"},
+    "uvicorn": {"face/serve.py": "the page's server"},
+    "tomli_w": {"face/saving.py": "writes scene files"},
+    "webbrowser": {"cli/face.py": "opens the page"},
     "numba": {"tracers/compiled/compiler.py": "compiles our own tracer"},
     "llvmlite": {"tracers/compiled/compiler.py": "its version, for manifests"},
     "jinja2": {"study/report.py": "fills in the report of a study", "validate/report.py": "fills in the score card"},
@@ -117,6 +135,8 @@ DOORS = {
 # Who writes words of the command line outside cli/, and why.
 OPTION = re.compile(r"(?<![\w-])--(?:[a-z]|$)")  # also where a name follows in an f-string
 SPELLERS = {
+    "face/session.py": "the command that makes the same picture, to be copied as it is",
+    "imaging/page/turn.py": "the same",
     "led/connect.py": "arguments of the emulator, a program of its own",
     "led/emulator/__main__.py": "the same",
     "led/ports.py": "names a command to be copied as it is",
@@ -131,6 +151,7 @@ SPELLERS = {
 SHIPPED = "files('radwrap')"  # files of the package itself, which nobody names
 OPENERS = {"open", "fdopen", "read_bytes", "read_text", "fromfile", "genfromtxt", "loadtxt", "memmap", "imread"}
 READ_ELSEWHERE = {
+    "cli/face.py": {"webbrowser.open": "the page's own link"},
     "cli/main.py": {"os.open": "the null device, for a stdout that is gone"},
     "cli/streams.py": {
         "os.fdopen": "the process's own streams",
@@ -138,6 +159,9 @@ READ_ELSEWHERE = {
     },
     "convert/ies_files.py": {"file.read_bytes": "what ies2rad left in a folder of our own"},
     "descendants.py": {"(place / 'environ').read_bytes": "processes of this machine"},
+    "face/assets.py": {"entry.read_bytes": "the package's own files"},
+    "face/renderer.py": {"path.read_bytes": "what the page's server has just written"},
+    "face/serve.py": {"os.open": "writes", "os.fdopen": "writes"},
     "files.py": {
         "os.open": "flushes to the disk what was just written",
         "path.open": "hashes the files that a basis lists",

@@ -55,6 +55,11 @@ class WarmScene:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    @property
+    def folder(self) -> Path | None:
+        """Where it lies; what a process that was killed left there is for others to remove."""
+        return self._folder
+
     def close(self) -> None:
         """Keep nothing any more; a render that is under way is waited for."""
         with self._one:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,7 +14,7 @@ from radwrap.led.backend import Backend, Kind
 from radwrap.led.lamparray import LampArray
 from radwrap.led.mcp2221_pca9685 import Mcp2221Pca9685
 from radwrap.led.ports import Found, open_port
-from radwrap.process import Child, start_child
+from radwrap.own_modules import start_module
 
 _START: Final = 20.0  # s, on a busy machine ten times what it takes
 _LONGEST_SOCKET: Final = 103  # bytes of its name, where a system takes the fewest (macOS)
@@ -141,10 +140,3 @@ class EmulatorProcess:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-def start_module(name: str, *arguments: str, keep_open: Sequence[int] = ()) -> Child:
-    """Start one of our modules as a helper program."""
-    # -P: no module of the folder it happens to work in.
-    argv = [sys.executable, "-P", "-m", name, *arguments]
-    return start_child(argv, folder=Path(tempfile.gettempdir()), environment=os.environ, keep_open=keep_open)

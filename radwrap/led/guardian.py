@@ -21,8 +21,9 @@ from typing import Final, Literal
 
 from radwrap.errors import EnvironmentFailure, RadwrapError
 from radwrap.led.backend import Kind
-from radwrap.led.connect import choose, open_backend, start_module
+from radwrap.led.connect import choose, open_backend
 from radwrap.led.ports import Found, found
+from radwrap.own_modules import start_module
 
 BEAT: Final = 0.2  # s between heartbeats
 MISSED: Final = 1.5  # s without one: the process hangs

@@ -1,0 +1,91 @@
+"""``radwrap face``."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import webbrowser
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final
+
+from radwrap.cli import options as shared
+from radwrap.errors import EnvironmentFailure, InputError
+from radwrap.files import make_folder
+from radwrap.imaging.render_options import RenderOptions
+
+_DESCRIPTION: Final = (
+    "Shows a scene in the browser: turn light levels, exposure and sensor, and see gray levels with their error. The "
+    "page is served on this machine alone, until Ctrl-C."
+)
+_LARGEST_PORT: Final = 65535
+
+
+def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
+    """Add the verb."""
+    parser = verbs.add_parser("face", description=_DESCRIPTION)
+    shared.add_scene(parser)
+    shared.add_tolerance(parser, "largest rms error of the picture that is traced")
+    parser.add_argument(
+        "--port", metavar="N", type=shared.whole(0, _LARGEST_PORT), default=0, help="default any free one"
+    )
+    parser.add_argument("--no-browser", action="store_true", help="open no browser, only say where the link is")
+    parser.add_argument("--out", metavar="DIR", help="folder in which the page's Save leaves its files, and the basis")
+    parser.add_argument(
+        "--seed", metavar="S", type=shared.whole(), default=0, help="seed of all that is drawn (default 0)"
+    )
+    shared.add_tracer(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Carry out the verb."""
+    scene = shared.load(arguments)
+    options = _options(arguments)
+    RenderOptions(**options, basis=True)  # what is wrong is told now
+    out = Path(arguments.out) if arguments.out else None
+    if arguments.out is not None:
+        if out is None:
+            raise InputError("has no name", where="--out", remedy="name a folder")
+        make_folder(out)
+    try:
+        from radwrap.face.serve import serve
+    except ModuleNotFoundError as error:
+        raise EnvironmentFailure(
+            f"needs the package {error.name}", where="face", remedy="install it: pip install 'radwrap[face]'"
+        ) from error
+    browser = None if arguments.no_browser or not _has_screen() else _open
+    serve(scene, options, port=arguments.port, out=out, words=_words(arguments), opened=browser)
+    return 0
+
+
+def _options(arguments: argparse.Namespace) -> dict[str, Any]:
+    return {"tolerance": arguments.tolerance, "seed": arguments.seed, **shared.tracer_options(arguments)}
+
+
+def _words(arguments: argparse.Namespace) -> tuple[str, ...]:
+    """Words of the command that makes the same basis, without its folder."""
+    words = ["radwrap", "render", arguments.scene, *(word for text in arguments.overrides for word in ("--set", text))]
+    if arguments.scale is not None:
+        words += ["--scale", arguments.scale]
+    if arguments.roi is not None:
+        words += ["--roi", *map(str, arguments.roi)]
+    if arguments.tolerance is not None:
+        words += ["--tolerance", str(arguments.tolerance)]
+    if arguments.seed:
+        words += ["--seed", str(arguments.seed)]
+    for name in ("tracer", "radiance"):
+        if getattr(arguments, name) not in (None, "auto"):
+            words += [f"--{name}", getattr(arguments, name)]
+    return (*words, *(["--trust"] if arguments.trust else []), "--basis")
+
+
+def _has_screen() -> bool:
+    return sys.platform in ("win32", "darwin") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def _open(page: Path) -> None:
+    """Open a file in the user's browser: its name may be seen by all users of the machine, the link in it may not."""
+    with suppress(webbrowser.Error, OSError):
+        webbrowser.open(page.as_uri())

@@ -1,0 +1,69 @@
+// Elements of the page; text goes in as text, whatever it holds.
+
+/**
+ * The element of an id that the page has.
+ * @template {HTMLElement} T
+ * @param {string} id
+ * @param {new () => T} [kind]
+ * @returns {T}
+ */
+export function byId(id, kind) {
+  const found = document.getElementById(id);
+  if (!found || (kind && !(found instanceof kind))) throw new Error(`the page lacks #${id}`);
+  return /** @type {T} */ (found);
+}
+
+/**
+ * @template {keyof HTMLElementTagNameMap} K
+ * @param {K} name
+ * @param {Record<string, string>} attributes
+ * @param {...(Node | string)} children
+ * @returns {HTMLElementTagNameMap[K]}
+ */
+export function element(name, attributes = {}, ...children) {
+  const made = document.createElement(name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  made.append(...children);
+  return made;
+}
+
+/**
+ * @param {string} name
+ * @param {Record<string, string>} attributes
+ * @param {...Node} children
+ */
+export function drawing(name, attributes, ...children) {
+  const made = document.createElementNS("http://www.w3.org/2000/svg", name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  made.append(...children);
+  return made;
+}
+
+/**
+ * A table of texts.
+ * @param {string} caption
+ * @param {string[]} head
+ * @param {(string | number)[][]} rows
+ */
+export function tableOf(caption, head, rows) {
+  const titles = element("tr", {}, ...head.map((text) => element("th", { scope: "col" }, text)));
+  const lines = rows.map(([first, ...rest]) => element("tr", {}, element("th", { scope: "row" }, String(first)),
+    ...rest.map((cell) => element("td", {}, String(cell)))));
+  return element("table", {}, element("caption", { class: "hidden" }, caption), element("thead", {}, titles),
+    element("tbody", {}, ...lines));
+}
+
+/**
+ * Give a file to the user.
+ * @param {BlobPart} content
+ * @param {string} name
+ * @param {string} type
+ */
+export function download(content, name, type) {
+  const url = URL.createObjectURL(new Blob([content], { type }));
+  const link = element("a", { href: url, download: name });
+  document.body.append(link);
+  link.click();
+  link.remove();
+  setTimeout(() => URL.revokeObjectURL(url), 10_000);
+}

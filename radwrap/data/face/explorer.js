@@ -1,0 +1,424 @@
+// One basis on the page: knobs, picture, readings, and the server's word on each turn once the knobs rest.
+
+import { byId, download, element } from "./dom.js";
+import { Field } from "./field.js";
+import { KnobPanel } from "./knobs.js";
+import { coloursOf } from "./mix.js";
+import { HistogramPlot, ProfilePlot } from "./plots.js";
+import { Readings } from "./readings.js";
+import { grayOf, thresholdsOf, turnedSensor } from "./response.js";
+import { History, sameTurn, untouched } from "./state.js";
+import { linePixels } from "./statistics.js";
+import { parseTime, percent, shortNumber } from "./units.js";
+import { NUMBERS_FROM, View } from "./view.js";
+
+/** @typedef {import("./types.js").Described} Described */
+/** @typedef {import("./types.js").Certified} Certified */
+/** @typedef {import("./types.js").Turn} Turn */
+/** @typedef {import("./field.js").Picture} Picture */
+/** @typedef {import("./view.js").Pixel} Pixel */
+/** @typedef {{code: number, gray: number, sigma: number | null, exposure: number}} Value */
+
+const REST = 100; // ms after which a turn is certified
+const READ_EVERY = 80; // ms between updates of what is read beside the picture
+
+/** What can be told of an image without its server, too; the exported page has a source of its own. */
+export class Explorer {
+  /**
+   * @param {any} source the server, or what an exported page holds
+   * @param {Described} described
+   * @param {{state: (text: string, kind?: string) => void, banner: (text: string | null) => void}} tell
+   */
+  constructor(source, described, tell) {
+    this.source = source;
+    this.described = described;
+    this.tell = tell;
+    this.leave = new AbortController();
+    this.history = new History(untouched(described.sources.length));
+    /** @type {Certified | null} of the present turn */
+    this.certified = null;
+    /** @type {AbortController | null} */
+    this.asking = null;
+    this.planes = false;
+    this.tracing = "ready";
+    /** @type {number | undefined} */
+    this.timer = undefined;
+    /** @type {number | undefined} */
+    this.reader = undefined;
+    this.frames = 0;
+    /** @type {number | undefined} */
+    this.bits = undefined;
+    const { rows, columns } = described;
+    this.field = new Field(() => source.makeWorker(), rows, columns, (picture) => this.show(picture));
+    this.respond();
+    byId("title").textContent = described.title;
+    document.title = `${described.title} - radwrap`;
+    this.view = new View(byId("picture"), byId("image", HTMLCanvasElement), byId("marks", HTMLCanvasElement), rows, columns,
+      () => this.draw());
+    const places = { rings: byId("rings"), levels: byId("levels"), camera: byId("camera") };
+    this.panel = new KnobPanel(described, places, () => this.history.now, (turn, what) => this.turn(turn, what),
+      () => this.history.rest());
+    this.readings = new Readings(this, this.leave.signal);
+    this.profile = new ProfilePlot(fresh("profile"), byId("profiletable"));
+    this.histogram = new HistogramPlot(fresh("histogram"), byId("histogramtable"));
+    this.listen();
+    this.resetWindow();
+    this.tellLeftOut();
+    byId("rays").textContent = "Pose, opening, focus, materials and targets need rays: change them in the scene file."
+      + (described.dark_sources.length ? ` Dark in the scene, so without a knob: ${described.dark_sources.join(", ")}.` : "");
+    byId("save").hidden = !described.saves;
+  }
+
+  /** Fetch the planes, then certify. */
+  async load() {
+    const { basis, mixes, sources } = this.described;
+    const certifying = this.certify();
+    try {
+      if (mixes) {
+        let number = 0;
+        await this.source.planes(basis, (/** @type {Float32Array} */ plane) => {
+          number++;
+          if (!this.certified) this.tell.state(`loading ${percent(number / sources.length)}`, "stale");
+          this.field.addPlane(plane);
+        });
+        this.planes = true;
+        this.draw();
+      }
+      await certifying;
+    } catch (error) {
+      if (!this.leave.signal.aborted) this.tell.banner(error instanceof Error ? error.message : String(error));
+    }
+  }
+
+  close() {
+    this.leave.abort();
+    this.asking?.abort();
+    clearTimeout(this.timer);
+    this.field.close();
+    this.view.close();
+  }
+
+  /** The server has gone. */
+  lost() {
+    this.asking?.abort();
+    if (!this.certified) this.setStale("not measured");
+  }
+
+  // ----------------------------------------------------------------------------------------------------------- Turning
+
+  /** @param {Turn} turn @param {string} what */
+  turn(turn, what) {
+    if (!this.history.turn(turn, what)) return;
+    this.turned();
+  }
+
+  turned() {
+    this.panel.accept();
+    this.panel.show(this.history.now);
+    this.certified = null;
+    this.asking?.abort();
+    this.setStale("measuring");
+    this.respond();
+    this.draw();
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => { void this.certify(); }, REST);
+    this.buttons();
+  }
+
+  /** By how much the exposure time is longer; 1 where its text is none, which the server will say. */
+  get times() {
+    const { exposure_time: before } = this.described;
+    const now = this.history.now.knobs.exposure_time;
+    const value = now === undefined ? null : parseTime(now);
+    return value === null || !(before > 0) ? 1 : value / before;
+  }
+
+  get sensor() {
+    return this.certified ? this.certified.told.sensor : turnedSensor(this.described.sensor, this.history.now.knobs, this.times);
+  }
+
+  get thresholds() {
+    return this.certified ? this.certified.thresholds : thresholdsOf(this.sensor);
+  }
+
+  get scale() {
+    return this.described.exposure_of_radiance * this.times;
+  }
+
+  respond() {
+    this.field.respond(this.thresholds, 2 ** this.sensor.bit_depth);
+    const bits = this.sensor.bit_depth;
+    if (this.bits !== undefined && this.bits !== bits) this.resetWindow();
+    this.bits = bits;
+  }
+
+  /** Ask the server for the present turn: the newest one counts. */
+  async certify() {
+    const turn = this.history.now;
+    const asking = new AbortController();
+    this.asking?.abort();
+    this.asking = asking;
+    try {
+      const certified = await this.source.turn(this.described.basis, turn, asking.signal);
+      if (asking.signal.aborted || !sameTurn(turn, this.history.now) || this.leave.signal.aborted) return;
+      if (!certified) {
+        this.setStale("as traced");
+        return;
+      }
+      this.certified = certified;
+      this.panel.accept();
+      this.respond();
+      this.field.certify(certified.exposure);
+      this.tellError(certified);
+      this.draw();
+      await this.readings.certify();
+    } catch (error) {
+      if (asking.signal.aborted || this.leave.signal.aborted) return;
+      const { where, message } = /** @type {any} */ (error);
+      if (where === undefined) {
+        this.setStale("not measured");
+        return; // no answer: the page hears of that by its own watch
+      }
+      if (!this.panel.refuse(where, message)) this.tell.banner(message);
+      this.setStale("refused");
+    }
+  }
+
+  /** @param {string} why */
+  setStale(why) {
+    byId("error").classList.add("stale");
+    byId("kept").classList.add("stale");
+    if (why !== "tracing") this.tell.state(why, "stale");
+    byId("picture").classList.toggle("old", !this.planes && this.certified === null);
+  }
+
+  /** @param {Certified} certified */
+  tellError({ told }) {
+    const { rms_gray: rms, rms_gray_upper95: bound } = told.error;
+    const { tolerance } = this.described;
+    const error = byId("error"), kept = byId("kept");
+    error.className = "chip";
+    error.textContent = `error ${errorText(rms)} gray rms, below ${errorText(bound)} (95 %)`;
+    kept.className = `chip ${told.keeps ? "good" : "bad"}`;
+    kept.textContent = `tolerance ${shortNumber(tolerance)} ${told.keeps ? "kept" : "not kept"}`;
+    this.tell.state("measured", "good");
+    byId("picture").classList.remove("old");
+    byId("command").textContent = told.command;
+    this.offer(this.tracing);
+    this.tellLeftOut();
+  }
+
+  /** Offer a new trace where the knobs have left the light of the old one. @param {string} tracing */
+  offer(tracing) {
+    this.tracing = tracing;
+    const start = sameTurn(this.history.now, this.history.start);
+    byId("trace").hidden = tracing === "tracing" || start || !this.certified || !this.source.live;
+  }
+
+  tellLeftOut() {
+    const { left_out: effects, warnings } = this.described;
+    const as = sameTurn(this.history.now, this.history.start) ? "" : ", at the scene's own levels";
+    const lines = effects.map(({ name, left_out: what, rms_gray: rms, rms_gray_upper95: bound, needed }) =>
+      element("p", { class: "note" }, `${needed ? "⚠ " : ""}${name}: ${what}; ${errorText(rms)} gray rms, below `
+        + `${errorText(bound)}${as}`));
+    byId("leftout").replaceChildren(...lines, ...warnings.map((text) => element("p", { class: "note" }, `⚠ ${text}`)));
+  }
+
+  // ----------------------------------------------------------------------------------------------------------- Showing
+
+  get look() {
+    const share = Number(byId("share", HTMLInputElement).value) / 100;
+    return {
+      low: Number(byId("low", HTMLInputElement).value),
+      high: Number(byId("high", HTMLInputElement).value),
+      map: byId("map", HTMLSelectElement).value,
+      saturated: byId("saturated", HTMLInputElement).checked,
+      dark: byId("dark", HTMLInputElement).checked,
+      flips: byId("flips", HTMLInputElement).checked,
+      share: share >= 0.001 && share <= 0.1 ? share : 0.01,
+    };
+  }
+
+  /** The scale is fixed, 0 to full scale, unless the user changes it. */
+  resetWindow() {
+    byId("low", HTMLInputElement).value = "0";
+    byId("high", HTMLInputElement).value = String(2 ** this.sensor.bit_depth - 1);
+  }
+
+  draw() {
+    if (!this.view) return;
+    byId("zoom").textContent = this.view.text;
+    if (!this.planes && !this.certified) return;
+    this.field.draw({
+      factors: this.history.now.levels, scale: this.scale, certified: this.certified !== null,
+      section: this.view.section, look: this.look,
+    });
+  }
+
+  /** @param {Picture} picture */
+  show(picture) {
+    this.view.show(picture);
+    this.frames++;
+    byId("picture").dataset.frames = String(this.frames);
+    this.latest = picture;
+    this.reader ??= setTimeout(() => {
+      this.reader = undefined;
+      if (!this.leave.signal.aborted) void this.read();
+    }, READ_EVERY);
+  }
+
+  /** What stands beside the picture. */
+  async read() {
+    const picture = this.latest;
+    if (!picture) return;
+    const all = this.described.rows * this.described.columns;
+    byId("saturatedshare").textContent = percent(picture.saturated / all);
+    byId("darkshare").textContent = percent(picture.dark / all);
+    byId("flipsshare").textContent = picture.wish.look.flips ? percent(picture.flips / all) : "";
+    this.histogram.show(picture.counts);
+    this.showScale(picture.wish.look);
+    await this.readings.show();
+  }
+
+  /** @param {import("./types.js").Look} look */
+  showScale(look) {
+    byId("scalelow").textContent = String(look.low);
+    byId("scalehigh").textContent = String(look.high);
+    const ramp = byId("ramp", HTMLCanvasElement);
+    const pen = /** @type {CanvasRenderingContext2D} */ (ramp.getContext("2d"));
+    const colours = coloursOf({ ...look, low: 0, high: 255 }, 256);
+    const rows = new Uint32Array(256 * ramp.height);
+    for (let row = 0; row < ramp.height; row++) rows.set(colours, 256 * row);
+    pen.putImageData(new ImageData(new Uint8ClampedArray(rows.buffer), 256, ramp.height), 0, 0);
+  }
+
+  /**
+   * What is known of some pixels.
+   * @param {Pixel[]} pixels
+   * @returns {Promise<Value[]>}
+   */
+  async values(pixels) {
+    const { certified, thresholds, sensor } = this;
+    const { columns } = this.described;
+    const light = certified ? pixels.map(({ u, v }) => certified.exposure[v * columns + u])
+      : this.planes ? await this.field.light(pixels, this.history.now.levels, this.scale) : [];
+    return light.map((exposure, k) => ({
+      exposure,
+      code: rankOf(exposure, thresholds),
+      gray: grayOf(exposure, sensor),
+      sigma: certified ? certified.sigma[pixels[k].v * columns + pixels[k].u] : null,
+    }));
+  }
+
+  /** Codes that stand in the pixels where these are large. */
+  async numbers() {
+    if (this.view.into < NUMBERS_FROM) return [];
+    const { x0, x1, y0, y1 } = this.view.section;
+    /** @type {Pixel[]} */
+    const pixels = [];
+    for (let v = y0; v < y1; v++) for (let u = x0; u < x1; u++) pixels.push({ u, v });
+    const values = await this.values(pixels);
+    return values.map(({ code }, k) => ({ ...pixels[k], code }));
+  }
+
+  /** @param {number[]} ends */
+  async profileRows(ends) {
+    const pixels = linePixels(/** @type {any} */ (ends));
+    const values = await this.values(pixels);
+    return values.map((value, k) => ({ ...pixels[k], ...value }));
+  }
+
+  // ---------------------------------------------------------------------------------------------------------- Listening
+
+  buttons() {
+    byId("undo", HTMLButtonElement).disabled = this.history.past.length === 0;
+    byId("redo", HTMLButtonElement).disabled = this.history.undone.length === 0;
+  }
+
+  /** @param {boolean} moved */
+  stepped(moved) {
+    if (moved) this.turned();
+  }
+
+  listen() {
+    const { signal } = this.leave;
+    /** @param {string} id @param {() => void} act */
+    const click = (id, act) => byId(id).addEventListener("click", act, { signal });
+    click("undo", () => this.stepped(this.history.undo()));
+    click("redo", () => this.stepped(this.history.redo()));
+    click("reset", () => {
+      this.turn(untouched(this.described.sources.length), "reset");
+      this.history.rest();
+    });
+    click("in", () => this.view.zoom(1));
+    click("out", () => this.view.zoom(-1));
+    click("fit", () => this.view.fit());
+    click("fullscale", () => {
+      this.resetWindow();
+      this.draw();
+    });
+    click("copy", () => { void navigator.clipboard?.writeText(byId("command").textContent ?? ""); });
+    click("help", () => byId("dialog", HTMLDialogElement).showModal());
+    click("png", () => this.fetched("png", {}, "gray.png", "image/png"));
+    click("toml", () => this.fetched("scene", {}, "scene.toml", "application/toml"));
+    click("save", () => { void this.save(); });
+    for (const id of ["low", "high", "map", "saturated", "flips", "dark", "share"]) {
+      byId(id).addEventListener("input", () => this.draw(), { signal });
+    }
+    document.addEventListener("keydown", (event) => {
+      if (!(event.ctrlKey || event.metaKey) || event.target instanceof HTMLInputElement && event.target.type === "text") return;
+      if (event.key === "z" || event.key === "y") {
+        event.preventDefault();
+        this.stepped(event.key === "z" && !event.shiftKey ? this.history.undo() : this.history.redo());
+      }
+    }, { signal });
+    this.buttons();
+  }
+
+  /** @param {string} name @param {object} more @param {string} file @param {string} type */
+  async fetched(name, more, file, type) {
+    try {
+      const answer = await this.source.ask(name, { basis: this.described.basis, turn: this.history.now, ...more });
+      download(await answer.blob(), file, type);
+    } catch (error) {
+      this.tell.banner(error instanceof Error ? error.message : String(error));
+    }
+  }
+
+  async save() {
+    try {
+      const told = { basis: this.described.basis, turn: this.history.now, profile: this.readings.line };
+      const { folder, note } = await (await this.source.ask("save", told)).json();
+      byId("saved").textContent = `saved in ${folder}${note ? `; ${note}` : ""}`;
+    } catch (error) {
+      byId("saved").textContent = error instanceof Error ? error.message : String(error);
+    }
+  }
+}
+
+/** An error with two digits that count. @param {number | null} gray */
+function errorText(gray) {
+  return gray === null ? "without bound" : gray < 1e-3 ? "0.00" : gray.toPrecision(gray < 10 ? 2 : 3);
+}
+
+/**
+ * @param {number} exposure
+ * @param {import("./types.js").Thresholds} thresholds
+ */
+function rankOf(exposure, { first, values }) {
+  let low = 0, high = values.length;
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (values[middle] <= exposure) low = middle + 1;
+    else high = middle;
+  }
+  return first + low;
+}
+
+/** An empty place for a plot: that of a basis before has its own. @param {string} id */
+function fresh(id) {
+  const place = byId(id);
+  const made = element("div", {});
+  place.replaceChildren(made);
+  return made;
+}

@@ -1,0 +1,100 @@
+// The page: begins, waits for the basis, and begins again where it was traced anew.
+
+import { byId } from "./dom.js";
+import { Explorer } from "./explorer.js";
+import { Refused, Server, takeToken } from "./server.js";
+import { percent } from "./units.js";
+
+const BEAT = 1500; // ms between looks at whether the server lives
+
+/** @param {string} text @param {string} [kind] */
+function state(text, kind = "") {
+  const chip = byId("state");
+  chip.textContent = text;
+  chip.className = `chip ${kind}`;
+}
+
+/** @param {string | null} text */
+function banner(text) {
+  const place = byId("banner");
+  place.hidden = text === null;
+  place.textContent = text ?? "";
+}
+
+/** @param {number} time */
+const pause = (time) => new Promise((resolve) => { setTimeout(resolve, time); });
+
+const GONE = "The server has gone. Light, exposure and sensor can still be turned, without a new error; "
+  + "start radwrap face again and open its new link for more.";
+
+async function begin() {
+  const token = takeToken();
+  if (!token) {
+    state("no link", "bad");
+    banner("This page needs its link: open the one that radwrap face has told, with all that stands behind #.");
+    return;
+  }
+  const server = new Server(token);
+  const stop = byId("stop"), trace = byId("trace");
+  stop.addEventListener("click", () => { void server.ask("stop", {}).catch(() => {}); });
+  document.addEventListener("keydown", (event) => { if (event.key === "Escape" && !stop.hidden) stop.click(); });
+  trace.addEventListener("click", async () => {
+    try {
+      await server.ask("trace", explorer ? { basis: explorer.described.basis, turn: explorer.history.now } : {});
+      banner(null);
+    } catch (error) {
+      banner(error instanceof Error ? error.message : String(error));
+    }
+  });
+  /** @type {Explorer | null} */
+  let explorer = null;
+  let done = -1;
+  for (;;) {
+    try {
+      const told = await server.watch(done);
+      done = told.done ?? -1;
+      if (!server.live) {
+        server.live = true;
+        banner(null);
+      }
+      stop.hidden = told.state !== "tracing";
+      if (told.state === "tracing") {
+        trace.hidden = true;
+        state(told.of ? `tracing ${percent(Math.min(1, done / told.of))}` : "tracing", "stale");
+        explorer?.setStale("tracing");
+        continue;
+      }
+      if (told.state === "failed") {
+        state("failed", "bad");
+        banner(told.error ?? "the trace failed");
+      }
+      if (told.state === "stopped") state("stopped", "stale");
+      if (told.described && told.described.basis !== explorer?.described.basis) {
+        explorer?.close();
+        banner(null);
+        explorer = new Explorer(server, told.described, { state, banner });
+        void explorer.load();
+      }
+      trace.textContent = explorer ? "Trace in this light" : "Trace";
+      if (!explorer) trace.hidden = false;
+      else explorer.offer(told.state);
+      await pause(BEAT);
+    } catch (error) {
+      if (error instanceof Refused && error.status === 401) {
+        state("no link", "bad");
+        banner("The link is of another server: open the one that radwrap face has told last.");
+        return;
+      }
+      if (server.live) {
+        server.live = false;
+        banner(GONE);
+        stop.hidden = true;
+        explorer?.lost();
+        if (!explorer) state("no server", "bad");
+      }
+      await pause(BEAT);
+    }
+  }
+}
+
+void begin();

@@ -1,0 +1,153 @@
+// Asks the server, with the token that came in the link.
+
+/** @typedef {import("./types.js").Turn} Turn */
+/** @typedef {import("./types.js").Described} Described */
+/** @typedef {import("./types.js").Certified} Certified */
+
+const KEY = "token";
+
+/** What is wrong, in the words of radwrap. */
+export class Refused extends Error {
+  /** @param {{text: string, where: string, error: string}} told @param {number} status */
+  constructor(told, status) {
+    super(told.text);
+    this.where = told.where;
+    this.what = told.error;
+    this.status = status;
+  }
+}
+
+/** The token of the link goes into this tab's memory, and out of the address and of the history. */
+export function takeToken() {
+  if (location.hash.length > 1) {
+    sessionStorage.setItem(KEY, location.hash.slice(1));
+    history.replaceState(null, "", location.pathname);
+  }
+  return sessionStorage.getItem(KEY);
+}
+
+/** The server, as the page needs it. */
+export class Server {
+  /** @param {string} token */
+  constructor(token) {
+    this.token = token;
+    this.live = true;
+  }
+
+  makeWorker() {
+    return new Worker("/worker.js", { type: "module" });
+  }
+
+  /**
+   * @param {string} name
+   * @param {object} told
+   * @param {AbortSignal} [signal]
+   */
+  async ask(name, told, signal) {
+    const headers = { Authorization: `Bearer ${this.token}`, "Content-Type": "application/json" };
+    const answer = await fetch(`/api/${name}`, { method: "POST", headers, body: JSON.stringify(told), signal });
+    if (answer.ok) return answer;
+    const json = answer.headers.get("content-type")?.startsWith("application/json");
+    const text = json ? await answer.json() : await answer.text();
+    throw new Refused(json ? text : { text, where: "", error: text }, answer.status);
+  }
+
+  /**
+   * How far the trace is: when that has changed, or after a while.
+   * @param {number} done
+   * @returns {Promise<{state: string, done?: number, of?: number, error?: string, described?: Described}>}
+   */
+  async watch(done) {
+    return (await this.ask("watch", { done })).json();
+  }
+
+  /**
+   * Each plane of light as it comes.
+   * @param {number} basis
+   * @param {(plane: Float32Array) => void} take
+   */
+  async planes(basis, take) {
+    const blocks = new Blocks(await this.ask("planes", { basis }));
+    const { blocks: sizes } = await blocks.head();
+    for (const size of sizes) take(await blocks.numbers(size));
+  }
+
+  /**
+   * All that is known of a pixel; null where the server has gone.
+   * @param {number} basis
+   * @param {Turn} turn
+   * @param {{u: number, v: number}} pixel
+   * @returns {Promise<import("./types.js").PixelTold | null>}
+   */
+  async pixel(basis, turn, { u, v }) {
+    try {
+      return await (await this.ask("pixel", { basis, turn, column: u, row: v })).json();
+    } catch {
+      return null;
+    }
+  }
+
+  /**
+   * @param {number} basis
+   * @param {Turn} turn
+   * @param {AbortSignal} signal
+   * @returns {Promise<Certified>}
+   */
+  async turn(basis, turn, signal) {
+    const blocks = new Blocks(await this.ask("turn", { basis, turn }, signal));
+    const told = await blocks.head();
+    const values = await blocks.numbers(told.blocks[0]);
+    const exposure = await blocks.numbers(told.blocks[1]);
+    const sigma = await blocks.numbers(told.blocks[2]);
+    const { first, saturated, lit } = told.thresholds;
+    return {
+      told, exposure, sigma,
+      thresholds: { first, values, saturated: saturated ?? Infinity, lit: lit ?? Infinity },
+    };
+  }
+}
+
+/** A line of JSON, then numbers; little-endian, as all browsers' machines are. */
+class Blocks {
+  /** @param {Response} answer */
+  constructor(answer) {
+    if (!answer.body) throw new Error("an empty answer");
+    this.reader = answer.body.getReader();
+    this.rest = new Uint8Array(0);
+  }
+
+  async more() {
+    const { done, value } = await this.reader.read();
+    if (done) throw new TypeError("the answer was cut off");
+    return value;
+  }
+
+  /** @returns {Promise<any>} */
+  async head() {
+    let all = this.rest;
+    while (!all.includes(10)) {
+      const more = await this.more();
+      const joined = new Uint8Array(all.length + more.length);
+      joined.set(all);
+      joined.set(more, all.length);
+      all = joined;
+    }
+    const end = all.indexOf(10);
+    this.rest = all.slice(end + 1);
+    return JSON.parse(new TextDecoder().decode(all.subarray(0, end)));
+  }
+
+  /** @param {number} count */
+  async numbers(count) {
+    const octets = new Uint8Array(4 * count);
+    let filled = 0;
+    while (filled < octets.length) {
+      if (this.rest.length === 0) this.rest = await this.more();
+      const part = this.rest.subarray(0, octets.length - filled);
+      octets.set(part, filled);
+      filled += part.length;
+      this.rest = this.rest.subarray(part.length);
+    }
+    return new Float32Array(octets.buffer);
+  }
+}

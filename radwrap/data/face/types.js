@@ -1,0 +1,47 @@
+/**
+ * Shapes of what goes between the page's modules; there is no code here.
+ *
+ * @typedef {{first: number, values: Float32Array, saturated: number, lit: number}} Thresholds
+ * Radiant exposures at which codes begin [J/m^2]: of first + 1, first + 2, ...; of saturation; of half a level of light.
+ *
+ * @typedef {{gain: number, gamma: number, dark_gray: number, saturation_gray: number, bit_depth: number,
+ *   rounding: boolean, linear?: {system_gain: number, offset: number, full_well: number, dark_signal: number,
+ *   electrons_of_exposure: number}}} Sensor
+ *
+ * @typedef {{exposure_time?: string, gain?: string, gamma?: string, dark_gray?: string, bit_depth?: string}} Knobs
+ * As texts; what is missing is as in the scene.
+ *
+ * @typedef {{levels: number[], knobs: Knobs}} Turn
+ *
+ * @typedef {{name: string, ring: string | null, place: [number, number] | null}} Source
+ *
+ * @typedef {{name: string, left_out: string, rms_gray: number, rms_gray_upper95: number, needed: boolean}} Effect
+ *
+ * @typedef {{basis: number, title: string, rows: number, columns: number, sources: Source[], dark_sources: string[],
+ *   exposure_time: number, exposure_of_radiance: number, sensor: Sensor, tolerance: number, left_out: Effect[],
+ *   warnings: string[], mixes: boolean, saves: boolean}} Described
+ *
+ * @typedef {{error: {rms_gray: number | null, rms_gray_upper95: number | null, method: string}, keeps: boolean,
+ *   saturated_fraction: number, gray: {min: number, max: number, mean: number}, sigma_rms: number,
+ *   exposure_of_radiance: number, sensor: Sensor,
+ *   thresholds: {first: number, count: number, saturated: number | null, lit: number | null},
+ *   command: string}} Told
+ *
+ * @typedef {{told: Told, thresholds: Thresholds, exposure: Float32Array, sigma: Float32Array}} Certified
+ * An image as the server has made it.
+ *
+ * @typedef {{code: number, gray: number, sigma: number, radiant_exposure: number, parts: Record<string, number>,
+ *   saturated: boolean}} PixelTold
+ *
+ * @typedef {{x0: number, y0: number, x1: number, y1: number, bin: number}} Section
+ * Pixels of the image from x0, y0 up to before x1, y1, of which bin x bin become one.
+ *
+ * @typedef {{low: number, high: number, map: string, saturated: boolean, dark: boolean, flips: boolean,
+ *   share: number}} Look
+ * Codes that are shown black and white, the colour map, overlays, and the share of light that flips codes.
+ *
+ * @typedef {{rgba: Uint8ClampedArray, width: number, height: number, counts: Float64Array, saturated: number,
+ *   dark: number, flips: number}} Frame
+ */
+
+export {};

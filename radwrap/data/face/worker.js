@@ -1,0 +1,82 @@
+// A band of rows of the picture: holds the planes of light, mixes them, and draws what is asked for.
+
+import { addPlane, frameOf, ranksOf, sumPlanes } from "./mix.js";
+
+const MOST_STEPS = 64; // sums that are changed plane by plane, before they are made anew: float32 forgets
+
+/** @type {Float32Array[]} */
+let planes = [];
+/** @type {Float32Array} */
+let sum = new Float32Array(0);
+/** @type {Float32Array | null} */
+let certified = null;
+/** @type {number[]} */
+let factors = [];
+/** @type {ReturnType<typeof ranksOf>} */
+let ranks = ranksOf({ first: 0, values: new Float32Array(0), saturated: Infinity, lit: Infinity });
+let columns = 0, top_ = 0, codes = 256, steps = 0;
+
+/** @param {number[]} wanted */
+function mix(wanted) {
+  const turned = wanted.flatMap((factor, k) => (factor === factors[k] ? [] : [k]));
+  if (turned.length === 0) return;
+  if (turned.length === 1 && factors.length === wanted.length && ++steps < MOST_STEPS && wanted[turned[0]] !== 0) {
+    const [k] = turned;
+    addPlane(sum, planes[k], wanted[k] - factors[k]);
+  } else {
+    steps = 0;
+    sumPlanes(planes, wanted, sum);
+  }
+  factors = wanted;
+}
+
+/** @param {MessageEvent} event */
+onmessage = (event) => {
+  const told = event.data;
+  switch (told.kind) {
+    case "begin":
+      ({ columns } = told);
+      top_ = told.top;
+      planes = [];
+      factors = [];
+      certified = null;
+      sum = new Float32Array(told.rows * columns);
+      break;
+    case "plane":
+      planes.push(told.plane);
+      break;
+    case "certified":
+      certified = told.exposure;
+      break;
+    case "response":
+      codes = told.codes;
+      ranks = ranksOf(told.thresholds);
+      break;
+    case "frame": {
+      if (told.certified && certified) {
+        const frame = frameOf(certified, columns, top_, 1, ranks, told.section, told.look, codes);
+        reply(told.id, frame);
+        break;
+      }
+      if (planes.length === told.factors.length) mix(told.factors);
+      reply(told.id, frameOf(sum, columns, top_, told.scale, ranks, told.section, told.look, codes));
+      break;
+    }
+    case "light": {
+      // Of a few pixels, in double precision.
+      const values = told.places.map((/** @type {number} */ place) =>
+        told.factors.reduce((/** @type {number} */ all, /** @type {number} */ factor, /** @type {number} */ k) =>
+          all + factor * planes[k][place], 0));
+      postMessage({ id: told.id, values });
+      break;
+    }
+  }
+};
+
+/**
+ * @param {number} id
+ * @param {import("./types.js").Frame} frame
+ */
+function reply(id, frame) {
+  postMessage({ id, frame }, { transfer: [frame.rgba.buffer, frame.counts.buffer] });
+}

@@ -1,0 +1,280 @@
+"""Each request that may come, and its answer."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+import time
+import traceback
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from typing import Any, Final
+
+import numpy as np
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response, StreamingResponse
+from starlette.routing import Route
+
+from radwrap.errors import InputError, RadwrapError
+from radwrap.face.assets import Asset, assets
+from radwrap.face.gate import App, Door, Gate
+from radwrap.face.profile import ends_of, profile_table
+from radwrap.face.saving import save, scene_text, turned_scene
+from radwrap.face.session import Image, Session, Status, Traced
+from radwrap.images import png_bytes
+from radwrap.imaging.page.turn import Turn, turn_of
+
+_BLOCK: Final = 1 << 20  # byte; a client that reads slowly makes us hold no more than a few
+_LOOK: Final = 0.1  # s between looks at how far a trace is
+_LONGEST_WATCH: Final = 1.0  # s
+_GRACE: Final = 2.0  # s for a page that is loaded again
+MOST_PLANES: Final = 512 << 20  # byte; a page with more of them leaves mixing to the server
+_OCTETS: Final = "application/octet-stream"
+
+Numbers = np.ndarray[Any, Any]
+Answer = Callable[[Request], Awaitable[Response]]
+
+
+def gated(session: Session, *, port: int, token: str) -> App:
+    """All of the server behind its gate."""
+    shipped = assets()
+    answers = _Answers(session)
+    posts: dict[str, Answer] = {
+        f"/api/{name}": _careful(answer)
+        for name, answer in (
+            ("watch", answers.watch),
+            ("planes", answers.planes),
+            ("turn", answers.turn),
+            ("pixel", answers.pixel),
+            ("profile", answers.profile),
+            ("png", answers.png),
+            ("scene", answers.scene),
+            ("save", answers.save),
+            ("trace", answers.trace),
+            ("stop", answers.stop),
+        )
+    }
+    routes = [Route(path, _shipped(asset), methods=["GET"]) for path, asset in shipped.items()]
+    routes += [Route(path, answer, methods=["POST"]) for path, answer in posts.items()]
+    app = Starlette(routes=routes)
+    app.router.redirect_slashes = False
+    table = {path: Door("GET", guarded=False) for path in shipped} | {
+        path: Door("POST", guarded=True) for path in posts
+    }
+    return Gate(app, table, port=port, token=token)
+
+
+def _shipped(asset: Asset) -> Answer:
+    async def answer(_: Request) -> Response:
+        return Response(asset.content, media_type=asset.media_type)
+
+    return answer
+
+
+def _careful(answer: Answer) -> Answer:
+    """An answer whose errors are told as JSON: to the page what is wrong, to stderr what is our fault."""
+
+    async def careful(request: Request) -> Response:
+        try:
+            return await answer(request)
+        except RadwrapError as error:
+            told = {"error": error.what, "where": error.where, "remedy": error.remedy, "text": str(error)}
+            return JSONResponse(told, status_code=422)
+        except MemoryError:
+            return JSONResponse(
+                {"error": "not enough memory", "where": "", "remedy": "", "text": "not enough memory"}, 507
+            )
+        except Exception:  # noqa: BLE001  (the page lives on)
+            traceback.print_exc(file=sys.stderr)
+            what = "this is an error in radwrap itself; please report it"
+            return JSONResponse({"error": what, "where": "", "remedy": "", "text": what}, 500)
+
+    return careful
+
+
+class _Gone(Exception):
+    """Who asked has gone, and wants no answer."""
+
+
+class _Answers:
+    """The answers of a session; images are made one at a time, and none for who has gone."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._one = asyncio.Lock()
+        self._watchers = 0
+        self._watched = 0.0
+
+    async def watch(self, request: Request) -> Response:
+        """How far the trace is: once that is further than the page knows, or after a second.
+
+        No answer lasts longer, so that any number of tabs get theirs: browsers hold six connections to a server.
+        """
+        known = _told(await request.body()).get("done")
+        self._watchers += 1
+        try:
+            end = time.monotonic() + _LONGEST_WATCH
+            while (status := self._session.status).state == "tracing":
+                await asyncio.sleep(_LOOK)
+                if status.done != known or time.monotonic() > end or await request.is_disconnected():
+                    break
+        finally:
+            self._watchers -= 1
+            self._watched = time.monotonic()
+            asyncio.get_running_loop().call_later(_GRACE, self._stop_unwatched)
+        return JSONResponse(self._known(status))
+
+    def _known(self, status: Status) -> dict[str, Any]:
+        told: dict[str, Any] = {"state": status.state, "done": status.done, "of": status.of}
+        if status.error is not None:
+            told["error"] = str(status.error)
+        traced = self._session.present
+        if traced is not None:
+            size = len(traced.sources) * traced.relighter.basis.sensor.pixels * 4
+            mixes, saves = size <= MOST_PLANES, self._session.out is not None
+            told["described"] = {**traced.described(), "mixes": mixes, "saves": saves}
+        return told
+
+    def _stop_unwatched(self) -> None:
+        alone = not self._watchers and time.monotonic() - self._watched > _GRACE - _LOOK  # no page has asked since
+        if alone and self._session.status.state == "tracing":
+            self._session.stop()
+
+    async def planes(self, request: Request) -> Response:
+        """What each source adds, as float32."""
+        traced, _ = await self._asked(request)
+        sizes = [traced.relighter.basis.sensor.pixels] * len(traced.sources)
+
+        async def planes() -> AsyncIterator[Numbers]:
+            for number in range(len(sizes)):  # one at a time: all of a large sensor take hundreds of megabytes
+                yield await asyncio.to_thread(traced.plane, number)
+
+        return _octets({}, sizes, planes())
+
+    async def turn(self, request: Request) -> Response:
+        """An image: its error in a line of JSON, then thresholds, radiant exposure and deviations as float32."""
+        traced, told = await self._asked(request)
+        turn = _turn(told, traced)
+        try:
+            image = await self._image(request, traced, turn)
+        except _Gone:
+            return Response(status_code=499)
+        blocks = (image.thresholds.values, image.relit.radiant_exposure.values, image.sigma)
+
+        async def each() -> AsyncIterator[Numbers]:
+            for block in blocks:
+                yield block
+
+        return _octets(traced.told(turn, image), [block.size for block in blocks], each())
+
+    async def pixel(self, request: Request) -> Response:
+        """All that is known of a pixel."""
+        traced, told = await self._asked(request)
+        column, row = told.get("column"), told.get("row")
+        if type(column) is not int or type(row) is not int:
+            raise InputError("needs column and row", where="pixel")
+        image = await self._image(request, traced, _turn(told, traced))
+        return JSONResponse(traced.pixel(image, column, row))
+
+    async def profile(self, request: Request) -> Response:
+        """A profile as CSV."""
+        traced, told = await self._asked(request)
+        image = await self._image(request, traced, _turn(told, traced))
+        table = profile_table(image, ends_of(told.get("profile"), *image.sigma.shape))
+        return Response(table, media_type="text/csv; charset=utf-8")
+
+    async def png(self, request: Request) -> Response:
+        """The image as gray.png has it."""
+        traced, told = await self._asked(request)
+        image = await self._image(request, traced, _turn(told, traced))
+        return Response(await asyncio.to_thread(png_bytes, image.relit.gray.codes), media_type="image/png")
+
+    async def scene(self, request: Request) -> Response:
+        """The turned scene as a file."""
+        traced, told = await self._asked(request)
+        turn = _turn(told, traced)
+        image = await self._image(request, traced, turn)
+        return Response(scene_text(turned_scene(traced, turn, image)), media_type="application/toml; charset=utf-8")
+
+    async def save(self, request: Request) -> Response:
+        """Save the turn into the folder of --out."""
+        traced, told = await self._asked(request)
+        out = self._session.out
+        if out is None:
+            raise InputError("has no folder", where="save", remedy="start the page with a folder for results")
+        turn = _turn(told, traced)
+        image = await self._image(request, traced, turn)
+        ends = None if told.get("profile") is None else ends_of(told["profile"], *image.sigma.shape)
+        folder, note = await asyncio.to_thread(save, out, traced, turn, image, ends)
+        return JSONResponse({"folder": str(folder), "note": note})
+
+    async def trace(self, request: Request) -> Response:
+        """Begin to trace: in the light of a turn where there is one, else the scene again."""
+        told = _told(await request.body())
+        turn = None
+        if told.get("turn") is not None:
+            turn = turn_of(told["turn"], self._session.traced(_number(told)).sources)
+        await asyncio.to_thread(self._session.trace, turn)
+        return JSONResponse({})
+
+    async def stop(self, request: Request) -> Response:
+        """Stop tracing."""
+        del request
+        self._session.stop()
+        return JSONResponse({})
+
+    async def _asked(self, request: Request) -> tuple[Traced, dict[str, Any]]:
+        told = _told(await request.body())
+        return self._session.traced(_number(told)), told
+
+    async def _image(self, request: Request, traced: Traced, turn: Turn) -> Image:
+        async with self._one:
+            if await request.is_disconnected():
+                raise _Gone
+            return await asyncio.to_thread(traced.image, turn)
+
+
+def _told(body: bytes) -> dict[str, Any]:
+    try:
+        told = json.loads(body or b"{}")
+    except (ValueError, RecursionError) as error:
+        raise InputError("is not JSON", where="request") from error
+    if not isinstance(told, dict):
+        raise InputError("must be an object", where="request")
+    return told
+
+
+def _number(told: Mapping[str, Any]) -> int:
+    number = told.get("basis")
+    if type(number) is not int:
+        raise InputError("must be the number of a basis", where="basis")
+    return number
+
+
+def _turn(told: Mapping[str, Any], traced: Traced) -> Turn:
+    return turn_of(told.get("turn", {}), traced.sources)
+
+
+def _line(told: Mapping[str, Any]) -> bytes:
+    return json.dumps(told, allow_nan=False).encode() + b"\n"
+
+
+def _octets(told: Mapping[str, Any], sizes: list[int], blocks: AsyncIterator[Numbers]) -> StreamingResponse:
+    """A line of JSON that tells how long the blocks are, then their numbers as float32, little-endian."""
+
+    async def parts() -> AsyncIterator[bytes | memoryview]:
+        yield _line({**_finite(told), "blocks": sizes})
+        async for block in blocks:
+            octets = np.ascontiguousarray(block, dtype="<f4").reshape(-1).view(np.uint8).data
+            for start in range(0, len(octets), _BLOCK):
+                yield octets[start : start + _BLOCK]
+
+    return StreamingResponse(parts(), media_type=_OCTETS)
+
+
+def _finite(value: Any) -> Any:
+    """JSON knows no infinity: what has no bound is null."""
+    if isinstance(value, Mapping):
+        return {key: _finite(one) for key, one in value.items()}
+    return None if isinstance(value, float) and not np.isfinite(value) else value

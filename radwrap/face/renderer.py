@@ -1,0 +1,216 @@
+"""The process that traces for the page: one at a time, asked to stop rather than killed, so that it stays warm.
+
+The server's side starts it, tells it what to render and hears how far it is. The child answers in lines of JSON. It
+learns of the server's end by the end of its stdin, however that went, ends its own tracers, and removes the server's
+working folder, which nobody else can do then.
+Run as ``python -m radwrap.face.renderer FOLDER``.
+"""
+
+from __future__ import annotations
+
+import json
+import queue
+import shutil
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Final
+
+from radwrap.errors import Cancelled, EnvironmentFailure, InputError, RadwrapError, TracerError
+from radwrap.files import write_bytes
+from radwrap.own_modules import start_module
+from radwrap.process import Child
+
+OBEYS_WITHIN: Final = 0.5  # s in which a render that is told to stop has to
+_START: Final = 60.0  # s, on a busy machine
+_LISTEN: Final = 0.05  # s between looks at whether to stop
+_FAREWELL: Final = 3.0  # s
+_STOP, _BYE, _RENDER = "stop", "bye", "render"
+_ERRORS: Final[dict[str, type[RadwrapError]]] = {
+    kind.__name__: kind for kind in (InputError, EnvironmentFailure, TracerError, Cancelled)
+}
+
+
+class Renderer:
+    """The server's side.
+
+    Parameters
+    ----------
+    folder : Path
+        Where requests are left for the child, which removes it once the server is gone.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._child: Child | None = None
+        self._warm: Path | None = None  # where its warm scene lies
+        self._asked = 0
+        self._stop = threading.Event()
+
+    def stop(self) -> None:
+        """Tell the render that is under way to end."""
+        self._stop.set()
+
+    def render(self, request: Mapping[str, Any], told: Callable[[Mapping[str, Any]], object]) -> None:
+        """Render, in the caller's thread; one at a time.
+
+        Parameters
+        ----------
+        request : Mapping
+            ``document``, ``origin``, ``folder`` of the scene, ``out``, and ``options`` of `RenderOptions`.
+        told : callable
+            Is told how far it is.
+
+        Raises
+        ------
+        RadwrapError
+            What the render raised; `Cancelled` after `stop`.
+        """
+        self._stop.clear()
+        self._asked += 1
+        path = self._folder / f"request_{self._asked}.json"
+        write_bytes(path, json.dumps(request).encode())
+        child = self._started()
+        if not child.tell(f"{_RENDER} {path.name}"):
+            self.kill()
+            raise _gone()
+        asked_to_stop = None
+        while True:
+            line = child.hear(_LISTEN)
+            if line is None:
+                if child.ended:
+                    self.kill()
+                    raise _gone()
+                if self._stop.is_set():
+                    now = time.monotonic()
+                    if asked_to_stop is None:
+                        asked_to_stop = now
+                        child.tell(_STOP)
+                    elif now - asked_to_stop > OBEYS_WITHIN:
+                        self.kill()
+                        raise _stopped()
+                continue
+            answer = json.loads(line) if line.startswith("{") else {}
+            if "done" in answer:
+                return
+            if "error" in answer:
+                kind = _ERRORS.get(answer["kind"], EnvironmentFailure)
+                raise kind(answer["error"], where=answer["where"], remedy=answer["remedy"])
+            if "lies" in answer:
+                self._warm = Path(answer["lies"])
+            if "progress" in answer:
+                told(answer["progress"])
+
+    def _started(self) -> Child:
+        if self._child is None or self._child.ended:
+            self.kill()
+            self._child = start_module("radwrap.face.renderer", str(self._folder))
+            if self._child.hear(_START) != "ready":
+                self.kill()
+                raise _gone()
+        return self._child
+
+    @property
+    def pid(self) -> int | None:
+        """Of the child, if there is one."""
+        return None if self._child is None else self._child.pid
+
+    def kill(self) -> None:
+        """End the child, and all that it has started, at once."""
+        child, self._child = self._child, None
+        if child is not None:
+            child.kill()
+        if self._warm is not None:
+            shutil.rmtree(self._warm, ignore_errors=True)
+            self._warm = None
+
+    def close(self) -> None:
+        """Let the child end; it is killed where it does not."""
+        if self._child is not None and not self._child.ended:
+            self._child.tell(_BYE)
+            self._child.close(_FAREWELL)
+        self.kill()
+
+
+def _gone() -> EnvironmentFailure:
+    return EnvironmentFailure("ended by itself, or was killed", where="renderer", remedy="trace again")
+
+
+def _stopped() -> Cancelled:
+    return Cancelled("was stopped", where="renderer", remedy="trace again")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Render what is asked for, until the server says farewell or is gone."""
+    (folder,) = map(Path, sys.argv[1:] if arguments is None else arguments)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)  # the server decides when we end
+    from radwrap.face.warmth import Warmth
+
+    print("ready", flush=True)
+    ears = _Ears()
+    ears.start()
+    with Warmth() as warmth:
+        while (name := ears.asked.get()) is not None:
+            ears.stop.clear()
+            _tell(_answered(warmth, folder / name, ears))
+    if ears.orphaned:
+        shutil.rmtree(folder, ignore_errors=True)
+    return 0
+
+
+def _answered(warmth: Any, path: Path, ears: _Ears) -> dict[str, Any]:
+    try:
+        request = json.loads(path.read_bytes())
+        warmth.render(
+            request,
+            ears.stop.is_set,
+            lambda state: _tell({"progress": asdict(state)}),
+            lambda place: _tell({"lies": str(place)}),
+        )
+    except RadwrapError as error:
+        return {"kind": type(error).__name__, "error": error.what, "where": error.where, "remedy": error.remedy}
+    except OSError as error:
+        return {"kind": "", "error": error.strerror or str(error), "where": str(error.filename or ""), "remedy": ""}
+    except MemoryError:
+        return {"kind": "", "error": "not enough memory", "where": "renderer", "remedy": "render by fewer pixels"}
+    return {"done": True}
+
+
+def _tell(answer: Mapping[str, Any]) -> None:
+    with suppress(OSError):  # the server is gone, as our stdin is about to say
+        print(json.dumps(answer), flush=True)
+
+
+class _Ears(threading.Thread):
+    """Hears the server while the main thread renders."""
+
+    def __init__(self) -> None:
+        super().__init__(daemon=True)
+        self.asked: queue.Queue[str | None] = queue.Queue()
+        self.stop = threading.Event()
+        self.orphaned = False
+
+    def run(self) -> None:
+        """Listen until the end."""
+        for line in sys.stdin:
+            word, _, name = line.strip().partition(" ")
+            if word == _STOP:
+                self.stop.set()
+            elif word == _RENDER:
+                self.asked.put(name)
+            elif word == _BYE:
+                break
+        else:
+            self.orphaned = True
+        self.stop.set()
+        self.asked.put(None)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

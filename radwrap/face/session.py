@@ -1,0 +1,322 @@
+"""What the page's server knows: the scene as it was traced last, and images for any turn of its knobs.
+
+Nothing here is a tab's own: each request tells the whole turn. So tabs do not disturb each other, and a tab that was
+lost loses nothing. A basis has a number; a request for another one than the present is refused.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.errors import Cancelled, InputError, RadwrapError
+from radwrap.face.renderer import Renderer
+from radwrap.imaging.other_camera import SceneText, basis_in_other_camera
+from radwrap.imaging.output.run_manifest import RunManifest, read_run_manifest
+from radwrap.imaging.page.described import described, told_of, told_thresholds
+from radwrap.imaging.page.thresholds import Thresholds, thresholds
+from radwrap.imaging.page.turn import Turn, changes_of, relight_words, spelled
+from radwrap.imaging.relight.relit import Relighter, Relit, read_basis
+from radwrap.imaging.relight.relit_uncertainty import relit_squares
+from radwrap.imaging.tolerance.uncertainty import combined
+from radwrap.scene.file.turned import with_levels
+from radwrap.scene.scene import Scene
+
+Array = NDArray[np.float64]
+_KEPT: Final = 2  # images: that of a tab, and that of another or the one before
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Image:
+    """One turn of the knobs, with all that is known of it.
+
+    Attributes
+    ----------
+    relit : Relit
+        The image and its certificate.
+    squares : Mapping[str, ndarray]
+        What each cause adds, see `relit_squares`.
+    sigma : ndarray, shape (rows, columns)
+        Of all causes [gray level].
+    relighter : Relighter
+        Of its camera.
+    changes : Mapping
+        Keys of the scene file that are turned.
+    thresholds : Thresholds
+        Of its sensor.
+    """
+
+    relit: Relit
+    squares: Mapping[str, Array]
+    sigma: Array
+    relighter: Relighter
+    changes: Mapping[str, Any]
+    thresholds: Thresholds
+
+
+@dataclass(slots=True)
+class Traced:
+    """A basis that was traced, and the images that were asked for last.
+
+    Attributes
+    ----------
+    number : int
+        Of the basis in this session.
+    scene : Scene
+        Whose levels are all 1.
+    folder : Path
+        Of the basis.
+    run : RunManifest
+        Of its render.
+    relighter : Relighter
+        Of the scene's own camera.
+    words : tuple of str
+        Of the command that makes the basis; empty where the folder stays.
+    """
+
+    number: int
+    scene: Scene
+    folder: Path
+    run: RunManifest
+    relighter: Relighter
+    words: tuple[str, ...]
+    _images: OrderedDict[Turn, Image] = field(default_factory=OrderedDict)
+    _one: threading.Lock = field(default_factory=threading.Lock)
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """Names of the sources."""
+        return self.relighter.basis.sources
+
+    def image(self, turn: Turn) -> Image:
+        """The image of a turn; one is made at a time.
+
+        Raises
+        ------
+        InputError
+            If a value is wrong, or the image overflows.
+        """
+        with self._one:
+            if turn in self._images:
+                self._images.move_to_end(turn)
+                return self._images[turn]
+            made = self._made(turn)
+            self._images[turn] = made
+            while len(self._images) > _KEPT:
+                self._images.popitem(last=False)
+            return made
+
+    def _made(self, turn: Turn) -> Image:
+        basis = self.relighter.basis
+        changes = changes_of(turn, self.scene.camera)
+        turned = basis_in_other_camera(basis, SceneText.of(self.scene), changes)
+        relighter = self.relighter if turned is basis else self.relighter.in_camera(turned)
+        factors = np.array(turn.factors)
+        relit = relighter.image(factors)
+        squares = relit_squares(turned, factors, relit)
+        return Image(relit, squares, combined(squares).sigma, relighter, changes, thresholds(turned.sensor))
+
+    def plane(self, number: int) -> NDArray[np.float32]:
+        """Mean of L cos^4(theta) in the light of a source alone, shape (rows, columns) [W m^-2 sr^-1]."""
+        mean: Array = self.relighter.basis.images[number].mean(axis=0, dtype=np.float64)
+        return mean.astype(np.float32)
+
+    def described(self) -> dict[str, Any]:
+        """What a page shows of it."""
+        return {"basis": self.number, **described(self.scene, self.relighter.basis, self.run)}
+
+    def told(self, turn: Turn, image: Image) -> dict[str, Any]:
+        """What a page shows of an image."""
+        return {
+            "basis": self.number,
+            **told_of(image.relit, image.relighter.basis, image.sigma),
+            "thresholds": told_thresholds(image.thresholds),
+            "command": self.command(turn, image),
+        }
+
+    def command(self, turn: Turn, image: Image, out: str = "turned") -> str:
+        """The command line that makes the same gray.png."""
+        folder = str(self.folder) if not self.words else self.words[-1]
+        more = _named_files(self.scene) if image.changes else ()
+        words = [*relight_words(folder, out, self.sources, turn, image.changes), *more]
+        return spelled(self.words, words)
+
+    def pixel(self, image: Image, column: int, row: int) -> dict[str, Any]:
+        """What is known of one pixel."""
+        shape = image.sigma.shape
+        if not (0 <= row < shape[0] and 0 <= column < shape[1]):
+            raise InputError(f"lies outside {shape[1]} x {shape[0]} pixels", where=f"pixel ({column}, {row})")
+        exposure = float(image.relit.radiant_exposure.values[row, column])
+        basis = image.relighter.basis
+        from radwrap.imaging.response.sensor import gray_levels
+
+        level = float(gray_levels(np.array([exposure]), basis.sensor)[0])
+        return {
+            "code": int(image.relit.gray.codes[row, column]),
+            "gray": level,
+            "sigma": float(image.sigma[row, column]),
+            "radiant_exposure": exposure,
+            "parts": {name: math.sqrt(float(square[row, column])) for name, square in image.squares.items()},
+            "saturated": level >= basis.sensor.saturation_gray,
+        }
+
+
+def _named_files(scene: Scene) -> tuple[str, ...]:
+    """Where the command finds files that the scene's camera names."""
+    import json
+
+    camera = json.loads(scene.document)["camera"]
+    named = "calibration" in camera or "data_sheet" in camera.get("sensor", {})
+    return ("--scene-folder", str(scene.folder)) if named else ()
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """How far the session is.
+
+    Attributes
+    ----------
+    state : str
+        "tracing", "ready", "stopped" or "failed".
+    done, of : int
+        Rays, while it traces.
+    error : RadwrapError or None
+        Why it failed.
+    """
+
+    state: str
+    done: int = 0
+    of: int = 0
+    error: RadwrapError | None = None
+
+
+class Session:
+    """The scene, its basis, and the process that traces.
+
+    Parameters
+    ----------
+    scene : Scene
+        As the command line has it.
+    options : Mapping
+        Of `RenderOptions`.
+    work : Path
+        A folder of the server's own.
+    out : Path or None
+        Where results are saved and the first basis stays; without it nothing stays.
+    words : tuple of str
+        Of the command that makes the first basis, without its folder.
+    """
+
+    def __init__(
+        self, scene: Scene, options: Mapping[str, Any], *, work: Path, out: Path | None, words: tuple[str, ...]
+    ) -> None:
+        self._options, self._work, self._words = dict(options), work, words
+        self.out = out
+        self._scene = scene
+        self._renderer = Renderer(work)
+        self._number = 0
+        self._traced: Traced | None = None
+        self._status = Status("stopped")
+        self._guard = threading.Lock()
+        self._thread: threading.Thread | None = None
+
+    @property
+    def status(self) -> Status:
+        """How far it is."""
+        return self._status
+
+    @property
+    def renderer_pid(self) -> int | None:
+        """Of the process that traces."""
+        return self._renderer.pid
+
+    @property
+    def present(self) -> Traced | None:
+        """The present basis, if there is one."""
+        return self._traced
+
+    def traced(self, number: int | None = None) -> Traced:
+        """The present basis.
+
+        Raises
+        ------
+        InputError
+            If there is none yet, or its number is not the one that is asked for.
+        """
+        found = self._traced
+        if found is None or (number is not None and number != found.number):
+            raise InputError("was traced anew, or is not traced yet", where="basis", remedy="load the page again")
+        return found
+
+    def trace(self, turn: Turn | None = None) -> None:
+        """Begin to trace: the scene, or that of the present basis with its knobs turned; not while one is traced.
+
+        Raises
+        ------
+        InputError
+            If a trace is under way, or a scene file cannot tell such levels.
+        """
+        with self._guard:
+            if self._thread is not None and self._thread.is_alive():
+                raise InputError("is under way", where="trace", remedy="stop it first")
+            scene, words = self._scene, self._words
+            if turn is not None:
+                present = self.traced()
+                changes = changes_of(turn, present.scene.camera)
+                scene = with_levels(present.scene, dict(zip(present.sources, turn.factors, strict=True)), changes)
+                words = ()
+            self._number += 1
+            self._status = Status("tracing")
+            self._thread = threading.Thread(target=self._carry_out, args=(scene, words, self._number), daemon=True)
+            self._thread.start()
+
+    def stop(self) -> None:
+        """Stop tracing."""
+        self._renderer.stop()
+
+    def _carry_out(self, scene: Scene, words: tuple[str, ...], number: int) -> None:
+        name = "basis" if number == 1 else f"basis_{number}"
+        folder = (self.out or self._work) / name
+        try:
+            request = {
+                "document": scene.document,
+                "origin": scene.origin,
+                "folder": str(scene.folder.absolute()),
+                "out": str(folder.absolute()),
+                "options": self._options,
+            }
+            self._renderer.render(
+                request, lambda progress: self._progressed(int(progress["done"]), int(progress["of"]))
+            )
+            made = (*words, "--out", str(folder) if self.out else name) if words else ()
+            relighter = Relighter(read_basis(folder))
+            self._traced = Traced(number, scene, folder, read_run_manifest(folder), relighter, made)
+            self._scene, self._words = scene, words
+            self._status = Status("ready")
+        except Cancelled:
+            self._status = Status("stopped")
+        except RadwrapError as error:
+            self._status = Status("failed", error=error)
+        except (OSError, MemoryError) as error:
+            told = InputError(getattr(error, "strerror", None) or "not enough memory", where=str(folder))
+            self._status = Status("failed", error=told)
+
+    def _progressed(self, done: int, of: int) -> None:
+        self._status = replace(self._status, done=done, of=of)
+
+    def close(self) -> None:
+        """End the process that traces."""
+        self._renderer.stop()
+        if self._thread is not None:
+            self._thread.join(2.0)
+        self._renderer.close()
+        if self._thread is not None:
+            self._thread.join(2.0)

@@ -1,0 +1,49 @@
+"""What the renderer keeps between renders: the scene laid out once."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from radwrap.imaging.render_options import RenderOptions
+from radwrap.imaging.warm import WarmScene
+from radwrap.progress import Progressed
+from radwrap.scene.file.load import scene_from_document
+
+
+class Warmth:
+    """A warm scene that is laid out when the first render needs it."""
+
+    def __init__(self) -> None:
+        self._scene: WarmScene | None = None
+
+    def __enter__(self) -> Warmth:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._scene is not None:
+            self._scene.close()
+
+    def render(
+        self,
+        request: Mapping[str, Any],
+        cancelled: Callable[[], bool],
+        told: Callable[[Progressed], object],
+        lies: Callable[[Path], object],
+    ) -> None:
+        """Render a request, see `Renderer.render`, with its basis, into the folder that it names.
+
+        `lies` is told where the warm scene is.
+        """
+        scene = scene_from_document(
+            json.loads(request["document"]), origin=request["origin"], folder=Path(request["folder"])
+        )
+        options = RenderOptions(**request["options"])
+        if self._scene is None:
+            self._scene = WarmScene(scene, options)
+            if self._scene.folder is not None:
+                lies(self._scene.folder)
+        changes = {**request["options"], "basis": True}
+        self._scene.render(scene, request["out"], cancelled=cancelled, progress=told, **changes)

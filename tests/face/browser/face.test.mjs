@@ -1,0 +1,375 @@
+// The page in a real browser, as its users turn it; run by `make test-face`.
+
+import assert from "node:assert/strict";
+import { execFile, spawn } from "node:child_process";
+import { mkdtempSync, readFileSync, rmSync, existsSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
+import { after, before, test } from "node:test";
+import { promisify } from "node:util";
+import axe from "axe-core";
+import { chromium } from "playwright-core";
+
+const ROOT = new URL("../../../", import.meta.url).pathname;
+const RADWRAP = join(ROOT, ".venv/bin/radwrap");
+const CHROMIUM = ["/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome"].find((path) => existsSync(path));
+const QUIET = ["--no-sandbox", "--disable-background-networking", "--disable-component-update", "--disable-default-apps",
+  "--disable-sync", "--no-first-run"];
+const SCENE = join(ROOT, "rad_scenes/bench_board/scene.toml");
+const PATIENCE = Number(process.env.FACE_PATIENCE ?? 60_000); // ms; a busy machine traces the bench board in ten seconds
+const run = promisify(execFile);
+
+let folder, server, link, port, opens;
+
+async function serve(...more) {
+  const process = spawn(RADWRAP, ["face", SCENE, "--no-browser", ...more], { stdio: ["ignore", "ignore", "pipe"] });
+  let said = "";
+  process.stderr.setEncoding("utf8");
+  while (!said.includes("/link\n")) {
+    said += await new Promise((resolve, reject) => {
+      process.stderr.once("data", resolve);
+      process.once("exit", () => reject(new Error(said)));
+    });
+  }
+  const place = said.match(/\/\S+\/link/)[0];
+  return { process, link: readFileSync(place, "utf8").trim(), opens: place.replace(/link$/, "open.html") };
+}
+
+before(async () => {
+  assert.ok(CHROMIUM, "there is no Chromium: on Debian, apt install chromium");
+  folder = mkdtempSync(join(tmpdir(), "face-test-"));
+  ({ process: server, link, opens } = await serve("--out", join(folder, "out")));
+  port = new URL(link).port;
+});
+
+after(async () => {
+  const ended = new Promise((resolve) => { server.once("exit", resolve); });
+  server.kill("SIGTERM");
+  assert.equal(await ended, 130);
+  rmSync(folder, { recursive: true, force: true });
+});
+
+/** A page whose every fault, and every request to another place, fails the test. */
+async function opened(t, { flags = [], at = link, size = { width: 1440, height: 900 }, ...context } = {}) {
+  const browser = await chromium.launch({ executablePath: CHROMIUM, args: [...QUIET, ...flags] });
+  const page = await (await browser.newContext({ viewport: size, acceptDownloads: true, ...context })).newPage();
+  const faults = [];
+  page.on("pageerror", (error) => faults.push(error.stack));
+  page.on("console", (message) => { if (message.type() === "error") faults.push(message.text()); });
+  await page.route("**/*", (route) => {
+    const url = new URL(route.request().url());
+    if (["blob:", "data:", "file:"].includes(url.protocol) || url.hostname === "127.0.0.1") return route.continue();
+    faults.push(`asked ${url}`);
+    return route.abort();
+  });
+  await page.addInitScript(() => {
+    document.addEventListener("securitypolicyviolation", (event) => console.error(`policy: ${event.violatedDirective} ${event.blockedURI}`));
+  });
+  t.after(async () => {
+    await browser.close();
+    assert.deepEqual(faults, []);
+  });
+  page.setDefaultTimeout(PATIENCE);
+  await page.goto(at);
+  return { page, faults, browser };
+}
+
+const measured = (page) => page.waitForFunction(() => document.getElementById("state").textContent === "measured",
+  undefined, { timeout: PATIENCE });
+
+async function loaded(t, options) {
+  const all = await opened(t, options);
+  await measured(all.page);
+  return all;
+}
+
+/** Codes on the canvas at 1 : 1, as rows of the picture. */
+async function picture(page, rows, columns) {
+  await page.focus("#picture");
+  await page.keyboard.press("1");
+  await page.waitForFunction(() => document.getElementById("zoom").textContent === "1 : 1");
+  await page.waitForTimeout(150);
+  return page.evaluate(([height, wide]) => {
+    const canvas = document.getElementById("image");
+    const pen = canvas.getContext("2d");
+    const { data } = pen.getImageData(0, 0, canvas.width, canvas.height);
+    let first = 0;
+    while (data[4 * first + 3] === 0) first++;
+    const [left, top] = [first % canvas.width, Math.floor(first / canvas.width)];
+    return Array.from({ length: height }, (_, v) =>
+      Array.from({ length: wide }, (_, u) => data[4 * ((top + v) * canvas.width + left + u)]));
+  }, [rows, columns]);
+}
+
+/** Codes of a gray.png, by radwrap's own reader. */
+async function codesOf(path) {
+  const code = "import json, sys; from pathlib import Path; from radwrap.images import read_image;"
+    + "print(json.dumps(read_image(Path(sys.argv[1]))[0].tolist()))";
+  const { stdout } = await run(join(ROOT, ".venv/bin/python"), ["-c", code, path], { maxBuffer: 1 << 26 });
+  return JSON.parse(stdout);
+}
+
+const field = (page, name) => page.locator(`[data-knob="${name}"] input[type=text]`);
+const slider = (page, name) => page.locator(`[data-knob="${name}"] input[type=range]`);
+
+async function type(page, name, text) {
+  await field(page, name).fill(text);
+  await field(page, name).press("Enter");
+}
+
+for (const [name, flags] of [["without WebGL", ["--disable-gpu"]], ["with WebGL in software", ["--enable-unsafe-swiftshader"]]]) {
+  test(`the canvas shows what the command of the page writes, ${name}`, async (t) => {
+    const { page } = await loaded(t, { flags });
+    await type(page, "level:ring.led03", "0.25");
+    await type(page, "exposure_time", "300 ms");
+    await type(page, "gamma", "0.7");
+    await measured(page);
+    const words = (await page.textContent("#command")).split(" && ").at(-1);
+    assert.match(words, /^radwrap relight \S+ --level ring.led03=0.25 --set 'camera.exposure_time=300 ms'/);
+    const argv = [...words.matchAll(/'([^']*)'|(\S+)/g)].map(([, quoted, plain]) => quoted ?? plain).slice(1);
+    argv[argv.length - 1] = join(folder, `turned ${name}`);
+    await run(RADWRAP, argv);
+    const written = await codesOf(join(folder, `turned ${name}`, "gray.png"));
+    assert.deepEqual(await picture(page, 165, 192), written);
+    // Pinned: the server's word, on the very pixel.
+    for (let k = 0; k < 9; k++) await page.keyboard.press("Shift+ArrowRight");
+    await page.waitForSelector("#probe table");
+    const probe = page.locator("#probe .code");
+    const [u, v] = [Number(await probe.getAttribute("data-u")), Number(await probe.getAttribute("data-v"))];
+    assert.equal(Number(await probe.textContent()), written[v][u]);
+    await page.keyboard.press("ArrowLeft");
+    await page.waitForFunction((u) => document.querySelector("#probe .code").dataset.u === String(u - 1), u);
+    assert.equal(Number(await probe.textContent()), written[v][u - 1]);
+    // gray.png and the profile, as they are downloaded.
+    const [png] = await Promise.all([page.waitForEvent("download"), page.click("#png")]);
+    assert.deepEqual(readFileSync(await png.path()), readFileSync(join(folder, `turned ${name}`, "gray.png")));
+    await page.focus("#picture");
+    await page.keyboard.press("h");
+    await page.waitForSelector("#csv:enabled");
+    const [csv] = await Promise.all([page.waitForEvent("download"), page.click("#csv")]);
+    const rows = readFileSync(await csv.path(), "utf8").trim().split("\n").slice(1).map((line) => line.split(",").map(Number));
+    assert.deepEqual(rows.map(([, , , code]) => code), written[v]);
+  });
+}
+
+test("a knob by mouse, by keys and by its text is one state", async (t) => {
+  const { page } = await loaded(t);
+  const knob = slider(page, "level:all");
+  const box = await knob.boundingBox();
+  await page.mouse.move(box.x + box.width / 2, box.y + box.height / 2);
+  await page.mouse.down();
+  for (let k = 0; k <= 10; k++) await page.mouse.move(box.x + box.width * (0.5 + 0.03 * k), box.y + box.height / 2);
+  await page.mouse.up();
+  const byMouse = await field(page, "level:all").inputValue();
+  assert.ok(Number(byMouse) > 1.3);
+  await page.click("#undo"); // a drag is one step
+  assert.equal(await field(page, "level:all").inputValue(), "1");
+  await page.click("#redo");
+  assert.equal(await field(page, "level:all").inputValue(), byMouse);
+  await measured(page);
+  const command = await page.textContent("#command");
+  await page.click("#reset");
+  assert.equal(await field(page, "level:ring.led07").inputValue(), "1");
+  await knob.focus();
+  const steps = Math.round((Number(byMouse) - 1) * 100);
+  for (let k = 0; k < steps; k++) await page.keyboard.press("ArrowRight");
+  assert.equal(await field(page, "level:all").inputValue(), byMouse);
+  await measured(page);
+  assert.equal(await page.textContent("#command"), command);
+  await page.keyboard.press("Home");
+  assert.equal(await field(page, "level:ring.led00").inputValue(), "0");
+  await page.keyboard.press("Control+z");
+  assert.equal(await field(page, "level:all").inputValue(), byMouse);
+  await page.click("#reset");
+  await type(page, "level:all", byMouse);
+  await measured(page);
+  assert.equal(await page.textContent("#command"), command);
+  // The ring map turns the same knobs.
+  const led = page.locator(".ring [role=slider]").nth(4);
+  await led.focus();
+  await page.keyboard.press("Enter");
+  assert.equal(await field(page, "level:ring.led04").inputValue(), "0");
+  assert.equal(await field(page, "level:all").inputValue(), "mixed");
+  await page.locator(`[data-knob="level:ring.led04"] button`).click();
+  assert.equal(await field(page, "level:ring.led04").inputValue(), "1");
+});
+
+test("what is wrong is said at its field, and the picture stays", async (t) => {
+  const { page, faults } = await loaded(t);
+  const before = await picture(page, 20, 20);
+  for (const [name, text, says] of [["exposure_time", "5 mm", '"mm" is no unit of time'], ["exposure_time", "nan s", "exposure_time"],
+    ["exposure_time", "1e300 s", "must be at most"], ["gain", "NaN", "gain factor is a number"], ["gain", "1e300", "gain factor is a number"],
+    ["gamma", "1 mm", "gamma is a number"], ["bit_depth", "8.5", "whole number"], ["level:ring.led01", "-1", "a level is a number"]]) {
+    await type(page, name, text);
+    const wrong = page.locator(`[data-knob="${name}"] .wrong`);
+    await wrong.waitFor({ state: "visible" });
+    assert.ok((await wrong.textContent()).includes(says), `${name}: ${await wrong.textContent()}`);
+    assert.equal(await field(page, name).getAttribute("aria-invalid"), "true");
+    assert.deepEqual(await picture(page, 20, 20), before);
+    await page.locator(`[data-knob="${name}"] button`).click();
+    await measured(page);
+  }
+  assert.ok(faults.every((text) => text.includes("422")), faults.join("\n")); // the browser's own word on a refusal
+  faults.length = 0;
+});
+
+test("overlays, histogram and the numbers in the pixels tell one story", async (t) => {
+  const { page } = await loaded(t);
+  await type(page, "level:all", "3");
+  await measured(page);
+  await page.waitForTimeout(300);
+  const share = await page.textContent("#saturatedshare");
+  assert.match(share, /^\d+\.\d %$/);
+  await page.locator("#histogramtable").locator("xpath=..").locator("summary").click();
+  await page.focus("#picture");
+  for (const key of ["s", "x", "d"]) await page.keyboard.press(key);
+  await page.waitForFunction(() => document.getElementById("flipsshare").textContent !== "");
+  await page.waitForTimeout(300);
+  const counts = await page.$$eval("#histogramtable td", (cells) => cells.map((cell) => Number(cell.textContent)));
+  assert.equal(counts.reduce((all, count) => all + count, 0), 165 * 192);
+  const told = JSON.parse(await page.evaluate(async () => {
+    const headers = { Authorization: `Bearer ${sessionStorage.getItem("token")}`, "Content-Type": "application/json" };
+    const answer = await fetch("/api/turn", { method: "POST", headers,
+      body: JSON.stringify({ basis: 1, turn: { levels: new Array(12).fill(3) } }) });
+    return new TextDecoder().decode(new Uint8Array(await answer.arrayBuffer())).split("\n")[0];
+  }));
+  assert.equal(share, `${(100 * told.saturated_fraction).toFixed(1)} %`);
+  // The scale is fixed: black 0, white full scale, whatever the light.
+  assert.deepEqual([await page.inputValue("#low"), await page.inputValue("#high")], ["0", "255"]);
+  while ((await page.textContent("#zoom")) !== "32 : 1") await page.keyboard.press("+");
+  await page.waitForTimeout(200);
+  const drawn = await page.evaluate(() => {
+    const { data } = document.getElementById("marks").getContext("2d").getImageData(0, 0, 400, 400);
+    return data.some((value) => value > 0);
+  });
+  assert.ok(drawn, "no numbers stand in the pixels");
+  assert.ok((await page.textContent("#kept")).includes("tolerance 0.5"));
+});
+
+test("a region has its statistics, a profile its band and its table", async (t) => {
+  const { page } = await loaded(t);
+  await page.check("input[value=region]");
+  const box = await page.locator("#picture").boundingBox();
+  await page.mouse.move(box.x + 300, box.y + 250);
+  await page.mouse.down();
+  await page.mouse.move(box.x + 400, box.y + 310, { steps: 5 });
+  await page.mouse.up();
+  await page.waitForSelector("#probe caption:has-text('Region')", { state: "attached" });
+  await page.check("input[value=profile]");
+  await page.mouse.move(box.x + 200, box.y + 250);
+  await page.mouse.down();
+  await page.mouse.move(box.x + 500, box.y + 260, { steps: 5 });
+  await page.mouse.up();
+  await page.waitForSelector("#profile canvas");
+  await page.locator("#profiletable").locator("xpath=..").locator("summary").click();
+  assert.ok((await page.locator("#profiletable tbody tr").count()) > 50);
+  assert.match(await page.locator("#profiletable tbody tr td:last-child").first().textContent(), /^0\.\d+$/);
+});
+
+test("saving leaves files in the folder, and says where", async (t) => {
+  const { page } = await loaded(t);
+  await type(page, "level:all", "0.5");
+  await measured(page);
+  await page.click("#save");
+  await page.waitForFunction(() => document.getElementById("saved").textContent.startsWith("saved in "));
+  const place = (await page.textContent("#saved")).slice("saved in ".length);
+  assert.ok(place.startsWith(join(folder, "out")) && existsSync(join(place, "scene.toml")) && existsSync(join(place, "gray.png")));
+});
+
+test("a bad link says what to do, and the token leaves the address", async (t) => {
+  const { page } = await loaded(t);
+  assert.equal(page.url(), `http://127.0.0.1:${port}/`);
+  await page.reload();
+  await measured(page);
+  const { page: other, faults } = await opened(t, { at: `http://127.0.0.1:${port}/` });
+  await other.waitForSelector("#banner:not([hidden])");
+  assert.match(await other.textContent("#banner"), /needs its link/);
+  const { page: wrong, faults: told } = await opened(t, { at: `http://127.0.0.1:${port}/#wrong` });
+  await wrong.waitForSelector("#banner:not([hidden])");
+  assert.match(await wrong.textContent("#banner"), /open the one that radwrap face has told last/);
+  assert.ok(told.every((text) => text.includes("401")));
+  told.length = 0;
+  assert.deepEqual(faults, []);
+});
+
+test("the file with the link opens the page", async (t) => {
+  const { page } = await opened(t, { at: `file://${opens}` });
+  await measured(page);
+  assert.equal(page.url(), `http://127.0.0.1:${port}/`);
+});
+
+test("eight tabs work side by side", async (t) => {
+  const { page } = await loaded(t);
+  const tabs = [];
+  for (let k = 0; k < 7; k++) {
+    const tab = await page.context().newPage();
+    await tab.goto(link);
+    tabs.push(tab);
+  }
+  await Promise.all(tabs.map(measured));
+  await type(tabs[3], "level:all", "0.25");
+  await measured(tabs[3]);
+  assert.equal(await field(tabs[4], "level:all").inputValue(), "1");
+});
+
+test("accessible: axe finds nothing serious, in light and dark, and all is reached by keys", async (t) => {
+  for (const [colorScheme, size] of [["light", { width: 1440, height: 900 }], ["dark", { width: 1440, height: 900 }],
+    ["light", { width: 380, height: 800 }]]) {
+    const { page } = await loaded(t, { colorScheme, size, reducedMotion: "reduce" });
+    await page.focus("#picture");
+    await page.keyboard.press("h");
+    await page.keyboard.press("ArrowRight");
+    await page.waitForSelector("#probe table");
+    for (const summary of await page.locator("summary").all()) await summary.click();
+    // Not through a script element: the page's policy refuses it.
+    await page.evaluate(axe.source);
+    const { violations } = await page.evaluate(() => globalThis.axe.run());
+    const serious = violations.filter(({ impact }) => impact === "serious" || impact === "critical");
+    assert.deepEqual(serious.map(({ id, nodes }) => `${id}: ${nodes.map(({ html }) => html.slice(0, 120)).join(" | ")}`), []);
+    const wide = await page.evaluate(() => document.documentElement.scrollWidth - innerWidth);
+    assert.ok(wide <= 0, `at ${size.width} px the page is ${wide} px too wide`);
+  }
+  const { page } = await loaded(t);
+  const reached = new Set();
+  for (let k = 0; k < 120; k++) {
+    await page.keyboard.press("Tab");
+    reached.add(await page.evaluate(() => document.activeElement?.id || document.activeElement?.getAttribute("aria-label") || ""));
+  }
+  for (const id of ["help", "picture", "save", "saturated", "map", "png", "copy", "share"]) assert.ok(reached.has(id), id);
+  await page.focus("#picture");
+  await page.keyboard.press("ArrowUp");
+  await page.waitForFunction(() => /column \d+, row \d+: \d+/.test(document.getElementById("live").textContent));
+  await page.keyboard.press("?");
+  assert.ok(await page.locator("#dialog").isVisible());
+});
+
+test("the server's end is said, and knobs go on", async (t) => {
+  const own = await serve();
+  const { page, faults } = await loaded(t, { at: own.link });
+  own.process.kill("SIGKILL");
+  const begin = Date.now();
+  await page.waitForSelector("#banner:not([hidden])", { timeout: 5000 });
+  assert.ok(Date.now() - begin < 4000);
+  assert.match(await page.textContent("#banner"), /server has gone/);
+  const before = await picture(page, 165, 192);
+  await type(page, "level:all", "0.5");
+  await page.waitForTimeout(500);
+  const after = await picture(page, 165, 192);
+  assert.ok(after.flat().every((code, k) => code <= before.flat()[k]) && after.flat().some((code, k) => code < before.flat()[k]));
+  assert.match(await page.textContent("#state"), /not measured/);
+  assert.ok(faults.every((text) => text.includes("ERR_")), faults.join("\n"));
+  faults.length = 0;
+});
+
+test("a trace in the light of the knobs, and one that is stopped", async (t) => {
+  const own = await serve("--tolerance", "2");
+  t.after(() => own.process.kill("SIGTERM"));
+  const { page } = await loaded(t, { at: own.link });
+  await type(page, "level:all", "2");
+  await measured(page);
+  await page.click("#trace");
+  await page.waitForFunction(() => document.getElementById("state").textContent.startsWith("tracing"));
+  await page.waitForFunction(() => document.querySelector(`[data-knob="level:all"] input[type=text]`)?.value === "1", undefined, { timeout: PATIENCE });
+  await measured(page);
+  assert.match(await page.textContent("#command"), /basis_2/);
+});

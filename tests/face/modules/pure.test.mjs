@@ -1,0 +1,205 @@
+// The page's pure modules, against numbers that are known; without npm packages: node --test.
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { addPlane, codeOf, coloursOf, frameOf, MAPS, ranksOf, sumPlanes } from "../../../radwrap/data/face/mix.js";
+import { grayOf, thresholdsOf, turnedSensor } from "../../../radwrap/data/face/response.js";
+import { History, sameTurn, untouched, withKnob, withLevels } from "../../../radwrap/data/face/state.js";
+import { grouped, linePixels, profileCsv, quantile, summary } from "../../../radwrap/data/face/statistics.js";
+import { exposureText, parseNumber, parseTime, percent, shortNumber, timeText } from "../../../radwrap/data/face/units.js";
+
+const EQ5 = { gain: 3.38e4, gamma: 0.85, dark_gray: 22, saturation_gray: 181, bit_depth: 8, rounding: true };
+const PLAIN = { low: 0, high: 255, map: "gray", saturated: false, dark: false, flips: false, share: 0.01 };
+
+/** Numbers that look random and are the same in each run. */
+function* numbers(seed) {
+  for (let state = seed >>> 0; ;) {
+    state = (Math.imul(state, 1664525) + 1013904223) >>> 0;
+    yield state / 2 ** 32;
+  }
+}
+
+const draw = numbers(7);
+const next = () => draw.next().value;
+const floats = (count, of) => Float32Array.from({ length: count }, of);
+
+test("sums of planes are sums, whole and step by step", () => {
+  const planes = Array.from({ length: 5 }, () => floats(10_000, next));
+  const factors = [0.3, 0, 2.5, 1, 0.01];
+  const sum = new Float32Array(10_000);
+  sumPlanes(planes, factors, sum);
+  for (const i of [0, 4095, 4096, 9999]) {
+    assert.equal(sum[i], Math.fround(factors.reduce((all, factor, k) => all + factor * planes[k][i], 0)));
+  }
+  addPlane(sum, planes[2], -1.5);
+  const anew = new Float32Array(10_000);
+  sumPlanes(planes, [0.3, 0, 1, 1, 0.01], anew);
+  assert.ok(sum.every((value, i) => Math.abs(value - anew[i]) < 1e-6));
+});
+
+test("light is never negative", () => {
+  const sum = new Float32Array(3);
+  sumPlanes([Float32Array.of(-1, 0, 1)], [1], sum);
+  assert.deepEqual([...sum], [0, 0, 1]);
+  addPlane(sum, Float32Array.of(0, 0, 1), -2);
+  assert.deepEqual([...sum], [0, 0, 0]);
+});
+
+test("codes are ranks among thresholds, at each of them and one float below", () => {
+  const values = floats(4000, () => 10 ** (8 * next() - 6)).sort();
+  const ranks = ranksOf({ first: 3, values, saturated: Infinity, lit: 0 });
+  const slow = (light) => 3 + values.filter((value) => value <= light).length;
+  const word = new Uint32Array(1), float = new Float32Array(word.buffer);
+  for (let k = 0; k < values.length; k += 37) {
+    float[0] = values[k];
+    const at = codeOf(float[0], ranks);
+    assert.equal(at, slow(values[k]));
+    word[0]--;
+    assert.equal(codeOf(float[0], ranks), slow(float[0]));
+  }
+  assert.equal(codeOf(0, ranks), 3);
+  assert.equal(codeOf(1e30, ranks), 3 + values.length);
+});
+
+test("equal thresholds are passed together, and those at infinity never", () => {
+  const ranks = ranksOf({ first: 0, values: Float32Array.of(1, 1, 1, 2, Infinity), saturated: 2, lit: 1 });
+  assert.deepEqual([0, 0.99, 1, 1.5, 2, 3e38].map((light) => codeOf(light, ranks)), [0, 0, 3, 3, 4, 4]);
+});
+
+test("a frame counts each pixel once, whatever part of it is seen", () => {
+  const columns = 40, rows = 30;
+  const sum = floats(columns * rows, () => 3e-3 * next());
+  const thresholds = thresholdsOf(EQ5);
+  const ranks = ranksOf(thresholds);
+  for (const section of [{ x0: 0, y0: 0, x1: 40, y1: 30, bin: 1 }, { x0: 4, y0: 2, x1: 31, y1: 29, bin: 1 },
+    { x0: 0, y0: 0, x1: 40, y1: 30, bin: 4 }, { x0: 3, y0: 3, x1: 40, y1: 30, bin: 3 }]) {
+    const frame = frameOf(sum, columns, 0, 1, ranks, section, { ...PLAIN, flips: true }, 256);
+    assert.equal(frame.counts.reduce((all, count) => all + count), columns * rows);
+    assert.equal(frame.saturated, sum.filter((light) => light >= thresholds.saturated).length);
+    assert.equal(frame.dark, sum.filter((light) => light < thresholds.lit).length);
+    const flipped = sum.filter((light) => codeOf(light * 1.01, ranks) !== codeOf(light, ranks)).length;
+    assert.equal(frame.flips, flipped);
+    const bare = frameOf(sum, columns, 0, 1, ranks, section, PLAIN, 256);
+    const { x0, y0, x1, y1, bin } = section;
+    assert.deepEqual([frame.width, frame.height], [Math.ceil((x1 - x0) / bin), Math.ceil((y1 - y0) / bin)]);
+    for (const [x, y] of [[0, 0], [frame.width - 1, frame.height - 1], [2, 3]]) {
+      const codes = [];
+      for (let v = y0 + y * bin; v < Math.min(y1, y0 + (y + 1) * bin); v++) {
+        for (let u = x0 + x * bin; u < Math.min(x1, x0 + (x + 1) * bin); u++) codes.push(codeOf(sum[v * columns + u], ranks));
+      }
+      const expected = Math.round(codes.reduce((all, code) => all + code) / codes.length);
+      const at = 4 * (y * frame.width + x);
+      assert.deepEqual([...bare.rgba.slice(at, at + 4)], [expected, expected, expected, 255]);
+    }
+  }
+});
+
+test("bands put together are the whole", () => {
+  const columns = 25, rows = 480;
+  const sum = floats(columns * rows, () => 3e-3 * next());
+  const ranks = ranksOf(thresholdsOf(EQ5));
+  for (const section of [{ x0: 0, y0: 0, x1: 25, y1: 480, bin: 6 }, { x0: 5, y0: 100, x1: 20, y1: 470, bin: 5 }]) {
+    const whole = frameOf(sum, columns, 0, 1, ranks, section, PLAIN, 256);
+    const parts = [0, 240].map((top) =>
+      frameOf(sum.slice(top * columns, (top + 240) * columns), columns, top, 1, ranks, section, PLAIN, 256));
+    assert.deepEqual(parts.map(({ row }) => row), [0, parts[0].height]);
+    assert.deepEqual(parts.flatMap(({ rgba }) => [...rgba]), [...whole.rgba]);
+  }
+});
+
+test("one clipped pixel of five million stays in sight", () => {
+  const columns = 2448, rows = 240;
+  const sum = new Float32Array(columns * rows).fill(1e-4);
+  sum[123 * columns + 1001] = 1;
+  const ranks = ranksOf(thresholdsOf(EQ5));
+  const look = { ...PLAIN, saturated: true };
+  const frame = frameOf(sum, columns, 0, 1, ranks, { x0: 0, y0: 0, x1: columns, y1: rows, bin: 12 }, look, 256);
+  const red = [];
+  for (let at = 0; at < frame.rgba.length; at += 4) if (frame.rgba[at] !== frame.rgba[at + 2]) red.push(at / 4);
+  assert.deepEqual(red, [10 * 204 + 83]);
+  assert.equal(frame.saturated, 1);
+});
+
+test("colours: the window is fixed, maps end where they should", () => {
+  const words = coloursOf({ ...PLAIN, low: 50, high: 150 }, 256);
+  assert.deepEqual([words[0], words[50], words[150], words[255]], [0xff000000, 0xff000000, 0xffffffff, 0xffffffff]);
+  assert.deepEqual(MAPS.viridis(0), [68, 1, 84]);
+  assert.deepEqual(MAPS.viridis(1).map(Math.round), [253, 231, 37]);
+  const lightness = ([r, g, b]) => 0.2126 * r ** 2.2 + 0.7152 * g ** 2.2 + 0.0722 * b ** 2.2;
+  for (const map of ["viridis", "cividis"]) {
+    for (let k = 0; k < 100; k++) assert.ok(lightness(MAPS[map](k / 100)) < lightness(MAPS[map]((k + 1) / 100)), map);
+  }
+});
+
+test("thresholds invert Eq. 5", () => {
+  for (const sensor of [EQ5, { ...EQ5, gamma: 1, gain: 9e4, dark_gray: 0.5 }]) {
+    const { first, values } = thresholdsOf(sensor);
+    assert.equal(first + values.length, Math.round(sensor.saturation_gray));
+    values.forEach((light, k) => assert.ok(Math.abs(grayOf(light, sensor) - (first + k + 0.5)) < 1e-4));
+  }
+});
+
+test("turned sensors keep the exposure of saturation", () => {
+  const full = ({ saturation_gray: s, dark_gray: d, gain, gamma }) => ((s - d) / gain) ** (1 / gamma);
+  for (const knobs of [{ gamma: "0.5" }, { bit_depth: "12" }, { gamma: "1.2", bit_depth: "10" }]) {
+    assert.ok(Math.abs(full(turnedSensor(EQ5, knobs, 1)) / full(EQ5) - 1) < 1e-12);
+  }
+  assert.equal(turnedSensor(EQ5, { gain: "2" }, 1).gain, 2 * EQ5.gain);
+  assert.equal(turnedSensor(EQ5, { gain: "wrong", gamma: "" }, 1).gain, EQ5.gain);
+  const linear = { ...EQ5, gamma: 1, linear: { system_gain: 0.01, offset: 4, full_well: 2e4, dark_signal: 10, electrons_of_exposure: 1e9 } };
+  const made = turnedSensor(linear, { gain: "2", dark_gray: "6" }, 3);
+  assert.deepEqual([made.dark_gray, made.saturation_gray, made.gain], [6 + 0.02 * 30, 255, 0.02 * 1e9]);
+});
+
+test("a drag is one step back, and what comes after an undo is forgotten", () => {
+  const history = new History(untouched(3));
+  for (const level of [0.9, 0.8, 0.7]) assert.ok(history.turn(withLevels(history.now, [1], level), "b"));
+  history.rest();
+  history.turn(withLevels(history.now, [1], 0.1), "b");
+  history.turn(withKnob(history.now, "gain", "2"), "gain");
+  assert.equal(history.turn(withKnob(history.now, "gain", "2"), "gain"), false);
+  assert.ok(history.undo() && history.undo());
+  assert.deepEqual(history.now, { levels: [1, 0.7, 1], knobs: {} });
+  assert.ok(history.redo());
+  assert.equal(history.now.levels[1], 0.1);
+  history.turn(withLevels(history.now, [0, 1, 2], 1), "all");
+  assert.equal(history.redo(), false);
+  assert.ok(sameTurn(history.now, untouched(3)));
+  while (history.undo());
+  assert.ok(sameTurn(history.now, history.start));
+  assert.ok(!sameTurn(withKnob(untouched(3), "gain", "1"), untouched(3)));
+  assert.deepEqual(withKnob(withKnob(untouched(1), "gain", "2"), "gain", undefined), untouched(1));
+});
+
+test("lines have one pixel a step, and both ends", () => {
+  assert.deepEqual(linePixels([5, 5, 5, 5]), [{ u: 5, v: 5, distance: 0 }]);
+  const line = linePixels([0, 0, 8, 3]);
+  assert.deepEqual(line.map(({ u }) => u), [0, 1, 2, 3, 4, 5, 6, 7, 8]);
+  assert.deepEqual(line.map(({ v }) => v), [0, 0, 1, 1, 2, 2, 2, 3, 3]);
+  assert.equal(line.at(-1).distance, Math.hypot(8, 3));
+  assert.equal(linePixels([9, 2, 0, 2]).length, 10);
+});
+
+test("statistics", () => {
+  assert.deepEqual(summary([2, 4, 4, 4, 5, 5, 7, 9]), { n: 8, mean: 5, deviation: Math.sqrt(32 / 7), min: 2, max: 9 });
+  assert.equal(summary([3]).deviation, 0);
+  const counts = Float64Array.of(1, 2, 3, 4);
+  assert.deepEqual(grouped(counts, 2), [{ first: 0, last: 1, count: 3 }, { first: 2, last: 3, count: 7 }]);
+  assert.equal(quantile(counts, 0.5), 2);
+  const csv = profileCsv([{ u: 1, v: 2, distance: 0, code: 5, gray: 5.25, sigma: null, exposure: 1e-3 }]);
+  assert.equal(csv.split("\n")[1], "0,1,2,5,5.25,,0.001");
+});
+
+test("units as radwrap has them", () => {
+  assert.equal(parseTime("387 ms"), 0.387);
+  for (const text of ["387", "387ms", "387 mm", "nan s", "-1 s", "1e300 s", "1 s s", "", "0 s", "1,5 s", "1 constructor"]) {
+    assert.equal(parseTime(text), null, text);
+  }
+  for (const text of ["nan", "1e999", "", "1 2", "0x10", "1,5", "Infinity"]) assert.equal(parseNumber(text), null, text);
+  assert.equal(parseNumber(" 1e-2 "), 0.01);
+  assert.deepEqual([timeText(0.387), timeText(2), timeText(3.5e-5)], ["387 ms", "2 s", "35 us"]);
+  assert.equal(parseTime(timeText(0.12345)), 0.1235);
+  assert.deepEqual([percent(0), percent(1e-9), percent(0.5), percent(1e-4)], ["0 %", "< 0.001 %", "50.0 %", "0.010 %"]);
+  assert.equal(shortNumber(Infinity), "no bound");
+  assert.equal(exposureText(1.483e-3), "1.483 mJ/m²");
+});
