@@ -136,6 +136,7 @@ DOORS = {
 OPTION = re.compile(r"(?<![\w-])--(?:[a-z]|$)")  # also where a name follows in an f-string
 SPELLERS = {
     "face/session.py": "the command that makes the same picture, to be copied as it is",
+    "imaging/page/one_file.py": "the same",
     "imaging/page/turn.py": "the same",
     "led/connect.py": "arguments of the emulator, a program of its own",
     "led/emulator/__main__.py": "the same",

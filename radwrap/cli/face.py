@@ -5,15 +5,18 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import tempfile
 import webbrowser
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
 from radwrap.cli import options as shared
-from radwrap.errors import EnvironmentFailure, InputError
+from radwrap.errors import EnvironmentFailure, InputError, ToleranceNotMet
 from radwrap.files import make_folder
 from radwrap.imaging.render_options import RenderOptions
+from radwrap.imaging.synthesis import render
+from radwrap.scene.scene import Scene
 
 _DESCRIPTION: Final = (
     "Shows a scene in the browser: turn light levels, exposure and sensor, and see gray levels with their error. The "
@@ -33,6 +36,11 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument("--no-browser", action="store_true", help="open no browser, only say where the link is")
     parser.add_argument("--out", metavar="DIR", help="folder in which the page's Save leaves its files, and the basis")
     parser.add_argument(
+        "--export",
+        metavar="PAGE.html",
+        help="serve nothing, but write the page and its basis as one file of at most 4 MB, which needs no server",
+    )
+    parser.add_argument(
         "--seed", metavar="S", type=shared.whole(), default=0, help="seed of all that is drawn (default 0)"
     )
     shared.add_tracer(parser)
@@ -49,6 +57,8 @@ def run(arguments: argparse.Namespace) -> int:
         if out is None:
             raise InputError("has no name", where="--out", remedy="name a folder")
         make_folder(out)
+    if arguments.export is not None:
+        return _export(arguments, scene, options)
     try:
         from radwrap.face.serve import serve
     except ModuleNotFoundError as error:
@@ -57,6 +67,21 @@ def run(arguments: argparse.Namespace) -> int:
         ) from error
     browser = None if arguments.no_browser or not _has_screen() else _open
     serve(scene, options, port=arguments.port, out=out, words=_words(arguments), opened=browser)
+    return 0
+
+
+def _export(arguments: argparse.Namespace, scene: Scene, options: dict[str, Any]) -> int:
+    """Render, and write the page as one file."""
+    path = shared.file_to_write(arguments.export, "--export", ".html", others=(arguments.scene,))
+    with tempfile.TemporaryDirectory(prefix="radwrap-") as folder:
+        made = render(scene, folder, basis=True, progress=True, **options)
+        page = made.page()
+    if path is not None:
+        page.save(path)
+    pixels = f"; {page.binned} x {page.binned} pixels are one, else it would be too large" if page.binned > 1 else ""
+    print(f"{path}: {len(page.html) / 1e6:.1f} MB{pixels}")
+    if not made.met:
+        raise ToleranceNotMet("the tolerance was not met; this is the best image that was found")
     return 0
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,8 @@ from radwrap.errors import InputError
 from radwrap.images import ExposureImage, GrayImage, png_bytes, preview_codes
 from radwrap.imaging.other_camera import Developed, in_other_camera
 from radwrap.imaging.output.run_manifest import Extent, RunManifest
+from radwrap.imaging.page.one_file import Page, one_file
+from radwrap.imaging.relight.relit import read_basis
 from radwrap.imaging.response.noise import fixed_pattern, linear_of, noisy_frame
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.tolerance.certificate import Certificate
@@ -50,6 +53,8 @@ class Rendered:
         What was rendered.
     stated_sigma : ndarray, shape (rows, columns), optional
         What gray_sigma.exr holds, where the scene states tolerances.
+    basis_folder : Path, optional
+        Where its light basis lies, if it was made with one.
 
     Examples
     --------
@@ -69,6 +74,7 @@ class Rendered:
     truth: Mapping[str, Any] | None
     scene: Scene
     stated_sigma: Array | None = None
+    basis_folder: Path | None = None
 
     def __repr__(self) -> str:
         rows, columns = self.gray.values.shape
@@ -179,6 +185,20 @@ class Rendered:
             If a value is wrong, or the sensor's pixels are others: those get other light, and need a render.
         """
         return self._in_other_camera({f"camera.sensor.{name}": value for name, value in values.items()})
+
+    def page(self) -> Page:
+        """A page with knobs for light, exposure and sensor, in one file: a notebook shows it, `Page.save` writes it.
+
+        Raises
+        ------
+        InputError
+            If it was rendered without its light basis, or that is damaged.
+        """
+        if self.basis_folder is None:
+            raise InputError(
+                "needs a light basis", where="page", remedy="render the scene into a folder with `basis=True`"
+            )
+        return one_file(self.scene, read_basis(self.basis_folder), self.run)
 
     def mm_per_px(self, target: str) -> tuple[float, float]:
         """Width and height of a pixel in the object [mm], where the camera's axis would meet a target's face squarely.

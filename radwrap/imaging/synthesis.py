@@ -47,7 +47,7 @@ from radwrap.imaging.output.run_manifest import (
 from radwrap.imaging.output.sigma_file import SIGMA, write_sigma
 from radwrap.imaging.output.traced_run import TracedRun
 from radwrap.imaging.output.truth_files import TRUTH, read_truth, write_truth
-from radwrap.imaging.relight.basis import FOLDER, shining, write_basis
+from radwrap.imaging.relight.basis import BASIS, FOLDER, shining, write_basis
 from radwrap.imaging.render_options import Method, RenderOptions, TracerName
 from radwrap.imaging.rendered import Rendered
 from radwrap.imaging.tolerance.kept_replicates import kept, write_replicates
@@ -296,6 +296,7 @@ def load_result(scene: Scene, out: Path) -> Rendered:
         truth=read_truth(out) if TRUTH in run.files else None,
         scene=scene,
         stated_sigma=read_image(out / SIGMA)[0].astype(np.float64) if stated else None,
+        basis_folder=out if BASIS in run.files else None,
     )
 
 

@@ -162,7 +162,7 @@ export class Explorer {
       const certified = await this.source.turn(this.described.basis, turn, asking.signal);
       if (asking.signal.aborted || !sameTurn(turn, this.history.now) || this.leave.signal.aborted) return;
       if (!certified) {
-        this.setStale("as traced");
+        this.setStale("turned: error of the scene's own levels");
         return;
       }
       this.certified = certified;

@@ -2,7 +2,7 @@
 
 import assert from "node:assert/strict";
 import { execFile, spawn } from "node:child_process";
-import { mkdtempSync, readFileSync, rmSync, existsSync } from "node:fs";
+import { existsSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
@@ -372,4 +372,34 @@ test("a trace in the light of the knobs, and one that is stopped", async (t) => 
   await page.waitForFunction(() => document.querySelector(`[data-knob="level:all"] input[type=text]`)?.value === "1", undefined, { timeout: PATIENCE });
   await measured(page);
   assert.match(await page.textContent("#command"), /basis_2/);
+});
+
+test("the page in one file works from a folder and in a notebook's frame", async (t) => {
+  const file = join(folder, "page.html");
+  await run(RADWRAP, ["face", SCENE, "--set", "title=</script><script>alert(1)</script>", "--tolerance", "2", "--export", file]);
+  const { page } = await loaded(t, { at: `file://${file}` });
+  assert.equal(await page.textContent("#title"), "</script><script>alert(1)</script>");
+  assert.match(await page.textContent("#rays"), /has no server/);
+  const before = await picture(page, 165, 192);
+  await type(page, "level:all", "0.5");
+  await type(page, "gamma", "0.7");
+  await page.waitForFunction(() => document.getElementById("state").textContent.startsWith("turned"));
+  const out = join(folder, "one-file");
+  await run(RADWRAP, ["render", SCENE, "--tolerance", "2", "--basis", "--out", `${out}-basis`]);
+  const { stdout } = await run(join(ROOT, ".venv/bin/python"), ["-c", "import sys; from radwrap.scene.file.load import load_scene;"
+    + "from radwrap.imaging.page.turn import Turn, changes_of;"
+    + "print(changes_of(Turn((), gamma=0.7), load_scene(sys.argv[1]).camera)['camera.sensor.gain'])", SCENE]);
+  assert.deepEqual(before, await codesOf(`${out}-basis/gray.png`));
+  await run(RADWRAP, ["relight", `${out}-basis`, "--level", "ring=0.5", "--set", "camera.sensor.gamma=0.7", "--set",
+    `camera.sensor.gain=${stdout.trim()}`, "--out", out]);
+  const [shown, written] = [(await picture(page, 165, 192)).flat(), (await codesOf(`${out}/gray.png`)).flat()];
+  const off = shown.flatMap((code, k) => (code === written[k] ? [] : [Math.abs(code - written[k])]));
+  assert.ok(off.length <= 1e-4 * shown.length && off.every((by) => by <= 1), `${off.length} codes differ`);
+  for (const id of ["save", "trace", "png", "toml"]) assert.ok(!(await page.locator(`#${id}`).isVisible()), id);
+  // In a frame of an origin of its own, as Rendered.page() is shown in a notebook.
+  const html = readFileSync(file, "utf8").replaceAll("&", "&amp;").replaceAll('"', "&quot;");
+  const framed = join(folder, "notebook.html");
+  writeFileSync(framed, `<!doctype html><iframe sandbox="allow-scripts allow-downloads" width="1200" height="900" srcdoc="${html}"></iframe>`);
+  const { page: notebook } = await opened(t, { at: `file://${framed}` });
+  await notebook.frameLocator("iframe").locator("#state:has-text('measured')").waitFor();
 });
