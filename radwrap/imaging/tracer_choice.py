@@ -54,6 +54,8 @@ class TracerUsed:
         The same of walks of light from surface to surface, over `SURE_STEPS` steps, where they are asked for.
     whole : tuple of str, optional
         Wide lights that shine as a whole, not from the middles of their patches.
+    in_patches : tuple of str, optional
+        Wide lights that shine from their patches: their half shadows come in steps.
     """
 
     name: EngineName
@@ -61,6 +63,7 @@ class TracerUsed:
     probe: Agreement | None = field(default=None, metadata=ONLY_WHERE_USED)
     walks: Agreement | None = field(default=None, metadata=ONLY_WHERE_USED)
     whole: tuple[str, ...] | None = field(default=None, metadata=ONLY_WHERE_USED)
+    in_patches: tuple[str, ...] | None = field(default=None, metadata=ONLY_WHERE_USED)
 
 
 def candidate(scene: Scene, options: RenderOptions) -> TracerUsed:

@@ -35,7 +35,7 @@ from radwrap.progress import note
 from radwrap.scene.camera import ColourChannel
 from radwrap.scene.look.wide_sources import divided
 from radwrap.scene.scene import Scene
-from radwrap.scene.sources import Source, emitters
+from radwrap.scene.sources import Source, WideSource, emitters
 from radwrap.tracers.agreement import Agreement
 from radwrap.tracers.bouncing import SURE_STEPS, reflecting_parts
 from radwrap.tracers.engine import Engine
@@ -137,6 +137,9 @@ class LaidOutScene:
     def _trace_by_radiance(self, scene: Scene, folder: Path) -> None:
         """Make Radiance the tracer, of a scene that may have more patches for its wide sources."""
         self.scene = scene
+        if self.tracer_used.name == "radiance":
+            wide = (source for source in scene.sources if isinstance(source, WideSource) and source.radiance > 0)
+            self.tracer_used = replace(self.tracer_used, in_patches=tuple(source.name for source in wide) or None)
         self._reference = self._radiance_engine(scene, folder)
         self.prepared = self._reference.prepared
         self._engine = self._reference

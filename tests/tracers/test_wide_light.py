@@ -21,6 +21,7 @@ from radwrap.tracers.compiled.arrays import Floats as Array
 from radwrap.tracers.compiled.cover_rows import Wardrobe
 from radwrap.tracers.compiled.shape_rows import sorted_shapes
 from radwrap.tracers.compiled.tree import DEPTH
+from radwrap.tracers.compiled.wide_beam import CUTS
 from radwrap.tracers.compiled.wide_cells import ALL_CELLS, CELLS, bits_of, cell_of, hiding_cells, memory, within_cells
 from radwrap.tracers.compiled.wide_light import MOST_POINTS
 from radwrap.tracers.compiled.wide_points import key_of_ray, spread_point
@@ -89,14 +90,20 @@ def brute(source: WideSource, x: float, edge: float, height: float) -> float:
     return float(source.radiance * f[~stopped].sum() / len(f))
 
 
+def open_light(source: WideSource, p: tuple[float, float, float]) -> float:
+    """What a point gets with nothing between."""
+    return unhidden(wide_row(source, FRAME)[0], np.zeros(1), p, UP, np.empty(CUTS))
+
+
 def received(source: WideSource, tree: Tree, p: tuple[float, float, float], n: tuple[float, float, float]) -> Array:
     """Irradiances of a point by many keys: radiances of a surface of reflectance pi."""
     light, none, stack = wide_row(source, FRAME)[0], sheets(()), np.empty(DEPTH, dtype=np.int64)
     cells, known, chosen = cell_rows([source], FRAME), memory(), np.empty(CELLS * CELLS, dtype=np.int64)
-    matte, rest = rows(Cover, 1)[0], (np.zeros(1), p, n, n, -1)
+    matte, room, rest = rows(Cover, 1)[0], np.empty(CUTS), (np.zeros(1), p, n, n, -1)
     keys = [key_of_ray(float(k), 0.0, 0.0, 0.0, 0.0, 1.0, 0) for k in range(KEYS)]
-    found = [sent(light, 0, cells, PLACE, matte, 1.0, *tree, *none, *rest, key, known, chosen, stack) for key in keys]
-    return np.array(found)
+    return np.array(
+        [sent(light, 0, cells, PLACE, matte, 1.0, *tree, *none, *rest, key, known, chosen, room, stack) for key in keys]
+    )
 
 
 @pytest.mark.parametrize("x", [0.0, *(pytest.param(x, marks=pytest.mark.long) for x in (-0.1, 0.04))])
@@ -105,8 +112,7 @@ def test_half_shadow_behind_an_edge(name: str, x: float) -> None:
     source, edge, height = wide(name), 0.01, 0.3
     tree = sheets([Pose((edge + 1.0, 0.0, height))])
     found = received(source, tree, (x, 0.0, 0.0), UP).mean()
-    open_light = unhidden(wide_row(source, FRAME)[0], (x, 0.0, 0.0), UP)
-    assert found == pytest.approx(brute(source, x, edge, height), abs=HALF_SHADOW * open_light)
+    assert found == pytest.approx(brute(source, x, edge, height), abs=HALF_SHADOW * open_light(source, (x, 0.0, 0.0)))
 
 
 @pytest.mark.parametrize("name", LIGHTS)
@@ -114,7 +120,7 @@ def test_no_noise_where_nothing_hides(name: str) -> None:
     tree, p = sheets([Pose((0.0, 0.0, -0.5)), Pose((9.0, 0.0, 0.0))]), (0.0, 0.0, 0.0)
     values = received(wide(name), tree, p, UP)
     assert np.ptp(values) == 0
-    assert values[0] == unhidden(wide_row(wide(name), FRAME)[0], p, UP)
+    assert values[0] == open_light(wide(name), p)
 
 
 @pytest.mark.parametrize("name", LIGHTS)
@@ -125,12 +131,12 @@ def test_no_light_where_all_is_hidden(name: str) -> None:
 def test_no_less_than_nothing_in_the_last_of_a_half_shadow() -> None:
     """What is cut off at 0 there makes the mean too large by less than may be asked for."""
     source, edge, height = wide("bar"), 0.01, 0.3
-    light, tree = wide_row(source, FRAME)[0], sheets([Pose((edge + 1.0, 0.0, height))])
+    tree = sheets([Pose((edge + 1.0, 0.0, height))])
     for x in (0.08, 0.1, 0.12):
         values = received(source, tree, (x, 0.0, 0.0), UP)
         assert values.min() >= 0
         due = brute(source, x, edge, height)
-        assert values.mean() == pytest.approx(due, abs=HALF_SHADOW * unhidden(light, (x, 0.0, 0.0), UP))
+        assert values.mean() == pytest.approx(due, abs=HALF_SHADOW * open_light(source, (x, 0.0, 0.0)))
 
 
 def outside(x: float, z: float) -> float:
@@ -155,9 +161,8 @@ def outside(x: float, z: float) -> float:
 
 @pytest.mark.parametrize(("x", "z"), [(1.1, -0.2), (1.1, 0.0), (1.5, -0.3)])
 def test_a_dome_hides_its_own_light_from_outside(x: float, z: float) -> None:
-    light = wide_row(wide("dome"), FRAME)[0]
     values = received(wide("dome"), sheets(()), (x, 0.0, z), UP)
-    whole = unhidden(light, (x, 0.0, z), UP)
+    whole = open_light(wide("dome"), (x, 0.0, z))
     error = values.std() / math.sqrt(KEYS)
     assert error < HALF_SHADOW * whole
     assert values.mean() == pytest.approx(outside(x, z), abs=SURE * error)
@@ -260,8 +265,9 @@ def test_below_the_horizon_nothing_is_asked() -> None:
     assert may_light(light, (0.0, 0.0, 0.0), (-1.0, 0.0, 0.0))  # a part of it
 
 
-def test_other_beams_shine_in_patches() -> None:
+def test_what_shines_as_a_whole() -> None:
     even = wide("bar")
     assert shines_whole(even)
-    assert not shines_whole(replace(even, beam=Beam("gaussian", 0.3)))
+    assert shines_whole(replace(even, beam=Beam("gaussian", 0.3)))
     assert not shines_whole(replace(even, radiance=0.0))
+    assert not shines_whole(replace(wide("dome"), beam=Beam("gaussian", 0.3)))  # no scene has one

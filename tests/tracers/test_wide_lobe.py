@@ -10,13 +10,22 @@ import pytest
 pytest.importorskip("numba")
 
 from radwrap.frames import Pose
-from radwrap.scene.materials import Anisotropic, Lambertian, Material, Specular
+from radwrap.scene.materials import (
+    Anisotropic,
+    CoefficientTable,
+    GlassBeads,
+    Lambertian,
+    Material,
+    MeasuredBrdf,
+    PerturbedNormal,
+    Specular,
+)
 from radwrap.scene.targets import Sheet
 from radwrap.scene.wide_shapes import Annulus, area
 from radwrap.tracers.compiled.arrays import Cover, Floats
 from radwrap.tracers.compiled.compiler import compiled
 from radwrap.tracers.compiled.cover_rows import Wardrobe
-from radwrap.tracers.compiled.covers import glossy
+from radwrap.tracers.compiled.covers import reflected
 from radwrap.tracers.compiled.tree import DEPTH
 from radwrap.tracers.compiled.wide_contour import Place
 from radwrap.tracers.compiled.wide_lobe import Grain, grain_of, lobe_density, mirrored, sampled_lobe
@@ -27,6 +36,7 @@ from radwrap.tracers.compiled.wide_shape import meets
 from tests.tracers.test_wide_light import FRAME, LIGHTS, SURE, area_points, sheets, wide
 
 UP = (0.0, 0.0, 1.0)
+TO_LIGHT = (0.25, 0.15, math.sqrt(1 - 0.085))  # of a retroreflector
 KEYS = 4000
 SLANTED = (-0.3, 0.2, math.sqrt(1 - 0.13))
 GLOSSY: dict[str, Material] = {
@@ -35,28 +45,57 @@ GLOSSY: dict[str, Material] = {
     "broad": Specular(0.1, 0.2, 0.3),
     "brushed": Anisotropic(0.1, 0.2, 0.05, 0.3),
 }
+ANGLES = tuple(np.radians([0.0, 10.0, 20.0, 35.0, 50.0, 65.0, 80.0, 90.0]).tolist())
+TURNS = tuple(np.radians([0.0, 45.0, 90.0, 135.0, 150.0, 165.0, 180.0]).tolist())
+BRDF_VALUES = tuple(
+    0.05 + 0.2 * math.exp(-((a - b) ** 2 + 0.5 * (math.pi - c) ** 2) / 0.2)
+    for a in ANGLES
+    for b in ANGLES
+    for c in TURNS
+)
+OTHERS: dict[str, Material] = {
+    "retro_sharp": PerturbedNormal(0.6, 0.02),
+    "retro": PerturbedNormal(0.6, 0.1),
+    "retro_broad": PerturbedNormal(0.6, 0.3),
+    "beads": GlassBeads(30.0, "hold"),
+    "table": CoefficientTable(
+        tuple(np.radians([0.2, 0.5, 1.0, 2.0, 5.0]).tolist()),
+        tuple(np.radians([0.0, 20.0, 40.0]).tolist()),
+        ((60.0, 50.0, 30.0), (40.0, 30.0, 20.0), (12.0, 10.0, 6.0), (3.0, 2.0, 1.0), (0.5, 0.4, 0.2)),
+        "log",
+        "hold",
+    ),
+    "brdf": MeasuredBrdf("x", ANGLES, ANGLES, TURNS, BRDF_VALUES),
+}
+ALL = {**GLOSSY, **OTHERS}
+
+
+def cover_and_tables(material: Material) -> tuple[np.void, Floats]:
+    tables: list[float] = []
+    wardrobe = Wardrobe({"m": material}, FRAME, tables)
+    list(wardrobe.pieces(Sheet("s", Pose(), "m", 2.0, 2.0)))
+    return wardrobe.covers[0], np.array([*tables, 0.0])
 
 
 def cover_of(material: Material) -> np.void:
-    wardrobe = Wardrobe({"m": material}, FRAME, [])
-    list(wardrobe.pieces(Sheet("s", Pose(), "m", 2.0, 2.0)))
-    return wardrobe.covers[0]
+    return cover_and_tables(material)[0]
 
 
 def shines(name: str, material: Material, v: tuple[float, float, float], *, keys: int = KEYS) -> np.ndarray:
     """Radiances that a lobe sends to the eye by many keys, with nothing between."""
-    light, cover, none = wide_row(wide(name), FRAME)[0], cover_of(material), sheets(())
-    stack, rest = np.empty(DEPTH, dtype=np.int64), (np.zeros(1), (0.0, 0.0, 0.0), UP, v, -1, 0)
+    light, none, (cover, tables) = wide_row(wide(name), FRAME)[0], sheets(()), cover_and_tables(material)
+    stack, rest = np.empty(DEPTH, dtype=np.int64), (tables, (0.0, 0.0, 0.0), UP, v, -1, 0)
     found = [key_of_ray(float(k), 0.0, 0.0, 0.0, 0.0, 1.0, 0) for k in range(keys)]
     return np.array([sampled_lobe(light, cover, *none, *none, *rest, key, stack) for key in found])
 
 
 @compiled
-def lobes(cover: Cover, n: Place, v: Place, directions: Floats, found: Floats) -> None:
-    """What a lobe adds for light from each direction."""
+def lobes(cover: Cover, tables: Floats, v: Place, directions: Floats, found: Floats) -> None:
+    """What a lobe of a face upwards adds for light from each direction."""
+    n = UP
     for i in range(len(directions)):
         d = directions[i]
-        found[i] = glossy(cover, n[0], n[1], n[2], v[0], v[1], v[2], d[0], d[1], d[2], 0.0)
+        found[i] = reflected(cover, tables, 0.0, n[0], n[1], n[2], v[0], v[1], v[2], d[0], d[1], d[2], 0.0)
 
 
 @compiled
@@ -69,23 +108,24 @@ def lobe_densities(grain: Grain, n: Place, v: Place, directions: Floats, found: 
 
 def brute(name: str, material: Material, v: tuple[float, float, float]) -> float:
     """By 2^18 points of the light."""
-    source, cover = wide(name), cover_of(material)
+    source, (cover, tables) = wide(name), cover_and_tables(material)
     points, normals = area_points(source.shape, 1 << 18)
     turned = np.asarray(source.pose.rotation).T
     points, normals = points @ turned + source.pose.position, normals @ turned
     away = np.linalg.norm(points, axis=1)
     leaving = np.maximum(-(points * normals).sum(axis=1) / away, 0.0)
     each = np.empty(len(points))
-    lobes(cover, UP, v, points / away[:, np.newaxis], each)
+    lobes(cover, tables, v, points / away[:, np.newaxis], each)
     return float(source.radiance * area(source.shape) * np.mean(each * leaving / away**2))
 
 
-@pytest.mark.parametrize("material", GLOSSY)
+@pytest.mark.parametrize("material", ALL)
 @pytest.mark.parametrize("name", LIGHTS)
 def test_lobe_against_quadrature(name: str, material: str) -> None:
-    values = shines(name, GLOSSY[material], SLANTED)
-    due, error = brute(name, GLOSSY[material], SLANTED), values.std() / math.sqrt(KEYS)
-    largest = GLOSSY[material].specular_reflectance * wide(name).radiance
+    v = SLANTED if material in GLOSSY or name == "dome" else TO_LIGHT
+    values = shines(name, ALL[material], v)
+    due, error = brute(name, ALL[material], v), values.std() / math.sqrt(KEYS)
+    largest = max(0.2 * wide(name).radiance, due)
     assert error < 2e-3 * largest
     assert values.mean() == pytest.approx(due, abs=SURE * error + 1e-3 * due)
 
@@ -100,7 +140,7 @@ def test_broad_lobe_by_nodes(name: str, material: str) -> None:
         assert second >= 4
     for v in (SLANTED, (0.6, -0.3, math.sqrt(1 - 0.45)), UP):
         if first:
-            found = whole_lobe(light, cover, p, UP, v, first, second)
+            found = whole_lobe(light, cover, np.zeros(1), p, UP, v, first, second)
             assert found == pytest.approx(brute(name, GLOSSY[material], v), rel=1e-3, abs=1e-5)
 
 

@@ -57,8 +57,6 @@ Array = NDArray[np.float64]
 MOST_PATCHES: Final = 4096
 # Patches of an outline at most, but where a source's first cells are more.
 _OUTLINE: Final = 64
-# Materials whose reflection of the light of a whole source is known.
-_SAMPLED: Final = (Lambertian, PrintedImage, Specular, Anisotropic)
 # What is found at some points may be exceeded between them.
 _MARGIN: Final = 0.5
 _NODES: Final = 4  # along each side of a patch
@@ -97,9 +95,9 @@ def outlined(scene: Scene) -> Scene:
 
 
 def may_shine_whole(scene: Scene) -> bool:
-    """Whether wide sources of even radiance may shine as a whole: what reflects their light can be sampled."""
+    """Whether wide sources may shine as a whole: nothing mirrors them, or lets them through."""
     names = {name for target in scene.targets for name in materials_of(target)}
-    return all(isinstance(scene.materials[name], _SAMPLED) for name in names)
+    return not any(isinstance(scene.materials[name], Mirror | Glass) for name in names)
 
 
 def divided(scene: Scene, *, outlines_too: bool = True) -> Scene:
@@ -134,9 +132,7 @@ def divided(scene: Scene, *, outlines_too: bool = True) -> Scene:
 
 
 def _outline(source: WideSource) -> WideSource:
-    """The source with a few patches; another beam than the Lambertian never shines as a whole."""
-    if source.beam.profile != "lambertian":
-        return source
+    """The source with a few patches."""
     cells = first_cells(source.shape)
     while 2 * len(cells) <= _OUTLINE:
         cells = [half for cell in cells for half in halves(source.shape, cell)]

@@ -31,6 +31,13 @@ COSINE_POWER: Final = 2
 CONE: Final = 3
 TABLE_BEAM: Final = 4
 LUMINAIRE: Final = 5
+BEAMS: Final = {
+    "lambertian": LAMBERTIAN,
+    "gaussian": GAUSSIAN,
+    "cosine_power": COSINE_POWER,
+    "cone": CONE,
+    "table": TABLE_BEAM,
+}
 
 # Kinds of what a cover reflects besides its diffuse part, and what its numbers a, b, c are.
 NOTHING: Final = 0
@@ -131,6 +138,8 @@ class Cover:
         Factor on the rest.
     a, b, c : float
         The rest's own numbers, see the kinds.
+    fine : float
+        The smallest angle over which the rest changes much: of a lobe its roughness, of a table its least step [rad].
     gx, gy, gz : float
         Direction of the grain.
     table : int
@@ -148,6 +157,7 @@ class Cover:
     a: float
     b: float
     c: float
+    fine: float
     gx: float
     gy: float
     gz: float
@@ -276,7 +286,7 @@ class Cluster:
 
 
 class Wide:
-    """A wide light of even radiance, which shines as a whole.
+    """A wide light, which shines as a whole.
 
     Attributes
     ----------
@@ -295,7 +305,13 @@ class Wide:
     a, b, c : float
         Sizes of its shape.
     area, radiance : float
-        Area, and radiance [W m^-2 sr^-1].
+        Area, and radiance along the normal [W m^-2 sr^-1].
+    beam, spread, table, columns
+        As those of a `Light`; round ones are Lambertian.
+    narrow : float
+        Angle over which its beam changes as a Gaussian does over its standard deviation [rad].
+    reach : float
+        Angle beyond which next to nothing of its beam is left [rad].
     x0, y0, z0, x1, y1, z1 : float
         The box about it.
     """
@@ -321,6 +337,12 @@ class Wide:
     c: float
     area: float
     radiance: float
+    beam: int
+    spread: float
+    table: int
+    columns: int
+    narrow: float
+    reach: float
     x0: float
     y0: float
     z0: float

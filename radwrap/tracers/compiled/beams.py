@@ -6,7 +6,7 @@ import math
 from typing import Final
 
 from radwrap.tracers.compiled.arithmetic import angle_of, azimuth, exponential, log_cosine, squared_angle_of
-from radwrap.tracers.compiled.arrays import CONE, COSINE_POWER, GAUSSIAN, LAMBERTIAN, LUMINAIRE, Floats, Light
+from radwrap.tracers.compiled.arrays import CONE, COSINE_POWER, GAUSSIAN, LAMBERTIAN, LUMINAIRE, Floats, Light, Wide
 from radwrap.tracers.compiled.compiler import compiled
 
 # As Radiance, which leaves out light that grazes a source.
@@ -23,22 +23,28 @@ def radiance_along(light: Light, tables: Floats, dx: float, dy: float, dz: float
     if beam == LAMBERTIAN:
         return light.radiance
     half_sine2 = ((dx - light.nx) ** 2 + (dy - light.ny) ** 2 + (dz - light.nz) ** 2) / 4
-    spread = light.spread
+    return light.radiance * share_of(light, tables, half_sine2) / cosine
+
+
+@compiled
+def share_of(light: Light | Wide, tables: Floats, half_sine2: float) -> float:
+    """I(theta)/I(0) of a beam about an axis, from sin^2 of half the angle theta; not of a luminaire."""
+    beam, spread = light.beam, light.spread
     if beam == GAUSSIAN:
-        share = exponential(-squared_angle_of(half_sine2) * (0.5 / (spread * spread)))
-    elif beam == COSINE_POWER:
-        share = exponential(log_cosine(half_sine2) / (spread * spread))
-    elif beam == CONE:
-        share = 1.0 if angle_of(half_sine2) < spread else 0.0
-    else:
-        first, count = light.table, light.columns
-        place = angle_of(half_sine2) / (spread * math.pi / 2) * (count - 1)
-        low = min(int(place), count - 1)
-        share = 0.0
-        if place <= count - 1:
-            above = min(low + 1, count - 1)
-            share = tables[first + low] * (1 - (place - low)) + tables[first + above] * (place - low)
-    return light.radiance * share / cosine
+        return exponential(-squared_angle_of(half_sine2) * (0.5 / (spread * spread)))
+    if beam == LAMBERTIAN:
+        return max(1 - 2 * half_sine2, 0.0)
+    if beam == COSINE_POWER:
+        return exponential(log_cosine(half_sine2) / (spread * spread))
+    if beam == CONE:
+        return 1.0 if angle_of(half_sine2) < spread else 0.0
+    first, count = light.table, light.columns
+    place = angle_of(half_sine2) / (spread * math.pi / 2) * (count - 1)
+    if not place <= count - 1:
+        return 0.0
+    low = min(int(place), count - 1)
+    above = min(low + 1, count - 1)
+    return tables[first + low] * (1 - (place - low)) + tables[first + above] * (place - low)
 
 
 @compiled

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import assert_never
 
 import numpy as np
@@ -103,6 +104,7 @@ class Wardrobe:
             diffuse, weight = material.coverage * material.reflectance, weight * (1 - material.coverage)
         cover["kind"], cover["two_sided"] = kind, isinstance(material, TwoSided)
         put(cover, "diffuse weight a b c", [diffuse / math.pi, weight, *own])
+        cover["fine"] = _fine(base)
         cover["table"] = self._table(name, "table", lambda: _table(base))
         if isinstance(material, Anisotropic):
             put(cover, "gx gy gz", target.pose.x_axis)
@@ -145,6 +147,28 @@ def _kind(material: Material) -> tuple[int, float, float, tuple[float, float, fl
             raise TypeError("not a cover of one kind")
         case _:
             assert_never(material)
+
+
+def _fine(material: Material) -> float:
+    """See `Cover`."""
+    match material:
+        case Specular(_, _, roughness) | PerturbedNormal(_, roughness):
+            return roughness
+        case Anisotropic(_, _, along, across):
+            return min(along, across)
+        case CoefficientTable(observation):
+            return _least_step(observation)
+        case GlassBeads():
+            return math.radians(_least_step(GLASS_BEAD_OBSERVATION))
+        case MeasuredBrdf(_, incidence, viewing, azimuth):
+            return min(map(_least_step, (incidence, viewing, azimuth)))
+        case _:
+            return math.pi / 2
+
+
+def _least_step(nodes: Sequence[float]) -> float:
+    """Least distance of a table's nodes; of one node a quarter of a turn."""
+    return min((b - a for a, b in pairwise(nodes)), default=math.pi / 2)
 
 
 def _table(material: Material) -> list[float]:

@@ -26,7 +26,7 @@ from radwrap.tracers.compiled.compiler import compiled
 # Radiance's FTINY: what is nearer, in the text's unit, is where the ray began.
 NEAREST: Final = 1e-6
 # A ray along a side of a triangle meets it, so that neighbours leave no gap; relative to the triangle.
-_SLACK: Final = 1e-9
+SLACK: Final = 1e-9
 _STEEPEST: Final = 1e300  # in place of 1/0, which times 0 is not a number
 
 
@@ -67,11 +67,11 @@ def _triangle(s: Shape, px: float, py: float, pz: float, dx: float, dy: float, d
         return math.inf
     inverse = 1 / determinant
     u = (px * nx + py * ny + pz * nz) * inverse
-    if u < -_SLACK or u > 1 + _SLACK:
+    if u < -SLACK or u > 1 + SLACK:
         return math.inf
     qx, qy, qz = py * s.uz - pz * s.uy, pz * s.ux - px * s.uz, px * s.uy - py * s.ux
     v = (dx * qx + dy * qy + dz * qz) * inverse
-    if v < -_SLACK or u + v > 1 + _SLACK:
+    if v < -SLACK or u + v > 1 + SLACK:
         return math.inf
     t = (s.vx * qx + s.vy * qy + s.vz * qz) * inverse
     return t if t > NEAREST else math.inf
@@ -252,4 +252,4 @@ def hidden(
 def padded(low: Floats, high: Floats) -> tuple[Floats, Floats]:
     """Boxes wider by what rounding may take, so that a flat shape in the plane of its box's face is not missed."""
     size = max(float(np.abs(low).max(initial=0.0)), float(np.abs(high).max(initial=0.0)))
-    return low - _SLACK * size - NEAREST, high + _SLACK * size + NEAREST
+    return low - SLACK * size - NEAREST, high + SLACK * size + NEAREST

@@ -68,6 +68,7 @@ def trace(
     given: Floats,
     known: Whole,
     chosen: Whole,
+    room: Floats,
     stack: Whole,
 ) -> bool:
     """Radiance along rays, from each group of emitters.
@@ -104,8 +105,8 @@ def trace(
         Filled with the number of the shape that is met, -2 minus that of an emitter's, or -1 where there is none.
     again : bool
         Whether both are filled already, by a call with the same rays and trees.
-    given : ndarray, shape (lights,)
-        Room to work in.
+    given, room : ndarray, shape (lights,), (CUTS,)
+        Room to work in; see `wide_beam`.
     known, chosen, stack : ndarray of int
         Room to work in; see `wide_cells` and `tree.DEPTH`.
 
@@ -184,6 +185,7 @@ def trace(
                     key,
                     known,
                     chosen,
+                    room,
                     stack,
                 )
     return True

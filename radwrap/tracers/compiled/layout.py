@@ -15,7 +15,7 @@ from radwrap.frames import Pose
 from radwrap.scene.look.superposed import superposed
 from radwrap.scene.look.wide_sources import may_shine_whole
 from radwrap.scene.scene import Scene
-from radwrap.scene.sources import Emitter, Luminaire, Patch, TableBeam, WideSource, emitters
+from radwrap.scene.sources import Beam, Emitter, Luminaire, Patch, TableBeam, WideSource, emitters
 from radwrap.scene.wide_shapes import WideShape
 from radwrap.tracers.compiled import arrays
 from radwrap.tracers.compiled.arrays import Cluster, Floats, Light, Tree, Whole, Wide, put, rows
@@ -30,13 +30,6 @@ from radwrap.tracers.text_frame import TextFrame
 _MOST_TOGETHER: Final = 64  # lights of a cluster: LEDs of a ring follow each other around it
 _PLACE: Final = 8.0  # pixels
 _APART: Final = -1  # in place of a kind of beam
-_BEAMS: Final = {
-    "lambertian": arrays.LAMBERTIAN,
-    "gaussian": arrays.GAUSSIAN,
-    "cosine_power": arrays.COSINE_POWER,
-    "cone": arrays.CONE,
-    "table": arrays.TABLE_BEAM,
-}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,11 +122,17 @@ def compiled_scene(scene: Scene, frame: TextFrame, *, whole: bool = False) -> Co
     members += [[(source.name, source.radiance) for source in group] for group in wholes]
     shown = [group[0] for group in groups]
     wides = np.concatenate([rows(Wide, 0), *(wide_row(group[0], frame) for group in wholes)])
+    places: dict[str, int] = {}  # of measured beams
+    for wide, group in zip(wides, wholes, strict=True):
+        if isinstance(beam := group[0].beam, TableBeam):
+            wide["table"], wide["columns"] = _placed(beam.sha256, (beam.values,), places, tables), len(beam.values)
     pieces = (Piece(emitter_shape(emitter), i) for i, emitter in enumerate(shown))
     others = [shape_row(wides[i : i + 1], len(shown) + i) for i in range(len(wides))]
     discs = sorted_shapes(pieces, frame, tables, others)
     targets = sorted_shapes((piece for part in scene.targets for piece in wardrobe.pieces(part)), frame, tables)
-    lights = np.concatenate([_lights(shown, frame, tables), *(light_row(wides[i : i + 1]) for i in range(len(wides)))])
+    lights = np.concatenate(
+        [_lights(shown, frame, places, tables), *(light_row(wides[i : i + 1]) for i in range(len(wides)))]
+    )
     lights["radiance"] = [math.fsum(level for _, level in group) for group in members]
     lights["own"] = own_shapes(shown, wides, lights, discs, frame)
     _place_wides(wides, len(shown), lights, targets, discs)
@@ -166,10 +165,10 @@ def compiled_scene(scene: Scene, frame: TextFrame, *, whole: bool = False) -> Co
 
 
 def _in_places(lights: Iterable[WideSource]) -> list[list[WideSource]]:
-    """Lights in groups that fill the same place."""
-    groups: dict[tuple[Pose, WideShape], list[WideSource]] = {}
+    """Lights in groups that fill the same place with the same beam."""
+    groups: dict[tuple[Pose, WideShape, Beam], list[WideSource]] = {}
     for light in lights:
-        groups.setdefault((light.pose, light.shape), []).append(light)
+        groups.setdefault((light.pose, light.shape, light.beam), []).append(light)
     return list(groups.values())
 
 
@@ -195,13 +194,14 @@ def _pitch(scene: Scene, targets: Tree, frame: TextFrame) -> float:
     return _PLACE * pixel * away
 
 
-def _lights(shown: Sequence[Emitter], frame: TextFrame, tables: list[float]) -> NDArray[np.void]:
+def _lights(
+    shown: Sequence[Emitter], frame: TextFrame, places: dict[str, int], tables: list[float]
+) -> NDArray[np.void]:
     """Rows of `Light` without their radiance; values of measured beams are added to the tables."""
     found = [rows(Light, 0)]
-    places: dict[str, int] = {}
     for emitter in shown:
         light = rows(Light, 1)
-        light["beam"], light["spread"] = _BEAMS[emitter.beam.profile], emitter.beam.spread
+        light["beam"], light["spread"] = arrays.BEAMS[emitter.beam.profile], emitter.beam.spread
         centre, axis, area = _shining(emitter, frame)
         put(light, "x y z nx ny nz area", np.concatenate([centre, axis, [area]]))
         if isinstance(emitter, Luminaire):
@@ -209,12 +209,17 @@ def _lights(shown: Sequence[Emitter], frame: TextFrame, tables: list[float]) -> 
             put(light, "ux uy uz vx vy vz", np.concatenate([emitter.x_axis, emitter.y_axis]))
         if (measured := _table(emitter)) is not None:
             sha256, table = measured
-            if sha256 not in places:
-                places[sha256] = len(tables)
-                tables += [value for row in table for value in row]
-            put(light, "table rows columns", [places[sha256], len(table), len(table[0])])
+            put(light, "table rows columns", [_placed(sha256, table, places, tables), len(table), len(table[0])])
         found.append(light)
     return np.concatenate(found)
+
+
+def _placed(sha256: str, table: Sequence[Sequence[float]], places: dict[str, int], tables: list[float]) -> int:
+    """Where a measured beam begins: once for all that have it."""
+    if sha256 not in places:
+        places[sha256] = len(tables)
+        tables += [value for row in table for value in row]
+    return places[sha256]
 
 
 def clusters_of(

@@ -16,6 +16,7 @@ from radwrap.tracers.compiled.hits import Hits, KeptHits
 from radwrap.tracers.compiled.kernels import NOTHING_MET, surfaces, trace
 from radwrap.tracers.compiled.layout import CompiledScene
 from radwrap.tracers.compiled.tree import DEPTH
+from radwrap.tracers.compiled.wide_beam import CUTS
 from radwrap.tracers.compiled.wide_cells import CELLS, memory
 from radwrap.tracers.compiled.wide_shine import POINTS_OF_A_LIGHT
 
@@ -156,6 +157,7 @@ class CompiledTracer:
                 np.empty(len(lights)),
                 memory(),
                 np.empty(CELLS * CELLS, dtype=np.int64),
+                np.empty(CUTS),
                 np.empty(DEPTH, dtype=np.int64),
             )
             _check(good)

@@ -11,7 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from radwrap.tracers.compiled.arrays import WIDE_ZONE, Clusters, Floats, Nodes, Shapes, Whole, Wide
+from radwrap.tracers.compiled.arithmetic import cosine_and_sine_of_turn
+from radwrap.tracers.compiled.arrays import LAMBERTIAN, WIDE_ZONE, Clusters, Floats, Nodes, Shapes, Whole, Wide
 from radwrap.tracers.compiled.compiler import compiled
 from radwrap.tracers.compiled.shadows import clear_between
 from radwrap.tracers.compiled.wide_contour import Place
@@ -23,6 +24,7 @@ from radwrap.tracers.compiled.wide_shape import point_on
 CELLS: Final = 8
 ALL_CELLS: Final = 1 + 4 + 16 + 64
 _ALL: Final = -1  # 64 bits
+_WIDE_BEAM: Final = 1.2  # rad: such a beam reaches nearly all places before a light
 _NONE: Final = -1  # of a place
 # Places that are remembered, and the numbers of each: where it is, its shape, the light, the bits, and 1 where some of
 # the light is hidden.
@@ -193,6 +195,25 @@ def _found(
                 below |= (1 << corner) | (1 << (corner + 1)) | (1 << (corner + finer)) | (1 << (corner + finer + 1))
         base += level * level
         level, open_cells = finer, below
+    return bits
+
+
+@compiled
+def lit_cells(light: Wide, number: int, cells: Clusters, p: Place) -> int:
+    """Bits of the cells from which a beam reaches a point; see `hiding_cells`."""
+    if light.beam == LAMBERTIAN or light.reach > _WIDE_BEAM:
+        return _ALL
+    bits, first = 0, number * ALL_CELLS + ALL_CELLS - CELLS * CELLS
+    cosine, sine = cosine_and_sine_of_turn(light.reach / (2 * math.pi))
+    for k in range(CELLS * CELLS):
+        box = cells[first + k]
+        x, y, z = (box.x0 + box.x1) / 2 - p[0], (box.y0 + box.y1) / 2 - p[1], (box.z0 + box.z1) / 2 - p[2]
+        half = math.sqrt((box.x1 - box.x0) ** 2 + (box.y1 - box.y0) ** 2 + (box.z1 - box.z0) ** 2) / 2
+        high = -(x * light.nx + y * light.ny + z * light.nz)
+        aside = math.sqrt(max(x * x + y * y + z * z - high * high, 0.0))
+        # How far the ball about the cell is outside of the cone in which light reaches the point.
+        if aside * cosine - high * sine <= half:
+            bits |= 1 << k
     return bits
 
 

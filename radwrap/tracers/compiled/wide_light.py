@@ -8,9 +8,10 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from radwrap.tracers.compiled.arrays import Cover, Floats, Nodes, Shapes, Whole, Wide
+from radwrap.tracers.compiled.arrays import LAMBERTIAN, Cover, Floats, Nodes, Shapes, Whole, Wide
+from radwrap.tracers.compiled.beams import share_of
 from radwrap.tracers.compiled.compiler import compiled
-from radwrap.tracers.compiled.covers import glossy
+from radwrap.tracers.compiled.covers import reflected
 from radwrap.tracers.compiled.wide_cells import CELLS, within_cells
 from radwrap.tracers.compiled.wide_contour import Place
 from radwrap.tracers.compiled.wide_points import mixed, spread_point
@@ -42,6 +43,7 @@ def left_over(
     itself: int,
     chosen: Whole,
     count: int,
+    is_all: bool,
     is_hiding: bool,
     key: int,
     stack: Whole,
@@ -68,6 +70,8 @@ def left_over(
         Shape that does not count, or -1.
     chosen, count : ndarray of int, int
         Cells of the light that may be hidden, see `wide_cells.bits_of`.
+    is_all : bool
+        Whether no other cell sends it light.
     is_hiding : bool
         Whether some of them are, as far as was seen from near the point.
     key : int
@@ -78,7 +82,7 @@ def left_over(
     if count == 0:
         return whole
     points = MOST_POINTS if is_hiding else _FEWEST
-    if count < CELLS * CELLS:
+    if not is_all:
         total, seen = _asked(
             light,
             cover,
@@ -174,7 +178,7 @@ def _asked(
     for i in range(points):
         a, b = spread_point(i, key)
         a, b = within_cells(a, b, chosen, count)
-        value, d, away = sent_by(light, cover, diffuse, with_lobe, p, n, v, a, b)
+        value, d, away = sent_by(light, cover, tables, diffuse, with_lobe, p, n, v, a, b)
         if value > 0:
             total += value
             if not is_hidden(light, shapes, nodes, discs, disc_nodes, tables, p, d, away, itself, stack):
@@ -185,7 +189,16 @@ def _asked(
 
 @compiled
 def sent_by(
-    light: Wide, cover: Cover, diffuse: float, with_lobe: bool, p: Place, n: Place, v: Place, a: float, b: float
+    light: Wide,
+    cover: Cover,
+    tables: Floats,
+    diffuse: float,
+    with_lobe: bool,
+    p: Place,
+    n: Place,
+    v: Place,
+    a: float,
+    b: float,
 ) -> tuple[float, Place, float]:
     """What a point sends to the eye, by a place of the light and for each unit of its area and radiance.
 
@@ -197,9 +210,19 @@ def sent_by(
     away = math.sqrt(square)
     d = (dx / away, dy / away, dz / away)
     leaving, arriving = -(d[0] * nx + d[1] * ny + d[2] * nz), d[0] * n[0] + d[1] * n[1] + d[2] * n[2]
-    if arriving <= 0 or leaving <= 0:
+    if leaving <= 0:
         return 0.0, d, away
-    value = diffuse * arriving
+    value = diffuse * max(arriving, 0.0)
     if with_lobe:
-        value += glossy(cover, n[0], n[1], n[2], v[0], v[1], v[2], d[0], d[1], d[2], 0.0)
-    return value * leaving / square, d, away
+        value += reflected(cover, tables, 0.0, n[0], n[1], n[2], v[0], v[1], v[2], d[0], d[1], d[2], 0.0)
+    if value <= 0:
+        return 0.0, d, away
+    return value * shining(light, tables, d, leaving) / square, d, away
+
+
+@compiled
+def shining(light: Wide, tables: Floats, d: Place, leaving: float) -> float:
+    """Intensity of a piece of a light towards where a direction comes from, of its axial one."""
+    if light.beam == LAMBERTIAN:
+        return leaving
+    return share_of(light, tables, ((d[0] + light.nx) ** 2 + (d[1] + light.ny) ** 2 + (d[2] + light.nz) ** 2) / 4)

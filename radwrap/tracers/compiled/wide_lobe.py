@@ -1,5 +1,8 @@
 """What a glossy surface sends to the eye of a wide light, with points of the light and directions of the lobe.
 
+A lobe is that of a Gaussian, about the mirror direction or that to the eye, or stands in a table: then directions are
+drawn at angles to the eye, or of a measured BRDF to the mirror direction, that are even in their logarithm.
+
 Each kind of samples sees well what the other does not: a small light before a broad lobe, and a narrow lobe before a
 large light. Every sample counts by the density that both kinds together have there (Veach's balance heuristic, key
 veach1995). The mean is right, and there is noise.
@@ -11,11 +14,23 @@ import math
 from typing import Final
 
 from radwrap.tracers.compiled.arithmetic import cosine_and_sine_of_turn, exponential, logarithm
-from radwrap.tracers.compiled.arrays import BRUSHED, Cover, Floats, Nodes, Shapes, Whole, Wide
+from radwrap.tracers.compiled.arrays import (
+    BRDF,
+    BRUSHED,
+    TURNED_NORMAL,
+    WARD,
+    Cover,
+    Floats,
+    Nodes,
+    Shapes,
+    Whole,
+    Wide,
+)
 from radwrap.tracers.compiled.compiler import compiled
-from radwrap.tracers.compiled.covers import LEAST_COSINE, glossy
+from radwrap.tracers.compiled.covers import LEAST_COSINE, reflected
 from radwrap.tracers.compiled.wide_cells import cell_of
 from radwrap.tracers.compiled.wide_contour import Place
+from radwrap.tracers.compiled.wide_light import shining
 from radwrap.tracers.compiled.wide_points import mixed, spread_point
 from radwrap.tracers.compiled.wide_shadow import is_hidden
 from radwrap.tracers.compiled.wide_shape import meets, point_on
@@ -53,11 +68,12 @@ def sampled_lobe(
     light, shapes, nodes, discs, disc_nodes, tables, p, n, v, itself, key, stack
         As `wide_light.left_over`.
     cover : Cover
-        With a Gaussian lobe.
+        With a lobe.
     bits : int
         Cells of the light that may be hidden, see `wide_cells`.
     """
-    grain, total = grain_of(cover, n), 0.0
+    axis, total = axis_of(cover, n, v), 0.0
+    grain = grain_of(cover, axis)
     first, second = mixed(key, _OF_LIGHT), mixed(key, _OF_LOBE)
     for i in range(2 * SAMPLES):
         may_be_hidden = bits != 0
@@ -67,9 +83,9 @@ def sampled_lobe(
             may_be_hidden = bits >> cell_of(a, b) & 1 == 1
         else:
             a, b = spread_point(i - SAMPLES, second)
-            d = mirrored(grain, n, v, a, b)
+            d = drawn(cover, grain, axis, v, a, b)
             away, leaving = meets(light, p, d)
-        value = _weighed(light, cover, grain, n, v, d, away, leaving)
+        value = _weighed(light, cover, tables, grain, axis, n, v, d, away, leaving)
         if value > 0 and not (
             may_be_hidden and is_hidden(light, shapes, nodes, discs, disc_nodes, tables, p, d, away, itself, stack)
         ):
@@ -89,20 +105,70 @@ def _towards(light: Wide, p: Place, a: float, b: float) -> tuple[Place, float, f
 
 @compiled
 def _weighed(
-    light: Wide, cover: Cover, grain: Grain, n: Place, v: Place, d: Place, away: float, leaving: float
+    light: Wide,
+    cover: Cover,
+    tables: Floats,
+    grain: Grain,
+    axis: Place,
+    n: Place,
+    v: Place,
+    d: Place,
+    away: float,
+    leaving: float,
 ) -> float:
     """What light from a direction counts: what is reflected over the densities of both kinds of samples."""
     if not leaving > 0:
         return 0.0
-    value = glossy(cover, n[0], n[1], n[2], v[0], v[1], v[2], d[0], d[1], d[2], 0.0)
+    value = reflected(cover, tables, 0.0, n[0], n[1], n[2], v[0], v[1], v[2], d[0], d[1], d[2], 0.0)
+    value *= shining(light, tables, d, leaving) / leaving
     if not value > 0:
         return 0.0
-    return value / (away * away / (light.area * leaving) + lobe_density(grain, n, v, d))
+    return value / (away * away / (light.area * leaving) + density(cover, grain, axis, v, d))
+
+
+@compiled
+def axis_of(cover: Cover, n: Place, v: Place) -> Place:
+    """The normal of a Gaussian lobe, which a retroreflector turns to the eye; of a table the middle of its lobe."""
+    if cover.kind in (WARD, BRUSHED):
+        return n
+    if cover.kind != BRDF:
+        return v
+    twice = 2 * (n[0] * v[0] + n[1] * v[1] + n[2] * v[2])
+    return twice * n[0] - v[0], twice * n[1] - v[1], twice * n[2] - v[2]
+
+
+@compiled
+def drawn(cover: Cover, grain: Grain, axis: Place, v: Place, a: float, b: float) -> Place:
+    """A direction of a lobe, for an even point of the unit square."""
+    if cover.kind in (WARD, BRUSHED, TURNED_NORMAL):
+        return mirrored(grain, axis, v, a, b)
+    along, aside, _, _ = grain
+    least = cover.fine * cover.fine / 2
+    # 1 - cos of the angle: even in the logarithm of that and what is least of it.
+    fall = min(least * (exponential(a * logarithm(1 + 2 / least)) - 1), 2.0)
+    across = math.sqrt(fall * (2 - fall))
+    cosine, sine = cosine_and_sine_of_turn(b)
+    x, y, z = across * cosine, across * sine, 1 - fall
+    return (
+        x * along[0] + y * aside[0] + z * axis[0],
+        x * along[1] + y * aside[1] + z * axis[1],
+        x * along[2] + y * aside[2] + z * axis[2],
+    )
+
+
+@compiled
+def density(cover: Cover, grain: Grain, axis: Place, v: Place, d: Place) -> float:
+    """Density of `drawn` over directions [sr^-1]."""
+    if cover.kind in (WARD, BRUSHED, TURNED_NORMAL):
+        return lobe_density(grain, axis, v, d)
+    least = cover.fine * cover.fine / 2
+    fall = ((d[0] - axis[0]) ** 2 + (d[1] - axis[1]) ** 2 + (d[2] - axis[2]) ** 2) / 2
+    return 1 / (2 * math.pi * (fall + least) * logarithm(1 + 2 / least))
 
 
 @compiled
 def grain_of(cover: Cover, n: Place) -> Grain:
-    """The directions of a lobe's two roughnesses; of a lobe without grain any."""
+    """The directions of a lobe's two roughnesses; of a lobe without grain any two across."""
     gx, gy, gz, across = cover.gx, cover.gy, cover.gz, cover.b
     if cover.kind != BRUSHED:
         gx, gy, gz, across = (1.0, 0.0, 0.0, cover.a) if abs(n[0]) < 0.6 else (0.0, 1.0, 0.0, cover.a)

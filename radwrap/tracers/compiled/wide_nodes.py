@@ -7,7 +7,16 @@ from typing import Final
 
 import numpy as np
 
-from radwrap.tracers.compiled.arrays import BRUSHED, WIDE_ANNULUS, WIDE_RECTANGLE, WIDE_ZONE, Cover, Wide
+from radwrap.tracers.compiled.arrays import (
+    CONE,
+    LAMBERTIAN,
+    WIDE_ANNULUS,
+    WIDE_RECTANGLE,
+    WIDE_ZONE,
+    Cover,
+    Floats,
+    Wide,
+)
 from radwrap.tracers.compiled.compiler import compiled
 from radwrap.tracers.compiled.wide_contour import Place
 from radwrap.tracers.compiled.wide_light import sent_by
@@ -15,7 +24,8 @@ from radwrap.tracers.compiled.wide_light import sent_by
 # Nodes along a light; around a round one twice as many.
 _FEWEST: Final = 4
 _MOST: Final = 16
-# Nodes lie at most so many times the roughness apart, as angles: a lobe's standard deviation is sqrt 2 times that.
+# Nodes lie at most so many times the roughness apart, as angles: a lobe's standard deviation is sqrt 2 times that, and
+# of a beam its own counts.
 _STEP: Final = 1.4
 # Gauss-Legendre nodes from 0 to 1 and their weights: of 4, 8 and 16, one after the other.
 _RULES: Final = [np.polynomial.legendre.leggauss(count) for count in (4, 8, 16)]
@@ -27,7 +37,12 @@ _WEIGHTS: Final = tuple(float(w) / 2 for w in np.concatenate([w for _, w in _RUL
 def nodes_along(light: Wide, cover: Cover, p: Place) -> tuple[int, int]:
     """How many nodes along the two coordinates of a light resolve a lobe at a point; 0 where more than `_MOST` must."""
     along, around = _lengths(light)
-    step = _STEP * math.sqrt(min(cover.a, cover.b) if cover.kind == BRUSHED else cover.a) * _nearest(light, p)
+    if light.beam == CONE:
+        return 0, 0
+    fine = cover.fine
+    if light.beam != LAMBERTIAN:
+        fine = min(fine, light.narrow / math.sqrt(2))
+    step = _STEP * fine * _nearest(light, p)
     most = _MOST if light.kind == WIDE_RECTANGLE else 2 * _MOST
     if not (along <= _MOST * step and around <= most * step):
         return 0, 0
@@ -64,7 +79,9 @@ def _nearest(light: Wide, p: Place) -> float:
 
 
 @compiled
-def whole_lobe(light: Wide, cover: Cover, p: Place, n: Place, v: Place, first: int, second: int) -> float:
+def whole_lobe(
+    light: Wide, cover: Cover, tables: Floats, p: Place, n: Place, v: Place, first: int, second: int
+) -> float:
     """Radiance that a lobe sends to the eye [W m^-2 sr^-1], by `nodes_along` a light: around a round one even ones."""
     total = 0.0
     for i in range(first):
@@ -73,6 +90,6 @@ def whole_lobe(light: Wide, cover: Cover, p: Place, n: Place, v: Place, first: i
             b, of_b = (j + 0.5) / second, 1 / second
             if light.kind == WIDE_RECTANGLE:
                 b, of_b = _NODES[second - _FEWEST + j], _WEIGHTS[second - _FEWEST + j]
-            value, _, _ = sent_by(light, cover, 0.0, True, p, n, v, a, b)
+            value, _, _ = sent_by(light, cover, tables, 0.0, True, p, n, v, a, b)
             total += of_a * of_b * value
     return light.radiance * light.area * total

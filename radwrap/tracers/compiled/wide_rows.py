@@ -5,17 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import product
-from typing import TypeGuard
+from typing import Final, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.scene.sources import Source, WideSource
+from radwrap.scene.sources import Beam, Source, WideSource
 from radwrap.scene.wide_shapes import Annulus, Rectangle, Zone, area
 from radwrap.tracers.compiled import arrays
 from radwrap.tracers.compiled.arrays import (
+    BEAMS,
     DISC,
-    LAMBERTIAN,
     RECTANGLE,
     WIDE_ANNULUS,
     WIDE_RECTANGLE,
@@ -33,14 +33,41 @@ from radwrap.tracers.compiled.intersect import padded
 from radwrap.tracers.compiled.wide_cells import ALL_CELLS
 from radwrap.tracers.text_frame import TextFrame
 
+# Angles at which a beam is looked at, the share of its peak below which it has ended, and the steepest slope of
+# exp(-x^2/2).
+_ANGLES: Final = 3601
+_DARK: Final = 1e-8
+_STEEPEST_GAUSSIAN: Final = math.exp(-0.5)
+
 
 def shines_whole(source: Source) -> TypeGuard[WideSource]:
-    """Whether a source is wide and shines evenly in all directions."""
-    return isinstance(source, WideSource) and source.radiance > 0 and source.beam.profile == "lambertian"
+    """Whether a source is wide and shines; only flat ones have another beam than the Lambertian."""
+    if not isinstance(source, WideSource) or source.radiance == 0:
+        return False
+    return source.beam.profile == "lambertian" or not isinstance(source.shape, Zone)
+
+
+def beam_reach(beam: Beam) -> tuple[float, float]:
+    """Angle over which a beam changes as a Gaussian does over its standard deviation, and where it ends [rad]."""
+    angles = np.linspace(0, math.pi / 2, _ANGLES)
+    shares = beam.relative_intensity(angles)
+    lit = np.flatnonzero(shares > _DARK)
+    reach = float(angles[min(lit[-1] + 1, _ANGLES - 1)]) if len(lit) else float(angles[-1])
+    match beam.profile:
+        case "gaussian" | "cosine_power":
+            return beam.spread, min(reach, math.pi / 2)
+        case "cone":
+            return math.pi / 2, min(beam.spread, math.pi / 2)
+        case "table":
+            # By its steepest slope: that of a Gaussian is .61 over its standard deviation.
+            slope = float(np.abs(np.gradient(shares, angles)).max())
+            return min(_STEEPEST_GAUSSIAN / max(slope, 1e-300), math.pi / 2), reach
+        case _:
+            return math.pi / 2, math.pi / 2
 
 
 def wide_row(source: WideSource, frame: TextFrame) -> NDArray[np.void]:
-    """The row of a source that `shines_whole`, in the frame of the text; shape (1,)."""
+    """The row of a source that `shines_whole`, in the frame of the text, without a table; shape (1,)."""
     row, units = rows(Wide, 1), frame.units
     match source.shape:
         case Rectangle(width, height):
@@ -55,6 +82,8 @@ def wide_row(source: WideSource, frame: TextFrame) -> NDArray[np.void]:
     put(row, "ux uy uz vx vy vz nx ny nz", turned.T.ravel())
     put(row, "a b c area radiance", (*sizes, area(source.shape) * units**2, source.radiance))
     put(row, "x0 y0 z0 x1 y1 z1", _box(source, frame, (0.0, 1.0, 0.0, 1.0)))
+    row["beam"], row["spread"] = BEAMS[source.beam.profile], source.beam.spread
+    put(row, "narrow reach", beam_reach(source.beam))
     return row
 
 
@@ -81,9 +110,8 @@ def shape_row(wide: NDArray[np.void], owner: int) -> tuple[NDArray[np.void], Flo
 def light_row(wide: NDArray[np.void]) -> NDArray[np.void]:
     """The row of a wide light among all lights, without its radiance; shape (1,)."""
     row = rows(Light, 1)
-    for name in ("x", "y", "z", "nx", "ny", "nz", "area"):
+    for name in ("x", "y", "z", "nx", "ny", "nz", "area", "beam", "spread", "table", "columns"):
         row[name] = wide[name]
-    row["beam"] = LAMBERTIAN
     return row
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 
 from radwrap.tracers.compiled.arithmetic import cosine_and_sine_of_turn
-from radwrap.tracers.compiled.arrays import WIDE_ANNULUS, WIDE_RECTANGLE, WIDE_ZONE, Cluster, Wide
+from radwrap.tracers.compiled.arrays import LAMBERTIAN, WIDE_ANNULUS, WIDE_RECTANGLE, WIDE_ZONE, Cluster, Floats, Wide
 from radwrap.tracers.compiled.compiler import compiled
+from radwrap.tracers.compiled.wide_beam import beam_irradiance
 from radwrap.tracers.compiled.wide_contour import Place
 from radwrap.tracers.compiled.wide_lambert import annulus_irradiance, rectangle_irradiance, zone_irradiance
 
@@ -21,9 +22,11 @@ def may_light(light: Wide, p: Place, n: Place) -> bool:
 
 
 @compiled
-def unhidden(light: Wide, p: Place, n: Place) -> float:
-    """Irradiance of a point with a normal, if nothing is between [W m^-2]."""
+def unhidden(light: Wide, tables: Floats, p: Place, n: Place, room: Floats) -> float:
+    """Irradiance of a point with a normal, if nothing is between [W m^-2]; there is `room` for `wide_beam.CUTS`."""
     q, m = _within(light, p[0] - light.x, p[1] - light.y, p[2] - light.z), _within(light, n[0], n[1], n[2])
+    if light.beam != LAMBERTIAN:
+        return light.radiance * beam_irradiance(light, tables, q, m, room)
     if light.kind == WIDE_RECTANGLE:
         return light.radiance * rectangle_irradiance(light.a, light.b, q, m)
     if light.kind == WIDE_ANNULUS:

@@ -6,6 +6,7 @@ from typing import Final
 
 from radwrap.tracers.compiled.arrays import (
     NOTHING,
+    TURNED_NORMAL,
     Clusters,
     Cover,
     Floats,
@@ -15,7 +16,7 @@ from radwrap.tracers.compiled.arrays import (
     Wide,
 )
 from radwrap.tracers.compiled.compiler import compiled
-from radwrap.tracers.compiled.wide_cells import bits_of, hiding_cells
+from radwrap.tracers.compiled.wide_cells import bits_of, hiding_cells, lit_cells
 from radwrap.tracers.compiled.wide_contour import Place
 from radwrap.tracers.compiled.wide_light import MOST_POINTS, left_over
 from radwrap.tracers.compiled.wide_lobe import SAMPLES, sampled_lobe
@@ -46,6 +47,7 @@ def sent(
     key: int,
     known: Whole,
     chosen: Whole,
+    room: Floats,
     stack: Whole,
 ) -> float:
     """Radiance to the eye [W m^-2 sr^-1].
@@ -57,7 +59,7 @@ def sent(
     cells, pitch, known
         See `wide_cells.hiding_cells`.
     cover : Cover
-        Of a kind whose lobe can be sampled, see `scene.look.wide_sources.may_shine_whole`.
+        How the point reflects.
     diffuse : float
         Its `diffuse_at` the point.
     shapes, nodes, discs, disc_nodes, tables
@@ -70,23 +72,27 @@ def sent(
         See `wide_points.key_of_ray`.
     chosen, stack : ndarray of int, shape (cells,), (DEPTH,)
         Room to work in.
+    room : ndarray, shape (CUTS,)
+        The same.
     """
-    if not may_light(light, p, n):
+    # A turned normal knows no horizon.
+    if not (may_light(light, p, n) or (cover.kind == TURNED_NORMAL and may_light(light, p, v))):
         return 0.0
-    whole = diffuse * unhidden(light, p, n)
+    whole = diffuse * unhidden(light, tables, p, n, room) if diffuse > 0 else 0.0
     with_lobe = False
     if cover.kind != NOTHING:
         first, second = nodes_along(light, cover, p)
         with_lobe = first > 0
         if with_lobe:
-            whole += whole_lobe(light, cover, p, n, v, first, second)
+            whole += whole_lobe(light, cover, tables, p, n, v, first, second)
     bits, is_hiding, value = 0, False, 0.0
     if whole > 0 or (cover.kind != NOTHING and not with_lobe):
         bits, is_hiding = hiding_cells(
             light, number, cells, shapes, nodes, discs, disc_nodes, tables, pitch, p, itself, known, chosen, stack
         )
     if whole > 0:
-        count = bits_of(bits, chosen)
+        lit = lit_cells(light, number, cells, p)
+        count = bits_of(bits & lit, chosen)
         value = left_over(
             light,
             cover,
@@ -104,6 +110,7 @@ def sent(
             itself,
             chosen,
             count,
+            bits & lit == lit,
             is_hiding,
             key,
             stack,
