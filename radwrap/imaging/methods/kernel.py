@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.imaging.methods.central import Cells, CentralImage, GridPlan, central_image, decide_cells
-from radwrap.imaging.optics.footprint import Footprint, footprint, reach_px
+from radwrap.imaging.optics.footprint import Footprint, footprint, laid_out, reach_px
 from radwrap.imaging.optics.smooth import SmoothField
 from radwrap.imaging.optics.view import View
 from radwrap.imaging.response.sensor import gray_levels
@@ -397,7 +397,7 @@ def _by_phase(
         spectra = [np.fft.rfft2(central.values * share, shape) for share in shares]
     for phase in phases:
         total = sum(
-            spectrum * np.conj(np.fft.rfft2(_laid_out(footprint(plan.camera, layer, cell, phase), shape)))
+            spectrum * np.conj(np.fft.rfft2(laid_out(footprint(plan.camera, layer, cell, phase), shape)))
             for layer, spectrum in zip(plan.layers, spectra, strict=True)
         )
         field = np.fft.irfft2(total, shape)
@@ -443,17 +443,6 @@ def lattice(
         for begin, end, shift in ((*place[:2], phase[0]), (*place[2:], phase[1]))
     )
     return rows, columns
-
-
-def _laid_out(print_: Footprint, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Weights in a field of a shape, those of cells before the pixel's own at the far ends."""
-    weights = np.zeros(shape)
-    places = (
-        np.arange(first, first + size) % whole
-        for first, size, whole in zip(print_.first, print_.weights.shape, shape, strict=True)
-    )
-    weights[np.ix_(*places)] = print_.weights
-    return weights
 
 
 def _coarser(central: CentralImage) -> CentralImage:

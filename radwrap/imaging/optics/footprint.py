@@ -141,6 +141,17 @@ def folded(
     return Footprint(first, field.reshape(shape))
 
 
+def laid_out(print_: Footprint, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Weights in a field of a shape, those of cells before the pixel's own at the far ends."""
+    weights = np.zeros(shape)
+    places = (
+        np.arange(first, first + size) % whole
+        for first, size, whole in zip(print_.first, print_.weights.shape, shape, strict=True)
+    )
+    weights[np.ix_(*places)] = print_.weights
+    return weights
+
+
 def _shares(starts: NDArray[np.float64], cell: float, profile: Profile) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
     """First cells that pixels see whose boxes begin at `starts` [px], and the shares of these cells and the next."""
     first = np.floor(starts / cell).astype(np.intp)

@@ -1,0 +1,89 @@
+"""What a pixel gathers from the central image where light is a wave: its box folded with the wave's point spread.
+
+The counterpart of `footprint`, on a grid of cells that goes round: the right
+edge of it borders on the left one, and what waves send farther than half of its
+size comes in at the other side. So nothing is lost, and the grid must be as
+wide as that matters; `Waves.tail` says how much it is.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.imaging.optics.footprint import footprint, laid_out
+from radwrap.imaging.optics.waves import Waves
+from radwrap.scene.camera import Camera, Sensor
+from radwrap.scene.pixel_window import PixelWindow, Profile
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+def wave_weights(waves: Waves, sensor: Sensor, magnification: float, cell: float, shape: tuple[int, int]) -> Complex:
+    """Transform of the weights of cells around a pixel, exact for radiance that is even in each cell.
+
+    Parameters
+    ----------
+    waves : Waves
+        Of a wavelength above 0: what passes ends at a frequency, and all of it is taken.
+    sensor : Sensor
+        Its pixels.
+    magnification : float
+        m of what is seen.
+    cell : float
+        Size h of the cells [px]; a power of two. The corner of the pixel, of the first of its kind where cells are
+        larger, is that of cell (0, 0).
+    shape : tuple of int
+        Rows and columns of the grid.
+
+    Returns
+    -------
+    ndarray, shape (rows, columns // 2 + 1)
+        As `numpy.fft.rfft2` gives it of weights whose sum is 1.
+    """
+    window = sensor.window or PixelWindow()
+    down, of_rows = _axis(waves, np.fft.fftfreq(shape[0]), cell, sensor.pixel_height, window.down)
+    across, of_columns = _axis(waves, np.fft.rfftfreq(shape[1]), cell, sensor.pixel_width, window.across)
+    found = np.zeros((shape[0], shape[1] // 2 + 1), dtype=np.complex128)
+    highest = waves.highest_frequency
+    transfer = waves.transfer_up_to(highest, magnification)
+    for y, along in zip(down, of_rows, strict=True):
+        for x, beside in zip(across, of_columns, strict=True):
+            rows, columns = (np.flatnonzero(np.abs(values) < highest) for values in (y, x))
+            if rows.size and columns.size:
+                at = np.ix_(rows, columns)
+                passed = transfer(x[np.newaxis, columns], y[rows, np.newaxis])
+                found[at] += passed * along[rows, np.newaxis] * beside[np.newaxis, columns]
+    return found
+
+
+def _axis(
+    waves: Waves, frequency: NDArray[np.floating[Any]], cell: float, pitch: float, profile: Profile
+) -> tuple[list[Array], list[Complex]]:
+    """Frequencies that a grid of cells does not tell from each other [m^-1], and what pixel and cell do to each."""
+    aliases = math.ceil(waves.highest_frequency * cell * pitch + 0.5)
+    frequencies, factors = list[Array](), list[Complex]()
+    for number in range(-aliases, aliases + 1):
+        cycles = (frequency.astype(np.float64) + number) / cell  # a pixel
+        # A cell's middle lies by this much beside that of the pixel whose corner it shares.
+        place = np.exp(2j * np.pi * cycles * (cell - 1) / 2)
+        frequencies.append(cycles / pitch)
+        factors.append(_profile_transfer(profile, cycles) * np.sinc(cycles * cell) * place)
+    return frequencies, factors
+
+
+def _profile_transfer(profile: Profile, cycles: Array) -> Complex:
+    """Transform of a pixel's sensitivity along one axis [cycles a pixel]."""
+    found = np.zeros(cycles.shape, dtype=np.complex128)
+    for low, high, weight in zip(profile.edges[:-1], profile.edges[1:], profile.weights, strict=True):
+        found += weight * np.sinc(cycles * (high - low)) * np.exp(-1j * np.pi * cycles * (high + low))
+    return found
+
+
+def ray_weights(camera: Camera, magnification: float, cell: float, shape: tuple[int, int]) -> Complex:
+    """As `wave_weights`, of the footprint of rays through an even opening."""
+    return np.fft.rfft2(laid_out(footprint(camera.without_lens, magnification, cell), shape))
