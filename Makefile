@@ -48,6 +48,7 @@ tested = $(ONE_THREAD) $(BIN)/python $(PYTEST) --assert=plain $(1) || \
 	{ $(ONE_THREAD) $(BIN)/python $(PYTEST) --last-failed --last-failed-no-failures none $(1); exit 1; }
 
 test: $(READY) povray lint
+	@command -v node >/dev/null 2>&1 || echo "note: there is no node: the page's own modules are not tested; on Debian: apt install nodejs"
 	@$(call tested,)
 
 # The whole samples of slow statistics, of which make test takes a part.

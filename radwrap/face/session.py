@@ -6,6 +6,7 @@ lost loses nothing. A basis has a number; a request for another one than the pre
 
 from __future__ import annotations
 
+import json
 import math
 import threading
 from collections import OrderedDict
@@ -26,6 +27,7 @@ from radwrap.imaging.page.thresholds import Thresholds, thresholds
 from radwrap.imaging.page.turn import Turn, changes_of, relight_words, spelled
 from radwrap.imaging.relight.relit import Relighter, Relit, read_basis
 from radwrap.imaging.relight.relit_uncertainty import relit_squares
+from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.tolerance.uncertainty import combined
 from radwrap.scene.file.turned import with_levels
 from radwrap.scene.scene import Scene
@@ -156,8 +158,6 @@ class Traced:
             raise InputError(f"lies outside {shape[1]} x {shape[0]} pixels", where=f"pixel ({column}, {row})")
         exposure = float(image.relit.radiant_exposure.values[row, column])
         basis = image.relighter.basis
-        from radwrap.imaging.response.sensor import gray_levels
-
         level = float(gray_levels(np.array([exposure]), basis.sensor)[0])
         return {
             "code": int(image.relit.gray.codes[row, column]),
@@ -171,8 +171,6 @@ class Traced:
 
 def _named_files(scene: Scene) -> tuple[str, ...]:
     """Where the command finds files that the scene's camera names."""
-    import json
-
     camera = json.loads(scene.document)["camera"]
     named = "calibration" in camera or "data_sheet" in camera.get("sensor", {})
     return ("--scene-folder", str(scene.folder)) if named else ()

@@ -128,7 +128,7 @@ def serving(folder: Path, changes: Mapping[str, Any] | None = None, *more: objec
             raise
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")  # no longer: other tests look at this process' children
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     with serving(tmp_path_factory.mktemp("face")) as found:
         yield found

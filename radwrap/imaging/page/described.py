@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import numpy as np
@@ -41,8 +42,6 @@ def described(scene: Scene, basis: Basis, run: RunManifest) -> dict[str, Any]:
 
 def title_of(scene: Scene) -> str:
     """The scene's title, or the name of its file."""
-    import json
-
     title = json.loads(scene.document).get("title")
     return title if isinstance(title, str) and title else scene.origin
 
