@@ -351,11 +351,12 @@ test("the server's end is said, and knobs go on", async (t) => {
   await page.waitForSelector("#banner:not([hidden])", { timeout: 5000 });
   assert.ok(Date.now() - begin < 4000);
   assert.match(await page.textContent("#banner"), /server has gone/);
-  const before = await picture(page, 165, 192);
+  const before = (await picture(page, 165, 192)).flat();
   await type(page, "level:all", "0.5");
+  await page.waitForFunction(() => /not measured/.test(document.getElementById("state").textContent));
   await page.waitForTimeout(500);
-  const after = await picture(page, 165, 192);
-  assert.ok(after.flat().every((code, k) => code <= before.flat()[k]) && after.flat().some((code, k) => code < before.flat()[k]));
+  const after = (await picture(page, 165, 192)).flat();
+  assert.ok(after.every((code, k) => code <= before[k]) && after.some((code, k) => code < before[k]));
   assert.match(await page.textContent("#state"), /not measured/);
   assert.ok(faults.every((text) => text.includes("ERR_")), faults.join("\n"));
   faults.length = 0;
