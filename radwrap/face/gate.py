@@ -81,13 +81,14 @@ class Gate:
                 await send({"type": "websocket.close", "code": 1008})
             return
         refused = self._judged(scope)
-        if refused is not None:
-            await _refuse(send, *refused)
-            return
         try:
+            # A connection that is closed before its request was read is reset, and the refusal lost with it.
             body = await asyncio.wait_for(_whole(receive), BODY_PATIENCE)
         except TimeoutError:
-            await _refuse(send, 408, "the request did not come in time")
+            refused = refused or (408, "the request did not come in time")
+            body = None
+        if refused is not None:
+            await _refuse(send, *refused)
             return
         if body is None:
             await _refuse(send, 413, f"a request may have {LARGEST_BODY} bytes")

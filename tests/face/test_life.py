@@ -47,7 +47,7 @@ def wait_for_tracers(served: Served) -> list[psutil.Process]:
 
 
 def warm_folders() -> set[Path]:
-    """Folders of warm scenes."""
+    """Folders of warm scenes, of whichever process."""
     return {place for parent in ("/dev/shm", tempfile.gettempdir()) for place in Path(parent).glob("radwrap-*")}  # noqa: S108
 
 
@@ -81,6 +81,7 @@ def test_a_killed_server_leaves_nothing(tmp_path: Path) -> None:
 
 
 def test_a_trace_is_stopped_begun_again_killed_and_goes_on(tmp_path: Path) -> None:
+    before = warm_folders()
     with serving(tmp_path, LONG, *LONG_OPTIONS) as served:
         wait_for_tracers(served)
         (renderer,) = psutil.Process(served.process.pid).children()
@@ -93,11 +94,16 @@ def test_a_trace_is_stopped_begun_again_killed_and_goes_on(tmp_path: Path) -> No
         assert served.post("/api/trace", {}).status == 200
         assert served.post("/api/trace", {}).json["error"] == "is under way"
         tracing = wait_for_tracers(served)
-        warm = warm_folders()
+        warm = warm_folders() - before
+        assert warm
         renderer.kill()
         last = served.settled()
         assert last["state"] == "failed" and "renderer: ended by itself, or was killed" in last["error"]
-        assert gone(tracing, 1.0) and warm_folders() < warm
+        assert gone(tracing, 1.0)
+        end = time.monotonic() + 3.0
+        while all(place.exists() for place in warm) and time.monotonic() < end:
+            time.sleep(0.02)
+        assert not all(place.exists() for place in warm)  # others' may stay
 
         assert served.post("/api/trace", {}).status == 200
         with ThreadPoolExecutor(1) as watching:
