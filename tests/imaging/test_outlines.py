@@ -71,10 +71,11 @@ def test_radiance_gets_patches_and_the_compiled_tracer_an_outline() -> None:
     assert wide(scene).is_outline and len(wide(scene).patches) <= FEW
     with laid_out(scene, COMPILED) as traced:
         assert traced.scene is scene and traced.tracer_used.whole == ("dome",)
+        assert traced.tracer_used.in_patches is None
     with laid_out(scene, RADIANCE) as traced:
         assert not wide(traced.scene).is_outline and wide(traced.scene).reached <= wide(scene).irradiance_error
         assert wide(traced.scene).patches == wide(divided(scene)).patches
-        assert traced.tracer_used.whole is None
+        assert traced.tracer_used.whole is None and traced.tracer_used.in_patches == ("dome",)
 
 
 def test_where_radiance_traces_after_all_it_has_patches(monkeypatch: pytest.MonkeyPatch) -> None:

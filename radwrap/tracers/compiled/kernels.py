@@ -127,7 +127,7 @@ def trace(
         if number < -1:
             disc = -2 - number
             light = lights[discs[disc].owner]
-            if light.beam == LUMINAIRE or _shows_front(light, discs[disc], ox, oy, oz, dx, dy, dz, distance):
+            if light.beam == LUMINAIRE or shows_front(light, discs[disc], ox, oy, oz, dx, dy, dz, distance):
                 values[r, light.column] += radiance_along(light, tables, -dx, -dy, -dz)
             continue
         if number < 0:
@@ -204,9 +204,10 @@ def placed(
 
 
 @compiled
-def _shows_front(
+def shows_front(
     light: Light, s: Shape, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, t: float
 ) -> bool:
+    """Whether a ray meets an emitter of that shape, so far away, from its shining side."""
     nx, ny, nz = light.nx, light.ny, light.nz
     if s.kind == ZONE:
         nx, ny, nz = normal_at(s, ox + t * dx, oy + t * dy, oz + t * dz)
