@@ -411,7 +411,7 @@ def in_words(told: dict[str, Any], name: str, unit: str) -> str:
     if told[f"{name}_sigma_scale"] > 0:
         text += f", scale +- {told[f'{name}_sigma_scale']:.4f}"
     if told[f"{name}_rendering"] is not None:
-        text += f", rendering at most {told[f'{name}_rendering']:.4f}"
+        text += f", rendering about {told[f'{name}_rendering']:.4f}"
     return text
 
 

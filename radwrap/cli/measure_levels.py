@@ -164,7 +164,7 @@ def _numbers(values: dict[str, Any]) -> dict[str, Any]:
 
 def _region_lines(told: dict[str, Any]) -> Iterator[str]:
     error = told["certified_rms_gray"]
-    rendering = "" if error is None else f", rendering at most {error:.4g} rms"
+    rendering = "" if error is None else f", rendering about {error:.4g} rms"
     for name in ("region", "against"):
         if name in told:
             one = told[name]

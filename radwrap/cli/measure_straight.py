@@ -190,7 +190,7 @@ def _line_lines(told: dict[str, Any]) -> Iterator[str]:
         f"{math.degrees(told['angle_sigma']):.4f} deg"
     )
     by = told["position_rendering"]
-    rendering = "" if by is None else f", rendering at most {by:.4f}"
+    rendering = "" if by is None else f", rendering about {by:.4f}"
     yield f"  at u {u:.3f}, v {v:.3f}, where it is known to {told['position_sigma']:.4f} px{rendering}"
     if "width" in told:
         yield f"  width {gauging.in_words(told, 'width', told['unit'])}; {told['inside']} inside"
