@@ -37,8 +37,6 @@ class Rendering(IntEnum):
     FORESEEN_PIXELS = 26
     LIT_PIXELS = 27
     LIT_RAYS = 28
-    WAVES = 29
-    WAVE_RESAMPLES = 30
 
 
 @unique

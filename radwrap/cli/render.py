@@ -137,10 +137,6 @@ def run(arguments: argparse.Namespace) -> int:
         print(json_text(told), end="")
     else:
         _summarise(arguments, result.run, drawn)
-    if missing := result.run.missing:
-        sys.stdout.flush()
-        bound = f"below {result.error.rms_gray_upper95:.2g} gray rms (95 %)"
-        print(f"radwrap: the error, {bound}, does not hold what is left out: {missing} gray rms", file=sys.stderr)
     if not result.run.met:
         raise ToleranceNotMet("the tolerance was not met; this is the best image that was found")
     return 0
@@ -154,8 +150,6 @@ def _summarise(arguments: argparse.Namespace, made: RunManifest, drawn: Mapping[
         f"error in gray levels before rounding: {error.rms_gray:.2g} rms, below {error.rms_gray_upper95:.2g} "
         f"(95 %), by {error.method}; method {made.method}, {made.rays:.3g} rays"
     )
-    if made.missing:
-        print(f"left out of image and error, in gray levels rms: {made.missing}")
     if drawn is not None:
         apart = drawn["gray_difference"]
         print(

@@ -26,7 +26,7 @@ from radwrap.files import TEMPORARY_SUFFIX, check_result, disk_failure, make_fol
 from radwrap.images import read_image
 from radwrap.imaging.demand import SamplingPlan
 from radwrap.imaging.forecast.cost import check_size
-from radwrap.imaging.forecast.effects import Effect, bounces, bounces_beyond, diffraction_left_out
+from radwrap.imaging.forecast.effects import Effect, bounces, bounces_beyond
 from radwrap.imaging.forecasting import Announcement, cores, usual_rays
 from radwrap.imaging.mean_radiance import Made, fixed_method, make, viewpoint_plan
 from radwrap.imaging.methods.pieces import Pieces, remove_log, remove_pieces
@@ -384,7 +384,6 @@ def _trace(run: _Run) -> tuple[TracedRun, list[str]]:
         beyond = None
         if isinstance(orders, int) and orders:
             beyond = bounces_beyond(traced, orders, options.seed, options.gray_tolerance)
-        waves = diffraction_left_out(scene, work.view, options.seed, options.gray_tolerance)
         announcement = Announcement(traced, options, run.made.parent / "rehearsal", run.programs, asked)
         before = partial(announcement.before, work.view) if options.progress else None
         made = make(scene, traced.banding.left(tracing), work, before)
@@ -402,7 +401,6 @@ def _trace(run: _Run) -> tuple[TracedRun, list[str]]:
         orders=orders,
         left_out=left_out,
         beyond=beyond,
-        waves=waves,
         exposure_of_radiance=view.exposure_of_radiance,
         spread=spread,
         magnification=magnification,

@@ -149,12 +149,6 @@ class RunManifest:
     timing: Timing
 
     @property
-    def missing(self) -> str:
-        """What is left out although it matters, in gray levels, for those who read the error; "" where nothing is."""
-        told = (f"{left.name} {left.rms_gray:.2g}" for left in self.left_out.values() if left.needed)
-        return ", ".join(told)
-
-    @property
     def met(self) -> bool:
         """Whether the tolerance is kept; what has none keeps it."""
         return self.plan is None or self.plan.met

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -11,8 +10,9 @@ from numpy.typing import NDArray
 
 from radwrap.imaging.banding import Banding
 from radwrap.imaging.forecast.cost import Foretold
-from radwrap.imaging.forecast.effects import Effect, warnings_of_left_out
+from radwrap.imaging.forecast.effects import Effect
 from radwrap.imaging.mean_radiance import Made
+from radwrap.imaging.optics.diffraction import diffraction, diffraction_warning
 from radwrap.imaging.output.identity import Identity
 from radwrap.imaging.output.image_files import ImageSummary
 from radwrap.imaging.output.run_manifest import Bounces, BouncesTraced, RunManifest, Timing
@@ -43,8 +43,6 @@ class TracedRun:
         How often light went from surface to surface at most.
     left_out, beyond : Effect
         What leaving that out costs, and what leaving out more of it does where `orders` is a number above 0.
-    waves : Effect
-        What leaving diffraction out costs.
     exposure_of_radiance : float
         Radiant exposure over mean radiance [s sr].
     spread : ndarray, shape (sources, rows, columns), optional
@@ -66,7 +64,6 @@ class TracedRun:
     orders: Bounces
     left_out: Effect
     beyond: Effect | None
-    waves: Effect
     exposure_of_radiance: float
     spread: NDArray[np.float64] | None
     magnification: NDArray[np.float64] | None
@@ -76,8 +73,13 @@ class TracedRun:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What the user should know, whatever the image looks like."""
-        effects = itertools.chain.from_iterable(map(warnings_of_left_out, self._left_out().values()))
-        return (*warnings_of(self.scene, self.tracer.whole or ()), *effects)
+        lens = diffraction_warning(diffraction(self.scene)) if self.scene.camera.lens else ()
+        bounces: tuple[str, ...] = ()
+        if not self.orders:
+            bounces = _warnings_of(self.left_out, "goes from one surface to another")
+        elif self.beyond is not None:
+            bounces = _warnings_of(self.beyond, f"is reflected more than {self.orders} times on its way")
+        return (*warnings_of(self.scene, self.tracer.whole or ()), *lens, *bounces)
 
     def manifest(
         self,
@@ -125,6 +127,14 @@ class TracedRun:
         )
 
     def _left_out(self) -> dict[str, Effect]:
-        light = self.beyond if self.orders else self.left_out
-        finite = not self.scene.camera.aperture.is_infinitesimal
-        return {left.name: left for left in (light, self.waves if finite else None) if left is not None}
+        left = self.beyond if self.orders else self.left_out
+        return {} if left is None else {left.name: left}
+
+
+def _warnings_of(left_out: Effect, how: str) -> tuple[str, ...]:
+    if not left_out.needed:
+        return ()
+    return (
+        f"light that {how} is left out: it would change the image by about "
+        f"{left_out.rms_gray:.2g} gray rms (at most {left_out.rms_gray_upper95:.2g})",
+    )

@@ -21,7 +21,6 @@ from radwrap.scene.file.border import (
     Share,
     Size,
     SizeOrZero,
-    Wavelength,
     default,
     exactly_one,
 )
@@ -101,7 +100,6 @@ class CameraModel(Aimed):
     aperture: ApertureModel = default({})
     sensor: AnySensorModel
     lens: LensModel | None = None
-    wavelength: Wavelength | None = None
     spectral_response: CurveModel | None = None
     filter: CurveModel | None = None
 
@@ -120,12 +118,6 @@ class CameraModel(Aimed):
                 raise ValueError(f"needs {'one' if told else 'either'} of lens.f_number and aperture.diameter")
         if self.aperture.inner_diameter is not None and not self.aperture.inner_diameter < self.opening_diameter:
             raise ValueError("aperture.inner_diameter must be smaller than the opening's diameter")
-        return self
-
-    @model_validator(mode="after")
-    def _one_wavelength(self) -> CameraModel:
-        if self.wavelength is not None and self.sensor.model == "linear":
-            raise ValueError("wavelength: sensor.wavelength tells it already; leave this one out")
         return self
 
     @property
