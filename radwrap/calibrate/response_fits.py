@@ -269,6 +269,10 @@ def fit_gray(
     free = [0] + [1] * free_gamma + [2] * free_dark  # of level, gamma, G0
     found = np.array([0.0, min(max(start_gamma, GAMMA_LIMITS[0]), GAMMA_LIMITS[1]), dark])
 
+    def power(gamma: float) -> Array:
+        result: Array = np.where(lit, np.exp(np.minimum(gamma * ln_exposure, 300.0)), 0.0)
+        return result
+
     def whole(unknown: Array) -> Array:
         values = found.copy()
         values[free] = unknown
@@ -276,15 +280,14 @@ def fit_gray(
 
     def slopes(unknown: Array) -> Array:
         level, gamma, _ = whole(unknown)
-        shape: Array = np.where(lit, np.exp(np.minimum(gamma * ln_exposure, 300.0)), 0.0)
+        shape = power(gamma)
         columns = np.column_stack([shape, level * shape * ln_exposure, np.ones(len(gray))])
         result: Array = columns[:, free] * weight[:, np.newaxis]
         return result
 
     def residual(unknown: Array) -> Array:
         level, gamma, offset = whole(unknown)
-        shape = np.where(lit, np.exp(np.minimum(gamma * ln_exposure, 300.0)), 0.0)
-        result: Array = (level * shape + offset - gray) * weight
+        result: Array = (level * power(gamma) + offset - gray) * weight
         return result
 
     # For the first gamma the best level and G0 are a linear matter: the only one where gamma is known.

@@ -16,7 +16,6 @@ from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import minimum_filter
 
 from radwrap.imaging.optics.view import View, trace_rays
 from radwrap.imaging.response.sensor import unclipped_gray
@@ -340,6 +339,8 @@ def _spread_that_counts(plan: GridPlan, values: NDArray[np.float64], size: float
     sensor = plan.sensor
     enough = sensor.saturation_gray + _SURELY_SATURATED * (sensor.saturation_gray - sensor.dark_gray)
     if gray.max() > enough:
+        from scipy.ndimage import minimum_filter
+
         # What a pixel gathers from here reaches as far again on its other side.
         reach = math.ceil(2 * math.sqrt(plan.area) / size)
         spread[minimum_filter(gray, 2 * reach + 1, mode="nearest") > enough] = 0.0
