@@ -9,10 +9,9 @@ _AGAIN: Final = 0.05  # s
 
 
 def interrupt_again(number: int = signal.SIGINT) -> None:
-    """Have the main thread heed a signal in a moment, as if it came then."""
-    import _thread
+    """Send the main thread a signal in a moment. It is a real one, so that a sleep or a wait for a lock ends too."""
     import threading
 
-    again = threading.Timer(_AGAIN, _thread.interrupt_main, (number,))
+    again = threading.Timer(_AGAIN, signal.pthread_kill, (threading.main_thread().ident, number))
     again.daemon = True
     again.start()
