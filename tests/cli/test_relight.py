@@ -135,7 +135,7 @@ def test_a_data_sheet_is_found_in_the_scenes_folder(tmp_path: Path, capsys: pyte
     )
     scene = write_scene(folder, {**TWO, "camera.sensor": linear})
     basis = tmp_path / "basis"
-    run("render", scene, "--basis", "--tolerance", 2, "--out", basis).success()
+    run("render", scene, "--basis", "--tolerance", 20, "--out", basis).success()
     turn = ("--set", "camera.exposure_time=10 ms")
     assert "sheet.toml" in here(_one(basis, tmp_path, *turn), capsys).refusal(2)
     found = here(_one(basis, tmp_path, *turn, "--scene-folder", folder, "--json"), capsys).success().json

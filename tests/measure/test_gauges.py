@@ -81,8 +81,8 @@ def spread(measured: Callable[[GrayImage], tuple[float, float]], light: Array, f
     return np.array([error / sigma for error, sigma in found])
 
 
-# Of 48 frames the spread of z is known to 10 %, and its mean to 0.15: what is off by a factor of two is seen.
-FRAMES = 48
+# Of 32 frames the spread of z is known to 13 %, and its mean to 0.18: what is off by a factor of two is seen.
+FRAMES = 32
 
 
 def honest(z: Array) -> bool:
