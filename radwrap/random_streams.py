@@ -37,6 +37,7 @@ class Rendering(IntEnum):
     FORESEEN_PIXELS = 26
     LIT_PIXELS = 27
     LIT_RAYS = 28
+    SAMPLED_BLOCKS = 29
 
 
 @unique

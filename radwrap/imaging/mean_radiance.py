@@ -123,7 +123,12 @@ def viewpoint_plan(scene: Scene, options: RenderOptions, method: FixedMethod, tr
 
 
 def make(
-    scene: Scene, options: RenderOptions, work: Work, before: Callable[[Search | ViewpointPlan], None] | None = None
+    scene: Scene,
+    options: RenderOptions,
+    work: Work,
+    before: Callable[[Search | ViewpointPlan], None] | None = None,
+    *,
+    relit: bool = False,
 ) -> Made:
     """Trace what the options ask for; finished pieces in the folder are used again.
 
@@ -137,6 +142,8 @@ def make(
         Where and by whom.
     before : callable, optional
         Is told what will be traced, once that is known; not where a plan of many images decides.
+    relit : bool
+        Whether images in other light will be made of the same cells.
 
     Raises
     ------
@@ -147,7 +154,7 @@ def make(
     """
     method = fixed_method(scene, options)
     if method is None:
-        return _to_tolerance(options, work, before)
+        return _to_tolerance(options, work, before, relit)
     plan = viewpoint_plan(scene, options, method, work.traced_sha256)
     if before is not None:
         before(plan)
@@ -174,9 +181,9 @@ def make(
     return Made(radiance, used, certify_by_independent_rays(work.view, radiance, options.seed), reused)
 
 
-def _to_tolerance(options: RenderOptions, work: Work, before: Callable[[Search], None] | None) -> Made:
+def _to_tolerance(options: RenderOptions, work: Work, before: Callable[[Search], None] | None, relit: bool) -> Made:
     if options.sampling is None:
-        outcome = render_to_tolerance(work, options.demand, before)
+        outcome = render_to_tolerance(work, options.demand, before, relit=relit)
     else:
         outcome = render_by_plan(work, options.demand, options.sampling)
     sensor = work.view.camera.sensor

@@ -386,7 +386,7 @@ def _trace(run: _Run) -> tuple[TracedRun, list[str]]:
             beyond = bounces_beyond(traced, orders, options.seed, options.gray_tolerance)
         announcement = Announcement(traced, options, run.made.parent / "rehearsal", run.programs, asked)
         before = partial(announcement.before, work.view) if options.progress else None
-        made = make(scene, traced.banding.left(tracing), work, before)
+        made = make(scene, traced.banding.left(tracing), work, before, relit=bool(run.identity.sources))
         spread, magnification = _spread(run), _magnification(scene, view)
         basis = _write_basis(run, work, made, magnification)
     finally:

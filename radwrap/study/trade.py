@@ -390,7 +390,7 @@ class _Sweep:
 
     def _expected_rays(self, setting: Setting) -> float:
         if setting.tolerance is not None:
-            view = with_smooth_blocks(self.view, self.survey, setting.tolerance)
+            view = with_smooth_blocks(self.view, self.survey, setting.tolerance, self.options.render.seed)
             if setting.method == "hybrid":
                 return Plans(view, self.survey, Demand(setting.tolerance), self.options.render.seed).hybrid_rays()
             rays, kernel = predicted_rays(view, self.survey, setting.tolerance)

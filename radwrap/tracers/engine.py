@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from enum import IntEnum
 from typing import Final, Literal, Protocol, get_args
 
 import numpy as np
@@ -16,8 +17,27 @@ EngineName = Literal["radiance", "compiled"]
 ENGINES: Final[tuple[EngineName, ...]] = get_args(EngineName)
 
 
-# Rays through corners and middles of blocks of an image -> which blocks can only change smoothly.
-Prover = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.bool_]]
+class BlockLight(IntEnum):
+    """What is known of the light on a block of an image.
+
+    Attributes
+    ----------
+    UNKNOWN
+        Nothing.
+    LIKELY
+        Only a flat face is seen in it, of one material, wholly, with nothing near. Each place of it gets the light of
+        each small source, and of wide ones what something may hide in part: mostly it changes smoothly.
+    PROVED
+        The same, the face is matte, and each place gets the light of wide sources wholly: it can only change smoothly.
+    """
+
+    UNKNOWN = 0
+    LIKELY = 1
+    PROVED = 2
+
+
+# Rays through corners and middles of blocks of an image -> each block's `BlockLight`.
+Prover = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.int8]]
 
 
 class Engine(Protocol):
@@ -97,8 +117,6 @@ class Engine(Protocol):
 
         It is asked with rays through the blocks' corners, shape (rows + 1,
         columns + 1, 6), and through their middles, shape (rows, columns, 6),
-        all from one point, and answers for each block whether only a flat,
-        matte face is seen in it, of one material, wholly, and every place of
-        it gets the light of each source.
+        all from one point, and answers with a `BlockLight` for each block.
         """
         ...

@@ -18,6 +18,7 @@ from radwrap.scene.scene import Scene
 from radwrap.tracers.compiled.layout import compiled_scene
 from radwrap.tracers.compiled.smooth import smooth_blocks
 from radwrap.tracers.compiled.tracer import CompiledTracer
+from radwrap.tracers.engine import BlockLight
 from radwrap.tracers.text_frame import TextFrame
 
 ROWS, COLUMNS = 96, 120
@@ -83,7 +84,7 @@ def lattice(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 
 def proved(scene: Scene) -> np.ndarray:
-    return smooth_blocks(compiled_scene(scene, TextFrame()), *lattice(scene))
+    return smooth_blocks(compiled_scene(scene, TextFrame()), *lattice(scene)) == BlockLight.PROVED
 
 
 def block_of(x: float, y: float) -> tuple[int, int]:

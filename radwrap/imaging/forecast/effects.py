@@ -187,7 +187,9 @@ def effects(scene: Scene, options: RenderOptions | None = None) -> dict[str, Any
         options, asked = with_gray_tolerance(options, view)
         tolerance = options.gray_tolerance
         found = survey(view, options.seed)
-        choice = choose(Plans(with_smooth_blocks(view, found, tolerance), found, options.demand, options.seed))
+        choice = choose(
+            Plans(with_smooth_blocks(view, found, tolerance, options.seed), found, options.demand, options.seed)
+        )
         each = [effect.as_manifest() for effect in _measured(traced, view, found, tolerance, options.seed)]
     planner = {"method": choice.method, "why": choice.why, **choice.as_manifest()}
     tracer = plain(traced.tracer_used, named=False)

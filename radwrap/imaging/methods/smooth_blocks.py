@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from radwrap.imaging.optics.smooth import BLOCK, SmoothField, corners_of
 from radwrap.imaging.optics.view import View, central_rays, trace_rays
 from radwrap.imaging.response.sensor import unclipped_gray
+from radwrap.tracers.engine import BlockLight
 
 Array = NDArray[np.float64]
 
@@ -44,9 +45,21 @@ def smooth_field(view: View, reach: tuple[float, float], tolerance: float) -> Sm
     first = (-margin, -margin)
     corners = corners_of(first, shape)
     middles = tuple(places[:-1, :-1] + BLOCK / 2 for places in corners)
-    proved = view.prover(*(central_rays(view.camera, *places) for places in (corners, middles)))
+    light = view.prover(*(central_rays(view.camera, *places) for places in (corners, middles)))
+    proved = light == BlockLight.PROVED
     values, magnification = _traced(view, *corners)
-    field = SmoothField(first, proved, values, magnification, 0.0, magnification.size)
+    likely = light == BlockLight.LIKELY
+    field = SmoothField(
+        first,
+        proved,
+        values,
+        magnification,
+        likely,
+        0.0,
+        0.0,
+        magnification.size,
+        np.ones_like(magnification, dtype=np.int8),
+    )
     at = tuple(places[proved] for places in middles)
     middle, _ = trace_rays(view, None, *at)
     gray = (unclipped_gray(found * view.exposure_of_radiance, sensor) for found in (middle, field.at(*at)[0]))
@@ -54,14 +67,33 @@ def smooth_field(view: View, reach: tuple[float, float], tolerance: float) -> Sm
     kept = off <= _ERROR_SHARE * tolerance
     smooth = np.zeros_like(proved)
     smooth[proved] = kept
+    # Between the corners of what can only change smoothly nothing is farther off than the middle.
     square = float((off[kept] ** 2).mean()) if kept.any() else 0.0
-    return replace(field, smooth=smooth, square=square, rays=magnification.size + middle.size)
+    return replace(field, smooth=smooth, square=square, upper=square, rays=magnification.size + middle.size)
 
 
 def in_other_light(field: SmoothField, view: View) -> SmoothField:
     """The same blocks as another view of the same places sees them."""
     values, magnification = _traced(view, *field.corners)
     return replace(field, values=values, magnification=magnification, rays=magnification.size)
+
+
+def retraced(view: View, values: Array, places: tuple[Array, Array], beside: NDArray[np.int8]) -> int:
+    """Put means of n x n rays in the place of values where n > 1; gives how many rays that took."""
+    rays = 0
+    for side in np.unique(beside[beside > 1]).tolist():
+        there = beside == side
+        values[..., there] = bundles(view, (places[0][there], places[1][there]), side).mean(axis=-2)
+        rays += side**2 * int(np.count_nonzero(there))
+    return rays
+
+
+def bundles(view: View, places: tuple[Array, Array], side: int) -> Array:
+    """L cos^4(theta) along side x side rays in a square of a pixel about each of n places, shape (..., side^2, n)."""
+    (u, v), steps = places, (np.arange(side) + 0.5) / side - 0.5
+    du, dv = (a.ravel()[:, np.newaxis] for a in np.meshgrid(steps, steps))
+    values, _ = trace_rays(view, None, (u + du).ravel(), (v + dv).ravel())
+    return values.reshape(*values.shape[:-1], side * side, len(u))
 
 
 def _traced(view: View, u: Array, v: Array) -> tuple[Array, Array]:

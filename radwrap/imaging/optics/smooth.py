@@ -5,12 +5,13 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+_T = TypeVar("_T", bound=np.generic)
 
 BLOCK: Final = 8  # px; a ray in 64 of what is smooth, and blocks still fit between the parts of a few megapixels
 
@@ -29,19 +30,25 @@ class SmoothField:
         L cos^4(theta) at the corners [W m^-2 sr^-1].
     magnification : ndarray, shape (rows + 1, columns + 1)
         m at the corners.
-    square : float
-        Mean square of what is found in the middle of smooth blocks less what lies between their corners, which is
-        nowhere farther off [gray level^2].
+    likely : ndarray of bool, shape (rows, columns)
+        Blocks that may be smooth, see `BlockLight`.
+    square, upper : float
+        Mean square over the image of what lies between corners less what is there, and its bound [gray level^2].
     rays : int
         How many were traced.
+    beside : ndarray of int, shape (rows + 1, columns + 1)
+        Each corner is the mean of n x n rays in a square of a pixel about it.
     """
 
     first: tuple[int, int]
     smooth: NDArray[np.bool_]
     values: Array
     magnification: Array
+    likely: NDArray[np.bool_]
     square: float
+    upper: float
     rays: int
+    beside: NDArray[np.int8]
 
     @property
     def corners(self) -> tuple[Array, Array]:
@@ -56,7 +63,10 @@ class SmoothField:
     @property
     def sha256(self) -> str:
         """Hash of which blocks are smooth."""
-        return hashlib.sha256(repr((self.first, self.smooth.shape)).encode() + self.smooth.tobytes()).hexdigest()
+        told = repr((self.first, self.smooth.shape)).encode() + self.smooth.tobytes()
+        if self.beside.max() > 1:
+            told += self.beside.tobytes()
+        return hashlib.sha256(told).hexdigest()
 
     def holds(self, u: Array, v: Array) -> NDArray[np.bool_]:
         """Whether places (u, v) on the sensor [px] lie in smooth blocks."""
@@ -85,7 +95,7 @@ class SmoothField:
         return float(some.mean()) if some.size else 0.0
 
     def at(self, u: Array, v: Array) -> tuple[Array, Array]:
-        """L cos^4(theta) and m at places that `holds`."""
+        """L cos^4(theta) and m between the corners of the blocks in which places lie: what is there if it `holds`."""
         row, column = self._block(v, 0), self._block(u, 1)
         down = (v + 0.5) / BLOCK - self.first[0] - row
         right = (u + 0.5) / BLOCK - self.first[1] - column
@@ -101,6 +111,23 @@ class SmoothField:
     def _block(self, place: Array, axis: int) -> NDArray[np.intp]:
         block: NDArray[np.intp] = np.floor((place + 0.5) / BLOCK).astype(np.intp) - self.first[axis]
         return block
+
+
+def most_about(values: NDArray[_T]) -> NDArray[_T]:
+    """The largest of each corner's blocks' values, which are no less than 0; shape (rows + 1, columns + 1)."""
+    rows, columns = values.shape
+    most = np.zeros((rows + 1, columns + 1), dtype=values.dtype)
+    for down in (0, 1):
+        for right in (0, 1):
+            some = most[down : down + rows, right : right + columns]
+            np.maximum(some, values, out=some)
+    return most
+
+
+def mean_of_corners(corners: Array) -> Array:
+    """Mean of each block's four corners."""
+    mean: Array = (corners[:-1, :-1] + corners[1:, :-1] + corners[:-1, 1:] + corners[1:, 1:]) / 4
+    return mean
 
 
 def corners_of(first: tuple[int, int], shape: tuple[int, ...]) -> tuple[Array, Array]:

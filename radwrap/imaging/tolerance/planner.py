@@ -118,17 +118,20 @@ class Outcome:
     smooth: SmoothField | None
 
 
-def render_to_tolerance(work: Work, demand: Demand, before: Callable[[Search], None] | None = None) -> Outcome:
+def render_to_tolerance(
+    work: Work, demand: Demand, before: Callable[[Search], None] | None = None, *, relit: bool = False
+) -> Outcome:
     """Make an image whose certified error keeps a tolerance, or the best that the budget allows.
 
-    `before` is told once a survey says what will be done.
+    `before` is told once a survey says what will be done. What is to be `relit` has no part whose error is known in
+    this light only.
 
     Raises
     ------
     TracerError, EnvironmentFailure
         If the tracer or the disk fails.
     """
-    search = Search(work, demand)
+    search = Search(work, demand, relit=relit)
     if before is not None:
         before(search)
     return search.run()
@@ -137,7 +140,7 @@ def render_to_tolerance(work: Work, demand: Demand, before: Callable[[Search], N
 class Search:
     """One search for an image that keeps the tolerance, or a survey and the image by a plan that others made."""
 
-    def __init__(self, work: Work, demand: Demand) -> None:
+    def __init__(self, work: Work, demand: Demand, *, relit: bool = False) -> None:
         self.demand, self.tracer = demand, work.view.tracer
         self.start = time.monotonic()
         self.found = of_kept(
@@ -146,7 +149,9 @@ class Search:
             lambda: survey(work.view, work.seed),
             lambda found: found.magnification.nbytes + found.deviations.nbytes,
         )
-        self.view = with_smooth_blocks(work.view, self.found, demand.tolerance)
+        # A sample of squared errors knows nothing of single pixels, either.
+        sampled = demand.max_error is None and not relit
+        self.view = with_smooth_blocks(work.view, self.found, demand.tolerance, work.seed, sampled=sampled)
         self.work = replace(work, view=self.view)
         self.traced_rays = self.found.rays + (self.view.smooth.rays if self.view.smooth else 0)
         self.plans = Plans(self.view, self.found, demand, work.seed)
@@ -333,7 +338,7 @@ class Search:
         view, seed, kernel = self.view, self.work.seed, kernel_of(plan)
         noise, errors = discretisation(view, replicates)
         if kernel is not None and kernel.grid.smooth and view.smooth is not None:
-            noise += Bounded(view.smooth.square, view.smooth.square)
+            noise += Bounded(view.smooth.square, view.smooth.upper)
         if isinstance(plan, KernelPlan):
             self.plans.kernel = plan, len(replicates.images), noise
         if kernel is None or view.camera.aperture.is_infinitesimal:

@@ -154,7 +154,7 @@ def render_by_plan(work: Work, demand: Demand, plan: SamplingPlan) -> Outcome:
     TracerError, EnvironmentFailure
         If the tracer or the disk fails.
     """
-    search = Search(work, demand)
+    search = Search(work, demand, relit=True)  # an even plan has a ray in each cell
     rays = even_plan(work.view, search.found, plan)
     outcome = search.made(rays, plan.replicates, "the plan of all images that are compared")
     return replace(outcome, record=search.recorded(outcome.record, sampling=plan))

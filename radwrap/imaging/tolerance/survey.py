@@ -26,6 +26,7 @@ from radwrap.imaging.optics.view import View, magnifications_at
 from radwrap.imaging.tolerance.bounds import NOTHING, Bounded, stratified_mean
 from radwrap.imaging.tolerance.certificate import PixelSample, model_errors, places_of
 from radwrap.imaging.tolerance.replicates import replicates_needed
+from radwrap.imaging.tolerance.sampled_blocks import with_sampled_blocks
 from radwrap.random_streams import Rendering, generator
 from radwrap.scene.camera import Sensor
 
@@ -117,14 +118,20 @@ def surveyed_places(sensor: Sensor) -> tuple[NDArray[np.float64], NDArray[np.flo
     return u.ravel(), v.ravel()
 
 
-def with_smooth_blocks(view: View, found: Survey, tolerance: float) -> View:
-    """The view with what is known of its smooth blocks, where a kernel's cells would be smaller than these."""
+def with_smooth_blocks(view: View, found: Survey, tolerance: float, seed: int, *, sampled: bool = True) -> View:
+    """The view with what is known of its smooth blocks, where a kernel's cells would be smaller than these.
+
+    Those that are not proved to be smooth count where they may be `sampled`: see `with_sampled_blocks`.
+    """
     if not math.isfinite(found.model.mean) or view.camera.sensor.pixels < _FEWEST_BLOCKS * BLOCK**2:
         return view
     plan = plan_kernel(view, met_by(view, found.magnification), AIM_SHARE * tolerance)
     if plan.grid.base >= BLOCK:
         return view
-    return replace(view, smooth=smooth_field(view, plan.reach_px, tolerance))
+    field = smooth_field(view, plan.reach_px, tolerance)
+    if field is not None and sampled:
+        field = with_sampled_blocks(view, field, tolerance, seed)
+    return replace(view, smooth=field)
 
 
 def met_by(view: View, magnification: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -8,18 +8,21 @@ and the block, nor between the block and any light.
 from __future__ import annotations
 
 import math
+from itertools import product
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.tracers.compiled.arrays import (
+    BRUSHED,
     CONE,
     DISC,
     DOTS,
     NOTHING,
     RECTANGLE,
     TRIANGLE,
+    WARD,
     WIDE_ZONE,
     Cluster,
     Clusters,
@@ -41,18 +44,25 @@ from radwrap.tracers.compiled.kernels import placed
 from radwrap.tracers.compiled.layout import CompiledScene
 from radwrap.tracers.compiled.shadows import clear_between
 from radwrap.tracers.compiled.tree import DEPTH
+from radwrap.tracers.compiled.whole_face import fills, room
 from radwrap.tracers.compiled.wide_shape import may_be_outside
+from radwrap.tracers.engine import BlockLight
 
 # By this share of its size a block is taken to be larger: distortion bends its sides.
 _SPARE: Final = 0.1
+# What shadows a block from nearer than this, in its own half diagonals, may do it sharply.
+_NEAR: Final = 2.0
+_BROAD: Final = 0.05  # rad; a narrower lobe shows outlines of what it mirrors
+_TURNED: Final = 1e-9  # rad, and of lengths: as far as rounding turns and moves faces of one plane
 # Where nothing is met a block is looked at so many times as far away as the farthest corner of all that is there.
 _BEYOND: Final = 2.0
+_LIKELY, _PROVED = int(BlockLight.LIKELY), int(BlockLight.PROVED)
 _EMITTER: Final = -2
 _NOTHING: Final = -1
 
 
-def smooth_blocks(scene: CompiledScene, corners: Floats, middles: Floats) -> NDArray[np.bool_]:
-    """Whether light can only change smoothly within each block.
+def smooth_blocks(scene: CompiledScene, corners: Floats, middles: Floats) -> NDArray[np.int8]:
+    """How light can change within each block, a `BlockLight`.
 
     Parameters
     ----------
@@ -65,19 +75,20 @@ def smooth_blocks(scene: CompiledScene, corners: Floats, middles: Floats) -> NDA
     """
     count = middles.shape[:2]
     if (scene.lights["beam"] == CONE).any():  # its light ends at once
-        return np.zeros(count, dtype=bool)
+        return np.zeros(count, dtype=np.int8)
     met, cover, place = _faces(scene, corners)
-    about = [(met[:-1, :-1], met[1:, :-1], met[:-1, 1:], met[1:, 1:])]
-    about += [(cover[:-1, :-1], cover[1:, :-1], cover[:-1, 1:], cover[1:, 1:])]
     shape, wears, middle = _faces(scene, middles)
-    alike = shape > _EMITTER
-    for own, others in zip((shape, wears), about, strict=True):
-        for other in others:
-            alike &= own == other
-    chosen = np.nonzero(alike)
+    at_corners = [slice(None, -1), slice(1, None)]
+    same, alike = shape > _EMITTER, shape >= 0
+    for down, right in product(at_corners, at_corners):
+        same &= (met[down, right] == shape) & (cover[down, right] == wears)
+        alike &= (met[down, right] >= 0) & (cover[down, right] == wears)
+    for down, right in product(at_corners, at_corners):
+        alike[alike] = _in_one_plane(scene, met[down, right][alike], shape[alike], middle[alike])
+    chosen = np.nonzero(same | alike)
     row, column = chosen
     places = np.stack(
-        [place[row, column], place[row + 1, column], place[row, column + 1], place[row + 1, column + 1], middle[chosen]]
+        [place[row, column], place[row + 1, column], place[row + 1, column + 1], place[row, column + 1], middle[chosen]]
     )
     low, high = places.min(axis=0), places.max(axis=0)
     spare = _SPARE * (high - low)
@@ -86,7 +97,7 @@ def smooth_blocks(scene: CompiledScene, corners: Floats, middles: Floats) -> NDA
     put(boxes, "x1 y1 z1", high + spare)
     reach = np.sqrt(((places[:4] - places[4]) ** 2).sum(axis=2)).max(axis=0) * (1 + _SPARE)
     ex, ey, ez = ((middles[0, 0, :3] - scene.frame.origin) * scene.frame.units).tolist()
-    found = np.zeros(len(row), dtype=np.bool_)
+    found = np.zeros(len(row), dtype=np.int8)
     _undisturbed(
         scene.targets.shapes,
         scene.targets.nodes,
@@ -97,19 +108,32 @@ def smooth_blocks(scene: CompiledScene, corners: Floats, middles: Floats) -> NDA
         scene.clusters,
         scene.wides,
         boxes,
-        places[4],
+        np.ascontiguousarray(places.transpose(1, 0, 2)),
         reach,
         shape[chosen],
         wears[chosen],
+        same[chosen],
         ex,
         ey,
         ez,
         np.empty(DEPTH, dtype=np.int64),
+        np.empty((4, 3)),
+        room(),
         found,
     )
-    smooth = np.zeros(count, dtype=bool)
+    smooth = np.zeros(count, dtype=np.int8)
     smooth[chosen] = found
     return smooth
+
+
+def _in_one_plane(scene: CompiledScene, one: Whole, other: Whole, place: Floats) -> NDArray[np.bool_]:
+    """Whether faces of one target lie in one plane, as far as rounding goes."""
+    shapes = scene.targets.shapes
+    a, b = shapes[one], shapes[other]
+    normals = [np.stack([s["nx"], s["ny"], s["nz"]], axis=-1) for s in (a, b)]
+    off = (normals[0] * (np.stack([a["x"], a["y"], a["z"]], axis=-1) - place)).sum(axis=-1)
+    alike: NDArray[np.bool_] = (a["owner"] == b["owner"]) & (np.abs(normals[0] - normals[1]).max(axis=-1) < _TURNED)
+    return alike & (np.abs(off) <= _TURNED * np.abs(place).max(axis=-1))
 
 
 def _faces(scene: CompiledScene, rays: Floats) -> tuple[Whole, Whole, Floats]:
@@ -193,39 +217,65 @@ def _undisturbed(
     clusters: Clusters,
     wides: Wides,
     boxes: Clusters,
-    middles: Floats,
+    places: Floats,
     reach: Floats,
     met: Whole,
     wears: Whole,
+    same: NDArray[np.bool_],
     ex: float,
     ey: float,
     ez: float,
     stack: Whole,
-    found: NDArray[np.bool_],
+    quad: Floats,
+    polygons: Floats,
+    found: NDArray[np.int8],
 ) -> None:
     for b in range(len(boxes)):
-        box, but = boxes[b], met[b]
+        box, but, proved = boxes[b], met[b], same[b]
         if but >= 0:
             cover = covers[wears[b]]
-            if cover.kind != NOTHING or cover.columns != 0:
+            middle = places[b, 4]
+            if cover.columns != 0 or cover.kind not in (NOTHING, WARD, BRUSHED):
                 continue
-            if not _is_one_face(shapes[but], decals, middles[b, 0], middles[b, 1], middles[b, 2], reach[b]):
+            if cover.kind != NOTHING and cover.fine < _BROAD:
                 continue
+            proved = (
+                proved
+                and cover.kind == NOTHING
+                and _is_one_face(shapes[but], decals, middle[0], middle[1], middle[2], reach[b])
+            )
         # Of surfaces in one plane any may be seen.
-        free = clear_between(shapes, nodes, box, ex, ey, ez, ex, ey, ez, but, False, stack)
-        free = free and clear_between(discs, disc_nodes, box, ex, ey, ez, ex, ey, ez, -1, False, stack)
-        if but >= 0:
-            x0, y0, z0, x1, y1, z1 = box.x0, box.y0, box.z0, box.x1, box.y1, box.z1
-            for c in range(len(clusters)):
-                free = free and clear_between(shapes, nodes, clusters[c], x0, y0, z0, x1, y1, z1, but, True, stack)
-                if free and clusters[c].may_be_hidden:
-                    free = clear_between(discs, disc_nodes, clusters[c], x0, y0, z0, x1, y1, z1, -1, True, stack)
-            for w in range(len(wides)):
-                own = wides[w].own
-                free = free and not (wides[w].kind == WIDE_ZONE and may_be_outside(wides[w], box))
-                free = free and clear_between(shapes, nodes, wides[w], x0, y0, z0, x1, y1, z1, but, True, stack)
-                free = free and clear_between(discs, disc_nodes, wides[w], x0, y0, z0, x1, y1, z1, own, True, stack)
-        found[b] = free
+        free = clear_between(shapes, nodes, box, ex, ey, ez, ex, ey, ez, but, not proved, stack)
+        proved = proved and free and clear_between(discs, disc_nodes, box, ex, ey, ez, ex, ey, ez, -1, False, stack)
+        if but < 0:
+            if proved:
+                found[b] = _PROVED
+            continue
+        x0, y0, z0, x1, y1, z1 = box.x0, box.y0, box.z0, box.x1, box.y1, box.z1
+        for c in range(len(clusters)):
+            free = free and clear_between(shapes, nodes, clusters[c], x0, y0, z0, x1, y1, z1, but, True, stack)
+            if free and clusters[c].may_be_hidden:
+                free = clear_between(discs, disc_nodes, clusters[c], x0, y0, z0, x1, y1, z1, -1, True, stack)
+        for w in range(len(wides)):
+            own = wides[w].own
+            free = free and not (wides[w].kind == WIDE_ZONE and may_be_outside(wides[w], box))
+            proved = proved and free
+            proved = proved and clear_between(shapes, nodes, wides[w], x0, y0, z0, x1, y1, z1, but, True, stack)
+            proved = proved and clear_between(discs, disc_nodes, wides[w], x0, y0, z0, x1, y1, z1, own, True, stack)
+        if free and proved:
+            found[b] = _PROVED
+        elif free and len(wides):
+            # Where a small emitter may be in the way, its outline may lie between the rays.
+            if len(clusters) and not clear_between(discs, disc_nodes, box, ex, ey, ez, ex, ey, ez, -1, False, stack):
+                continue
+            for k in range(4):
+                for axis in range(3):
+                    quad[k, axis] = middle[axis] + (1 + _SPARE) * (places[b, k, axis] - middle[axis])
+            is_plain = shapes[but].kind == TRIANGLE or _is_one_face(
+                shapes[but], decals, middle[0], middle[1], middle[2], reach[b]
+            )
+            if is_plain and fills(shapes, nodes, quad, but, _NEAR * reach[b], stack, polygons):
+                found[b] = _LIKELY
 
 
 @compiled
