@@ -89,6 +89,8 @@ class Look:
         The target that the caliper is placed on.
     calibrated : bool
         Whether the plane is that of a calibration's board.
+    other_plane : bool
+        Whether the plane is another one than that of the target that the caliper is placed on.
     """
 
     path: Path
@@ -101,6 +103,7 @@ class Look:
     plane: Plane | None
     truth: str | None
     calibrated: bool = False
+    other_plane: bool = False
 
     @property
     def unit(self) -> str:
@@ -235,7 +238,9 @@ def look(arguments: argparse.Namespace, verb: str) -> Look:
         plane = None
     known = response(arguments, scene)
     found = Look(arguments.image, image, known, aspect, scale, scene, face, plane, arguments.truth)
-    return replace(found, calibrated=calibrated is not None)
+    named_plane = getattr(arguments, "plane", None)
+    other = calibrated is not None or named_plane not in {None, arguments.truth}
+    return replace(found, calibrated=calibrated is not None, other_plane=other)
 
 
 def response(arguments: argparse.Namespace, scene: Scene | None) -> Response:

@@ -12,7 +12,7 @@ from radwrap.cli import options as shared
 from radwrap.errors import InputError
 from radwrap.manifest import finite, json_text
 from radwrap.measure.gauges import Caliper, Circle, measure_circle
-from radwrap.study.placed_calipers import RimName, RimPlace, rim_places
+from radwrap.study.placed_calipers import RimName, RimPlace, rim_places, side_warnings
 
 
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
@@ -139,7 +139,7 @@ def _told(found: gauging.Look, place: RimPlace, circle: Circle) -> dict[str, Any
         "misfit": finite(circle.misfit),
         "left_out": circle.left_out,
         "points": circle.points,
-        "warnings": list(circle.warnings),
+        "warnings": [*circle.warnings, *_side(found, place, circle)],
     }
     if circle.orientation is not None:
         told |= {"orientation": circle.orientation, "orientation_sigma": circle.orientation_sigma}
@@ -149,6 +149,14 @@ def _told(found: gauging.Look, place: RimPlace, circle: Circle) -> dict[str, Any
     if place.true_diameter is not None:
         told["true_diameter_mm"] = place.true_diameter / gauging.MM
     return told
+
+
+def _side(found: gauging.Look, place: RimPlace, circle: Circle) -> tuple[str, ...]:
+    """What the scene knows of the part's side, where the diameter lies in the plane of the part's own face."""
+    if circle.unit != "m" or found.other_plane:
+        return ()
+    relative = found.relative_sigma
+    return side_warnings(place, circle.diameter, math.hypot(circle.diameter_sigma, relative * circle.diameter))
 
 
 def _lines(told: dict[str, Any], rims: list[str]) -> Iterator[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -36,6 +37,7 @@ from radwrap.study.placed_calipers import (
     response_of,
     rim_caliper,
     rim_places,
+    side_warnings,
     width_caliper,
 )
 from radwrap.study.response_kind import BOX, Kind, Options
@@ -51,7 +53,7 @@ def _diameter(seen: Seen, options: Options, true: float = 0.0) -> Answer:
     caliper, plane, response = rim_caliper(places, name), plane_of(camera, face), response_of(camera)
 
     def circle(image: GrayImage) -> Circle:
-        return measure_circle(
+        found = measure_circle(
             image,
             caliper,
             response=response,
@@ -59,6 +61,8 @@ def _diameter(seen: Seen, options: Options, true: float = 0.0) -> Answer:
             way=options.get("edge", "model"),
             pixel_aspect=aspect_of(camera),
         )
+        side = side_warnings(places[name], found.diameter, found.diameter_sigma)
+        return replace(found, warnings=(*found.warnings, *side))
 
     return again_with_warnings(seen, circle, lambda found: float(found.diameter) - true)
 

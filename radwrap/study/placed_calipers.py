@@ -33,6 +33,10 @@ _LENGTH: Final = 0.6  # of a true edge, so that the caliper keeps clear of its e
 _MARGIN: Final = 10.0  # px of band beyond true edges
 _ROUND: Final = 64  # points that stand for a rim
 _ALONG: Final = 257  # points that stand for an edge
+_SAME_AXIS: Final = 0.1  # of the radius; a far rim so like the near one bounds the same hole or body
+_SAME_SIZE: Final = 1e-6  # of the radius
+_SIGNIFICANT: Final = 3.0  # standard errors
+_OF_SIDE: Final = 0.25  # of the way from the near rim to the far one, from where on the far one is what was measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,11 +51,14 @@ class RimPlace:
         In pixel widths [px].
     true_diameter : float or None
         Of the scene's geometry [m].
+    with_side : float or None
+        That of what the whole part covers, as seen in the plane of the face [m]: less than a hole whose side is seen.
     """
 
     centre: tuple[float, float]
     radius: float
     true_diameter: float | None = None
+    with_side: float | None = None
 
     def band(self, others: list[float]) -> float:
         """How far from the radius to look [px]: at most half-way to other rims, as what lies there is theirs."""
@@ -130,17 +137,55 @@ def rim_places(camera: Camera, face: Face, aspect: float) -> dict[RimName, RimPl
     circles = rings(face)
     if not circles:
         raise InputError("has no round rim on the face that it shows")
-    return {name: _place(camera, face, rim, aspect) for name, rim in zip(RIMS, circles, strict=False)}
+    return {name: _place(camera, face, rim, aspect, name) for name, rim in zip(RIMS, circles, strict=False)}
 
 
-def _place(camera: Camera, face: Face, rim: FaceRim, aspect: float) -> RimPlace:
+def _place(camera: Camera, face: Face, rim: FaceRim, aspect: float, name: RimName) -> RimPlace:
     """The mean of the rim's points, and their mean distance from it in pixel widths."""
     turn = 2 * np.pi * np.arange(_ROUND) / _ROUND
     uv = face.to_image(camera, np.array(rim.centre) + rim.radius * np.column_stack([np.cos(turn), np.sin(turn)]))
     _check_before(uv)
     centre = uv.mean(axis=0)
     radius = float(np.linalg.norm((uv - centre) * np.array([1.0, aspect]), axis=1).mean())
-    return RimPlace((float(centre[0]), float(centre[1])), radius, 2 * rim.radius)
+    return RimPlace((float(centre[0]), float(centre[1])), radius, 2 * rim.radius, _with_side(camera, face, rim, name))
+
+
+def _with_side(camera: Camera, face: Face, rim: FaceRim, name: RimName) -> float | None:
+    """Diameter by the area that near and far rims leave or cover together, as seen in the plane of the face [m]."""
+    turn = 2 * np.pi * np.arange(_ROUND) / _ROUND
+    away = np.column_stack([np.cos(turn), np.sin(turn)])
+    seen = np.full(_ROUND, rim.radius)
+    for far in face.far_rims:
+        if math.dist(far.centre, rim.centre) > _SAME_AXIS * rim.radius or abs(far.radius / rim.radius - 1) > _SAME_AXIS:
+            continue
+        there = face.from_image(camera, face.to_image(camera, np.array(far.centre) + far.radius * away, far.below))
+        if not np.isfinite(there).all():
+            continue
+        # Seen from the rim's centre, it is a circle about another one.
+        middle = there.mean(axis=0) - rim.centre
+        radius = float(np.linalg.norm(there - there.mean(axis=0), axis=1).mean())
+        along = away @ middle
+        beyond = radius**2 - float(middle @ middle) + along**2
+        reach = along + np.sqrt(np.maximum(beyond, 0.0))
+        seen = np.minimum(seen, reach) if name == "inner" else np.maximum(seen, reach)
+    same_area = 2 * math.sqrt(float(np.mean(seen**2)))
+    return same_area if abs(same_area - 2 * rim.radius) > _SAME_SIZE * rim.radius else None
+
+
+def side_warnings(place: RimPlace, measured: float, error: float) -> tuple[str, ...]:
+    """What speaks for the side of a thick part in a measured diameter [m] of this error [m].
+
+    A gauge of images cannot know: the far rim is as sharp and as round as the near one.
+    """
+    if place.true_diameter is None or place.with_side is None:
+        return ()
+    off, side = measured - place.true_diameter, place.with_side - place.true_diameter
+    if off * side <= 0 or abs(off) < max(_SIGNIFICANT * error, _OF_SIDE * abs(side)):
+        return ()
+    return (
+        "the far rim is what was measured, at least in part: the side of the part is seen beside the face's rim of "
+        f"{place.true_diameter / 1e-3:.4f} mm, and both rims together leave {place.with_side / 1e-3:.4f} mm",
+    )
 
 
 def rim_caliper(places: dict[RimName, RimPlace], name: RimName) -> Caliper:

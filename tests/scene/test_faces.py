@@ -61,14 +61,21 @@ def test_parts_have_the_circles_of_their_top() -> None:
     scene = load_scene(CELLS / "ring.toml")
     targets = {target.name: target for target in scene.targets}
     washer = face_towards(scene.camera, targets["washer"])
-    assert [2 * rim.radius for rim in rings(washer)] == pytest.approx([0.024, 0.013], rel=1e-6)
+    # The outlines are polygons of 96 sides, whose corners lie on 24 and 13 mm; what is seen is their area.
+    turn = 2 * math.pi / 96
+    as_seen = math.sqrt(math.sin(turn) / turn)
+    assert [2 * rim.radius for rim in rings(washer)] == pytest.approx([0.024 * as_seen, 0.013 * as_seen], rel=1e-6)
+    assert 0.024 * (1 - as_seen) == pytest.approx(8.6e-6, abs=5e-8)
+    assert [(rim.radius, rim.below) for rim in washer.far_rims] == [
+        (pytest.approx(rim.radius), pytest.approx(0.0025)) for rim in washer.rims
+    ]
     assert washer.origin[2] == pytest.approx(0.00255)
     middle = washer.to_image(scene.camera, np.array([washer.rims[0].centre]))[0]
     expected = project(scene.camera, np.array([[0.022, -0.018, 0.00255]]))[0][0]
     assert middle == pytest.approx(expected, abs=1e-3)
     plate = face_towards(scene.camera, targets["plate"])
     assert len(plate.rims) == 3 and len(rings(plate)) == 1
-    assert plate.rims[0].radius == pytest.approx(0.007, rel=1e-6)
+    assert plate.rims[0].radius == pytest.approx(0.007 * as_seen, rel=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -27,10 +27,21 @@ _SAME_CENTRE: Final = 0.05  # of the radius
 
 @dataclass(frozen=True, slots=True)
 class FaceRim:
-    """A circle on a face: centre (x, y) and radius [m]."""
+    """A circle on a face, or on one behind it.
+
+    Attributes
+    ----------
+    centre : tuple of float
+        (x, y) on the face [m].
+    radius : float
+        [m]; of a mesh's polygon that of the circle of the same area, which is what an image of it shows.
+    below : float
+        How far behind the face it lies [m].
+    """
 
     centre: tuple[float, float]
     radius: float
+    below: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,21 +58,24 @@ class Face:
         Circles on it, the largest first.
     size : tuple of float or None
         Along x and y, of a rectangle about the origin [m].
+    far_rims : tuple of FaceRim
+        Circles on the body's faces that look the other way.
     """
 
     origin: Array
     axes: Array
     rims: tuple[FaceRim, ...] = ()
     size: tuple[float, float] | None = None
+    far_rims: tuple[FaceRim, ...] = ()
 
     @property
     def normal(self) -> Array:
         """Unit normal in the world, towards the camera."""
         return np.asarray(np.cross(self.axes[0], self.axes[1]))
 
-    def to_image(self, camera: Camera, places: Array) -> Array:
-        """Where a camera sees places (x, y), shape (n, 2) [m]: column and row [px]; NaN behind it."""
-        uv, depth = project(camera, self.origin + places @ self.axes)
+    def to_image(self, camera: Camera, places: Array, below: float = 0.0) -> Array:
+        """Where a camera sees places (x, y), shape (n, 2) [m], so far behind: column and row [px]; NaN behind it."""
+        uv, depth = project(camera, self.origin - below * self.normal + places @ self.axes)
         return np.asarray(np.where(depth[:, None] > 0, uv, np.nan))
 
     def from_image(self, camera: Camera, uv: Array) -> Array:
@@ -95,7 +109,8 @@ def face_towards(camera: Camera, target: Target) -> Face:
     if isinstance(target, Cylinder):
         if abs(z) <= target.length / 2:
             raise InputError("turns its side to the camera, and no end", where=target.name)
-        return _placed(target, math.copysign(target.length / 2, z), z, radius=target.diameter / 2)
+        end = _placed(target, math.copysign(target.length / 2, z), z, radius=target.diameter / 2)
+        return replace(end, far_rims=(replace(end.rims[0], below=target.length),))
     if isinstance(target, Box):
         return _of_box(target, np.array([x, y, z]))
     size = None if isinstance(target, Disc | Polygon) else (target.width, target.height)
@@ -158,7 +173,19 @@ def _of_mesh(camera: Camera, target: MeshPart) -> Face:
     start = normal * level
     rotation = np.asarray(target.pose.rotation)
     origin = np.array(to_world(target.pose, (float(start[0]), float(start[1]), float(start[2]))))
-    return Face(origin, axes @ rotation.T, rims)
+    back = (normals @ normal < _SAME_NORMAL - 1) & (np.ptp(corners @ normal, axis=1) < _ONE_PLANE * extent)
+    return Face(origin, axes @ rotation.T, rims, far_rims=_behind(corners[back], axes, normal, level, extent))
+
+
+def _behind(corners: Array, axes: Array, normal: Array, level: float, extent: float) -> tuple[FaceRim, ...]:
+    """Circles of triangles that look the other way, shape (n, 3, 3) [m], plane by plane."""
+    below = level - (corners @ normal).mean(axis=1)
+    planes = np.round(below / (_ONE_PLANE * extent))
+    found = []
+    for plane in np.unique(planes[below > 0]):
+        here = planes == plane
+        found += [replace(rim, below=float(below[here].mean())) for rim in _loops(corners[here] @ axes.T, extent)]
+    return tuple(found)
 
 
 def _fullest(normals: Array, levels: Array, shown: Array, extent: float) -> int:
@@ -208,7 +235,13 @@ def _round(corners: Array) -> FaceRim | None:
     x, y, rest = np.linalg.lstsq(columns, (corners**2).sum(axis=1), rcond=None)[0]
     radius = math.sqrt(max(float(rest + x * x + y * y), 0.0))
     off = np.abs(np.hypot(corners[:, 0] - x, corners[:, 1] - y) - radius)
-    return FaceRim((float(x), float(y)), radius) if radius > 0 and off.max() < _ROUND * radius else None
+    if radius <= 0 or off.max() >= _ROUND * radius:
+        return None
+    # Corners of a polygon lie on the circle, its sides within: a gauge measures what they hold.
+    before = corners - (x, y)
+    after = np.roll(before, -1, axis=0)
+    area = abs(float((before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]).sum())) / 2
+    return FaceRim((float(x), float(y)), math.sqrt(area / math.pi))
 
 
 def rings(face: Face) -> tuple[FaceRim, ...]:
