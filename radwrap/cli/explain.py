@@ -46,14 +46,15 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Carry out the verb."""
     scene = shared.load(arguments)
-    found = explain(scene)
+    measured: dict[str, Any] = {}
     if not arguments.no_rays:
         options = RenderOptions(
             tolerance=arguments.tolerance,
             seed=arguments.seed,
             **shared.tracer_options(arguments),
         )
-        found |= effects(scene, options)
+        measured = effects(scene, options)
+    found = explain(scene, measured.get("tracer", {}).get("whole") or ()) | measured
     print(
         json_text(found) if arguments.json else "\n".join(_lines(found, all_assumed=arguments.assumed)) + "\n", end=""
     )
@@ -70,7 +71,9 @@ def _asked_first(found: Mapping[str, Any]) -> Iterator[str]:
         deep = f"{near * 1e3:.5g} mm" if far - near < _FLAT * far else f"{near * 1e3:.5g} to {far * 1e3:.5g} mm"
         blur = " to ".join(dict.fromkeys(f"{radius:.2g}" for radius in sorted(seen["blur_radius_px"])))
         yield f"{seen['target']}: {width} x {height} mm in view, {pixel}, {deep} away, blur radius {blur} px"
-        yield f"{seen['target']}: {_level(seen['middle'])}; at most {_level(seen['peak'])}"
+        wanted = seen["exposure_for_80_percent"]
+        there = "" if wanted is None else f"; {wanted * 1e3:.4g} ms bring that to 80 %"
+        yield f"{seen['target']}: {_level(seen['middle'])}; at most {_level(seen['peak'])}{there}"
     if not found["in_sight"]:
         yield "no target is in sight"
     if focus := found.get("focus"):
@@ -79,7 +82,8 @@ def _asked_first(found: Mapping[str, Any]) -> Iterator[str]:
         yield f"depth of focus: {focus['nearest_sharp'] * 1e3:.5g} mm to {end} (blur radius below a pixel)"
     yield f"exposure: {found['advice']}"
     if wanted := found["exposure_for_80_percent"]:
-        yield f"exposure for 80 % at the brightest: {wanted * 1e3:.4g} ms"
+        on = found["expected_peak"]["target"]
+        yield f"exposure for 80 % at the brightest point in view, on {on}: {wanted * 1e3:.4g} ms"
     if eight := found["eight_bits"]:
         enough = "are enough" if eight["enough"] else "are too few"
         yield (
@@ -162,7 +166,7 @@ def _lines(found: Mapping[str, Any], *, all_assumed: bool) -> Iterator[str]:
         for name, angle in ring["observation_angle_deg"].items():
             if angle is not None:
                 yield f"ring {ring['name']}: seen from {name} at an observation angle of {angle:.3f} deg"
-    whole = found.get("tracer", {}).get("whole", ())
+    whole = found.get("tracer", {}).get("whole") or ()
     for wide in found.get("wide_sources", ()):
         yield f"source {wide['name']}: {_wide(wide, shines_whole=wide['name'] in whole)}"
     if peak := found["expected_peak"]:

@@ -83,6 +83,36 @@ def test_exposure_for_80_percent_brings_the_peak_there(folder: Path) -> None:
     assert share == pytest.approx(0.8, abs=1e-3)
 
 
+def test_each_target_has_the_exposure_of_its_own_brightest(folder: Path) -> None:
+    """And the target that the expected peak lies on has that peak as its "at most": one exposure for both."""
+    _, found, seen = explained(folder)
+    peak = found["expected_peak"]
+    assert seen[peak["target"]]["peak"]["gray"] == pytest.approx(peak["gray"], abs=0.51)
+    assert seen[peak["target"]]["exposure_for_80_percent"] == found["exposure_for_80_percent"]
+    wanted = seen["belt"]["exposure_for_80_percent"]
+    assert wanted > 3 * found["exposure_for_80_percent"]
+    scene, _, again = explained(folder, **{"camera.exposure_time": f"{wanted!r} s"})
+    sensor = scene.camera.sensor
+    share = (again["belt"]["peak"]["gray"] - sensor.dark_gray) / (sensor.saturation_gray - sensor.dark_gray)
+    assert share == pytest.approx(0.8, abs=1e-3)
+
+
+def test_the_advice_is_for_the_camera_at_hand(folder: Path) -> None:
+    _, found, _ = explained(folder, **{"camera.exposure_time": "100 us"})
+    assert found["advice"].startswith("dim; ") and found["advice"].endswith("or a lower f-number does")
+    assert "pinhole" not in found["advice"]
+
+
+def test_no_steps_of_light_that_shines_as_a_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The compiled tracer has none; what is not known of the tracer keeps the warning."""
+    here(["init", tmp_path / "it", "--template", "coaxial"], capsys).success()
+    scene = load_scene(tmp_path / "it" / "scene.toml", {"sources[0].irradiance_error": 0.001})
+    told = [[w for w in radwrap.explain(scene, whole)["warnings"] if "steps" in w] for whole in ((), ("coaxial",))]
+    assert len(told[0]) == 1 and told[1] == []
+    lines = here(["explain", tmp_path / "it" / "scene.toml", "--set", "sources[0].irradiance_error=0.001"], capsys)
+    assert "steps" not in lines.success().stdout
+
+
 def test_eight_bits_are_enough_where_noise_covers_their_step(folder: Path) -> None:
     _, found, _ = explained(folder)
     assert found["eight_bits"]["enough"] and found["eight_bits"]["target"] == "belt"
@@ -103,7 +133,9 @@ def test_effects_are_measured_where_nothing_saturates(folder: Path) -> None:
 def test_the_command_says_first_what_is_asked(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lines = here(["explain", folder / "scene.toml", "--no-rays"], capsys).success().stdout.splitlines()
     assert lines[0].startswith("belt: 63.87 x 53.44 mm in view, 0.0522 mm/px, 300 mm away")
-    assert any(line.startswith("exposure for 80 % at the brightest: 6.6") for line in lines[:8])
+    assert any(
+        line.startswith("exposure for 80 % at the brightest point in view, on washer: 6.6") for line in lines[:8]
+    )
     quiet = [line for line in lines if line.startswith("assumed: ")]
     assert len(quiet) < 8 and "--assumed lists them" in quiet[-1]
     whole = here(["explain", folder / "scene.toml", "--no-rays", "--assumed"], capsys).success().stdout

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection
 from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 
 from radwrap.errors import InputError
-from radwrap.imaging.forecast.in_sight import eight_bits, in_sight, told
-from radwrap.imaging.forecast.preview import brightest, spread_look
+from radwrap.imaging.forecast.in_sight import ADVISED_SHARE, eight_bits, exposure_for_advice, in_sight, told
+from radwrap.imaging.forecast.preview import Brightest, brightest, spread_look
 from radwrap.imaging.optics.diffraction import diffraction, diffraction_warning
 from radwrap.imaging.response.exposure import exposure_of_radiance
 from radwrap.imaging.response.sensor import unclipped_gray
@@ -28,13 +28,20 @@ from radwrap.scene.spectrum import Spectral
 
 # Below this share of the gray range above dark the image is called dim; the advice aims at the other one.
 _DIM_SHARE: Final = 0.25
-_ADVISED_SHARE: Final = 0.8
 # Relative errors of the exposure for which the number of bands is told.
 _BAND_ERRORS: Final = (1e-4, 1e-3, 1e-2, 0.1)
 
 
-def explain(scene: Scene) -> dict[str, Any]:
+def explain(scene: Scene, whole: Collection[str] = ()) -> dict[str, Any]:
     """Sum up a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        What is there.
+    whole : collection of str
+        Wide sources that shine as a whole, where the tracer is known (``tracer`` of `effects`): their half shadows come
+        in no steps.
 
     Returns
     -------
@@ -50,8 +57,9 @@ def explain(scene: Scene) -> dict[str, Any]:
         ``targets``: for each its depth [m], blur radius [px] and R of Eq. 8
         [m], at its origin; ``rings``: observation angle at each target [deg];
         ``in_sight``: of each target that is seen its visible depths, what a pixel and the sensor cover there, blur,
-        gray levels, electrons and signal-to-noise ratio, see `InSight`; ``eight_bits``: whether they would do;
-        ``exposure_for_80_percent``: the exposure time that brings the peak there [s];
+        gray levels, electrons and signal-to-noise ratio, and the exposure time that brings the brightest of it to 80 %
+        [s], see `InSight`; ``eight_bits``: whether they would do;
+        ``exposure_for_80_percent``: the exposure time that brings ``expected_peak`` there [s];
         ``wide_sources``, where there are any: patches, and the error asked for and found;
         ``expected_peak``: gray, irradiance on the sensor [W m^-2] and radiant
         exposure [J m^-2] by closed form (no shadows, no blur but that of a
@@ -65,12 +73,15 @@ def explain(scene: Scene) -> dict[str, Any]:
     """
     scene, refusal = _in_patches(scene)
     camera = scene.camera
-    peak, airy, seen = _peak(scene), diffraction(scene), in_sight(scene)
+    found = brightest(scene)
+    airy, seen = diffraction(scene), in_sight(scene, found)
+    peak = None if found is None else _peak(camera, found)
+    advised = None if found is None else exposure_for_advice(camera, found.radiance)
     return {
         "schema_version": SCHEMA_VERSION,
         "in_sight": told(seen),
         "eight_bits": eight_bits(scene, seen),
-        "exposure_for_80_percent": _exposure_for_advice(camera, peak),
+        "exposure_for_80_percent": advised,
         "scene": {
             "camera": plain(camera),
             "sources": plain(scene.sources),
@@ -89,8 +100,8 @@ def explain(scene: Scene) -> dict[str, Any]:
         "rings": [_ring(scene, source) for source in scene.sources if isinstance(source, Ring)],
         **_wide(scene),
         "expected_peak": peak,
-        "advice": _advice(camera, peak),
-        "warnings": [*refusal, *warnings_of(scene), *diffraction_warning(airy)],
+        "advice": _advice(camera, peak, advised),
+        "warnings": [*refusal, *warnings_of(scene, whole), *diffraction_warning(airy)],
         "assumed": dict(sorted(scene.assumed.items())),
     }
 
@@ -182,12 +193,8 @@ def _wide(scene: Scene) -> dict[str, Any]:
     return {"wide_sources": told} if told else {}
 
 
-def _peak(scene: Scene) -> dict[str, Any] | None:
-    """Brightest point in view by closed form; None where nothing that is known here is in view."""
-    camera = scene.camera
-    found = brightest(scene)
-    if found is None:
-        return None
+def _peak(camera: Camera, found: Brightest) -> dict[str, Any]:
+    """Brightest point in view by closed form."""
     irradiance = found.radiance * exposure_of_radiance(replace(camera, exposure_time=1.0))
     exposure = found.radiance * exposure_of_radiance(camera)
     gray = float(unclipped_gray(np.array([exposure]), camera.sensor)[0])
@@ -201,16 +208,6 @@ def _peak(scene: Scene) -> dict[str, Any] | None:
     }
 
 
-def _exposure_for_advice(camera: Camera, peak: Mapping[str, Any] | None) -> float | None:
-    """Exposure time that brings the peak to the advised share of the range [s]; None without light."""
-    if peak is None or peak["irradiance"] <= 0:
-        return None
-    sensor = camera.sensor
-    span = sensor.saturation_gray - sensor.dark_gray
-    wanted: float = (_ADVISED_SHARE * span / sensor.gain) ** (1 / sensor.gamma)
-    return wanted / float(peak["irradiance"])
-
-
 def unsaturated(scene: Scene) -> Scene:
     """The scene, with the advised exposure time where its peak saturates: effects on a saturated image are none."""
     camera = scene.camera
@@ -220,24 +217,25 @@ def unsaturated(scene: Scene) -> Scene:
     gray = unclipped_gray(np.array([brightest_seen * exposure_of_radiance(camera)]), camera.sensor)[0]
     if brightest_seen <= 0 or (camera.exposure_time and gray < camera.sensor.saturation_gray):
         return scene
-    irradiance = brightest_seen * exposure_of_radiance(replace(camera, exposure_time=1.0))
-    advised = _exposure_for_advice(camera, {"irradiance": irradiance})
+    advised = exposure_for_advice(camera, brightest_seen)
     return with_camera(scene, {"camera.exposure_time": f"{advised!r} s"})
 
 
-def _advice(camera: Camera, peak: dict[str, Any] | None) -> str:
+def _advice(camera: Camera, peak: dict[str, Any] | None, advised: float | None) -> str:
     if peak is None:
         return "nothing that is known beforehand was found in view"
     sensor = camera.sensor
     gray, span = peak["gray_without_saturation"], sensor.saturation_gray - sensor.dark_gray
-    if peak["irradiance"] <= 0:
+    if advised is None:
         return "no light was found on what the camera sees: check that sources shine there"
-    advised = f"{(_exposure_for_advice(camera, peak) or 0.0) * 1e3:.4g} ms"
-    goal = f"an exposure time of {advised} brings the peak to {_ADVISED_SHARE:.0%} of the range"
+    goal = (
+        f"an exposure time of {advised * 1e3:.4g} ms brings the brightest point in view, on {peak['target']}, to "
+        f"{ADVISED_SHARE:.0%} of the range"
+    )
     if camera.exposure_time == 0:
         return f"the exposure time is 0 s, so the image stays dark; {goal}"
     if gray is None or gray >= sensor.saturation_gray:
         return f"saturated; {goal}"
     if gray - sensor.dark_gray < _DIM_SHARE * span:
-        return f"dim; {goal}, or a wider pinhole does"
+        return f"dim; {goal}, or a {'lower f-number' if camera.lens else 'wider pinhole'} does"
     return "the exposure fits the sensor"

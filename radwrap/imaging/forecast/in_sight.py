@@ -6,13 +6,13 @@ By closed form: one reflection, no shadows, on rays from the opening's centre th
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.imaging.forecast.preview import spread_look
+from radwrap.imaging.forecast.preview import Brightest, spread_look
 from radwrap.imaging.response.exposure import exposure_of_radiance
 from radwrap.imaging.response.noise import ROUNDING_VARIANCE, noise_variance, without_pattern
 from radwrap.imaging.response.sensor import gray_levels
@@ -22,6 +22,7 @@ from radwrap.scene.scene import Scene
 
 Array = NDArray[np.float64]
 
+ADVISED_SHARE: Final = 0.8  # of the gray range above dark, for the brightest of an image
 _EIGHT: Final = 8
 # A step of the converter hides nothing where noise is this share of it: EMVA 1288 asks as much of a camera in the dark.
 _DITHERED: Final = 0.5
@@ -64,6 +65,8 @@ class InSight:
         At the nearest and the farthest depth, in pixel widths.
     middle, peak : Level
         Of the median and the brightest of what is seen.
+    exposure_for_80_percent : float or None
+        Exposure time that brings that brightest there [s]; None without light.
     """
 
     target: str
@@ -74,10 +77,14 @@ class InSight:
     blur_radius_px: tuple[float, float]
     middle: Level
     peak: Level
+    exposure_for_80_percent: float | None
 
 
-def in_sight(scene: Scene) -> tuple[InSight, ...]:
-    """Each target that the camera sees, in the order of the scene; included Radiance files are not known."""
+def in_sight(scene: Scene, brightest: Brightest | None = None) -> tuple[InSight, ...]:
+    """Each target that the camera sees, in the order of the scene; included Radiance files are not known.
+
+    `brightest`, where it is known, is a search's: it finds highlights that lie between the rays of a look.
+    """
     camera = scene.camera
     seen, depth = spread_look(scene)
     found = []
@@ -85,11 +92,13 @@ def in_sight(scene: Scene) -> tuple[InSight, ...]:
         own = [number for number, (name, _) in enumerate(seen.names) if name == target.name]
         mine = np.isin(seen.number, own)
         if mine.any():
-            found.append(_in_sight(camera, target.name, depth[mine], seen.value[mine]))
+            value = seen.value[mine]
+            searched = brightest.radiance if brightest is not None and brightest.target == target.name else 0.0
+            found.append(_in_sight(camera, target.name, depth[mine], value, max(float(value.max()), searched)))
     return tuple(found)
 
 
-def _in_sight(camera: Camera, name: str, depth: Array, value: Array) -> InSight:
+def _in_sight(camera: Camera, name: str, depth: Array, value: Array, peak: float) -> InSight:
     nearest, farthest = float(depth.min()), float(depth.max())
     middle = float(np.median(depth))  # of a part its face, and not the walls that are seen beside it
     width, height = (middle * pitch for pitch in camera.pitch)
@@ -106,8 +115,20 @@ def _in_sight(camera: Camera, name: str, depth: Array, value: Array) -> InSight:
         (width, height),
         (blur[0], blur[1]),
         level_of(float(np.median(value)) * exposure, camera.sensor),
-        level_of(float(value.max()) * exposure, camera.sensor),
+        level_of(peak * exposure, camera.sensor),
+        exposure_for_advice(camera, peak),
     )
+
+
+def exposure_for_advice(camera: Camera, radiance: float) -> float | None:
+    """Exposure time that brings a radiance on the sensor [W m^-2 sr^-1] to 80 % [s]; None without light."""
+    irradiance = radiance * exposure_of_radiance(replace(camera, exposure_time=1.0))
+    if irradiance <= 0:
+        return None
+    sensor = camera.sensor
+    span = sensor.saturation_gray - sensor.dark_gray
+    wanted: float = (ADVISED_SHARE * span / sensor.gain) ** (1 / sensor.gamma)
+    return wanted / irradiance
 
 
 def level_of(radiant_exposure: float, sensor: Sensor) -> Level:
