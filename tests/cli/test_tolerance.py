@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.conftest import here, products, write_scene
+from radwrap.errors import InputError
+from tests.cli.conftest import SMALL, here, products, write_scene
 
 ERROR = {
     "rms_gray",
@@ -98,3 +99,42 @@ def test_files_of_others_in_the_folder_stay(
     here(["render", write_scene(tmp_path), "--out", out, *options], capsys).success()
     assert [(out / folder / "mine.txt").read_text("ascii") for folder in ("viewpoints", "basis")] == ["mine", "mine"]
     assert [path.name for path in (out / "viewpoints").iterdir()] == ["mine.txt"]
+
+
+WALL = {"type": "sheet", "name": "wall", "material": "white", "size": ["200 mm", "200 mm"]}
+CORNER = {
+    "targets": [
+        {"type": "sheet", "name": "floor", "material": "white", "size": ["300 mm", "300 mm"]},
+        {**WALL, "position": ["-45 mm", "0 mm", "101 mm"], "rotation": ["0 deg", "90 deg", "0 deg"]},
+    ],
+    "camera.exposure_time": "20 ms",
+}
+
+
+def test_the_last_line_says_what_its_error_does_not_hold(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Rims, always; light between surfaces where it matters, and not where it is traced."""
+    argv = ["render", write_scene(tmp_path, CORNER), "--tolerance", 2]
+    last = here([*argv, "--out", tmp_path / "out"], capsys).success().stdout.splitlines()[-1]
+    left_out = json.loads((tmp_path / "out" / "manifest.json").read_text())["left_out"]["bounces"]
+    assert left_out["needed"] and left_out["rms_gray"] > 0.5
+    assert "(pixels at rims: far more)" in last
+    assert f"light between surfaces left out: about {left_out['rms_gray']:.2g} rms more" in last
+    argv += ["--bounces", "all", "--out", tmp_path / "all"]
+    assert "left out" not in here(argv, capsys).success().stdout
+
+
+def test_what_hides_a_target_is_said_before_the_first_ray(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lamp = {**SMALL["sources"][0], "position": ["0 mm", "0 mm", "250 mm"], "diameter": "4 mm"}
+    scene = write_scene(tmp_path, {"sources": [lamp]})
+    argv = ["render", scene, "--tolerance", 8, "--out", tmp_path / "out"]
+    told = here(argv, capsys).success().stderr
+    line = 'the disc of "lamp" is between the camera and'
+    assert told.count(line) == 1, "and once only"
+
+    def nothing(*_: object, **__: object) -> None:
+        raise InputError("no ray yet")
+
+    monkeypatch.setattr("radwrap.cli.render.render", nothing)
+    assert line in here(argv, capsys).stderr
