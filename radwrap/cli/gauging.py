@@ -27,6 +27,7 @@ from radwrap.units import ANGLE, LENGTH, parse_quantity
 
 BYTES: Final = 120  # a pixel, as measured
 MM: Final = 1e-3
+_MOST_DIGITS: Final = 12
 _CALIBRATION: Final = FileKind("calibration", 1 << 20, "make one by `radwrap calibrate camera --json`")
 _SCALE: Final = re.compile(r"\s*([^\s+]+)\s*(?:\+-\s*(\S+)\s*)?")
 # Names of what functions refuse, by the option that gives it.
@@ -410,13 +411,24 @@ def length_with_errors(found: Look, name: str, values: tuple[float, float, float
     return {**told, f"{name}_px": value} if found.scale is not None and measured_in == "px" else told
 
 
+def with_sigma(value: float, sigma: float, least: int = 4) -> str:
+    """A value and its standard error with two digits of it; at least so many decimals, and none more where it is 0."""
+    digits = least if not 0 < sigma < math.inf else min(max(least, 1 - math.floor(math.log10(sigma))), _MOST_DIGITS)
+    return f"{value:.{digits}f} +- {sigma:.{digits}f}"
+
+
+def two_digits(sigma: float, least: int = 4) -> str:
+    """A standard error alone, likewise."""
+    return with_sigma(sigma, sigma, least).split(" ")[0]
+
+
 def in_words(told: dict[str, Any], name: str, unit: str) -> str:
     """The same in a line."""
-    text = f"{told[name]:.4f} +- {told[f'{name}_sigma']:.4f} {unit}"
+    text = f"{with_sigma(told[name], told[f'{name}_sigma'])} {unit}"
     if told[f"{name}_sigma_scale"] > 0:
-        text += f", scale +- {told[f'{name}_sigma_scale']:.4f}"
+        text += f", scale +- {two_digits(told[f'{name}_sigma_scale'])}"
     if told[f"{name}_rendering"] is not None:
-        text += f", rendering about {told[f'{name}_rendering']:.4f}"
+        text += f", rendering about {two_digits(told[f'{name}_rendering'])}"
     return text
 
 

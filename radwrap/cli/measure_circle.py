@@ -170,7 +170,8 @@ def _lines(told: dict[str, Any], rims: list[str]) -> Iterator[str]:
             yield f"{name}: an ellipse's major axis {gauging.in_words(rim, 'major_axis', told['unit'])}"
             yield f"  minor axis {gauging.in_words(rim, 'minor_axis', told['unit'])}"
             yield f"  turned by {math.degrees(rim['orientation']):.3f} deg"
-        yield f"  centre u {u:.4f} +- {su:.4f}, v {v:.4f} +- {sv:.4f} px; inside is {rim['inside']}"
+        centre = f"u {gauging.with_sigma(u, su)}, v {gauging.with_sigma(v, sv)} px"
+        yield f"  centre {centre}; inside is {rim['inside']}"
         if rim["blur_radius"] is not None:
             yield f"  blur: radius {rim['blur_radius']:.3f} px; {rim['left_out']:.0%} of the rim left out"
         if "true_diameter_mm" in rim:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from radwrap.cli import options as shared
+from radwrap.cli.gauging import two_digits, with_sigma
 from radwrap.errors import InputError
 from radwrap.images import read_gray
 from radwrap.manifest import SCHEMA_VERSION, finite, json_text
@@ -141,18 +142,18 @@ def _json(edge: Edge, arguments: argparse.Namespace) -> dict[str, Any]:
 
 def _lines(edge: Edge) -> Iterator[str]:
     yield (
-        f"edge: u cos a + v sin a = {edge.offset:.4f} +- {edge.sigma_offset:.4f} px, a = "
-        f"{math.degrees(edge.angle):.4f} +- {math.degrees(edge.sigma_angle):.4f} deg"
+        f"edge: u cos a + v sin a = {with_sigma(edge.offset, edge.sigma_offset)} px, a = "
+        f"{with_sigma(math.degrees(edge.angle), math.degrees(edge.sigma_angle))} deg"
     )
     u, v = edge.centre
-    yield f"at ({u:.3f}, {v:.3f}), where it is known to {edge.sigma_position:.4f} px"
-    yield f"blur: radius {edge.radius:.4f} +- {edge.sigma_radius:.4f} px, transition {2 * edge.radius:.3f} px"
+    yield f"at ({u:.3f}, {v:.3f}), where it is known to {two_digits(edge.sigma_position)} px"
+    yield f"blur: radius {with_sigma(edge.radius, edge.sigma_radius)} px, transition {2 * edge.radius:.3f} px"
     side = "above" if edge.bright_side == "positive" else "below"
     yield (
-        f"levels: gray {edge.low:.2f} +- {edge.sigma_low:.2f} and {edge.high:.2f} +- {edge.sigma_high:.2f}, bright "
-        f"where u cos a + v sin a is {side} the offset"
+        f"levels: gray {with_sigma(edge.low, edge.sigma_low, 2)} and {with_sigma(edge.high, edge.sigma_high, 2)}, "
+        f"bright where u cos a + v sin a is {side} the offset"
     )
-    fitted = f"fitted +- {edge.sigma_gamma:.4f}" if edge.sigma_gamma > 0 else "given"
+    fitted = f"fitted +- {two_digits(edge.sigma_gamma)}" if edge.sigma_gamma > 0 else "given"
     yield f"gamma: {edge.gamma:.4f} ({fitted})"
     if edge.sigma_gamma > 0 and abs(edge.position_gamma_correlation) > HARDLY_APART:
         yield (

@@ -10,10 +10,11 @@ from typing import Any
 
 from radwrap.cli import gauging
 from radwrap.cli import options as shared
+from radwrap.cli.gauging import two_digits, with_sigma
 from radwrap.errors import InputError
 from radwrap.images import GrayImage, read_gray
 from radwrap.manifest import SCHEMA_VERSION, finite, json_text
-from radwrap.measure.gauges import Box, contrast_of, measure_region, measure_uniformity
+from radwrap.measure.gauges import Box, Contrast, contrast_of, measure_region, measure_uniformity
 from radwrap.measure.gauges.uniformity import CELLS
 from radwrap.scene.file.load import load_scene
 from radwrap.scene.scene import Scene
@@ -143,11 +144,20 @@ def run_region(arguments: argparse.Namespace) -> int:
             second = _against(frames, against)
             told["against"] = _numbers(asdict(second)) | {"box": against}
             contrast = contrast_of(first, second, dark=dark, noise=arguments.noise)
-            told["contrast"] = _numbers(asdict(contrast))
+            told["contrast"] = _contrast(contrast, told["certified_rms_gray"])
     except InputError as error:
         raise gauging.located(error, arguments.images[0]) from error
     print(json_text(told) if arguments.json else "\n".join(_region_lines(told)) + "\n", end="")
     return 0
+
+
+def _contrast(contrast: Contrast, error: float | None) -> dict[str, Any]:
+    """Its numbers, and what errors of the certified rms at each pixel would change."""
+    numbers = _numbers(asdict(contrast))
+    for name in ("michelson", "contrast_to_noise"):
+        by = numbers.pop(f"{name}_by_rendering")
+        numbers[f"{name}_rendering"] = None if error is None or by is None else finite(by * error)
+    return numbers
 
 
 def _against(frames: list[Any], box: list[int]) -> Any:
@@ -170,19 +180,27 @@ def _region_lines(told: dict[str, Any]) -> Iterator[str]:
             one = told[name]
             noise = "" if one["noise"] is None else f", noise of a pixel {one['noise']:.4g} +- {one['noise_sigma']:.2g}"
             yield (
-                f"{name}: mean {one['mean']:.4f} +- {one['mean_sigma']:.4f} gray{rendering}; sd {one['sd']:.4f} +- "
-                f"{one['sd_sigma']:.4f}{noise}; {one['low']:g} to {one['high']:g}, {one['pixels']} pixels"
+                f"{name}: mean {with_sigma(one['mean'], one['mean_sigma'])} gray{rendering}; sd "
+                f"{with_sigma(one['sd'], one['sd_sigma'])}{noise}; {one['low']:g} to {one['high']:g}, "
+                f"{one['pixels']} pixels"
             )
             if one["saturated"]:
                 yield f"  warning: {one['saturated']} pixels are at full scale: mean and sd are too low"
     if "contrast" in told:
         contrast = told["contrast"]
-        yield f"contrast (Michelson): {contrast['michelson']:.5f} +- {contrast['michelson_sigma']:.5f}"
+        told_contrast = with_sigma(contrast["michelson"], contrast["michelson_sigma"], 5)
+        yield f"contrast (Michelson): {told_contrast}{_rendering(contrast['michelson_rendering'], 5)}"
         ratio = contrast["contrast_to_noise"]
         if ratio is None:
             yield "contrast-to-noise: none, as there is no noise"
         else:
-            yield f"contrast-to-noise ({contrast['noise']}): {ratio:.3f} +- {contrast['contrast_to_noise_sigma']:.3f}"
+            told_ratio = with_sigma(ratio, contrast["contrast_to_noise_sigma"], 3)
+            by = _rendering(contrast["contrast_to_noise_rendering"], 3)
+            yield f"contrast-to-noise ({contrast['noise']}): {told_ratio}{by}"
+
+
+def _rendering(by: float | None, least: int) -> str:
+    return "" if by is None else f", rendering about {two_digits(by, least)}"
 
 
 def run_uniformity(arguments: argparse.Namespace) -> int:
@@ -208,8 +226,8 @@ def run_uniformity(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json_text(told), end="")
         return 0
-    print(f"1 - sd/mean: {found.by_deviation:.5f} +- {found.by_deviation_sigma:.5f}")
-    print(f"(max - min)/(max + min): {found.by_extremes:.5f} +- {found.by_extremes_sigma:.5f}")
+    print(f"1 - sd/mean: {with_sigma(found.by_deviation, found.by_deviation_sigma, 5)}")
+    print(f"(max - min)/(max + min): {with_sigma(found.by_extremes, found.by_extremes_sigma, 5)}")
     places = (f"({u:.1f}, {v:.1f})" for u, v in (found.brightest, found.darkest))
     print("brightest at {}, darkest at {} px; {} x {} cells".format(*places, *found.cells))
     return 0

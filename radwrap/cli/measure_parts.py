@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from radwrap.cli import options as shared
+from radwrap.cli.gauging import with_sigma
 from radwrap.errors import InputError
 from radwrap.files import write_bytes
 from radwrap.images import read_gray
@@ -144,11 +145,11 @@ def _lines(found: Parts) -> Iterator[str]:
         turn = (
             f"no axis by moments, rectangle at {math.degrees(part.rectangle_orientation):.2f} deg"
             if part.orientation_ambiguous
-            else f"{math.degrees(part.orientation):.3f} +- {math.degrees(part.sigma_orientation):.3f} deg"
+            else f"{with_sigma(math.degrees(part.orientation), math.degrees(part.sigma_orientation), 3)} deg"
         )
         border = "; cut by the image's border" if part.touches_border else ""
         yield (
-            f"{number}: u {part.u:.4f} +- {part.sigma_u:.4f}, v {part.v:.4f} +- {part.sigma_v:.4f} px; {turn}; "
-            f"area {part.area:.2f} +- {part.sigma_area:.2f} px^2; ellipse of equal moments {part.major_axis:.2f} x "
+            f"{number}: u {with_sigma(part.u, part.sigma_u)}, v {with_sigma(part.v, part.sigma_v)} px; {turn}; "
+            f"area {with_sigma(part.area, part.sigma_area, 2)} px^2; ellipse of equal moments {part.major_axis:.2f} x "
             f"{part.minor_axis:.2f} px{border}"
         )

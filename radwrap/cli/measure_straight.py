@@ -186,12 +186,12 @@ def _width_lines(told: dict[str, Any]) -> Iterator[str]:
 def _line_lines(told: dict[str, Any]) -> Iterator[str]:
     u, v = told["centre"]
     yield (
-        f"line: u cos a + v sin a = {told['offset']:.4f} px, a = {math.degrees(told['angle']):.4f} +- "
-        f"{math.degrees(told['angle_sigma']):.4f} deg"
+        f"line: u cos a + v sin a = {told['offset']:.4f} px, a = "
+        f"{gauging.with_sigma(math.degrees(told['angle']), math.degrees(told['angle_sigma']))} deg"
     )
     by = told["position_rendering"]
-    rendering = "" if by is None else f", rendering about {by:.4f}"
-    yield f"  at u {u:.3f}, v {v:.3f}, where it is known to {told['position_sigma']:.4f} px{rendering}"
+    rendering = "" if by is None else f", rendering about {gauging.two_digits(by)}"
+    yield f"  at u {u:.3f}, v {v:.3f}, where it is known to {gauging.two_digits(told['position_sigma'])} px{rendering}"
     if "width" in told:
         yield f"  width {gauging.in_words(told, 'width', told['unit'])}; {told['inside']} inside"
     yield from _more(told)

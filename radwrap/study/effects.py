@@ -227,6 +227,12 @@ def _unreplicated(data: Data, alpha: float, effects: tuple[Effect, ...], notes: 
     except InputError as error:
         notes.append(error.what)
         return Analysis(data, "none", alpha, effects, None, None, None, (), tuple(notes))
+    if (data.errors > 0).any():
+        notes.append(
+            "the responses are predictions without a camera's noise: what Lenth's method takes for noise is small "
+            "effects and the rendering's error, so significant means larger than these; frames = N gives a "
+            "frame's noise"
+        )
     judged = tuple(
         _judged(effect, t, abs(t) > found.t_limit, simulated=abs(t) > found.simulated_limit)
         for effect, t in zip(effects, found.t, strict=True)

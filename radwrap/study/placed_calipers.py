@@ -105,6 +105,11 @@ def named_target(scene: Scene, name: str) -> Target:
     """
     target = next((one for one in scene.targets if one.name == name), None)
     if target is None:
+        if any(source.name == name for source in scene.sources):
+            raise InputError(
+                f'"{name}" is a source of light, not a target: its geometry places nothing in the image',
+                remedy="give pixels or numbers by hand in its place (`against`, `region` or `at`)",
+            )
         names = [one.name for one in scene.targets]
         near = did_you_mean(name, names)
         raise InputError(f'the scene has no target "{name}"', remedy=near or f"its targets are {', '.join(names)}")

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from radwrap.cli.gauging import with_sigma
 from radwrap.images import GrayImage, write_png
 from tests.cli.conftest import here, write_scene
 from tests.measure.pictures import edge_picture, noisy, ring_picture, stripe_picture
@@ -83,6 +84,42 @@ def test_regions_and_uniformity(pictures: Path, capsys: pytest.CaptureFixture[st
     even = ["measure", "uniformity", pictures / "ring.png", "--region", 26, 28, 33, 34]
     assert here([*even, "--json"], capsys).success().json["by_extremes"] < 0.1
     assert "1 - sd/mean" in here(even, capsys).success().stdout
+
+
+@pytest.mark.parametrize(
+    ("value", "sigma", "least", "text"),
+    [
+        (23.99976, 0.0004, 4, "23.99976 +- 0.00040"),
+        (1.5, 0.25, 4, "1.5000 +- 0.2500"),
+        (12.0, 3.2e-7, 3, "12.00000000 +- 0.00000032"),
+        (0.5, 0.0, 5, "0.50000 +- 0.00000"),
+        (0.5, math.nan, 3, "0.500 +- nan"),
+    ],
+)
+def test_two_digits_of_a_standard_error_are_printed(value: float, sigma: float, least: int, text: str) -> None:
+    assert with_sigma(value, sigma, least) == text
+
+
+def test_the_renderings_error_of_contrast_is_a_second_number(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of flat regions a and b: one mean higher and the other lower by the certified rms, computed anew."""
+    scene = write_scene(tmp_path, TILTED)
+    here(["render", scene, "--tolerance", 3, "--out", tmp_path / "out"], capsys).success()
+    argv = ["measure", "region", tmp_path / "out" / "gray.png", "--scene", scene]
+    argv += ["--region", 20, 20, 24, 24, "--against", 2, 2, 6, 6]
+    told = here([*argv, "--json"], capsys).success().json
+    error, contrast = told["certified_rms_gray"], told["contrast"]
+    a, b = (told[name]["mean"] - told["dark"] for name in ("region", "against"))
+    assert error > 0 and abs(a - b) > 5 * error
+    moved = abs((a - b) / (a + b)) + 2 * error / (a + b)
+    assert abs(contrast["michelson"]) + contrast["michelson_rendering"] == pytest.approx(moved, rel=1e-6)
+    spread = math.hypot(told["region"]["sd"], told["against"]["sd"])
+    assert contrast["contrast_to_noise_rendering"] == pytest.approx(2 * error / spread, rel=1e-6)
+    text = here(argv, capsys).success().stdout
+    assert text.count("rendering about") == 4
+    light = here([*argv[:-10], "--truth", "coin", "--against-truth", "lamp"], capsys)
+    assert light.code == 2 and '--against-truth: "lamp" is a source of light, not a target' in light.stderr
 
 
 CIRCLE = ["circle", "ring.png", "--at", "30", "31", "--radius", "20"]

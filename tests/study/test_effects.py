@@ -195,6 +195,20 @@ def test_plackett_burman_tells_every_main_effect(tmp_path: Path) -> None:
     assert any("Plackett-Burman" in note for note in found.notes)
 
 
+def test_lenths_noise_is_not_that_of_a_camera(tmp_path: Path) -> None:
+    """Of predictions, which tell the error of their images, a note says what small effects stand for."""
+    signs = list(product((-1, 1), repeat=3))
+    rows: Rows = [
+        {"a": a, "b": b, "c": c, "y": 5 + a + 0.01 * b * c + e, "y_error": 0.001}
+        for (a, b, c), e in zip(signs, noise(8, 0.001), strict=True)
+    ]
+    predicted = analysed(tmp_path / "t.csv", rows)
+    assert predicted.method == "lenth"
+    assert any("without a camera's noise" in note for note in predicted.notes)
+    measured = analysed(tmp_path / "u.csv", [{k: v for k, v in row.items() if k != "y_error"} for row in rows])
+    assert not any("without a camera's noise" in note for note in measured.notes)
+
+
 def test_a_curve_is_no_effect_of_chance(tmp_path: Path) -> None:
     """y = (t - 1)^2 at 0, 1, 2: no straight line, but far beyond the scatter of repeats, which is the noise then."""
     rows: Rows = [

@@ -104,6 +104,8 @@ class Contrast:
         Which standard deviation that is: "spatial", over a region's pixels, or "temporal", of a pixel.
     difference, difference_sigma : float
         a - b [gray].
+    michelson_by_rendering, contrast_to_noise_by_rendering : float
+        What errors of one gray level in each pixel, with the worst signs, do to them; the spreads stay.
     """
 
     michelson: float
@@ -113,6 +115,8 @@ class Contrast:
     noise: Noise
     difference: float
     difference_sigma: float
+    michelson_by_rendering: float
+    contrast_to_noise_by_rendering: float
 
 
 def measure_region(frames: GrayImage | Sequence[GrayImage], box: Box) -> Region:
@@ -248,4 +252,7 @@ def contrast_of(a: Region, b: Region, *, dark: float = 0.0, noise: Noise = "spat
     ratio = abs(difference) / spread if spread > 0 else math.nan
     by_spread = math.hypot(*(value * error for value, error in spreads)) / spread if spread > 0 else 0.0
     ratio_sigma = math.hypot(by_noise, ratio * by_spread) / spread if spread > 0 else math.nan
-    return Contrast(michelson, sigma, ratio, ratio_sigma, noise, difference, by_noise)
+    # The larger mean one gray higher and the smaller one lower: 2 (|a| + |b|)/(a + b)^2 and 2/spread, to first order.
+    michelson_by = 2 * (abs(first) + abs(second)) / total**2
+    ratio_by = 2 / spread if spread > 0 else math.nan
+    return Contrast(michelson, sigma, ratio, ratio_sigma, noise, difference, by_noise, michelson_by, ratio_by)
