@@ -5,6 +5,7 @@ from __future__ import annotations
 import doctest
 import math
 from collections.abc import Callable
+from dataclasses import astuple
 from types import ModuleType
 from typing import Any
 
@@ -18,10 +19,12 @@ from radwrap.measure.gauges import (
     Box,
     Caliper,
     Circle,
+    Form,
     Plane,
     Response,
     Scale,
     StraightCaliper,
+    contour,
     contrast_of,
     measure_circle,
     measure_line,
@@ -467,3 +470,26 @@ def test_a_plane_without_distortion_is_mapped_by_a_homography_and_one_with_it_by
             step = np.eye(2)[axis] * 1e-3
             by_difference = (plane.to_plane(at + step) - plane.to_plane(at - step)) / 2e-3
             assert slopes[:, :, axis] == pytest.approx(by_difference, abs=1e-3 * np.abs(by_difference).max())
+
+
+@pytest.mark.parametrize("form", ["circle", "ellipse"])
+def test_of_a_large_image_only_what_is_near_is_looked_at(form: Form, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same fit to the last digit, from a small part of the pixels."""
+    picture = ring_picture((420, 400), (191.3, 205.8), (130.0, 58.0), 1.1, (30.0, 190.0, 40.0))
+    image = GrayImage(noisy(picture, np.random.default_rng(4)))
+    caliper = Caliper((190.0, 205.0), 130.0, 6.0)
+    looked: list[int] = []
+    cells = contour._perhaps_near
+
+    def counted(*arguments: Any) -> Any:
+        found = cells(*arguments)
+        looked.append(len(found))
+        return found
+
+    monkeypatch.setattr(contour, "_perhaps_near", counted)
+    by_cells = measure_circle(image, caliper, form=form)
+    assert 0 < max(looked) < 0.35 * image.values.size
+    monkeypatch.setattr(contour, "_SMALL", image.values.size)
+    looked.clear()
+    assert astuple(measure_circle(image, caliper, form=form)) == astuple(by_cells)
+    assert min(looked) == image.values.size

@@ -41,6 +41,9 @@ _MISFIT_SIGMA: Final = 5.0  # so far above what noise makes of the blocks' place
 MISFIT: Final = 0.02  # px; a departure from the shape that is less is no matter
 _PROFILE: Final = 0.025  # of the contrast, rms, by which the profile may differ from that of one blurred step
 _BIN: Final = 0.5  # px across the contour
+_SMALL: Final = 1 << 16  # pixels of an image that are all looked at
+_CELL: Final = 16  # px
+_CELL_SLACK: Final = 1.5  # distances from an ellipse are right near it only
 _FAINTEST: Final = 0.3  # standard deviations of a pixel; the best contour in noise reaches half of that
 _ABOVE: Final = 0.1  # of the contrast, by which a fitted level may lie above the brightest pixel
 _STEEP: Final = 0.15  # of the contrast, by which light may change across a pixel
@@ -117,7 +120,15 @@ def fit_contour(
     InputError
         If too little of the contour is seen, or the fit does not come to rest in the band.
     """
-    parameters, blur, noise = shape.start, max(blur, NARROWEST), (0.0, 0.0)
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1):  # of tall narrow matrices: threads would wait for one another most of the time
+        return _fitted(light, shape, max(blur, NARROWEST), band, aspect=aspect, reach=reach)
+
+
+def _fitted(light: Light, shape: Shape, blur: float, band: float, *, aspect: float, reach: float | None) -> Contour:
+    """Rounds of strip, weights and outliers, until pixels no longer come and go."""
+    parameters, noise = shape.start, (0.0, 0.0)
     for _ in range(_ROUNDS):
         before = parameters, blur
         strip = _strip(light, shape, parameters, min(reach or blur + BEYOND, band), aspect)
@@ -146,12 +157,13 @@ def fit_contour(
 
 def _strip(light: Light, shape: Shape, parameters: Array, reach: float, aspect: float) -> Strip:
     """Usable pixels so near to the contour."""
-    v, u = np.indices(light.values.shape, dtype=np.float64)
-    places = np.column_stack([u.ravel(), v.ravel() * aspect])
+    number = _perhaps_near(light.values.shape, shape, parameters, reach, aspect)
+    v, u = np.divmod(number, light.values.shape[1])
+    places = np.column_stack([u.astype(np.float64), v * aspect])
     rims = shape.rims(parameters, places)
     near = np.min([np.abs(rim.distance) for rim in rims], axis=0) <= reach
     near &= (rims[0].along >= 0) & (rims[0].along <= shape.length)
-    some = near & light.usable.ravel()
+    some = near & light.usable.ravel()[number]
     inside = np.min([rim.distance for rim in rims], axis=0) > 0
     for side in (near & inside, near & ~inside):
         if (some & side).sum() < max(2 * (len(shape.start) + 1), LEAST_CONTOUR * side.sum()):
@@ -161,7 +173,25 @@ def _strip(light: Light, shape: Shape, parameters: Array, reach: float, aspect: 
                 remedy="see whether it is saturated there, or ends",
             )
     weight = np.ones(int(some.sum()))
-    return Strip(places[some], light.values.ravel()[some], light.slope.ravel()[some], weight, aspect)
+    some_number = number[some]
+    return Strip(places[some], light.values.ravel()[some_number], light.slope.ravel()[some_number], weight, aspect)
+
+
+def _perhaps_near(
+    size: tuple[int, ...], shape: Shape, parameters: Array, reach: float, aspect: float
+) -> NDArray[np.intp]:
+    """Numbers of pixels, in order, among which are all so near to a contour; of a large image by its cells' middles."""
+    rows, columns = size
+    if rows * columns <= _SMALL:
+        return np.arange(rows * columns)
+    v, u = (np.arange(0, count, _CELL) for count in size)
+    middles = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2) + (_CELL - 1) / 2
+    rims = shape.rims(parameters, middles * np.array([1.0, aspect]))
+    # A contour so near to a pixel is nearer to its cell's middle than half of the diagonal more.
+    slack = _CELL_SLACK * _CELL / 2 * math.hypot(1.0, aspect)
+    cells = (np.min([np.abs(rim.distance) for rim in rims], axis=0) <= reach + slack).reshape(len(v), len(u))
+    wide = cells.repeat(_CELL, axis=0)[:rows].repeat(_CELL, axis=1)[:, :columns]
+    return np.flatnonzero(wide)
 
 
 def _weighted(strip: Strip, shape: Shape, at: tuple[Array, float], noise: tuple[float, float]) -> Strip:
