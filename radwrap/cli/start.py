@@ -11,7 +11,7 @@ from typing import Any, Final
 from radwrap.errors import InputError
 from radwrap.files import make_folder, write_bytes
 from radwrap.manifest import json_text
-from radwrap.scene.file.document import SceneModel
+from radwrap.scene.file.described import described_schema
 
 _SCENE: Final = "scene.toml"
 _PAPER: Final = "retro"
@@ -66,5 +66,5 @@ def _files_of(template: str) -> dict[str, bytes]:
 
 def run_schema(_: argparse.Namespace) -> int:
     """Print the schema."""
-    print(json_text(SceneModel.model_json_schema()), end="")
+    print(json_text(described_schema()), end="")
     return 0

@@ -10,6 +10,7 @@ import pytest
 
 import radwrap
 from radwrap.errors import InputError
+from radwrap.scene.file.described import described_schema
 from radwrap.scene.file.document import SceneModel
 from radwrap.scene.file.sensor_tables import sensor_presets
 from radwrap.scene.materials import CoefficientTable, GlassBeads, PerturbedNormal
@@ -387,6 +388,23 @@ def test_ring_leds_lie_on_their_circle_and_differ_as_told(document: dict[str, An
         assert led.axis == pytest.approx((0, 0, -1))
     assert leds[1].beam.spread == 2 * leds[0].beam.spread
     assert leds[1].radiance == leds[0].radiance / 2
+
+
+def test_each_key_of_the_schema_has_one_line_and_its_units() -> None:
+    """What stands below a field of a model, and the units of its type: a new field without a line fails here."""
+    schema = described_schema()
+    tables = {"SceneModel": schema, **schema["$defs"]}
+    keys = {f"{name}.{key}": rule for name, table in tables.items() for key, rule in table["properties"].items()}
+    assert len(keys) > 350
+    units = ": one number, one blank"
+    own = {name: rule["description"].split(units)[0] for name, rule in keys.items()}
+    # Before the units stands a sentence, and the name of the quantity.
+    assert not [name for name, line in own.items() if line.count(". ") < (units in keys[name]["description"])]
+    assert not [name for name, line in own.items() if not line.strip()]
+    assert keys["LensModel.focus_distance"]["description"].endswith("one unit of m, cm, mm, um, nm, km, in, ft.")
+    assert keys["SheetModel.size"]["description"].count("one unit of") == 1
+    assert keys["SpecularModel.type"]["description"] == "Kind of material.", "once, whatever its bases"
+    assert keys["RingModel.radiance"]["description"].startswith("Along the axis"), "of the class that it is made of"
 
 
 def test_the_schema_describes_quantities_and_presets() -> None:

@@ -36,10 +36,15 @@ class ApertureModel(Model):
     """[camera.aperture]."""
 
     shape: Literal["round", "square", "annular", "half_disc"] = "round"
+    """Of the opening."""
     diameter: SizeOrZero = default("0.1 mm")
+    """Of the opening; of a square its side. 0 is an infinitesimal pinhole."""
     inner_diameter: SizeOrZero | None = None
+    """Of the stop in the middle of an annular opening."""
     rotation: Angle = default("0 deg")
+    """Of the opening, from the camera's x right towards its y down."""
     exposure_diameter: Size | None = None
+    """Whose area sets the level of the exposure where diameter is 0."""
 
     @model_validator(mode="after")
     def _consistent(self) -> ApertureModel:
@@ -59,15 +64,25 @@ class DistortionModel(Model):
     """[camera.distortion]: OpenCV's coefficients, or Tsai's."""
 
     model: Literal["opencv", "tsai"]
+    """Whose formula: that of OpenCV distorts, that of Tsai undistorts."""
     k1: BendNumber | None = None
+    """Radial coefficient of r^2, in units of the focal length."""
     k2: BendNumber | None = None
+    """Radial coefficient of r^4."""
     p1: BendNumber | None = None
+    """First tangential coefficient."""
     p2: BendNumber | None = None
+    """Second tangential coefficient."""
     k3: BendNumber | None = None
+    """Radial coefficient of r^6."""
     k4: BendNumber | None = None
+    """Coefficient of r^2 in the radial formula's denominator."""
     k5: BendNumber | None = None
+    """Coefficient of r^4 in the radial formula's denominator."""
     k6: BendNumber | None = None
+    """Coefficient of r^6 in the radial formula's denominator."""
     kappa1: Curvature | None = None
+    """Tsai's coefficient, x = xd (1 + kappa1 rd^2)."""
 
     @model_validator(mode="after")
     def _one_formula(self) -> DistortionModel:
@@ -92,16 +107,27 @@ class CameraModel(Aimed):
     model_config: ClassVar[ConfigDict] = ConfigDict(json_schema_extra=_from_calibration)
 
     calibration: Annotated[str, Field(strict=True, min_length=1, max_length=1000)] | None = None
+    """File of a calibration beside the scene: OpenCV's, or JSON of `radwrap calibrate camera`."""
     distortion: DistortionModel | None = None
+    """Of the lens."""
     translation: Point | None = None
+    """Another name of position."""
     focal_length: Size
+    """Of the lens; of a pinhole its distance from the sensor."""
     principal_point: tuple[PixelPosition, PixelPosition] | None = None
+    """Column and row where the optical axis meets the sensor; default the sensor's middle."""
     exposure_time: Duration
+    """Of one frame."""
     aperture: ApertureModel = default({})
+    """The opening."""
     sensor: AnySensorModel
+    """Pixels and response."""
     lens: LensModel | None = None
+    """Without it the camera is a pinhole."""
     spectral_response: CurveModel | None = None
+    """Relative response of the sensor over wavelength."""
     filter: CurveModel | None = None
+    """Transmittance of a filter over wavelength."""
 
     @model_validator(mode="after")
     def _one_place(self) -> CameraModel:
@@ -132,27 +158,39 @@ class TargetBase(Placed):
     """What all targets have in common."""
 
     name: Name | None = None
+    """Unique in the scene; default by its number."""
 
 
 class SheetModel(TargetBase):
     """A flat rectangle."""
 
     type: Literal["sheet"]
+    """Kind of target."""
     material: Name
+    """Name of a material."""
     size: tuple[Size, Size]
+    """Width along its x axis and height along its y axis."""
 
 
 class BoardModel(TargetBase):
     """A calibration board of dots."""
 
     type: Literal["board"]
+    """Kind of target."""
     material: Name
+    """Name of the material between the dots."""
     dot_material: Name
+    """Name of the material of the dots."""
     rows: Annotated[int, Field(strict=True, ge=1, le=1000)]
+    """How many rows of dots."""
     columns: Annotated[int, Field(strict=True, ge=1, le=1000)]
+    """How many columns of dots."""
     pitch: Size
+    """Between neighbouring dots' centres."""
     dot_diameter: Size
+    """Of each dot."""
     margin: SizeOrZero = default("10 mm")
+    """From the outermost dots' rims to the board's edges."""
 
     @model_validator(mode="after")
     def _dots_apart(self) -> BoardModel:
@@ -165,10 +203,15 @@ class EdgeModel(TargetBase):
     """Two materials that meet at a straight edge."""
 
     type: Literal["edge"]
+    """Kind of target."""
     material: Name
+    """Name of the material where x < edge_position."""
     edge_material: Name
+    """Name of the material where x > edge_position."""
     size: tuple[Size, Size]
+    """Width along its x axis and height along its y axis."""
     edge_position: AnyLength = default("0 mm")
+    """x of the edge, from the middle of the target."""
 
     @model_validator(mode="after")
     def _edge_inside(self) -> EdgeModel:
@@ -185,8 +228,11 @@ class PolygonModel(TargetBase):
     """A flat polygon."""
 
     type: Literal["polygon"]
+    """Kind of target."""
     material: Name
+    """Name of a material."""
     vertices: Annotated[tuple[tuple[AnyLength, AnyLength], ...], Field(min_length=3, max_length=1000)]
+    """Corners (x, y) in the target's plane, in order."""
 
     @field_validator("vertices")
     @classmethod
@@ -202,50 +248,70 @@ class DiscModel(TargetBase):
     """A flat disc."""
 
     type: Literal["disc"]
+    """Kind of target."""
     material: Name
+    """Name of a material."""
     diameter: Size
+    """Of the disc."""
 
 
 class SphereModel(TargetBase):
     """A sphere."""
 
     type: Literal["sphere"]
+    """Kind of target."""
     material: Name
+    """Name of a material."""
     diameter: Size
+    """Of the sphere."""
 
 
 class CylinderModel(TargetBase):
     """A closed cylinder about its z axis."""
 
     type: Literal["cylinder"]
+    """Kind of target."""
     material: Name
+    """Name of a material."""
     diameter: Size
+    """Of the cylinder."""
     length: Size
+    """Along its z axis, half to each side of its origin."""
 
 
 class BoxModel(TargetBase):
     """A box."""
 
     type: Literal["box"]
+    """Kind of target."""
     material: Name
+    """Name of a material."""
     size: tuple[Size, Size, Size]
+    """Along its x, y and z axes."""
 
 
 class RadModel(TargetBase):
     """An included Radiance file."""
 
     type: Literal["rad"] = "rad"
+    """Kind of target."""
     rad: Annotated[str, Field(strict=True, min_length=1, max_length=1000)]
+    """Radiance file beside the scene."""
     length_unit: Size = default("1 m")
+    """What a length of 1 in the file is."""
 
 
 class PartModel(TargetBase):
     """A triangle mesh from a file."""
 
     type: Literal["part"] = "part"
+    """Kind of target."""
     part: Annotated[str, Field(strict=True, min_length=1, max_length=1000)]
+    """STL, OBJ, PLY, GLB or STEP file beside the scene."""
     material: Name
+    """Name of a material."""
     length_unit: Size | None = None
+    """What a length of 1 in the file is."""
 
 
 TargetModel = Annotated[
@@ -267,22 +333,34 @@ class TolerancesModel(Model):
     """[tolerances]: half-widths of 95 % intervals; shares where they have no unit."""
 
     source_radiance: Share = 0.0
+    """Of all sources together, as a share, 0 to 1."""
     each_source_radiance: Share = 0.0
+    """Of each source for itself, as a share, 0 to 1."""
     aperture_diameter: SizeOrZero = default("0 mm")
+    """Of the opening."""
     exposure_time: Duration = default("0 ms")
+    """Of one frame."""
     sensor_gain: Share = 0.0
+    """Of K, or of the responsivity of a linear camera, as a share, 0 to 1."""
     dark_gray: GrayLevel = 0.0
+    """Of the dark gray level."""
 
 
 class SceneModel(Model):
     """A scene file."""
 
     title: str | None = None
+    """What the scene is, in words."""
     camera: CameraModel
+    """Where it is, its lens and its sensor."""
     sources: tuple[SourceModel, ...] = ()
+    """What shines."""
     materials: dict[Name, MaterialModel] = default({})
+    """By name: how surfaces reflect."""
     targets: tuple[TargetModel, ...] = ()
+    """What is seen."""
     tolerances: TolerancesModel | None = None
+    """How far the real cell may differ: half-widths of 95 % intervals."""
 
     @model_validator(mode="before")
     @classmethod

@@ -22,12 +22,14 @@ class Coloured(Model):
     """What all materials have in common: a factor on their reflectance over wavelength."""
 
     spectrum: CurveModel | None = None
+    """Factor on the reflectance over wavelength."""
 
 
 class FromCatalog(Model):
     """A material that may stand in radwrap's own catalog; what is given beside the preset replaces its value."""
 
     preset: Name | None = None
+    """Name of a material in radwrap's catalog; keys beside it replace its values."""
 
     @model_validator(mode="before")
     @classmethod
@@ -55,7 +57,9 @@ class LambertianModel(Coloured):
     """Diffuse material."""
 
     type: Literal["lambertian"]
+    """Kind of material."""
     reflectance: Share
+    """Share of the light that is reflected, 0 to 1."""
 
 
 class SpecularModel(Coloured, FromCatalog):
@@ -64,9 +68,13 @@ class SpecularModel(Coloured, FromCatalog):
     model_config: ClassVar[ConfigDict] = ConfigDict(json_schema_extra=preset_or_all)
 
     type: Literal["specular"]
+    """Kind of material."""
     diffuse_reflectance: Share = 0.0
+    """Share of the light that is reflected evenly, 0 to 1."""
     specular_reflectance: Share
+    """Share of the light in the lobe, 0 to 1."""
     roughness: Roughness | tuple[Roughness, Roughness]
+    """Width of the Gaussian lobe, without unit; two along the target's x axis and across it."""
 
     @model_validator(mode="after")
     def _conserves(self) -> SpecularModel:
@@ -81,20 +89,35 @@ class RetroreflectiveModel(Coloured):
     model_config: ClassVar[ConfigDict] = ConfigDict(json_schema_extra=preset_or_all)
 
     type: Literal["retroreflective"]
+    """Kind of material."""
     preset: Name | None = None
+    """Name of a sheeting in radwrap's data; keys beside it replace its values."""
     model: Literal["perturbed_normal", "coefficient"]
+    """How retroreflection is described."""
     reflectance: Share | None = None
+    """Of the perturbed normal: share of the light that goes back, 0 to 1."""
     roughness: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-4, le=0.5)] | None = None
+    """Of the perturbed normal: width of the Gaussian lobe that goes back, without unit."""
     function: Literal["glass_beads"] | None = None
+    """R_A by a formula."""
     anchor: Coefficient | None = None
+    """R_A of that formula at an observation angle of 0.5 deg and an entrance angle of 0 deg."""
     observation_angles: tuple[Angle, ...] | None = None
+    """Rows of the table of R_A: angles between light and eye."""
     entrance_angles: tuple[Angle, ...] | None = None
+    """Columns of the table of R_A: angles between light and normal."""
     coefficients: tuple[tuple[Coefficient, ...], ...] | None = None
+    """The table of R_A: a row for each observation angle."""
     interpolation: Literal["linear", "log"] | None = None
+    """Between the angles of a table: of R_A or of its logarithm."""
     outside: Literal["refuse", "hold"] | None = None
+    """Angles beyond the data: refuse them, or hold the outermost value."""
     file: FileName | None = None
+    """CSV table of R_A beside the scene."""
     print_coverage: Share | None = None
+    """Share of the sheeting's light that a print over it takes, 0 to 1."""
     print_reflectance: Share | None = None
+    """Diffuse reflectance of that print, 0 to 1."""
 
     @model_validator(mode="before")
     @classmethod
@@ -144,7 +167,9 @@ class MirrorModel(Model):
     """Flat mirror."""
 
     type: Literal["mirror"]
+    """Kind of material."""
     reflectance: Share
+    """Share of the light that is mirrored, 0 to 1."""
 
 
 class GlassModel(FromCatalog):
@@ -153,8 +178,11 @@ class GlassModel(FromCatalog):
     model_config: ClassVar[ConfigDict] = ConfigDict(json_schema_extra=preset_or_all)
 
     type: Literal["glass"]
+    """Kind of material."""
     transmittance: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=1)]
+    """Share of the light that goes straight through the pane, 0 to 1."""
     refractive_index: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1, le=4)] = 1.52
+    """Of the glass; decides what its faces mirror."""
 
     @model_validator(mode="after")
     def _reflects_too(self) -> GlassModel:
@@ -171,17 +199,24 @@ class BrdfModel(Model):
     """Measured table of f, for direct light."""
 
     type: Literal["measured_brdf"]
+    """Kind of material."""
     file: FileName
+    """Table of f [1/sr] beside the scene."""
 
 
 class PrintModel(Model):
     """Image printed on a sheet."""
 
     type: Literal["print"]
+    """Kind of material."""
     file: FileName
+    """Picture beside the scene that is stretched over the sheet, its top row at +y."""
     encoding: Literal["linear", "srgb"]
+    """How the file's codes become shares of the way from black to white."""
     black_reflectance: Share
+    """Reflectance where the picture is black, 0 to 1."""
     white_reflectance: Share
+    """Reflectance where the picture is white, 0 to 1."""
 
 
 MaterialModel = Annotated[

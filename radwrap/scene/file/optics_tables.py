@@ -14,10 +14,15 @@ class LensModel(Model):
     """[camera.lens]: a thin lens in the opening's plane."""
 
     focus_distance: Size
+    """From the lens to the plane that is sharp, along the axis."""
     f_number: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.1, le=1e6)] | None = None
+    """Focal length over the opening's diameter; in place of aperture.diameter."""
     transmission: PositiveShare = 1.0
+    """Share of the light that the lens lets through, 0 to 1."""
     falloff: Literal["cos4", "none"] | None = None
+    """Towards the corners: cos^4 of the field angle, or none."""
     relative_illumination: tuple[tuple[SizeOrZero, PositiveShare], ...] | None = None
+    """Pairs of image height and share of the light on the axis, from ["0 mm", 1.0] on; in place of falloff."""
 
     @model_validator(mode="after")
     def _consistent(self) -> LensModel:
@@ -38,15 +43,20 @@ class CurveModel(Model):
     """A quantity over wavelength: a table in a file beside the scene."""
 
     file: Annotated[str, Field(strict=True, min_length=1, max_length=1000)]
+    """CSV table beside the scene: wavelength [nm] and value."""
 
 
 class SpectrumModel(Model):
     """Spectrum of a source: a Gaussian line, a CIE illuminant, or a table in a file."""
 
     line: Wavelength | None = None
+    """Mean wavelength of a Gaussian line."""
     width: Wavelength | None = None
+    """Of that line, full width at half maximum."""
     preset: Literal["A", "D65", "E"] | None = None
+    """A CIE standard illuminant."""
     file: Annotated[str, Field(strict=True, min_length=1, max_length=1000)] | None = None
+    """CSV table beside the scene: wavelength [nm] and relative power."""
 
     @model_validator(mode="after")
     def _one_kind(self) -> SpectrumModel:

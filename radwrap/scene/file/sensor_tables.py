@@ -35,7 +35,7 @@ GrayLevel = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
 FillShare = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.01, le=1)]
 Column = Annotated[int, Field(strict=True, ge=0, lt=1_000_000)]
 _SCALE: Final = r"^1/[1-9][0-9]{0,3}$"
-_REGION = Field(description="first column and row, last column and row that are read out")
+
 Sensitivity = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=1e6)]
 Sensitivities = Annotated[tuple[Sensitivity, ...], Field(min_length=1, max_length=256)]
 
@@ -61,18 +61,31 @@ class PixelsModel(Model):
     """What both kinds of sensor have in common."""
 
     rows: Count
+    """How many rows of pixels."""
     columns: Count
+    """How many columns of pixels."""
     pixel_width: Size
+    """Pitch of the columns."""
     pixel_height: Size
+    """Pitch of the rows."""
     bit_depth: Annotated[int, Field(strict=True, ge=1, le=16)] = 8
+    """Bits of a gray level."""
     rounding: Flag = True
+    """Whether gray levels are whole."""
     channel: Literal["equal", "red", "green", "blue"] = "equal"
+    """Which of the tracer's three channels is seen; equal demands that all three agree."""
     fill_width: FillShare | None = None
+    """Middle share of the pitch along a row that sees light, 0.01 to 1."""
     fill_height: FillShare | None = None
+    """Middle share of the pitch along a column that sees light, 0.01 to 1."""
     sensitivity_across: Sensitivities | None = None
+    """Relative sensitivities of equal strips of a pixel, along a row."""
     sensitivity_down: Sensitivities | None = None
-    roi: Annotated[tuple[Column, Column, Column, Column], _REGION] | None = None
+    """Relative sensitivities of equal strips of a pixel, along a column."""
+    roi: tuple[Column, Column, Column, Column] | None = None
+    """What is read out: first column and row, last column and row [px]."""
     scale: Annotated[str, BeforeValidator(_scale), Field(pattern=_SCALE)] | None = None
+    """"1/N": N x N pixels become one with their sum of electrons; gray levels stay."""
 
     @model_validator(mode="after")
     def _one_window(self) -> PixelsModel:
@@ -112,11 +125,17 @@ class SensorModel(PixelsModel):
     model_config: ClassVar[ConfigDict] = ConfigDict(json_schema_extra=_open_to("preset"))
 
     model: Literal["power_law"] | None = None
+    """The power law G = K H^gamma + G0."""
     preset: Name | None = None
+    """Name of a sensor in radwrap's data; keys beside it replace its values."""
     gain: str
+    """K of the power law, such as "3.38e4 (J/m^2)^-0.85"."""
     gamma: Gamma
+    """Exponent of the power law."""
     dark_gray: GrayLevel
+    """Gray level without light, G0."""
     saturation_gray: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
+    """Gray level at which a pixel is full."""
 
     @model_validator(mode="before")
     @classmethod
@@ -144,7 +163,9 @@ class DefectsModel(Model):
     """Shares of pixels that always saturate, and that never see light."""
 
     hot: Share = 0.0
+    """Share of the pixels that are always full, 0 to 1."""
     dead: Share = 0.0
+    """Share of the pixels that never see light, 0 to 1."""
 
     @model_validator(mode="after")
     def _some_work(self) -> DefectsModel:
@@ -159,25 +180,43 @@ class LinearSensorModel(PixelsModel):
     model_config: ClassVar[ConfigDict] = ConfigDict(json_schema_extra=_open_to("data_sheet"))
 
     model: Literal["linear"]
+    """The linear camera of EMVA 1288."""
     data_sheet: Annotated[str, Field(strict=True, min_length=1, max_length=1000)] | None = None
+    """TOML file beside the scene that holds what the scene does not say of the sensor."""
     wavelength: Size
+    """Of the light whose photons are counted."""
     quantum_efficiency: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=1)] | None = None
+    """Electrons for each photon at the wavelength, 0 to 1; fill factor and microlens included."""
     quantum_efficiencies: Annotated[tuple[tuple[Size, Share], ...], Field(min_length=2, max_length=10_000)] | None = (
         None
     )
+    """Pairs of wavelength and quantum efficiency; in place of quantum_efficiency."""
     system_gain: SystemGain
+    """K of EMVA 1288."""
     offset: GrayLevel
+    """Gray level without light and dark current."""
     full_well: Electrons
+    """At which a pixel is full."""
     read_noise: Electrons
+    """Standard deviation of a pixel in the dark, for each frame."""
     dark_current: ElectronRate = default("0 e/s")
+    """Of a pixel, at the temperature of the sensor or as it is."""
     dark_current_temperature: Temperature | None = None
+    """At which the dark current was measured."""
     doubling_temperature: TemperatureDifference | None = None
+    """By which the dark current doubles."""
     temperature: Temperature | None = None
+    """Of the sensor."""
     dsnu: Electrons = default("0 e")
+    """Standard deviation of the dark signal between pixels."""
     prnu: Share = 0.0
+    """Standard deviation of responsivity between pixels, as a share, 0 to 1."""
     defects: DefectsModel = default({})
+    """Pixels that are hot or dead."""
     device_seed: Annotated[int, Field(strict=True, ge=0, lt=2**63)] = 0
+    """Which specimen: decides DSNU, PRNU and defects."""
     gamma: Gamma = 1.0
+    """Exponent of a look-up table behind the converter, which keeps dark and saturation."""
 
     @model_validator(mode="after")
     def _consistent(self) -> LinearSensorModel:

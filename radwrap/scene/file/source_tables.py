@@ -42,9 +42,13 @@ class BeamModel(Model):
     """Angular distribution of a source."""
 
     profile: Literal["gaussian", "cosine_power", "cone", "lambertian", "table"]
+    """Shape of the angular distribution."""
     width: PositiveAngle | None = None
+    """Of the beam, as width_definition says."""
     width_definition: WidthDefinition | None = None
+    """What the width is."""
     file: FileName | None = None
+    """CSV table of relative intensity over angle beside the scene."""
 
     @model_validator(mode="after")
     def _consistent(self) -> BeamModel:
@@ -65,18 +69,26 @@ class Spectral(Model):
     """What all sources have in common: a spectrum, where the scene tells any."""
 
     name: Name
+    """Unique in the scene."""
     spectrum: SpectrumModel | None = None
+    """Of its light; every source has one, or none."""
 
 
 class Shining(Spectral):
     """What sources have in common whose level may be told in several ways."""
 
     radiance: RadianceValue | None = None
+    """Along the axis; one of the levels is given."""
     radiant_intensity: RadiantIntensityValue | None = None
+    """Along the axis; in place of radiance."""
     radiant_flux: RadiantFluxValue | None = None
+    """In all directions; in place of radiance."""
     luminance: LuminanceValue | None = None
+    """Along the axis; in place of radiance, and needs a spectrum."""
     luminous_intensity: LuminousIntensityValue | None = None
+    """Along the axis; in place of radiance, and needs a spectrum."""
     luminous_flux: LuminousFluxValue | None = None
+    """In all directions; in place of radiance, and needs a spectrum."""
 
     @model_validator(mode="after")
     def _one_level(self) -> Shining:
@@ -97,8 +109,11 @@ class LedModel(Shining, Aimed):
     """A single LED."""
 
     type: Literal["led"]
+    """Kind of source."""
     diameter: Size = default("5.08 mm")
+    """Of the disc that shines."""
     beam: BeamModel
+    """Angular distribution."""
 
 
 class LampModel(Shining, Aimed):
@@ -107,9 +122,13 @@ class LampModel(Shining, Aimed):
     model_config: ClassVar[ConfigDict] = ConfigDict(json_schema_extra=preset_or_all)
 
     type: Literal["lamp"]
+    """Kind of source."""
     preset: Name | None = None
+    """Name of a lamp in radwrap's data; keys beside it replace its values."""
     diameter: Size
+    """Of the disc that shines."""
     beam: BeamModel
+    """Angular distribution."""
 
     @model_validator(mode="before")
     @classmethod
@@ -126,18 +145,26 @@ class IesModel(Spectral, Aimed):
     """A luminaire of an IES LM-63 file."""
 
     type: Literal["ies"]
+    """Kind of source."""
     file: FileName
+    """IES LM-63 file beside the scene."""
     diameter: Size = default("10 mm")
+    """Of the sphere that shines."""
     luminous_efficacy: EfficacyValue = default("179 lm/W")
+    """How many lumens a watt is."""
 
 
 class DiscSourceModel(Shining, Aimed):
     """A plain Lambertian disc: one point where that will do, in patches where an error is asked for."""
 
     type: Literal["disc"]
+    """Kind of source."""
     diameter: Size
+    """Of the disc that shines."""
     irradiance_error: AskedError | None = None
+    """Largest relative error of irradiance by patches; without it the disc shines from its middle."""
     least_patches: Patches | None = None
+    """So many patches at least, for finer half shadows."""
 
     @model_validator(mode="after")
     def _patches_of_a_wide_one(self) -> DiscSourceModel:
@@ -150,24 +177,33 @@ class WideModel(Spectral):
     """What wide sources have in common."""
 
     irradiance_error: AskedError = 0.01
+    """Largest relative error of irradiance where it shines from patches."""
     least_patches: Patches = 1
+    """So many patches at least, for finer half shadows."""
 
 
 class RectangleSourceModel(WideModel, Shining, Aimed):
     """A backlight or a bar."""
 
     type: Literal["rectangle"]
+    """Kind of source."""
     size: tuple[Size, Size]
+    """Width along its x axis and height along its y axis."""
     beam: BeamModel = default({"profile": "lambertian"})
+    """Angular distribution of each of its places."""
 
 
 class AreaRingModel(WideModel, Shining, Aimed):
     """A flat ring that shines all over."""
 
     type: Literal["area_ring"]
+    """Kind of source."""
     diameter: Size
+    """Outer diameter of the ring."""
     inner_diameter: Size
+    """Inner diameter of the ring."""
     beam: BeamModel = default({"profile": "lambertian"})
+    """Angular distribution of each of its places."""
 
     @model_validator(mode="after")
     def _has_area(self) -> AreaRingModel:
@@ -180,9 +216,13 @@ class DomeModel(WideModel, Aimed):
     """A hemisphere that shines to its centre, with a hole for the camera."""
 
     type: Literal["dome"]
+    """Kind of source."""
     radiance: RadianceValue
+    """Of its inside, in all directions."""
     diameter: Size
+    """Of the hemisphere."""
     opening_diameter: SizeOrZero = default("0 mm")
+    """Of the hole at its top."""
 
     @model_validator(mode="after")
     def _has_area(self) -> DomeModel:
@@ -195,11 +235,17 @@ class CoaxialModel(WideModel):
     """Light along the camera's axis by a beam splitter: a disc as far behind the pinhole as its light goes further."""
 
     type: Literal["coaxial"]
+    """Kind of source."""
     radiance: RadianceValue
+    """Of the lamp, before the splitter."""
     diameter: Size
+    """Of the lamp."""
     distance: Size
+    """How much longer the lamp's way to the target is than the camera's."""
     splitter_reflectance: Share = 0.5
+    """Share of the light that the splitter reflects, 0 to 1."""
     splitter_transmittance: Share = 0.5
+    """Share of the light that the splitter lets through, 0 to 1."""
 
     @model_validator(mode="after")
     def _conserves(self) -> CoaxialModel:
@@ -214,39 +260,58 @@ class SurroundModel(WideModel):
     """The same radiance from all sides."""
 
     type: Literal["surround"]
+    """Kind of source."""
     radiance: RadianceValue
+    """From all sides."""
 
 
 class LedChangeModel(Model):
     """How one LED of a ring differs."""
 
     index: Annotated[int, Field(strict=True, ge=0)]
+    """Number of the LED, 0 is the first."""
     radiance_factor: Factor = 1.0
+    """Factor on its radiance."""
     beam_width_factor: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=1e6)] = 1.0
+    """Factor on its beam's width."""
     axis_tilt: Angle = default("0 deg")
+    """Angle between its axis and the ring's."""
     axis_azimuth: Angle = default("0 deg")
+    """Direction of the tilt, from the ring's x towards its y."""
 
 
 class MisalignmentModel(Model):
     """Turn of a whole ring, about the world's y axis, then about its z axis."""
 
     about_y: Angle = default("0 deg")
+    """About the world's y axis, through the ring's centre."""
     about_z: Angle = default("0 deg")
+    """About the world's z axis, afterwards."""
 
 
 class RingModel(Shining, Aimed):
     """LEDs evenly on a circle."""
 
     type: Literal["ring"]
+    """Kind of source."""
     count: Annotated[int, Field(strict=True, ge=1, le=4096)]
+    """How many LEDs."""
     diameter: Size
+    """Of the circle through the LEDs' centres."""
     first_angle: Angle = default("0 deg")
+    """Of LED 0, from the ring's x towards its y."""
     led_diameter: Size = default("5.08 mm")
+    """Of the disc of each LED."""
     beam: BeamModel
+    """Angular distribution of each LED."""
     misalignment: MisalignmentModel = default({})
+    """Turn of the whole ring."""
     leds: tuple[LedChangeModel, ...] = ()
+    """LEDs that differ from the others."""
     calibration: Annotated[str, Field(strict=True, min_length=1, max_length=1000)] | None = None
+    """JSON beside the scene that says what each drive level shines; in place of radiance."""
     drive_levels: Share | tuple[Share, ...] | None = None
+    """Of all LEDs, or of each: share of full drive, 0 to 1; goes with calibration."""
 
     @model_validator(mode="after")
     def _one_level(self) -> RingModel:
