@@ -493,3 +493,29 @@ def test_of_a_large_image_only_what_is_near_is_looked_at(form: Form, monkeypatch
     looked.clear()
     assert astuple(measure_circle(image, caliper, form=form)) == astuple(by_cells)
     assert min(looked) == image.values.size
+
+
+def test_a_fit_of_a_sharp_rim_ends_once_its_blur_shows_no_longer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The radius of a blur of some hundredths of a pixel wanders without an effect: no rounds are made for it."""
+    rounds = []
+    whole = contour._strip
+
+    def counted(*arguments: Any) -> Any:
+        rounds.append(arguments)
+        return whole(*arguments)
+
+    monkeypatch.setattr(contour, "_strip", counted)
+    v, u = np.indices((150, 150))
+    centre, radius, turn = (74.63, 74.89), 63.59, 2 * math.pi / 96
+    # What a camera in focus sees of a mesh's hole, a polygon of 96 sides: areas of pixels by 32 x 32 points.
+    fine = (np.arange(32) + 0.5) / 32 - 0.5
+    share = np.zeros(u.shape)
+    for x in fine:
+        across, down = u[..., None] + x - centre[0], v[..., None] + fine - centre[1]
+        away = np.mod(np.arctan2(down, across), turn) - turn / 2
+        share += (np.hypot(across, down) * np.cos(away) < radius * math.cos(turn / 2)).mean(axis=-1) / 32
+    image = GrayImage(np.rint(64 + 3000 * share + 3 * np.random.default_rng(3).normal(size=share.shape)), 12)
+    found = measure_circle(image, Caliper((74.0, 75.0), 63.0, 6.0))
+    assert found.blur < 0.1
+    assert found.diameter == pytest.approx(2 * radius * math.sqrt(math.sin(turn) / turn), abs=0.005)
+    assert len(rounds) == 2, "it took four where a change of the radius counted as such"

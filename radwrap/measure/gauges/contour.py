@@ -149,7 +149,9 @@ def _fitted(light: Light, shape: Shape, blur: float, band: float, *, aspect: flo
             raise InputError(
                 "the fit leaves the band", where="the image", remedy="place the caliper nearer to the contour"
             )
-        still = max(float(np.abs((parameters - before[0]) / shape.units).max()), abs(blur - before[1]))
+        # What is seen of a blur far narrower than a pixel is its square, which may settle long before the radius does.
+        blurred = abs(blur - before[1]) * min(1.0, blur + before[1])
+        still = max(float(np.abs((parameters - before[0]) / shape.units).max()), blurred)
         if not first and still < _STILL:
             break
     return _told(shape, light, strip, state, left_out)

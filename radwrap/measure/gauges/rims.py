@@ -61,22 +61,29 @@ class Shape:
     closed: bool
 
 
+def length_of(vectors: Array) -> Array:
+    """Lengths of vectors, shape (n, 2): column by column, as sums over two of many rows take five times as long."""
+    x, y = vectors[:, 0], vectors[:, 1]
+    return np.asarray(np.sqrt(x * x + y * y))
+
+
 def implicit(value: Callable[[Array], tuple[Array, Array]], places: Array) -> Rim:
     """Rim where a function is 0, of which value and gradient are given; `along` is left 0.
 
     The distance is that to the foot on the contour, right to third order in it.
     """
     here, slope = value(places)
-    size = np.linalg.norm(slope, axis=1)
+    size = length_of(slope)
     foot = places - (here / size**2)[:, None] * slope
     rest, there = value(foot)
-    size_there = np.linalg.norm(there, axis=1)
+    size_there = length_of(there)
     distance = (here - rest) / ((size + size_there) / 2) + rest / size_there
     normal = there / size_there[:, None]
     tangent = np.column_stack([-normal[:, 1], normal[:, 0]])
     ends = []
     for sign in (1, -1):
         _, turned = value(foot + sign * _CURVATURE_STEP * tangent)
-        ends.append(turned / np.linalg.norm(turned, axis=1)[:, None])
-    curvature = -(tangent * (ends[0] - ends[1])).sum(axis=1) / (2 * _CURVATURE_STEP)
+        ends.append(turned / length_of(turned)[:, None])
+    bend = tangent * (ends[0] - ends[1])
+    curvature = -(bend[:, 0] + bend[:, 1]) / (2 * _CURVATURE_STEP)
     return Rim(distance, normal, curvature, np.zeros(len(places)))

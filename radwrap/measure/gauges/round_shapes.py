@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.measure.gauges.rims import Rim, Shape, implicit
+from radwrap.measure.gauges.rims import Rim, Shape, implicit, length_of
 
 Array = NDArray[np.float64]
 _TURN = 2 * math.pi
@@ -19,7 +19,7 @@ def circle_shape(start: Array, sign: float, arc: tuple[float, float] | None) -> 
 
     def rims(parameters: Array, places: Array) -> list[Rim]:
         away = places - parameters[:2]
-        distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
+        distance = np.maximum(length_of(away), 1e-9)
         radius = parameters[2]
         normal = -sign * away / distance[:, None]
         curvature = np.full(len(places), sign / radius)
@@ -39,7 +39,7 @@ def ellipse_shape(start: Array, sign: float, arc: tuple[float, float] | None) ->
 
         def value(at: Array) -> tuple[Array, Array]:
             inner = (at - centre) @ to_round.T
-            radius = np.maximum(np.linalg.norm(inner, axis=1), 1e-9)
+            radius = np.maximum(length_of(inner), 1e-9)
             return sign * (1 - radius), -sign * (inner / radius[:, None]) @ to_round
 
         rim = implicit(value, places)
@@ -84,8 +84,9 @@ def plane_shape(
         def value(at: Array) -> tuple[Array, Array]:
             inner, by_place = local(at)
             away = inner - parameters[:2]
-            distance = np.maximum(np.linalg.norm(away, axis=1), 1e-300)
-            slope = -sign * np.einsum("ni,nij->nj", away / distance[:, None], by_place)
+            distance = np.maximum(length_of(away), 1e-300)
+            unit = away / distance[:, None]
+            slope = -sign * (unit[:, :1] * by_place[:, 0] + unit[:, 1:] * by_place[:, 1])
             return sign * (parameters[2] - distance), slope
 
         rim = implicit(value, places)

@@ -41,7 +41,7 @@ def pixel_step(distance: Array, normal: Array, curvature: Array, radius: float, 
         Share of the pixel's light that is bright, and its mean of x where x > 0 [px].
     """
     sides = np.abs(normal) * np.array([0.5, 0.5 * aspect])
-    a, b = sides.max(axis=1), np.maximum(sides.min(axis=1), _NARROW)
+    a, b = np.maximum(sides[:, 0], sides[:, 1]), np.maximum(np.minimum(sides[:, 0], sides[:, 1]), _NARROW)
     corners = np.stack([distance + a + b, distance + a - b, distance - a + b, distance - a - b])
     second, third = antiderivatives(corners, radius, (2, 3))
     area = 4 * a * b

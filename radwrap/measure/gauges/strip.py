@@ -113,7 +113,8 @@ class State:
 def terms_of(shape: Shape, rims: Sequence[Rim], blur: float, aspect: float) -> Terms:
     """Terms of the levels for rims as they lie."""
     along = rims[0].along
-    wide, slow = _basis(shape, along, _HARMONICS), _basis(shape, along, 1)
+    wide = _basis(shape, along, _HARMONICS)
+    slow = wide[:, : 1 + min(1, int(shape.length / _HARMONIC)) * (2 if shape.closed else 1)]
     seen = [pixel_step(rim.distance, rim.normal, rim.curvature, blur, aspect) for rim in rims]
     steps = [step for step, _ in seen]
     if len(rims) == 1:
