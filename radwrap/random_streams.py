@@ -38,6 +38,8 @@ class Rendering(IntEnum):
     LIT_PIXELS = 27
     LIT_RAYS = 28
     SAMPLED_BLOCKS = 29
+    WAVES = 30
+    WAVE_RESAMPLES = 31
 
 
 @unique

@@ -15,7 +15,7 @@ from radwrap.errors import InputError, ToleranceNotMet
 from radwrap.files import check_result, make_folder, sha256_of, sole_owner
 from radwrap.images import PREVIEW_BITS, preview_codes, write_exr, write_png
 from radwrap.imaging.other_camera import SceneText, basis_in_other_camera
-from radwrap.imaging.output.run_manifest import MANIFEST, read_run_manifest
+from radwrap.imaging.output.run_manifest import MANIFEST, RunManifest, read_run_manifest
 from radwrap.imaging.relight.levels import Levels, levels_of, read_levels
 from radwrap.imaging.relight.relit import Basis, Relit, read_basis, relit
 from radwrap.imaging.relight.relit_uncertainty import relit_uncertainty
@@ -89,7 +89,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError("is the folder of the basis, or lies in it", where="--out", remedy="choose another")
     make_folder(out)
     with sole_owner(out):
-        result = _write(out, basis, levels, changes, with_exposure=arguments.exposure)
+        run = _run_of(Path(arguments.basis), basis)
+        result = _write(out, basis, levels, changes, run, with_exposure=arguments.exposure)
     failed = [name for name, image in result["images"].items() if not image["met"]]
     if arguments.json:
         print(json_text(result), end="")
@@ -97,6 +98,8 @@ def run(arguments: argparse.Namespace) -> int:
         worst = max(image["error"]["rms_gray_upper95"] for image in result["images"].values())
         error = f"error in gray levels before rounding below {worst:.2g} rms (95 % for each)"
         print(f"{out}: {len(levels.names)} image{'s' if len(levels.names) > 1 else ''}; {error}")
+        if run is not None and run.missing:
+            print(f"left out of images and errors, in gray levels rms in the light of the basis: {run.missing}")
     if failed:
         more = f" and {len(failed) - 1} more" if len(failed) > 1 else ""
         raise ToleranceNotMet("the tolerance of the basis was not met", where=f"{failed[0]}{more}")
@@ -111,8 +114,23 @@ def _scene_text(folder: Path, basis: Basis, scene_folder: str | None) -> SceneTe
     return SceneText(run.scene, Path(scene_folder or folder), run.bands is not None)
 
 
+def _run_of(folder: Path, basis: Basis) -> RunManifest | None:
+    """The manifest of the run that made a basis, where it still lies beside it: it tells what images lack."""
+    try:
+        run = read_run_manifest(folder)
+    except InputError:
+        return None
+    return run if run.scene_sha256 == basis.scene_sha256 else None
+
+
 def _write(
-    out: Path, basis: Basis, levels: Levels, changes: Mapping[str, Any], *, with_exposure: bool
+    out: Path,
+    basis: Basis,
+    levels: Levels,
+    changes: Mapping[str, Any],
+    run: RunManifest | None,
+    *,
+    with_exposure: bool,
 ) -> dict[str, Any]:
     """Write all images, and what is told of them last."""
     check_result(out / RESULT)
@@ -146,6 +164,8 @@ def _write(
         "tolerance": basis.tolerance,
         "max_error": basis.max_error,
         **({"changed": dict(changes)} if changes else {}),
+        # As they are in the light and the camera of the basis; nothing tells how they change with each source.
+        **({"left_out": {name: effect.as_manifest() for name, effect in run.left_out.items()}} if run else {}),
         "images": images,
     }
     write_manifest(out / RESULT, result)

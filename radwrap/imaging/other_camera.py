@@ -56,12 +56,15 @@ class Developed:
         What the camera gives.
     certificate : Certificate
         How far the gray levels may be off; infinite where nothing is known of that.
+    growth : float
+        How many times as large a change of a gray level is, at most; infinite likewise.
     """
 
     scene: Scene
     radiant_exposure: ExposureImage
     gray: GrayImage
     certificate: Certificate
+    growth: float
 
 
 def in_other_camera(
@@ -91,9 +94,8 @@ def in_other_camera(
     times = _times(old, new)
     made = ExposureImage(exposure.values * times, exposure.provenance)
     gray = image_of_levels(gray_levels(made.values, new.sensor), new.sensor, made.provenance)
-    return Developed(
-        other, made, gray, _scaled(certificate, _growth(old.sensor, new.sensor, times, exposure, certificate))
-    )
+    growth = _growth(old.sensor, new.sensor, times, exposure, certificate)
+    return Developed(other, made, gray, _scaled(certificate, growth), growth)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.images import ExposureImage, GrayImage, png_bytes, preview_codes
+from radwrap.imaging.forecast.effects import Effect, warnings_of_left_out
 from radwrap.imaging.other_camera import Developed, in_other_camera
 from radwrap.imaging.output.run_manifest import Extent, RunManifest
 from radwrap.imaging.page.one_file import Page, one_file
@@ -20,6 +21,7 @@ from radwrap.imaging.relight.relit import read_basis
 from radwrap.imaging.response.noise import fixed_pattern, linear_of, noisy_frame
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.tolerance.certificate import Certificate
+from radwrap.imaging.tolerance.plans import NEGLIGIBLE_SHARE
 from radwrap.imaging.tolerance.uncertainty import uncertainty
 from radwrap.manifest import plain
 from radwrap.scene.look.faces import face_towards
@@ -80,6 +82,8 @@ class Rendered:
         rows, columns = self.gray.values.shape
         bound = self.error.rms_gray_upper95
         off = f"off by less than {bound:.2g} gray rms (95 %)" if math.isfinite(bound) else "no bound of its error"
+        if self.run.missing:
+            off += f", which leaves out (gray rms): {self.run.missing}"
         return (
             f"<Rendered: {columns} x {rows} pixels, gray {self.gray.values.min():g} to {self.gray.values.max():g}, "
             f"mean {self.gray.values.mean():.4g}; {off}; {self.run.method}, {self.run.rays:.3g} rays>"
@@ -92,6 +96,14 @@ class Rendered:
     def error(self) -> Certificate:
         """How far the gray levels may be off before rounding; infinite where nothing bounds that."""
         return self.run.error
+
+    @property
+    def left_out(self) -> Mapping[str, Effect]:
+        """Effects that the image and its error lack, by name, with what each would change [gray level].
+
+        Of an image that was made from another one, that one's, as far as the gray levels tell how they grow.
+        """
+        return self.run.left_out
 
     @property
     def met(self) -> bool:
@@ -235,12 +247,29 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
+def _grown(run: RunManifest, growth: float) -> tuple[dict[str, Effect], tuple[str, ...]]:
+    """What is left out of a brighter image and what is said of it; nothing where its gray levels have no bound."""
+    stale = {line for effect in run.left_out.values() for line in warnings_of_left_out(effect)}
+    warnings = tuple(line for line in run.warnings if line not in stale)
+    if not math.isfinite(growth):
+        return {}, warnings
+    left_out = {}
+    for name, effect in run.left_out.items():
+        upper = growth * effect.rms_gray_upper95
+        needed = effect.needed if run.tolerance is None else upper > NEGLIGIBLE_SHARE * run.tolerance
+        left_out[name] = replace(effect, rms_gray=growth * effect.rms_gray, rms_gray_upper95=upper, needed=needed)
+    return left_out, (*warnings, *(line for effect in left_out.values() for line in warnings_of_left_out(effect)))
+
+
 def _run_of(run: RunManifest, made: Developed) -> RunManifest:
     """What a manifest says of an image that was made from another one: it has no files."""
     sensor = made.scene.camera.sensor
     levels = gray_levels(made.radiant_exposure.values, sensor)
+    left_out, warnings = _grown(run, made.growth)
     return replace(
         run,
+        left_out=left_out,
+        warnings=warnings,
         camera=plain(made.scene.camera),
         scene=made.scene.document,
         assumed=dict(sorted(made.scene.assumed.items())),

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 from radwrap.frames import Pose
 from radwrap.manifest import ONLY_WHERE_USED
 from radwrap.scene.distortion import Distortion
 from radwrap.scene.linear_sensor import LinearSensor
 from radwrap.scene.pixel_window import PixelWindow
+
+# Of light of which a scene says nothing [m].
+ASSUMED_WAVELENGTH: Final = 550e-9
 
 ApertureShape = Literal["round", "square", "annular", "half_disc"]
 ColourChannel = Literal["equal", "red", "green", "blue"]
@@ -176,6 +179,8 @@ class Camera:
         How a place on the sensor is off the one where the pinhole alone would put it.
     lens : Lens, optional
         Without it the opening is a pinhole.
+    wavelength : float, optional
+        At which diffraction is looked at, where neither spectra nor a linear sensor tell it [m].
     """
 
     pose: Pose
@@ -186,6 +191,7 @@ class Camera:
     sensor: Sensor
     distortion: Distortion | None = field(default=None, metadata=ONLY_WHERE_USED)
     lens: Lens | None = field(default=None, metadata=ONLY_WHERE_USED)
+    wavelength: float | None = field(default=None, metadata=ONLY_WHERE_USED)
 
     @property
     def pitch(self) -> tuple[float, float]:

@@ -285,7 +285,12 @@ def test_json_is_all_that_stands_on_stdout(tmp_path: Path, capsys: pytest.Captur
     assert {"radwrap", "python", "radiance", "numpy"} <= set(manifest["versions"])
     assert not [key for key, _ in _paths(manifest) if key.endswith("_s") and not key.startswith("timing.")]
     # Warnings go to stderr, and into the JSON.
-    assert len(manifest["warnings"]) == 1 and manifest["warnings"][0] in done.stderr
+    assert ["lamp" in line or "diffraction" in line for line in manifest["warnings"]] == [True, True]
+    assert all(line in done.stderr for line in manifest["warnings"])
+    # The last line puts what is left out beside the certified number.
+    last = done.stderr.splitlines()[-1]
+    assert f"below {manifest['error']['rms_gray_upper95']:.2g} gray rms" in last
+    assert f"diffraction {manifest['left_out']['diffraction']['rms_gray']:.2g} (at most" in last
     gray = oiio.ImageInput.open(str(out / "gray.png")).read_image("uint8")
     assert manifest["gray"] == {"min": gray.min(), "max": gray.max(), "mean": pytest.approx(gray.mean(), rel=1e-12)}
 
@@ -489,8 +494,9 @@ def test_progress_goes_to_the_terminal_alone(tmp_path: Path) -> None:
     shares = [int(share) for share in re.findall(rb"tracing +(\d+) %", seen)]
     assert shares and shares == sorted(shares) and shares[-1] <= 100
     assert b"s left" in seen
-    assert seen.endswith(b"\r\x1b[K"), "the bar goes when the work is done"
-    assert all(len(line) < 80 for line in seen.replace(b"\x1b[K", b"").split(b"\r"))
+    bar, _, rest = seen.rpartition(b"\r\x1b[K")
+    assert not rest or rest.startswith(b"radwrap: "), "the bar goes when the work is done, before warnings"
+    assert all(len(line) < 80 for line in bar.replace(b"\x1b[K", b"").split(b"\r"))
 
 
 def test_output_that_nobody_takes(tmp_path: Path) -> None:

@@ -55,6 +55,7 @@ def test_relight_writes_an_image_for_each_row(basis: Path, tmp_path: Path, capsy
     # With all factors 1 the picture is that of the render, byte by byte.
     assert (out / "both.png").read_bytes() == (basis / "gray.png").read_bytes()
     rendered = json.loads((basis / "manifest.json").read_bytes())
+    assert done.json["left_out"] == rendered["left_out"] and "diffraction" in rendered["left_out"]
     assert set(images["both"]["error"]) == set(rendered["error"])
     assert images["both"]["gray"] == rendered["gray"]
     assert images["off"]["gray"] == {"min": 22.0, "max": 22.0, "mean": 22.0}

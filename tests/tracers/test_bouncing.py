@@ -170,7 +170,7 @@ def test_auto_includes_what_matters_and_nothing_else(tmp_path: Path, how: Render
     gray = {"type": "lambertian", "reflectance": 0.4}
     scene = floor_and_wall(gray)
     done = radwrap.render(scene, tmp_path / "wall", how, bounces="auto", tolerance=1.0)
-    assert done.manifest["bounces"]["orders"] == "all" and done.manifest["left_out"] == {}
+    assert done.manifest["bounces"]["orders"] == "all" and set(done.manifest["left_out"]) <= {"diffraction"}
     assert done.manifest["error"]["rms_gray_upper95"] <= 1.0
     # Without the wall's light the floor is dark: the wall's lamp shines along it.
     assert done.gray.values.mean() > 10 * radwrap.render(scene, options=how, tolerance=1.0).gray.values.mean()

@@ -19,7 +19,9 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.imaging.forecast.explain import unsaturated
+from radwrap.imaging.forecast.wave_change import MOST_RAYS, wave_change
 from radwrap.imaging.methods.rays import rays_over
+from radwrap.imaging.optics.diffraction import wavelength_of
 from radwrap.imaging.optics.view import View, rays_through, trace_rays
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.tolerance.bounds import NOTHING, Bounded
@@ -42,6 +44,7 @@ _CHANNELS: Final[tuple[ColourChannel, ...]] = ("red", "green", "blue")
 # Light that has gone so often from one surface to another is what is measured: at a reflectance of 0.5 on all sides
 # of a closed box, 7/8 of all that there is.
 _BOUNCES: Final = 3
+_BEYOND: Final = "bounces_beyond_"
 # A path of the tracer's own interreflection asks hundreds of times for each of them, a walk three times.
 _MANY_EMITTERS: Final = 100
 # The one source that stands for a ring is so small beside its LEDs that it hides nearly nothing.
@@ -55,7 +58,8 @@ class Effect:
     Attributes
     ----------
     name : str
-        "finite_aperture", "cos4", "depth_spread", "bounces", "bounces_beyond_3", "bands", "leds" or "led_differences".
+        "finite_aperture", "cos4", "depth_spread", "diffraction", "bounces", "bounces_beyond_3", "bands", "leds" or
+        "led_differences".
     left_out : str
         What the image would be without it.
     rms_gray, rms_gray_upper95 : float
@@ -198,6 +202,24 @@ def effects(scene: Scene, options: RenderOptions | None = None) -> dict[str, Any
     return {"tolerance": tolerance, **told, **exposure, "tracer": tracer, "effects": each, "planner": planner}
 
 
+def diffraction_left_out(scene: Scene, view: View, seed: int, tolerance: float, most_rays: int = MOST_RAYS) -> Effect:
+    """What diffraction at the opening would change of an image that is made by rays, which know no waves.
+
+    Parameters
+    ----------
+    scene : Scene
+        For the wavelength, see `wavelength_of`.
+    view : View
+        Whose rays; of the same light as the image.
+    seed, tolerance
+        As of `bounces`.
+    most_rays : int
+        As of `wave_change`.
+    """
+    square, rays = wave_change(view, wavelength_of(scene)[0], seed, most_rays)
+    return _effect("diffraction", "light is rays, and the opening sends no waves", square, rays, tolerance)
+
+
 def bounces(
     scene: Scene,
     view: View,
@@ -255,7 +277,7 @@ def bounces_beyond(traced: LaidOutScene, orders: int, seed: int, tolerance: floa
     probe = Probe.of(traced.bouncing_view(orders), seed)
     square = probe.mean_square(probe.traced(traced.bouncing_view(None, max(SURE_STEPS, orders))))
     left_out = f"light ends after {orders} reflection{'s' if orders > 1 else ''} before what is seen"
-    return _effect(f"bounces_beyond_{orders}", left_out, square, 2 * len(probe.u), tolerance)
+    return _effect(f"{_BEYOND}{orders}", left_out, square, 2 * len(probe.u), tolerance)
 
 
 def _measured(traced: LaidOutScene, view: View, found: Survey, tolerance: float, seed: int) -> Iterator[Effect]:
@@ -278,6 +300,7 @@ def _measured(traced: LaidOutScene, view: View, found: Survey, tolerance: float,
         found.rays if finite else 0,
         tolerance,
     )
+    yield diffraction_left_out(scene, view, seed, tolerance)
     yield (first := bounces(scene, view, seed, tolerance, probe, traced=traced))
     if first.needed:
         # What was measured ends there; of sheeting and the like nobody knows more.
@@ -307,6 +330,21 @@ def _bands(traced: LaidOutScene, probe: Probe, tolerance: float) -> Effect:
         return _effect("bands", left_out, NOTHING, 0, tolerance)
     mean = np.mean([probe.traced(of_channel(view, one)) for one in _CHANNELS], axis=0)
     return _effect("bands", left_out, probe.mean_square(mean), 4 * rays, tolerance)
+
+
+def warnings_of_left_out(effect: Effect) -> Iterator[str]:
+    """What a user should know of light that an image lacks, where it matters: bounces or diffraction."""
+    if not effect.needed:
+        return
+    what = "light that goes from one surface to another"
+    if effect.name == "diffraction":
+        what = "diffraction at the opening"
+    elif effect.name.startswith(_BEYOND):
+        what = f"light that is reflected more than {effect.name.removeprefix(_BEYOND)} times on its way"
+    yield (
+        f"{what} is left out: it would change the image by about "
+        f"{effect.rms_gray:.2g} gray rms (at most {effect.rms_gray_upper95:.2g})"
+    )
 
 
 def _effect(name: str, left_out: str, square: Bounded, rays: int, tolerance: float) -> Effect:

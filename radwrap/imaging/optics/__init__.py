@@ -7,5 +7,8 @@ The data's way::
     -> rays from a point of the opening through pixels     view
     -> what a pixel gathers on the central image           footprint
 
-What waves would add is stated, not modelled: diffraction.
+    -> what waves would change of that                     waves, wave_footprint
+
+Images are made by rays; what waves would change is measured and reported. The
+wavelength at which, and the Airy disc: diffraction.
 """

@@ -1,17 +1,31 @@
-"""What diffraction at the opening would add: it is told, not modelled. Rays know no waves."""
+"""The wavelength of a scene's light, and the Airy disc of its opening by closed form: rays know no waves."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
+from radwrap.scene.camera import ASSUMED_WAVELENGTH
 from radwrap.scene.scene import Scene
 
 # First zero of the Airy pattern, J1(pi x) = 0, in wavelengths over aperture angle.
 _FIRST_ZERO: Final = 1.2196698912665045
-_ASSUMED_WAVELENGTH: Final = 550e-9
 # An Airy disc of a smaller radius than this share of a pixel blurs nothing that the pixel does not [px].
 _MATTERS: Final = 0.5
+
+
+def wavelength_of(scene: Scene) -> tuple[float, bool]:
+    """Wavelength at which diffraction is looked at [m], and whether the scene tells it.
+
+    Of spectra the mean over the light that counts, else that of the linear sensor, else that of the camera, else 550
+    nm.
+    """
+    camera = scene.camera
+    if scene.spectral is not None:
+        return scene.spectral.wavelength, True
+    if camera.sensor.linear is not None:
+        return camera.sensor.linear.wavelength, True
+    return (ASSUMED_WAVELENGTH, False) if camera.wavelength is None else (camera.wavelength, True)
 
 
 def diffraction(scene: Scene) -> dict[str, Any] | None:
@@ -27,13 +41,12 @@ def diffraction(scene: Scene) -> dict[str, Any] | None:
     camera = scene.camera
     if camera.aperture.is_infinitesimal:
         return None
-    known = scene.spectral or camera.sensor.linear
-    wavelength = known.wavelength if known else _ASSUMED_WAVELENGTH
+    wavelength, known = wavelength_of(scene)
     radius = _FIRST_ZERO * wavelength * camera.image_distance / camera.aperture.diameter
     pixels = [radius / camera.sensor.pixel_width, radius / camera.sensor.pixel_height]
     return {
         "wavelength": wavelength,
-        "wavelength_assumed": known is None,
+        "wavelength_assumed": not known,
         "airy_radius": radius,
         "airy_radius_px": pixels,
         "matters": max(pixels) > _MATTERS,

@@ -23,7 +23,15 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
-def wave_weights(waves: Waves, sensor: Sensor, magnification: float, cell: float, shape: tuple[int, int]) -> Complex:
+def wave_weights(
+    waves: Waves,
+    sensor: Sensor,
+    magnification: float,
+    cell: float,
+    shape: tuple[int, int],
+    *,
+    least: float = 0.0,
+) -> Complex:
     """Transform of the weights of cells around a pixel, exact for radiance that is even in each cell.
 
     Parameters
@@ -39,6 +47,8 @@ def wave_weights(waves: Waves, sensor: Sensor, magnification: float, cell: float
         larger, is that of cell (0, 0).
     shape : tuple of int
         Rows and columns of the grid.
+    least : float
+        Frequencies of which no greater share passes may be left out; 0 takes all.
 
     Returns
     -------
@@ -46,10 +56,10 @@ def wave_weights(waves: Waves, sensor: Sensor, magnification: float, cell: float
         As `numpy.fft.rfft2` gives it of weights whose sum is 1.
     """
     window = sensor.window or PixelWindow()
-    down, of_rows = _axis(waves, np.fft.fftfreq(shape[0]), cell, sensor.pixel_height, window.down)
-    across, of_columns = _axis(waves, np.fft.rfftfreq(shape[1]), cell, sensor.pixel_width, window.across)
+    highest = waves.last_frequency(magnification, least) if least else waves.highest_frequency
+    down, of_rows = _axis(highest, np.fft.fftfreq(shape[0]), cell, sensor.pixel_height, window.down)
+    across, of_columns = _axis(highest, np.fft.rfftfreq(shape[1]), cell, sensor.pixel_width, window.across)
     found = np.zeros((shape[0], shape[1] // 2 + 1), dtype=np.complex128)
-    highest = waves.highest_frequency
     transfer = waves.transfer_up_to(highest, magnification)
     for y, along in zip(down, of_rows, strict=True):
         for x, beside in zip(across, of_columns, strict=True):
@@ -62,10 +72,10 @@ def wave_weights(waves: Waves, sensor: Sensor, magnification: float, cell: float
 
 
 def _axis(
-    waves: Waves, frequency: NDArray[np.floating[Any]], cell: float, pitch: float, profile: Profile
+    highest: float, frequency: NDArray[np.floating[Any]], cell: float, pitch: float, profile: Profile
 ) -> tuple[list[Array], list[Complex]]:
     """Frequencies that a grid of cells does not tell from each other [m^-1], and what pixel and cell do to each."""
-    aliases = math.ceil(waves.highest_frequency * cell * pitch + 0.5)
+    aliases = math.ceil(highest * cell * pitch + 0.5)
     frequencies, factors = list[Array](), list[Complex]()
     for number in range(-aliases, aliases + 1):
         cycles = (frequency.astype(np.float64) + number) / cell  # a pixel

@@ -30,6 +30,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
+from scipy.special import roots_legendre
 
 from radwrap.scene.camera import Aperture
 
@@ -39,14 +40,18 @@ Transfer = Callable[[Array, Array], Complex]
 _Curve = tuple[float, float, CubicSpline]  # from one frequency to another [m^-1]
 
 # Nodes of Gauss' rule on each piece of a chord's integral, without defocus, and more of them for each cycle of the
-# phase along the opening: pi is the least that resolves it.
+# phase along the piece: pi pi/2 is the least that resolves it, as nodes lie apart where the sine is steep.
 _NODES: Final = 24
-_NODES_OF_CYCLE: Final = 4
+_NODES_OF_CYCLE: Final = 6
+_NODES_STEP: Final = 32  # rules of so many more nodes are made, and the rows between two of them share one
 # Places along the frequency at which a round opening's transform is computed; between them it is a cubic. Its error is
 # 5/384 (2 pi/24)^4 = 6e-5 of the local amplitude, which for many cycles is small itself.
 _PLACES: Final = 384
 _PLACES_OF_CYCLE: Final = 24
 _AT_ONCE: Final = 1 << 20  # values of an integrand that are held: 16 MiB
+# Of a transform's envelope over x = pi |m| d nu: 2 |J1(x)|/x <= sqrt(8/pi) x^-1.5 of a disc, less than twice of a ring
+# whose stop is not nearly as wide, |sin(x)/x| <= 1/x of a square and of the straight edge of half a disc.
+_ROUND_ENVELOPE: Final = math.sqrt(8 / math.pi)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +88,18 @@ class Waves:
         if not self.shift:
             return math.inf
         return (2 * self.aperture.reach if self.aperture.shape == "square" else self.aperture.diameter) / self.shift
+
+    def last_frequency(self, magnification: float, least: float) -> float:
+        """Above it less than a share `least` passes of each frequency, of a point out of focus [m^-1].
+
+        What is blurred by many times `blur` has passed none of its fine structure long before `highest_frequency`.
+        """
+        blur = math.pi * abs(magnification) * self.aperture.diameter
+        if not blur:
+            return self.highest_frequency
+        straight = self.aperture.shape in ("square", "half_disc")
+        x = 1 / least if straight else (2 * _ROUND_ENVELOPE / least) ** (2 / 3)
+        return min(self.highest_frequency, x / blur)
 
     def tail(self, radius: float) -> float:
         """Share of the light that waves send farther than a radius [m] which is large beside blur and `blur`.
@@ -162,12 +179,15 @@ class Waves:
         inside = (kink > low) & (kink < high)
         kink = np.where(inside, kink, (low + high) / 2)
 
-        def chord(x: Array, some: slice) -> Array:
+        def chord(x: Array, some: NDArray[np.intp]) -> Array:
             h = half[some, np.newaxis, np.newaxis]
             return 2 * np.sqrt(np.maximum(np.minimum(large**2 - (x + h) ** 2, small**2 - (x - h) ** 2), 0.0))
 
+        if large == small:  # alike on both sides of the middle
+            breaks = np.stack([np.zeros_like(high), high], axis=-1)
+            return 2 * _transformed(chord, breaks, magnification * frequency, real=True).real
         breaks = np.stack([low, kink, high], axis=-1)
-        return _transformed(chord, breaks, magnification * frequency).real
+        return _transformed(chord, breaks, magnification * frequency, real=True).real
 
     def _half_disc(self, magnification: float, across: Array, down: Array) -> Complex:
         across, down = np.broadcast_arrays(across, down)
@@ -189,7 +209,7 @@ class Waves:
             breaks += [foot - reach, foot + reach]
         cut = np.sort(np.clip(np.stack(breaks, axis=-1), -most[:, np.newaxis], most[:, np.newaxis]), axis=-1)
 
-        def chord(x: Array, of: slice) -> Array:
+        def chord(x: Array, of: NDArray[np.intp]) -> Array:
             h, a, b, e = (values[of, np.newaxis, np.newaxis] for values in (half, along, beside, edge))
             rim_ = np.sqrt(np.maximum(radius**2 - (np.abs(x) + h) ** 2, 0.0))
             return np.clip(rim_ - (e - a * x) / b, 0.0, 2 * rim_)
@@ -219,7 +239,9 @@ def rim(aperture: Aperture) -> float:
     return math.pi * aperture.diameter
 
 
-def _transformed(chord: Callable[[Array, slice], Array], breaks: Array, cycles: Array) -> Complex:
+def _transformed(
+    chord: Callable[[Array, NDArray[np.intp]], Array], breaks: Array, cycles: Array, *, real: bool = False
+) -> Complex:
     """Integral of chord(x) exp(-2 pi i cycles x) dx, the chord smooth but for its square roots at the breaks.
 
     Parameters
@@ -230,20 +252,24 @@ def _transformed(chord: Callable[[Array, slice], Array], breaks: Array, cycles: 
         Increasing [m].
     cycles : ndarray, shape (rows,)
         [m^-1].
+    real : bool
+        Whether the real part is enough.
     """
-    length = float((breaks[:, -1] - breaks[:, 0]).max(initial=0.0))
-    number = _NODES + math.ceil(_NODES_OF_CYCLE * length * float(np.abs(cycles).max(initial=0.0)))
-    nodes, weights = np.polynomial.legendre.leggauss(number)
-    # x = sin turns a square root at either end of a piece into a smooth function.
-    place, weight = np.sin(np.pi / 2 * nodes), weights * np.pi / 2 * np.cos(np.pi / 2 * nodes)
+    longest = np.diff(breaks, axis=-1).max(axis=-1, initial=0.0)
+    steps = np.ceil(_NODES_OF_CYCLE * longest * np.abs(cycles) / _NODES_STEP).astype(np.intp)
     found = np.empty(len(breaks), dtype=np.complex128)
-    step = max(1, _AT_ONCE // (number * (breaks.shape[1] - 1)))
-    for start in range(0, len(breaks), step):
-        some = slice(start, start + step)
-        middle = (breaks[some, 1:] + breaks[some, :-1]) / 2
-        half = (breaks[some, 1:] - breaks[some, :-1]) / 2
-        x = middle[..., np.newaxis] + half[..., np.newaxis] * place
-        values = chord(x, some) * weight
-        phase = np.exp(-2j * np.pi * cycles[some, np.newaxis, np.newaxis] * x)
-        found[some] = np.einsum("ijk,ijk,ij->i", values, phase, half)
+    for step in np.unique(steps).tolist():
+        nodes, weights = roots_legendre(_NODES + _NODES_STEP * step)
+        # x = sin turns a square root at either end of a piece into a smooth function.
+        place, weight = np.sin(np.pi / 2 * nodes), weights * np.pi / 2 * np.cos(np.pi / 2 * nodes)
+        rows = np.flatnonzero(steps == step)
+        together = max(1, _AT_ONCE // (len(nodes) * (breaks.shape[1] - 1)))
+        for start in range(0, len(rows), together):
+            some = rows[start : start + together]
+            middle = (breaks[some, 1:] + breaks[some, :-1]) / 2
+            half = (breaks[some, 1:] - breaks[some, :-1]) / 2
+            x = middle[..., np.newaxis] + half[..., np.newaxis] * place
+            phase = -2 * np.pi * cycles[some, np.newaxis, np.newaxis] * x
+            values = chord(x, some) * weight
+            found[some] = np.einsum("ijk,ijk,ij->i", values, np.cos(phase) if real else np.exp(1j * phase), half)
     return found

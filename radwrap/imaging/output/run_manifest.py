@@ -149,6 +149,12 @@ class RunManifest:
     timing: Timing
 
     @property
+    def missing(self) -> str:
+        """What is left out although it matters, in gray levels, for those who read the error; "" where nothing is."""
+        needed = (left for left in self.left_out.values() if left.needed)
+        return ", ".join(f"{left.name} {left.rms_gray:.2g} (at most {left.rms_gray_upper95:.2g})" for left in needed)
+
+    @property
     def met(self) -> bool:
         """Whether the tolerance is kept; what has none keeps it."""
         return self.plan is None or self.plan.met

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -10,9 +11,8 @@ from numpy.typing import NDArray
 
 from radwrap.imaging.banding import Banding
 from radwrap.imaging.forecast.cost import Foretold
-from radwrap.imaging.forecast.effects import Effect
+from radwrap.imaging.forecast.effects import Effect, warnings_of_left_out
 from radwrap.imaging.mean_radiance import Made
-from radwrap.imaging.optics.diffraction import diffraction, diffraction_warning
 from radwrap.imaging.output.identity import Identity
 from radwrap.imaging.output.image_files import ImageSummary
 from radwrap.imaging.output.run_manifest import Bounces, BouncesTraced, RunManifest, Timing
@@ -43,6 +43,8 @@ class TracedRun:
         How often light went from surface to surface at most.
     left_out, beyond : Effect
         What leaving that out costs, and what leaving out more of it does where `orders` is a number above 0.
+    waves : Effect, optional
+        What leaving diffraction out costs, where there may be any.
     exposure_of_radiance : float
         Radiant exposure over mean radiance [s sr].
     spread : ndarray, shape (sources, rows, columns), optional
@@ -64,6 +66,7 @@ class TracedRun:
     orders: Bounces
     left_out: Effect
     beyond: Effect | None
+    waves: Effect | None
     exposure_of_radiance: float
     spread: NDArray[np.float64] | None
     magnification: NDArray[np.float64] | None
@@ -73,13 +76,8 @@ class TracedRun:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What the user should know, whatever the image looks like."""
-        lens = diffraction_warning(diffraction(self.scene)) if self.scene.camera.lens else ()
-        bounces: tuple[str, ...] = ()
-        if not self.orders:
-            bounces = _warnings_of(self.left_out, "goes from one surface to another")
-        elif self.beyond is not None:
-            bounces = _warnings_of(self.beyond, f"is reflected more than {self.orders} times on its way")
-        return (*warnings_of(self.scene, self.tracer.whole or ()), *lens, *bounces)
+        effects = itertools.chain.from_iterable(map(warnings_of_left_out, self._left_out().values()))
+        return (*warnings_of(self.scene, self.tracer.whole or ()), *effects)
 
     def manifest(
         self,
@@ -127,14 +125,5 @@ class TracedRun:
         )
 
     def _left_out(self) -> dict[str, Effect]:
-        left = self.beyond if self.orders else self.left_out
-        return {} if left is None else {left.name: left}
-
-
-def _warnings_of(left_out: Effect, how: str) -> tuple[str, ...]:
-    if not left_out.needed:
-        return ()
-    return (
-        f"light that {how} is left out: it would change the image by about "
-        f"{left_out.rms_gray:.2g} gray rms (at most {left_out.rms_gray_upper95:.2g})",
-    )
+        light = self.beyond if self.orders else self.left_out
+        return {left.name: left for left in (light, self.waves) if left is not None}

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from radwrap.errors import InputError
 from radwrap.nearest import did_you_mean
-from radwrap.scene.camera import Aperture, Camera, Lens, image_distance
+from radwrap.scene.camera import ASSUMED_WAVELENGTH, Aperture, Camera, Lens, image_distance
 from radwrap.scene.distortion import Distortion, bounded, opencv_distortion
 from radwrap.scene.file import document as tables
 from radwrap.scene.file.material_convert import check_places, material_from_table
@@ -84,7 +84,23 @@ def scene_from_model(
         folder=folder,
         document=document,
     )
-    return with_spectra(scene, model)
+    scene = with_spectra(scene, model)
+    _check_wavelength(scene, assumed)
+    return scene
+
+
+def _check_wavelength(scene: Scene, assumed: dict[str, str]) -> None:
+    """See that one wavelength is told of the light, at most, and name the one that is taken where none is."""
+    camera = scene.camera
+    if scene.spectral is not None and camera.wavelength is not None:
+        raise InputError(
+            "the scene's spectra tell the wavelength already",
+            where=f"{scene.origin}: camera.wavelength",
+            remedy="leave it out",
+        )
+    told = scene.spectral is not None or camera.sensor.linear is not None or camera.wavelength is not None
+    if not told and not camera.aperture.is_infinitesimal:
+        assumed["camera.wavelength"] = f"{ASSUMED_WAVELENGTH * 1e9:g} nm"
 
 
 def _check_splitter(sources: tuple[Source, ...], targets: tuple[Target, ...], origin: str) -> None:
@@ -158,6 +174,7 @@ def camera_from_table(table: tables.CameraModel, where: str, assumed: dict[str, 
         sensor=sensor_from_table(sensor, table.exposure_time, f"{where}.sensor"),
         distortion=_distortion(table, centre, where),
         lens=None if table.lens is None else _lens(table.lens, table, principal_point, f"{where}.lens", assumed),
+        wavelength=table.wavelength,
     )
     return _part_of(camera, sensor, assumed)
 

@@ -21,6 +21,7 @@ from radwrap.scene.file.border import (
     Share,
     Size,
     SizeOrZero,
+    Wavelength,
     default,
     exactly_one,
 )
@@ -124,6 +125,8 @@ class CameraModel(Aimed):
     """Pixels and response."""
     lens: LensModel | None = None
     """Without it the camera is a pinhole."""
+    wavelength: Wavelength | None = None
+    """Of the light, where neither spectra nor a linear sensor tell it."""
     spectral_response: CurveModel | None = None
     """Relative response of the sensor over wavelength."""
     filter: CurveModel | None = None
@@ -144,6 +147,12 @@ class CameraModel(Aimed):
                 raise ValueError(f"needs {'one' if told else 'either'} of lens.f_number and aperture.diameter")
         if self.aperture.inner_diameter is not None and not self.aperture.inner_diameter < self.opening_diameter:
             raise ValueError("aperture.inner_diameter must be smaller than the opening's diameter")
+        return self
+
+    @model_validator(mode="after")
+    def _one_wavelength(self) -> CameraModel:
+        if self.wavelength is not None and self.sensor.model == "linear":
+            raise ValueError("wavelength: sensor.wavelength tells it already; leave this one out")
         return self
 
     @property

@@ -1,0 +1,345 @@
+"""What diffraction changes of an image that rays make: the wave's footprint less that of rays, over the central image.
+
+The central image is traced coarsely, with a ray in each cell, twice: what both
+find alike is no noise. Cells are as small as what differs, half of the wave's
+length lambda N or of the blur. Far around a place, where only the wave's tails
+come from, a ray stands for a block of cells. Of a large image some pixels are
+looked at, drawn in strata by how much the light around them differs; each gets
+rays that are drawn from the difference of the footprints.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.imaging.methods.kernel import layer_shares
+from radwrap.imaging.optics.footprint import reach_px
+from radwrap.imaging.optics.view import View, trace_rays
+from radwrap.imaging.optics.wave_footprint import ray_weights, wave_weights
+from radwrap.imaging.optics.waves import Waves
+from radwrap.imaging.response.sensor import gray_levels
+from radwrap.imaging.tolerance.bounds import NOTHING, Bounded, stratified_mean
+from radwrap.imaging.tolerance.certificate import lacks_in_gray
+from radwrap.random_streams import Rendering, generator
+from radwrap.scene.camera import Camera
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Rect = tuple[int, int, int, int]
+
+# A cell over the wave's length or the width of fringes along the rim of a blur, the larger of them; the smallest [px].
+_CELL_SHARE: Final = 0.25
+# An image that is looked at as a whole may have larger cells, which find less: 2, 6 and 12 % less on a board of dots.
+_COARSER: Final = (1, 2, 4)
+_SMALLEST: Final = 2.0**-6
+# Share of a frequency that may be taken for nothing: .03 gray of 255. Of openings with straight edges, whose envelope
+# is reached across these edges only, more: the latter takes an integral for each frequency.
+_LEAST: Final = {"round": 1e-4, "annular": 1e-4, "square": 1e-3, "half_disc": 1e-2}
+# Cells or pixels that the radius of a blur may have so that points stand for the opening; beyond, they are too few.
+_POINTS_REACH: Final = 40
+_BLOCK: Final = 8  # cells along a side of what one ray stands for in the far parts
+# Light that waves send farther than the guard band's width comes in from the other side; it counts as an error.
+_TAIL: Final = 0.01
+_NEAR: Final = 3.0  # wave's lengths beyond the blur within which every cell has a ray
+# Radii of blur that are told apart, as a share of the wave's length, and how many at most.
+_LAYER_STEP: Final = 0.5
+_MOST_LAYERS: Final = 17
+_MOST_CELLS: Final = 1 << 22  # around a pixel, of all layers: transforms of 64 MiB
+# Rays of a look at depths (a side of the grid), and of an image that is looked at as a whole.
+_LOOK: Final = 32
+MOST_RAYS: Final = 1 << 16
+# Of a larger one: half of the rays, so many around each pixel from which those that are looked at are drawn, tell how
+# the light around them differs; the other half goes to those that are drawn, so many to each in each of two sets.
+_LOOKS: Final = 8
+_RAYS: Final = 32
+_STRATA: Final = (
+    (0.005, 0.25),
+    (0.015, 0.25),
+    (0.08, 0.25),
+    (0.9, 0.25),
+)  # shares of the candidates, and of the pixels
+_FEWEST: Final = 8
+_ONE_SIDED: Final = 1.959963985
+
+
+@dataclass(frozen=True, slots=True)
+class _Grid:
+    """Cells, layers and guard bands, the same for each part of an image."""
+
+    camera: Camera
+    waves: Waves
+    cell: float
+    layers: tuple[float, ...]
+    near: int
+    far: int
+
+    @property
+    def block(self) -> float:
+        """Side of a block [px]."""
+        return _BLOCK * self.cell
+
+    @property
+    def cut(self) -> float:
+        """Share of the light that waves send beyond the guard band."""
+        sensor = self.camera.sensor
+        return self.waves.tail(self.far * min(sensor.pixel_width, sensor.pixel_height))
+
+    def around(self, rect: Rect, guard: int) -> Rect:
+        """First and last block + 1 of rows and columns that hold a part of the sensor and a guard band [px]."""
+        r0, r1, c0, c1 = rect
+        low, high = (math.floor((at - guard) / self.block) for at in (r0, c0)), (r1, c1)
+        ends = (math.ceil((at + guard) / self.block) for at in high)
+        (a, b), (c, d) = tuple(low), tuple(ends)
+        return a, c, b, d
+
+    def shape(self, rect: Rect) -> tuple[int, int]:
+        """Rows and columns of the cells that a part takes."""
+        r0, r1, c0, c1 = self.around(rect, self.far)
+        return (r1 - r0) * _BLOCK, (c1 - c0) * _BLOCK
+
+    def rays(self, rect: Rect) -> int:
+        """How many rays a part takes in each set, about."""
+        near, far = ((r1 - r0) * (c1 - c0) for r0, r1, c0, c1 in (self.around(rect, g) for g in (self.near, self.far)))
+        return near * _BLOCK**2 + far - near
+
+    def weights(self, shape: tuple[int, int]) -> list[tuple[Complex, Complex]]:
+        """Of each layer what rays gather, and what waves add to it."""
+        found = []
+        for layer in self.layers:
+            sensor, cell, least = self.camera.sensor, self.cell, _LEAST[self.waves.aperture.shape]
+            passed = wave_weights(self.waves, sensor, layer, cell, shape, least=least)
+            if min(reach_px(self.camera, layer)) < _POINTS_REACH * max(cell, 1.0):
+                rays = ray_weights(self.camera, layer, cell, shape)
+            else:
+                rays = wave_weights(replace(self.waves, wavelength=0.0), sensor, layer, cell, shape, least=least)
+            found.append((rays, passed - rays))
+        return found
+
+
+def wave_change(view: View, wavelength: float, seed: int, most_rays: int = MOST_RAYS) -> tuple[Bounded, int]:
+    """Mean square of what diffraction would change of the gray levels, and how many rays it took to find out.
+
+    Parameters
+    ----------
+    view : View
+        The camera, and who traces.
+    wavelength : float
+        Of the light [m].
+    seed : int
+        Of all that is drawn.
+    most_rays : int
+        About how many rays it may take; where they are few the bound is wide.
+
+    Returns
+    -------
+    Bounded
+        [gray level^2]. The bound holds what so few rays and pixels leave open, and the light that waves send beyond the
+        guard band.
+    rays : int
+    """
+    camera = view.camera
+    if camera.aperture.is_infinitesimal or not camera.exposure_time:
+        return NOTHING, 0
+    random = generator(seed, Rendering.WAVES)
+    grid, looked = _grid_of(view, Waves(camera.aperture, camera.image_distance, wavelength), random)
+    sensor = camera.sensor
+    whole = (0, sensor.rows, 0, sensor.columns)
+    for times in _COARSER:
+        cells = replace(grid, cell=times * grid.cell)
+        if 2 * cells.rays(whole) <= most_rays:
+            square, cut, rays = _of_whole(view, cells, random)
+            break
+    else:
+        square, cut, rays = _of_some(view, grid, seed, random, most_rays)
+    return Bounded(square.mean, (math.sqrt(square.upper) + math.sqrt(cut)) ** 2), looked + rays
+
+
+def _grid_of(view: View, waves: Waves, random: np.random.Generator) -> tuple[_Grid, int]:
+    """Cells and layers by a look at the depths."""
+    camera, sensor = view.camera, view.camera.sensor
+    pitch = min(sensor.pixel_width, sensor.pixel_height)
+    length = waves.blur / pitch
+    rows, columns = (min(size, _LOOK) for size in (sensor.rows, sensor.columns))
+    row, column = np.indices((rows, columns))
+    inside = random.random((2, rows, columns))
+    v, u = (row + inside[0]) * sensor.rows / rows - 0.5, (column + inside[1]) * sensor.columns / columns - 0.5
+    _, met = trace_rays(view, None, u.ravel(), v.ravel(), with_depth=True)
+    met = met[met > camera.shear]
+    low, high = (float(met.min()), float(met.max())) if met.size else (camera.shear, camera.shear)
+    of_one = max(reach_px(camera, 1.0))
+    number = math.ceil(of_one * (high - low) / max(_LAYER_STEP * length, _LAYER_STEP)) + 1
+    layers = (low,) if low == high else tuple(np.linspace(low, high, min(max(number, 2), _MOST_LAYERS)).tolist())
+    least, most = (0.0 if low < 0 < high else min(abs(low), abs(high))), max(abs(low), abs(high))
+    # Fresnel's fringes: waves of that length blur a rim of rays over the square root of both lengths.
+    radius = min(reach_px(camera, least))
+    size = _CELL_SHARE * max(length, min(radius, math.sqrt(2 * length * radius)))
+    cell = 2.0 ** math.floor(math.log2(max(size, _SMALLEST)))
+    near = math.ceil(max(reach_px(camera, most)) + _NEAR * length)
+    far = max(near, math.ceil(waves.tail_radius(_TAIL) / pitch))
+    # Beside a deep blur tails are cut earlier, which the bound holds, and then cells are larger.
+    while (2 * far / cell) ** 2 * len(layers) > _MOST_CELLS:
+        far, cell = (max(near, far // 2), cell) if far > near else (far, 2 * cell)
+    return _Grid(camera, waves, cell, layers, near, far), rows * columns
+
+
+def _of_some(
+    view: View, grid: _Grid, seed: int, random: np.random.Generator, most_rays: int
+) -> tuple[Bounded, float, int]:
+    """Mean square over a large image by pixels in strata, what the cut tails may do, and the rays that it took."""
+    sensor = view.camera.sensor
+    side = _BLOCK * math.ceil((2 * grid.far / grid.cell + 1) / _BLOCK)
+    kernels = np.stack([np.fft.irfft2(waves, (side, side)).ravel() for _, waves in grid.weights((side, side))])
+    density = np.abs(kernels).mean(axis=0)
+    if not density.any():
+        return NOTHING, 0.0, 0
+    drawn = random.choice(sensor.pixels, min(sensor.pixels, most_rays // (2 * _LOOKS)), replace=False)
+    places = _Drawn(grid, side, kernels, density / density.sum())
+    looks, _, _ = places.seen(view, drawn, 1, _LOOKS, random)
+    gray = gray_levels(looks * view.exposure_of_radiance, sensor)
+    order = np.argsort(-np.ptp(gray, axis=1), kind="stable")
+    chosen, stratum, shares, start, upto = list[int](), list[int](), list[float](), 0, 0.0
+    for share, part in _STRATA:
+        upto += share
+        end = round(upto * len(order))
+        if end > start:
+            some = min(max(_FEWEST, round(part * most_rays / (4 * _RAYS))), end - start)
+            chosen += random.choice(order[start:end], some, replace=False).tolist()
+            stratum += [len(shares)] * some
+            shares.append((end - start) / len(order))
+        start = end
+    seen = looks[chosen].mean(axis=1)
+    light, weights, rays = places.seen(view, drawn[chosen], 2, _RAYS, random)
+    # Weights of even light sum to nothing: what all rays of a pixel see alike adds no noise.
+    change = ((light - seen[:, np.newaxis]) * weights).reshape(len(seen), 2, _RAYS).mean(axis=2).T
+    scale = view.exposure_of_radiance
+    errors = lacks_in_gray(seen, change, rays, scale, sensor)
+    strata, of_strata = np.array(stratum, dtype=np.intp), np.array(shares)
+    key = (seed, Rendering.WAVE_RESAMPLES)
+    square = stratified_mean(errors.first * errors.second, strata, of_strata, key)
+    tails = grid.cut * (looks.mean() - seen)
+    tail = lacks_in_gray(seen, np.stack([tails, tails]), 0, scale, sensor).first
+    of_each = of_strata / np.bincount(strata)
+    return square, float((tail**2 * of_each[strata]).sum()), looks.size + rays
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Drawn:
+    """Rays whose places around a pixel are drawn from what waves change of its footprint.
+
+    Attributes
+    ----------
+    grid : _Grid
+    side : int
+        Rows and columns of the cells around the pixel; those before its own lie at the far ends.
+    kernels : ndarray, shape (layers, side^2)
+        What waves add to the weight of each cell.
+    density : ndarray, shape (side^2,)
+        By which cells are drawn.
+    """
+
+    grid: _Grid
+    side: int
+    kernels: Array
+    density: Array
+
+    def seen(
+        self, view: View, pixels: NDArray[np.intp], sets: int, number: int, random: np.random.Generator
+    ) -> tuple[Array, Array, int]:
+        """Radiance of sets of so many rays around each pixel, what each counts of the change; and all rays' number.
+
+        Each set is spread over all cells, and independent of the others.
+        """
+        inside = (np.arange(number) + random.random((len(pixels), sets, number))) / number
+        inside = inside.reshape(len(pixels), sets * number)
+        bounds = np.cumsum(self.density)
+        cell = np.minimum(np.searchsorted(bounds, inside * bounds[-1], side="right"), len(bounds) - 1)
+        row, column = ((at + self.side // 2) % self.side - self.side // 2 for at in np.divmod(cell, self.side))
+        v, u = np.divmod(pixels, view.camera.sensor.columns)
+        places = (
+            (pixel[:, np.newaxis] + (at + random.random(at.shape)) * self.grid.cell - 0.5).ravel()
+            for pixel, at in ((u, column), (v, row))
+        )
+        light, depth = trace_rays(view, None, *places, with_depth=len(self.grid.layers) > 1)
+        shares = layer_shares(self.grid.layers, depth)
+        each = cell.ravel()
+        change = sum(share * kernel[each] for share, kernel in zip(shares, self.kernels, strict=True))
+        return light.reshape(cell.shape), (change / self.density[each]).reshape(cell.shape), light.size
+
+
+def _of_whole(view: View, grid: _Grid, random: np.random.Generator) -> tuple[Bounded, float, int]:
+    """Mean square over a whole image, what the cut tails may do, and the rays that it took."""
+    sensor = view.camera.sensor
+    rect = (0, sensor.rows, 0, sensor.columns)
+    shape = grid.shape(rect)
+    asked = [_places(grid, rect, random) for _ in range(2)]
+    u, v = (np.concatenate([places[axis] for places in asked]) for axis in (0, 1))
+    values, magnification = trace_rays(view, None, u, v, with_depth=len(grid.layers) > 1)
+    weights = grid.weights(shape)
+    found = []
+    for places, light, depth in zip(asked, np.split(values, 2), np.split(magnification, 2), strict=True):
+        laid = [_laid(places[2], shape, each) for each in (light, depth)]
+        found.append((*_gathered(grid, rect, weights, laid[0], laid[1]), float(laid[0].mean())))
+    seen = np.maximum((found[0][0] + found[1][0]) / 2, 0.0)
+    scale = view.exposure_of_radiance
+    errors = lacks_in_gray(seen, np.stack([change for _, change, _ in found]), len(u), scale, sensor)
+    tails = grid.cut * ((found[0][2] + found[1][2]) / 2 - seen)
+    tail = lacks_in_gray(seen, np.stack([tails, tails]), 0, scale, sensor).first
+    return _known(errors.first, errors.second, grid), float((tail**2).mean()), len(u)
+
+
+def _known(first: Array, second: Array, grid: _Grid) -> Bounded:
+    """Mean square where all of the image was looked at: only rays are drawn, so their noise is what is not known."""
+    mean = float((first * second).mean())
+    noise = float(((first - second) ** 2).mean()) / 2
+    apart = max(1.0, (2 * grid.near / max(1.0, grid.cell)) ** 2)  # pixels over which noise hangs together
+    spread = math.sqrt((2 * max(mean, 0.0) * noise + noise**2) / max(1.0, first.size / apart))
+    return Bounded(mean, max(mean, 0.0) + _ONE_SIDED * spread)
+
+
+def _places(grid: _Grid, rect: Rect, random: np.random.Generator) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Columns and rows of rays [px], those of far blocks first, and which blocks are near."""
+    r0, r1, c0, c1 = grid.around(rect, grid.far)
+    a, b, c, d = grid.around(rect, grid.near)
+    near = np.zeros((r1 - r0, c1 - c0), dtype=bool)
+    near[a - r0 : b - r0, c - c0 : d - c0] = True
+    row, column = np.nonzero(~near)
+    rows, columns = (row + random.random(len(row))) * _BLOCK, (column + random.random(len(row))) * _BLOCK
+    row, column = np.nonzero(np.repeat(np.repeat(near, _BLOCK, axis=0), _BLOCK, axis=1))
+    rows = np.concatenate([rows, row + random.random(len(row))]) + r0 * _BLOCK
+    columns = np.concatenate([columns, column + random.random(len(row))]) + c0 * _BLOCK
+    return columns * grid.cell - 0.5, rows * grid.cell - 0.5, near
+
+
+def _laid(near: NDArray[np.bool_], shape: tuple[int, int], values: Array) -> Array:
+    """Values of rays in the cells that they stand for."""
+    far = int((~near).sum())
+    blocks = np.zeros(near.shape)
+    blocks[~near] = values[:far]
+    cells = np.repeat(np.repeat(blocks, _BLOCK, axis=0), _BLOCK, axis=1).reshape(shape)
+    cells[np.repeat(np.repeat(near, _BLOCK, axis=0), _BLOCK, axis=1)] = values[far:]
+    return cells
+
+
+def _gathered(
+    grid: _Grid, rect: Rect, weights: list[tuple[Complex, Complex]], light: Array, depth: Array
+) -> tuple[Array, Array]:
+    """What rays gather at those pixels of a part that lie alike in their cells, and what waves add."""
+    rays, waves = np.zeros_like(weights[0][0]), np.zeros_like(weights[0][0])
+    for share, (of_rays, of_waves) in zip(layer_shares(grid.layers, depth), weights, strict=True):
+        spectrum = np.fft.rfft2(light * share)
+        rays += spectrum * np.conj(of_rays)
+        waves += spectrum * np.conj(of_waves)
+    r0, r1, c0, c1 = rect
+    first_row, _, first_column, _ = grid.around(rect, grid.far)
+    step = max(1, round(grid.cell))
+    at = []
+    for begin, end, first in ((r0, r1, first_row), (c0, c1, first_column)):
+        pixels = np.arange(begin + -begin % step, end, step)
+        at.append(np.floor(pixels / grid.cell).astype(np.intp) - first * _BLOCK)
+    found = [np.fft.irfft2(each, light.shape)[np.ix_(*at)].ravel() for each in (rays, waves)]
+    return found[0], found[1]
