@@ -30,8 +30,9 @@ def _models(base: type[Model]) -> Iterator[type[Model]]:
 
 
 def _describe(table: Mapping[str, Any], model: type[Model]) -> None:
+    lines = _lines_of(model)
     for key, rule in table["properties"].items():
-        told = [_lines_of(model).get(key, ""), *dict.fromkeys(_units(rule))]
+        told = [lines.get(key, ""), *dict.fromkeys(_units(rule))]
         rule["description"] = " ".join(part for part in told if part)
 
 
