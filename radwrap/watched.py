@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Final, TypeVar
 
 from radwrap.errors import Cancelled, RadwrapError
 from radwrap.process import Programs
 from radwrap.progress import Progress, Progressed
+from radwrap.waiting import Finished
 
 _T = TypeVar("_T")
 # s between questions to the caller: a tenth of the time in which a render that is cancelled has to end.
@@ -66,8 +67,9 @@ def _attended(
     told: Callable[[Progressed], object] | None,
 ) -> bool:
     """Wait for work, and say whether it is to end before it has."""
-    known = progress.state
-    while wait([job], timeout=_TICK).not_done:
+    known, finished = progress.state, Finished[_T]()
+    finished.watch(job)
+    while not finished.within(_TICK):
         if cancelled is not None and cancelled():
             return True
         state = progress.state

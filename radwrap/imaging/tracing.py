@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Hashable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import partial
@@ -195,7 +195,8 @@ class LaidOutScene:
         """End a comparison that nobody has waited for, with all programs: what it was for has failed."""
         if self._comparison is not None and not self._comparison.done():
             self._programs.cancel()
-            wait([self._comparison])
+            with suppress(CancelledError):
+                self._comparison.exception()
 
     def _radiance_engine(self, scene: Scene, folder: Path) -> RadianceEngine:
         prepared = prepare(scene, self._radiance, self._programs, folder, with_outlines=True, kept=self._kept)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any, Final, Protocol
 
@@ -17,6 +17,7 @@ from radwrap.errors import EnvironmentFailure, InputError, RadwrapError, TracerE
 from radwrap.progress import Progress
 from radwrap.study.pool import Pool
 from radwrap.study.worker import Job, Outcome, carry_out, failed
+from radwrap.waiting import Finished
 
 # After so many deaths of a worker while a job was under way, it is done alone, and blamed if it happens again.
 _SUSPECT: Final = 2
@@ -72,6 +73,7 @@ class Scheduler:
         self._waiting: dict[str, list[Job]] = {}
         self._deaths: dict[str, int] = {}
         self._running: dict[Future[Any], Job] = {}
+        self._finished: Finished[Any] = Finished()
         self._failures: dict[str, RadwrapError] = {}
         due = list(steps)
         names = {step.job.name for step in due}
@@ -98,7 +100,9 @@ class Scheduler:
             self._submit()
             if not self._running:
                 time.sleep(_LOOK)
-            done = wait(self._running, _LOOK, FIRST_COMPLETED).done
+            done = {
+                future for future in self._finished.within(_LOOK if self._running else 0) if future in self._running
+            }
             if not done:
                 self._pool.look()
             if broken := self._collect(done):
@@ -113,7 +117,7 @@ class Scheduler:
                 return
             job = self._ready.popleft()
             try:
-                self._running[self._pool.submit(carry_out, job)] = job
+                self._running[self._finished.watch(self._pool.submit(carry_out, job))] = job
             except RuntimeError as error:
                 if not self._pool.is_broken(error):
                     raise
@@ -179,8 +183,9 @@ class Scheduler:
     def _after_death(self, broken: Sequence[Future[Any]]) -> None:
         """A worker died, and with it the pool: go on with a new one; nobody knows whose fault it was."""
         # The others of a broken pool come to an end too, some of them with a result; of a cluster, if it has workers.
-        while wait(self._running, _LOOK).not_done:
-            self._pool.look()
+        while not all(future.done() for future in self._running):
+            if not self._finished.within(_LOOK):
+                self._pool.look()
         lost = [self._running.pop(future) for future in broken]
         lost += [self._running.pop(future) for future in self._collect(set(self._running))]
         self._pool.rebuild()

@@ -7,7 +7,7 @@ digest of its pixels; one that is not whole, or of another plan, is made again.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
@@ -20,6 +20,7 @@ from radwrap.files import TEMPORARY_SUFFIX
 from radwrap.images import digest, read_image, write_exr
 from radwrap.process import Programs
 from radwrap.tracers.timed import OutOfTime
+from radwrap.waiting import Finished
 
 CALL_LOG: Final = "tracer_calls.log"
 _CHANNEL: Final = "radiance_cos4"
@@ -121,13 +122,15 @@ def run_jobs(jobs: Iterable[Callable[[], None]], programs: Programs, workers: in
     with ThreadPoolExecutor(max_workers=workers) as pool:
         running = [pool.submit(job) for job in jobs]
         try:
-            waiting: set[Future[None]] = set(running)
-            while waiting:
+            finished, left = Finished[None](), len(running)
+            for job in running:
+                finished.watch(job)
+            while left:
                 # Awake now and then: a signal that another thread got is heard by the main one only when it runs.
                 programs.check()
-                done, waiting = wait(waiting, timeout=_TICK, return_when=FIRST_EXCEPTION)
-                for job in done:
+                for job in finished.within(_TICK):
                     job.result()
+                    left -= 1
         except BaseException as failure:
             for job in running:
                 job.cancel()
