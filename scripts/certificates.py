@@ -19,6 +19,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -215,32 +216,53 @@ def judged(number: int, budget: float) -> dict[str, Any] | None:
     }
 
 
-def main() -> int:
-    """Draw, judge, print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+def judged_by(
+    judge: Callable[[int, float], dict[str, Any] | None],
+    told: Callable[[dict[str, Any]], str],
+    words: str,
+    budget: float,
+) -> list[dict[str, Any]]:
+    """Judge as many scenes as the command line asks for, and print a line of each.
+
+    `judge` takes a scene's number and a budget of rays. What it refuses does not count, nor where nothing is to see.
+    """
+    parser = argparse.ArgumentParser(description=words.splitlines()[0])
     parser.add_argument("--scenes", type=int, default=200)
     parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--budget", type=float, default=2e7)
+    parser.add_argument("--budget", type=float, default=budget)
     arguments = parser.parse_args()
     rows: list[dict[str, Any]] = []
     number = arguments.first
     while len(rows) < arguments.scenes:
-        row = judged(number, arguments.budget)
+        row = judge(number, arguments.budget)
         number += 1
         if row is None or "refused" in row:
             continue
         rows.append(row)
-        print(
-            f"{row['number']:4d} tol {row['tolerance']:.1f} {row['method']:6} {'met ' if row['met'] else 'MISS'} "
-            f"true {row['true_rms_gray']:.4f}+-{row['truth_standard_error_gray']:.4f} "
-            f"upper {row['error']['rms_gray_upper95']:.4f} "
-            f"model {row['error']['model_rms_gray']:.4f} noise {row['error']['discretisation_rms_gray']:.4f} "
-            f"{'' if row['holds'] else 'BROKEN BOUND '}planted {row['planted']:.2f} {row['wall_s']:.1f} s "
-            f"{row['attempts']}",
-            flush=True,
-        )
-    holds = float(np.mean([row["holds"] for row in rows]))
-    idle = float(np.median([row["ratio"] for row in rows]))
+        print(told(row), flush=True)
+    return rows
+
+
+def kept(rows: list[dict[str, Any]]) -> tuple[float, float]:
+    """Share of the scenes whose bound holds, and the median of bound over truth."""
+    return float(np.mean([row["holds"] for row in rows])), float(np.median([row["ratio"] for row in rows]))
+
+
+def _told(row: dict[str, Any]) -> str:
+    return (
+        f"{row['number']:4d} tol {row['tolerance']:.1f} {row['method']:6} {'met ' if row['met'] else 'MISS'} "
+        f"true {row['true_rms_gray']:.4f}+-{row['truth_standard_error_gray']:.4f} "
+        f"upper {row['error']['rms_gray_upper95']:.4f} "
+        f"model {row['error']['model_rms_gray']:.4f} noise {row['error']['discretisation_rms_gray']:.4f} "
+        f"{'' if row['holds'] else 'BROKEN BOUND '}planted {row['planted']:.2f} {row['wall_s']:.1f} s "
+        f"{row['attempts']}"
+    )
+
+
+def main() -> int:
+    """Draw, judge, print."""
+    rows = judged_by(judged, _told, __doc__ or "", 2e7)
+    holds, idle = kept(rows)
     broken = sum(row["method"] != "kernel" for row in rows)
     seen = float(np.mean([row["planted"] > 0.5 for row in rows]))
     methods = Counter(row["method"] for row in rows)

@@ -10,7 +10,6 @@ than 91 % of the scenes, or if it is idle (median of bound / truth above 1.5).
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import sys
@@ -25,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import radwrap
-from certificates import COVERAGE, IDLE, draw, true_square
+from certificates import COVERAGE, IDLE, draw, judged_by, kept, true_square
 from radwrap.imaging.optics.view import trace_rays
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.response.sensor import gray_levels
@@ -225,31 +224,27 @@ def judged(number: int, budget: float) -> dict[str, Any] | None:
     }
 
 
+def _judged(number: int, budget: float) -> dict[str, Any] | None:
+    """The same, and a line of what is not judged."""
+    row = judged(number, budget)
+    if row is None or "refused" in row:
+        print(f"{number:4d} {'nothing to see' if row is None else row['refused'][:100]}", flush=True)
+    return row
+
+
+def _told(row: dict[str, Any]) -> str:
+    return (
+        f"{row['number']:4d} {row['source']:14} tol {row['tolerance']:.1f} {row['method']:6} "
+        f"{'met ' if row['met'] else 'MISS'} true {row['true_rms_gray']:.4f}"
+        f"+-{row['truth_standard_error_gray']:.4f} upper {row['rms_gray_upper95']:.4f} "
+        f"{'' if row['holds'] else 'BROKEN BOUND '}rays {row['rays']:.3g} {row['cpu_s']:.1f} s of processor"
+    )
+
+
 def main() -> int:
     """Draw, judge, print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--scenes", type=int, default=200)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--budget", type=float, default=5e6)
-    arguments = parser.parse_args()
-    rows: list[dict[str, Any]] = []
-    number = arguments.first
-    while len(rows) < arguments.scenes:
-        row = judged(number, arguments.budget)
-        number += 1
-        if row is None or "refused" in row:
-            print(f"{number - 1:4d} {'nothing to see' if row is None else row['refused'][:100]}", flush=True)
-            continue
-        rows.append(row)
-        print(
-            f"{row['number']:4d} {row['source']:14} tol {row['tolerance']:.1f} {row['method']:6} "
-            f"{'met ' if row['met'] else 'MISS'} true {row['true_rms_gray']:.4f}"
-            f"+-{row['truth_standard_error_gray']:.4f} upper {row['rms_gray_upper95']:.4f} "
-            f"{'' if row['holds'] else 'BROKEN BOUND '}rays {row['rays']:.3g} {row['cpu_s']:.1f} s of processor",
-            flush=True,
-        )
-    holds = float(np.mean([row["holds"] for row in rows]))
-    idle = float(np.median([row["ratio"] for row in rows]))
+    rows = judged_by(_judged, _told, __doc__ or "", 5e6)
+    holds, idle = kept(rows)
     met = sum(row["met"] for row in rows)
     print(f"bound holds in {holds:.1%} of {len(rows)}; median bound / truth {idle:.2f}; met {met}")
     OUT.parent.mkdir(exist_ok=True)
