@@ -249,6 +249,7 @@ export class Explorer {
     if (!this.view) return;
     byId("zoom").textContent = this.view.text;
     if (!this.planes && !this.certified) return;
+    byId("picture").ariaBusy = "true";
     this.field.draw({
       factors: this.history.now.levels, scale: this.scale, certified: this.certified !== null,
       section: this.view.section, look: this.look,
@@ -260,6 +261,7 @@ export class Explorer {
     this.view.show(picture);
     this.frames++;
     byId("picture").dataset.frames = String(this.frames);
+    byId("picture").ariaBusy = String(this.field.wish !== null); // a newer frame follows
     this.latest = picture;
     this.reader ??= setTimeout(() => {
       this.reader = undefined;

@@ -50,8 +50,8 @@ after(async () => {
   rmSync(folder, { recursive: true, force: true });
 });
 
-/** A page whose every fault, and every request to another place, fails the test. */
-async function opened(t, { flags = [], at = link, size = { width: 1440, height: 900 }, ...context } = {}) {
+/** A page whose every fault but the expected ones, and every request to another place, fails the test. */
+async function opened(t, { flags = [], at = link, expected = null, size = { width: 1440, height: 900 }, ...context } = {}) {
   const browser = await chromium.launch({ executablePath: CHROMIUM, args: [...QUIET, ...flags] });
   const page = await (await browser.newContext({ viewport: size, acceptDownloads: true, ...context })).newPage();
   const faults = [];
@@ -68,7 +68,7 @@ async function opened(t, { flags = [], at = link, size = { width: 1440, height: 
   });
   t.after(async () => {
     await browser.close();
-    assert.deepEqual(faults, []);
+    assert.deepEqual(faults.filter((text) => !expected?.test(text)), []);
   });
   page.setDefaultTimeout(PATIENCE);
   await page.goto(at);
@@ -84,12 +84,18 @@ async function loaded(t, options) {
   return all;
 }
 
+/** The newest frame is on the canvas: a changed layout is drawn anew within two frames of the browser. */
+async function redrawn(page) {
+  await page.evaluate(() => new Promise((resolve) => { requestAnimationFrame(() => requestAnimationFrame(resolve)); }));
+  await page.waitForFunction(() => document.getElementById("picture").ariaBusy === "false", undefined, { timeout: PATIENCE });
+}
+
 /** Codes on the canvas at 1 : 1, as rows of the picture. */
 async function picture(page, rows, columns) {
   await page.focus("#picture");
   await page.keyboard.press("1");
   await page.waitForFunction(() => document.getElementById("zoom").textContent === "1 : 1");
-  await page.waitForTimeout(150);
+  await redrawn(page);
   return page.evaluate(([height, wide]) => {
     const canvas = document.getElementById("image");
     const pen = canvas.getContext("2d");
@@ -196,7 +202,7 @@ test("a knob by mouse, by keys and by its text is one state", async (t) => {
 });
 
 test("what is wrong is said at its field, and the picture stays", async (t) => {
-  const { page, faults } = await loaded(t);
+  const { page } = await loaded(t, { expected: /422/ }); // the browser's own word on a refusal
   const before = await picture(page, 20, 20);
   for (const [name, text, says] of [["exposure_time", "5 mm", '"mm" is no unit of time'], ["exposure_time", "nan s", "exposure_time"],
     ["exposure_time", "1e300 s", "must be at most"], ["gain", "NaN", "gain factor is a number"], ["gain", "1e300", "gain factor is a number"],
@@ -210,22 +216,16 @@ test("what is wrong is said at its field, and the picture stays", async (t) => {
     await page.locator(`[data-knob="${name}"] button`).click();
     await measured(page);
   }
-  assert.ok(faults.every((text) => text.includes("422")), faults.join("\n")); // the browser's own word on a refusal
-  faults.length = 0;
 });
 
 test("overlays, histogram and the numbers in the pixels tell one story", async (t) => {
   const { page } = await loaded(t);
   await type(page, "level:all", "3");
   await measured(page);
-  await page.waitForTimeout(300);
-  const share = await page.textContent("#saturatedshare");
-  assert.match(share, /^\d+\.\d %$/);
   await page.locator("#histogramtable").locator("xpath=..").locator("summary").click();
   await page.focus("#picture");
   for (const key of ["s", "x", "d"]) await page.keyboard.press(key);
   await page.waitForFunction(() => document.getElementById("flipsshare").textContent !== "");
-  await page.waitForTimeout(300);
   const counts = await page.$$eval("#histogramtable td", (cells) => cells.map((cell) => Number(cell.textContent)));
   assert.equal(counts.reduce((all, count) => all + count, 0), 165 * 192);
   const told = JSON.parse(await page.evaluate(async () => {
@@ -234,16 +234,14 @@ test("overlays, histogram and the numbers in the pixels tell one story", async (
       body: JSON.stringify({ basis: 1, turn: { levels: new Array(12).fill(3) } }) });
     return new TextDecoder().decode(new Uint8Array(await answer.arrayBuffer())).split("\n")[0];
   }));
-  assert.equal(share, `${(100 * told.saturated_fraction).toFixed(1)} %`);
+  await page.waitForFunction((share) => document.getElementById("saturatedshare").textContent === share,
+    `${(100 * told.saturated_fraction).toFixed(1)} %`);
   // The scale is fixed: black 0, white full scale, whatever the light.
   assert.deepEqual([await page.inputValue("#low"), await page.inputValue("#high")], ["0", "255"]);
   while ((await page.textContent("#zoom")) !== "32 : 1") await page.keyboard.press("+");
-  await page.waitForTimeout(200);
-  const drawn = await page.evaluate(() => {
-    const { data } = document.getElementById("marks").getContext("2d").getImageData(0, 0, 400, 400);
-    return data.some((value) => value > 0);
-  });
-  assert.ok(drawn, "no numbers stand in the pixels");
+  // No number stands in the pixels before it is drawn, soon after the picture.
+  await page.waitForFunction(() => document.getElementById("marks").getContext("2d").getImageData(0, 0, 400, 400).data
+    .some((value) => value > 0));
   assert.ok((await page.textContent("#kept")).includes("tolerance 0.5"));
 });
 
@@ -285,11 +283,9 @@ test("a bad link says what to do, and the token leaves the address", async (t) =
   const { page: other, faults } = await opened(t, { at: `http://127.0.0.1:${port}/` });
   await other.waitForSelector("#banner:not([hidden])");
   assert.match(await other.textContent("#banner"), /needs its link/);
-  const { page: wrong, faults: told } = await opened(t, { at: `http://127.0.0.1:${port}/#wrong` });
+  const { page: wrong } = await opened(t, { at: `http://127.0.0.1:${port}/#wrong`, expected: /401/ });
   await wrong.waitForSelector("#banner:not([hidden])");
   assert.match(await wrong.textContent("#banner"), /open the one that radwrap face has told last/);
-  assert.ok(told.every((text) => text.includes("401")));
-  told.length = 0;
   assert.deepEqual(faults, []);
 });
 
@@ -346,7 +342,7 @@ test("accessible: axe finds nothing serious, in light and dark, and all is reach
 
 test("the server's end is said, and knobs go on", async (t) => {
   const own = await serve();
-  const { page, faults } = await loaded(t, { at: own.link });
+  const { page } = await loaded(t, { at: own.link, expected: /ERR_/ });
   own.process.kill("SIGKILL");
   const begin = Date.now();
   await page.waitForSelector("#banner:not([hidden])", { timeout: 5000 });
@@ -355,12 +351,9 @@ test("the server's end is said, and knobs go on", async (t) => {
   const before = (await picture(page, 165, 192)).flat();
   await type(page, "level:all", "0.5");
   await page.waitForFunction(() => /not measured/.test(document.getElementById("state").textContent));
-  await page.waitForTimeout(500);
   const after = (await picture(page, 165, 192)).flat();
   assert.ok(after.every((code, k) => code <= before[k]) && after.some((code, k) => code < before[k]));
   assert.match(await page.textContent("#state"), /not measured/);
-  assert.ok(faults.every((text) => text.includes("ERR_")), faults.join("\n"));
-  faults.length = 0;
 });
 
 test("a trace in the light of the knobs, and one that is stopped", async (t) => {
