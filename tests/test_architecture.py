@@ -419,3 +419,13 @@ def test_importing_has_no_side_effects() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_a_command_that_begins_waits_for_no_library_that_it_may_not_need() -> None:
+    """Each of them takes as long to load as all of radwrap, in every process of a study."""
+    code = (
+        "import sys, radwrap.cli.render, radwrap.cli.explain, radwrap.cli.measure, radwrap.cli.study;"
+        "print([m for m in ('scipy', 'cv2', 'matplotlib', 'trimesh', 'numba', 'OpenImageIO') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

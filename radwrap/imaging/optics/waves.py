@@ -25,19 +25,20 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
-from scipy.special import roots_legendre
 
 from radwrap.scene.camera import Aperture
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Transfer = Callable[[Array, Array], Complex]
-_Curve = tuple[float, float, CubicSpline]  # from one frequency to another [m^-1]
+_Curve = tuple[float, float, "CubicSpline"]  # from one frequency to another [m^-1]
 
 # Nodes of Gauss' rule on each piece of a chord's integral, without defocus, and more of them for each cycle of the
 # phase along the piece: pi pi/2 is the least that resolves it, as nodes lie apart where the sine is steep.
@@ -151,6 +152,8 @@ class Waves:
 
     def _curves(self, magnification: float, highest: float) -> list[_Curve]:
         """Of a disc, or a ring: overlaps of its discs with each other, real as those of both orders are taken."""
+        from scipy.interpolate import CubicSpline
+
         outer, inner = self.aperture.diameter / 2, self.aperture.inner_diameter / 2
         pairs = [(outer, outer, 1.0)]
         if self.aperture.shape == "annular":
@@ -255,6 +258,8 @@ def _transformed(
     real : bool
         Whether the real part is enough.
     """
+    from scipy.special import roots_legendre
+
     longest = np.diff(breaks, axis=-1).max(axis=-1, initial=0.0)
     steps = np.ceil(_NODES_OF_CYCLE * longest * np.abs(cycles) / _NODES_STEP).astype(np.intp)
     found = np.empty(len(breaks), dtype=np.complex128)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -38,12 +38,16 @@ class CompiledTracer:
         Is told CPU time [s].
     kept : KeptHits, optional
         Where hits and radiances are looked up, and kept.
+    memories : list of ndarray of int
+        Of threads that trace no block now: what they know of the scene's places, see `wide_cells.memory`. Answers do
+        not hang on it.
     """
 
     scene: CompiledScene
     cancelled: Callable[[], bool] = bool  # False
     used: Callable[[float], object] = float
     kept: KeptHits | None = None
+    memories: list[Whole] = field(default_factory=list)
 
     def trace(self, rays: Iterable[Floats]) -> Generator[Floats]:
         """Radiance along rays; see `Tracer.trace`."""
@@ -130,6 +134,7 @@ class CompiledTracer:
         scene, count = self.scene, len(block)
         hits = known or Hits(np.empty(count), np.empty(count, dtype=np.int64))
         values = np.zeros((count, columns))
+        known_places = self.memories.pop() if self.memories else memory()
         for part in self._parts(len(block), len(lights) + POINTS_OF_A_LIGHT * len(scene.wides)):
             good = trace(
                 scene.targets.shapes,
@@ -155,12 +160,13 @@ class CompiledTracer:
                 hits.met[part],
                 known is not None,
                 np.empty(len(lights)),
-                memory(),
+                known_places,
                 np.empty(CELLS * CELLS, dtype=np.int64),
                 np.empty(CUTS),
                 np.empty(DEPTH, dtype=np.int64),
             )
             _check(good)
+        self.memories.append(known_places)
         if not np.isfinite(values.sum()) or values.min(initial=0.0) < 0:
             raise TracerError("answered NaN, infinity or a negative radiance", where="the compiled tracer")
         return values, hits

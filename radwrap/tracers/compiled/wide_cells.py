@@ -28,7 +28,7 @@ _WIDE_BEAM: Final = 1.2  # rad: such a beam reaches nearly all places before a l
 _NONE: Final = -1  # of a place
 # Places that are remembered, and the numbers of each: where it is, its shape, the light, the bits, and 1 where some of
 # the light is hidden.
-_PLACES: Final = 512
+_PLACES: Final = 1 << 14
 _NUMBERS: Final = 7
 _PILOTS: Final = 32
 _SOLID: Final = 3  # in place of a flat shape's axis
