@@ -30,8 +30,11 @@ TYPE_CHECKING = False  # as type checkers know it: to import typing takes longer
 if TYPE_CHECKING:
     from typing import Any
 
+    from radwrap.calibrate.projection_uncertainty import projection_uncertainty as projection_uncertainty
     from radwrap.calibrate.response import fit_response as fit_response
+    from radwrap.calibrate.several_views import calibrate_views as calibrate_views
     from radwrap.calibrate.tsai import calibrate_camera as calibrate_camera
+    from radwrap.calibrate.views import CalibrationView as CalibrationView
     from radwrap.errors import Cancelled as Cancelled
     from radwrap.errors import CheckFailed as CheckFailed
     from radwrap.errors import EnvironmentFailure as EnvironmentFailure
@@ -85,7 +88,10 @@ _HOMES = {
     "ToleranceNotMet": "radwrap.errors",
     "TracerError": "radwrap.errors",
     "WarmScene": "radwrap.imaging.warm",
+    "CalibrationView": "radwrap.calibrate.views",
     "calibrate_camera": "radwrap.calibrate.tsai",
+    "calibrate_views": "radwrap.calibrate.several_views",
+    "projection_uncertainty": "radwrap.calibrate.projection_uncertainty",
     "compare": "radwrap.measure.compare",
     "contrast_of": "radwrap.measure.gauges",
     "effects": "radwrap.imaging.forecast.effects",

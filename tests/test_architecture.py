@@ -79,6 +79,7 @@ DOORS = {
     "subprocess": {"process.py": "every program is started with a limit of time, and ended with us"},
     "OpenImageIO": {"images.py": "images are read and written in one place"},
     "cv2": {
+        "calibrate/opencv_views.py": "projects, and calibrates from several views",
         "calibrate/opencv_solver.py": "the solver that Tsai's is held against, and whose models users have",
         "measure/compare.py": "registration of two images: phase correlation and ECC",
         "measure/dots/overlay.py": "draws what was found",

@@ -1,9 +1,12 @@
-"""``radwrap calibrate camera``: focal length, pose and distortion from one view of known points.
+"""``radwrap calibrate camera``: focal length, pose and distortion from views of known points.
 
 POINTS.csv has the header ``x,y,z,u,v`` (in any order, no other column) and one
 line a point: x, y, z in the world, in --length-unit; u, v its image in pixels,
 u to the right, v down. Results are in SI units, angles in degrees; the camera
-frame is x right, y down, z forward, R = Rz Ry Rx, Xu = Xd (1 + kappa1 r^2).
+frame is x right, y down, z forward. One view gets Tsai's camera, R = Rz Ry Rx,
+Xu = Xd (1 + kappa1 r^2), and needs --pixel-width, --pixel-height and --centre.
+With a column ``view`` more the table holds several views of a target, and gets
+OpenCV's camera in pixels; it needs --image-size.
 """
 
 from __future__ import annotations
@@ -18,6 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.calibrate.tsai import SOLVERS, CameraCalibration, as_json, calibrate_camera
+from radwrap.calibrate.views import MODELS
+from radwrap.cli import calibrate_views
 from radwrap.cli import options as shared
 from radwrap.errors import InputError
 from radwrap.manifest import json_text
@@ -25,6 +30,7 @@ from radwrap.reading import FileKind, csv_rows, read_text, shortened, unusable
 from radwrap.units import LENGTH, PIXEL, Dimension, parse_quantity
 
 _COLUMNS: Final = ("x", "y", "z", "u", "v")
+_VIEW: Final = "view"
 _POINTS: Final = FileKind("file of points", 64 << 20, "give a CSV file with the columns x,y,z,u,v")
 _OF_POINTS: Final = ("points", "image", "the points")  # the places of errors that lie in the file
 
@@ -37,20 +43,19 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("points", metavar="POINTS.csv", help="columns x,y,z,u,v")
-    parser.add_argument("--pixel-width", metavar="LENGTH", required=True, help='such as "13.75 um"')
-    parser.add_argument("--pixel-height", metavar="LENGTH", required=True, help='such as "16 um"')
+    parser.add_argument("points", metavar="POINTS.csv", help="columns x,y,z,u,v, or view,x,y,z,u,v")
+    parser.add_argument("--pixel-width", metavar="LENGTH", help='of one view: such as "13.75 um"')
+    parser.add_argument("--pixel-height", metavar="LENGTH", help='of one view: such as "16 um"')
     parser.add_argument(
-        "--centre", metavar=("U", "V"), nargs=2, required=True, help="image centre [px]; a start value where free"
+        "--centre", metavar=("U", "V"), nargs=2, help="of one view: image centre [px]; a start value where free"
     )
     parser.add_argument("--length-unit", choices=LENGTH.units, default="m", help="unit of x, y, z (default m)")
-    parser.add_argument("--solver", choices=SOLVERS, default="tsai", help="default tsai")
+    parser.add_argument("--solver", choices=SOLVERS, help="of one view: default tsai")
     parser.add_argument(
         "--free",
         metavar="NAMES",
-        default="focal_length",
-        help='what to find beside the pose, by commas: focal_length, distortion, centre, sx (default focal_length; "" '
-        "for the pose alone)",
+        help="of one view: what to find beside the pose, by commas: focal_length, distortion, centre, sx (default "
+        'focal_length; "" for the pose alone)',
     )
     parser.add_argument("--focal-length", metavar="LENGTH", help="its value where it is not free")
     parser.add_argument(
@@ -59,17 +64,40 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument(
         "--sx", metavar="S", type=shared.number(1e-3, 1e3), help="horizontal scale where it is not free (default 1)"
     )
+    parser.add_argument("--model", choices=MODELS, help="of several views: distortion (default brown)")
+    parser.add_argument(
+        "--image-size", metavar=("COLUMNS", "ROWS"), nargs=2, type=int, help="of several views: the sensor's pixels"
+    )
+    parser.add_argument(
+        "--noise",
+        metavar="PX",
+        type=shared.number(1e-6, 1e3),
+        help="of several views: standard deviation of u and v (default: by the residuals)",
+    )
     shared.add_json(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out the verb."""
+    views, points, image = read_points(Path(arguments.points), LENGTH.units[arguments.length_unit])
+    if views is not None:
+        return calibrate_views.run(arguments, views, points, image)
+    for name in ("model", "image_size", "noise"):
+        if getattr(arguments, name) is not None:
+            raise InputError(
+                "belongs to a table of several views",
+                where=f"--{name.replace('_', '-')}",
+                remedy=f"give {arguments.points} a column view, or leave it out",
+            )
+    for name in ("pixel_width", "pixel_height", "centre"):
+        if getattr(arguments, name) is None:
+            raise InputError("is needed with a table of one view", where=f"--{name.replace('_', '-')}")
     pixel_width = _quantity(arguments.pixel_width, LENGTH, "--pixel-width")
     pixel_height = _quantity(arguments.pixel_height, LENGTH, "--pixel-height")
     u, v = (_pixels(text) for text in arguments.centre)
     focal_length = arguments.focal_length and _quantity(arguments.focal_length, LENGTH, "--focal-length")
-    points, image = read_points(Path(arguments.points), LENGTH.units[arguments.length_unit])
+    free = "focal_length" if arguments.free is None else arguments.free
     try:
         found = calibrate_camera(
             points,
@@ -77,8 +105,8 @@ def run(arguments: argparse.Namespace) -> int:
             pixel_width=pixel_width,
             pixel_height=pixel_height,
             centre=(u, v),
-            solver=arguments.solver,
-            free=[name.strip() for name in arguments.free.split(",")] if arguments.free.strip() else [],
+            solver=arguments.solver or "tsai",
+            free=[name.strip() for name in free.split(",")] if free.strip() else [],
             focal_length=focal_length,
             kappa1=arguments.kappa1,
             sx=arguments.sx,
@@ -91,18 +119,20 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def read_points(path: Path, unit: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def read_points(path: Path, unit: float) -> tuple[list[str] | None, NDArray[np.float64], NDArray[np.float64]]:
     """Read known points and their images.
 
     Parameters
     ----------
     path : Path
-        CSV file with the columns x, y, z, u, v.
+        CSV file with the columns x, y, z, u, v, and perhaps view.
     unit : float
         Unit of x, y, z [m].
 
     Returns
     -------
+    list of str or None
+        Of each point the name of its view; None where the table has no such column.
     ndarray, shape (n, 3)
         Points in the world [m].
     ndarray, shape (n, 2)
@@ -111,23 +141,25 @@ def read_points(path: Path, unit: float) -> tuple[NDArray[np.float64], NDArray[n
     Raises
     ------
     InputError
-        If the file cannot be read, a column is missing, unknown or twice, or a line does not hold five finite numbers;
-        the error names the line.
+        If the file cannot be read, a column is missing, unknown or twice, a view has no name, or a line does not hold
+        five finite numbers; the error names the line.
     """
     lines = read_text(path, _POINTS).splitlines()
     if not lines:
         raise InputError("is empty", where=str(path), remedy="begin with the header x,y,z,u,v")
     header = [name.strip() for name in next(csv_rows(lines[0], str(path)), (1, []))[1]]
-    if sorted(header) != sorted(_COLUMNS):
+    named = _VIEW in header
+    due = (_VIEW, *_COLUMNS) if named else _COLUMNS
+    if sorted(header) != sorted(due):
         raise InputError(
             f'the header is "{shortened(lines[0])}"',
             where=f"{path}:1",
-            remedy="it must name x,y,z,u,v, each once, and no more",
+            remedy="it must name x,y,z,u,v, each once, and no more but view",
         )
-    order = [header.index(name) for name in _COLUMNS]
-    rows = [_row(cells, order, f"{path}:{number}") for number, cells in _cells(lines, path)]
-    values = np.array(rows, dtype=np.float64).reshape(-1, len(_COLUMNS))
-    return values[:, :3] * unit, values[:, 3:]
+    order = [header.index(name) for name in due]
+    rows = [_row(cells, order, due, f"{path}:{number}") for number, cells in _cells(lines, path)]
+    values = np.array([numbers for _, numbers in rows], dtype=np.float64).reshape(-1, len(_COLUMNS))
+    return [name for name, _ in rows] if named else None, values[:, :3] * unit, values[:, 3:]
 
 
 def _cells(lines: Sequence[str], path: Path) -> Iterator[tuple[int, list[str]]]:
@@ -137,10 +169,16 @@ def _cells(lines: Sequence[str], path: Path) -> Iterator[tuple[int, list[str]]]:
         yield number, next(csv_rows(line, f"{path}:{number}"), (1, []))[1]
 
 
-def _row(cells: Sequence[str], order: Sequence[int], where: str) -> list[float]:
-    if len(cells) != len(_COLUMNS):
-        raise InputError(f"holds {len(cells)} values", where=where, remedy="five are due: x,y,z,u,v")
-    return [_number(cells[index], name, where) for index, name in zip(order, _COLUMNS, strict=True)]
+def _row(cells: Sequence[str], order: Sequence[int], due: Sequence[str], where: str) -> tuple[str, list[float]]:
+    """The view's name, if it is due, and the numbers."""
+    if len(cells) != len(due):
+        count = "five" if len(due) == len(_COLUMNS) else "six"
+        raise InputError(f"holds {len(cells)} values", where=where, remedy=f"{count} are due: {','.join(due)}")
+    told = [cells[index] for index in order]
+    name = told.pop(0).strip() if due[0] == _VIEW else ""
+    if due[0] == _VIEW and not name:
+        raise InputError("the view has no name", where=where)
+    return name, [_number(text, column, where) for text, column in zip(told, _COLUMNS, strict=True)]
 
 
 def _number(text: str, name: str, where: str, remedy: str = "leave the point out") -> float:

@@ -228,7 +228,8 @@ def test_verb_prints_text(tmp_path: Path, capsys: pytest.CaptureFixture[str], so
 def test_columns_may_stand_in_any_order(tmp_path: Path) -> None:
     path = tmp_path / "points.csv"
     path.write_text("\ufeffv, u,z,y,x\r\n5,4,3,2,1\r\n", encoding="utf-8")
-    points, image = read_points(path, 0.5)
+    views, points, image = read_points(path, 0.5)
+    assert views is None
     assert points == pytest.approx(np.array([[0.5, 1.0, 1.5]]))
     assert image == pytest.approx(np.array([[4.0, 5.0]]))
 

@@ -194,12 +194,14 @@ def _model(storage: cv2.FileStorage) -> str:
 
 
 def _numbers(storage: cv2.FileStorage, names: tuple[str, ...], *, required: bool) -> list[float]:
-    """Values of the first of some matrices that is there."""
+    """Values of the first of some matrices that is there: as OpenCV writes it, flat, or row by row."""
     for name in names:
         node = storage.getNode(name)
         if not node.isNone():
             values = node.getNode("data") if node.isMap() else node
             items = [values.at(k) for k in range(values.size())] if values.isSeq() else []
+            if items and all(item.isSeq() for item in items):
+                items = [row.at(k) for row in items for k in range(row.size())]
             if not items or not all(item.isReal() or item.isInt() for item in items):
                 raise InputError(f"its {name} is no matrix of numbers")
             return [float(np.float64(item.real())) for item in items]

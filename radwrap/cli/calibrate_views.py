@@ -1,0 +1,93 @@
+"""``radwrap calibrate camera`` with a table of several views: columns ``view,x,y,z,u,v``."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Iterator
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.calibrate.projection_uncertainty import UncertaintyOverImage, uncertainty_over_image
+from radwrap.calibrate.several_views import ViewsCalibration, as_json, calibrate_views
+from radwrap.calibrate.views import CalibrationView
+from radwrap.errors import InputError
+from radwrap.manifest import json_text
+
+# Options that only one view takes.
+OF_ONE_VIEW: Final = ("pixel_width", "pixel_height", "centre", "solver", "focal_length", "kappa1", "sx", "free")
+_OF_THE_FILE: Final = ("views", "view ", "OpenCV")  # how the places of errors begin that lie in the file
+_LARGEST: Final = 1 << 16  # px
+
+
+def run(
+    arguments: argparse.Namespace, names: list[str], points: NDArray[np.float64], image: NDArray[np.float64]
+) -> int:
+    """Carry out the verb, on the lines of a table: their views, points [m], and pixels."""
+    for name in OF_ONE_VIEW:
+        if getattr(arguments, name) is not None:
+            raise InputError(
+                "belongs to a table of one view", where=f"--{name.replace('_', '-')}", remedy="leave it out"
+            )
+    if arguments.image_size is None:
+        raise InputError("is needed with a table of several views", where="--image-size", remedy="such as 2448 2048")
+    columns, rows = arguments.image_size
+    if not (0 < columns <= _LARGEST and 0 < rows <= _LARGEST):
+        raise InputError(f"must be columns and rows, 1 to {_LARGEST}", where="--image-size")
+    order = dict.fromkeys(names)
+    of = np.array(names)
+    try:
+        views = [CalibrationView(points[of == name], image[of == name], name) for name in order]
+        found = calibrate_views(views, (columns, rows), model=arguments.model or "brown", noise=arguments.noise)
+        near = float(np.mean([np.linalg.norm(view.translation) for view in found.views]))
+        over = [uncertainty_over_image(found, distance) for distance in (near, math.inf)]
+    except InputError as error:
+        inside = error.where is not None and error.where.startswith(_OF_THE_FILE)
+        where = f"{arguments.points}: {error.where}" if inside else f"--{error.where}"
+        raise InputError(error.what, where=where, remedy=error.remedy) from error
+    print(
+        json_text({**as_json(found), "projection_uncertainty": [_over(one) for one in over]})
+        if arguments.json
+        else "\n".join(_lines(found, over)) + "\n",
+        end="",
+    )
+    return 0
+
+
+def _over(one: UncertaintyOverImage) -> dict[str, Any]:
+    """JSON has no infinity: there the distance is null."""
+    return {
+        "distance": one.distance if math.isfinite(one.distance) else None,
+        "columns": list(one.columns),
+        "rows": list(one.rows),
+        "sigma_px": [list(row) for row in one.sigma],
+    }
+
+
+def _lines(found: ViewsCalibration, over: list[UncertaintyOverImage]) -> Iterator[str]:
+    matrix, sigma = found.camera_matrix, found.sigma
+    for name, value in zip(
+        ("fx", "fy", "cx", "cy"), (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]), strict=True
+    ):
+        yield f"{name}: {value:.8g} px +- {sigma[name]:.2g} px"
+    coefficients = dict(zip(found.coefficients, found.distortion_coefficients.tolist(), strict=True))
+    for name in found.parameters[4:]:
+        yield f"{name}: {coefficients[name]:.6g} +- {sigma[name]:.2g}"
+    count = sum(view.points for view in found.views)
+    yield f"residuals: {found.rms:.4g} px rms over {count} points in {len(found.views)} views, model {found.model}"
+    whose = "as given" if found.noise_given else f"by {found.degrees_of_freedom} degrees of freedom"
+    yield f"noise: {found.noise:.4g} px a coordinate, {whose}"
+    yield (
+        f"minimum: {found.cost:.8g} px^2, gradient {found.gradient_norm:.2g} of the residuals; OpenCV ends at "
+        f"{found.opencv_cost:.8g} px^2"
+    )
+    for one in over:
+        far = f"at {one.distance:.4g} m" if math.isfinite(one.distance) else "at infinity"
+        middle = one.sigma[len(one.rows) // 2][len(one.columns) // 2]
+        yield f"projection {far}: +- {middle:.2g} px in the middle, +- {max(map(max, one.sigma)):.2g} px at most"
+    worst = max(found.views, key=lambda view: view.rms)
+    yield f"worst view: {worst.name}, {worst.rms:.4g} px rms"
+    for note in found.notes:
+        yield f"note: {note}"
