@@ -107,23 +107,32 @@ class _Answers:
         self._watched = 0.0
 
     async def watch(self, request: Request) -> Response:
-        """How far the trace is: once that is further than the page knows, or after a second.
+        """How far the trace is: once that, or its picture, is another than the page knows, or after a second.
 
         No answer lasts longer, so that any number of tabs get theirs: browsers hold six connections to a server.
         """
-        known = _told(await request.body()).get("done")
+        told = _told(await request.body())
+        known = told.get("done"), told.get("basis", self._basis)
         self._watchers += 1
         try:
             end = time.monotonic() + _LONGEST_WATCH
             while (status := self._session.status).state == "tracing":
                 await asyncio.sleep(_LOOK)
-                if status.done != known or time.monotonic() > end or await request.is_disconnected():
+                if (status.done, self._basis) != known or time.monotonic() > end:
+                    break
+                if await request.is_disconnected():
                     break
         finally:
             self._watchers -= 1
             self._watched = time.monotonic()
             asyncio.get_running_loop().call_later(_GRACE, self._stop_unwatched)
         return JSONResponse(self._known(status))
+
+    @property
+    def _basis(self) -> int:
+        """Number of the present one."""
+        traced = self._session.present
+        return 0 if traced is None else traced.number
 
     def _known(self, status: Status) -> dict[str, Any]:
         told: dict[str, Any] = {"state": status.state, "done": status.done, "of": status.of}
@@ -186,20 +195,20 @@ class _Answers:
 
     async def png(self, request: Request) -> Response:
         """The image as gray.png has it."""
-        traced, told = await self._asked(request)
+        traced, told = await self._asked(request, kept=True)
         image = await self._image(request, traced, _turn(told, traced))
         return Response(await asyncio.to_thread(png_bytes, image.relit.gray.codes), media_type="image/png")
 
     async def scene(self, request: Request) -> Response:
         """The turned scene as a file."""
-        traced, told = await self._asked(request)
+        traced, told = await self._asked(request, kept=True)
         turn = _turn(told, traced)
         image = await self._image(request, traced, turn)
         return Response(scene_text(turned_scene(traced, turn, image)), media_type="application/toml; charset=utf-8")
 
     async def save(self, request: Request) -> Response:
         """Save the turn into the folder of --out."""
-        traced, told = await self._asked(request)
+        traced, told = await self._asked(request, kept=True)
         out = self._session.out
         if out is None:
             raise InputError("has no folder", where="save", remedy="start the page with a folder for results")
@@ -214,7 +223,7 @@ class _Answers:
         told = _told(await request.body())
         turn = None
         if told.get("turn") is not None:
-            turn = turn_of(told["turn"], self._session.traced(_number(told)).sources)
+            turn = turn_of(told["turn"], self._session.finished(_number(told)).sources)
         await asyncio.to_thread(self._session.trace, turn)
         return JSONResponse({})
 
@@ -224,9 +233,11 @@ class _Answers:
         self._session.stop()
         return JSONResponse({})
 
-    async def _asked(self, request: Request) -> tuple[Traced, dict[str, Any]]:
+    async def _asked(self, request: Request, *, kept: bool = False) -> tuple[Traced, dict[str, Any]]:
+        """The basis that is asked for, of a picture that is to be kept no coarse one; and what else is told."""
         told = _told(await request.body())
-        return self._session.traced(_number(told)), told
+        find = self._session.finished if kept else self._session.traced
+        return find(_number(told)), told
 
     async def _image(self, request: Request, traced: Traced, turn: Turn) -> Image:
         async with self._one:

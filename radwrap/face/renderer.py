@@ -52,8 +52,12 @@ class Renderer:
         self._asked = 0
         self._stop = threading.Event()
 
+    def begin(self) -> None:
+        """What follows is not to end: an earlier `stop` is forgotten."""
+        self._stop.clear()
+
     def stop(self) -> None:
-        """Tell the render that is under way to end."""
+        """Tell the render that is under way, and those that follow, to end."""
         self._stop.set()
 
     def render(self, request: Mapping[str, Any], told: Callable[[Mapping[str, Any]], object]) -> None:
@@ -71,7 +75,8 @@ class Renderer:
         RadwrapError
             What the render raised; `Cancelled` after `stop`.
         """
-        self._stop.clear()
+        if self._stop.is_set():
+            raise _stopped()
         self._asked += 1
         path = self._folder / f"request_{self._asked}.json"
         write_bytes(path, json.dumps(request).encode())
@@ -157,7 +162,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ears.start()
     with Warmth() as warmth:
         while (name := ears.asked.get()) is not None:
-            ears.stop.clear()
             _tell(_answered(warmth, folder / name, ears))
     if ears.orphaned:
         shutil.rmtree(folder, ignore_errors=True)
@@ -203,6 +207,7 @@ class _Ears(threading.Thread):
             if word == _STOP:
                 self.stop.set()
             elif word == _RENDER:
+                self.stop.clear()
                 self.asked.put(name)
             elif word == _BYE:
                 break

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import Cancelled, InputError, RadwrapError
+from radwrap.face.coarse import Coarse, coarse_of
 from radwrap.face.renderer import Renderer
 from radwrap.imaging.other_camera import SceneText, basis_in_other_camera
 from radwrap.imaging.output.run_manifest import RunManifest, read_run_manifest
@@ -82,6 +83,10 @@ class Traced:
         Of the scene's own camera.
     words : tuple of str
         Of the command that makes the basis; empty where the folder stays.
+    coarse : Coarse or None
+        How it was traced where it stands for another that is not there yet.
+    replaces : int
+        Number of the coarse basis that stood for this one; 0 where there was none.
     """
 
     number: int
@@ -90,6 +95,8 @@ class Traced:
     run: RunManifest
     relighter: Relighter
     words: tuple[str, ...]
+    coarse: Coarse | None = None
+    replaces: int = 0
     _images: OrderedDict[Turn, Image] = field(default_factory=OrderedDict)
     _one: threading.Lock = field(default_factory=threading.Lock)
 
@@ -133,7 +140,9 @@ class Traced:
 
     def described(self) -> dict[str, Any]:
         """What a page shows of it."""
-        return {"basis": self.number, **described(self.scene, self.relighter.basis, self.run)}
+        block = 0 if self.coarse is None else self.coarse.block
+        told = described(self.scene, self.relighter.basis, self.run)
+        return {"basis": self.number, "coarse": block, "replaces": self.replaces, **told}
 
     def told(self, turn: Turn, image: Image) -> dict[str, Any]:
         """What a page shows of an image."""
@@ -145,7 +154,9 @@ class Traced:
         }
 
     def command(self, turn: Turn, image: Image, out: str = "turned") -> str:
-        """The command line that makes the same gray.png."""
+        """The command line that makes the same gray.png; empty for a coarse picture, which nobody wants twice."""
+        if self.coarse is not None:
+            return ""
         folder = str(self.folder) if not self.words else self.words[-1]
         more = _named_files(self.scene) if image.changes else ()
         words = [*relight_words(folder, out, self.sources, turn, image.changes), *more]
@@ -220,7 +231,8 @@ class Session:
         self.out = out
         self._scene = scene
         self._renderer = Renderer(work)
-        self._number = 0
+        self._number = 0  # of bases
+        self._traces = 0
         self._traced: Traced | None = None
         self._status = Status("stopped")
         self._guard = threading.Lock()
@@ -254,6 +266,14 @@ class Session:
             raise InputError("was traced anew, or is not traced yet", where="basis", remedy="load the page again")
         return found
 
+    def finished(self, number: int | None = None) -> Traced:
+        """As `traced`, of a picture that has the asked tolerance; what a coarse one shows is not for keeping."""
+        found = self.traced(number)
+        if found.coarse is not None:
+            what = "the picture is a coarse one, until the asked tolerance is reached"
+            raise InputError(what, where="picture", remedy="wait for the trace's end, or trace again")
+        return found
+
     def trace(self, turn: Turn | None = None) -> None:
         """Begin to trace: the scene, or that of the present basis with its knobs turned; not while one is traced.
 
@@ -267,36 +287,30 @@ class Session:
                 raise InputError("is under way", where="trace", remedy="stop it first")
             scene, words = self._scene, self._words
             if turn is not None:
-                present = self.traced()
+                present = self.finished()
                 changes = changes_of(turn, present.scene.camera)
                 scene = with_levels(present.scene, dict(zip(present.sources, turn.factors, strict=True)), changes)
                 words = ()
-            self._number += 1
+            self._traces += 1
+            self._renderer.begin()
             self._status = Status("tracing")
-            self._thread = threading.Thread(target=self._carry_out, args=(scene, words, self._number), daemon=True)
+            self._thread = threading.Thread(target=self._carry_out, args=(scene, words, self._traces), daemon=True)
             self._thread.start()
 
     def stop(self) -> None:
         """Stop tracing."""
         self._renderer.stop()
 
-    def _carry_out(self, scene: Scene, words: tuple[str, ...], number: int) -> None:
-        name = "basis" if number == 1 else f"basis_{number}"
+    def _carry_out(self, scene: Scene, words: tuple[str, ...], trace: int) -> None:
+        name = "basis" if trace == 1 else f"basis_{trace}"
         folder = (self.out or self._work) / name
         try:
-            request = {
-                "document": scene.document,
-                "origin": scene.origin,
-                "folder": str(scene.folder.absolute()),
-                "out": str(folder.absolute()),
-                "options": self._options,
-            }
-            self._renderer.render(
-                request, lambda progress: self._progressed(int(progress["done"]), int(progress["of"]))
-            )
+            if self._traced is None:
+                self._show_coarse(scene)
+            self._render(scene, self._options, folder)
             made = (*words, "--out", str(folder) if self.out else name) if words else ()
-            relighter = Relighter(read_basis(folder))
-            self._traced = Traced(number, scene, folder, read_run_manifest(folder), relighter, made)
+            stood = self._traced.number if self._traced is not None and self._traced.coarse is not None else 0
+            self._traced = self._read(scene, folder, words=made, replaces=stood)
             self._scene, self._words = scene, words
             self._status = Status("ready")
         except Cancelled:
@@ -306,6 +320,44 @@ class Session:
         except (OSError, MemoryError) as error:
             told = InputError(getattr(error, "strerror", None) or "not enough memory", where=str(folder))
             self._status = Status("failed", error=told)
+
+    def _show_coarse(self, scene: Scene) -> None:
+        """A coarse picture for the time until the asked one is there; what keeps it from being made is told by that."""
+        coarse = coarse_of(scene, self._options)
+        if coarse is None:
+            return
+        folder = self._work / "coarse"
+        try:
+            self._render(coarse.scene, coarse.options, folder)
+            self._traced = self._read(coarse.scene, folder, coarse=coarse)
+        except Cancelled:
+            raise
+        except (RadwrapError, OSError, MemoryError):
+            pass
+        self._status = Status("tracing")
+
+    def _render(self, scene: Scene, options: Mapping[str, Any], folder: Path) -> None:
+        request = {
+            "document": scene.document,
+            "origin": scene.origin,
+            "folder": str(scene.folder.absolute()),
+            "out": str(folder.absolute()),
+            "options": dict(options),
+        }
+        self._renderer.render(request, lambda progress: self._progressed(int(progress["done"]), int(progress["of"])))
+
+    def _read(
+        self,
+        scene: Scene,
+        folder: Path,
+        *,
+        words: tuple[str, ...] = (),
+        coarse: Coarse | None = None,
+        replaces: int = 0,
+    ) -> Traced:
+        relighter = Relighter(read_basis(folder))
+        self._number += 1
+        return Traced(self._number, scene, folder, read_run_manifest(folder), relighter, words, coarse, replaces)
 
     def _progressed(self, done: int, of: int) -> None:
         self._status = replace(self._status, done=done, of=of)

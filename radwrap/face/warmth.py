@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -40,10 +41,11 @@ class Warmth:
         scene = scene_from_document(
             json.loads(request["document"]), origin=request["origin"], folder=Path(request["folder"])
         )
-        options = RenderOptions(**request["options"])
+        options = RenderOptions(**{**request["options"], "basis": True})
         if self._scene is None:
             self._scene = WarmScene(scene, options)
             if self._scene.folder is not None:
                 lies(self._scene.folder)
-        changes = {**request["options"], "basis": True}
+        # All of them: what the scene was laid out with may have been those of a coarse picture.
+        changes = {one.name: getattr(options, one.name) for one in fields(options) if one.name != "progress"}
         self._scene.render(scene, request["out"], cancelled=cancelled, progress=told, **changes)

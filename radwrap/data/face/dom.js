@@ -67,3 +67,30 @@ export function download(content, name, type) {
   link.remove();
   setTimeout(() => URL.revokeObjectURL(url), 10_000);
 }
+
+let down = false;
+if (typeof document !== "undefined") {
+  document.addEventListener("pointerdown", () => { down = true; }, { capture: true });
+  for (const name of ["pointerup", "pointercancel"]) document.addEventListener(name, () => { down = false; }, { capture: true });
+}
+
+/** Whether a button of the pointer is held down. */
+export function pressed() {
+  return down;
+}
+
+/** The knob that has the focus, and what is typed into it. */
+export function focusedKnob() {
+  const { activeElement: active } = document;
+  const knob = active instanceof HTMLInputElement ? active.closest("[data-knob]")?.getAttribute("data-knob") : null;
+  return knob && active instanceof HTMLInputElement ? { knob, type: active.type, text: active.value } : null;
+}
+
+/** @param {{knob: string, type: string, text: string}} focus */
+export function focusKnob({ knob, type, text }) {
+  const row = [...document.querySelectorAll("[data-knob]")].find((one) => one.getAttribute("data-knob") === knob);
+  const field = row?.querySelector(`input[type=${type}]`);
+  if (!(field instanceof HTMLInputElement)) return;
+  if (type === "text") field.value = text;
+  field.focus();
+}

@@ -1,6 +1,6 @@
 // One basis on the page: knobs, picture, readings, and the server's word on each turn once the knobs rest.
 
-import { byId, download, element } from "./dom.js";
+import { byId, download, element, focusedKnob, focusKnob } from "./dom.js";
 import { Field } from "./field.js";
 import { KnobPanel } from "./knobs.js";
 import { coloursOf } from "./mix.js";
@@ -17,6 +17,7 @@ import { NUMBERS_FROM, View } from "./view.js";
 /** @typedef {import("./types.js").Turn} Turn */
 /** @typedef {import("./field.js").Picture} Picture */
 /** @typedef {import("./view.js").Pixel} Pixel */
+/** @typedef {import("./types.js").Kept} Kept */
 /** @typedef {{code: number, gray: number, sigma: number | null, exposure: number}} Value */
 
 const REST = 100; // ms after which a turn is certified
@@ -28,13 +29,14 @@ export class Explorer {
    * @param {any} source the server, or what an exported page holds
    * @param {Described} described
    * @param {{state: (text: string, kind?: string) => void, banner: (text: string | null) => void}} tell
+   * @param {Kept | null} [kept] what the coarse picture leaves that stood for this one
    */
-  constructor(source, described, tell) {
+  constructor(source, described, tell, kept = null) {
     this.source = source;
     this.described = described;
     this.tell = tell;
     this.leave = new AbortController();
-    this.history = new History(untouched(described.sources.length));
+    this.history = kept?.history ?? new History(untouched(described.sources.length));
     /** @type {Certified | null} of the present turn */
     this.certified = null;
     /** @type {AbortController | null} */
@@ -63,10 +65,12 @@ export class Explorer {
     this.histogram = new HistogramPlot(fresh("histogram"), byId("histogramtable"));
     this.listen();
     this.resetWindow();
+    if (kept) this.take(kept);
     this.tellLeftOut();
     byId("rays").textContent = "Pose, opening, focus, materials and targets need rays: change them in the scene file."
       + (described.dark_sources.length ? ` Dark in the scene, so without a knob: ${described.dark_sources.join(", ")}.` : "");
-    byId("save").hidden = !described.saves;
+    byId("save").hidden = !described.saves || Boolean(described.coarse);
+    for (const id of ["png", "toml"]) byId(id).hidden = Boolean(described.coarse);
   }
 
   /** Fetch the planes, then certify. */
@@ -88,6 +92,42 @@ export class Explorer {
     } catch (error) {
       if (!this.leave.signal.aborted) this.tell.banner(error instanceof Error ? error.message : String(error));
     }
+  }
+
+  /**
+   * What of this coarse picture goes on in the one that it stood for; null where that is another one.
+   * @param {Described} next
+   * @returns {Kept | null}
+   */
+  kept(next) {
+    const { basis, coarse: block, sources } = this.described;
+    const same = block && next.replaces === basis && sources.length === next.sources.length;
+    if (!same) return null;
+    const { pin, line, region } = this.readings;
+    const { view } = this;
+    /** @param {number} place @param {number} most */
+    const middle = (place, most) => Math.min(most - 1, Math.floor((place + 0.5) * block));
+    /** @param {number[]} ends */
+    const scaled = (ends) => ends.map((place, k) => middle(place, k % 2 ? next.rows : next.columns));
+    const low = byId("low", HTMLInputElement).value, high = byId("high", HTMLInputElement).value;
+    const full = low === "0" && high === String(2 ** this.sensor.bit_depth - 1);
+    return {
+      history: this.history, focus: focusedKnob(),
+      pin: pin && { u: middle(pin.u, next.columns), v: middle(pin.v, next.rows) },
+      line: line && scaled(line), region: region && scaled(region), look: full ? null : { low, high },
+      sight: view.fitted ? null : { x: view.x * block, y: view.y * block, size: view.size / block },
+    };
+  }
+
+  /** @param {Kept} kept */
+  take({ pin, line, region, look, sight, focus }) {
+    if (focus) focusKnob(focus);
+    Object.assign(this.readings, { pin, line, region });
+    if (look) {
+      byId("low", HTMLInputElement).value = look.low;
+      byId("high", HTMLInputElement).value = look.high;
+    }
+    if (sight) this.view.see(sight);
   }
 
   close() {
@@ -179,6 +219,7 @@ export class Explorer {
         this.setStale("not measured");
         return; // no answer: the page hears of that by its own watch
       }
+      if (where === "basis") return; // another one has come: the page's watch is about to say so
       if (!this.panel.refuse(where, message)) this.tell.banner(message);
       this.setStale("refused");
     }
@@ -201,9 +242,15 @@ export class Explorer {
     error.textContent = `error ${errorText(rms)} gray rms, below ${errorText(bound)} (95 %)`;
     kept.className = `chip ${told.keeps ? "good" : "bad"}`;
     kept.textContent = `tolerance ${shortNumber(tolerance)} ${told.keeps ? "kept" : "not kept"}`;
+    const { coarse } = this.described;
+    if (coarse) {
+      kept.className = "chip stale";
+      kept.textContent = `coarse picture: tolerance ${shortNumber(tolerance)}${coarse > 1 ? `, ${coarse} × ${coarse} pixels as one` : ""}`;
+    }
     this.tell.state("measured", "good");
     byId("picture").classList.remove("old");
-    byId("command").textContent = told.command;
+    byId("copy").hidden = told.command === "";
+    byId("command").textContent = told.command || "The command comes with the picture of the asked tolerance.";
     this.offer(this.tracing);
     this.tellLeftOut();
   }

@@ -1,10 +1,10 @@
 // The page: begins, waits for the basis, and begins again where it was traced anew.
 
-import { byId } from "./dom.js";
+import { byId, pressed } from "./dom.js";
 import { Explorer } from "./explorer.js";
 import { Refused, Server, takeToken } from "./server.js";
-import { percent } from "./units.js";
 
+const HAND = 100; // ms between looks at whether a knob is let go
 const BEAT = 1500; // ms between looks at whether the server lives
 
 /** @param {string} text @param {string} [kind] */
@@ -40,7 +40,7 @@ async function begin() {
   document.addEventListener("keydown", (event) => { if (event.key === "Escape" && !stop.hidden) stop.click(); });
   trace.addEventListener("click", async () => {
     try {
-      await server.ask("trace", explorer ? { basis: explorer.described.basis, turn: explorer.history.now } : {});
+      await server.ask("trace", explorer && !explorer.described.coarse ? { basis: explorer.described.basis, turn: explorer.history.now } : {});
       banner(null);
     } catch (error) {
       banner(error instanceof Error ? error.message : String(error));
@@ -51,33 +51,43 @@ async function begin() {
   let done = -1;
   for (;;) {
     try {
-      const told = await server.watch(done);
+      const told = await server.watch(done, explorer?.described.basis ?? 0);
       done = told.done ?? -1;
       if (!server.live) {
         server.live = true;
         banner(null);
       }
       stop.hidden = told.state !== "tracing";
+      if (told.described && told.described.basis !== explorer?.described.basis) {
+        if (explorer && pressed()) { // a knob is being dragged: it is not taken out of the hand
+          await pause(HAND);
+          continue;
+        }
+        const kept = explorer?.kept(told.described) ?? null;
+        explorer?.close();
+        banner(null);
+        explorer = new Explorer(server, told.described, { state: told.described.coarse ? () => {} : state, banner }, kept);
+        void explorer.load();
+      }
       if (told.state === "tracing") {
         trace.hidden = true;
-        state(told.of ? `tracing ${percent(Math.min(1, done / told.of))}` : "tracing", "stale");
-        explorer?.setStale("tracing");
+        const far = told.of ? `tracing ${Math.min(99, Math.floor((100 * done) / told.of))} %` : "tracing";
+        if (explorer?.described.coarse) state(`coarse, ${far}`, "stale");
+        else {
+          state(far, "stale");
+          explorer?.setStale("tracing");
+        }
         continue;
       }
       if (told.state === "failed") {
         state("failed", "bad");
         banner(told.error ?? "the trace failed");
       }
-      if (told.state === "stopped") state("stopped", "stale");
-      if (told.described && told.described.basis !== explorer?.described.basis) {
-        explorer?.close();
-        banner(null);
-        explorer = new Explorer(server, told.described, { state, banner });
-        void explorer.load();
-      }
-      trace.textContent = explorer ? "Trace in this light" : "Trace";
-      if (!explorer) trace.hidden = false;
-      else explorer.offer(told.state);
+      if (told.state === "stopped") state(explorer?.described.coarse ? "stopped, coarse" : "stopped", "stale");
+      const whole = explorer && !explorer.described.coarse ? explorer : null;
+      trace.textContent = whole ? "Trace in this light" : "Trace";
+      if (!whole) trace.hidden = false;
+      else whole.offer(told.state);
       await pause(BEAT);
     } catch (error) {
       if (error instanceof Refused && error.status === 401) {

@@ -53,12 +53,13 @@ export class Server {
   }
 
   /**
-   * How far the trace is: when that has changed, or after a while.
+   * How far the trace is: when that or the basis is another than is known, or after a while.
    * @param {number} done
+   * @param {number} basis
    * @returns {Promise<{state: string, done?: number, of?: number, error?: string, described?: Described}>}
    */
-  async watch(done) {
-    return (await this.ask("watch", { done })).json();
+  async watch(done, basis) {
+    return (await this.ask("watch", { done, basis })).json();
   }
 
   /**

@@ -19,7 +19,14 @@
  *
  * @typedef {{basis: number, title: string, rows: number, columns: number, sources: Source[], dark_sources: string[],
  *   exposure_time: number, exposure_of_radiance: number, sensor: Sensor, tolerance: number, left_out: Effect[],
- *   warnings: string[], mixes: boolean, saves: boolean}} Described
+ *   warnings: string[], mixes: boolean, saves: boolean, coarse?: number, replaces?: number}} Described
+ * A coarse picture tells how many pixels a side are one; the next one tells which coarse picture stood for it.
+ *
+ * @typedef {{history: import("./state.js").History, pin: {u: number, v: number} | null, line: number[] | null,
+ *   region: number[] | null, look: {low: string, high: string} | null,
+ *   sight: {x: number, y: number, size: number} | null,
+ *   focus: {knob: string, type: string, text: string} | null}} Kept
+ * What a coarse picture leaves to the one that it stood for, in pixels of that one.
  *
  * @typedef {{error: {rms_gray: number | null, rms_gray_upper95: number | null, method: string}, keeps: boolean,
  *   saturated_fraction: number, gray: {min: number, max: number, mean: number}, sigma_rms: number,

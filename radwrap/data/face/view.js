@@ -99,6 +99,19 @@ export class View {
     this.move(0, 0);
   }
 
+  /**
+   * Show the same part of the scene as another view did, whose pixels had another size.
+   * @param {{x: number, y: number, size: number}} sight
+   */
+  see({ x, y, size }) {
+    const steps = [...BINS.map((bin) => ({ into: 1, bin })).reverse(), ...INTO.slice(1).map((into) => ({ into, bin: 1 }))];
+    const off = steps.map(({ into, bin }) => Math.abs(Math.log(into / bin / size)));
+    const { into, bin } = steps[off.indexOf(Math.min(...off))];
+    this.x = x;
+    this.y = y;
+    this.zoomTo(into, bin);
+  }
+
   /** @param {number} across @param {number} down both in pixels of the picture */
   move(across, down) {
     this.x = Math.min(this.columns, Math.max(0, this.x + across));

@@ -230,8 +230,9 @@ test("overlays, histogram and the numbers in the pixels tell one story", async (
   assert.equal(counts.reduce((all, count) => all + count, 0), 165 * 192);
   const told = JSON.parse(await page.evaluate(async () => {
     const headers = { Authorization: `Bearer ${sessionStorage.getItem("token")}`, "Content-Type": "application/json" };
+    const { described } = await (await fetch("/api/watch", { method: "POST", headers, body: "{}" })).json();
     const answer = await fetch("/api/turn", { method: "POST", headers,
-      body: JSON.stringify({ basis: 1, turn: { levels: new Array(12).fill(3) } }) });
+      body: JSON.stringify({ basis: described.basis, turn: { levels: new Array(12).fill(3) } }) });
     return new TextDecoder().decode(new Uint8Array(await answer.arrayBuffer())).split("\n")[0];
   }));
   await page.waitForFunction((share) => document.getElementById("saturatedshare").textContent === share,
@@ -354,6 +355,35 @@ test("the server's end is said, and knobs go on", async (t) => {
   const after = (await picture(page, 165, 192)).flat();
   assert.ok(after.every((code, k) => code <= before[k]) && after.some((code, k) => code < before[k]));
   assert.match(await page.textContent("#state"), /not measured/);
+});
+
+test("a coarse picture comes first, is marked, and hands its knobs on", async (t) => {
+  const { page } = await opened(t, { at: "about:blank" }); // the browser is up before the trace begins
+  const own = await serve("--tolerance", "0.1", "--out", join(folder, "coarse"));
+  t.after(() => own.process.kill("SIGTERM"));
+  await page.goto(own.link);
+  await page.waitForFunction(() => document.getElementById("kept").textContent.startsWith("coarse picture: tolerance 3.1"));
+  assert.match(await page.textContent("#state"), /^coarse, tracing/);
+  assert.match(await page.textContent("#error"), /^error .* gray rms, below .*95 %/);
+  for (const id of ["png", "toml", "save", "copy", "trace"]) assert.ok(!(await page.locator(`#${id}`).isVisible()), id);
+  await type(page, "level:all", "0.5");
+  await page.focus("#picture");
+  await page.keyboard.press("h");
+  await page.keyboard.press("ArrowRight");
+  await page.keyboard.press("+");
+  const zoom = await page.textContent("#zoom");
+  await slider(page, "gain").focus();
+  await measured(page);
+  assert.match(await page.textContent("#kept"), /^tolerance 0.1 (not )?kept/);
+  assert.match(await page.textContent("#command"), /--level ring=0.5 --out turned/);
+  assert.equal(await field(page, "level:all").inputValue(), "0.5");
+  assert.equal(await page.textContent("#zoom"), zoom);
+  assert.ok((await page.evaluate(() => document.activeElement.id)).startsWith("knob-gain"));
+  await page.waitForSelector("#csv:enabled");
+  assert.equal(await page.locator("#probe .code").getAttribute("data-u"), "97"); // 192 / 2, and one to the right
+  for (const id of ["png", "toml", "save", "copy"]) assert.ok(await page.locator(`#${id}`).isVisible(), id);
+  await page.click("#undo");
+  assert.equal(await field(page, "level:all").inputValue(), "1");
 });
 
 test("a trace in the light of the knobs, and one that is stopped", async (t) => {

@@ -1,0 +1,172 @@
+"""A coarse picture stands in until the asked one is there, is marked as such, and changes no byte of it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+
+import radwrap
+from radwrap.errors import InputError
+from radwrap.face import coarse as module
+from radwrap.face.coarse import coarse_of
+from radwrap.face.session import Session, Traced
+from radwrap.imaging.page.turn import Turn
+from tests.cli.conftest import scene_with
+from tests.face.conftest import PATIENCE, TWO
+from tests.face.test_life import LONG, LONG_OPTIONS
+
+OPTIONS: Final[dict[str, Any]] = {"tolerance": 0.5, "seed": 3, "tracer": "auto"}
+
+
+def scene_of(rows: int, columns: int, **sensor: Any) -> radwrap.Scene:
+    told = {"camera.sensor.rows": rows, "camera.sensor.columns": columns}
+    return radwrap.scene_from_document(
+        scene_with({**TWO, **told, **{f"camera.sensor.{k}": v for k, v in sensor.items()}})
+    )
+
+
+@pytest.mark.parametrize(
+    ("rows", "columns", "block"),
+    [(256, 256, 1), (512, 512, 2), (2048, 2448, 8), (2050, 2450, 10), (2053, 2459, 7)],  # 7 where none divides both
+)
+def test_it_has_few_pixels(rows: int, columns: int, block: int) -> None:
+    found = coarse_of(scene_of(rows, columns), OPTIONS)
+    assert found is not None and found.block == block
+    sensor = found.scene.camera.sensor
+    assert (sensor.rows, sensor.columns) == (rows // block, columns // block)
+    assert found.options == {**OPTIONS, "tolerance": "2 %", "tracer": "compiled"}
+
+
+def test_a_scale_that_the_scene_has_goes_on() -> None:
+    found = coarse_of(scene_of(1024, 1024, scale="1/2"), OPTIONS)
+    assert found is not None and found.block == 2 and found.scene.camera.sensor.rows == 256
+
+
+def test_there_is_none_where_it_is_not_worth_it() -> None:
+    assert coarse_of(scene_of(20, 24), OPTIONS) is None
+    assert coarse_of(scene_of(256, 256), {**OPTIONS, "tolerance": "3 %"}) is None
+    assert coarse_of(scene_of(256, 256), {**OPTIONS, "tolerance": 4.0}) is None  # of 159 gray levels
+    assert coarse_of(scene_of(512, 512), {**OPTIONS, "tolerance": "3 %"}) is not None  # of fewer pixels all the same
+
+
+def test_who_asks_for_a_tracer_gets_it() -> None:
+    found = coarse_of(scene_of(256, 256), {**OPTIONS, "tracer": "radiance"})
+    assert found is not None and found.options["tracer"] == "radiance"
+
+
+# --------------------------------------------------------------------------------------------------------- In a session
+
+
+@pytest.fixture
+def worth_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a picture as small as those of tests."""
+    monkeypatch.setattr(module, "WORTH_IT", 1)
+    monkeypatch.setattr(module, "MOST_PIXELS", 130)
+
+
+@pytest.fixture
+def session(worth_it: None, tmp_path: Path) -> Iterator[Session]:
+    del worth_it
+    (tmp_path / "work").mkdir()
+    found = Session(
+        scene_of(20, 24), {"tolerance": 2.0, "tracer": "radiance"}, work=tmp_path / "work", out=None, words=("x",)
+    )
+    yield found
+    found.close()
+
+
+def seen(session: Session) -> list[Traced]:
+    """Every picture that was there, until nothing is traced any more."""
+    found: list[Traced] = []
+    end = time.monotonic() + PATIENCE
+    while time.monotonic() < end:
+        state, traced = session.status.state, session.present
+        if traced is not None and traced not in found:
+            found.append(traced)
+        if state != "tracing":
+            return found
+        time.sleep(0.005)
+    raise AssertionError("the trace did not end")
+
+
+def hashes(folder: Path) -> dict[str, str]:
+    """Of all files but the manifest, which holds times."""
+    files = [path for path in folder.rglob("*") if path.is_file() and path.name != "manifest.json"]
+    return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+
+
+def test_it_stands_in_and_changes_no_byte(session: Session, tmp_path: Path) -> None:
+    session.trace()
+    first, last = seen(session)
+    assert session.status.state == "ready"
+    told = first.described()
+    assert told["coarse"] == 2 and (told["rows"], told["columns"]) == (10, 12) and told["replaces"] == 0
+    assert told["tolerance"] == pytest.approx(3.1)  # 2 % of 181 - 22, rounded down
+    assert last.described()["coarse"] == 0 and last.described()["replaces"] == first.number
+    assert first.sources == last.sources
+    # The picture is told with its own error, and with no command: nobody wants it twice.
+    image = first.image(Turn((1.0, 1.0)))
+    assert 0 < first.told(Turn((1.0, 1.0)), image)["error"]["rms_gray_upper95"] < 3.1
+    assert first.command(Turn((1.0, 1.0)), image) == ""
+    assert last.command(Turn((0.5, 1.0)), last.image(Turn((0.5, 1.0)))).startswith("x --out basis && radwrap relight")
+    # Its light is that of the picture: both certificates hold.
+    pictures = [one.image(Turn((2.0, 0.5))).relit for one in (first, last)]
+    means = [one.gray.values.mean() for one in pictures]
+    assert abs(means[0] - means[1]) < sum(one.certificate.rms_gray_upper95 for one in pictures)
+    radwrap.render(scene_of(20, 24), tmp_path / "alone", basis=True, tolerance=2.0, tracer="radiance")
+    assert hashes(last.folder) == hashes(tmp_path / "alone") and last.folder.name == "basis"
+
+
+def test_where_it_cannot_be_traced_the_picture_comes_all_the_same(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    render = session._renderer.render
+
+    def fails(request: Any, told: Any) -> None:
+        if request["options"]["tolerance"] == module.TOLERANCE:
+            raise InputError("cannot be", where="coarse")
+        render(request, told)
+
+    monkeypatch.setattr(session._renderer, "render", fails)
+    session.trace()
+    (only,) = seen(session)
+    assert only.coarse is None and only.replaces == 0 and session.status.state == "ready"
+
+
+def test_it_stays_where_the_trace_is_stopped(worth_it: None, tmp_path: Path) -> None:
+    """What it shows can be turned, not kept; a trace that is begun again needs no coarse picture."""
+    del worth_it
+    work = tmp_path / "work"
+    work.mkdir()
+    options = {"tolerance": LONG_OPTIONS[1], "tracer": "radiance"}
+    session = Session(radwrap.scene_from_document(scene_with(LONG)), options, work=work, out=None, words=())
+    try:
+        session.trace()
+        end = time.monotonic() + PATIENCE
+        while session.present is None:
+            assert time.monotonic() < end, session.status
+            time.sleep(0.005)
+        session.stop()
+        (first,) = seen(session)
+        assert session.status.state == "stopped" and first.coarse is not None
+        assert session.traced(first.number) is first
+        with pytest.raises(InputError, match="coarse"):
+            session.finished(first.number)
+        with pytest.raises(InputError, match="coarse"):
+            session.trace(Turn((0.5, 0.5)))
+        before = set(work.glob("request_*.json"))
+        session.trace()
+        while not (more := set(work.glob("request_*.json")) - before):
+            assert time.monotonic() < end + PATIENCE, session.status
+            time.sleep(0.005)
+        session.stop()
+        assert seen(session) == [first]
+        assert [json.loads(path.read_bytes())["options"]["tolerance"] for path in more] == [options["tolerance"]]
+    finally:
+        session.close()
