@@ -22,7 +22,7 @@ from radwrap.errors import Cancelled, InputError, RadwrapError
 from radwrap.face.coarse import Coarse, coarse_of
 from radwrap.face.renderer import Renderer
 from radwrap.imaging.other_camera import SceneText, basis_in_other_camera
-from radwrap.imaging.output.run_manifest import RunManifest, read_run_manifest
+from radwrap.imaging.output.run_manifest import MANIFEST, RunManifest, read_run_manifest
 from radwrap.imaging.page.described import described, told_of, told_thresholds
 from radwrap.imaging.page.thresholds import Thresholds, thresholds
 from radwrap.imaging.page.turn import Turn, changes_of, relight_words, spelled
@@ -305,7 +305,7 @@ class Session:
         name = "basis" if trace == 1 else f"basis_{trace}"
         folder = (self.out or self._work) / name
         try:
-            if self._traced is None:
+            if self._traced is None and not (folder / MANIFEST).exists():  # a finished one is read back at once
                 self._show_coarse(scene)
             self._render(scene, self._options, folder)
             made = (*words, "--out", str(folder) if self.out else name) if words else ()

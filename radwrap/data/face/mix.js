@@ -7,10 +7,16 @@
 /** @typedef {import("./types.js").Section} Section */
 /** @typedef {import("./types.js").Look} Look */
 /** @typedef {import("./types.js").Frame} Frame */
-/** @typedef {{first: number, values: Float32Array, begin: Uint16Array, saturated: number, lit: number}} Ranks */
+/** @typedef {{first: number, values: Float32Array, words: Int32Array, begin: Uint16Array, single: boolean,
+ *   saturated: number, lit: number}} Ranks thresholds as floats and as their bits, and where a bucket of bits begins */
+/** @typedef {{light: Float32Array, ranks: Uint16Array, counted: Uint32Array, saturated: number, dark: number, full: number,
+ *   lit: number}} Line a row of pixels in the making */
 
 const SHIFT = 15; // bits of a float that the table passes over
 const CHUNK = 4096;
+const ALIKE = 1e-12; // of a level: far below what a float of the planes holds
+const LANES = 4; // counts of each code, for pixels that follow each other
+const LAST_WORD = 0x7fffffff;
 
 /**
  * The sum of all planes.
@@ -45,35 +51,56 @@ export function addPlane(sum, plane, change) {
 }
 
 /**
+ * By how much all levels together are larger: then the sum is only multiplied; null where they are not turned alike.
+ * @param {number[]} before
+ * @param {number[]} after
+ */
+export function timesOf(before, after) {
+  const k = before.findIndex((level) => level > 0);
+  if (k < 0 || before.length !== after.length) return null;
+  const times = after[k] / before[k];
+  return after.every((level, n) => Math.abs(level - times * before[n]) <= ALIKE * level) ? times : null;
+}
+
+/**
  * A table in which codes are looked up.
  * @param {Thresholds} thresholds
  * @returns {Ranks}
  */
 export function ranksOf({ first, values, saturated, lit }) {
+  const words = new Int32Array(values.length + 1);
+  words.set(new Int32Array(values.buffer.slice(values.byteOffset, values.byteOffset + values.byteLength)));
+  words[values.length] = LAST_WORD; // no light is brighter
   const buckets = 0x7f800000 >>> SHIFT;
   const begin = new Uint16Array(buckets + 2);
-  const bits = new Uint32Array(values.buffer.slice(values.byteOffset, values.byteOffset + values.byteLength));
-  let rank = 0;
+  let rank = 0, most = 0;
   for (let bucket = 0; bucket < begin.length; bucket++) {
-    const least = bucket * 2 ** SHIFT;
-    while (rank < bits.length && bits[rank] < least) rank++;
+    const least = bucket * 2 ** SHIFT, before = rank;
+    while (rank < values.length && words[rank] < least) rank++;
     begin[bucket] = rank;
+    most = Math.max(most, rank - before);
   }
-  return { first, values, begin, saturated, lit };
+  return { first, values, words, begin, single: most <= 1, saturated, lit };
 }
 
 const oneFloat = new Float32Array(1);
-const oneWord = new Uint32Array(oneFloat.buffer);
+const oneWord = new Int32Array(oneFloat.buffer);
+
+/** Floats that are not negative are in the order of their bits. @param {number} value */
+function wordOf(value) {
+  oneFloat[0] = value;
+  return oneWord[0];
+}
 
 /**
  * The code of one radiant exposure [J/m^2].
  * @param {number} exposure
  * @param {Ranks} ranks
  */
-export function codeOf(exposure, { first, values, begin }) {
-  oneFloat[0] = exposure;
-  let rank = begin[oneWord[0] >>> SHIFT];
-  while (rank < values.length && values[rank] <= oneFloat[0]) rank++;
+export function codeOf(exposure, { first, words, begin }) {
+  const word = wordOf(exposure);
+  let rank = begin[word >>> SHIFT];
+  while (words[rank] <= word) rank++;
   return first + rank;
 }
 
@@ -98,68 +125,108 @@ export function frameOf(sum, columns, top, scale, ranks, section, look, codes) {
   const width = Math.ceil((section.x1 - section.x0) / bin);
   const colours = coloursOf(look, codes);
   const pixels = new Uint32Array(width * (row1 - row0));
-  const counted = new Uint32Array(codes);
-  const { values, begin, first, saturated, lit } = ranks;
-  const last = values.length;
-  const light = new Float32Array(columns);
-  const bits = new Uint32Array(light.buffer);
+  const { first, saturated, lit } = ranks;
+  const line = { light: new Float32Array(columns), ranks: new Uint16Array(columns), counted: new Uint32Array(LANES * codes),
+    saturated: 0, dark: 0, full: wordOf(saturated), lit: wordOf(lit) };
   const sums = new Uint32Array(width);
   const marks = new Uint8Array(width);
-  const brighter = 1 + look.share;
-  // Column of the picture of each pixel of a row: a division for each pixel would take as long as all the rest.
-  const place = new Int32Array(columns).fill(-1);
-  for (let x = section.x0; x < section.x1; x++) place[x] = Math.floor((x - section.x0) / bin);
-  let full = 0, black = 0, flipped = 0;
-  const flipping = look.flips;
+  const marked = look.saturated || look.dark || look.flips;
+  let flipped = 0;
   for (let row = 0; row < rows; row++) {
-    const offset = row * columns;
-    for (let x = 0; x < columns; x++) light[x] = sum[offset + x] * scale;
+    rank(sum, row * columns, scale, ranks, line);
     const v = top + row - section.y0;
     const seen = v >= 0 && top + row < section.y1;
-    for (let x = 0; x < columns; x++) {
-      const h = light[x];
-      let rank = begin[bits[x] >>> SHIFT];
-      while (rank < last && values[rank] <= h) rank++;
-      const code = first + rank;
-      counted[code]++;
-      let mark = 0;
-      if (h >= saturated) {
-        full++;
-        mark = 1;
-      }
-      if (h < lit) {
-        black++;
-        mark |= 2;
-      }
-      if (flipping && flips(h * brighter, rank, ranks)) {
-        flipped++;
-        mark |= 4;
-      }
-      const column = place[x];
-      if (seen && column >= 0) {
-        sums[column] += code;
-        if (mark) marks[column] |= mark;
-      }
-    }
-    if (seen && (v % bin === bin - 1 || row === rows - 1 || top + row === section.y1 - 1)) {
-      const line = Math.floor(v / bin);
-      if (line >= row0 && line < row1) {
-        const down = (v % bin) + 1;
+    if (marked) flipped += mark(line, ranks, section, look, seen ? marks : null);
+    if (!seen) continue;
+    if (bin === 1) for (let column = 0; column < width; column++) sums[column] = line.ranks[section.x0 + column];
+    else addBins(line.ranks, section, sums);
+    if (v % bin === bin - 1 || row === rows - 1 || top + row === section.y1 - 1) {
+      const down = (v % bin) + 1, at = Math.floor(v / bin) - row0;
+      if (at >= 0 && at < row1 - row0) {
         for (let column = 0; column < width; column++) {
           const across = Math.min(bin, section.x1 - section.x0 - column * bin);
-          const code = bin === 1 ? sums[column] : Math.round(sums[column] / (down * across));
-          const mark = marks[column];
-          const at = (line - row0) * width + column;
-          pixels[at] = mark ? markedColour(colours[code], mark, look, column, line) : colours[code];
+          const code = first + (bin === 1 ? sums[column] : Math.round(sums[column] / (down * across)));
+          const colour = colours[code];
+          pixels[at * width + column] = marks[column] ? markedColour(colour, marks[column], look, column, at + row0) : colour;
         }
       }
       sums.fill(0);
       marks.fill(0);
     }
   }
+  const counts = new Float64Array(codes);
+  for (let lane = 0; lane < LANES; lane++) {
+    for (let code = first; code < codes; code++) counts[code] += line.counted[LANES * (code - first) + lane];
+  }
   const rgba = new Uint8ClampedArray(pixels.buffer);
-  return { rgba, width, height: row1 - row0, row: row0, counts: Float64Array.from(counted),
-    saturated: full, dark: black, flips: flipped };
+  return { rgba, width, height: row1 - row0, row: row0, counts, saturated: line.saturated, dark: line.dark, flips: flipped };
+}
+
+/**
+ * Ranks of a row of pixels, how many pixels have each, and how many are saturated or dark. No branch hangs on the light:
+ * a processor that guesses wrong loses as much time as all the rest takes.
+ * @param {Float32Array} sum
+ * @param {number} offset of the row
+ * @param {number} scale
+ * @param {Ranks} ranks
+ * @param {Line} line
+ */
+function rank(sum, offset, scale, { words, begin, single }, line) {
+  const { light, counted, ranks, full, lit } = line;
+  const bits = new Int32Array(light.buffer);
+  const count = light.length;
+  for (let x = 0; x < count; x++) light[x] = sum[offset + x] * scale;
+  let saturated = 0, dark = 0;
+  for (let x = 0; x < count; x++) {
+    const word = bits[x];
+    let found = begin[word >>> SHIFT];
+    if (single) found += (words[found] - 1 - word) >>> 31; // 1 where the word is no less
+    else while (words[found] <= word) found++;
+    ranks[x] = found;
+    counted[LANES * found + (x % LANES)]++; // neighbours are alike: one count would wait for the other
+    saturated += (full - 1 - word) >>> 31;
+    dark += (word - lit) >>> 31;
+  }
+  line.saturated += saturated;
+  line.dark += dark;
+}
+
+/**
+ * What overlays show of a row; returns how many pixels flip.
+ * @param {Line} line
+ * @param {Ranks} ranks
+ * @param {Section} section
+ * @param {Look} look
+ * @param {Uint8Array | null} marks null where the row is not seen
+ */
+function mark({ light, ranks: found }, ranks, section, look, marks) {
+  const brighter = 1 + look.share;
+  let flipped = 0;
+  for (let x = 0; x < light.length; x++) {
+    let one = light[x] >= ranks.saturated ? 1 : 0;
+    if (light[x] < ranks.lit) one |= 2;
+    if (look.flips && flips(light[x] * brighter, found[x], ranks)) {
+      flipped++;
+      one |= 4;
+    }
+    if (one && marks && x >= section.x0 && x < section.x1) marks[Math.floor((x - section.x0) / section.bin)] |= one;
+  }
+  return flipped;
+}
+
+/**
+ * Add a row's ranks to those of the columns of the picture.
+ * @param {Uint16Array} ranks
+ * @param {Section} section
+ * @param {Uint32Array} sums
+ */
+function addBins(ranks, { x0, x1, bin }, sums) {
+  for (let column = 0, x = x0; x < x1; column++) {
+    const end = Math.min(x + bin, x1);
+    let all = 0;
+    for (; x < end; x++) all += ranks[x];
+    sums[column] += all;
+  }
 }
 
 /**

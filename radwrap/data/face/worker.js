@@ -1,6 +1,6 @@
 // A band of rows of the picture: holds the planes of light, mixes them, and draws what is asked for.
 
-import { addPlane, frameOf, ranksOf, sumPlanes } from "./mix.js";
+import { addPlane, frameOf, ranksOf, sumPlanes, timesOf } from "./mix.js";
 
 const MOST_STEPS = 64; // sums that are changed plane by plane, before they are made anew: float32 forgets
 
@@ -16,18 +16,23 @@ let factors = [];
 let ranks = ranksOf({ first: 0, values: new Float32Array(0), saturated: Infinity, lit: Infinity });
 let columns = 0, top_ = 0, codes = 256, steps = 0;
 
-/** @param {number[]} wanted */
+/**
+ * Mix the light; returns by how much the sum is to be multiplied.
+ * @param {number[]} wanted
+ */
 function mix(wanted) {
+  const times = timesOf(factors, wanted);
+  if (times !== null) return times;
   const turned = wanted.flatMap((factor, k) => (factor === factors[k] ? [] : [k]));
-  if (turned.length === 0) return;
-  if (turned.length === 1 && factors.length === wanted.length && ++steps < MOST_STEPS && wanted[turned[0]] !== 0) {
-    const [k] = turned;
-    addPlane(sum, planes[k], wanted[k] - factors[k]);
+  const few = factors.length === wanted.length && 2 * turned.length < wanted.length + 2 && ++steps < MOST_STEPS;
+  if (few && turned.every((k) => wanted[k] !== 0)) {
+    for (const k of turned) addPlane(sum, planes[k], wanted[k] - factors[k]);
   } else {
     steps = 0;
     sumPlanes(planes, wanted, sum);
   }
   factors = wanted;
+  return 1;
 }
 
 /** @param {MessageEvent} event */
@@ -58,8 +63,8 @@ onmessage = (event) => {
         reply(told.id, frame);
         break;
       }
-      if (planes.length === told.factors.length) mix(told.factors);
-      reply(told.id, frameOf(sum, columns, top_, told.scale, ranks, told.section, told.look, codes));
+      const times = planes.length === told.factors.length ? mix(told.factors) : 1;
+      reply(told.id, frameOf(sum, columns, top_, told.scale * times, ranks, told.section, told.look, codes));
       break;
     }
     case "light": {

@@ -2,7 +2,7 @@
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { addPlane, codeOf, coloursOf, frameOf, MAPS, ranksOf, sumPlanes } from "../../../radwrap/data/face/mix.js";
+import { addPlane, codeOf, coloursOf, frameOf, MAPS, ranksOf, sumPlanes, timesOf } from "../../../radwrap/data/face/mix.js";
 import { grayOf, thresholdsOf, turnedSensor } from "../../../radwrap/data/face/response.js";
 import { History, sameTurn, untouched, withKnob, withLevels } from "../../../radwrap/data/face/state.js";
 import { grouped, linePixels, profileCsv, quantile, summary } from "../../../radwrap/data/face/statistics.js";
@@ -202,4 +202,27 @@ test("units as radwrap has them", () => {
   assert.deepEqual([percent(0), percent(1e-9), percent(0.5), percent(1e-4)], ["0 %", "< 0.001 %", "50.0 %", "0.010 %"]);
   assert.equal(shortNumber(Infinity), "no bound");
   assert.equal(exposureText(1.483e-3), "1.483 mJ/m²");
+});
+
+test("levels that are turned alike need one factor, others a new sum", () => {
+  assert.equal(timesOf([1, 1, 1], [0.3, 0.3, 0.3]), 0.3);
+  assert.ok(Math.abs(timesOf([0.1, 0.7, 0], [0.3, 2.1, 0]) - 3) < 1e-12);
+  assert.equal(timesOf([0, 0.5], [0, 0]), 0); // all off
+  for (const [before, after] of [[[1, 1], [1, 1.001]], [[1, 0], [2, 1]], [[0, 0], [1, 1]], [[], [1]], [[1, 1], [1]]]) {
+    assert.equal(timesOf(before, after), null);
+  }
+});
+
+test("codes are ranks also where a bucket of bits holds many thresholds, and at words of every kind", () => {
+  const values = Float32Array.from({ length: 4000 }, (_, k) => 1e-3 + k * 1e-8);
+  const many = ranksOf({ first: 5, values, saturated: values[3998], lit: values[1] });
+  assert.equal(many.single, false);
+  assert.equal(ranksOf(thresholdsOf(EQ5)).single, true);
+  const sum = Float32Array.from([0, 1e-3, 9.99e-4, values[1], values[3998], 5e-3, Infinity, 1e-45, ...values.subarray(7, 100)]);
+  const section = { x0: 0, y0: 0, x1: sum.length, y1: 1, bin: 1 };
+  const frame = frameOf(sum, sum.length, 0, 1, many, section, PLAIN, 4096);
+  const counts = new Float64Array(4096);
+  for (const light of sum) counts[5 + values.filter((value) => value <= light).length]++;
+  assert.deepEqual(frame.counts, counts);
+  assert.deepEqual([frame.saturated, frame.dark], [3, 4]); // the one at the threshold is saturated, and is not dark
 });
