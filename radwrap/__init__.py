@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from radwrap.images import GrayImage as GrayImage
     from radwrap.imaging.forecast.effects import effects as effects
     from radwrap.imaging.forecast.explain import explain as explain
+    from radwrap.imaging.relighting import relight as relight
     from radwrap.imaging.render_options import RenderOptions as RenderOptions
     from radwrap.imaging.rendered import Rendered as Rendered
     from radwrap.imaging.synthesis import render as render
@@ -106,6 +107,7 @@ _HOMES = {
     "measure_region": "radwrap.measure.gauges",
     "measure_uniformity": "radwrap.measure.gauges",
     "measure_width": "radwrap.measure.gauges",
+    "relight": "radwrap.imaging.relighting",
     "render": "radwrap.imaging.synthesis",
     "scene_from_document": "radwrap.scene.file.load",
     "warm": "radwrap.imaging.warm",

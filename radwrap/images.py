@@ -135,6 +135,20 @@ class GrayImage(_Pixels):
         codes = np.empty(self.values.shape, dtype=np.uint8 if self.bit_depth <= 8 else np.uint16)
         return np.rint(self.values, out=codes, casting="unsafe")
 
+    def save(self, path: str | Path) -> None:
+        """Write the codes as PNG of 8 or 16 bits, with the bytes of a run's gray.png; whole or not at all.
+
+        Raises
+        ------
+        InputError
+            If the name does not end with ".png".
+        EnvironmentFailure
+            If the disk refuses.
+        """
+        if Path(path).suffix != ".png":
+            raise InputError("must end with .png", where=str(path), remedy="choose another name")
+        write_png(Path(path), self.codes)
+
 
 def digest(pixels: NDArray[Any]) -> str:
     """SHA-256 of the pixels, in hexadecimal."""

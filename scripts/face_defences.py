@@ -132,6 +132,14 @@ DEFENCES: Final = (
         "",
         ("turns", "bad_requests"),
     ),
+    Defence("coarse pictures", "face/session.py", "if found.coarse is not None:", "if False:", ("coarse", "stopped")),
+    Defence(
+        "stops between renders",
+        "face/renderer.py",
+        "        if self._stop.is_set():\n            raise _stopped()\n        self._asked",
+        "        self._stop.clear()\n        self._asked",
+        ("coarse", "between"),
+    ),
     Defence(
         "names that end scripts", "imaging/page/one_file.py", '.replace("<", "\\\\u003c")', "", ("export", "hostile")
     ),

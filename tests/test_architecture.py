@@ -59,6 +59,7 @@ ROOMS = {
             "output",
             "forecasting",
             "other_camera",
+            "relighting",
             "page",
             "rendered",
         ),
@@ -136,7 +137,7 @@ DOORS = {
 # Who writes words of the command line outside cli/, and why.
 OPTION = re.compile(r"(?<![\w-])--(?:[a-z]|$)")  # also where a name follows in an f-string
 SPELLERS = {
-    "face/session.py": "the command that makes the same picture, to be copied as it is",
+    "face/recipe.py": "the command that makes the same picture, to be copied as it is",
     "imaging/page/one_file.py": "the same",
     "imaging/page/turn.py": "the same",
     "led/connect.py": "arguments of the emulator, a program of its own",

@@ -60,13 +60,15 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.export is not None:
         return _export(arguments, scene, options)
     try:
+        from radwrap.face.recipe import Recipe
         from radwrap.face.serve import serve
     except ModuleNotFoundError as error:
         raise EnvironmentFailure(
             f"needs the package {error.name}", where="face", remedy="install it: pip install 'radwrap[face]'"
         ) from error
     browser = None if arguments.no_browser or not _has_screen() else _open
-    serve(scene, options, port=arguments.port, out=out, words=_words(arguments), opened=browser)
+    recipe = Recipe(_words(arguments), _python(arguments), _unusual(options))
+    serve(scene, options, port=arguments.port, out=out, recipe=recipe, opened=browser)
     return 0
 
 
@@ -104,6 +106,19 @@ def _words(arguments: argparse.Namespace) -> tuple[str, ...]:
         if getattr(arguments, name) not in (None, "auto"):
             words += [f"--{name}", getattr(arguments, name)]
     return (*words, *(["--trust"] if arguments.trust else []), "--basis")
+
+
+def _python(arguments: argparse.Namespace) -> str:
+    """The scene as a Python expression."""
+    changes = shared.overrides_of(arguments)
+    return f"radwrap.load_scene({arguments.scene!r}{f', {changes!r}' if changes else ''})"
+
+
+def _unusual(options: dict[str, Any]) -> dict[str, Any]:
+    """Those that decide the picture and are not as usual; how long a tracer may be silent does not."""
+    usual = RenderOptions()
+    named = ("tolerance", "seed", "tracer", "radiance", "trust")
+    return {name: options[name] for name in named if name in options and options[name] != getattr(usual, name)}
 
 
 def _has_screen() -> bool:

@@ -14,11 +14,12 @@ from radwrap.cli import options as shared
 from radwrap.errors import InputError, ToleranceNotMet
 from radwrap.files import check_result, make_folder, sha256_of, sole_owner
 from radwrap.images import PREVIEW_BITS, preview_codes, write_exr, write_png
-from radwrap.imaging.other_camera import SceneText, basis_in_other_camera
-from radwrap.imaging.output.run_manifest import MANIFEST, RunManifest, read_run_manifest
+from radwrap.imaging.other_camera import basis_in_other_camera
+from radwrap.imaging.output.run_manifest import RunManifest, read_run_manifest
 from radwrap.imaging.relight.levels import Levels, levels_of, read_levels
 from radwrap.imaging.relight.relit import Basis, Relit, read_basis, relit
 from radwrap.imaging.relight.relit_uncertainty import relit_uncertainty
+from radwrap.imaging.relighting import scene_text_of
 from radwrap.manifest import SCHEMA_VERSION, json_text, plain, write_manifest
 
 RESULT: Final = "relight.json"
@@ -77,7 +78,8 @@ def run(arguments: argparse.Namespace) -> int:
     basis = read_basis(folder)
     changes = shared.changes_of(arguments.overrides)
     if changes:
-        basis = basis_in_other_camera(basis, _scene_text(folder, basis, arguments.scene_folder), changes)
+        place = None if arguments.scene_folder is None else Path(arguments.scene_folder)
+        basis = basis_in_other_camera(basis, scene_text_of(folder, basis, place), changes)
     if arguments.levels:
         levels = read_levels(Path(arguments.levels), basis.sources, basis.dark)
     else:
@@ -104,14 +106,6 @@ def run(arguments: argparse.Namespace) -> int:
         more = f" and {len(failed) - 1} more" if len(failed) > 1 else ""
         raise ToleranceNotMet("the tolerance of the basis was not met", where=f"{failed[0]}{more}")
     return 0
-
-
-def _scene_text(folder: Path, basis: Basis, scene_folder: str | None) -> SceneText:
-    """The scene of a basis, as the manifest of its run tells it."""
-    run = read_run_manifest(folder)
-    if run.scene_sha256 != basis.scene_sha256:
-        raise InputError("is of another run", where=str(folder / MANIFEST), remedy="make the basis again")
-    return SceneText(run.scene, Path(scene_folder or folder), run.bands is not None)
 
 
 def _run_of(folder: Path, basis: Basis) -> RunManifest | None:

@@ -21,6 +21,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from radwrap.errors import EnvironmentFailure
 from radwrap.face.app import gated
+from radwrap.face.recipe import Recipe
 from radwrap.face.session import Session
 from radwrap.scene.scene import Scene
 
@@ -112,7 +113,7 @@ def serve(
     *,
     port: int,
     out: Path | None,
-    words: tuple[str, ...],
+    recipe: Recipe | None,
     opened: Callable[[Path], object] | None,
 ) -> None:
     """Serve a scene until a signal comes.
@@ -127,8 +128,8 @@ def serve(
         0 is any free one.
     out : Path or None
         For results.
-    words : tuple of str
-        Of the command that makes the basis, without its folder.
+    recipe : Recipe or None
+        How the basis is made without the page.
     opened : callable or None
         Opens a file in the user's browser.
 
@@ -146,7 +147,7 @@ def serve(
     ):
         work = Path(folder)
         at = listener.getsockname()[1]
-        session = Session(scene, options, work=work, out=out, words=words)
+        session = Session(scene, options, work=work, out=out, recipe=recipe)
         before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
         try:
             session.trace()

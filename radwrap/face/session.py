@@ -20,12 +20,13 @@ from numpy.typing import NDArray
 
 from radwrap.errors import Cancelled, InputError, RadwrapError
 from radwrap.face.coarse import Coarse, coarse_of
+from radwrap.face.recipe import Recipe, lines
 from radwrap.face.renderer import Renderer
 from radwrap.imaging.other_camera import SceneText, basis_in_other_camera
 from radwrap.imaging.output.run_manifest import MANIFEST, RunManifest, read_run_manifest
 from radwrap.imaging.page.described import described, told_of, told_thresholds
 from radwrap.imaging.page.thresholds import Thresholds, thresholds
-from radwrap.imaging.page.turn import Turn, changes_of, relight_words, spelled
+from radwrap.imaging.page.turn import Turn, changes_of
 from radwrap.imaging.relight.relit import Relighter, Relit, read_basis
 from radwrap.imaging.relight.relit_uncertainty import relit_squares
 from radwrap.imaging.response.sensor import gray_levels
@@ -81,8 +82,10 @@ class Traced:
         Of its render.
     relighter : Relighter
         Of the scene's own camera.
-    words : tuple of str
-        Of the command that makes the basis; empty where the folder stays.
+    recipe : Recipe or None
+        How the basis is made again; None where the folder stays.
+    place : str
+        What a recipe calls its folder.
     coarse : Coarse or None
         How it was traced where it stands for another that is not there yet.
     replaces : int
@@ -94,7 +97,8 @@ class Traced:
     folder: Path
     run: RunManifest
     relighter: Relighter
-    words: tuple[str, ...]
+    recipe: Recipe | None = None
+    place: str = ""
     coarse: Coarse | None = None
     replaces: int = 0
     _images: OrderedDict[Turn, Image] = field(default_factory=OrderedDict)
@@ -146,21 +150,21 @@ class Traced:
 
     def told(self, turn: Turn, image: Image) -> dict[str, Any]:
         """What a page shows of an image."""
+        command, python = self.lines(turn, image)
         return {
             "basis": self.number,
             **told_of(image.relit, image.relighter.basis, image.sigma),
             "thresholds": told_thresholds(image.thresholds),
-            "command": self.command(turn, image),
+            "command": command,
+            "python": python,
         }
 
-    def command(self, turn: Turn, image: Image, out: str = "turned") -> str:
-        """The command line that makes the same gray.png; empty for a coarse picture, which nobody wants twice."""
-        if self.coarse is not None:
-            return ""
-        folder = str(self.folder) if not self.words else self.words[-1]
-        more = _named_files(self.scene) if image.changes else ()
-        words = [*relight_words(folder, out, self.sources, turn, image.changes), *more]
-        return spelled(self.words, words)
+    def lines(self, turn: Turn, image: Image) -> tuple[str, str]:
+        """The lines of a shell and of Python that make the same gray.png; empty for a coarse picture."""
+        if self.coarse is not None:  # nobody wants it twice
+            return "", ""
+        folder = str(self.folder) if self.recipe is None else self.place
+        return lines(self.recipe, folder, self.sources, turn, image.changes, scene_folder=_named_files(self.scene))
 
     def pixel(self, image: Image, column: int, row: int) -> dict[str, Any]:
         """What is known of one pixel."""
@@ -180,11 +184,11 @@ class Traced:
         }
 
 
-def _named_files(scene: Scene) -> tuple[str, ...]:
-    """Where the command finds files that the scene's camera names."""
+def _named_files(scene: Scene) -> str | None:
+    """Where files lie that the scene's camera names, if it names any."""
     camera = json.loads(scene.document)["camera"]
     named = "calibration" in camera or "data_sheet" in camera.get("sensor", {})
-    return ("--scene-folder", str(scene.folder)) if named else ()
+    return str(scene.folder) if named else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,14 +224,14 @@ class Session:
         A folder of the server's own.
     out : Path or None
         Where results are saved and the first basis stays; without it nothing stays.
-    words : tuple of str
-        Of the command that makes the first basis, without its folder.
+    recipe : Recipe or None
+        How the first basis is made without the page; None where that is not told.
     """
 
     def __init__(
-        self, scene: Scene, options: Mapping[str, Any], *, work: Path, out: Path | None, words: tuple[str, ...]
+        self, scene: Scene, options: Mapping[str, Any], *, work: Path, out: Path | None, recipe: Recipe | None
     ) -> None:
-        self._options, self._work, self._words = dict(options), work, words
+        self._options, self._work, self._recipe = dict(options), work, recipe
         self.out = out
         self._scene = scene
         self._renderer = Renderer(work)
@@ -285,33 +289,33 @@ class Session:
         with self._guard:
             if self._thread is not None and self._thread.is_alive():
                 raise InputError("is under way", where="trace", remedy="stop it first")
-            scene, words = self._scene, self._words
+            scene, recipe = self._scene, self._recipe
             if turn is not None:
                 present = self.finished()
                 changes = changes_of(turn, present.scene.camera)
                 scene = with_levels(present.scene, dict(zip(present.sources, turn.factors, strict=True)), changes)
-                words = ()
+                recipe = None
             self._traces += 1
             self._renderer.begin()
             self._status = Status("tracing")
-            self._thread = threading.Thread(target=self._carry_out, args=(scene, words, self._traces), daemon=True)
+            self._thread = threading.Thread(target=self._carry_out, args=(scene, recipe, self._traces), daemon=True)
             self._thread.start()
 
     def stop(self) -> None:
         """Stop tracing."""
         self._renderer.stop()
 
-    def _carry_out(self, scene: Scene, words: tuple[str, ...], trace: int) -> None:
+    def _carry_out(self, scene: Scene, recipe: Recipe | None, trace: int) -> None:
         name = "basis" if trace == 1 else f"basis_{trace}"
         folder = (self.out or self._work) / name
         try:
             if self._traced is None and not (folder / MANIFEST).exists():  # a finished one is read back at once
                 self._show_coarse(scene)
             self._render(scene, self._options, folder)
-            made = (*words, "--out", str(folder) if self.out else name) if words else ()
+            place = str(folder) if self.out else name
             stood = self._traced.number if self._traced is not None and self._traced.coarse is not None else 0
-            self._traced = self._read(scene, folder, words=made, replaces=stood)
-            self._scene, self._words = scene, words
+            self._traced = self._read(scene, folder, recipe=recipe, place=place, replaces=stood)
+            self._scene, self._recipe = scene, recipe
             self._status = Status("ready")
         except Cancelled:
             self._status = Status("stopped")
@@ -346,18 +350,10 @@ class Session:
         }
         self._renderer.render(request, lambda progress: self._progressed(int(progress["done"]), int(progress["of"])))
 
-    def _read(
-        self,
-        scene: Scene,
-        folder: Path,
-        *,
-        words: tuple[str, ...] = (),
-        coarse: Coarse | None = None,
-        replaces: int = 0,
-    ) -> Traced:
+    def _read(self, scene: Scene, folder: Path, **more: Any) -> Traced:
         relighter = Relighter(read_basis(folder))
         self._number += 1
-        return Traced(self._number, scene, folder, read_run_manifest(folder), relighter, words, coarse, replaces)
+        return Traced(self._number, scene, folder, read_run_manifest(folder), relighter, **more)
 
     def _progressed(self, done: int, of: int) -> None:
         self._status = replace(self._status, done=done, of=of)

@@ -15,6 +15,7 @@ import radwrap
 from radwrap.errors import InputError
 from radwrap.face import coarse as module
 from radwrap.face.coarse import coarse_of
+from radwrap.face.recipe import Recipe
 from radwrap.face.session import Session, Traced
 from radwrap.imaging.page.turn import Turn
 from tests.cli.conftest import scene_with
@@ -75,7 +76,11 @@ def session(worth_it: None, tmp_path: Path) -> Iterator[Session]:
     del worth_it
     (tmp_path / "work").mkdir()
     found = Session(
-        scene_of(20, 24), {"tolerance": 2.0, "tracer": "radiance"}, work=tmp_path / "work", out=None, words=("x",)
+        scene_of(20, 24),
+        {"tolerance": 2.0, "tracer": "radiance"},
+        work=tmp_path / "work",
+        out=None,
+        recipe=Recipe(("x",), "s", {}),
     )
     yield found
     found.close()
@@ -113,8 +118,8 @@ def test_it_stands_in_and_changes_no_byte(session: Session, tmp_path: Path) -> N
     # The picture is told with its own error, and with no command: nobody wants it twice.
     image = first.image(Turn((1.0, 1.0)))
     assert 0 < first.told(Turn((1.0, 1.0)), image)["error"]["rms_gray_upper95"] < 3.1
-    assert first.command(Turn((1.0, 1.0)), image) == ""
-    assert last.command(Turn((0.5, 1.0)), last.image(Turn((0.5, 1.0)))).startswith("x --out basis && radwrap relight")
+    assert first.lines(Turn((1.0, 1.0)), image) == ("", "")
+    assert last.lines(Turn((0.5, 1.0)), last.image(Turn((0.5, 1.0))))[0].startswith("x --out basis && radwrap relight")
     # Its light is that of the picture: both certificates hold.
     pictures = [one.image(Turn((2.0, 0.5))).relit for one in (first, last)]
     means = [one.gray.values.mean() for one in pictures]
@@ -145,7 +150,7 @@ def test_it_stays_where_the_trace_is_stopped(worth_it: None, tmp_path: Path) -> 
     work = tmp_path / "work"
     work.mkdir()
     options = {"tolerance": LONG_OPTIONS[1], "tracer": "radiance"}
-    session = Session(radwrap.scene_from_document(scene_with(LONG)), options, work=work, out=None, words=())
+    session = Session(radwrap.scene_from_document(scene_with(LONG)), options, work=work, out=None, recipe=None)
     try:
         session.trace()
         end = time.monotonic() + PATIENCE
@@ -170,3 +175,16 @@ def test_it_stays_where_the_trace_is_stopped(worth_it: None, tmp_path: Path) -> 
         assert [json.loads(path.read_bytes())["options"]["tolerance"] for path in more] == [options["tolerance"]]
     finally:
         session.close()
+
+
+def test_a_stop_between_its_trace_and_the_next_is_not_lost(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    read = session._read
+
+    def stopped(*given: Any, **more: Any) -> Traced:
+        session.stop()
+        return read(*given, **more)
+
+    monkeypatch.setattr(session, "_read", stopped)
+    session.trace()
+    (first,) = seen(session)
+    assert first.coarse is not None and session.status.state == "stopped"

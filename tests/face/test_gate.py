@@ -115,7 +115,7 @@ def test_the_table_of_these_tests_is_the_servers(monkeypatch: pytest.MonkeyPatch
     tables = []
     monkeypatch.setattr(app, "Gate", lambda inner, table, **_: tables.append(table))
     scene = radwrap.scene_from_document(SMALL)
-    app.gated(Session(scene, {}, work=tmp_path, out=None, words=()), port=1, token="")
+    app.gated(Session(scene, {}, work=tmp_path, out=None, recipe=None), port=1, token="")
     (table,) = tables
     assert {path for path, door in table.items() if door.guarded} == set(GUARDED)
     assert all(door.method == "POST" for door in table.values() if door.guarded)

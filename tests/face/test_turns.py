@@ -234,6 +234,10 @@ def test_the_page_shows_what_its_command_writes(
     assert np.array_equal(ranks, written.ravel())
     assert np.array_equal(exposure, read_image(tmp_path / "turned" / "gray.exr")[0].ravel())
     assert np.array_equal(sigma, read_image(tmp_path / "turned" / "gray_sigma" / "gray.exr")[0].ravel())
+    made = (served.out / "basis" / "manifest.json").stat().st_mtime_ns
+    exec(told["python"].replace("turned.png", str(tmp_path / "turned.png")), {})  # noqa: S102
+    assert (served.out / "basis" / "manifest.json").stat().st_mtime_ns == made  # the same render: it was finished
+    assert (tmp_path / "turned.png").read_bytes() == (tmp_path / "turned" / "gray.png").read_bytes()
     png = served.post("/api/png", {"basis": basis, "turn": turn})
     assert png.body == (tmp_path / "turned" / "gray.png").read_bytes()
     saturated = told["thresholds"]["saturated"]

@@ -250,6 +250,8 @@ export class Explorer {
     this.tell.state("measured", "good");
     byId("picture").classList.remove("old");
     byId("copy").hidden = told.command === "";
+    byId("inpython").hidden = !told.python;
+    byId("python").textContent = told.python ?? "";
     byId("command").textContent = told.command || "The command comes with the picture of the asked tolerance.";
     this.offer(this.tracing);
     this.tellLeftOut();
@@ -406,7 +408,9 @@ export class Explorer {
       this.resetWindow();
       this.draw();
     });
-    click("copy", () => { void navigator.clipboard?.writeText(byId("command").textContent ?? ""); });
+    for (const [id, text] of [["copy", "command"], ["copypython", "python"]]) {
+      click(id, () => { void navigator.clipboard?.writeText(byId(text).textContent ?? ""); });
+    }
     click("help", () => byId("dialog", HTMLDialogElement).showModal());
     click("png", () => this.fetched("png", {}, "gray.png", "image/png"));
     click("toml", () => this.fetched("scene", {}, "scene.toml", "application/toml"));

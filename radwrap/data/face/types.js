@@ -32,7 +32,7 @@
  *   saturated_fraction: number, gray: {min: number, max: number, mean: number}, sigma_rms: number,
  *   exposure_of_radiance: number, sensor: Sensor,
  *   thresholds: {first: number, count: number, saturated: number | null, lit: number | null},
- *   command: string}} Told
+ *   command: string, python?: string}} Told
  *
  * @typedef {{told: Told, thresholds: Thresholds, exposure: Float32Array, sigma: Float32Array}} Certified
  * An image as the server has made it.

@@ -136,17 +136,37 @@ def changes_of(turn: Turn, camera: Camera) -> dict[str, Any]:
 def relight_words(basis: str, out: str, sources: Sequence[str], turn: Turn, changes: Mapping[str, Any]) -> list[str]:
     """The words of the command that makes the same gray.png from a basis' folder."""
     words = ["radwrap", "relight", basis]
-    rest = dict(zip(sources, turn.factors, strict=True))
-    for ring, names in rings_of(sources).items():
-        if len({rest[name] for name in names}) == 1 and rest[names[0]] != 1.0:
-            words += ["--level", f"{ring}={rest[names[0]]!r}"]
-            rest.update(dict.fromkeys(names, 1.0))
-    for name, factor in rest.items():
-        if factor != 1.0:
-            words += ["--level", f"{name}={factor!r}"]
+    for name, factor in levels_in_short(sources, turn).items():
+        words += ["--level", f"{name}={factor!r}"]
     for key, value in changes.items():
         words += ["--set", f"{key}={value if isinstance(value, str) else repr(value)}"]
     return [*words, "--out", out]
+
+
+def relight_python(
+    basis: str,
+    out: str,
+    sources: Sequence[str],
+    turn: Turn,
+    changes: Mapping[str, Any],
+    *,
+    scene_folder: str | None = None,
+) -> str:
+    """The Python expression that writes the same gray.png from a basis' folder."""
+    more = [repr(one) for one in (levels_in_short(sources, turn), dict(changes)) if one or changes]
+    more += [] if scene_folder is None else [f"scene_folder={scene_folder!r}"]
+    return f"radwrap.relight({', '.join([repr(basis), *more])}).gray.save({out!r})"
+
+
+def levels_in_short(sources: Sequence[str], turn: Turn) -> dict[str, float]:
+    """Levels that are turned, that of a ring by its own name where all its LEDs have one."""
+    rest = dict(zip(sources, turn.factors, strict=True))
+    found: dict[str, float] = {}
+    for ring, names in rings_of(sources).items():
+        if len({rest[name] for name in names}) == 1 and rest[names[0]] != 1.0:
+            found[ring] = rest[names[0]]
+            rest.update(dict.fromkeys(names, 1.0))
+    return found | {name: factor for name, factor in rest.items() if factor != 1.0}
 
 
 def rings_of(sources: Sequence[str]) -> dict[str, list[str]]:

@@ -1,0 +1,87 @@
+"""One image of a light basis: other levels of its sources, another exposure time, other electronics of the sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from radwrap.errors import InputError
+from radwrap.imaging.other_camera import SceneText, basis_in_other_camera
+from radwrap.imaging.output.run_manifest import MANIFEST, read_run_manifest
+from radwrap.imaging.relight.levels import levels_of
+from radwrap.imaging.relight.relit import Basis, Relit, read_basis, relit
+
+_NOTHING: Final[Mapping[str, Any]] = {}
+
+
+def relight(
+    folder: str | Path,
+    levels: Mapping[str, float] = _NOTHING,
+    changes: Mapping[str, Any] = _NOTHING,
+    *,
+    scene_folder: str | Path | None = None,
+) -> Relit:
+    """Make an image of a light basis without a ray, as ``radwrap relight`` does: the same gray levels and error.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Of a render with ``basis=True``.
+    levels : Mapping[str, float]
+        Name of a source, or of a ring for all its LEDs -> factor on its radiance in the scene; what comes later
+        replaces what came before, and what is not named stays as it is.
+    changes : Mapping
+        Keys of the scene file with other values: the exposure time and the sensor's electronics, such as
+        ``{"camera.exposure_time": "64 ms"}``.
+    scene_folder : str or Path, optional
+        Of the scene file; needed with changes where its camera names a data sheet or a calibration.
+
+    Returns
+    -------
+    Relit
+        ``gray``, ``radiant_exposure`` [J m^-2], and ``certificate``, measured anew in this light and camera.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no whole basis, a name is unknown, a value is wrong, or a change needs rays.
+
+    Examples
+    --------
+    >>> import radwrap
+    >>> made = radwrap.render(radwrap.load_scene("scene.toml"), "lit", tolerance=8, basis=True)
+    >>> dimmer = radwrap.relight("lit", {"ring": 0.5}, {"camera.exposure_time": "64 ms"})
+    >>> bool(dimmer.gray.values.mean() < made.gray.values.mean())
+    True
+    """
+    folder = Path(folder)
+    basis = read_basis(folder)
+    factors = levels_of([f"{name}={float(factor)!r}" for name, factor in levels.items()], basis.sources, basis.dark)
+    if changes:
+        text = scene_text_of(folder, basis, None if scene_folder is None else Path(scene_folder))
+        basis = basis_in_other_camera(basis, text, changes)
+    return next(relit(basis, [factors]))
+
+
+def scene_text_of(folder: Path, basis: Basis, scene_folder: Path | None = None) -> SceneText:
+    """The scene of a basis, as the manifest of its run tells it.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the basis.
+    basis : Basis
+        That was read from there.
+    scene_folder : Path, optional
+        Where files lie that its camera names; default the basis' own.
+
+    Raises
+    ------
+    InputError
+        If the manifest is of another run.
+    """
+    run = read_run_manifest(folder)
+    if run.scene_sha256 != basis.scene_sha256:
+        raise InputError("is of another run", where=str(folder / MANIFEST), remedy="make the basis again")
+    return SceneText(run.scene, scene_folder or folder, run.bands is not None)
