@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any, Final
 
@@ -11,7 +12,7 @@ import numpy as np
 from radwrap.errors import InputError
 from radwrap.face.profile import profile_table
 from radwrap.face.session import Image, Traced
-from radwrap.files import make_folder, sole_owner, write_bytes
+from radwrap.files import TEMPORARY_SUFFIX, disk_failure, make_folder, sole_owner, temporary_name, write_bytes
 from radwrap.images import PREVIEW_BITS, preview_codes, write_exr, write_png
 from radwrap.imaging.page.turn import Turn
 from radwrap.manifest import write_manifest
@@ -37,34 +38,53 @@ def scene_text(scene: Scene) -> str:
 def save(
     out: Path, traced: Traced, turn: Turn, image: Image, ends: tuple[int, int, int, int] | None
 ) -> tuple[Path, str]:
-    """Write gray.png, its deviations, the turned scene and the profile into a new folder of `out`.
+    """Write gray.png, its deviations, the turned scene and the profile into a new folder of `out`, all or nothing.
 
     Returns
     -------
     Path, str
         The folder, and a note where the scene file could not be written, or not for that place.
+
+    Raises
+    ------
+    EnvironmentFailure
+        If the disk refuses.
     """
     make_folder(out)
     with sole_owner(out):
+        for leftover in out.glob(f".turn_*{TEMPORARY_SUFFIX}"):  # of a server that was killed
+            shutil.rmtree(leftover, ignore_errors=True)
         folder = next(path for k in range(1, _MOST) if not (path := out / f"turn_{k:04d}").exists())
-        make_folder(folder)
-        write_png(folder / "gray.png", image.relit.gray.codes)
-        if image.relit.gray.bit_depth > PREVIEW_BITS:
-            write_png(folder / "preview.png", preview_codes(image.relit.gray))
-        write_exr(folder / "gray_sigma.exr", image.sigma.astype(np.float32), channel="gray_sigma")
-        exposure = image.relit.radiant_exposure.values.astype(np.float32)
-        unit = {"radwrap:unit": "J m^-2"}
-        write_exr(folder / "radiant_exposure.exr", exposure, channel="radiant_exposure", metadata=unit)
-        if ends is not None:
-            write_bytes(folder / "profile.csv", profile_table(image, ends).encode())
-        note = _write_scene(folder, traced, turn, image)
-        told: dict[str, Any] = {
-            **traced.told(turn, image),
-            "levels": dict(zip(traced.sources, turn.factors, strict=True)),
-            "changed": dict(image.changes),
-        }
-        write_manifest(folder / "turn.json", told)
+        begun = temporary_name(folder)
+        try:
+            make_folder(begun)
+            note = _write_all(begun, traced, turn, image, ends)
+            begun.rename(folder)
+        except OSError as error:
+            raise disk_failure(folder, error) from error
+        finally:
+            shutil.rmtree(begun, ignore_errors=True)
     return folder, note
+
+
+def _write_all(folder: Path, traced: Traced, turn: Turn, image: Image, ends: tuple[int, int, int, int] | None) -> str:
+    write_png(folder / "gray.png", image.relit.gray.codes)
+    if image.relit.gray.bit_depth > PREVIEW_BITS:
+        write_png(folder / "preview.png", preview_codes(image.relit.gray))
+    write_exr(folder / "gray_sigma.exr", image.sigma.astype(np.float32), channel="gray_sigma")
+    exposure = image.relit.radiant_exposure.values.astype(np.float32)
+    unit = {"radwrap:unit": "J m^-2"}
+    write_exr(folder / "radiant_exposure.exr", exposure, channel="radiant_exposure", metadata=unit)
+    if ends is not None:
+        write_bytes(folder / "profile.csv", profile_table(image, ends).encode())
+    note = _write_scene(folder, traced, turn, image)
+    told: dict[str, Any] = {
+        **traced.told(turn, image),
+        "levels": dict(zip(traced.sources, turn.factors, strict=True)),
+        "changed": dict(image.changes),
+    }
+    write_manifest(folder / "turn.json", told)
+    return note
 
 
 def _write_scene(folder: Path, traced: Traced, turn: Turn, image: Image) -> str:

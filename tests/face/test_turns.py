@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import resource
 import shlex
 import shutil
 from dataclasses import replace
@@ -297,6 +298,22 @@ def test_bad_requests_are_told(served: Served, path: str, told: dict[str, Any], 
     served.ready()
     answer = served.post(f"/api/{path}", told)
     assert answer.status == 422 and says in answer.json["text"]
+
+
+@pytest.mark.parametrize("room", [0, 300, 900])  # byte of a file: none fits, then the small ones do
+def test_a_full_disk_is_told_and_nothing_half_is_left(served: Served, room: int) -> None:
+    asked = {"basis": number(served), "turn": {"levels": [0.5, 1.5]}, "profile": [0, 0, 5, 5]}
+    before = {path.name for path in served.out.iterdir()}
+    limits = resource.prlimit(served.process.pid, resource.RLIMIT_FSIZE)
+    resource.prlimit(served.process.pid, resource.RLIMIT_FSIZE, (room, limits[1]))
+    try:
+        answer = served.post("/api/save", asked)
+    finally:
+        resource.prlimit(served.process.pid, resource.RLIMIT_FSIZE, limits)
+    assert answer.status == 422 and "free disk space" in answer.json["text"]
+    assert {path.name for path in served.out.iterdir()} - {".radwrap.lock"} == before - {".radwrap.lock"}
+    assert served.post("/api/save", asked).status == 200  # the page goes on
+    shutil.rmtree(served.out / "turn_0001")
 
 
 def test_saving_writes_a_folder_that_the_server_names(served: Served, tmp_path: Path) -> None:
