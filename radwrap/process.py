@@ -391,6 +391,7 @@ class Child:
 
     def __init__(self, program: subprocess.Popen[bytes]) -> None:
         self._program = program
+        self._begun = b""  # of a line whose end has not come yet: its writer may be interrupted anywhere
 
     @property
     def ended(self) -> bool:
@@ -410,12 +411,13 @@ class Child:
         """Wait for its next line for `patience` seconds; None where none comes."""
         pipe = self._program.stdout
         assert pipe is not None  # noqa: S101  (stdout=PIPE in start_child)
-        end, line = time.monotonic() + patience, b""
+        end = time.monotonic() + patience
         while select.select([pipe], [], [], max(0.0, end - time.monotonic()))[0]:
             byte = pipe.read(1)
             if not byte or byte == b"\n":
+                line, self._begun = self._begun, b""
                 return line.decode(errors="replace") if byte or line else None
-            line += byte
+            self._begun += byte
         return None
 
     @property

@@ -129,6 +129,18 @@ def test_a_child_talks_in_lines_and_ends_with_its_stdin(tmp_path: Path) -> None:
     assert child.ended and not child.tell("more")
 
 
+def test_a_line_that_comes_in_parts_is_one(tmp_path: Path) -> None:
+    """As of a Python without buffers, which writes a line and its end apart and may be interrupted between."""
+    code = "import os\nos.write(1, b'half')\nif input() == 'go on': os.write(1, b' and half\\nmore')"
+    child = start_child([PYTHON, "-c", code], folder=tmp_path, environment={})
+    end = time.monotonic() + PATIENCE
+    while not child._begun:  # it has begun, and no look is long enough for the rest
+        assert child.hear(0.01) is None and time.monotonic() < end
+    assert child.hear(0.05) is None and child.tell("go on")
+    assert [child.hear(PATIENCE), child.hear(PATIENCE)] == ["half and half", "more"]
+    child.close(PATIENCE)
+
+
 def test_a_child_that_does_not_listen_is_killed(tmp_path: Path) -> None:
     child = start_child([PYTHON, "-c", "import time; time.sleep(1000)"], folder=tmp_path, environment={})
     begin = time.monotonic()

@@ -188,7 +188,8 @@ def _answered(warmth: Any, path: Path, ears: _Ears) -> dict[str, Any]:
 
 def _tell(answer: Mapping[str, Any]) -> None:
     with suppress(OSError):  # the server is gone, as our stdin is about to say
-        print(json.dumps(answer), flush=True)
+        sys.stdout.write(f"{json.dumps(answer)}\n")
+        sys.stdout.flush()
 
 
 class _Ears(threading.Thread):
