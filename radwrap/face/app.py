@@ -19,7 +19,7 @@ from starlette.routing import Route
 from radwrap.errors import InputError, RadwrapError
 from radwrap.face.assets import Asset, assets
 from radwrap.face.gate import App, Door, Gate
-from radwrap.face.profile import ends_of, profile_table
+from radwrap.face.profile import ends_of, profile_table, width_of
 from radwrap.face.saving import save, scene_text, turned_scene
 from radwrap.face.session import Image, Session, Status, Traced
 from radwrap.images import png_bytes
@@ -190,7 +190,8 @@ class _Answers:
         """A profile as CSV."""
         traced, told = await self._asked(request)
         image = await self._image(request, traced, _turn(told, traced))
-        table = profile_table(image, ends_of(told.get("profile"), *image.sigma.shape))
+        ends = ends_of(told.get("profile"), *image.sigma.shape)
+        table = profile_table(image, ends, width_of(told.get("width")))
         return Response(table, media_type="text/csv; charset=utf-8")
 
     async def png(self, request: Request) -> Response:
@@ -215,7 +216,8 @@ class _Answers:
         turn = _turn(told, traced)
         image = await self._image(request, traced, turn)
         ends = None if told.get("profile") is None else ends_of(told["profile"], *image.sigma.shape)
-        folder, note = await asyncio.to_thread(save, out, traced, turn, image, ends)
+        line = None if ends is None else (ends, width_of(told.get("width")))
+        folder, note = await asyncio.to_thread(save, out, traced, turn, image, line)
         return JSONResponse({"folder": str(folder), "note": note})
 
     async def trace(self, request: Request) -> Response:

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from radwrap.errors import InputError
-from radwrap.face.profile import profile_table
+from radwrap.face.profile import Ends, profile_table
 from radwrap.face.session import Image, Traced
 from radwrap.files import TEMPORARY_SUFFIX, disk_failure, make_folder, sole_owner, temporary_name, write_bytes
 from radwrap.images import PREVIEW_BITS, preview_codes, write_exr, write_png
@@ -35,9 +35,7 @@ def scene_text(scene: Scene) -> str:
     return f"# Written by radwrap face from {scene.origin}.\n\n{tomli_w.dumps(json.loads(scene.document))}"
 
 
-def save(
-    out: Path, traced: Traced, turn: Turn, image: Image, ends: tuple[int, int, int, int] | None
-) -> tuple[Path, str]:
+def save(out: Path, traced: Traced, turn: Turn, image: Image, line: tuple[Ends, int] | None) -> tuple[Path, str]:
     """Write gray.png, its deviations, the turned scene and the profile into a new folder of `out`, all or nothing.
 
     Returns
@@ -58,7 +56,7 @@ def save(
         begun = temporary_name(folder)
         try:
             make_folder(begun)
-            note = _write_all(begun, traced, turn, image, ends)
+            note = _write_all(begun, traced, turn, image, line)
             begun.rename(folder)
         except OSError as error:
             raise disk_failure(folder, error) from error
@@ -67,7 +65,7 @@ def save(
     return folder, note
 
 
-def _write_all(folder: Path, traced: Traced, turn: Turn, image: Image, ends: tuple[int, int, int, int] | None) -> str:
+def _write_all(folder: Path, traced: Traced, turn: Turn, image: Image, line: tuple[Ends, int] | None) -> str:
     write_png(folder / "gray.png", image.relit.gray.codes)
     if image.relit.gray.bit_depth > PREVIEW_BITS:
         write_png(folder / "preview.png", preview_codes(image.relit.gray))
@@ -75,8 +73,8 @@ def _write_all(folder: Path, traced: Traced, turn: Turn, image: Image, ends: tup
     exposure = image.relit.radiant_exposure.values.astype(np.float32)
     unit = {"radwrap:unit": "J m^-2"}
     write_exr(folder / "radiant_exposure.exr", exposure, channel="radiant_exposure", metadata=unit)
-    if ends is not None:
-        write_bytes(folder / "profile.csv", profile_table(image, ends).encode())
+    if line is not None:
+        write_bytes(folder / "profile.csv", profile_table(image, *line).encode())
     note = _write_scene(folder, traced, turn, image)
     told: dict[str, Any] = {
         **traced.told(turn, image),

@@ -267,6 +267,23 @@ def test_a_pixel_and_a_profile_are_those_of_the_files(served: Served) -> None:
     assert sum(part**2 for part in pixel["parts"].values()) == pytest.approx(pixel["sigma"] ** 2)
 
 
+def test_a_wide_profile_is_the_mean_across_the_line(served: Served) -> None:
+    """Along a row: of the rows beside it too, at the border of those that there are; its deviation is no smaller."""
+    asked = {"basis": number(served), "profile": [3, 1, 20, 1], "width": 5}
+    _, (_, exposure, sigma) = served.post("/api/turn", {"basis": asked["basis"]}).blocks()
+    rows = [line.split(",") for line in served.post("/api/profile", asked).body.decode().splitlines()]
+    table = np.array(rows[1:], dtype=float)
+    strip = slice(0, 4), slice(3, 21)  # two rows above the line would be those of -1 and 0
+    for column, values in ((6, exposure), (5, sigma)):
+        mean = values.reshape(20, 24)[strip].astype(float).mean(axis=0)
+        assert np.allclose(table[:, column], mean, rtol=1e-6)
+    assert (table[:, 7] == 4).all() and rows[0][7] == "pixels"
+    slanted = served.post("/api/profile", {**asked, "profile": [2, 2, 14, 14], "width": 3}).body.decode().splitlines()
+    assert [line.rpartition(",")[2] for line in slanted[1:]] == ["3"] * 13
+    for width in (0, 2, 101, 1.5, "3", True):
+        assert "odd number" in served.post("/api/profile", {**asked, "width": width}).json["text"]
+
+
 def test_planes_add_up_to_the_picture(served: Served) -> None:
     basis = number(served)
     described = served.ready()

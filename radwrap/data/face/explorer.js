@@ -1,14 +1,15 @@
 // One basis on the page: knobs, picture, readings, and the server's word on each turn once the knobs rest.
 
-import { byId, download, element, focusedKnob, focusKnob } from "./dom.js";
+import { byId, download, element } from "./dom.js";
 import { Field } from "./field.js";
+import { take } from "./handover.js";
 import { KnobPanel } from "./knobs.js";
 import { coloursOf } from "./mix.js";
 import { HistogramPlot, ProfilePlot } from "./plots.js";
 import { Readings } from "./readings.js";
 import { grayOf, thresholdsOf, turnedSensor } from "./response.js";
 import { History, sameTurn, untouched } from "./state.js";
-import { linePixels } from "./statistics.js";
+import { linePixels, stripPixels } from "./statistics.js";
 import { parseTime, percent, shortNumber } from "./units.js";
 import { NUMBERS_FROM, View } from "./view.js";
 
@@ -65,7 +66,7 @@ export class Explorer {
     this.histogram = new HistogramPlot(fresh("histogram"), byId("histogramtable"));
     this.listen();
     this.resetWindow();
-    if (kept) this.take(kept);
+    if (kept) take(this, kept);
     this.tellLeftOut();
     byId("rays").textContent = "Pose, opening, focus, materials and targets need rays: change them in the scene file."
       + (described.dark_sources.length ? ` Dark in the scene, so without a knob: ${described.dark_sources.join(", ")}.` : "");
@@ -92,42 +93,6 @@ export class Explorer {
     } catch (error) {
       if (!this.leave.signal.aborted) this.tell.banner(error instanceof Error ? error.message : String(error));
     }
-  }
-
-  /**
-   * What of this coarse picture goes on in the one that it stood for; null where that is another one.
-   * @param {Described} next
-   * @returns {Kept | null}
-   */
-  kept(next) {
-    const { basis, coarse: block, sources } = this.described;
-    const same = block && next.replaces === basis && sources.length === next.sources.length;
-    if (!same) return null;
-    const { pin, line, region } = this.readings;
-    const { view } = this;
-    /** @param {number} place @param {number} most */
-    const middle = (place, most) => Math.min(most - 1, Math.floor((place + 0.5) * block));
-    /** @param {number[]} ends */
-    const scaled = (ends) => ends.map((place, k) => middle(place, k % 2 ? next.rows : next.columns));
-    const low = byId("low", HTMLInputElement).value, high = byId("high", HTMLInputElement).value;
-    const full = low === "0" && high === String(2 ** this.sensor.bit_depth - 1);
-    return {
-      history: this.history, focus: focusedKnob(),
-      pin: pin && { u: middle(pin.u, next.columns), v: middle(pin.v, next.rows) },
-      line: line && scaled(line), region: region && scaled(region), look: full ? null : { low, high },
-      sight: view.fitted ? null : { x: view.x * block, y: view.y * block, size: view.size / block },
-    };
-  }
-
-  /** @param {Kept} kept */
-  take({ pin, line, region, look, sight, focus }) {
-    if (focus) focusKnob(focus);
-    Object.assign(this.readings, { pin, line, region });
-    if (look) {
-      byId("low", HTMLInputElement).value = look.low;
-      byId("high", HTMLInputElement).value = look.high;
-    }
-    if (sight) this.view.see(sight);
   }
 
   close() {
@@ -294,6 +259,18 @@ export class Explorer {
     byId("high", HTMLInputElement).value = String(2 ** this.sensor.bit_depth - 1);
   }
 
+  /** Codes that are shown black and white. @returns {[number, number]} */
+  get window() {
+    return [Number(byId("low", HTMLInputElement).value), Number(byId("high", HTMLInputElement).value)];
+  }
+
+  /** @param {[number, number]} window */
+  setWindow([low, high]) {
+    byId("low", HTMLInputElement).value = String(low);
+    byId("high", HTMLInputElement).value = String(high);
+    this.draw();
+  }
+
   draw() {
     if (!this.view) return;
     byId("zoom").textContent = this.view.text;
@@ -372,11 +349,30 @@ export class Explorer {
     return values.map(({ code }, k) => ({ ...pixels[k], code }));
   }
 
-  /** @param {number[]} ends */
+  /** An odd number of pixels. */
+  get profileWidth() {
+    const width = Math.round(Number(byId("profilewidth", HTMLInputElement).value));
+    return width >= 1 && width <= 99 ? width - 1 + (width % 2) : 1;
+  }
+
+  /**
+   * Of a wide profile, means over the pixels across the line; that of the deviation too, as pixels may err together.
+   * @param {number[]} ends
+   */
   async profileRows(ends) {
-    const pixels = linePixels(/** @type {any} */ (ends));
-    const values = await this.values(pixels);
-    return values.map((value, k) => ({ ...pixels[k], ...value }));
+    const line = /** @type {[number, number, number, number]} */ (ends);
+    const { rows, columns } = this.described;
+    const strips = stripPixels(line, this.profileWidth, rows, columns);
+    const values = await this.values(strips.flat());
+    if (values.length === 0) return [];
+    let next = 0;
+    return linePixels(line).map((pixel, k) => {
+      const mine = values.slice(next, next += strips[k].length);
+      /** @param {(value: Value) => number} of */
+      const mean = (of) => mine.reduce((sum, value) => sum + of(value), 0) / mine.length;
+      return { ...pixel, code: mean(({ code }) => code), gray: mean(({ gray }) => gray), exposure: mean(({ exposure }) => exposure),
+        sigma: mine[0].sigma === null ? null : mean(({ sigma }) => sigma ?? 0), pixels: mine.length };
+    });
   }
 
   // ---------------------------------------------------------------------------------------------------------- Listening
@@ -418,6 +414,7 @@ export class Explorer {
     for (const id of ["low", "high", "map", "saturated", "flips", "dark", "share"]) {
       byId(id).addEventListener("input", () => this.draw(), { signal });
     }
+    byId("profilewidth").addEventListener("input", () => this.readings.changed(), { signal });
     document.addEventListener("keydown", (event) => {
       if (!(event.ctrlKey || event.metaKey) || event.target instanceof HTMLInputElement && event.target.type === "text") return;
       if (event.key === "z" || event.key === "y") {
@@ -440,7 +437,7 @@ export class Explorer {
 
   async save() {
     try {
-      const told = { basis: this.described.basis, turn: this.history.now, profile: this.readings.line };
+      const told = { basis: this.described.basis, turn: this.history.now, profile: this.readings.line, width: this.profileWidth };
       const { folder, note } = await (await this.source.ask("save", told)).json();
       byId("saved").textContent = `saved in ${folder}${note ? `; ${note}` : ""}`;
     } catch (error) {

@@ -2,6 +2,7 @@
 
 import { byId, pressed } from "./dom.js";
 import { Explorer } from "./explorer.js";
+import { keptOf } from "./handover.js";
 import { Refused, Server, takeToken } from "./server.js";
 
 const HAND = 100; // ms between looks at whether a knob is let go
@@ -63,7 +64,7 @@ async function begin() {
           await pause(HAND);
           continue;
         }
-        const kept = explorer?.kept(told.described) ?? null;
+        const kept = keptOf(explorer, told.described);
         explorer?.close();
         banner(null);
         explorer = new Explorer(server, told.described, { state: told.described.coarse ? () => {} : state, banner }, kept);

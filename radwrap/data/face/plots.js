@@ -83,7 +83,7 @@ export class ProfilePlot {
     const edge = (sign) => rows.map(({ gray, sigma }) => (sigma === null ? gray : gray + sign * 1.96 * sigma));
     this.plot.show([rows.map((row) => row.distance), rows.map((row) => row.gray), edge(1), edge(-1)]);
     const cells = rows.slice(0, MOST_ROWS).map(({ distance, u, v, code, gray, sigma }) =>
-      [shortNumber(distance), u, v, code, shortNumber(gray, 5), sigma === null ? "" : shortNumber(sigma, 2)]);
+      [shortNumber(distance), u, v, shortNumber(code, 6), shortNumber(gray, 5), sigma === null ? "" : shortNumber(sigma, 2)]);
     const more = rows.length > MOST_ROWS ? [element("p", { class: "note" }, `${rows.length} rows; all are in the CSV`)] : [];
     this.table.replaceChildren(tableOf("Profile", ["distance [px]", "u", "v", "code", "gray", "± 1 σ"], cells), ...more);
   }

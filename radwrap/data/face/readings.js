@@ -1,7 +1,7 @@
 // The probe, the profile and the region: what is read off the picture, by pointer and by keys.
 
 import { byId, download, element, tableOf } from "./dom.js";
-import { profileCsv, summary } from "./statistics.js";
+import { draggedWindow, profileCsv, summary } from "./statistics.js";
 import { exposureText, shortNumber } from "./units.js";
 
 /** @typedef {import("./explorer.js").Explorer} Explorer */
@@ -114,14 +114,14 @@ export class Readings {
   listen(signal) {
     const frame = byId("picture");
     const { view, described } = this.explorer;
-    /** @type {{pixel: Pixel, x: number, y: number, moved: boolean} | null} */
+    /** @type {{pixel: Pixel, x: number, y: number, moved: boolean, window: [number, number]} | null} */
     let drag = null;
     frame.addEventListener("pointerdown", (event) => {
       frame.focus();
       const pixel = view.pixelAt(event, true);
       if (!pixel || event.button > 1) return;
       frame.setPointerCapture(event.pointerId);
-      drag = { pixel, x: event.clientX, y: event.clientY, moved: false };
+      drag = { pixel, x: event.clientX, y: event.clientY, moved: false, window: this.explorer.window };
       event.preventDefault();
     }, { signal });
     frame.addEventListener("pointermove", (event) => {
@@ -133,7 +133,7 @@ export class Readings {
       this.changed();
     }, { signal });
     frame.addEventListener("pointerup", () => {
-      if (drag && !drag.moved && this.tool !== "pan") {
+      if (drag && !drag.moved && this.tool !== "pan" && this.tool !== "window") {
         const again = this.pin && this.pin.u === drag.pixel.u && this.pin.v === drag.pixel.v;
         this.setPin(again ? null : drag.pixel);
       }
@@ -155,7 +155,7 @@ export class Readings {
   }
 
   /**
-   * @param {{pixel: Pixel, x: number, y: number}} drag
+   * @param {{pixel: Pixel, x: number, y: number, window: [number, number]}} drag
    * @param {PointerEvent} event
    */
   dragged(drag, event) {
@@ -169,6 +169,8 @@ export class Readings {
       view.move(((drag.x - event.clientX) * dots) / view.size, ((drag.y - event.clientY) * dots) / view.size);
       drag.x = event.clientX;
       drag.y = event.clientY;
+    } else if (this.tool === "window") {
+      this.explorer.setWindow(draggedWindow(drag.window, event.clientX - drag.x, event.clientY - drag.y));
     } else if (this.tool === "profile") {
       const across = Math.abs(end.u - u) >= Math.abs(end.v - v);
       this.line = event.shiftKey ? [u, v, across ? end.u : u, across ? v : end.v] : [u, v, end.u, end.v];
@@ -208,7 +210,7 @@ export class Readings {
       "+": () => view.zoom(1, from), "=": () => view.zoom(1, from), "-": () => view.zoom(-1, from),
       f: () => view.fit(), 1: () => view.zoomTo(1, 1, from),
       s: () => toggle("saturated"), x: () => toggle("flips"), d: () => toggle("dark"),
-      p: () => choose("probe"), l: () => choose("profile"), r: () => choose("region"), m: () => choose("pan"),
+      p: () => choose("probe"), l: () => choose("profile"), r: () => choose("region"), m: () => choose("pan"), w: () => choose("window"),
       h: () => { this.line = [0, from.v, columns - 1, from.v]; this.changed(); },
       v: () => { this.line = [from.u, 0, from.u, rows - 1]; this.changed(); },
       Enter: () => this.setPin(this.pin ? null : from),
@@ -224,7 +226,7 @@ export class Readings {
     const { explorer, line } = this;
     if (!line) return;
     if (explorer.source.ask && explorer.source.live) {
-      await explorer.fetched("profile", { profile: line }, "profile.csv", "text/csv");
+      await explorer.fetched("profile", { profile: line, width: explorer.profileWidth }, "profile.csv", "text/csv");
       return;
     }
     download(profileCsv(await explorer.profileRows(line)), "profile.csv", "text/csv");

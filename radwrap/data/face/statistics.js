@@ -18,6 +18,31 @@ export function linePixels([u0, v0, u1, v1]) {
 }
 
 /**
+ * Pixels across each step of a line, as radwrap/face/profile.py takes them; those outside are left out.
+ * @param {[number, number, number, number]} ends
+ * @param {number} width an odd number of pixels
+ * @param {number} rows
+ * @param {number} columns
+ * @returns {{u: number, v: number}[][]}
+ */
+export function stripPixels([u0, v0, u1, v1], width, rows, columns) {
+  const steps = Math.max(Math.abs(u1 - u0), Math.abs(v1 - v0));
+  const length = Math.sqrt((u1 - u0) ** 2 + (v1 - v0) ** 2);
+  const [across, down] = length ? [-(v1 - v0) / length, (u1 - u0) / length] : [0, 1];
+  return Array.from({ length: steps + 1 }, (_, k) => {
+    const share = k / Math.max(steps, 1);
+    const found = [];
+    for (let j = 0; j < width; j++) {
+      const off = j - (width - 1) / 2;
+      const u = Math.floor(u0 + (u1 - u0) * share + off * across + 0.5);
+      const v = Math.floor(v0 + (v1 - v0) * share + off * down + 0.5);
+      if (u >= 0 && u < columns && v >= 0 && v < rows) found.push({ u, v });
+    }
+    return found;
+  });
+}
+
+/**
  * Mean, standard deviation, extremes and number of some values.
  * @param {Iterable<number>} values
  */
@@ -32,6 +57,21 @@ export function summary(values) {
     if (value > max) max = value;
   }
   return { n, mean, deviation: n > 1 ? Math.sqrt(squares / (n - 1)) : 0, min, max };
+}
+
+/**
+ * Black and white as dragging turns them: to the right more contrast, up brighter.
+ * @param {[number, number]} window codes that were black and white
+ * @param {number} right
+ * @param {number} down both in pixels of the screen
+ * @returns {[number, number]}
+ */
+export function draggedWindow([low, high], right, down) {
+  const before = Math.max(1, high - low);
+  const width = Math.max(1, before * 2 ** (-right / 150));
+  const middle = (low + high) / 2 + (down / 300) * before;
+  const first = Math.round(middle - width / 2);
+  return [first, Math.max(first + 1, Math.round(middle + width / 2))];
 }
 
 /**
@@ -69,10 +109,10 @@ export function quantile(counts, share) {
 /**
  * A profile as CSV, with the columns of the server's.
  * @param {{u: number, v: number, distance: number, code: number, gray: number, sigma: number | null,
- *   exposure: number}[]} rows
+ *   exposure: number, pixels: number}[]} rows
  */
 export function profileCsv(rows) {
-  const lines = rows.map(({ distance, u, v, code, gray, sigma, exposure }) =>
-    [distance, u, v, code, gray, sigma ?? "", exposure].join(","));
-  return ["distance_px,u_px,v_px,code,gray,sigma_gray,radiant_exposure_J_m2", ...lines, ""].join("\n");
+  const lines = rows.map(({ distance, u, v, code, gray, sigma, exposure, pixels }) =>
+    [distance, u, v, code, gray, sigma ?? "", exposure, pixels].join(","));
+  return ["distance_px,u_px,v_px,code,gray,sigma_gray,radiant_exposure_J_m2,pixels", ...lines, ""].join("\n");
 }

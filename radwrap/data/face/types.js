@@ -23,7 +23,7 @@
  * A coarse picture tells how many pixels a side are one; the next one tells which coarse picture stood for it.
  *
  * @typedef {{history: import("./state.js").History, pin: {u: number, v: number} | null, line: number[] | null,
- *   region: number[] | null, look: {low: string, high: string} | null,
+ *   region: number[] | null, window: [number, number] | null,
  *   sight: {x: number, y: number, size: number} | null,
  *   focus: {knob: string, type: string, text: string} | null}} Kept
  * What a coarse picture leaves to the one that it stood for, in pixels of that one.

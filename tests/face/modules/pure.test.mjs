@@ -5,7 +5,7 @@ import { test } from "node:test";
 import { addPlane, codeOf, coloursOf, frameOf, MAPS, ranksOf, sumPlanes, timesOf } from "../../../radwrap/data/face/mix.js";
 import { grayOf, thresholdsOf, turnedSensor } from "../../../radwrap/data/face/response.js";
 import { History, sameTurn, untouched, withKnob, withLevels } from "../../../radwrap/data/face/state.js";
-import { grouped, linePixels, profileCsv, quantile, summary } from "../../../radwrap/data/face/statistics.js";
+import { draggedWindow, grouped, linePixels, profileCsv, quantile, stripPixels, summary } from "../../../radwrap/data/face/statistics.js";
 import { exposureText, parseNumber, parseTime, percent, shortNumber, timeText } from "../../../radwrap/data/face/units.js";
 
 const EQ5 = { gain: 3.38e4, gamma: 0.85, dark_gray: 22, saturation_gray: 181, bit_depth: 8, rounding: true };
@@ -186,8 +186,8 @@ test("statistics", () => {
   const counts = Float64Array.of(1, 2, 3, 4);
   assert.deepEqual(grouped(counts, 2), [{ first: 0, last: 1, count: 3 }, { first: 2, last: 3, count: 7 }]);
   assert.equal(quantile(counts, 0.5), 2);
-  const csv = profileCsv([{ u: 1, v: 2, distance: 0, code: 5, gray: 5.25, sigma: null, exposure: 1e-3 }]);
-  assert.equal(csv.split("\n")[1], "0,1,2,5,5.25,,0.001");
+  const csv = profileCsv([{ u: 1, v: 2, distance: 0, code: 5, gray: 5.25, sigma: null, exposure: 1e-3, pixels: 1 }]);
+  assert.equal(csv.split("\n")[1], "0,1,2,5,5.25,,0.001,1");
 });
 
 test("units as radwrap has them", () => {
@@ -225,4 +225,24 @@ test("codes are ranks also where a bucket of bits holds many thresholds, and at 
   for (const light of sum) counts[5 + values.filter((value) => value <= light).length]++;
   assert.deepEqual(frame.counts, counts);
   assert.deepEqual([frame.saturated, frame.dark], [3, 4]); // the one at the threshold is saturated, and is not dark
+});
+
+test("a wide line has as many pixels across, but for those outside", () => {
+  const [first, ...rest] = stripPixels([3, 1, 20, 1], 5, 20, 24);
+  assert.deepEqual(first, [{ u: 3, v: 0 }, { u: 3, v: 1 }, { u: 3, v: 2 }, { u: 3, v: 3 }]);
+  assert.equal(rest.length, 17);
+  assert.deepEqual(stripPixels([5, 5, 5, 5], 3, 20, 24), [[{ u: 5, v: 4 }, { u: 5, v: 5 }, { u: 5, v: 6 }]]);
+  for (const ends of [[0, 0, 17, 9], [20, 3, 1, 18], [4, 19, 4, 0]]) {
+    assert.deepEqual(stripPixels(ends, 1, 20, 24).flat(), linePixels(ends).map(({ u, v }) => ({ u, v })));
+    const across = stripPixels(ends, 7, 40, 40)[5];
+    const far = Math.hypot(across.at(-1).u - across[0].u, across.at(-1).v - across[0].v);
+    assert.ok(far > 4.5 && far < 7.5);
+  }
+});
+
+test("dragging to the right narrows black and white, up makes brighter", () => {
+  assert.deepEqual(draggedWindow([0, 255], 0, 0), [0, 255]);
+  assert.deepEqual(draggedWindow([0, 200], 150, 0), [50, 150]);
+  assert.deepEqual(draggedWindow([0, 200], 0, -150), [-100, 100]);
+  assert.deepEqual(draggedWindow([10, 11], 3000, 0), [10, 11]);
 });
