@@ -233,8 +233,12 @@ export class Explorer {
     const { left_out: effects, warnings } = this.described;
     const as = sameTurn(this.history.now, this.history.start) ? "" : ", at the scene's own levels";
     const lines = effects.map(({ name, left_out: what, rms_gray: rms, rms_gray_upper95: bound, needed }) =>
-      element("p", { class: "note" }, `${needed ? "⚠ " : ""}${name}: ${what}; ${errorText(rms)} gray rms, below `
-        + `${errorText(bound)}${as}`));
+      element("p", { class: "note" }, `${needed ? "⚠ " : ""}${name}: ${what}; ${bound < 1e-3 ? "less than 0.001 gray rms"
+        : `${errorText(rms)} gray rms, at most ${errorText(bound)}`}${as}`));
+    const needed = effects.filter((effect) => effect.needed);
+    const chip = byId("lacks", HTMLAnchorElement);
+    chip.hidden = needed.length === 0;
+    chip.textContent = `⚠ not in it: ${needed.map(({ name, rms_gray: rms }) => `${name} ${errorText(rms)}`).join(", ")} gray rms${as}`;
     byId("leftout").replaceChildren(...lines, ...warnings.map((text) => element("p", { class: "note" }, `⚠ ${text}`)));
   }
 

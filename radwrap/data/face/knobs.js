@@ -221,8 +221,10 @@ export class KnobPanel {
       const [x, y] = /** @type {[number, number]} */ (at);
       const disc = drawing("circle", { cx: String(x), cy: String(y), r: String(size) });
       const number = drawing("text", { x: String(x), y: String(y) });
+      const told = drawing("title", {});
+      told.textContent = `${name}: drag up and down; a click turns it off and on`;
       const knob = /** @type {SVGGElement} */ (drawing("g", { tabindex: "0", role: "slider", "aria-label": name,
-        "aria-valuemin": "0", "aria-valuemax": String(MOST) }, disc, number));
+        "aria-valuemin": "0", "aria-valuemax": String(MOST) }, told, disc, number));
       /** @param {number} level */
       const set = (level) => this.turn(withLevels(this.now(), [k], Math.max(0, Math.round(level * 100) / 100)), `ring ${name}`);
       knob.addEventListener("keydown", (event) => {

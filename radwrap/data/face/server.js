@@ -19,8 +19,10 @@ export class Refused extends Error {
 
 /** The token of the link goes into this tab's memory, and out of the address and of the history. */
 export function takeToken() {
-  if (location.hash.length > 1) {
-    sessionStorage.setItem(KEY, location.hash.slice(1));
+  const told = location.hash.slice(1);
+  // A place in the page is no token: where there is one, what follows another link within the page stays as it is.
+  if (told && (/^[\w-]{43,}$/.test(told) || !sessionStorage.getItem(KEY))) {
+    sessionStorage.setItem(KEY, told);
     history.replaceState(null, "", location.pathname);
   }
   return sessionStorage.getItem(KEY);

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from radwrap.imaging.forecast.effects import warnings_of_left_out
 from radwrap.imaging.output.run_manifest import RunManifest
 from radwrap.imaging.page.thresholds import Thresholds
 from radwrap.imaging.page.turn import rings_of
@@ -20,6 +21,7 @@ from radwrap.scene.scene import Scene
 def described(scene: Scene, basis: Basis, run: RunManifest) -> dict[str, Any]:
     """The basis, as JSON."""
     sensor = basis.sensor
+    told = {line for effect in run.left_out.values() for line in warnings_of_left_out(effect)}
     return {
         "title": title_of(scene),
         "rows": sensor.rows,
@@ -36,7 +38,7 @@ def described(scene: Scene, basis: Basis, run: RunManifest) -> dict[str, Any]:
             {key: getattr(effect, key) for key in ("name", "left_out", "rms_gray", "rms_gray_upper95", "needed")}
             for effect in run.left_out.values()
         ],
-        "warnings": list(run.warnings),
+        "warnings": [line for line in run.warnings if line not in told],  # each effect is told once
     }
 
 

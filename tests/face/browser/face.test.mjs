@@ -279,6 +279,12 @@ test("saving leaves files in the folder, and says where", async (t) => {
 test("a bad link says what to do, and the token leaves the address", async (t) => {
   const { page } = await loaded(t);
   assert.equal(page.url(), `http://127.0.0.1:${port}/`);
+  await page.focus(".skip");
+  await page.keyboard.press("Enter"); // #picture is a place in the page, and no token
+  await page.reload();
+  await measured(page);
+  await page.click("#lacks"); // bench_board: diffraction is left out, which the header says beside the error
+  assert.match(await page.textContent("#lacks"), /not in it: diffraction \d\.\d gray rms$/);
   await page.reload();
   await measured(page);
   const { page: other, faults } = await opened(t, { at: `http://127.0.0.1:${port}/` });
