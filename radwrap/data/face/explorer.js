@@ -70,6 +70,7 @@ export class Explorer {
     this.tellLeftOut();
     byId("rays").textContent = "Pose, opening, focus, materials and targets need rays: change them in the scene file."
       + (described.dark_sources.length ? ` Dark in the scene, so without a knob: ${described.dark_sources.join(", ")}.` : "");
+    if (!described.mixes) byId("rays").append(" This basis is too large to be mixed in the page: the picture follows when a knob rests.");
     byId("save").hidden = !described.saves || Boolean(described.coarse);
     for (const id of ["png", "toml"]) byId(id).hidden = Boolean(described.coarse);
   }

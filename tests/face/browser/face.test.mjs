@@ -22,8 +22,11 @@ const run = promisify(execFile);
 
 let folder, server, link, port, opens;
 
-async function serve(...more) {
-  const process = spawn(RADWRAP, ["face", SCENE, "--no-browser", ...more], { stdio: ["ignore", "ignore", "pipe"] });
+const serve = (...more) => served([RADWRAP], more);
+
+/** A server by the command, or by a Python program that begins as it does. */
+async function served([program, ...words], more) {
+  const process = spawn(program, [...words, "face", SCENE, "--no-browser", ...more], { stdio: ["ignore", "ignore", "pipe"] });
   let said = "";
   process.stderr.setEncoding("utf8");
   while (!said.includes("/link\n")) {
@@ -264,6 +267,40 @@ test("a region has its statistics, a profile its band and its table", async (t) 
   await page.locator("#profiletable").locator("xpath=..").locator("summary").click();
   assert.ok((await page.locator("#profiletable tbody tr").count()) > 50);
   assert.match(await page.locator("#profiletable tbody tr td:last-child").first().textContent(), /^0\.\d+$/);
+  // A wide one has means of codes, which are no whole numbers.
+  await page.fill("#profilewidth", "9");
+  await page.waitForFunction(() => [...document.querySelectorAll("#profiletable tbody tr td:nth-child(4)")]
+    .some((cell) => cell.textContent.includes(".")));
+  // Black and white by dragging: to the right more contrast; the codes stay.
+  const code = await page.locator("#probe").textContent();
+  await page.check("input[value=window]");
+  await page.mouse.move(box.x + 200, box.y + 250);
+  await page.mouse.down();
+  await page.mouse.move(box.x + 350, box.y + 250, { steps: 5 });
+  await page.mouse.up();
+  const [low, high] = [Number(await page.inputValue("#low")), Number(await page.inputValue("#high"))];
+  assert.ok(low > 50 && high < 205 && high > low, `${low} to ${high}`);
+  assert.ok(code.includes(await page.locator("#probe table").first().textContent()));
+  await page.click("#fullscale");
+  assert.deepEqual([await page.inputValue("#low"), await page.inputValue("#high")], ["0", "255"]);
+});
+
+test("a basis that is too large to mix: the picture follows when a knob rests", async (t) => {
+  const code = "import radwrap.face.app as app, sys; app.MOST_PLANES = 1; from radwrap.cli.main import main; sys.exit(main())";
+  const own = await served([join(ROOT, ".venv/bin/python"), "-c", code], ["--tolerance", "2"]);
+  t.after(() => own.process.kill("SIGTERM"));
+  const { page } = await opened(t, { at: own.link });
+  const asked = [];
+  page.on("request", (request) => asked.push(new URL(request.url()).pathname));
+  await measured(page);
+  const before = (await picture(page, 165, 192)).flat();
+  await type(page, "level:all", "0.5");
+  await page.waitForFunction(() => document.querySelector("#command").textContent.includes("ring=0.5"));
+  await measured(page);
+  const after = (await picture(page, 165, 192)).flat();
+  assert.ok(after.every((one, k) => one <= before[k]) && after.some((one, k) => one < before[k]));
+  assert.ok(!asked.includes("/api/planes"));
+  assert.match(await page.textContent("#rays"), /too large to be mixed in the page/);
 });
 
 test("saving leaves files in the folder, and says where", async (t) => {
