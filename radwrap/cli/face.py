@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import sys
 import tempfile
 import webbrowser
@@ -14,6 +15,8 @@ from typing import Any, Final
 from radwrap.cli import options as shared
 from radwrap.errors import EnvironmentFailure, InputError, ToleranceNotMet
 from radwrap.files import make_folder
+from radwrap.imaging.page.one_file import one_file
+from radwrap.imaging.relight.relit import read_basis
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.synthesis import render
 from radwrap.scene.scene import Scene
@@ -23,6 +26,7 @@ _DESCRIPTION: Final = (
     "page is served on this machine alone, until Ctrl-C."
 )
 _LARGEST_PORT: Final = 65535
+_PLACE: Final = re.compile(r"""[=\s"'\[,](/|~|\.\./|\\\\|[A-Za-z]:[\\/])""")  # where a path of this machine may begin
 
 
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
@@ -77,7 +81,7 @@ def _export(arguments: argparse.Namespace, scene: Scene, options: dict[str, Any]
     path = shared.file_to_write(arguments.export, "--export", ".html", others=(arguments.scene,))
     with tempfile.TemporaryDirectory(prefix="radwrap-") as folder:
         made = render(scene, folder, basis=True, progress=True, **options)
-        page = made.page()
+        page = one_file(made.scene, read_basis(Path(folder)), made.run, _words_for_others(arguments))
     if path is not None:
         page.save(path)
     pixels = f"; {page.binned} x {page.binned} pixels are one, else it would be too large" if page.binned > 1 else ""
@@ -106,6 +110,14 @@ def _words(arguments: argparse.Namespace) -> tuple[str, ...]:
         if getattr(arguments, name) not in (None, "auto"):
             words += [f"--{name}", getattr(arguments, name)]
     return (*words, *(["--trust"] if arguments.trust else []), "--basis")
+
+
+def _words_for_others(arguments: argparse.Namespace) -> tuple[str, ...]:
+    """The same for a page that others read: the scene by its name alone; none where another word names a place."""
+    if any(_PLACE.search(text) for text in (*arguments.overrides, f"={arguments.radiance or ''}")):
+        return ()
+    given = argparse.Namespace(**{**vars(arguments), "scene": Path(arguments.scene).name})
+    return _words(given)
 
 
 def _python(arguments: argparse.Namespace) -> str:

@@ -114,6 +114,8 @@ def serving(folder: Path, changes: Mapping[str, Any] | None = None, *more: objec
         assert process.stderr is not None
         line = process.stderr.readline()
         found = re.fullmatch(r"radwrap: the link to open is in (/.+/link)\n", line)
+        if not found:
+            process.kill()  # else its last word would be waited for
         assert found, line + process.stderr.read()
         link = Path(found[1])
         address, _, token = link.read_text().strip().partition("/#")

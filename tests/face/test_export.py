@@ -21,7 +21,7 @@ from radwrap.errors import InputError
 from radwrap.imaging.page.bundle import script_of
 from radwrap.imaging.page.one_file import LARGEST, Page, one_file
 from radwrap.imaging.relight.relit import Basis, read_basis, relit
-from tests.cli.conftest import scene_with
+from tests.cli.conftest import run, scene_with, write_scene
 from tests.face.conftest import HOSTILE_TITLE, TWO
 
 HOSTILE: Final = {**TWO, "title": HOSTILE_TITLE + "<!-- <script> \u2028 ]]>"}
@@ -166,3 +166,25 @@ def test_a_bundle_is_one_script_without_imports() -> None:
         assert not re.search(r"^\s*(import|export)\b", script, re.MULTILINE)
         assert "</script" not in script.lower() and "<!--" not in script
         assert script.count("modules[") > 1 and 'modules["types.js"]' not in script
+
+
+def test_the_command_of_a_page_is_that_of_its_picture(made: Made, tmp_path: Path) -> None:
+    """With what was set, and without places of this machine."""
+    assert held(made[1])["told"]["command"] == ""  # this scene came from no file
+    scene, page = write_scene(tmp_path, TWO), tmp_path / "page.html"
+    result, _, basis = made
+    kept = one_file(radwrap.load_scene(scene), basis, result.run)
+    assert held(kept)["told"]["command"].startswith("radwrap render scene.toml --tolerance 2.0 --basis --out basis && ")
+    options = ("--tolerance", 2, "--tracer", "radiance", "--seed", 3)
+    for more, told in (
+        (
+            ("--set", "camera.exposure_time=200 ms"),
+            "radwrap render scene.toml --set 'camera.exposure_time=200 ms' --tolerance 2",
+        ),
+        (("--set", "title=/home/me", "--set", "sources[0].radiance=90 kW/m^2/sr"), ""),
+    ):
+        run("face", scene, *more, *options, "--export", page).success()
+        (content,) = [text for given, text in Elements(page.read_text()).each("script") if given.get("id") == "data"]
+        assert json.loads(content)["told"]["command"].startswith(told) and (
+            told or not json.loads(content)["told"]["command"]
+        )

@@ -218,7 +218,7 @@ export class Explorer {
     byId("copy").hidden = told.command === "";
     byId("inpython").hidden = !told.python;
     byId("python").textContent = told.python ?? "";
-    byId("command").textContent = told.command || "The command comes with the picture of the asked tolerance.";
+    byId("command").textContent = told.command || (coarse ? "The command comes with the picture of the asked tolerance." : "");
     this.offer(this.tracing);
     this.tellLeftOut();
   }

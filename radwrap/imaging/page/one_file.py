@@ -7,6 +7,7 @@ import hashlib
 import html
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -61,8 +62,16 @@ class Page:
         write_bytes(Path(path), self.html.encode())
 
 
-def one_file(scene: Scene, basis: Basis, run: RunManifest) -> Page:
+def one_file(scene: Scene, basis: Basis, run: RunManifest, words: Sequence[str] | None = None) -> Page:
     """The page of a basis at its scene's own levels.
+
+    Parameters
+    ----------
+    scene, basis, run
+        What was rendered, and how.
+    words : sequence of str, optional
+        Of the command that makes the basis, without its folder; empty where it cannot be told. Default what scene and
+        run say, to which the scene's file is as it was read.
 
     Raises
     ------
@@ -83,11 +92,12 @@ def one_file(scene: Scene, basis: Basis, run: RunManifest) -> Page:
     image = Relighter(basis).image(factors)
     sigma = relit_uncertainty(basis, factors, image).sigma
     found = thresholds(basis.sensor)
-    words = ("radwrap", "render", scene.origin, "--basis", "--out", "basis")
+    made = _words(scene, run) if words is None else tuple(words)
+    command = spelled((*made, "--out", "basis"), ("radwrap", "relight", "basis", "--out", "turned")) if made else ""
     certified = {
         **told_of(image, basis, sigma),
         "thresholds": told_thresholds(found),
-        "command": spelled(words, ("radwrap", "relight", "basis", "--out", "turned")),
+        "command": command,
     }
     means = (parts.mean(axis=0, dtype=np.float64) for parts in basis.images)
     planes = [_packed(_mean(plane, binned)) for plane in means]
@@ -98,6 +108,14 @@ def one_file(scene: Scene, basis: Basis, run: RunManifest) -> Page:
     }
     data = {"described": told, "told": certified, "planes": planes, **blocks}
     return Page(_assembled(_finite(data)), binned)
+
+
+def _words(scene: Scene, run: RunManifest) -> tuple[str, ...]:
+    if not scene.origin.endswith(".toml"):  # it came from no file
+        return ()
+    tolerance = () if run.tolerance is None else ("--tolerance", f"{run.tolerance!r}")
+    seed = ("--seed", str(run.seed)) if run.seed else ()
+    return ("radwrap", "render", scene.origin, *tolerance, *seed, "--basis")
 
 
 def _binning(basis: Basis) -> int:
