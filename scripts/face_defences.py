@@ -1,6 +1,6 @@
 """Take each defence of the page's server out, one at a time, and see the tests fail.
 
-    .venv/bin/python scripts/face_defences.py
+    .venv/bin/python scripts/face_defences.py [NAME ...]
 
 Each is a change of a line or two in a copy of the package; the tests that hold it run on that copy. A defence that
 can be taken out unseen ends the script with 1.
@@ -148,14 +148,15 @@ DEFENCES: Final = (
 
 
 def main() -> int:
-    """Take out one after the other; returns 1 where that is not seen."""
-    unseen = []
-    for defence in DEFENCES:
+    """Take out one after the other, or those that are named; returns 1 where that is not seen."""
+    unseen, named = [], sys.argv[1:]
+    chosen = [defence for defence in DEFENCES if not named or defence.name in named]
+    for defence in chosen:
         seen = _is_seen(defence)
         place = f"radwrap/{defence.file}, tests/face/test_{defence.tests[0]}.py"
         print(f"{'seen  ' if seen else 'UNSEEN'}  {defence.name} ({place})", flush=True)
         unseen += [] if seen else [defence.name]
-    print(f"{len(DEFENCES) - len(unseen)} of {len(DEFENCES)} seen")
+    print(f"{len(chosen) - len(unseen)} of {len(chosen)} seen")
     return 1 if unseen else 0
 
 

@@ -47,6 +47,7 @@ export class View {
     const width = Math.max(1, Math.round(this.frame.clientWidth * dots));
     const height = Math.max(1, Math.round(this.frame.clientHeight * dots));
     for (const canvas of [this.image, this.marks]) {
+      if (canvas.width === width && canvas.height === height) continue; // what is drawn stays, until there is more
       canvas.width = width;
       canvas.height = height;
     }

@@ -402,7 +402,7 @@ test("the server's end is said, and knobs go on", async (t) => {
 
 test("a coarse picture comes first, is marked, and hands its knobs on", async (t) => {
   const { page } = await opened(t, { at: "about:blank" }); // the browser is up before the trace begins
-  const own = await serve("--tolerance", "0.1", "--out", join(folder, "coarse"));
+  const own = await serve("--tolerance", "0.2", "--out", join(folder, "coarse"));
   t.after(() => own.process.kill("SIGTERM"));
   await page.goto(own.link);
   await page.waitForFunction(() => document.getElementById("kept").textContent.startsWith("coarse picture: tolerance 3.1"));
@@ -416,8 +416,19 @@ test("a coarse picture comes first, is marked, and hands its knobs on", async (t
   await page.keyboard.press("+");
   const zoom = await page.textContent("#zoom");
   await slider(page, "gain").focus();
+  // The coarse picture stays on the canvas until there is a frame of the other one: it is never empty between them.
+  await page.evaluate(() => {
+    const image = document.getElementById("image");
+    const look = () => {
+      const { data } = image.getContext("2d").getImageData(image.width >> 1, image.height >> 1, 1, 1);
+      if (data[3] === 0) image.dataset.empty = "yes";
+      requestAnimationFrame(look);
+    };
+    look();
+  });
   await measured(page);
-  assert.match(await page.textContent("#kept"), /^tolerance 0.1 (not )?kept/);
+  assert.match(await page.textContent("#kept"), /^tolerance 0.2 (not )?kept/);
+  assert.equal(await page.locator("#image").getAttribute("data-empty"), null);
   assert.match(await page.textContent("#command"), /--level ring=0.5 --out turned/);
   assert.equal(await field(page, "level:all").inputValue(), "0.5");
   assert.equal(await page.textContent("#zoom"), zoom);
