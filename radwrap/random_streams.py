@@ -40,6 +40,8 @@ class Rendering(IntEnum):
     SAMPLED_BLOCKS = 29
     WAVES = 30
     WAVE_RESAMPLES = 31
+    WAVE_CELLS = 32  # then the tile
+    WAVE_RAYS = 33  # then replicate and tile
 
 
 @unique

@@ -63,6 +63,7 @@ ROOMS = {
             "page",
             "rendered",
         ),
+        "with_waves",
         *("synthesis", "warm"),
     ],
 }

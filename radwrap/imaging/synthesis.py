@@ -26,8 +26,7 @@ from radwrap.files import TEMPORARY_SUFFIX, check_result, disk_failure, make_fol
 from radwrap.images import read_image
 from radwrap.imaging.demand import SamplingPlan
 from radwrap.imaging.forecast.cost import check_size
-from radwrap.imaging.forecast.effects import Effect, bounces, bounces_beyond, diffraction_left_out
-from radwrap.imaging.forecast.wave_change import MOST_RAYS
+from radwrap.imaging.forecast.effects import Effect, bounces, bounces_beyond
 from radwrap.imaging.forecasting import Announcement, cores, usual_rays
 from radwrap.imaging.mean_radiance import Made, fixed_method, make, viewpoint_plan
 from radwrap.imaging.methods.pieces import Pieces, remove_log, remove_pieces
@@ -56,6 +55,7 @@ from radwrap.imaging.tolerance.lit_noise import with_gray_tolerance
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.uncertainty import seen_magnifications, share_spread
 from radwrap.imaging.tracing import LaidOutScene
+from radwrap.imaging.with_waves import refuse_waves, with_waves
 from radwrap.kept import Kept
 from radwrap.manifest import plain, read_manifest, sha256_of_value
 from radwrap.process import Programs, children_cpu_time
@@ -66,9 +66,6 @@ from radwrap.watched import watched
 _VIEWPOINTS: Final = "viewpoints"
 _WORK: Final = ".work"
 _MADE: Final = "made"
-# Rays that tell what diffraction would change, beside those of the image; and the fewest that tell anything.
-_SHARE_OF_WAVES: Final = 0.2
-_FEWEST_OF_WAVES: Final = 1 << 13
 # Pixels of an image whose pieces a warm scene holds in memory while it is made: 64 of them take 256 MiB at most.
 _MOST_IN_MEMORY: Final = 1 << 20
 
@@ -218,6 +215,7 @@ def rendered(
         changes = {**changes, "progress": progress}
     options = replace(options, **changes)
     options.asked_tolerance.needs_noise(scene.camera.sensor)
+    refuse_waves(scene, options)
     rays, replicates = usual_rays(scene, options), _kept_replicates(options)
     check_size(scene, options.max_pixels, rays, cores(options), replicates=replicates)
     if out is None:
@@ -390,8 +388,11 @@ def _trace(run: _Run) -> tuple[TracedRun, list[str]]:
             beyond = bounces_beyond(traced, orders, options.seed, options.gray_tolerance)
         announcement = Announcement(traced, options, run.made.parent / "rehearsal", run.programs, asked)
         before = partial(announcement.before, work.view) if options.progress else None
-        made = make(scene, traced.banding.left(tracing), work, before, relit=bool(run.identity.sources))
-        waves = _waves_left_out(run, work, made)
+        left = traced.banding.left(tracing)
+        rays = make(scene, left, work, before, relit=bool(run.identity.sources))
+        # The bands' share of a tolerance is left out of another one likewise.
+        waves = with_waves(scene, left, work, rays, lambda to: make(scene, replace(left, tolerance=to), work))
+        made = waves.made
         spread, magnification = _spread(run), _magnification(scene, view)
         basis = _write_basis(run, work, made, magnification)
     finally:
@@ -406,7 +407,8 @@ def _trace(run: _Run) -> tuple[TracedRun, list[str]]:
         orders=orders,
         left_out=left_out,
         beyond=beyond,
-        waves=waves,
+        waves=waves.left_out,
+        diffraction=waves.taken,
         exposure_of_radiance=view.exposure_of_radiance,
         spread=spread,
         magnification=magnification,
@@ -414,19 +416,6 @@ def _trace(run: _Run) -> tuple[TracedRun, list[str]]:
         tolerance_asked=asked,
     )
     return found, basis
-
-
-def _waves_left_out(run: _Run, work: Work, made: Made) -> Effect | None:
-    """What diffraction would change of the image, by few rays beside those that it took.
-
-    They are traced once it is whole, so that they neither decide how it is traced nor keep it from being traced. In the
-    dark none are: there is no light to be bent.
-    """
-    if work.view.camera.aperture.is_infinitesimal or not made.radiance.any():
-        return None
-    run.programs.check()
-    rays = min(MOST_RAYS, max(_FEWEST_OF_WAVES, round(_SHARE_OF_WAVES * made.used.rays)))
-    return diffraction_left_out(run.scene, work.view, run.options.seed, run.options.gray_tolerance, rays)
 
 
 def _with_bounces(run: _Run, view: View, orders: Bounces) -> tuple[Work, RenderOptions]:

@@ -16,6 +16,7 @@ from radwrap.scene.pixel_window import PixelWindow
 ASSUMED_WAVELENGTH: Final = 550e-9
 
 ApertureShape = Literal["round", "square", "annular", "half_disc"]
+Diffraction = Literal["auto", "on"]
 ColourChannel = Literal["equal", "red", "green", "blue"]
 
 
@@ -181,6 +182,8 @@ class Camera:
         Without it the opening is a pinhole.
     wavelength : float, optional
         At which diffraction is looked at, where neither spectra nor a linear sensor tell it [m].
+    diffraction : str, optional
+        "on", or "auto" where images have it if it matters; without it light is rays.
     """
 
     pose: Pose
@@ -192,6 +195,7 @@ class Camera:
     distortion: Distortion | None = field(default=None, metadata=ONLY_WHERE_USED)
     lens: Lens | None = field(default=None, metadata=ONLY_WHERE_USED)
     wavelength: float | None = field(default=None, metadata=ONLY_WHERE_USED)
+    diffraction: Diffraction | None = field(default=None, metadata=ONLY_WHERE_USED)
 
     @property
     def pitch(self) -> tuple[float, float]:

@@ -121,7 +121,7 @@ def test_few_rays_find_about_the_same() -> None:
 
 def scene_of(**camera_values: object) -> radwrap.Scene:
     document = tomllib.loads(BENCH.read_text())
-    document["camera"] |= camera_values
+    document["camera"] |= {"diffraction": "off", **camera_values}
     return radwrap.scene_from_document(document)
 
 

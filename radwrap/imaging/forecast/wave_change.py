@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from radwrap.imaging.methods.kernel import layer_shares
 from radwrap.imaging.optics.footprint import reach_px
 from radwrap.imaging.optics.view import View, trace_rays
-from radwrap.imaging.optics.wave_footprint import ray_weights, wave_weights
+from radwrap.imaging.optics.wave_footprint import both_weights
 from radwrap.imaging.optics.waves import Waves
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.tolerance.bounds import NOTHING, Bounded, stratified_mean
@@ -37,11 +37,6 @@ _CELL_SHARE: Final = 0.25
 # An image that is looked at as a whole may have larger cells, which find less: 2, 6 and 12 % less on a board of dots.
 _COARSER: Final = (1, 2, 4)
 _SMALLEST: Final = 2.0**-6
-# Share of a frequency that may be taken for nothing: .03 gray of 255. Of openings with straight edges, whose envelope
-# is reached across these edges only, more: the latter takes an integral for each frequency.
-_LEAST: Final = {"round": 1e-4, "annular": 1e-4, "square": 1e-3, "half_disc": 1e-2}
-# Cells or pixels that the radius of a blur may have so that points stand for the opening; beyond, they are too few.
-_POINTS_REACH: Final = 40
 _BLOCK: Final = 8  # cells along a side of what one ray stands for in the far parts
 # Light that waves send farther than the guard band's width comes in from the other side; it counts as an error.
 _TAIL: Final = 0.01
@@ -111,12 +106,7 @@ class _Grid:
         """Of each layer what rays gather, and what waves add to it."""
         found = []
         for layer in self.layers:
-            sensor, cell, least = self.camera.sensor, self.cell, _LEAST[self.waves.aperture.shape]
-            passed = wave_weights(self.waves, sensor, layer, cell, shape, least=least)
-            if min(reach_px(self.camera, layer)) < _POINTS_REACH * max(cell, 1.0):
-                rays = ray_weights(self.camera, layer, cell, shape)
-            else:
-                rays = wave_weights(replace(self.waves, wavelength=0.0), sensor, layer, cell, shape, least=least)
+            rays, passed = both_weights(self.waves, self.camera, layer, self.cell, shape)
             found.append((rays, passed - rays))
         return found
 

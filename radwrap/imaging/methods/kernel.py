@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -23,6 +23,7 @@ from radwrap.imaging.optics.footprint import Footprint, footprint, laid_out, rea
 from radwrap.imaging.optics.smooth import SmoothField
 from radwrap.imaging.optics.view import View
 from radwrap.imaging.response.sensor import gray_levels
+from radwrap.manifest import ONLY_WHERE_USED
 from radwrap.scene.camera import Camera, Sensor
 
 # Base cells are at most this share of the blur's radius, grid cells a quarter of them; where the blur is smaller than
@@ -40,7 +41,7 @@ _LAYER_STEP: Final = 0.25
 _MOST_LAYERS: Final = 64
 # The error falls as the cells' size to the power 1.5 where edges of light meet edges of the footprint, as its square
 # elsewhere: the slower one gives 1/(2^1.5 - 1) of what twice the size adds.
-_GRID_SHARE: Final = 1 / (2**1.5 - 1)
+GRID_SHARE: Final = 1 / (2**1.5 - 1)
 # What is measured over many pixels sees an edge at every place in a cell. On the average over these places cells of the
 # size h blur as a box of width h does: by h^2/24 times the second derivative, and the next term has h^4. So the error
 # falls as h^2, and 1/(2^2 - 1) of what twice the size adds is left (Richardson).
@@ -70,17 +71,21 @@ class KernelPlan:
         Magnifications m, see `Camera.magnification`, evenly spaced.
     tiles : tuple
         First row, last row + 1, first column, last column + 1 of each tile of the sensor [px].
+    guard : float, optional
+        How much farther light may come from than rays go, of waves [px].
     """
 
     camera: Camera
     grid: GridPlan
     layers: tuple[float, ...]
     tiles: tuple[tuple[int, int, int, int], ...]
+    guard: float | None = field(default=None, metadata=ONLY_WHERE_USED)
 
     @property
     def reach_px(self) -> tuple[float, float]:
         """How far, in columns and rows, a pixel's centre gathers light from at most [px]."""
-        return reach_px(self.camera, max(map(abs, self.layers)))
+        columns, rows = reach_px(self.camera, max(map(abs, self.layers)))
+        return columns + (self.guard or 0.0), rows + (self.guard or 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -282,7 +287,7 @@ def gathered_sources(
         return
     central = central_image(view, plan.grid, cells, seed=seed, progress=progress, like=like.central if like else None)
     of_all = central if central.values.ndim == 2 else replace(central, values=central.values.sum(axis=0))
-    coarser = like.coarser if like else _coarser(of_all)
+    coarser = like.coarser if like else coarsened(of_all)
     if central.values.ndim == 2:  # without an axis of sources: transforms of several differ in the last digit
         yield from _gathered(plan, place, central, coarser.magnification)
         return
@@ -300,8 +305,8 @@ def _gathered(
     """Gather a tile for each of some sources."""
     cell = plan.grid.cell
     values = gather(plan, central, cell, place)
-    # Cells of twice the size add their error less that of these: so much of it, see `_GRID_SHARE`. Some pixels tell.
-    coarser = replace(_coarser(central), magnification=coarser_magnification)
+    # Cells of twice the size add their error less that of these: so much of it, see `GRID_SHARE`. Some pixels tell.
+    coarser = replace(coarsened(central), magnification=coarser_magnification)
     some, coarse = (gather_all if plan.grid.even else gather_some)(plan, coarser, 2 * cell, place)
     each = (array.reshape(-1, *array.shape[-2:]) for array in (central.values, coarser.values, values, coarse))
     for one, of_one, fine, rough in zip(*each, strict=True):
@@ -340,13 +345,13 @@ def _smooth_tile(known: SmoothField, plan: KernelPlan, place: tuple[int, int, in
 def _grid_share(plan: KernelPlan) -> float:
     """What the cells may be off by, over what twice their size changes."""
     blurs = [max(reach_px(plan.camera, magnification)) for magnification in plan.layers]
-    return 1.0 if any(0 < blur < _RESOLVED * plan.grid.cell for blur in blurs) else _GRID_SHARE
+    return 1.0 if any(0 < blur < _RESOLVED * plan.grid.cell for blur in blurs) else GRID_SHARE
 
 
 def smooth_share(plan: KernelPlan) -> float:
     """Of what a certificate counts for the cells, the part that is left in what is measured over many pixels."""
     counted = _grid_share(plan)
-    return _SMOOTH_SHARE / counted if counted == _GRID_SHARE else 1.0
+    return _SMOOTH_SHARE / counted if counted == GRID_SHARE else 1.0
 
 
 def gather(
@@ -389,7 +394,7 @@ def _by_phase(
         if all(one.weights.size <= _FEW_CELLS for one in prints):
             yield _by_sums(plan, central, cell, place, prints)
             return
-    shape = tuple(_fast_length(size) for size in central.values.shape[-2:])
+    shape = tuple(fast_length(size) for size in central.values.shape[-2:])
     if central.magnification is None:
         spectra = [np.fft.rfft2(central.values, shape)]
     else:
@@ -445,7 +450,7 @@ def lattice(
     return rows, columns
 
 
-def _coarser(central: CentralImage) -> CentralImage:
+def coarsened(central: CentralImage) -> CentralImage:
     """Cells of twice the size, on a grid whose corner is the same."""
     row, column = (first % 2 for first in central.first)
     shape = central.values.shape[-2:]
@@ -466,7 +471,7 @@ def _coarser(central: CentralImage) -> CentralImage:
     return replace(central, first=first, values=values, magnification=magnification)
 
 
-def _fast_length(size: int) -> int:
+def fast_length(size: int) -> int:
     """Smallest number from `size` on that has no prime factor above 5: transforms of others are slow."""
     while True:
         rest = size

@@ -9,18 +9,25 @@ wide as that matters; `Waves.tail` says how much it is.
 from __future__ import annotations
 
 import math
-from typing import Any
+from dataclasses import replace
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.imaging.optics.footprint import footprint, laid_out
+from radwrap.imaging.optics.footprint import footprint, laid_out, reach_px
 from radwrap.imaging.optics.waves import Waves
 from radwrap.scene.camera import Camera, Sensor
 from radwrap.scene.pixel_window import PixelWindow, Profile
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+
+# Share of a frequency that may be taken for nothing: .03 gray of 255. Of openings with straight edges, whose envelope
+# is reached across these edges only, more: the latter takes an integral for each frequency.
+_LEAST: Final = {"round": 1e-4, "annular": 1e-4, "square": 1e-3, "half_disc": 1e-2}
+# Cells or pixels that the radius of a blur may have so that points stand for the opening; beyond, they are too few.
+_POINTS_REACH: Final = 40
 
 
 def wave_weights(
@@ -31,6 +38,7 @@ def wave_weights(
     shape: tuple[int, int],
     *,
     least: float = 0.0,
+    phase: tuple[int, ...] = (0, 0),
 ) -> Complex:
     """Transform of the weights of cells around a pixel, exact for radiance that is even in each cell.
 
@@ -49,6 +57,8 @@ def wave_weights(
         Rows and columns of the grid.
     least : float
         Frequencies of which no greater share passes may be left out; 0 takes all.
+    phase : tuple of int
+        Row and column of the pixel in the cell [px], where cells are larger.
 
     Returns
     -------
@@ -57,8 +67,10 @@ def wave_weights(
     """
     window = sensor.window or PixelWindow()
     highest = waves.last_frequency(magnification, least) if least else waves.highest_frequency
-    down, of_rows = _axis(highest, np.fft.fftfreq(shape[0]), cell, sensor.pixel_height, window.down)
-    across, of_columns = _axis(highest, np.fft.rfftfreq(shape[1]), cell, sensor.pixel_width, window.across)
+    down, of_rows = _axis(highest, np.fft.fftfreq(shape[0]), cell, sensor.pixel_height, window.down, phase=phase[0])
+    across, of_columns = _axis(
+        highest, np.fft.rfftfreq(shape[1]), cell, sensor.pixel_width, window.across, phase=phase[1]
+    )
     found = np.zeros((shape[0], shape[1] // 2 + 1), dtype=np.complex128)
     transfer = waves.transfer_up_to(highest, magnification)
     for y, along in zip(down, of_rows, strict=True):
@@ -72,7 +84,7 @@ def wave_weights(
 
 
 def _axis(
-    highest: float, frequency: NDArray[np.floating[Any]], cell: float, pitch: float, profile: Profile
+    highest: float, frequency: NDArray[np.floating[Any]], cell: float, pitch: float, profile: Profile, *, phase: int
 ) -> tuple[list[Array], list[Complex]]:
     """Frequencies that a grid of cells does not tell from each other [m^-1], and what pixel and cell do to each."""
     aliases = math.ceil(highest * cell * pitch + 0.5)
@@ -80,7 +92,7 @@ def _axis(
     for number in range(-aliases, aliases + 1):
         cycles = (frequency.astype(np.float64) + number) / cell  # a pixel
         # A cell's middle lies by this much beside that of the pixel whose corner it shares.
-        place = np.exp(2j * np.pi * cycles * (cell - 1) / 2)
+        place = np.exp(2j * np.pi * cycles * ((cell - 1) / 2 - phase))
         frequencies.append(cycles / pitch)
         factors.append(_profile_transfer(profile, cycles) * np.sinc(cycles * cell) * place)
     return frequencies, factors
@@ -94,6 +106,26 @@ def _profile_transfer(profile: Profile, cycles: Array) -> Complex:
     return found
 
 
-def ray_weights(camera: Camera, magnification: float, cell: float, shape: tuple[int, int]) -> Complex:
+def ray_weights(
+    camera: Camera, magnification: float, cell: float, shape: tuple[int, int], phase: tuple[int, ...] = (0, 0)
+) -> Complex:
     """As `wave_weights`, of the footprint of rays through an even opening."""
-    return np.fft.rfft2(laid_out(footprint(camera.without_lens, magnification, cell), shape))
+    return np.fft.rfft2(laid_out(footprint(camera.without_lens, magnification, cell, phase), shape))
+
+
+def both_weights(
+    waves: Waves,
+    camera: Camera,
+    magnification: float,
+    cell: float,
+    shape: tuple[int, int],
+    *,
+    phase: tuple[int, ...] = (0, 0),
+) -> tuple[Complex, Complex]:
+    """As `ray_weights` and `wave_weights`, where a blur of many cells and wave's lengths may be off by 1e-4."""
+    sensor, least = camera.sensor, _LEAST[waves.aperture.shape]
+    passed = wave_weights(waves, sensor, magnification, cell, shape, least=least, phase=phase)
+    if min(reach_px(camera, magnification)) < _POINTS_REACH * max(cell, 1.0):
+        return ray_weights(camera, magnification, cell, shape, phase), passed
+    limit = replace(waves, wavelength=0.0)
+    return wave_weights(limit, sensor, magnification, cell, shape, least=least, phase=phase), passed

@@ -52,6 +52,15 @@ class BouncesTraced:
 
 
 @dataclass(frozen=True, slots=True)
+class DiffractionTaken:
+    """Diffraction that the image has: at which wavelength [m], about what it changes, and rays for it."""
+
+    wavelength: Positive
+    about_rms_gray: NotNegative
+    rays: Rays
+
+
+@dataclass(frozen=True, slots=True)
 class Timing:
     """What a run took, and what was said of that before: the one part of a manifest that differs between equal runs."""
 
@@ -108,6 +117,8 @@ class RunManifest:
         Effect -> what leaving it out costs.
     bounces : BouncesTraced or None
         Where light from surface to surface was traced.
+    diffraction : DiffractionTaken or None
+        Where the image has it.
     files : Mapping[str, str]
         File -> its SHA-256.
     timing : Timing
@@ -145,6 +156,7 @@ class RunManifest:
     bands: BandsSummary | None = field(default=None, metadata=ONLY_WHERE_USED)
     left_out: Mapping[str, Effect]
     bounces: BouncesTraced | None = field(default=None, metadata=ONLY_WHERE_USED)
+    diffraction: DiffractionTaken | None = field(default=None, metadata=ONLY_WHERE_USED)
     files: Hashes
     timing: Timing
 

@@ -15,7 +15,7 @@ from radwrap.imaging.forecast.effects import Effect, warnings_of_left_out
 from radwrap.imaging.mean_radiance import Made
 from radwrap.imaging.output.identity import Identity
 from radwrap.imaging.output.image_files import ImageSummary
-from radwrap.imaging.output.run_manifest import Bounces, BouncesTraced, RunManifest, Timing
+from radwrap.imaging.output.run_manifest import Bounces, BouncesTraced, DiffractionTaken, RunManifest, Timing
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.tolerance.lit_noise import ToleranceAsked
 from radwrap.imaging.tolerance.uncertainty import UncertaintySummary
@@ -44,7 +44,9 @@ class TracedRun:
     left_out, beyond : Effect
         What leaving that out costs, and what leaving out more of it does where `orders` is a number above 0.
     waves : Effect, optional
-        What leaving diffraction out costs, where there may be any.
+        What leaving diffraction out costs, where it was and there may be any.
+    diffraction : DiffractionTaken, optional
+        Where it was taken.
     exposure_of_radiance : float
         Radiant exposure over mean radiance [s sr].
     spread : ndarray, shape (sources, rows, columns), optional
@@ -67,6 +69,7 @@ class TracedRun:
     left_out: Effect
     beyond: Effect | None
     waves: Effect | None
+    diffraction: DiffractionTaken | None
     exposure_of_radiance: float
     spread: NDArray[np.float64] | None
     magnification: NDArray[np.float64] | None
@@ -120,6 +123,7 @@ class TracedRun:
             bands=self.banding.summary(),
             left_out=self._left_out(),
             bounces=BouncesTraced(self.orders, self.left_out.rms_gray) if self.orders else None,
+            diffraction=self.diffraction,
             files=dict(files),
             timing=timing,
         )

@@ -62,6 +62,9 @@ class Certificate:
         "pairs and replicates", "replicates" or "independent rays".
     bands_gray : float or None
         What the bands of the light may add, in the bounds already; None where the scene tells no spectra.
+    diffraction_gray : float or None
+        What the footprint of waves may add, in the bounds already: noise of its rays, cells and tails; None where light
+        is rays.
     """
 
     rms_gray: NotNegative
@@ -73,12 +76,35 @@ class Certificate:
     certificate_rays: Rays
     method: str
     bands_gray: NotNegative | None = field(default=None, metadata=ONLY_WHERE_USED)
+    diffraction_gray: NotNegative | None = field(default=None, metadata=ONLY_WHERE_USED)
 
     def with_bands(self, gray: float) -> Certificate:
         """The certificate that holds where bands change each pixel by so much at most [gray level]."""
         quantile = None if self.p99_gray_upper95 is None else self.p99_gray_upper95 + gray
         bound = self.rms_gray_upper95 + gray
         return replace(self, rms_gray_upper95=bound, p99_gray_upper95=quantile, bands_gray=gray)
+
+    def with_waves(self, noise: Bounded, cells: float, tails: float, quantile: float) -> Certificate:
+        """The certificate of an image with what waves add.
+
+        Parameters
+        ----------
+        noise : Bounded
+            Mean square of what the number of their rays adds [gray level^2].
+        cells : float
+            Mean square of what their cells add [gray level^2].
+        tails : float
+            Rms of what light may add that comes from farther than was looked at [gray level].
+        quantile : float
+            Of all three, that 99.5 % of the pixels stay below [gray level].
+        """
+        return replace(
+            self,
+            rms_gray=math.sqrt(self.rms_gray**2 + noise.mean + cells),
+            rms_gray_upper95=math.sqrt(self.rms_gray_upper95**2 + noise.upper + cells) + tails,
+            p99_gray_upper95=None if self.p99_gray_upper95 is None else self.p99_gray_upper95 + quantile,
+            diffraction_gray=math.sqrt(noise.upper + cells) + tails,
+        )
 
 
 def root(mean_square: float) -> float:

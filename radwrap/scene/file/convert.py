@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from itertools import count
 from pathlib import Path
+from typing import Final
 
 from radwrap.errors import InputError
 from radwrap.nearest import did_you_mean
@@ -89,6 +90,11 @@ def scene_from_model(
     return scene
 
 
+# Below f/2, and behind openings of so few wavelengths, light's polarisation and its angles count.
+_WIDEST_PARAXIAL: Final = 2.0
+_SMALLEST_SCALAR: Final = 20.0
+
+
 def _check_wavelength(scene: Scene, assumed: dict[str, str]) -> None:
     """See that one wavelength is told of the light, at most, and name the one that is taken where none is."""
     camera = scene.camera
@@ -101,6 +107,16 @@ def _check_wavelength(scene: Scene, assumed: dict[str, str]) -> None:
     told = scene.spectral is not None or camera.sensor.linear is not None or camera.wavelength is not None
     if not told and not camera.aperture.is_infinitesimal:
         assumed["camera.wavelength"] = f"{ASSUMED_WAVELENGTH * 1e9:g} nm"
+    if camera.diffraction is None:
+        return
+    wavelength = camera.wavelength or ASSUMED_WAVELENGTH
+    if scene.spectral is not None:
+        wavelength = scene.spectral.wavelength
+    elif camera.sensor.linear is not None:
+        wavelength = camera.sensor.linear.wavelength
+    diameter = camera.aperture.diameter
+    if camera.image_distance < _WIDEST_PARAXIAL * diameter or diameter < _SMALLEST_SCALAR * wavelength:
+        assumed["camera.diffraction.model"] = "scalar, paraxial waves, near or beyond where they hold"
 
 
 def _check_splitter(sources: tuple[Source, ...], targets: tuple[Target, ...], origin: str) -> None:
@@ -175,6 +191,7 @@ def camera_from_table(table: tables.CameraModel, where: str, assumed: dict[str, 
         distortion=_distortion(table, centre, where),
         lens=None if table.lens is None else _lens(table.lens, table, principal_point, f"{where}.lens", assumed),
         wavelength=table.wavelength,
+        diffraction=None if table.diffraction == "off" or not table.opening_diameter else table.diffraction,
     )
     return _part_of(camera, sensor, assumed)
 

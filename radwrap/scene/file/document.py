@@ -127,6 +127,8 @@ class CameraModel(Aimed):
     """Without it the camera is a pinhole."""
     wavelength: Wavelength | None = None
     """Of the light, where neither spectra nor a linear sensor tell it."""
+    diffraction: Literal["auto", "on", "off"] = "auto"
+    """Whether images have diffraction: where it matters, always, or never."""
     spectral_response: CurveModel | None = None
     """Relative response of the sensor over wavelength."""
     filter: CurveModel | None = None
@@ -153,6 +155,12 @@ class CameraModel(Aimed):
     def _one_wavelength(self) -> CameraModel:
         if self.wavelength is not None and self.sensor.model == "linear":
             raise ValueError("wavelength: sensor.wavelength tells it already; leave this one out")
+        return self
+
+    @model_validator(mode="after")
+    def _an_opening_for_waves(self) -> CameraModel:
+        if self.diffraction == "on" and not self.opening_diameter:
+            raise ValueError('diffraction: "on" needs an opening, and the aperture\'s diameter is 0; leave it out')
         return self
 
     @property
