@@ -97,6 +97,7 @@ def draw(random: np.random.Generator) -> dict[str, Any]:
             "focal_length": f"{f:.5f} mm",
             "exposure_time": "100 ms",
             "aperture": aperture,
+            "diffraction": "off",  # the truth is rays
             "sensor": {
                 "rows": ROWS,
                 "columns": COLUMNS,

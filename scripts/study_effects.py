@@ -67,6 +67,7 @@ EDGE: Final[dict[str, Any]] = {
         "focal_length": "12.5 mm",
         "exposure_time": "100 ms",
         "aperture": {"diameter": "0.2 mm"},
+        "diffraction": "off",
         "sensor": {
             "rows": 40,
             "columns": 48,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Final
 
 from radwrap.cli import options as shared
@@ -141,7 +141,8 @@ def _lines(found: Mapping[str, Any], *, all_assumed: bool) -> Iterator[str]:
         u, v = airy["airy_radius_px"]
         yield (
             f"diffraction: Airy radius {airy['airy_radius'] * 1e6:.3g} um, {u:.2g} x {v:.2g} px, at "
-            f"{airy['wavelength'] * 1e9:.4g} nm{' (assumed)' if airy['wavelength_assumed'] else ''}; not modelled"
+            f"{airy['wavelength'] * 1e9:.4g} nm{' (assumed)' if airy['wavelength_assumed'] else ''}; "
+            f"{_decided(airy['asked'], found.get('effects', ()))}"
         )
     for source in found["scene"]["sources"]:
         yield f"source: {_source(source)}"
@@ -191,6 +192,16 @@ def _lines(found: Mapping[str, Any], *, all_assumed: bool) -> Iterator[str]:
     for warning in found["warnings"]:
         yield f"warning: {warning}"
     yield from _assumed(found, whole=all_assumed)
+
+
+def _decided(asked: str, effects: Iterable[Mapping[str, Any]]) -> str:
+    """Whether images have diffraction."""
+    if asked != "auto":
+        return "images have it" if asked == "on" else 'left out (camera.diffraction = "off")'
+    needed = [effect["needed"] for effect in effects if effect["name"] == "diffraction"]
+    if not needed:
+        return "images have it where it matters at their tolerance"
+    return f"images of this tolerance {'have it' if needed[0] else 'do without it'}"
 
 
 def _wide(wide: Mapping[str, Any], *, shines_whole: bool) -> str:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, Final, Literal
 
 from radwrap.errors import InputError
+from radwrap.manifest import ONLY_WHERE_USED
 
 ToleranceMethod = Literal["kernel", "rays", "hybrid"]
 EvenMethod = Literal["kernel", "rays"]
@@ -20,6 +21,8 @@ REPLICATES: Final = 12
 FINEST_CELL: Final = 1 / 16  # px
 COARSEST_CELL: Final = 64.0  # px
 _MOST_REPLICATES: Final = 1000
+_CELLS: Final = f"must be a power of 2 from {FINEST_CELL:g} to {COARSEST_CELL:g} px"
+_OPTIONAL: Final = "wave_cell"
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +85,9 @@ class SamplingPlan:
         Of rays: how many each pixel gets in each replicate, a power of 2.
     replicates : int
         Independent images; their mean is the result, their differences its error.
+    wave_cell : float or None
+        Cell of the grid by which diffraction is taken, as `cell`; None where no image of the plan needs it: then only
+        those have it whose scene says "on".
     """
 
     method: EvenMethod
@@ -89,13 +95,16 @@ class SamplingPlan:
     layered: bool = False
     rays: int | None = None
     replicates: int = REPLICATES
+    wave_cell: float | None = field(default=None, metadata=ONLY_WHERE_USED)
 
     def __post_init__(self) -> None:
         if self.method not in ("kernel", "rays"):
             raise InputError('must be "kernel" or "rays"', where="method")
         cell_due = self.method == "kernel"
         if (self.cell is not None) != cell_due or (cell_due and not _is_power(self.cell, FINEST_CELL, COARSEST_CELL)):
-            raise InputError(f"must be a power of 2 from {FINEST_CELL:g} to {COARSEST_CELL:g} px", where="cell")
+            raise InputError(_CELLS, where="cell")
+        if self.wave_cell is not None and not _is_power(self.wave_cell, FINEST_CELL, COARSEST_CELL):
+            raise InputError(_CELLS, where="wave_cell")
         if (self.rays is not None) == cell_due or not (cell_due or _is_power(self.rays, FEWEST, MOST)):
             raise InputError(f"must be a power of 2 from {FEWEST} to {MOST}", where="rays")
         if not isinstance(self.layered, bool):
@@ -111,7 +120,7 @@ class SamplingPlan:
 
     def as_json(self) -> dict[str, Any]:
         """As `sampling_plan` reads it."""
-        return asdict(self)
+        return {key: value for key, value in asdict(self).items() if key != _OPTIONAL or value is not None}
 
 
 def sampling_plan(told: Any, where: str) -> SamplingPlan:
@@ -123,8 +132,8 @@ def sampling_plan(told: Any, where: str) -> SamplingPlan:
         Naming the key.
     """
     keys = set(SamplingPlan.__slots__)
-    if not isinstance(told, Mapping) or set(told) != keys:
-        raise InputError(f"must be a table of {', '.join(sorted(keys))}", where=where)
+    if not isinstance(told, Mapping) or {*told, _OPTIONAL} != keys:
+        raise InputError(f"must be a table of {', '.join(sorted(keys - {_OPTIONAL}))}", where=where)
     if told["rays"] is not None and type(told["rays"]) is not int:
         raise InputError("must be a whole number", where=f"{where}.rays")
     try:

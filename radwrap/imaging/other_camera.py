@@ -39,6 +39,7 @@ _BOUNDS: Final = (
     "model_rms_gray",
     "discretisation_rms_gray",
     "bands_gray",
+    "diffraction_gray",
 )
 
 
@@ -90,7 +91,7 @@ def in_other_camera(
     """
     other = with_camera(scene, changes)
     old, new = scene.camera, other.camera
-    _check_same_light(old, new)
+    check_same_light(old, new)
     times = _times(old, new)
     made = ExposureImage(exposure.values * times, exposure.provenance)
     gray = image_of_levels(gray_levels(made.values, new.sensor), new.sensor, made.provenance)
@@ -148,7 +149,7 @@ def basis_in_other_camera(basis: Basis, scene: SceneText, changes: Mapping[str, 
         scene.document, changes, origin=scene.origin, folder=scene.folder, spectral=scene.spectral
     )
     old, new = basis.camera, replace(camera, distortion=None)
-    _check_same_light(old, new)
+    check_same_light(old, new)
     return replace(basis, camera=new, exposure_of_radiance=basis.exposure_of_radiance * _times(old, new))
 
 
@@ -159,11 +160,25 @@ def _times(old: Camera, new: Camera) -> float:
     return new.exposure_time / old.exposure_time
 
 
-def _check_same_light(old: Camera, new: Camera) -> None:
+def check_same_light(old: Camera, new: Camera) -> None:
+    """See that pixels of another camera get the same light.
+
+    Raises
+    ------
+    InputError
+        If they do not.
+    """
     shape = next((name for name in _SHAPE if getattr(old.sensor, name) != getattr(new.sensor, name)), None)
     if shape is not None:
         raise InputError(
             "changes which light a pixel gets", where=f"camera.sensor.{shape}", remedy="render that camera"
+        )
+    lengths = [sensor.linear and sensor.linear.wavelength for sensor in (old.sensor, new.sensor)]
+    if old.diffraction is not None and lengths[0] != lengths[1]:
+        raise InputError(
+            "changes what the opening's waves do to the image",
+            where="camera.sensor.wavelength",
+            remedy='render that camera, or set `camera.diffraction = "off"`',
         )
     if replace(new, exposure_time=old.exposure_time, sensor=old.sensor) != old:
         raise InputError("changes which light a pixel gets", where="camera", remedy="render that camera")

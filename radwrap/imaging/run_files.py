@@ -40,6 +40,13 @@ class SampleFile:
 
 
 @dataclass(frozen=True, slots=True)
+class WavesFile:
+    """Diffraction that the images of a basis have: at which wavelength [m]."""
+
+    wavelength: Positive
+
+
+@dataclass(frozen=True, slots=True)
 class BasisFile:
     """What basis.json holds."""
 
@@ -59,6 +66,7 @@ class BasisFile:
     even: bool = False
     smooth_share: Annotated[float, Field(gt=0, le=1)] = 1.0
     every_pixel: bool = False
+    waves: WavesFile | None = None
 
     def __post_init__(self) -> None:
         sensor = self.camera.sensor

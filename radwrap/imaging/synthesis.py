@@ -54,6 +54,7 @@ from radwrap.imaging.tolerance.kept_replicates import kept, write_replicates
 from radwrap.imaging.tolerance.lit_noise import with_gray_tolerance
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.uncertainty import seen_magnifications, share_spread
+from radwrap.imaging.tolerance.wave_plan import WavePlan
 from radwrap.imaging.tracing import LaidOutScene
 from radwrap.imaging.with_waves import refuse_waves, with_waves
 from radwrap.kept import Kept
@@ -391,10 +392,12 @@ def _trace(run: _Run) -> tuple[TracedRun, list[str]]:
         left = traced.banding.left(tracing)
         rays = make(scene, left, work, before, relit=bool(run.identity.sources))
         # The bands' share of a tolerance is left out of another one likewise.
-        waves = with_waves(scene, left, work, rays, lambda to: make(scene, replace(left, tolerance=to), work))
+        relit = bool(run.identity.sources)
+        finer = partial(_made_to, scene, left, work, relit=relit)
+        waves = with_waves(scene, left, work, rays, finer)
         made = waves.made
         spread, magnification = _spread(run), _magnification(scene, view)
-        basis = _write_basis(run, work, made, magnification)
+        basis = _write_basis(run, work, made, magnification, waves.plan)
     finally:
         run.progress.close()
     found = TracedRun(
@@ -412,6 +415,7 @@ def _trace(run: _Run) -> tuple[TracedRun, list[str]]:
         exposure_of_radiance=view.exposure_of_radiance,
         spread=spread,
         magnification=magnification,
+        blur_slope=waves.blur_slope,
         foretold=announcement.foretold,
         tolerance_asked=asked,
     )
@@ -430,7 +434,14 @@ def _with_bounces(run: _Run, view: View, orders: Bounces) -> tuple[Work, RenderO
     return Work(view, run.pieces, run.programs, run.progress, known_by, options.seed, pieces, run.kept), options
 
 
-def _write_basis(run: _Run, work: Work, made: Made, magnification: NDArray[np.float64] | None) -> list[str]:
+def _made_to(scene: Scene, options: RenderOptions, work: Work, tolerance: float, *, relit: bool) -> Made:
+    """The image by rays, to another tolerance [gray level]."""
+    return make(scene, replace(options, tolerance=tolerance), work, relit=relit)
+
+
+def _write_basis(
+    run: _Run, work: Work, made: Made, magnification: NDArray[np.float64] | None, waves: WavePlan | None
+) -> list[str]:
     scene, identity, sources = run.scene, run.identity, run.identity.sources
     if not sources or made.outcome is None:
         return []
@@ -445,7 +456,7 @@ def _write_basis(run: _Run, work: Work, made: Made, magnification: NDArray[np.fl
         "versions": identity.versions,
         **({} if scene.tolerances is None else {"tolerances": plain(scene.tolerances)}),
     }
-    return write_basis(run.made, work, views, made.outcome, told, magnification=magnification)
+    return write_basis(run.made, work, views, made.outcome, told, magnification=magnification, waves=waves)
 
 
 def _spread(run: _Run) -> NDArray[np.float64] | None:

@@ -7,17 +7,25 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from radwrap.errors import InputError
+from radwrap.imaging.demand import FINEST_CELL, REPLICATES
 from radwrap.imaging.forecast.effects import Effect, diffraction_left_out
 from radwrap.imaging.forecast.wave_change import MOST_RAYS
-from radwrap.imaging.mean_radiance import Made
+from radwrap.imaging.mean_radiance import Made, fixed_method
+from radwrap.imaging.methods.kernel import TooDeep
 from radwrap.imaging.optics.diffraction import wavelength_of
+from radwrap.imaging.optics.view import trace_rays
 from radwrap.imaging.output.run_manifest import DiffractionTaken
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.tolerance.replicates import Work
-from radwrap.imaging.tolerance.wave_image import WaveImage, wave_image
+from radwrap.imaging.tolerance.wave_image import WaveError, visible_gray, wave_error
+from radwrap.imaging.tolerance.wave_parts import WaveParts, wave_parts
+from radwrap.imaging.tolerance.wave_plan import WavePlan, by_diameter, plan_waves
 from radwrap.scene.scene import Scene
+
+Array = NDArray[np.float64]
 
 # Rays that tell what diffraction would change, beside those of the image; fewer where they only decide whether it is
 # taken; and the fewest that tell anything.
@@ -27,6 +35,11 @@ _FEWEST: Final = 1 << 13
 _AIM: Final = 0.5  # of the tolerance, each of both replicates
 _FINER: Final = 0.25  # of that aim, where it was too much
 _LESS: Final = 0.8  # of the tolerance is left to the rays' own image, where both together break it
+_TWO: Final = 2  # replicates, where nothing is made of them but their mean
+# Of the tolerance, what waves may add to the error of images that are compared; and how fast that falls with the size
+# of their cells, as in `sampling`.
+_EVEN_SHARE: Final = 0.4
+_FALL: Final = 8.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,11 +54,45 @@ class WithWaves:
         What leaving it out costs, where it was and there may be any.
     taken : DiffractionTaken, optional
         Where it was taken.
+    plan : WavePlan, optional
+        Likewise: by which rays.
+    blur_slope : ndarray, shape (rows, columns), optional
+        See `uncertainty_squares`; of an image with waves whose opening is not sure.
     """
 
     made: Made
     left_out: Effect | None
     taken: DiffractionTaken | None
+    plan: WavePlan | None = None
+    blur_slope: Array | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Waves:
+    """How waves of one image are traced."""
+
+    scene: Scene
+    options: RenderOptions
+    work: Work
+    wavelength: float
+
+    @property
+    def even_cell(self) -> float | None:
+        """Cells of a plan of many images, which no light decides."""
+        return None if self.options.sampling is None else self.options.sampling.wave_cell
+
+    def plan(self, aim: float) -> WavePlan:
+        return plan_waves(self.work.view, self.wavelength, aim, self.options.seed, even_cell=self.even_cell)
+
+    def replicates(self, made: Made) -> int:
+        """As many as the image has, where each is kept."""
+        kept = self.options.basis or self.options.sampling is not None
+        return len(made.outcome.replicates.images) if kept and made.outcome is not None else _TWO
+
+    def parts(self, plan: WavePlan, replicates: int) -> WaveParts:
+        work = self.work
+        work.progress.left(replicates * self.scene.camera.sensor.pixels)
+        return wave_parts(work.view, plan, replicates, progress=work.progress.add, check=work.programs.check)
 
 
 def refuse_waves(scene: Scene, options: RenderOptions) -> None:
@@ -56,19 +103,21 @@ def refuse_waves(scene: Scene, options: RenderOptions) -> None:
     InputError
         If it does not.
     """
+    if scene.camera.diffraction is None:
+        return
+    if options.basis and scene.tolerances is not None and scene.tolerances.aperture_diameter:
+        raise InputError(
+            "is not known of a light basis with diffraction",
+            where="tolerances.aperture_diameter",
+            remedy='leave it out, or set `camera.diffraction = "off"`',
+        )
     if scene.camera.diffraction != "on":
         return
-    for key, asked in (("basis", options.basis), ("sampling", options.sampling is not None)):
-        if asked:
-            raise InputError(
-                "knows no diffraction yet", where=key, remedy='leave it out, or `camera.diffraction = "off"`'
-            )
-    if options.method == "pinhole":
-        raise InputError(
-            "has no opening, and diffraction is asked for",
-            where="method",
-            remedy='take another method, or `camera.diffraction = "off"`',
-        )
+    remedy = 'take another method, or `camera.diffraction = "off"`'
+    if fixed_method(scene, options) == "pinhole":
+        raise InputError("has no opening, and diffraction is asked for", where="method", remedy=remedy)
+    if options.sampling is not None and options.sampling.wave_cell is None:
+        raise InputError("is missing, and diffraction is asked for", where="sampling.wave_cell")
 
 
 def with_waves(
@@ -77,7 +126,7 @@ def with_waves(
     """Measure what diffraction changes, and take it.
 
     Rays for that are traced once the image is whole, so that they neither decide how it is traced nor keep it from
-    being traced. In the dark none are: there is no light to be bent.
+    being traced. In the dark none are: there is no light to be bent. Of images that are compared a plan of all decides.
 
     Parameters
     ----------
@@ -91,50 +140,122 @@ def with_waves(
         It.
     again : callable
         Makes the image by rays to another tolerance [gray level].
+
+    Raises
+    ------
+    InputError
+        If waves are asked for, and the scene is too deep for them.
     """
     camera = scene.camera
-    if camera.aperture.is_infinitesimal or not made.radiance.any():
+    if camera.aperture.is_infinitesimal or not (made.radiance.any() or options.sampling is not None):
         return WithWaves(made, None, None)
     work.programs.check()
     share = _SHARE if camera.diffraction is None else _DECIDING_SHARE
     rays = min(MOST_RAYS, max(_FEWEST, round(share * made.used.rays)))
     found = diffraction_left_out(scene, work.view, options.seed, options.gray_tolerance, rays)
-    cannot = options.basis or options.sampling is not None or made.used.method == "pinhole"
-    if camera.diffraction is None or cannot or (camera.diffraction == "auto" and not found.needed):
+    if not _is_taken(scene, options, made, found):
         return WithWaves(made, found, None)
-    wavelength = wavelength_of(scene)[0]
-
-    def waves(aim: float) -> WaveImage:
-        work.progress.left(2 * camera.sensor.pixels)
-        add, check = work.progress.add, work.programs.check
-        return wave_image(work.view, wavelength, made.radiance, aim=aim, seed=options.seed, progress=add, check=check)
-
+    waves = _Waves(scene, options, work, wavelength_of(scene)[0])
     aim = _AIM * options.gray_tolerance
-    change = waves(aim)
-    taken = found.rays + change.rays
-    whole = _added(made, change, options, taken)
-    if not _is_met(whole):
-        change = waves(_FINER * aim)
-        taken += change.rays
-        whole = _added(made, change, options, taken)
-    if not _is_met(whole) and _is_met(made):
-        before, made = made.used.rays, again(_LESS * options.gray_tolerance)
-        whole = _added(made, change, options, taken + before)
-    return WithWaves(whole, None, DiffractionTaken(wavelength, found.rms_gray, change.rays))
+    try:
+        plan = waves.plan(aim)
+    except TooDeep as error:
+        if camera.diffraction == "auto" and options.sampling is None:
+            return WithWaves(made, found, None)
+        raise _too_deep() from error
+    parts = waves.parts(plan, waves.replicates(made))
+    taken = found.rays + parts.rays
+    whole = _added(made, plan, parts, waves, taken)
+    if not _is_met(whole) and options.sampling is None:
+        plan = waves.plan(_FINER * aim)
+        parts = waves.parts(plan, waves.replicates(made))
+        taken += parts.rays
+        whole = _added(made, plan, parts, waves, taken)
+    if not _is_met(whole) and _is_met(made) and options.sampling is None:
+        taken, made = taken + made.used.rays, again(_LESS * options.gray_tolerance)
+        if len(parts.change) != waves.replicates(made):
+            parts = waves.parts(plan, waves.replicates(made))
+            taken += parts.rays
+        whole = _added(made, plan, parts, waves, taken)
+    slope = None
+    if scene.tolerances is not None and scene.tolerances.aperture_diameter:
+        changed = waves.parts(by_diameter(plan), _TWO).change.mean(axis=0)
+        light = whole.radiance
+        slope = np.where(light > 0, changed / np.where(light > 0, light, 1.0), 0.0)
+    return WithWaves(whole, None, DiffractionTaken(waves.wavelength, found.rms_gray, parts.rays), plan, slope)
+
+
+def even_wave_cell(scene: Scene, work: Work, options: RenderOptions) -> float | None:
+    """Cells that waves of one image need of a plan of many [px]; None where it needs no waves.
+
+    Raises
+    ------
+    InputError
+        If waves are asked for, and the scene is too deep for them.
+    """
+    camera, tolerance = scene.camera, options.gray_tolerance
+    if camera.diffraction is None or camera.aperture.is_infinitesimal:
+        return None
+    if camera.diffraction == "auto" and not diffraction_left_out(scene, work.view, options.seed, tolerance).needed:
+        return None
+    waves = _Waves(scene, replace(options, sampling=None), work, wavelength_of(scene)[0])
+    try:
+        cell = waves.plan(1.0).kernel.grid.cell
+        plan = plan_waves(work.view, waves.wavelength, 0.0, options.seed, even_cell=cell)
+    except TooDeep as error:
+        raise _too_deep() from error
+    parts = waves.parts(plan, _TWO)
+    found = _error(plan, parts, np.maximum(_look(work) + parts.change.mean(axis=0), 0.0), work)
+    square = found.noise.mean * _TWO / REPLICATES + found.cells
+    times = square / (_EVEN_SHARE * tolerance) ** 2
+    while times > 1 and cell > FINEST_CELL:
+        cell, times = cell / 2, times / _FALL
+    return cell
+
+
+def _look(work: Work) -> Array:
+    """About what an image shows, a ray a pixel [W m^-2 sr^-1]."""
+    sensor = work.view.camera.sensor
+    v, u = np.indices((sensor.rows, sensor.columns), dtype=np.float64)
+    return trace_rays(work.view, None, u.ravel(), v.ravel())[0].reshape(sensor.rows, sensor.columns)
+
+
+def _too_deep() -> InputError:
+    return InputError(
+        "knows no waves of so deep a scene", where="camera.diffraction", remedy='set it "off", or bring targets nearer'
+    )
+
+
+def _is_taken(scene: Scene, options: RenderOptions, made: Made, found: Effect) -> bool:
+    """Whether the image has waves: as the scene says, or where they matter to it or to one it is compared with."""
+    asked = scene.camera.diffraction
+    if asked is None or made.used.method == "pinhole":
+        return False
+    if asked == "on":
+        return True
+    return found.needed if options.sampling is None else options.sampling.wave_cell is not None
 
 
 def _is_met(made: Made) -> bool:
     return made.outcome is None or made.outcome.met
 
 
-def _added(made: Made, change: WaveImage, options: RenderOptions, rays: int) -> Made:
+def _error(plan: WavePlan, parts: WaveParts, made: Array, work: Work) -> WaveError:
+    view = work.view
+    return wave_error(parts, made, visible_gray(view.exposure_of_radiance, view.camera.sensor), plan.block)
+
+
+def _added(made: Made, plan: WavePlan, parts: WaveParts, waves: _Waves, rays: int) -> Made:
     """The image with what waves add, and the certificate of both."""
-    radiance = np.maximum(made.radiance + change.change, 0.0)
-    certificate = made.certificate.with_waves(change.noise, change.cells, change.tails, change.quantile)
+    radiance = np.maximum(made.radiance + parts.change.mean(axis=0), 0.0)
+    found = _error(plan, parts, radiance, waves.work)
+    certificate = made.certificate.with_waves(found.noise, found.cells, found.tails, found.quantile)
     used = replace(made.used, rays=made.used.rays + rays)
-    outcome = made.outcome
-    if outcome is not None:
-        met = options.demand.is_met(certificate.rms_gray_upper95, certificate.p99_gray_upper95)
+    outcome, demand = made.outcome, waves.options.demand if made.outcome is not None else None
+    if outcome is not None and demand is not None:
+        met = demand.is_met(certificate.rms_gray_upper95, certificate.p99_gray_upper95)
         record = replace(outcome.record, met=met)
         outcome = replace(outcome, radiance=radiance, certificate=certificate, met=met, record=record)
+        if waves.options.sampling is not None:
+            outcome = replace(outcome, replicates=outcome.replicates.with_waves(parts.change, parts.cells))
     return replace(made, radiance=radiance, certificate=certificate, used=used, outcome=outcome)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,6 +16,7 @@ from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.sampling import Pilot, pilot, strictest
 from radwrap.imaging.tracing import laid_out
+from radwrap.imaging.with_waves import even_wave_cell
 from radwrap.manifest import SCHEMA_VERSION, read_manifest, sha256_of_value, write_manifest
 from radwrap.process import Programs
 from radwrap.progress import Progress
@@ -43,7 +44,8 @@ def write_pilot(path: Path, scene: Scene, options: RenderOptions) -> None:
         laid_out(scene, options) as traced,
     ):
         work = Work(traced.view(), Path(folder), programs, quiet, traced.sha256(), options.seed)
-        found = pilot(work, traced.banding.left(options).demand)
+        left = traced.banding.left(options)
+        found = replace(pilot(work, left.demand), wave_cell=even_wave_cell(scene, work, left))
     make_folder(path.parent)
     write_manifest(path, {"schema_version": SCHEMA_VERSION, **asdict(found)})
 
@@ -52,7 +54,8 @@ def read_pilot(path: Path) -> Pilot | None:
     """What a pilot found; None where there is none, or none that is whole."""
     try:
         told = read_manifest(path)
-        numbers = [told["rays"], told["pixels"], told["covered"], 1.0 if told["cell"] is None else told["cell"]]
+        cells = (told["cell"], told["wave_cell"])
+        numbers = [told["rays"], told["pixels"], told["covered"], *(cell for cell in cells if cell is not None)]
         if all(type(one) in (int, float) and math.isfinite(one) and one > 0 for one in numbers):
             return Pilot(**{one.name: told[one.name] for one in fields(Pilot)})
     except (InputError, KeyError):

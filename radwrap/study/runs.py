@@ -13,10 +13,12 @@ from typing import Any, Final
 from radwrap.errors import InputError
 from radwrap.imaging.demand import REPLICATES
 from radwrap.imaging.forecast.cost import check_size
+from radwrap.imaging.render_options import RenderOptions
 from radwrap.manifest import sha256_of_value
 from radwrap.random_streams import generator
 from radwrap.scene.file.keys import expanded, set_key, steps_of
 from radwrap.scene.file.load import scene_from_document
+from radwrap.scene.scene import Scene
 from radwrap.study.design import Analysis, Design, check_render_option, render_options
 from radwrap.study.design_tables import MOST_RUNS
 from radwrap.study.factors import Draw, Factor, Level, settings
@@ -282,8 +284,20 @@ def _check_level(design: Design, factor: Factor, level: Level, options: Mapping[
             scene = scene_from_document(document, origin=design.scene_origin, folder=design.folder)
             replicates = REPLICATES if how.fixed_method is None else 0
             check_size(scene, how.max_pixels, max(replicates, 1), 1, replicates=replicates)
+            _check_decided(scene, how)
         except InputError as error:
             raise InputError(f"{error.where}: {error.what}", where=where, remedy=error.remedy) from error
+
+
+def _check_decided(scene: Scene, how: RenderOptions) -> None:
+    """See that it is decided once for all runs whether they have diffraction: pilots do that, and the scene."""
+    camera = scene.camera
+    if how.fixed_method == "viewpoints" and camera.diffraction == "auto" and not camera.aperture.is_infinitesimal:
+        raise InputError(
+            "would be decided by each run for itself, as sub-viewpoints have no pilots",
+            where="camera.diffraction",
+            remedy='set it "on" or "off"',
+        )
 
 
 def _set(document: dict[str, Any], key: str, value: Any, where: str) -> None:

@@ -64,6 +64,7 @@ def camera(
         "focal_length": metres(FOCAL_LENGTH)[0],
         "exposure_time": "1 s",
         "aperture": {"diameter": metres(DIAMETER)[0]},
+        "diffraction": "off",  # closed forms are those of rays
         "sensor": {**plain, **(sensor or {})},
         **more,
     }

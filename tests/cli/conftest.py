@@ -35,6 +35,7 @@ SMALL: Final[dict[str, Any]] = {
         "focal_length": "12.5 mm",
         "exposure_time": "387 ms",
         "aperture": {"diameter": "0.4 mm"},
+        "diffraction": "off",  # it has its own tests
         "sensor": {
             "rows": 20,
             "columns": 24,

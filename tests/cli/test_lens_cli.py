@@ -111,8 +111,12 @@ def test_explain_tells_focus_and_airy_disc(capsys: pytest.CaptureFixture[str]) -
     assert main([*arguments("explain"), "--no-rays"]) == 0
     told = capsys.readouterr().out
     assert "lens: focused at 0.5 m" in told and "Airy radius" in told
-    assert main([*arguments("explain"), "--no-rays", "--set", "camera.lens.f_number=22"]) == 0
-    assert "warning: diffraction at the opening is not modelled" in capsys.readouterr().out
+    narrow = [*arguments("explain"), "--no-rays", "--set", "camera.lens.f_number=22"]
+    assert main([*narrow, "--set", "camera.diffraction=auto"]) == 0
+    told = capsys.readouterr().out
+    assert "nm (assumed); images have it where it matters at their tolerance" in told and "warning: diff" not in told
+    assert main([*narrow, "--set", "camera.diffraction=off"]) == 0
+    assert 'warning: diffraction at the opening is left out, as camera.diffraction is "off"' in capsys.readouterr().out
 
 
 def test_every_method_and_a_basis_agree(tmp_path: Path) -> None:

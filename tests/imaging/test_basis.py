@@ -13,7 +13,7 @@ import pytest
 import radwrap
 from radwrap.errors import InputError
 from radwrap.imaging.optics.view import LitView
-from radwrap.imaging.relight import basis as basis_module
+from radwrap.imaging.relight import basis_pieces
 from radwrap.imaging.relight.basis import freeze_tile, grid_pixels, shining, write_basis
 from radwrap.imaging.relight.relit import Basis, read_basis, relit
 from radwrap.imaging.render_options import RenderOptions
@@ -302,7 +302,7 @@ def test_the_quantile_comes_where_it_was_asked_for(small: Basis) -> None:
 def test_rows_longer_than_an_image_is_wide_are_folded(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """A tile of a large sensor has more pixels than an image file has columns; the files of the basis are the same."""
     radwrap.render(scene(), tmp_path / "plain", basis=True, tolerance=20)
-    monkeypatch.setattr(basis_module, "_WIDEST", 37)
+    monkeypatch.setattr(basis_pieces, "_WIDEST", 37)
     radwrap.render(scene(), tmp_path / "folded", basis=True, tolerance=20)
     names = sorted(path.name for path in (tmp_path / "plain" / "basis").iterdir())
     assert names

@@ -80,6 +80,7 @@ def document(targets: list[dict[str, Any]], **more: Any) -> dict[str, Any]:
             "focal_length": "10 mm",
             "exposure_time": "10 ms",
             "aperture": {"diameter": "0.1 mm"},
+            "diffraction": "off",
             "sensor": sensor,
         },
         "sources": [],

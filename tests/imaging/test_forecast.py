@@ -44,6 +44,7 @@ def scene(times: int = 1, **changes: Any) -> radwrap.Scene:
         "pixel_width": f"{55 / times} um",
         "pixel_height": f"{80 / times} um",
     }
+    document["camera"]["diffraction"] = "off"  # forecasts do not count it
     return radwrap.scene_from_document(document, changes)
 
 

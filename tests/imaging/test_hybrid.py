@@ -372,6 +372,7 @@ def board() -> dict[str, Any]:
             "focal_length": "10 mm",
             "exposure_time": "20 ms",
             "aperture": {"diameter": "0.4 mm"},
+            "diffraction": "off",
             "sensor": {
                 "rows": 24,
                 "columns": 32,

@@ -22,6 +22,7 @@ START = Path(__file__).parents[2] / "radwrap" / "data" / "init" / "scene.toml"
 def scene(**changes: Any) -> radwrap.Scene:
     document = tomllib.loads(START.read_text())
     document["camera"]["sensor"] |= {"rows": 33, "columns": 48, "pixel_width": "55 um", "pixel_height": "80 um"}
+    document["camera"]["diffraction"] = "off"  # it has its own tests
     return radwrap.scene_from_document(document, changes)
 
 

@@ -13,7 +13,9 @@ import pytest
 import radwrap
 from radwrap.errors import InputError
 from radwrap.imaging.optics.view import View
-from radwrap.imaging.tolerance.wave_image import wave_image
+from radwrap.imaging.tolerance.wave_image import visible_gray, wave_error
+from radwrap.imaging.tolerance.wave_parts import wave_parts
+from radwrap.imaging.tolerance.wave_plan import by_diameter, plan_waves
 from radwrap.scene.camera import Aperture, Lens
 from radwrap.tracers.tracer import Tracer
 from tests.imaging.planes import Array, Planes, camera
@@ -64,10 +66,13 @@ def test_an_edge_becomes_its_closed_form_within_the_bound(side: float, focus: fl
     rays, change = expected(view, place)
     scale, sensor = view.exposure_of_radiance, view.camera.sensor
     radiance = np.tile(rays, (ROWS, 1))
-    made = wave_image(view, WAVELENGTH, radiance, aim=0.25, seed=1, progress=lambda _: None, check=lambda: None)
-    off = (made.change - change) * scale * sensor.gain
+    plan = plan_waves(view, WAVELENGTH, 0.25, seed=1)
+    parts = wave_parts(view, plan, 2, progress=lambda _: None, check=lambda: None)
+    found = parts.change.mean(axis=0)
+    error = wave_error(parts, radiance + found, visible_gray(scale, sensor), plan.block)
+    off = (found - change) * scale * sensor.gain
     size = math.sqrt(float(np.mean((change * scale * sensor.gain) ** 2)))
-    bound = math.sqrt(made.noise.upper + made.cells) + made.tails
+    bound = math.sqrt(error.noise.upper + error.cells) + error.tails
     assert math.sqrt(float((off**2).mean())) < bound < max(0.7, 0.3 * size), (bound, size)
 
 
@@ -105,3 +110,31 @@ def test_what_knows_no_waves_is_refused() -> None:
         scene_of("on", aperture={"diameter": "0 mm"})
     with pytest.raises(InputError, match=r"method: has no opening"):
         radwrap.render(scene_of("on"), method="pinhole")
+
+
+@pytest.mark.parametrize(("side", "focus"), [(1e-4, None), (5e-4, 0.6)], ids=["pinhole", "out of focus"])
+def test_the_slope_by_the_diameter_is_that_of_the_closed_form(side: float, focus: float | None) -> None:
+    """Two footprints, as waves have no second moments: against the closed form of slightly other openings."""
+    view = seen(side, focus, 0.3)
+    plan = by_diameter(plan_waves(view, WAVELENGTH, 0.25, seed=1))
+    found = wave_parts(view, plan, 2, progress=lambda _: None, check=lambda: None).change.mean(axis=0)
+    narrower, wider = (sum(expected(seen(factor * side, focus, 0.3), 0.3)) for factor in (0.98, 1.02))
+    slope = (wider - narrower) / math.log(1.02 / 0.98)
+    # All rows see the same edge: their mean is free of most of the rays' noise.
+    assert np.abs(found.mean(axis=0) - slope).max() < 0.1 * np.abs(slope).max()
+
+
+def test_the_opening_of_an_image_with_waves_is_not_sure() -> None:
+    """Its light is known of any footprint, where nothing changes; at rims waves turn the sign of what the size does."""
+    document = tomllib.loads(BENCH.read_text())
+    document["camera"]["sensor"] |= {"rows": 44, "columns": 51, "pixel_width": "28 um", "pixel_height": "28 um"}
+    document["tolerances"] = {"aperture_diameter": "2 um"}
+    made = {}
+    for key in ("on", "off"):
+        document["camera"]["diffraction"] = key
+        made[key] = radwrap.render(radwrap.scene_from_document(document), tolerance=3.0).sigma
+    # Wider by 2 %: 4 % more light, and of waves less blur, so that they make bright places still brighter.
+    assert made["on"].max() > 1.02 * made["off"].max()
+    document["camera"]["diffraction"] = "auto"
+    with pytest.raises(InputError, match=r"tolerances.aperture_diameter: is not known of a light basis"):
+        radwrap.render(radwrap.scene_from_document(document), "unused", basis=True)

@@ -84,6 +84,7 @@ class Bench:
             "focal_length": cls.metres(focal_length)[0],
             "exposure_time": "1 s",
             "aperture": {"diameter": "0.1 mm"} | dict(aperture or {}),
+            "diffraction": "off",  # closed forms are those of rays
             "sensor": sensor,
             **place,
             **attitude,

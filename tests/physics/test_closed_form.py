@@ -206,7 +206,7 @@ def board(sheeting: dict[str, Any], **camera: Any) -> radwrap.Scene:
     document = tomllib.loads((SCENES / "bench_board" / "scene.toml").read_text())
     document["materials"]["sheeting"] = sheeting
     document["targets"][0]["rotation"] = ["0 deg", "0 deg", "0 deg"]
-    document["camera"] |= camera
+    document["camera"] |= {"diffraction": "off", **camera}  # by hand light is rays
     return radwrap.scene_from_document(document)
 
 

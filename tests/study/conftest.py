@@ -22,6 +22,7 @@ EDGE: Final[dict[str, Any]] = {
         "focal_length": "12.5 mm",
         "exposure_time": "100 ms",
         "aperture": {"diameter": "0.2 mm"},
+        "diffraction": "off",  # it has its own tests
         "sensor": {
             "rows": 50,
             "columns": 60,

@@ -70,6 +70,30 @@ def test_runs_share_a_plan_that_stands_in_the_study(finished: Path) -> None:
     assert not (out / "pilots").exists()
 
 
+def test_waves_that_one_run_needs_all_runs_have(design: DesignWriter) -> None:
+    """In the darker run they do not matter: by itself it would go without."""
+    darker = DARKER.replace("13 ms", "5 ms").replace("0.7", "2").replace("= 24", "= 16")
+    path = design(darker.replace("set = {", 'set = { "camera.diffraction" = "auto",'), BLUR)
+    out = path.parent / "out"
+    run_study(read_design(path), out, ONE)
+    (told,) = json.loads((out / STUDY).read_text())["sampling"]
+    taken = [made["diffraction"] for made in manifests(out)]
+    assert told["wave_cell"] <= 0.5 and len(taken) == 2
+    assert taken[0]["rays"] == taken[1]["rays"]
+    weak, strong = sorted(one["about_rms_gray"] for one in taken)
+    assert weak < 0.3 * 2 < strong
+    values = [float(row["b [px]"]) for row in read_table(out / "results.csv").rows]
+    assert values[0] == pytest.approx(values[1], abs=1e-3)
+
+
+def test_sub_viewpoints_of_a_study_do_not_decide_about_waves(design: DesignWriter) -> None:
+    by_viewpoints = DARKER.replace("tolerance = 0.7", 'method = "viewpoints"\nviewpoints = 7')
+    path = design(by_viewpoints.replace("set = {", 'set = { "camera.diffraction" = "auto",'), BLUR)
+    with pytest.raises(InputError) as error:
+        run_study(read_design(path), path.parent / "out", ONE)
+    assert error.value.remedy == 'set it "on" or "off"' and "camera.diffraction" in str(error.value)
+
+
 def test_the_plan_survives_a_kill_and_is_checked_when_it_is_read(design: DesignWriter, finished: Path) -> None:
     path = design(DARKER, BLUR)
     out = path.parent / "out"

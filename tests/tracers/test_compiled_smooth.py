@@ -31,6 +31,7 @@ FLAT: dict[str, Any] = {
         "focal_length": "20 mm",
         "exposure_time": "10 ms",
         "aperture": {"diameter": "0.01 mm"},
+        "diffraction": "off",
         "sensor": {
             "rows": ROWS,
             "columns": COLUMNS,

@@ -24,6 +24,10 @@ _WORKER_BYTES: Final = 16
 # Of replicates that are kept beside their image, each as float32 with what cells change and as float64 twice, once more
 # while they are written: measured at 1.3 million pixels [byte/pixel].
 _REPLICATE_BYTES: Final = 36
+# Of what waves add, by a count of arrays of float64: two replicates at least, with their gray levels twice, and
+# of their mean [byte/pixel].
+_WAVE_BYTES: Final = 24
+_WAVE_IMAGE_BYTES: Final = 48
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,9 +127,12 @@ def estimate(scene: Scene, rays: float, workers: int, *, replicates: int = 0) ->
     """
     pixels = scene.camera.sensor.pixels
     per_ray = _SECONDS_PER_RAY + _SECONDS_PER_RAY_AND_SOURCE * len(scene.emitters)
+    each = _MERGE_BYTES + _WORKER_BYTES * workers + _REPLICATE_BYTES * replicates
+    if scene.camera.diffraction is not None:
+        each += _WAVE_IMAGE_BYTES + _WAVE_BYTES * max(replicates, 2)
     return Cost(
         rays=round(rays),
-        memory_bytes=_BASE_MEMORY + pixels * (_MERGE_BYTES + _WORKER_BYTES * workers + _REPLICATE_BYTES * replicates),
+        memory_bytes=_BASE_MEMORY + pixels * each,
         parts={"image": rays * per_ray / workers},
     )
 

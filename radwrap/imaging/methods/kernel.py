@@ -57,6 +57,10 @@ _AT_ONCE: Final = 4
 _TILE_ROWS, _TILE_COLUMNS = 400, 1600
 
 
+class TooDeep(InputError):
+    """A scene has more depths than one central image may have layers."""
+
+
 @dataclass(frozen=True, slots=True)
 class KernelPlan:
     """All that decides an image by the kernel, the scene and the seed aside.
@@ -149,7 +153,7 @@ def plan_kernel(
 
     Raises
     ------
-    InputError
+    TooDeep
         If the scene is too deep for as many layers as are allowed.
     """
     camera = view.camera
@@ -198,7 +202,7 @@ def _layers(camera: Camera, low: float, high: float) -> tuple[float, ...]:
         return ((low + high) / 2,)
     number = math.ceil(spread / _LAYER_STEP) + 1
     if number > _MOST_LAYERS:
-        raise InputError(
+        raise TooDeep(
             f"the blur's radius differs by {spread:.3g} px over the scene's depth, too much for one central image",
             where='method="kernel"',
             remedy='use `method="rays"`',

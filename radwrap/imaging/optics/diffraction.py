@@ -36,7 +36,7 @@ def diffraction(scene: Scene) -> dict[str, Any] | None:
     dict
         ``wavelength`` [m], ``wavelength_assumed``, ``airy_radius`` on the
         sensor [m], ``airy_radius_px`` along columns and rows [px],
-        ``matters``: whether it is larger than half a pixel.
+        ``matters``: whether it is larger than half a pixel; ``asked``: ``camera.diffraction``.
     """
     camera = scene.camera
     if camera.aperture.is_infinitesimal:
@@ -50,13 +50,14 @@ def diffraction(scene: Scene) -> dict[str, Any] | None:
         "airy_radius": radius,
         "airy_radius_px": pixels,
         "matters": max(pixels) > _MATTERS,
+        "asked": camera.diffraction or "off",
     }
 
 
 def diffraction_warning(found: Mapping[str, Any] | None) -> Iterator[str]:
     """What a user should know of it, where it matters."""
-    if found is not None and found["matters"]:
+    if found is not None and found["matters"] and found["asked"] == "off":
         yield (
-            "diffraction at the opening is not modelled: its Airy disc has a radius of "
+            'diffraction at the opening is left out, as camera.diffraction is "off": its Airy disc has a radius of '
             f"{max(found['airy_radius_px']):.2g} pixels at {found['wavelength'] * 1e9:.4g} nm"
         )

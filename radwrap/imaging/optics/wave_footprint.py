@@ -123,9 +123,21 @@ def both_weights(
     phase: tuple[int, ...] = (0, 0),
 ) -> tuple[Complex, Complex]:
     """As `ray_weights` and `wave_weights`, where a blur of many cells and wave's lengths may be off by 1e-4."""
-    sensor, least = camera.sensor, _LEAST[waves.aperture.shape]
-    passed = wave_weights(waves, sensor, magnification, cell, shape, least=least, phase=phase)
-    if min(reach_px(camera, magnification)) < _POINTS_REACH * max(cell, 1.0):
-        return ray_weights(camera, magnification, cell, shape, phase), passed
-    limit = replace(waves, wavelength=0.0)
-    return wave_weights(limit, sensor, magnification, cell, shape, least=least, phase=phase), passed
+    passed = passed_weights(waves, camera, magnification, cell, shape, phase=phase)
+    return passed_weights(replace(waves, wavelength=0.0), camera, magnification, cell, shape, phase=phase), passed
+
+
+def passed_weights(
+    waves: Waves,
+    camera: Camera,
+    magnification: float,
+    cell: float,
+    shape: tuple[int, int],
+    *,
+    phase: tuple[int, ...] = (0, 0),
+) -> Complex:
+    """As `wave_weights`, or of a wavelength of 0 as `ray_weights`; a blur of many cells may be off by 1e-4."""
+    if not waves.wavelength and min(reach_px(camera, magnification)) < _POINTS_REACH * max(cell, 1.0):
+        return ray_weights(camera, magnification, cell, shape, phase)
+    least = _LEAST[waves.aperture.shape]
+    return wave_weights(waves, camera.sensor, magnification, cell, shape, least=least, phase=phase)

@@ -28,6 +28,7 @@ def write_sigma(folder: Path, run: TracedRun) -> tuple[UncertaintySummary | None
         run.made.certificate.rms_gray,
         run.spread,
         magnification=run.magnification,
+        blur_slope=run.blur_slope,
     )
     write_exr(folder / SIGMA, found.sigma.astype(np.float32), channel="gray_sigma")
     return found.summary(), [SIGMA]

@@ -73,6 +73,7 @@ class TracedRun:
     exposure_of_radiance: float
     spread: NDArray[np.float64] | None
     magnification: NDArray[np.float64] | None
+    blur_slope: NDArray[np.float64] | None = None
     foretold: Foretold | None = None
     tolerance_asked: ToleranceAsked | None = None
 

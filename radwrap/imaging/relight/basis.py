@@ -18,21 +18,24 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.errors import EnvironmentFailure, InputError
+from radwrap.errors import InputError
 from radwrap.files import make_folder, sha256_of
 from radwrap.images import write_exr
 from radwrap.imaging.methods.central import Cells
 from radwrap.imaging.methods.hybrid import HybridPlan, corrected, corrections
 from radwrap.imaging.methods.kernel import Gathered, KernelPlan, gathered_sources, gathered_tile, lattice
-from radwrap.imaging.methods.pieces import log_call, read_piece, remove_strangers, run_jobs, write_piece
+from radwrap.imaging.methods.pieces import log_call, remove_strangers, run_jobs
 from radwrap.imaging.methods.rays import RaysPlan, TracedTile, traced_tile
 from radwrap.imaging.methods.smooth_blocks import in_other_light
 from radwrap.imaging.optics.view import LitView
+from radwrap.imaging.relight.basis_pieces import BasisPieces
+from radwrap.imaging.relight.basis_waves import BasisWaves
 from radwrap.imaging.tolerance.certificate import PixelSample, model_lacks, rays_of_lacks
 from radwrap.imaging.tolerance.corrected_replicates import corrections_seed, tile_numbers
 from radwrap.imaging.tolerance.planner import Outcome
 from radwrap.imaging.tolerance.plans import kernel_of
 from radwrap.imaging.tolerance.replicates import Plan, Work, tile_cells, tile_seed
+from radwrap.imaging.tolerance.wave_plan import WavePlan
 from radwrap.manifest import SCHEMA_VERSION, plain, sha256_of_value, write_manifest
 from radwrap.random_streams import Relighting, generator
 from radwrap.scene.scene import Scene
@@ -40,13 +43,12 @@ from radwrap.tracers.radiance import PreparedScene
 
 BASIS: Final = "basis.json"
 FOLDER: Final = "basis"
+WAVES: Final = "waves"  # a part: what the cells of waves may change, and below it what light from far away may
 MAGNIFICATION: Final = f"{FOLDER}/magnification.exr"  # no part of a source: their files have two dots
 SEAL: Final = "sha256"
 _WORK: Final = "basis"
 # Pixels that tell what the size of the kernel's cells changes; the sampling error of so many is in the bound.
 _GRID_PIXELS: Final = 4096
-# Values side by side in a file: OpenImageIO reads no image wider than 2^20.
-_WIDEST: Final = 1 << 16
 # Pairs of each pixel of the model's certificate, at least: any levels must do with them.
 _LEAST_PAIRS: Final = 16
 
@@ -202,15 +204,14 @@ class _Maker:
     """What all pieces of a basis have in common."""
 
     work: Work
-    views: tuple[LitView, ...]
     outcome: Outcome
     sample: PixelSample | None
-    folder: Path
-    name: str
+    pieces: BasisPieces
+    waves: BasisWaves | None
 
     @property
     def names(self) -> tuple[str, ...]:
-        return tuple(name for lit in self.views for name in lit.names)
+        return tuple(name for lit in self.pieces.views for name in lit.names)
 
     @property
     def plan(self) -> Plan:
@@ -220,36 +221,12 @@ class _Maker:
     def replicates(self) -> int:
         return len(self.outcome.replicates.images)
 
-    def path(self, kind: str, view: int) -> Path:
-        return self.folder / f"{kind}_{view:05d}.exr"
-
-    def read(self, kind: str, view: int) -> NDArray[np.float32] | None:
-        """What was made of a view, a row or more for each of its sources."""
-        found = read_piece(self.path(kind, view), f"{self.name}-{kind}-{view}")
-        if found is None:
-            return None
-        length = int(found[1]["length"])
-        return found[0].reshape(-1, _folded(length))[:, :length]
-
-    def each(self, kind: str, view: int) -> list[NDArray[np.float32]]:
-        """The rows of each source of a view."""
-        rows = self.read(kind, view)
-        if rows is None:
-            where = str(self.path(kind, view))
-            raise EnvironmentFailure("was changed by somebody else", where=where, remedy="run again")
-        return np.split(rows, len(self.views[view].names))
-
-    def write(self, kind: str, view: int, rows: NDArray[np.float64]) -> None:
-        length = rows.shape[1]
-        folded = np.zeros((len(rows), _folded(length)), dtype=np.float32)
-        folded[:, :length] = rows
-        pixels = folded.reshape(-1, min(length, _WIDEST))
-        write_piece(self.path(kind, view), pixels, f"{self.name}-{kind}-{view}", {"length": length})
-
     def kinds(self) -> Iterator[str]:
         yield from (self.tile_kind(replicate, tile) for replicate, tile in self.tiles())
         if self.sample is not None:
             yield "model"
+        if self.waves is not None:
+            yield from self.waves.kinds()
 
     def tiles(self) -> Iterator[tuple[int, int]]:
         return ((replicate, tile) for replicate in range(self.replicates) for tile in range(len(self.plan.tiles)))
@@ -261,37 +238,37 @@ class _Maker:
     def jobs(self) -> Iterator[Callable[[], None]]:
         """What is still to be traced."""
         for replicate, tile in self.tiles():
-            due = self.due(self.tile_kind(replicate, tile))
+            due = self.pieces.due(self.tile_kind(replicate, tile))
             if due:
                 yield partial(self._trace_tile, replicate, tile, due)
         if self.sample is not None:
-            yield from (partial(self._trace_model, view) for view in self.due("model"))
-
-    def due(self, kind: str) -> list[int]:
-        """Views of which such a piece is missing."""
-        return [view for view in range(len(self.views)) if self.read(kind, view) is None]
+            yield from (partial(self._trace_model, view) for view in self.pieces.due("model"))
+        if self.waves is not None:
+            yield from self.waves.jobs()
 
     def _trace_tile(self, replicate: int, tile: int, due: list[int]) -> None:
         kind = self.tile_kind(replicate, tile)
         frozen: dict[bool, FrozenTile] = {}
         for view in due:
-            log_call(self.folder, f"{kind} {view}")
-            in_one_pass = len(self.views[view].names) > 1
+            log_call(self.pieces.folder, f"{kind} {view}")
+            in_one_pass = len(self.pieces.views[view].names) > 1
             if in_one_pass not in frozen:
                 frozen[in_one_pass] = freeze_tile(self.work, self.plan, replicate, tile, in_one_pass=in_one_pass)
-            traced = frozen[in_one_pass].trace(self.views[view], self.work.progress.add)
-            self.write(kind, view, np.stack([np.concatenate([values.ravel(), change]) for values, change in traced]))
+            traced = frozen[in_one_pass].trace(self.pieces.views[view], self.work.progress.add)
+            self.pieces.write(
+                kind, view, np.stack([np.concatenate([values.ravel(), change]) for values, change in traced])
+            )
 
     def _trace_model(self, view: int) -> None:
         kernel = kernel_of(self.plan)
         if self.sample is None or kernel is None:
             raise TypeError("only a kernel has a model")
-        log_call(self.folder, f"model {view}")
+        log_call(self.pieces.folder, f"model {view}")
         seed = (self.work.seed, Relighting.MODEL_RAYS)
-        lit = replace(self.views[view].view, workers=1)
+        lit = replace(self.pieces.views[view].view, workers=1)
         lacks, rays = model_lacks(lit, kernel.layers, self.sample, seed=seed)
         self.work.progress.add(rays)
-        self.write("model", view, lacks.reshape(-1, lacks.shape[-1]))
+        self.pieces.write("model", view, lacks.reshape(-1, lacks.shape[-1]))
 
     def model_rays(self) -> int:
         """Rays of the model's certificate in the light of one source."""
@@ -303,10 +280,10 @@ class _Maker:
     def replicate(self, view: int, replicate: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Images of a view's sources, shape (sources, rows, columns), and the changes at the grid's pixels."""
         sensor = self.plan.camera.sensor
-        images = np.empty((len(self.views[view].names), sensor.rows, sensor.columns), dtype=np.float32)
+        images = np.empty((len(self.pieces.views[view].names), sensor.rows, sensor.columns), dtype=np.float32)
         changes = []
         for tile, (r0, r1, c0, c1) in enumerate(self.plan.tiles):
-            values = np.stack([rows[0] for rows in self.each(self.tile_kind(replicate, tile), view)])
+            values = np.stack([rows[0] for rows in self.pieces.each(self.tile_kind(replicate, tile), view)])
             size = (r1 - r0) * (c1 - c0)
             images[:, r0:r1, c0:c1] = values[:, :size].reshape(-1, r1 - r0, c1 - c0)
             changes.append(values[:, size:])
@@ -321,6 +298,7 @@ def write_basis(
     told: Mapping[str, Any],
     *,
     magnification: NDArray[np.float64] | None = None,
+    waves: WavePlan | None = None,
 ) -> list[str]:
     """Trace each source alone by the rays of an image to tolerance, and write its part of the basis.
 
@@ -338,6 +316,8 @@ def write_basis(
         What else `basis.json` is to tell.
     magnification : ndarray, shape (rows, columns), optional
         M of what each pixel sees, where the uncertainty of relit images needs it.
+    waves : WavePlan, optional
+        By which rays the image got its diffraction, where it has it.
 
     Returns
     -------
@@ -353,10 +333,10 @@ def write_basis(
     if smooth is not None:
         work = replace(work, view=replace(work.view, smooth=smooth))
         views = [replace(lit, view=replace(lit.view, smooth=in_other_light(smooth, lit.view))) for lit in views]
-    maker = _maker(work, tuple(views), outcome)
-    make_folder(maker.folder)
-    ours = {maker.path(kind, number).name for kind in maker.kinds() for number in range(len(views))}
-    remove_strangers(maker.folder, ours)
+    maker = _maker(work, tuple(views), outcome, waves)
+    make_folder(maker.pieces.folder)
+    ours = {maker.pieces.path(kind, number).name for kind in maker.kinds() for number in range(len(views))}
+    remove_strangers(maker.pieces.folder, ours)
     passes = len(views) + any(len(lit.names) == 1 for lit in views)  # what is traced one by one needs the light of all
     rays = outcome.replicates.rays * passes + maker.model_rays() * len(views)
     work.progress.expect(outcome.record.rays + rays)
@@ -377,12 +357,7 @@ def sealed(description: Mapping[str, Any]) -> dict[str, Any]:
     return {**rest, SEAL: sha256_of_value(rest)}
 
 
-def _folded(length: int) -> int:
-    """Length of a row that is folded to the width that an image file may have."""
-    return length if length <= _WIDEST else -(-length // _WIDEST) * _WIDEST
-
-
-def _maker(work: Work, views: tuple[LitView, ...], outcome: Outcome) -> _Maker:
+def _maker(work: Work, views: tuple[LitView, ...], outcome: Outcome, waves: WavePlan | None) -> _Maker:
     sample = outcome.sample
     if sample is not None:
         sample = replace(sample, pairs=np.maximum(sample.pairs, _LEAST_PAIRS))
@@ -391,16 +366,19 @@ def _maker(work: Work, views: tuple[LitView, ...], outcome: Outcome) -> _Maker:
         "plan": outcome.ray_plan,
         "seed": work.seed,
         "sources": [name for lit in views for name in lit.names],
+        **({} if waves is None else {"waves": waves.kernel, "wavelength": waves.waves.wavelength}),
     }
     name = sha256_of_value(
         {**what, "sample": None if sample is None else [sample.pixels.tolist(), sample.pairs.tolist()]}
     )
-    return _Maker(work, views, outcome, sample, work.folder / _WORK, name)
+    pieces = BasisPieces(work.folder / _WORK, name, views)
+    of_waves = None if waves is None else BasisWaves(work, waves, pieces, len(outcome.replicates.images))
+    return _Maker(work, outcome, sample, pieces, of_waves)
 
 
 def _write_view(out: Path, maker: _Maker, view: int) -> Iterator[str]:
     """Write the files of a view's sources; yields their names, source by source."""
-    names = maker.views[view].names
+    names = maker.pieces.views[view].names
     parts: list[str] = []
     grids = []
 
@@ -410,14 +388,21 @@ def _write_view(out: Path, maker: _Maker, view: int) -> Iterator[str]:
             write_exr(path, values, channel="radiance_cos4", metadata={"radwrap:unit": "W m^-2 sr^-1"})
         parts.append(part)
 
+    cells: list[NDArray[np.float32]] = []
     for replicate in range(maker.replicates):
         images, grid = maker.replicate(view, replicate)
+        if maker.waves is not None:
+            change, of_cells = maker.waves.replicate(view, replicate)
+            images += change
+            cells = [sum(cells, of_cells)]
         written(str(replicate), images)
         grids.append(grid)
     if grids[0].size:
         written("grid", np.stack(grids, axis=1))
     if maker.sample is not None:
-        written("model", maker.each("model", view))
+        written("model", maker.pieces.each("model", view))
+    if maker.waves is not None:
+        written(WAVES, np.concatenate([cells[0] / maker.replicates, maker.waves.beyond(view)], axis=1))
     yield from (file_name(name, part) for name in names for part in parts)
 
 
@@ -434,7 +419,7 @@ def _description(maker: _Maker) -> dict[str, Any]:
         "sources": list(maker.names),
         "method": outcome.method,
         "replicates": maker.replicates,
-        "block": list(outcome.replicates.block),
+        "block": [max(size, maker.waves.plan.block if maker.waves else 0) for size in outcome.replicates.block],
         "exposure_of_radiance": view.exposure_of_radiance,
         "camera": plain(view.camera),
         "grid_pixels": grid_pixels(maker.plan).tolist(),
@@ -448,6 +433,7 @@ def _description(maker: _Maker) -> dict[str, Any]:
             "rays": maker.model_rays(),
         },
         "ray_plan": plain(maker.plan),
+        **({"waves": {"wavelength": maker.waves.plan.waves.wavelength}} if maker.waves else {}),
         **({"every_pixel": True} if isinstance(maker.plan, HybridPlan) else {}),
         **({"even": True, "smooth_share": outcome.replicates.smooth_share} if _is_even(maker.plan) else {}),
     }

@@ -20,7 +20,7 @@ from radwrap.errors import InputError
 from radwrap.files import sha256_of
 from radwrap.images import ExposureImage, GrayImage, read_image
 from radwrap.imaging.methods.kernel import grid_squares
-from radwrap.imaging.relight.basis import BASIS, MAGNIFICATION, SEAL, file_name, sealed
+from radwrap.imaging.relight.basis import BASIS, MAGNIFICATION, SEAL, WAVES, file_name, sealed
 from radwrap.imaging.response.sensor import gray_levels, image_of_levels
 from radwrap.imaging.run_files import BasisFile, SampleFile
 from radwrap.imaging.tolerance.bounds import ALONE, NOTHING, Bounded, mean_squares, resampling
@@ -28,6 +28,7 @@ from radwrap.imaging.tolerance.certificate import Certificate, PixelErrors, Pixe
 from radwrap.imaging.tolerance.kept_replicates import KeptReplicates
 from radwrap.imaging.tolerance.planner import certificate_of, model_quantile, noise_quantile
 from radwrap.imaging.tolerance.replicates import looks, noise_of
+from radwrap.imaging.tolerance.wave_image import lasting_wave_error, visible_gray
 from radwrap.manifest import read_manifest
 from radwrap.random_streams import Relighting
 from radwrap.scene.camera import Camera, Sensor
@@ -86,6 +87,9 @@ class Basis:
         As of `Replicates`.
     every_pixel : bool
         Whether some pixels have rays of their own, as those of a hybrid: their noise is looked for at all.
+    waves : ndarray of float32, shape (sources, 2, rows, columns), optional
+        Where the images have diffraction: what its cells may change, and what light may that comes from farther than
+        was looked at [W m^-2 sr^-1].
     """
 
     sources: tuple[str, ...]
@@ -107,6 +111,7 @@ class Basis:
     even: bool = False
     smooth_share: float = 1.0
     every_pixel: bool = False
+    waves: NDArray[np.float32] | None = None
 
     @property
     def sensor(self) -> Sensor:
@@ -171,6 +176,9 @@ def _basis(folder: Path, told: BasisFile) -> Basis:
     images = np.empty((len(told.sources), told.replicates, sensor.rows, sensor.columns), dtype=np.float32)
     grid = np.zeros((len(told.sources), told.replicates, len(told.grid_pixels)), dtype=np.float32)
     lacks = np.zeros((len(told.sources), 2, len(model.pixels) if model else 0), dtype=np.float32)
+    waves = None
+    if told.waves is not None:
+        waves = np.zeros((len(told.sources), 2, sensor.rows, sensor.columns), dtype=np.float32)
     for k, source in enumerate(told.sources):
         for replicate in range(told.replicates):
             images[k, replicate] = _part(folder, told, source, str(replicate))
@@ -178,6 +186,8 @@ def _basis(folder: Path, told: BasisFile) -> Basis:
             grid[k] = _part(folder, told, source, "grid")
         if model:
             lacks[k] = _part(folder, told, source, "model")
+        if waves is not None:
+            waves[k] = _part(folder, told, source, WAVES).reshape(2, sensor.rows, sensor.columns)
     return Basis(
         sources=told.sources,
         dark=told.dark,
@@ -198,6 +208,7 @@ def _basis(folder: Path, told: BasisFile) -> Basis:
         even=told.even,
         smooth_share=told.smooth_share,
         every_pixel=told.every_pixel,
+        waves=waves,
     )
 
 
@@ -313,6 +324,7 @@ class Relighter:
         basis = self._basis
         replicates = _combined(levels, basis.images)
         grid = _combined(levels, basis.grid)
+        waves = None if basis.waves is None else _combined(levels, basis.waves)
         mean = np.maximum(replicates.mean(axis=1), 0.0)
         errors = self._model_errors(mean, levels)
         models = [NOTHING] * len(levels)
@@ -328,8 +340,13 @@ class Relighter:
                     quantile += model_quantile(errors[k], basis.sample)
             pixels = 0 if basis.sample is None else len(basis.sample.pixels)
             certificate = certificate_of(models[k], noise, quantile, pixels=pixels, rays=basis.model_rays)
+            if waves is not None:
+                certificate = self._with_waves(certificate, mean[k], waves[k])
             image = self._image(mean[k], certificate)
-            yield replace(image, replicates=self._kept(replicates[k], grid[k])) if basis.even else image
+            if basis.even:
+                cells = None if waves is None else waves[k][0]
+                image = replace(image, replicates=self._kept(replicates[k], grid[k], cells))
+            yield image
 
     def _model_errors(self, mean: NDArray[np.float64], levels: NDArray[np.float64]) -> list[PixelErrors]:
         basis = self._basis
@@ -356,11 +373,22 @@ class Relighter:
         mean = float(squares.mean())
         return noise + Bounded(mean, mean + _SURE * float(squares.std()) / math.sqrt(len(squares))), samples
 
-    def _kept(self, replicates: NDArray[np.float64], grid: NDArray[np.float64]) -> KeptReplicates:
+    def _with_waves(
+        self, certificate: Certificate, mean: NDArray[np.float64], waves: NDArray[np.float64]
+    ) -> Certificate:
+        """With what diffraction may be off by; noise of its rays is that of the replicates, which have it."""
+        gray = visible_gray(self._basis.exposure_of_radiance, self._basis.sensor)
+        error = lasting_wave_error(waves[0], waves[1], mean, gray)
+        return certificate.with_waves(NOTHING, error.cells, error.tails, error.quantile)
+
+    def _kept(
+        self, replicates: NDArray[np.float64], grid: NDArray[np.float64], cells: NDArray[np.float64] | None
+    ) -> KeptReplicates:
         change = np.zeros(replicates.shape[1:])
         change.ravel()[self._basis.grid_pixels] = grid.mean(axis=0)
         scale = self._basis.exposure_of_radiance
-        return KeptReplicates(replicates * scale, change * scale * self._basis.smooth_share)
+        change *= self._basis.smooth_share
+        return KeptReplicates(replicates * scale, (change if cells is None else change + cells) * scale)
 
     def _image(self, mean: NDArray[np.float64], certificate: Certificate) -> Relit:
         sensor = self._basis.sensor

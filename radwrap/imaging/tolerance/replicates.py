@@ -81,6 +81,20 @@ class Replicates:
         mean: NDArray[np.float64] = self.images.mean(axis=0, dtype=np.float64)
         return mean if self.own_rays is None else np.maximum(mean, 0.0, out=mean)
 
+    def with_waves(self, change: NDArray[np.float64], cells: NDArray[np.float64]) -> Replicates:
+        """The images with what waves add to each.
+
+        Parameters
+        ----------
+        change : ndarray, shape (replicates, rows, columns)
+            That [W m^-2 sr^-1].
+        cells : ndarray, shape (rows, columns)
+            What the size of their cells may change of it, all of which may be left over many pixels.
+        """
+        known = 0.0 if self.change is None else self.change
+        images = (self.images + change).astype(np.float32)
+        return replace(self, images=images, change=known + cells / self.smooth_share)
+
 
 @dataclass(frozen=True, slots=True)
 class Work:

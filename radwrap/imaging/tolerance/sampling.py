@@ -51,6 +51,8 @@ class Pilot:
         Of each pixel and replicate, by rays.
     pixels, covered : float
         Pixels of the image, and of what the kernel gathers from.
+    wave_cell : float or None
+        Cells by which diffraction is to be taken [px]; None where it need not.
     """
 
     cell: float | None
@@ -58,6 +60,7 @@ class Pilot:
     rays: int
     pixels: float
     covered: float
+    wave_cell: float | None = None
 
 
 def pilot(work: Work, demand: Demand) -> Pilot:
@@ -104,10 +107,12 @@ def strictest(pilots: Sequence[Pilot], demand: Demand) -> SamplingPlan:
     """The plan by which each of one or more images is expected to keep its tolerance, as far as the budget goes."""
     cells = [one.cell for one in pilots if one.cell is not None]
     rays = max(one.rays for one in pilots)
-    by_rays = SamplingPlan("rays", rays=rays)
+    waves = min((one.wave_cell for one in pilots if one.wave_cell is not None), default=None)
+    by_rays = SamplingPlan("rays", rays=rays, wave_cell=waves)
     if demand.method == "rays" or not cells or (len(cells) < len(pilots) and demand.method is None):
         return _affordable(by_rays, pilots, demand)
-    by_kernel = SamplingPlan("kernel", cell=min(cells), layered=any(one.layered for one in pilots))
+    layered = any(one.layered for one in pilots)
+    by_kernel = SamplingPlan("kernel", cell=min(cells), layered=layered, wave_cell=waves)
     cheaper = min((by_kernel, by_rays), key=lambda plan: _cost(plan, pilots))
     return _affordable(by_kernel if demand.method == "kernel" else cheaper, pilots, demand)
 

@@ -73,9 +73,14 @@ def uncertainty(
     spread: Array | None = None,
     *,
     magnification: Array | None = None,
+    blur_slope: Array | None = None,
 ) -> Uncertainty:
     """Combine all causes; arguments as of `uncertainty_squares`."""
-    return combined(uncertainty_squares(exposure, camera, tolerances, ray_error, spread, magnification=magnification))
+    return combined(
+        uncertainty_squares(
+            exposure, camera, tolerances, ray_error, spread, magnification=magnification, blur_slope=blur_slope
+        )
+    )
 
 
 def combined(squares: Mapping[str, Array]) -> Uncertainty:
@@ -92,6 +97,7 @@ def uncertainty_squares(
     spread: Array | None = None,
     *,
     magnification: Array | None = None,
+    blur_slope: Array | None = None,
 ) -> dict[str, Array]:
     """Square of what each cause adds at each pixel, shape (rows, columns) [gray level^2].
 
@@ -111,6 +117,9 @@ def uncertainty_squares(
     magnification : ndarray, shape (rows, columns), optional
         M of what each pixel sees (`Camera.magnification`); needed with `aperture_diameter` behind a lens, whose blur
         it scales.
+    blur_slope : ndarray, shape (rows, columns), optional
+        Relative change of the radiant exposure with the logarithm of the opening's diameter, its area held, where it is
+        known of the image: of waves, which have no second moments. Else it is that of the opening's, by rays.
     """
     values, sensor = exposure.values, camera.sensor
     squares: dict[str, Array] = {"rays": ray_error**2 * _where_rays_err(gray_levels(values, sensor) - sensor.dark_gray)}
@@ -127,8 +136,8 @@ def uncertainty_squares(
             raise ValueError("the sources' shares are needed")
         by_exposure("each_source_radiance", lambda z: 1 + z * tolerances.each_source_radiance * TO_STANDARD * spread)
     if tolerances.aperture_diameter:
-        blur = _blur_slope(values, camera)
-        if camera.lens is not None:
+        blur = _blur_slope(values, camera) if blur_slope is None else blur_slope
+        if camera.lens is not None and blur_slope is None:
             if magnification is None:
                 raise ValueError("the magnifications are needed")
             # The opening's second moments on the sensor go with M^2: none in the plane of focus.

@@ -1,0 +1,100 @@
+"""What waves add to each source's light in a basis: traced tile by tile, as its images are.
+
+Light adds, whatever its source, and so does what waves do to it. The rays are
+those that were decided in the light of all sources.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.imaging.methods.pieces import log_call
+from radwrap.imaging.relight.basis_pieces import BasisPieces
+from radwrap.imaging.tolerance.replicates import Work
+from radwrap.imaging.tolerance.wave_far import far_change, far_light
+from radwrap.imaging.tolerance.wave_parts import wave_cells, wave_tile
+from radwrap.imaging.tolerance.wave_plan import WavePlan
+
+_AROUND: Final = "waves_around"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BasisWaves:
+    """Waves of a basis.
+
+    Attributes
+    ----------
+    work : Work
+        The run, in the light of all sources.
+    plan : WavePlan
+        Which rays.
+    pieces : BasisPieces
+        Where finished pieces are.
+    replicates : int
+        As many as the images have.
+    """
+
+    work: Work
+    plan: WavePlan
+    pieces: BasisPieces
+    replicates: int
+
+    def kinds(self) -> Iterator[str]:
+        """Kinds of pieces."""
+        yield from (self._kind(replicate, tile) for replicate, tile in self._tiles())
+        yield _AROUND
+
+    def jobs(self) -> Iterator[Callable[[], None]]:
+        """What is still to be traced."""
+        for tile in range(len(self.plan.kernel.tiles)):
+            due = {replicate: self.pieces.due(self._kind(replicate, tile)) for replicate in range(self.replicates)}
+            if any(due.values()):
+                yield partial(self._trace_tile, tile, due)
+        yield from (partial(self._trace_around, view) for view in self.pieces.due(_AROUND))
+
+    def replicate(self, view: int, replicate: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """What waves add to the sources of a view, and what their cells may change, shape (sources, rows, columns)."""
+        sensor = self.plan.kernel.camera.sensor
+        found = np.empty((2, len(self.pieces.views[view].names), sensor.rows, sensor.columns), dtype=np.float32)
+        for tile, (r0, r1, c0, c1) in enumerate(self.plan.kernel.tiles):
+            rows = np.stack(self.pieces.each(self._kind(replicate, tile), view), axis=1)
+            found[..., r0:r1, c0:c1] = rows.reshape(2, -1, r1 - r0, c1 - c0)
+        each = (far_change(self.plan, around.astype(np.float64))[0] for around in self.pieces.each(_AROUND, view))
+        for number, change in enumerate(each):
+            found[0, number] += change.astype(np.float32)
+        return found[0], found[1]
+
+    def beyond(self, view: int) -> NDArray[np.float32]:
+        """What light may change that comes from farther than was looked at, shape (sources, rows, columns)."""
+        each = (far_change(self.plan, around.astype(np.float64))[1] for around in self.pieces.each(_AROUND, view))
+        return np.stack([beyond.astype(np.float32) for beyond in each])
+
+    def _tiles(self) -> Iterator[tuple[int, int]]:
+        tiles = range(len(self.plan.kernel.tiles))
+        return ((replicate, tile) for replicate in range(self.replicates) for tile in tiles)
+
+    @staticmethod
+    def _kind(replicate: int, tile: int) -> str:
+        return f"waves_{replicate:03d}_{tile:05d}"
+
+    def _trace_tile(self, tile: int, due: dict[int, list[int]]) -> None:
+        of_all, count = replace(self.work.view, workers=1), self.work.progress.add
+        cells = wave_cells(of_all, self.plan, tile, count)
+        for replicate, view in ((replicate, view) for replicate, views in due.items() for view in views):
+            kind, lit = self._kind(replicate, tile), self.pieces.views[view]
+            log_call(self.pieces.folder, f"{kind} {view}")
+            alone = of_all if len(lit.names) == 1 else None
+            traced = wave_tile(replace(lit.view, workers=1), self.plan, (tile, replicate), cells, count, of_all=alone)
+            self.pieces.write(kind, view, np.stack([part.ravel() for parts in traced for part in parts]))
+
+    def _trace_around(self, view: int) -> None:
+        log_call(self.pieces.folder, f"{_AROUND} {view}")
+        lit = replace(self.pieces.views[view].view, workers=1)
+        around = far_light(lit, self.plan, self.work.progress.add)
+        self.pieces.write(_AROUND, view, around.reshape(-1, around.shape[-1]))

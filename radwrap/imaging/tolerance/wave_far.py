@@ -1,0 +1,138 @@
+"""What waves send farther than the guard band, from a coarse image around the sensor."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.imaging.methods.kernel import fast_length
+from radwrap.imaging.optics.view import View, trace_rays
+from radwrap.imaging.optics.waves import rim
+from radwrap.imaging.tolerance.wave_plan import WavePlan, bare
+from radwrap.random_streams import Rendering, generator
+from radwrap.scene.camera import Aperture
+
+Array = NDArray[np.float64]
+
+# The coarse image is so many times as wide as the guard band; what goes farther still is counted as an error.
+_FAR: Final = 30.0
+_BLOCKS: Final = 4  # of the coarse image, in a guard band's width
+_FEWEST_BLOCK: Final = 2.0  # px
+_MOST_BLOCKS: Final = 1 << 18
+# Steps along a straight edge's tail, and across it: it is as wide as the edge.
+_STEPS: Final = 4096
+_BESIDE: Final = 8
+
+
+def far_light(view: View, plan: WavePlan, progress: Callable[[int], None]) -> Array:
+    """Mean light of each source that comes from beyond the guard band, at the middles of blocks of pixels.
+
+    Returns
+    -------
+    ndarray, shape (sources, rows of blocks, columns of blocks)
+        [W m^-2 sr^-1]
+    """
+    block, margin, (rows, columns) = _blocks(plan)
+    inside = generator(plan.seed, Rendering.WAVE_FAR).random((2, rows, columns))
+    v, u = ((at - margin + inside[axis]) * block - 0.5 for axis, at in enumerate(np.indices((rows, columns))))
+    values, _ = trace_rays(bare(view), None, u.ravel(), v.ravel())
+    progress(rows * columns)
+    # What a pixel gathers from the light around it: the kernel is turned, and alike from both sides.
+    near = min(plan.kernel.reach_px)
+    blur = near - (plan.kernel.guard or 0.0)
+    aperture = plan.waves.aperture
+    rim_at = blur / math.sqrt(2) if aperture.shape == "square" else blur
+    kernel = _tail_kernel(aperture, rim_at / block, near / block, _FAR * near / block)
+    return np.stack([_correlated(one, kernel) for one in values.reshape(-1, rows, columns)])
+
+
+def _correlated(values: Array, kernel: Array) -> Array:
+    """Sums of values around each place under a kernel that is alike from both sides, where it lies in the field.
+
+    By transforms of numpy: to load scipy's takes longer than all that they do here.
+    """
+    rows, columns = (fast_length(size) for size in values.shape)  # what goes round is cut off
+    spectrum = np.fft.rfft2(values, (rows, columns)) * np.fft.rfft2(kernel, (rows, columns))
+    found: Array = np.fft.irfft2(spectrum, (rows, columns))
+    return found[kernel.shape[0] - 1 : values.shape[0], kernel.shape[1] - 1 : values.shape[1]]
+
+
+def far_change(plan: WavePlan, around: Array) -> tuple[Array, Array]:
+    """Of `far_light` of one source, what it adds to each pixel, and what light from farther still may add.
+
+    Parameters
+    ----------
+    plan : WavePlan
+        As of `far_light`.
+    around : ndarray, shape (rows of blocks, columns of blocks)
+        [W m^-2 sr^-1]
+
+    Returns
+    -------
+    change, beyond : ndarray, shape (rows, columns)
+        [W m^-2 sr^-1]
+    """
+    from scipy.ndimage import map_coordinates
+
+    sensor, share = plan.kernel.camera.sensor, plan.weights.share
+    block, _, _ = _blocks(plan)
+    at = (np.arange(size) + 0.5 for size in (sensor.rows, sensor.columns))
+    places = np.meshgrid(*(place / block - 0.5 for place in at), indexing="ij")
+    mean = map_coordinates(around, places, order=1, mode="nearest")
+    beyond = min(plan.waves.tail(_FAR * min(plan.kernel.reach_px) * plan.pitch), abs(share))
+    return share * mean, beyond * mean
+
+
+def _blocks(plan: WavePlan) -> tuple[float, int, tuple[int, int]]:
+    """Side of a block [px], how many lie beside the sensor on each side, and rows and columns of all."""
+    sensor, near = plan.kernel.camera.sensor, min(plan.kernel.reach_px)
+    far = _FAR * near
+    block = max(near / _BLOCKS, _FEWEST_BLOCK)
+    while (sensor.rows + 2 * far) * (sensor.columns + 2 * far) / block**2 > _MOST_BLOCKS:
+        block *= 2
+    margin = math.ceil(far / block) + 1
+    rows, columns = (math.ceil(size / block) + 2 * margin for size in (sensor.rows, sensor.columns))
+    return block, margin, (rows, columns)
+
+
+def _tail_kernel(aperture: Aperture, rim_at: float, near: float, far: float) -> Array:
+    """Where tails go, in blocks from a pixel; the sum is 1.
+
+    Each element of the rim sends light along its normal, to both sides: 1/r^2 of a straight edge, and 1/r^3 of an arc,
+    which turns.
+    """
+    margin = math.ceil(far) + 1
+    size = 2 * margin + 1
+    kernel = np.zeros((size, size))
+    length = {"square": 4 * aperture.diameter, "half_disc": aperture.diameter}.get(aperture.shape, 0.0)
+    straight = length / rim(aperture)
+    if straight < 1:
+        y, x = np.indices((size, size)) - margin
+        radius = np.hypot(x, y)
+        beyond = (radius > near) & (radius <= far)
+        radius = np.where(beyond, radius, far)
+        arc = np.where(beyond, _from_both_rims(radius, rim_at) / radius, 0.0)
+        kernel += (1 - straight) * arc / arc.sum()
+    if straight:
+        normals = [aperture.rotation + turn * math.pi / 2 for turn in range(2 if aperture.shape == "square" else 1)]
+        radius = np.geomspace(near, far, _STEPS)
+        light = radius * _from_both_rims(radius, rim_at)
+        light *= straight / (2 * len(normals) * light.sum() * _BESIDE)
+        for normal, beside in itertools.product(normals, (np.arange(_BESIDE) + 0.5) / _BESIDE * 2 - 1):
+            c, s = math.cos(normal), math.sin(normal)
+            for far_off in (radius, -radius):
+                row, column = s * far_off + c * beside * rim_at, c * far_off - s * beside * rim_at
+                at = tuple(np.clip(np.rint(place).astype(np.intp) + margin, 0, size - 1) for place in (row, column))
+                np.add.at(kernel, at, light)
+    return kernel
+
+
+def _from_both_rims(radius: Array, rim_at: float) -> Array:
+    """Light that straight rims on either side of the middle send to a place beyond both."""
+    found: Array = 1 / (radius - rim_at) ** 2 + 1 / (radius + rim_at) ** 2
+    return found

@@ -1,0 +1,164 @@
+"""What waves add to an image that rays made, before Eq. 5: their footprint less that of rays, over the central image.
+
+Light of different points adds as intensity, whatever made the image: so one
+correction serves all methods. The central image is traced anew, as the kernel
+traces it, but wider by a guard band; what waves send farther comes from a
+coarse image around it. Where rays go is decided once, in the light of all
+sources; the very same rays then tell what waves add to the light of each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.imaging.methods.central import Cells, CentralImage, central_image
+from radwrap.imaging.methods.kernel import GRID_SHARE, coarsened, decide_tile, fast_length, lattice, layer_shares
+from radwrap.imaging.optics.view import View
+from radwrap.imaging.tolerance.wave_far import far_change, far_light
+from radwrap.imaging.tolerance.wave_plan import WavePlan, bare
+from radwrap.random_streams import Rendering
+
+Array = NDArray[np.float64]
+Rect = tuple[int, int, int, int]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WaveParts:
+    """What waves add to the light of one image.
+
+    Attributes
+    ----------
+    change : ndarray, shape (replicates, rows, columns)
+        Of mean radiance, by independent rays [W m^-2 sr^-1].
+    cells : ndarray, shape (rows, columns)
+        What the cells' size may change of that.
+    beyond : ndarray, shape (rows, columns)
+        What light may change that comes from farther than was looked at.
+    rays : int
+        How many it took.
+    """
+
+    change: Array
+    cells: Array
+    beyond: Array
+    rays: int
+
+
+def wave_parts(
+    view: View,
+    plan: WavePlan,
+    replicates: int,
+    *,
+    progress: Callable[[int], None],
+    check: Callable[[], None],
+) -> WaveParts:
+    """What waves add to the light of a view that does not tell its sources apart.
+
+    Parameters
+    ----------
+    view : View
+        In the light of all sources.
+    plan : WavePlan
+        Which rays.
+    replicates : int
+        How many sets of them, 2 at least.
+    progress, check : callable
+        Is told how many rays were traced; raises where the run is to end.
+    """
+    sensor, view = plan.kernel.camera.sensor, bare(view)
+    change = np.zeros((replicates, sensor.rows, sensor.columns))
+    cells = np.zeros((sensor.rows, sensor.columns))
+    counted = plan.rays
+
+    def count(rays: int) -> None:
+        nonlocal counted
+        counted += rays
+        progress(rays)
+
+    for tile, (r0, r1, c0, c1) in enumerate(plan.kernel.tiles):
+        check()
+        decided = wave_cells(view, plan, tile, count)
+        for replicate in range(replicates):
+            ((found, of_cells),) = wave_tile(view, plan, (tile, replicate), decided, count)
+            change[replicate, r0:r1, c0:c1] = found
+            cells[r0:r1, c0:c1] += of_cells / replicates
+    (around,) = far_light(view, plan, count)
+    far, beyond = far_change(plan, around)
+    return WaveParts(change + far, cells, beyond, counted)
+
+
+def wave_cells(view: View, plan: WavePlan, tile: int, progress: Callable[[int], None]) -> Cells:
+    """Find out, in the light of all sources, which cells of the central image a tile needs."""
+    return decide_tile(bare(view), plan.kernel, tile, (plan.seed, Rendering.WAVE_CELLS, tile), progress)
+
+
+def wave_tile(
+    view: View,
+    plan: WavePlan,
+    which: tuple[int, int],
+    cells: Cells,
+    progress: Callable[[int], None],
+    *,
+    of_all: View | None = None,
+) -> Iterator[tuple[Array, Array]]:
+    """Trace a tile, and gather what waves add to each source that the view tells apart.
+
+    Parameters
+    ----------
+    view : View
+        In the light of all sources or of some.
+    plan : WavePlan
+        Which rays.
+    which : tuple of int
+        Numbers of the tile and of the replicate.
+    cells : Cells
+        Of the tile, see `wave_cells`.
+    progress : callable
+        Is told how many rays were traced.
+    of_all : View, optional
+        In the light of all, where the view has that of one: its depths are those that count.
+
+    Yields
+    ------
+    change, cells : ndarray, shape (rows, columns)
+        See `WaveParts`; without the light from far away.
+    """
+    tile, replicate = which
+    kernel, view = plan.kernel, bare(view)
+    key = (plan.seed, Rendering.WAVE_RAYS, replicate, tile)
+    like = None
+    if of_all is not None and kernel.grid.with_depth:
+        like = central_image(bare(of_all), kernel.grid, cells, seed=key, progress=progress)
+    central = central_image(view, kernel.grid, cells, seed=key, progress=progress, like=like)
+    summed = central if central.values.ndim == 2 else replace(central, values=central.values.sum(axis=0))
+    coarser = replace(coarsened(central), magnification=coarsened(like or summed).magnification)
+    place, cell = kernel.tiles[tile], kernel.grid.cell
+    # Cells that do not resolve what waves do say little of what smaller ones would change.
+    share = GRID_SHARE if cell * plan.pitch <= plan.waves.blur else 1.0
+    each = (array.reshape(-1, *array.shape[-2:]) for array in (central.values, coarser.values))
+    for fine, rough in zip(*each, strict=True):
+        found = _gathered(plan, replace(central, values=fine), cell, place)
+        yield found, share * (_gathered(plan, replace(coarser, values=rough), 2 * cell, place) - found)
+
+
+def _gathered(plan: WavePlan, central: CentralImage, cell: float, place: Rect) -> Array:
+    """What waves add to each pixel of a tile."""
+    rows, columns = (fast_length(size) for size in central.values.shape)
+    shape = rows, columns
+    shares = [1.0] if central.magnification is None else layer_shares(plan.kernel.layers, central.magnification)
+    spectra = [np.fft.rfft2(central.values * share, shape) for share in shares]
+    found = np.empty((place[1] - place[0], place[3] - place[2]))
+    step = max(1, round(cell))
+    for phase in np.ndindex(step, step):
+        at_phase = plan.weights.laid_out(cell, shape, (phase[0], phase[1]))
+        field = np.fft.irfft2(
+            sum(spectrum * np.conj(each) for spectrum, each in zip(spectra, at_phase, strict=True)), shape
+        )
+        pixels = lattice(cell, place, phase)
+        row, column = (np.floor(at / cell).astype(int) - first for at, first in zip(pixels, central.first, strict=True))
+        found[np.ix_(pixels[0] - place[0], pixels[1] - place[2])] = field[row[:, np.newaxis], column]
+    return found

@@ -1,0 +1,192 @@
+"""Which rays tell what waves add to an image, and how much each cell of the central image counts for that."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.imaging.methods.kernel import KernelPlan, fast_length, plan_kernel
+from radwrap.imaging.optics.footprint import Footprint, laid_out
+from radwrap.imaging.optics.view import View, trace_rays
+from radwrap.imaging.optics.wave_footprint import passed_weights
+from radwrap.imaging.optics.waves import Waves
+from radwrap.random_streams import Rendering, generator
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_LOOK: Final = 64  # rays along a side of a look at the depths
+_BASE_SHARE: Final = 1.0  # of the wave's length, a base cell
+# The guard band in wave's lengths; light that waves send farther is taken from a coarse image, see `wave_far`.
+_NEAR: Final = 6.0
+# The weights are made on a grid so many times as wide as they are taken from, of so many cells at most.
+_AROUND: Final = 8
+_MOST_AROUND: Final = 1 << 21
+_STEP: Final = 0.02  # of the diameter, to either side: a slope by both is off by its square
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WaveWeights:
+    """Differences of footprints within reach of a pixel, made once for all tiles.
+
+    Attributes
+    ----------
+    kernel : KernelPlan
+        Cells, layers and how far they reach.
+    terms : tuple
+        Factors, and of which waves; a wavelength of 0 is rays. The factors sum to 0.
+    made : dict
+        What was made already.
+    """
+
+    kernel: KernelPlan
+    terms: tuple[tuple[float, Waves], ...]
+    made: dict[tuple[float, tuple[int, int]], list[Array]] = field(default_factory=dict)
+
+    def near(self, cell: float, phase: tuple[int, int]) -> list[Array]:
+        """Of each layer, shape (2 rows + 1, 2 columns + 1); cells of a pixel in the middle."""
+        if (cell, phase) not in self.made:
+            self.made[cell, phase] = [self._cut(layer, cell, phase) for layer in self.kernel.layers]
+        return self.made[cell, phase]
+
+    def laid_out(self, cell: float, shape: tuple[int, int], phase: tuple[int, int]) -> Iterator[Complex]:
+        """Their transforms in a field of a shape, of each layer."""
+        for near in self.near(cell, phase):
+            corner = (-(near.shape[0] // 2), -(near.shape[1] // 2))
+            yield np.fft.rfft2(laid_out(Footprint(corner, near), shape))
+
+    @property
+    def share(self) -> float:
+        """Share of the light that goes farther."""
+        near = self.near(self.kernel.grid.cell, (0, 0))
+        return -float(np.mean([each.sum() for each in near]))
+
+    def _cut(self, layer: float, cell: float, phase: tuple[int, int]) -> Array:
+        reach = self.kernel.reach_px[::-1]
+        # A pixel's middle beside that of the cell whose corner it shares [px].
+        beside = [(1 - cell) / 2 + shift for shift in phase]
+        rows, columns = (math.ceil((far + abs(off)) / cell + 0.5) for far, off in zip(reach, beside, strict=True))
+        # What goes round comes in from far away: little, spread widely.
+        wide = max(1, min(_AROUND, math.isqrt(_MOST_AROUND // (4 * rows * columns))))
+        shape = fast_length(2 * wide * rows + 1), fast_length(2 * wide * columns + 1)
+        spectrum = np.zeros((shape[0], shape[1] // 2 + 1), dtype=np.complex128)
+        for factor, waves in self.terms:
+            spectrum += factor * passed_weights(waves, self.kernel.camera, layer, cell, shape, phase=phase)
+        change = np.fft.fftshift(np.fft.irfft2(spectrum, shape))
+        r, c = (size // 2 for size in shape)
+        change = change[r - rows : r + rows + 1, c - columns : c + columns + 1]
+        # Cut at the same radius whatever the cells: a cell that it crosses counts in part.
+        down, across = (
+            (np.arange(-size, size + 1) * cell - off) / far
+            for size, off, far in zip((rows, columns), beside, reach, strict=True)
+        )
+        within = (1 - np.hypot(down[:, np.newaxis], across[np.newaxis])) * min(reach) / cell + 0.5
+        cut: Array = change * np.clip(within, 0.0, 1.0)
+        return cut
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WavePlan:
+    """Which rays tell what waves add.
+
+    Attributes
+    ----------
+    kernel : KernelPlan
+        Cells, layers, tiles and guard band of the central image.
+    waves : Waves
+        Of one wavelength.
+    weights : WaveWeights
+        Of its cells.
+    seed : int
+        Of all that is drawn.
+    rays : int
+        That the look at the depths took.
+    """
+
+    kernel: KernelPlan
+    waves: Waves
+    weights: WaveWeights
+    seed: int
+    rays: int
+
+    @property
+    def pitch(self) -> float:
+        """The smaller pitch of the pixels [m]."""
+        sensor = self.kernel.camera.sensor
+        return min(sensor.pixel_width, sensor.pixel_height)
+
+    @property
+    def block(self) -> int:
+        """Rows and columns over which errors hang together [px]."""
+        blur = max(self.kernel.reach_px) - (self.kernel.guard or 0.0)
+        return math.ceil(max(blur, self.waves.blur / self.pitch)) + 1
+
+
+def plan_waves(view: View, wavelength: float, aim: float, seed: int, *, even_cell: float | None = None) -> WavePlan:
+    """Choose cells, layers, tiles and the guard band.
+
+    Parameters
+    ----------
+    view : View
+        In the light of all sources; its opening is finite.
+    wavelength : float
+        Of the light [m].
+    aim : float
+        Rms error of one replicate to aim at [gray level].
+    seed : int
+        Of all that is drawn.
+    even_cell : float, optional
+        As of `plan_kernel`: no light decides where rays go.
+
+    Raises
+    ------
+    TooDeep
+        If the scene has more depths than a central image may have layers.
+    """
+    camera = view.camera
+    waves = Waves(camera.aperture, camera.image_distance, wavelength)
+    pitch = min(camera.sensor.pixel_width, camera.sensor.pixel_height)
+    met, rays = _depths(view, seed)
+    plan = plan_kernel(bare(view), met, aim, even_cell=even_cell)
+    if even_cell is None:
+        # Where waves blur by many pixels rays go on in steps as wide, and only where light differs in finer ones.
+        wider = max(0, math.floor(math.log2(_BASE_SHARE * waves.blur / pitch / plan.grid.base)))
+        plan = replace(plan, grid=replace(plan.grid, base=plan.grid.base << wider, levels=plan.grid.levels + wider))
+    plan = replace(plan, guard=max(_NEAR * waves.blur / pitch, 1.0))
+    return WavePlan(plan, waves, WaveWeights(plan, _less_rays(waves)), seed, rays)
+
+
+def by_diameter(plan: WavePlan) -> WavePlan:
+    """The same rays, to tell how mean radiance changes with the logarithm of the opening's diameter."""
+    aperture, share = plan.waves.aperture, 1 / math.log((1 + _STEP) / (1 - _STEP))
+    terms = tuple(
+        (sign * share, replace(plan.waves, aperture=replace(aperture, diameter=(1 + sign * _STEP) * aperture.diameter)))
+        for sign in (1, -1)
+    )
+    return replace(plan, weights=WaveWeights(plan.kernel, terms))
+
+
+def _less_rays(*waves: Waves) -> tuple[tuple[float, Waves], ...]:
+    """Their mean less rays."""
+    return (*((1 / len(waves), one) for one in waves), (-1.0, replace(waves[0], wavelength=0.0)))
+
+
+def bare(view: View) -> View:
+    """The view without blocks that are known to be smooth: beyond the image's edge none are."""
+    return replace(view, smooth=None, prover=None)
+
+
+def _depths(view: View, seed: int) -> tuple[Array, int]:
+    """Magnifications of what is in view, by some central rays."""
+    camera, sensor = view.camera, view.camera.sensor
+    rows, columns = (min(size, _LOOK) for size in (sensor.rows, sensor.columns))
+    row, column = np.indices((rows, columns))
+    inside = generator(seed, Rendering.WAVES).random((2, rows, columns))
+    v, u = (row + inside[0]) * sensor.rows / rows - 0.5, (column + inside[1]) * sensor.columns / columns - 0.5
+    _, met = trace_rays(view, None, u.ravel(), v.ravel(), with_depth=True)
+    return met[met > camera.shear], rows * columns

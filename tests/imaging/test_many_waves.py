@@ -1,0 +1,170 @@
+"""Diffraction of many images: of a light basis, of a plan of sampling, of a scene that stays laid out."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import radwrap
+from radwrap.errors import InputError
+from radwrap.imaging.demand import Demand, SamplingPlan, sampling_plan
+from radwrap.imaging.optics.view import View
+from radwrap.imaging.other_camera import check_same_light
+from radwrap.imaging.relight.relit import read_basis, relit
+from radwrap.imaging.tolerance.kept_replicates import read_replicates
+from radwrap.imaging.tolerance.sampling import Pilot, strictest
+from radwrap.imaging.tolerance.wave_far import far_change, far_light
+from radwrap.imaging.tolerance.wave_parts import wave_cells, wave_tile
+from radwrap.imaging.tolerance.wave_plan import WavePlan, plan_waves
+from radwrap.imaging.tracing import LaidOutScene
+from radwrap.process import Programs
+from tests.cli.conftest import scene_with
+from tests.imaging.test_basis import DEEP, SOURCES
+
+BENCH: Final = Path(__file__).parents[2] / "rad_scenes" / "bench_board" / "scene.toml"
+COARSE: Final = {"rows": 44, "columns": 51, "pixel_width": "28 um", "pixel_height": "28 um"}
+FLOAT32: Final = 1e-5  # of the largest value: sums of a few values that are rounded so
+Array = NDArray[np.float64]
+NAMES: Final = ("left", "front", "rear", "low")
+
+
+def board(diffraction: str = "on", **changes: Any) -> radwrap.Scene:
+    document = tomllib.loads(BENCH.read_text())
+    document["camera"]["sensor"] |= COARSE
+    document["camera"]["diffraction"] = diffraction
+    return radwrap.scene_from_document(document, changes)
+
+
+def lamps(factors: tuple[float, ...] = (1.0,) * 4, **changes: Any) -> radwrap.Scene:
+    document = scene_with({"sources": SOURCES, "camera.diffraction": "on", **changes})
+    scene = radwrap.scene_from_document(document)
+    sources = tuple(
+        replace(source, emitter=replace(source.emitter, radiance=source.emitter.radiance * factor))
+        for source, factor in zip(scene.sources, factors, strict=True)
+    )
+    return replace(scene, sources=sources)
+
+
+def changes_of(view: View, of_all: View, plan: WavePlan, *, sources: int, alone: bool) -> Array:
+    """What waves add to each source, shape (sources, rows, columns)."""
+    sensor = of_all.camera.sensor
+    found = np.zeros((sources, sensor.rows, sensor.columns))
+    for tile, (r0, r1, c0, c1) in enumerate(plan.kernel.tiles):
+        cells = wave_cells(of_all, plan, tile, int)
+        traced = wave_tile(view, plan, (tile, 0), cells, int, of_all=of_all if alone else None)
+        found[:, r0:r1, c0:c1] = [change for change, _ in traced]
+    return found + [far_change(plan, around)[0] for around in far_light(view, plan, int)]
+
+
+def test_waves_are_linear_in_one_pass_and_source_by_source(tmp_path: Path) -> None:
+    """Two depths, so that shares of layers hang on the light: they are those of the light of all sources."""
+    pytest.importorskip("numba")
+    scene = lamps(**DEEP)
+    options = radwrap.RenderOptions(tracer="compiled")
+    with Programs() as programs:
+        traced = LaidOutScene(scene, options, programs, tmp_path)
+        of_all = traced.view()
+        (together,) = traced.views_of(NAMES)
+        plan = plan_waves(of_all, 550e-9, 1.0, seed=3)
+        assert len(plan.kernel.layers) > 1
+        in_one_pass = changes_of(together.view, of_all, plan, sources=4, alone=False)
+        (whole,) = changes_of(of_all, of_all, plan, sources=1, alone=False)
+        single = [changes_of(traced.view_of(name), of_all, plan, sources=1, alone=True)[0] for name in NAMES]
+    largest = np.abs(whole).max()
+    assert np.abs(in_one_pass - np.stack(single)).max() < FLOAT32 * largest
+    assert np.abs(in_one_pass.sum(axis=0) - whole).max() < FLOAT32 * largest
+    # "rear" is hidden behind "front".
+    assert [bool(np.abs(one).max() > FLOAT32 * largest) for one in single] == [True, True, False, True]
+
+
+@pytest.mark.parametrize("tracer", ["compiled", pytest.param("radiance", marks=pytest.mark.long)])
+def test_a_basis_has_the_waves_of_each_source(tracer: Any, tmp_path: Path) -> None:
+    """All factors one give the image itself; others that of another scene, within both errors."""
+    options = radwrap.RenderOptions(tolerance=3.0, tracer=tracer, basis=True, seed=3)
+    made = radwrap.render(lamps(), tmp_path, options)
+    basis = read_basis(tmp_path)
+    assert basis.waves is not None and made.manifest["diffraction"]["wavelength"] == 550e-9
+    factors = (0.3, 1.5, 0.0, 0.7)
+    itself, other = relit(basis, [[1.0] * 4, factors])
+    exposure = made.radiant_exposure.values
+    assert np.abs(itself.radiant_exposure.values - exposure).max() < FLOAT32 * exposure.max()
+    assert itself.certificate.diffraction_gray is not None
+    assert 0 < itself.certificate.diffraction_gray < 3.0
+    plain = replace(options, basis=False, tolerance=1.0, seed=4)
+    fresh = radwrap.render(lamps(factors), options=plain)
+    without = radwrap.render(lamps(factors, **{"camera.diffraction": "off"}), options=plain)
+
+    def apart(image: radwrap.Rendered) -> float:
+        return math.sqrt(float(((image.gray.values - other.gray.values) ** 2).mean()))
+
+    bound = math.hypot(fresh.error.rms_gray_upper95, other.certificate.rms_gray_upper95)
+    assert apart(fresh) < bound < 4.0
+    assert apart(without) > apart(fresh)
+
+
+def test_a_plan_gives_waves_to_every_image_alike(tmp_path: Path) -> None:
+    """A darker image, in which waves do not matter, has them by the same rays; each replicate has its own."""
+    plan = SamplingPlan("kernel", cell=0.5, replicates=3, wave_cell=0.5)
+    bright = radwrap.render(board("auto"), tmp_path, sampling=plan)
+    dark = radwrap.render(board("auto", **{"camera.exposure_time": "1 ms"}), sampling=plan)
+    assert bright.manifest["diffraction"]["rays"] == dark.manifest["diffraction"]["rays"]
+    assert dark.manifest["diffraction"]["about_rms_gray"] < 0.15 < bright.manifest["diffraction"]["about_rms_gray"]
+    times = bright.scene.camera.exposure_time / 1e-3
+    assert np.abs(times * dark.radiant_exposure.values - bright.radiant_exposure.values).max() < FLOAT32 * float(
+        bright.radiant_exposure.values.max()
+    )
+    kept = read_replicates(tmp_path, 44)
+    assert len(kept.images) == 3 and kept.change.any()
+    exposure = bright.radiant_exposure.values
+    assert np.abs(np.maximum(kept.images.mean(axis=0), 0.0) - exposure).max() < FLOAT32 * exposure.max()
+    none = radwrap.render(board("auto"), sampling=replace(plan, wave_cell=None))
+    assert none.manifest.get("diffraction") is None and none.left_out["diffraction"].needed
+    with pytest.raises(InputError, match=r"sampling.wave_cell: is missing"):
+        radwrap.render(board("on"), sampling=replace(plan, wave_cell=None))
+
+
+def test_one_pilot_that_needs_waves_gives_them_to_all() -> None:
+    pilots = [Pilot(0.5, False, 64, 3e3, 4e3, wave_cell) for wave_cell in (None, 0.5, 0.25)]
+    assert strictest(pilots, Demand(0.5)).wave_cell == 0.25
+    plan = strictest(pilots[:2], Demand(0.5, method="rays"))
+    assert plan.wave_cell == 0.5 and sampling_plan(plan.as_json(), "sampling[0]") == plan
+    assert strictest(pilots[:1], Demand(0.5)).wave_cell is None
+    for value in (0.3, "0.5", -1):
+        with pytest.raises(InputError, match=r"wave_cell: must be a power of 2"):
+            sampling_plan({**plan.as_json(), "wave_cell": value}, "sampling[0]")
+
+
+def test_a_warm_scene_gives_the_same_bytes() -> None:
+    pytest.importorskip("numba")
+    options = radwrap.RenderOptions(tolerance=3.0, tracer="compiled")
+    with radwrap.warm(board(), options) as live:
+        live.render()
+        key = {"sources[0].radiance": "2400 W/m^2/sr"}
+        warm, cold = live.render(key), radwrap.render(board(**key), options=options)
+    assert np.array_equal(warm.radiant_exposure.values, cold.radiant_exposure.values)
+    assert warm.run.run_sha256 == cold.run.run_sha256 and warm.error == cold.error
+    assert warm.manifest["diffraction"] == cold.manifest["diffraction"]
+
+
+def test_another_exposure_keeps_waves_and_another_wavelength_is_refused() -> None:
+    made = radwrap.render(board(), tolerance=3.0)
+    twice = made.with_exposure(2 * made.scene.camera.exposure_time)
+    growth = twice.error.rms_gray_upper95 / made.error.rms_gray_upper95
+    assert made.error.diffraction_gray and growth > 1.5
+    assert twice.error.diffraction_gray == pytest.approx(growth * made.error.diffraction_gray)
+    assert np.allclose(twice.radiant_exposure.values, 2 * made.radiant_exposure.values)
+    assert twice.manifest["diffraction"] == made.manifest["diffraction"]
+    camera = radwrap.load_scene(BENCH.parents[1] / "data_sheet_camera" / "scene.toml").camera
+    assert camera.diffraction == "auto" and camera.sensor.linear is not None
+    linear = replace(camera.sensor.linear, wavelength=1.2 * camera.sensor.linear.wavelength)
+    other = replace(camera, sensor=replace(camera.sensor, linear=linear))
+    with pytest.raises(InputError, match=r"camera.sensor.wavelength: changes what the opening's waves do"):
+        check_same_light(camera, other)
+    check_same_light(replace(camera, diffraction=None), replace(other, diffraction=None))
