@@ -42,7 +42,7 @@ class Rendering(IntEnum):
     WAVE_RESAMPLES = 31
     WAVE_CELLS = 32  # then the tile
     WAVE_RAYS = 33  # then replicate and tile
-    WAVE_FAR = 34
+    WAVE_FAR = 34  # then the replicate
 
 
 @unique

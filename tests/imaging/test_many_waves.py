@@ -60,7 +60,7 @@ def changes_of(view: View, of_all: View, plan: WavePlan, *, sources: int, alone:
         cells = wave_cells(of_all, plan, tile, int)
         traced = wave_tile(view, plan, (tile, 0), cells, int, of_all=of_all if alone else None)
         found[:, r0:r1, c0:c1] = [change for change, _ in traced]
-    return found + [far_change(plan, around)[0] for around in far_light(view, plan, int)]
+    return found + [far_change(plan, around)[0] for around in far_light(view, plan, 0, int)]
 
 
 def test_waves_are_linear_in_one_pass_and_source_by_source(tmp_path: Path) -> None:

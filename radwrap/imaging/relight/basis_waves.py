@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +19,6 @@ from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.wave_far import far_change, far_light
 from radwrap.imaging.tolerance.wave_parts import wave_cells, wave_tile
 from radwrap.imaging.tolerance.wave_plan import WavePlan
-
-_AROUND: Final = "waves_around"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +45,7 @@ class BasisWaves:
     def kinds(self) -> Iterator[str]:
         """Kinds of pieces."""
         yield from (self._kind(replicate, tile) for replicate, tile in self._tiles())
-        yield _AROUND
+        yield from map(self._around, range(self.replicates))
 
     def jobs(self) -> Iterator[Callable[[], None]]:
         """What is still to be traced."""
@@ -56,7 +53,10 @@ class BasisWaves:
             due = {replicate: self.pieces.due(self._kind(replicate, tile)) for replicate in range(self.replicates)}
             if any(due.values()):
                 yield partial(self._trace_tile, tile, due)
-        yield from (partial(self._trace_around, view) for view in self.pieces.due(_AROUND))
+        for replicate in range(self.replicates):
+            yield from (
+                partial(self._trace_around, replicate, view) for view in self.pieces.due(self._around(replicate))
+            )
 
     def replicate(self, view: int, replicate: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """What waves add to the sources of a view, and what their cells may change, shape (sources, rows, columns)."""
@@ -65,15 +65,15 @@ class BasisWaves:
         for tile, (r0, r1, c0, c1) in enumerate(self.plan.kernel.tiles):
             rows = np.stack(self.pieces.each(self._kind(replicate, tile), view), axis=1)
             found[..., r0:r1, c0:c1] = rows.reshape(2, -1, r1 - r0, c1 - c0)
-        each = (far_change(self.plan, around.astype(np.float64))[0] for around in self.pieces.each(_AROUND, view))
-        for number, change in enumerate(each):
-            found[0, number] += change.astype(np.float32)
+        for number, around in enumerate(self.pieces.each(self._around(replicate), view)):
+            found[0, number] += far_change(self.plan, around.astype(np.float64))[0].astype(np.float32)
         return found[0], found[1]
 
     def beyond(self, view: int) -> NDArray[np.float32]:
         """What light may change that comes from farther than was looked at, shape (sources, rows, columns)."""
-        each = (far_change(self.plan, around.astype(np.float64))[1] for around in self.pieces.each(_AROUND, view))
-        return np.stack([beyond.astype(np.float32) for beyond in each])
+        each = [self.pieces.each(self._around(replicate), view) for replicate in range(self.replicates)]
+        around: NDArray[np.float64] = np.asarray(each, dtype=np.float64).mean(axis=0)  # of each source
+        return np.stack([far_change(self.plan, one)[1].astype(np.float32) for one in around])
 
     def _tiles(self) -> Iterator[tuple[int, int]]:
         tiles = range(len(self.plan.kernel.tiles))
@@ -93,8 +93,13 @@ class BasisWaves:
             traced = wave_tile(replace(lit.view, workers=1), self.plan, (tile, replicate), cells, count, of_all=alone)
             self.pieces.write(kind, view, np.stack([part.ravel() for parts in traced for part in parts]))
 
-    def _trace_around(self, view: int) -> None:
-        log_call(self.pieces.folder, f"{_AROUND} {view}")
+    @staticmethod
+    def _around(replicate: int) -> str:
+        return f"waves_around_{replicate:03d}"
+
+    def _trace_around(self, replicate: int, view: int) -> None:
+        kind = self._around(replicate)
+        log_call(self.pieces.folder, f"{kind} {view}")
         lit = replace(self.pieces.views[view].view, workers=1)
-        around = far_light(lit, self.plan, self.work.progress.add)
-        self.pieces.write(_AROUND, view, around.reshape(-1, around.shape[-1]))
+        around = far_light(lit, self.plan, replicate, self.work.progress.add)
+        self.pieces.write(kind, view, around.reshape(-1, around.shape[-1]))

@@ -20,16 +20,21 @@ from radwrap.scene.camera import Aperture
 Array = NDArray[np.float64]
 
 # The coarse image is so many times as wide as the guard band; what goes farther still is counted as an error.
-_FAR: Final = 30.0
+_FAR: Final = 20.0
 _BLOCKS: Final = 4  # of the coarse image, in a guard band's width
 _FEWEST_BLOCK: Final = 2.0  # px
 _MOST_BLOCKS: Final = 1 << 18
+# A pixel gathers most of it from just beyond its guard band: up to so many guard bands beside the sensor a block has
+# n x n rays, and one farther away.
+_DENSE: Final = 3.0
+_STRATA: Final = 3
 # Steps along a straight edge's tail, and across it: it is as wide as the edge.
 _STEPS: Final = 4096
 _BESIDE: Final = 8
+_INSIDE: Final = 6  # places along a side of a block, of which the guard band's rim cuts some
 
 
-def far_light(view: View, plan: WavePlan, progress: Callable[[int], None]) -> Array:
+def far_light(view: View, plan: WavePlan, replicate: int, progress: Callable[[int], None]) -> Array:
     """Mean light of each source that comes from beyond the guard band, at the middles of blocks of pixels.
 
     Returns
@@ -38,10 +43,22 @@ def far_light(view: View, plan: WavePlan, progress: Callable[[int], None]) -> Ar
         [W m^-2 sr^-1]
     """
     block, margin, (rows, columns) = _blocks(plan)
-    inside = generator(plan.seed, Rendering.WAVE_FAR).random((2, rows, columns))
-    v, u = ((at - margin + inside[axis]) * block - 0.5 for axis, at in enumerate(np.indices((rows, columns))))
-    values, _ = trace_rays(bare(view), None, u.ravel(), v.ravel())
-    progress(rows * columns)
+    random = generator(plan.seed, Rendering.WAVE_FAR, replicate)
+    beside = min(margin, math.ceil(_DENSE * min(plan.kernel.reach_px) / block))
+    dense = np.zeros((rows, columns), dtype=bool)
+    dense[margin - beside : rows - margin + beside, margin - beside : columns - margin + beside] = True
+    places, owners = [], []
+    for some, strata in ((dense, _STRATA), (~dense, 1)):
+        row, column = np.nonzero(some)
+        inside = (np.indices((strata, strata)).reshape(2, 1, -1) + random.random((2, len(row), strata**2))) / strata
+        places.append(np.stack([row[:, np.newaxis] + inside[0], column[:, np.newaxis] + inside[1]]).reshape(2, -1))
+        owners.append(np.repeat(row * columns + column, strata**2))
+    v, u = (np.concatenate(places, axis=1) - margin) * block - 0.5
+    owner = np.concatenate(owners)
+    light, _ = trace_rays(bare(view), None, u, v)
+    progress(len(u))
+    rays = np.bincount(owner, minlength=rows * columns)
+    values = np.stack([np.bincount(owner, one, rows * columns) / rays for one in light.reshape(-1, len(u))])
     # What a pixel gathers from the light around it: the kernel is turned, and alike from both sides.
     near = min(plan.kernel.reach_px)
     blur = near - (plan.kernel.guard or 0.0)
@@ -112,11 +129,12 @@ def _tail_kernel(aperture: Aperture, rim_at: float, near: float, far: float) -> 
     length = {"square": 4 * aperture.diameter, "half_disc": aperture.diameter}.get(aperture.shape, 0.0)
     straight = length / rim(aperture)
     if straight < 1:
-        y, x = np.indices((size, size)) - margin
+        y, x = (np.indices((size * _INSIDE, size * _INSIDE)) + 0.5) / _INSIDE - 0.5 - margin
         radius = np.hypot(x, y)
         beyond = (radius > near) & (radius <= far)
         radius = np.where(beyond, radius, far)
-        arc = np.where(beyond, _from_both_rims(radius, rim_at) / radius, 0.0)
+        each = np.where(beyond, _from_both_rims(radius, rim_at) / radius, 0.0)
+        arc = each.reshape(size, _INSIDE, size, _INSIDE).sum(axis=(1, 3))
         kernel += (1 - straight) * arc / arc.sum()
     if straight:
         normals = [aperture.rotation + turn * math.pi / 2 for turn in range(2 if aperture.shape == "square" else 1)]

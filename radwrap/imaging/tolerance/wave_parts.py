@@ -86,9 +86,13 @@ def wave_parts(
             ((found, of_cells),) = wave_tile(view, plan, (tile, replicate), decided, count)
             change[replicate, r0:r1, c0:c1] = found
             cells[r0:r1, c0:c1] += of_cells / replicates
-    (around,) = far_light(view, plan, count)
-    far, beyond = far_change(plan, around)
-    return WaveParts(change + far, cells, beyond, counted)
+    beyond = np.zeros((sensor.rows, sensor.columns))
+    for replicate in range(replicates):
+        (around,) = far_light(view, plan, replicate, count)
+        far, farther = far_change(plan, around)
+        change[replicate] += far
+        beyond += farther / replicates
+    return WaveParts(change, cells, beyond, counted)
 
 
 def wave_cells(view: View, plan: WavePlan, tile: int, progress: Callable[[int], None]) -> Cells:
