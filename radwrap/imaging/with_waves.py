@@ -75,6 +75,7 @@ class _Waves:
     options: RenderOptions
     work: Work
     wavelength: float
+    by_bands: float = 0.0  # what one wavelength in place of all may change, rms [gray level]
 
     @property
     def even_cell(self) -> float | None:
@@ -155,7 +156,8 @@ def with_waves(
     found = diffraction_left_out(scene, work.view, options.seed, options.gray_tolerance, rays)
     if not _is_taken(scene, options, made, found):
         return WithWaves(made, found, None)
-    waves = _Waves(scene, options, work, wavelength_of(scene)[0])
+    spread = 0.0 if scene.spectral is None else scene.spectral.wavelength_spread
+    waves = _Waves(scene, options, work, wavelength_of(scene)[0], spread * found.rms_gray)
     aim = _AIM * options.gray_tolerance
     try:
         plan = waves.plan(aim)
@@ -249,7 +251,8 @@ def _added(made: Made, plan: WavePlan, parts: WaveParts, waves: _Waves, rays: in
     """The image with what waves add, and the certificate of both."""
     radiance = np.maximum(made.radiance + parts.change.mean(axis=0), 0.0)
     found = _error(plan, parts, radiance, waves.work)
-    certificate = made.certificate.with_waves(found.noise, found.cells, found.tails, found.quantile)
+    lasting, quantile = found.tails + waves.by_bands, found.quantile + waves.by_bands
+    certificate = made.certificate.with_waves(found.noise, found.cells, lasting, quantile)
     used = replace(made.used, rays=made.used.rays + rays)
     outcome, demand = made.outcome, waves.options.demand if made.outcome is not None else None
     if outcome is not None and demand is not None:

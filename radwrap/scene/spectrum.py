@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
 from typing import Final
@@ -87,6 +87,9 @@ class Spectral:
         W_ij/V_i: factor on the reflectance of each material (in their order), a row for each source.
     wavelength : float
         Mean over the light that counts [m].
+    wavelength_spread : float
+        How far an effect that grows with the wavelength may be off, over the effect, where the mean stands for all:
+        the mean distance of the sources' own means, and half of the variance, each over the mean.
     """
 
     sources: tuple[str, ...]
@@ -94,6 +97,7 @@ class Spectral:
     materials: Mapping[str, Material]
     reflectance: tuple[tuple[float, ...], ...]
     wavelength: float
+    wavelength_spread: float = field(default=0.0, compare=False)  # told by what the rest is made of
 
 
 def integral(*curves: Curve) -> float:

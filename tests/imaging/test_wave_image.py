@@ -96,6 +96,20 @@ def test_a_scene_has_waves_where_they_matter() -> None:
     assert radwrap.render(scene_of("auto"), tolerance=60).manifest.get("diffraction") is None
 
 
+def test_one_wavelength_for_a_wide_line_is_in_the_error() -> None:
+    """The same rays in both: only what the mean wavelength leaves out differs."""
+    errors = []
+    for width in ("1 nm", "130 nm"):
+        scene = radwrap.with_value(scene_of("on"), "sources[0].spectrum", {"line": "550 nm", "width": width})
+        made = radwrap.render(scene, tolerance=4)
+        assert made.error.diffraction_gray is not None and scene.spectral is not None
+        errors.append(made.error.diffraction_gray)
+        left = scene.spectral.wavelength_spread * made.manifest["diffraction"]["about_rms_gray"]
+    sigma = 130 / math.sqrt(8 * math.log(2))
+    assert left == pytest.approx(5.4 * (sigma / 550) ** 2 / 2, rel=0.15)
+    assert errors[1] - errors[0] == pytest.approx(left, rel=0.1)
+
+
 def test_the_paraxial_scalar_model_is_named_where_it_ends() -> None:
     model = "camera.diffraction.model"
     assert (

@@ -245,6 +245,22 @@ def test_a_narrow_led_needs_one_band(folder: Path) -> None:
     assert scene.spectral is not None and scene.spectral.wavelength == pytest.approx(650e-9, rel=2e-3)
 
 
+def test_wavelengths_are_as_far_apart_as_their_lines(folder: Path) -> None:
+    """Two narrow lines of equal light, 500 and 600 nm: 50/550 from their mean, and half of that squared."""
+    given = document()
+    for key in ("spectral_response", "filter"):
+        given["camera"].pop(key, None)
+    for material in given["materials"].values():
+        material.pop("spectrum", None)
+    given["sources"][1] = {**given["sources"][0], "name": "other"}
+    for source, mean in zip(given["sources"], ("500 nm", "600 nm"), strict=True):
+        source["spectrum"] = {"line": mean, "width": "2 nm"}
+    scene = radwrap.scene_from_document(given, folder=folder)
+    apart = 50 / 550
+    assert scene.spectral is not None and scene.spectral.wavelength == pytest.approx(550e-9, rel=1e-5)
+    assert scene.spectral.wavelength_spread == pytest.approx(apart + apart**2 / 2, rel=1e-3)
+
+
 def test_fewest_groups_are_the_fewest() -> None:
     """A chain of neighbours that fit pair by pair: pairs of neighbours, not what comes first."""
     rows = [[1.0], [1.2], [0.83], [1.45]]  # sorted: .83 1 1.2 1.45, each 20 % above the one before

@@ -63,8 +63,8 @@ class Certificate:
     bands_gray : float or None
         What the bands of the light may add, in the bounds already; None where the scene tells no spectra.
     diffraction_gray : float or None
-        What the footprint of waves may add, in the bounds already: noise of its rays, cells and tails; None where light
-        is rays.
+        What the footprint of waves may add, in the bounds already: noise of its rays, cells, tails, wavelengths; None
+        where light is rays.
     """
 
     rms_gray: NotNegative
@@ -94,7 +94,8 @@ class Certificate:
         cells : float
             Mean square of what their cells add [gray level^2].
         tails : float
-            Rms of what light may add that comes from farther than was looked at [gray level].
+            Rms of what light may add that comes from farther than was looked at, and of what one wavelength in place of
+            all may [gray level].
         quantile : float
             Of all three, that 99.5 % of the pixels stay below [gray level].
         """

@@ -178,7 +178,7 @@ def _integrals(scene: Scene, model: tables.SceneModel, powers: list[Curve]) -> S
     ]
     materials = {name: scene.materials[name] for name in used}
     names = tuple(source.name for source in scene.sources)
-    return Spectral(names, tuple(counts), materials, tuple(rows), _mean_wavelength(scene, powers, passed))
+    return Spectral(names, tuple(counts), materials, tuple(rows), *_wavelengths(scene, powers, passed))
 
 
 def _nothing_seen(scene: Scene, powers: list[Curve], path: Mapping[str, Curve]) -> InputError:
@@ -227,14 +227,21 @@ def _check_cover(curve: Curve, powers: list[Curve], passed: list[Curve], where: 
             )
 
 
-def _mean_wavelength(scene: Scene, powers: list[Curve], passed: list[Curve]) -> float:
-    whole = moment = 0.0
-    for source, power in zip(scene.sources, powers, strict=True):
-        level = _intensity(source)
-        ends = power.ends
-        whole += level * integral(power, *passed)
-        moment += level * integral(power, *passed, Curve(ends, ends))
-    return moment / whole if whole > 0 else 0.0
+def _wavelengths(scene: Scene, powers: list[Curve], passed: list[Curve]) -> tuple[float, float]:
+    """Mean over the light that counts [m], and how far it is from standing for all: see `Spectral`."""
+    moments = np.zeros((len(powers), 3))
+    for moment, source, power in zip(moments, scene.sources, powers, strict=True):
+        wavelength = Curve(power.ends, power.ends)
+        each = (integral(power, *passed, *(wavelength,) * order) for order in range(3))
+        moment[:] = [_intensity(source) * value for value in each]
+    lit = moments[moments[:, 0] > 0]
+    whole, first, second = lit.sum(axis=0).tolist()
+    if not whole > 0:
+        return 0.0, 0.0
+    mean = first / whole
+    apart = float(np.abs(lit[:, 1] - mean * lit[:, 0]).sum()) / whole
+    variance = max(second / whole - mean**2, 0.0)
+    return mean, apart / mean + variance / (2 * mean**2)
 
 
 def _intensity(source: Source) -> float:
