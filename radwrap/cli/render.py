@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from radwrap.cli import options as shared
 from radwrap.errors import InputError, ToleranceNotMet
@@ -26,9 +26,6 @@ _DESCRIPTION = (
     "Predicts the gray image of a scene. Writes gray.png, radiant_exposure.exr and manifest.json into DIR; a killed "
     "run goes on where it was when it is started again."
 )
-
-
-_LEFT_OUT: Final = "light between surfaces"
 
 
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
@@ -176,12 +173,10 @@ def _summarise(arguments: argparse.Namespace, made: RunManifest, drawn: Mapping[
 
 
 def _beside(made: RunManifest) -> str:
-    """What the certified error does not hold, where it matters."""
-    return "".join(
-        f"; {_LEFT_OUT if name == 'bounces' else name.replace('_', ' ')} left out: about {effect.rms_gray:.2g} rms more"
-        for name, effect in made.left_out.items()
-        if effect.needed
-    )
+    """Whether the image has diffraction, and what the certified error does not hold, where it matters."""
+    taken = made.diffraction
+    waves = "" if taken is None else f"; with diffraction at {taken.wavelength * 1e9:.4g} nm"
+    return f"{waves}; left out: {made.missing} gray rms" if made.missing else waves
 
 
 def _options(arguments: argparse.Namespace) -> RenderOptions:

@@ -118,7 +118,7 @@ def test_the_last_line_says_what_its_error_does_not_hold(tmp_path: Path, capsys:
     left_out = json.loads((tmp_path / "out" / "manifest.json").read_text())["left_out"]["bounces"]
     assert left_out["needed"] and left_out["rms_gray"] > 0.5
     assert "(pixels at rims: far more)" in last
-    assert f"light between surfaces left out: about {left_out['rms_gray']:.2g} rms more" in last
+    assert f"; left out: light between surfaces {left_out['rms_gray']:.2g} (at most " in last
     argv += ["--bounces", "all", "--out", tmp_path / "all"]
     assert "left out" not in here(argv, capsys).success().stdout
 

@@ -25,6 +25,8 @@ from radwrap.manifest import ONLY_WHERE_USED, SCHEMA_VERSION, plain, read_manife
 from radwrap.written import Count, Hashes, NotNegative, Positive, Rays, Sha256, Share, read_back
 
 MANIFEST: Final = "manifest.json"
+# Names of effects that do not speak for themselves.
+_NAMES: Final = {"bounces": "light between surfaces", "finite_aperture": "the finite aperture"}
 
 Bounces = int | Literal["all"]
 
@@ -164,7 +166,10 @@ class RunManifest:
     def missing(self) -> str:
         """What is left out although it matters, in gray levels, for those who read the error; "" where nothing is."""
         needed = (left for left in self.left_out.values() if left.needed)
-        return ", ".join(f"{left.name} {left.rms_gray:.2g} (at most {left.rms_gray_upper95:.2g})" for left in needed)
+        return ", ".join(
+            f"{_NAMES.get(left.name, left.name)} {left.rms_gray:.2g} (at most {left.rms_gray_upper95:.2g})"
+            for left in needed
+        )
 
     @property
     def met(self) -> bool:
