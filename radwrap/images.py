@@ -28,6 +28,8 @@ _NOTHING: Final[Provenance] = MappingProxyType({})
 
 # Bits of what a file may hold as gray levels.
 _BITS: Final = {"uint8": 8, "uint16": 16, "half": 16, "float": 16}
+_MOST_BITS: Final = 16
+_HALF: Final = 0.5  # gray: so far beside the codes a level is rounded to one
 _WHOLE: Final = {"uint8", "uint16"}
 
 _JPEG: Final = b"\xff\xd8"
@@ -141,12 +143,21 @@ class GrayImage(_Pixels):
         Raises
         ------
         InputError
-            If the name does not end with ".png".
+            If the name does not end with ".png", or a gray level is none of the camera's.
         EnvironmentFailure
             If the disk refuses.
         """
         if Path(path).suffix != ".png":
             raise InputError("must end with .png", where=str(path), remedy="choose another name")
+        if not 1 <= self.bit_depth <= _MOST_BITS:
+            raise InputError(f"must be 1 to {_MOST_BITS}", where="bit_depth")
+        low, high, top = self.values.min(initial=0.0), self.values.max(initial=0.0), 2**self.bit_depth - 1
+        if not (low >= -_HALF and high < top + _HALF):
+            raise InputError(
+                f"holds gray levels from {low:g} to {high:g}, its {self.bit_depth} bits reach from 0 to {top}",
+                where="values",
+                remedy="clip them, or give more bits",
+            )
         write_png(Path(path), self.codes)
 
 

@@ -148,3 +148,10 @@ def test_images_are_written_after_a_fork(tmp_path: Path) -> None:
     words = [sys.executable, "-c", _FORKED, str(tmp_path / "image.exr")]
     done = subprocess.run(words, capture_output=True, text=True, check=True, timeout=20)
     assert done.stdout == "(300, 300)\n"
+
+
+@pytest.mark.parametrize(("level", "bits"), [(300.0, 8), (-5.0, 8), (10.0, 0), (10.0, 17)])
+def test_codes_that_no_camera_sends_are_not_saved(level: float, bits: int, tmp_path: Path) -> None:
+    with pytest.raises(InputError):
+        GrayImage(np.full((4, 4), level), bits).save(tmp_path / "wrong.png")
+    assert not list(tmp_path.iterdir())

@@ -54,7 +54,7 @@ def projection_uncertainty(found: ViewsCalibration, image: Array, distance: floa
     >>> for k in range(6):
     ...     turned = turn(np.array([0.4 * np.cos(k), 0.4 * np.sin(k), 0.1 * k]))[0]
     ...     seen = board @ turned.T + [-0.07, -0.05, 0.4]
-    ...     shown.append(CalibrationView(board, 1000 * seen[:, :2] / seen[:, 2:] + [320, 240], str(k)))
+    ...     shown.append(CalibrationView(board, 600 * seen[:, :2] / seen[:, 2:] + [320, 240], str(k)))
     >>> found = calibrate_views(shown, (640, 480), noise=0.1)
     >>> covariance = projection_uncertainty(found, np.array([[320.0, 240.0], [0.0, 0.0]]), 0.4)
     >>> middle, corner = np.sqrt(np.linalg.eigvalsh(covariance)[:, -1])

@@ -38,6 +38,8 @@ _HARDLY_KNOWN: Final = 0.05
 # The gradient over the residuals up to which the minimum counts as reached: the cost can fall by 1e-10 of it.
 _REACHED: Final = 1e-5
 _ROUND_OFF: Final = 1e-7  # px, of the whole gradient where points are exact
+_BESIDE: Final = 1.0  # px; a point may be found so far beside the image
+_FAR: Final = 1e3  # of the points' median distance from their middle
 _FLAT: Final = 1e-6  # height over a plane, over the target's size, at which points count as coplanar
 
 
@@ -53,6 +55,8 @@ class PosedView:
         camera_from_target.
     translation : ndarray, shape (3,)
         The target's origin in the camera's frame [m].
+    distance : float
+        From the camera's centre to the mean of its points [m].
     covariance : ndarray, shape (6, 6)
         Of turns about the camera's axes, which leave the translation alone [rad], and of the translation [m].
     rms : float
@@ -63,6 +67,7 @@ class PosedView:
     points: int
     rotation: Array
     translation: Array
+    distance: float
     covariance: Array
     rms: float
 
@@ -166,10 +171,10 @@ def calibrate_views(
     >>> for k in range(6):
     ...     turned = turn(np.array([0.4 * np.cos(k), 0.4 * np.sin(k), 0.1 * k]))[0]
     ...     seen = board @ turned.T + [-0.07, -0.05, 0.4]
-    ...     shown.append(CalibrationView(board, 1000 * seen[:, :2] / seen[:, 2:] + [320, 240], str(k)))
+    ...     shown.append(CalibrationView(board, 600 * seen[:, :2] / seen[:, 2:] + [320, 240], str(k)))
     >>> found = calibrate_views(shown, (640, 480))
     >>> round(float(found.camera_matrix[0, 0]), 6)
-    1000.0
+    600.0
     """
     if model not in MODELS:
         raise InputError(f"must be one of {', '.join(MODELS)}", where="model")
@@ -178,6 +183,7 @@ def calibrate_views(
     if min(image_size) < 1:
         raise InputError("must be columns and rows, 1 at least", where="image_size")
     _check_number(views, model)
+    _check_views(views, image_size)
     axes, origin, flat = _frame(views)
     local = [CalibrationView((view.points - origin) @ axes, view.image, view.name) for view in views]
     free = free_columns(model)
@@ -189,10 +195,11 @@ def calibrate_views(
     tangent, spread = spread_about(local, state, free, axes, origin)
     if not tangent <= _REACHED * math.sqrt(cost_of(local, state)) + _ROUND_OFF:
         raise InputError(
-            "no minimum was reached",
+            "no minimum was reached: views that are hardly tilted do not tell the focal length from the distance",
             where="views",
-            remedy="look for wrong points, give tilted views that fill the image, or a model with fewer coefficients",
+            remedy="give tilted views that fill the image, or a model with fewer coefficients; look for wrong points",
         )
+    _check_in_front(local, state)
     residuals = [residuals_of(view, state.camera, pose) for view, pose in zip(local, state.poses, strict=True)]
     cost = float(sum(np.sum(part**2) for part in residuals))
     count = sum(len(view.points) for view in views)
@@ -234,6 +241,44 @@ def _check_number(views: Sequence[CalibrationView], model: DistortionModel) -> N
             where="views",
             remedy="give more points or views, or a model with fewer coefficients",
         )
+
+
+def _check_views(views: Sequence[CalibrationView], image_size: tuple[int, int]) -> None:
+    """What OpenCV would refuse without a name, or take without a word."""
+    seen: dict[bytes, str] = {}
+    for view in views:
+        where = f"view {view.name}"
+        outside = (view.image < -_BESIDE) | (view.image > np.array(image_size) - 1 + _BESIDE)
+        if outside.any():
+            u, v = view.image[int(np.argmax(outside.any(axis=1)))]
+            raise InputError(
+                f"the point at {u:g}, {v:g} px lies outside of {image_size[0]} x {image_size[1]} pixels",
+                where=where,
+                remedy="compare the image size, and whether u and v are swapped",
+            )
+        rows = np.column_stack([view.points, view.image])
+        if len(np.unique(rows, axis=0)) < len(rows):
+            raise InputError("holds a point twice", where=where, remedy="leave one out: it tells nothing new")
+        if (same := seen.setdefault(rows.tobytes(), view.name)) != view.name:
+            raise InputError(f"is view {same} again", where=where, remedy="leave one out: it tells nothing new")
+        away = np.linalg.norm(view.points - np.median(view.points, axis=0), axis=1)
+        if (far := float(away.max())) > _FAR * float(np.median(away)):
+            raise InputError(f"holds a point {far:g} m from the others", where=where, remedy="leave it out")
+        for what, places in (("the points", view.points), ("the images of the points", view.image)):
+            sizes = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
+            if not sizes[1] > _FLAT * sizes[0]:
+                raise InputError(f"{what} lie on one line", where=where, remedy="leave the view out")
+
+
+def _check_in_front(views: Sequence[CalibrationView], state: State) -> None:
+    for view, pose in zip(views, state.poses, strict=True):
+        depths = view.points @ turn(pose[:3])[0][2] + pose[5]
+        if not (depths > 0).all():
+            raise InputError(
+                "its points are found behind the camera",
+                where=f"view {view.name}",
+                remedy="look whether u and v are swapped, or an axis is mirrored",
+            )
 
 
 def _frame(views: Sequence[CalibrationView]) -> tuple[Array, Array, bool]:
@@ -285,6 +330,7 @@ def _posed(view: CalibrationView, spread: Spread, number: int, residuals: Array,
         points=len(view.points),
         rotation=whole,
         translation=pose[3:] - moved,
+        distance=float(np.linalg.norm(pose[3:] + rotation @ view.points.mean(axis=0))),
         covariance=noise**2 * chain @ covariance @ chain.T,
         rms=float(np.sqrt(np.mean(np.sum(residuals**2, axis=1)))),
     )
@@ -315,6 +361,7 @@ def as_json(found: ViewsCalibration) -> dict[str, Any]:
                 "points": view.points,
                 "rotation": view.rotation.tolist(),
                 "translation": view.translation.tolist(),
+                "distance": view.distance,
                 "covariance": view.covariance.tolist(),
                 "rms_px": view.rms,
             }

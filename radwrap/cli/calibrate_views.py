@@ -41,7 +41,7 @@ def run(
     try:
         views = [CalibrationView(points[of == name], image[of == name], name) for name in order]
         found = calibrate_views(views, (columns, rows), model=arguments.model or "brown", noise=arguments.noise)
-        near = float(np.mean([np.linalg.norm(view.translation) for view in found.views]))
+        near = float(np.mean([view.distance for view in found.views]))
         over = [uncertainty_over_image(found, distance) for distance in (near, math.inf)]
     except InputError as error:
         inside = error.where is not None and error.where.startswith(_OF_THE_FILE)

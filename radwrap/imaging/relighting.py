@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from radwrap.errors import InputError
 from radwrap.imaging.other_camera import SceneText, basis_in_other_camera
 from radwrap.imaging.output.run_manifest import MANIFEST, read_run_manifest
@@ -56,12 +58,22 @@ def relight(
     True
     """
     folder = Path(folder)
+    for name, told in (("levels", levels), ("changes", changes)):
+        if not isinstance(told, Mapping):
+            raise InputError("must be a dict", where=name, remedy='such as {"ring": 0.5}' if name == "levels" else None)
     basis = read_basis(folder)
-    factors = levels_of([f"{name}={float(factor)!r}" for name, factor in levels.items()], basis.sources, basis.dark)
+    factors = levels_of([_told(name, factor) for name, factor in levels.items()], basis.sources, basis.dark)
     if changes:
         text = scene_text_of(folder, basis, None if scene_folder is None else Path(scene_folder))
         basis = basis_in_other_camera(basis, text, changes)
     return next(relit(basis, [factors]))
+
+
+def _told(name: str, factor: float) -> str:
+    """As the command has it."""
+    if isinstance(factor, bool) or not isinstance(factor, int | float | np.integer | np.floating):
+        raise InputError("must be a number", where=f'levels["{name}"]')
+    return f"{name}={float(factor)!r}"
 
 
 def scene_text_of(folder: Path, basis: Basis, scene_folder: Path | None = None) -> SceneText:

@@ -91,6 +91,8 @@ def test_exact_points_give_the_camera_back(model: DistortionModel) -> None:
     for view, (pose, _) in zip(found.views, scenes(model, 12), strict=True):
         assert view.rotation == pytest.approx(turn(pose[:3])[0], abs=close)
         assert view.translation == pytest.approx(pose[3:], abs=close)
+        middle = turn(pose[:3])[0] @ board().mean(axis=0) + pose[3:]
+        assert view.distance == pytest.approx(np.linalg.norm(middle), abs=close)
     assert found.rms < 1e-9
 
 
@@ -218,9 +220,40 @@ def test_too_few_views_a_line_and_names_twice_are_refused() -> None:
         calibrate_views([CalibrationView(board()[:7], seen[:7], "a")], SIZE)
     with pytest.raises(InputError, match="on one line"):
         line = np.outer(np.arange(20.0), [1, 2, 3])
-        calibrate_views([CalibrationView(line, np.outer(np.arange(20.0), [1, 1]), "a")], SIZE)
+        calibrate_views([CalibrationView(line, rng_places(), "a")], SIZE)
     with pytest.raises(InputError, match="names that differ"):
         calibrate_views([CalibrationView(board(), seen, "a")] * 2, SIZE)
+
+
+def test_what_cannot_be_so_is_named() -> None:
+    views = [CalibrationView(board(), seen, f"v{k}") for k, (_, seen) in enumerate(scenes("brown", 4))]
+    good = views[1].image
+    for wrong, told in (
+        (CalibrationView(board(), good, "w"), "is view v1 again"),
+        (CalibrationView(board(), good + np.array([900, 0]), "w"), "outside of 1300 x 1000 pixels"),
+        (CalibrationView(board()[[0, 0, 1, 10, 11]], good[[0, 0, 1, 10, 11]], "w"), "a point twice"),
+        (CalibrationView(board()[:10], good[:10], "w"), "lie on one line"),
+        (CalibrationView(board() + 1e9 * (np.arange(80) == 3)[:, None], good, "w"), "m from the others"),
+    ):
+        with pytest.raises(InputError, match=told) as failure:
+            calibrate_views([*views, wrong], SIZE)
+        assert failure.value.where == "view w"
+
+
+def test_a_mirrored_target_in_space_is_behind_the_camera() -> None:
+    rng = np.random.default_rng(3)
+    points = rng.uniform(-0.1, 0.1, (40, 3))
+    views = []
+    for k in range(5):
+        pose = np.array([0.4 * math.cos(k), 0.4 * math.sin(k), 0.3 * k, 0.01 * k, -0.01 * k, 0.5 + 0.05 * k])
+        seen = project_points(points, np.array([*MATRIX, *[0.0] * 12]), pose)[0]
+        views.append(CalibrationView(points, (SIZE[0] - 1 - seen[:, 0])[:, None] * [1, 0] + seen * [0, 1], str(k)))
+    with pytest.raises(InputError, match=r"behind the camera|no minimum"):
+        calibrate_views(views, SIZE)
+
+
+def rng_places() -> Array:
+    return np.asarray(np.random.default_rng(2).uniform(0, 900, (20, 2)))
 
 
 def table(path: Path, *, noise: float = NOISE) -> Path:

@@ -11,8 +11,10 @@ from typing import Any, Final
 import numpy as np
 import pytest
 
+from radwrap.errors import InputError
 from radwrap.images import read_image
 from radwrap.imaging.relight.basis import sealed
+from radwrap.imaging.relighting import relight
 from tests.cli.conftest import SLOWER, SMALL, files_in, here, inhabitants, products, run, start, wait_for, write_scene
 
 SECOND: Final = {**SMALL["sources"][0], "name": "second", "position": ["-60 mm", "-90 mm", "450 mm"]}
@@ -300,3 +302,12 @@ def test_a_linear_cameras_relit_images_have_their_noise(tmp_path: Path, capsys: 
     sigmas = [read_image(tmp_path / "out" / "gray_sigma" / f"{name}.exr")[0] for name in ("off", "both")]
     assert sigmas[0] == pytest.approx(np.full((20, 24), np.sqrt(4.5**2 + 1 / 12)), rel=1e-6)
     assert sigmas[1] == pytest.approx(read_image(tmp_path / "basis" / "gray_sigma.exr")[0], rel=1e-5)
+
+
+@pytest.mark.parametrize("levels", [{"ring": None}, {"ring": True}, "ring", None])
+def test_levels_that_are_no_numbers_are_named_in_python(levels: Any, tmp_path: Path) -> None:
+    with pytest.raises(InputError) as failure:
+        relight(tmp_path, levels)
+    assert failure.value.where is not None
+    if isinstance(levels, str) or levels is None:
+        assert failure.value.where == "levels"
