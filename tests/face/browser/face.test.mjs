@@ -320,10 +320,6 @@ test("a bad link says what to do, and the token leaves the address", async (t) =
   await page.keyboard.press("Enter"); // #picture is a place in the page, and no token
   await page.reload();
   await measured(page);
-  await page.click("#lacks"); // bench_board: diffraction is left out, which the header says beside the error
-  assert.match(await page.textContent("#lacks"), /not in it: diffraction \d\.\d gray rms$/);
-  await page.reload();
-  await measured(page);
   const { page: other, faults } = await opened(t, { at: `http://127.0.0.1:${port}/` });
   await other.waitForSelector("#banner:not([hidden])");
   assert.match(await other.textContent("#banner"), /needs its link/);
@@ -331,6 +327,16 @@ test("a bad link says what to do, and the token leaves the address", async (t) =
   await wrong.waitForSelector("#banner:not([hidden])");
   assert.match(await wrong.textContent("#banner"), /open the one that radwrap face has told last/);
   assert.deepEqual(faults, []);
+});
+
+test("the header says what the error does not hold, and its place is no token", async (t) => {
+  const own = await serve("--set", "camera.diffraction=off");
+  t.after(() => own.process.kill("SIGTERM"));
+  const { page } = await loaded(t, { at: own.link });
+  await page.click("#lacks");
+  assert.match(await page.textContent("#lacks"), /not in it: diffraction \d\.\d gray rms$/);
+  await page.reload();
+  await measured(page);
 });
 
 test("the file with the link opens the page", async (t) => {
