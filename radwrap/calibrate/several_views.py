@@ -193,15 +193,15 @@ def calibrate_views(
     names = (*MATRIX, *MODELS[model])
     _check_determined(sizes, names)
     tangent, spread = spread_about(local, state, free, axes, origin)
-    if not tangent <= _REACHED * math.sqrt(cost_of(local, state)) + _ROUND_OFF:
+    residuals = [residuals_of(view, state.camera, pose) for view, pose in zip(local, state.poses, strict=True)]
+    cost = float(sum(np.sum(part**2) for part in residuals))
+    if not tangent <= _REACHED * math.sqrt(cost) + _ROUND_OFF:
         raise InputError(
             "no minimum was reached: views that are hardly tilted do not tell the focal length from the distance",
             where="views",
             remedy="give tilted views that fill the image, or a model with fewer coefficients; look for wrong points",
         )
     _check_in_front(local, state)
-    residuals = [residuals_of(view, state.camera, pose) for view, pose in zip(local, state.poses, strict=True)]
-    cost = float(sum(np.sum(part**2) for part in residuals))
     count = sum(len(view.points) for view in views)
     freedom = 2 * count - len(free) - POSE * len(views)
     known = math.sqrt(cost / freedom) if noise is None else noise
@@ -286,8 +286,6 @@ def _frame(views: Sequence[CalibrationView]) -> tuple[Array, Array, bool]:
     points = np.concatenate([view.points for view in views])
     origin = points.mean(axis=0)
     _, sizes, vt = np.linalg.svd(points - origin, full_matrices=False)
-    if not sizes[1] > _FLAT * sizes[0]:
-        raise InputError("the points of the target lie on one line", where="views", remedy="use a flat target")
     return np.column_stack([vt[0], vt[1], np.cross(vt[0], vt[1])]), origin, bool(sizes[2] <= _FLAT * sizes[0])
 
 

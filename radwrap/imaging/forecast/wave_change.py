@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from radwrap.imaging.methods.kernel import layer_shares
 from radwrap.imaging.optics.footprint import reach_px
-from radwrap.imaging.optics.view import View, trace_rays
+from radwrap.imaging.optics.view import View, look_at_depths, trace_rays
 from radwrap.imaging.optics.wave_footprint import both_weights
 from radwrap.imaging.optics.waves import Waves
 from radwrap.imaging.response.sensor import gray_levels
@@ -154,12 +154,7 @@ def _grid_of(view: View, waves: Waves, random: np.random.Generator) -> tuple[_Gr
     camera, sensor = view.camera, view.camera.sensor
     pitch = min(sensor.pixel_width, sensor.pixel_height)
     length = waves.blur / pitch
-    rows, columns = (min(size, _LOOK) for size in (sensor.rows, sensor.columns))
-    row, column = np.indices((rows, columns))
-    inside = random.random((2, rows, columns))
-    v, u = (row + inside[0]) * sensor.rows / rows - 0.5, (column + inside[1]) * sensor.columns / columns - 0.5
-    _, met = trace_rays(view, None, u.ravel(), v.ravel(), with_depth=True)
-    met = met[met > camera.shear]
+    met, rays = look_at_depths(view, _LOOK, random)
     low, high = (float(met.min()), float(met.max())) if met.size else (camera.shear, camera.shear)
     of_one = max(reach_px(camera, 1.0))
     number = math.ceil(of_one * (high - low) / max(_LAYER_STEP * length, _LAYER_STEP)) + 1
@@ -174,7 +169,7 @@ def _grid_of(view: View, waves: Waves, random: np.random.Generator) -> tuple[_Gr
     # Beside a deep blur tails are cut earlier, which the bound holds, and then cells are larger.
     while (2 * far / cell) ** 2 * len(layers) > _MOST_CELLS:
         far, cell = (max(near, far // 2), cell) if far > near else (far, 2 * cell)
-    return _Grid(camera, waves, cell, layers, near, far), rows * columns
+    return _Grid(camera, waves, cell, layers, near, far), rays
 
 
 def _of_some(

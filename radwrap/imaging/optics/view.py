@@ -384,6 +384,20 @@ def _central(
     return rays, weight if stretch is None else weight * stretch, cos4
 
 
+def look_at_depths(view: View, side: int, random: np.random.Generator) -> tuple[NDArray[np.float64], int]:
+    """Magnifications of what is in view, by a central ray drawn in each of `side` x `side` parts, and how many rays.
+
+    Fewer where the sensor has fewer pixels; what lies at no depth is left out.
+    """
+    camera, sensor = view.camera, view.camera.sensor
+    rows, columns = (min(size, side) for size in (sensor.rows, sensor.columns))
+    row, column = np.indices((rows, columns))
+    inside = random.random((2, rows, columns))
+    v, u = (row + inside[0]) * sensor.rows / rows - 0.5, (column + inside[1]) * sensor.columns / columns - 0.5
+    _, met = trace_rays(view, None, u.ravel(), v.ravel(), with_depth=True)
+    return met[met > camera.shear], rows * columns
+
+
 def _asked(
     tracer: Tracer, rays: Iterator[NDArray[np.float64]], *, with_depth: bool
 ) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64] | None]]:

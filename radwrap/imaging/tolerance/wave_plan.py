@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from radwrap.imaging.methods.kernel import KernelPlan, fast_length, plan_kernel
 from radwrap.imaging.optics.footprint import Footprint, laid_out
-from radwrap.imaging.optics.view import View, trace_rays
+from radwrap.imaging.optics.view import View, look_at_depths
 from radwrap.imaging.optics.wave_footprint import passed_weights
 from radwrap.imaging.optics.waves import Waves
 from radwrap.random_streams import Rendering, generator
@@ -151,7 +151,7 @@ def plan_waves(view: View, wavelength: float, aim: float, seed: int, *, even_cel
     camera = view.camera
     waves = Waves(camera.aperture, camera.image_distance, wavelength)
     pitch = min(camera.sensor.pixel_width, camera.sensor.pixel_height)
-    met, rays = _depths(view, seed)
+    met, rays = look_at_depths(view, _LOOK, generator(seed, Rendering.WAVES))
     plan = plan_kernel(bare(view), met, aim, even_cell=even_cell)
     if even_cell is None:
         # Where waves blur by many pixels rays go on in steps as wide, and only where light differs in finer ones.
@@ -179,14 +179,3 @@ def _less_rays(*waves: Waves) -> tuple[tuple[float, Waves], ...]:
 def bare(view: View) -> View:
     """The view without blocks that are known to be smooth: beyond the image's edge none are."""
     return replace(view, smooth=None, prover=None)
-
-
-def _depths(view: View, seed: int) -> tuple[Array, int]:
-    """Magnifications of what is in view, by some central rays."""
-    camera, sensor = view.camera, view.camera.sensor
-    rows, columns = (min(size, _LOOK) for size in (sensor.rows, sensor.columns))
-    row, column = np.indices((rows, columns))
-    inside = generator(seed, Rendering.WAVES).random((2, rows, columns))
-    v, u = (row + inside[0]) * sensor.rows / rows - 0.5, (column + inside[1]) * sensor.columns / columns - 0.5
-    _, met = trace_rays(view, None, u.ravel(), v.ravel(), with_depth=True)
-    return met[met > camera.shear], rows * columns
