@@ -100,6 +100,8 @@ def _lines(found: Mapping[str, Any]) -> Iterator[str]:
             f'"{beam["source"]}": Gaussian beam replaced in both by cos^{beam["cosine_power"]:.4g}, '
             f"which differs by up to {beam['largest_difference_of_peak']:.2g} of its peak"
         )
+    if "diffraction" in found:
+        yield found["diffraction"]
     yield f"they {'agree' if found['agrees'] else 'DIFFER'} within {found['tolerance']:.2%} or as closed forms say"
 
 

@@ -32,6 +32,7 @@ from radwrap.imaging.mean_radiance import Made, fixed_method, make, viewpoint_pl
 from radwrap.imaging.methods.pieces import Pieces, remove_log, remove_pieces
 from radwrap.imaging.methods.viewpoints import missing_viewpoints
 from radwrap.imaging.optics.aperture import Layout
+from radwrap.imaging.optics.diffraction import light_of_all
 from radwrap.imaging.optics.view import PixelSampling, View
 from radwrap.imaging.output.folder import ALWAYS, is_whole, publish
 from radwrap.imaging.output.frame_files import write_frames
@@ -54,9 +55,8 @@ from radwrap.imaging.tolerance.kept_replicates import kept, write_replicates
 from radwrap.imaging.tolerance.lit_noise import with_gray_tolerance
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.uncertainty import seen_magnifications, share_spread
-from radwrap.imaging.tolerance.wave_plan import WavePlan
 from radwrap.imaging.tracing import LaidOutScene
-from radwrap.imaging.with_waves import refuse_waves, with_waves
+from radwrap.imaging.with_waves import WithWaves, refuse_waves, with_waves
 from radwrap.kept import Kept
 from radwrap.manifest import plain, read_manifest, sha256_of_value
 from radwrap.process import Programs, children_cpu_time
@@ -394,10 +394,12 @@ def _trace(run: _Run) -> tuple[TracedRun, list[str]]:
         # The bands' share of a tolerance is left out of another one likewise.
         relit = bool(run.identity.sources)
         finer = partial(_made_to, scene, left, work, relit=relit)
-        waves = with_waves(scene, left, work, rays, finer)
+        # Light that walks from surface to surface is not told apart.
+        lights = (lambda: (light_of_all(scene, work.view),)) if orders else traced.lights
+        waves = with_waves(scene, left, work, rays, finer, lights=lights)
         made = waves.made
         spread, magnification = _spread(run), _magnification(scene, view)
-        basis = _write_basis(run, work, made, magnification, waves.plan)
+        basis = _write_basis(run, work, made, magnification, waves)
     finally:
         run.progress.close()
     found = TracedRun(
@@ -440,7 +442,7 @@ def _made_to(scene: Scene, options: RenderOptions, work: Work, tolerance: float,
 
 
 def _write_basis(
-    run: _Run, work: Work, made: Made, magnification: NDArray[np.float64] | None, waves: WavePlan | None
+    run: _Run, work: Work, made: Made, magnification: NDArray[np.float64] | None, waves: WithWaves
 ) -> list[str]:
     scene, identity, sources = run.scene, run.identity, run.identity.sources
     if not sources or made.outcome is None:
@@ -456,7 +458,9 @@ def _write_basis(
         "versions": identity.versions,
         **({} if scene.tolerances is None else {"tolerances": plain(scene.tolerances)}),
     }
-    return write_basis(run.made, work, views, made.outcome, told, magnification=magnification, waves=waves)
+    return write_basis(
+        run.made, work, views, made.outcome, told, magnification=magnification, waves=waves.plan, lights=waves.lights
+    )
 
 
 def _spread(run: _Run) -> NDArray[np.float64] | None:

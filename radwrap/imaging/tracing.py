@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Hashable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from radwrap.errors import InputError
 from radwrap.files import make_folder
 from radwrap.imaging.banding import banding
+from radwrap.imaging.optics.diffraction import Light, light_of_all
 from radwrap.imaging.optics.view import LitView, View
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.tracer_choice import (
@@ -258,6 +259,20 @@ class LaidOutScene:
         """The camera, with a tracer for the scene in the light of one source or LED; the others are black."""
         return self._view(self._engine.tracer(self._in_band_of(source), {source}, name=f"source.{source}"))
 
+    def lights(self) -> tuple[Light, ...]:
+        """The camera in the light of all sources of about one wavelength, for each such wavelength."""
+        shining = [source for source in self.scene.sources if _shines(source)]
+        groups = () if self.scene.spectral is None else self.scene.spectral.wavelength_groups()
+        groups = tuple(group for group in groups if any(source.name in group.sources for source in shining))
+        if len(groups) < 2:
+            return (light_of_all(self.scene, self.view()),)
+        found = []
+        for number, group in enumerate(groups):
+            names = frozenset(name for source in shining if source.name in group.sources for name in _switched(source))
+            view = self._view(self._lit(self._engine, self.scene, f"light{number}", names))
+            found.append(Light(view, group.wavelength, group.spread, names))
+        return tuple(found)
+
     def views_of(self, sources: Sequence[str]) -> tuple[LitView, ...]:
         """The camera in the light of each of some sources or LEDs alone: one view for all of them, or one for each."""
         found = []
@@ -283,14 +298,16 @@ class LaidOutScene:
         workers = self._options.workers or available_cores()
         return View(self.scene.camera, tracer, workers, self._engine.smooth_blocks)
 
-    def _lit(self, engine: Engine, scene: Scene, name: str) -> Tracer:
-        """A tracer for a scene, or one for each band of its light: their sum."""
+    def _lit(self, engine: Engine, scene: Scene, name: str, only: Collection[str] | None = None) -> Tracer:
+        """A tracer for a scene in the light of all, or of some, or one for each band of that light: their sum."""
         if self.banding.bands is None:
-            return engine.tracer(scene, name=name)
+            return engine.tracer(scene, only, name=name)
         tracers = []
         for number, band in enumerate(self.banding.bands.bands):
             coloured = replace(scene, materials={**scene.materials, **band.materials})
             lit = {name for source in scene.sources if source.name in band.sources for name in _switched(source)}
+            if only is not None and not (lit := lit.intersection(only)):
+                continue
             tracers.append(engine.tracer(coloured, lit, name=f"{name}.band{number}"))
         return tracers[0] if len(tracers) == 1 else SummedTracer(tuple(tracers))
 
@@ -336,6 +353,12 @@ class LaidOutScene:
 def _switched(source: Source) -> set[str]:
     """Names by which the light of a source is switched: its own and, of a ring, those of the LEDs."""
     return {source.name, *(emitter.source for emitter in emitters(source))}
+
+
+def _shines(source: Source) -> bool:
+    if isinstance(source, WideSource):  # its patches come later
+        return source.radiance > 0
+    return any(emitter.radiance > 0 for emitter in emitters(source))
 
 
 def scene_sha256(scene: Scene, prepared: PreparedScene) -> str:

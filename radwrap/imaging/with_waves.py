@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -15,7 +15,7 @@ from radwrap.imaging.forecast.effects import Effect, diffraction_left_out
 from radwrap.imaging.forecast.wave_change import MOST_RAYS
 from radwrap.imaging.mean_radiance import Made, fixed_method
 from radwrap.imaging.methods.kernel import TooDeep
-from radwrap.imaging.optics.diffraction import wavelength_of
+from radwrap.imaging.optics.diffraction import Light, light_of_all, wavelength_of
 from radwrap.imaging.optics.view import trace_rays
 from radwrap.imaging.output.run_manifest import DiffractionTaken
 from radwrap.imaging.render_options import RenderOptions
@@ -56,6 +56,8 @@ class WithWaves:
         Where it was taken.
     plan : WavePlan, optional
         Likewise: by which rays.
+    lights : tuple of Light
+        Likewise: of which wavelengths.
     blur_slope : ndarray, shape (rows, columns), optional
         See `uncertainty_squares`; of an image with waves whose opening is not sure.
     """
@@ -64,6 +66,7 @@ class WithWaves:
     left_out: Effect | None
     taken: DiffractionTaken | None
     plan: WavePlan | None = None
+    lights: tuple[Light, ...] = ()
     blur_slope: Array | None = None
 
 
@@ -74,8 +77,18 @@ class _Waves:
     scene: Scene
     options: RenderOptions
     work: Work
-    wavelength: float
-    by_bands: float = 0.0  # what one wavelength in place of all may change, rms [gray level]
+    lights: Sequence[Light]
+    about_rms: float = 0.0  # what they change [gray level]
+
+    @property
+    def wavelength(self) -> float:
+        """Of all light, for the choice of rays."""
+        return wavelength_of(self.scene)[0]
+
+    @property
+    def by_bands(self) -> float:
+        """What one wavelength that stands for several may change, rms [gray level]."""
+        return self.about_rms * max(light.spread for light in self.lights)
 
     @property
     def even_cell(self) -> float | None:
@@ -90,10 +103,13 @@ class _Waves:
         kept = self.options.basis or self.options.sampling is not None
         return len(made.outcome.replicates.images) if kept and made.outcome is not None else _TWO
 
-    def parts(self, plan: WavePlan, replicates: int) -> WaveParts:
+    def parts(
+        self, plan: WavePlan, replicates: int, told_by: Callable[[WavePlan], WavePlan] = lambda plan: plan
+    ) -> WaveParts:
         work = self.work
-        work.progress.left(replicates * self.scene.camera.sensor.pixels)
-        return wave_parts(work.view, plan, replicates, progress=work.progress.add, check=work.programs.check)
+        work.progress.left(replicates * len(self.lights) * self.scene.camera.sensor.pixels)
+        plans = [(light.view, told_by(plan.at(light.wavelength))) for light in self.lights]
+        return wave_parts(work.view, plans, replicates, progress=work.progress.add, check=work.programs.check)
 
 
 def refuse_waves(scene: Scene, options: RenderOptions) -> None:
@@ -122,7 +138,13 @@ def refuse_waves(scene: Scene, options: RenderOptions) -> None:
 
 
 def with_waves(
-    scene: Scene, options: RenderOptions, work: Work, made: Made, again: Callable[[float], Made]
+    scene: Scene,
+    options: RenderOptions,
+    work: Work,
+    made: Made,
+    again: Callable[[float], Made],
+    *,
+    lights: Callable[[], tuple[Light, ...]],
 ) -> WithWaves:
     """Measure what diffraction changes, and take it.
 
@@ -141,6 +163,8 @@ def with_waves(
         It.
     again : callable
         Makes the image by rays to another tolerance [gray level].
+    lights : callable
+        Makes views of the light of each wavelength.
 
     Raises
     ------
@@ -156,24 +180,22 @@ def with_waves(
     found = diffraction_left_out(scene, work.view, options.seed, options.gray_tolerance, rays)
     if not _is_taken(scene, options, made, found):
         return WithWaves(made, found, None)
-    spread = 0.0 if scene.spectral is None else scene.spectral.wavelength_spread
-    waves = _Waves(scene, options, work, wavelength_of(scene)[0], spread * found.rms_gray)
-    aim = _AIM * options.gray_tolerance
-    try:
-        plan = waves.plan(aim)
-    except TooDeep as error:
-        if camera.diffraction == "auto" and options.sampling is None:
-            return WithWaves(made, found, None)
-        raise _too_deep() from error
-    parts = waves.parts(plan, waves.replicates(made))
-    taken = found.rays + parts.rays
-    whole = _added(made, plan, parts, waves, taken)
-    if not _is_met(whole) and options.sampling is None:
-        plan = waves.plan(_FINER * aim)
+    waves = _Waves(scene, options, work, lights(), found.rms_gray)
+    more_may_help = options.sampling is None
+    taken = found.rays
+    for share in (_AIM, _AIM * _FINER):
+        try:
+            plan = waves.plan(share * options.gray_tolerance)
+        except TooDeep as error:
+            if camera.diffraction == "auto" and more_may_help:
+                return WithWaves(made, found, None)
+            raise _too_deep() from error
         parts = waves.parts(plan, waves.replicates(made))
         taken += parts.rays
         whole = _added(made, plan, parts, waves, taken)
-    if not _is_met(whole) and _is_met(made) and options.sampling is None:
+        if _is_met(whole) or not more_may_help:
+            break
+    if not _is_met(whole) and _is_met(made) and more_may_help:
         taken, made = taken + made.used.rays, again(_LESS * options.gray_tolerance)
         if len(parts.change) != waves.replicates(made):
             parts = waves.parts(plan, waves.replicates(made))
@@ -181,10 +203,11 @@ def with_waves(
         whole = _added(made, plan, parts, waves, taken)
     slope = None
     if scene.tolerances is not None and scene.tolerances.aperture_diameter:
-        changed = waves.parts(by_diameter(plan), _TWO).change.mean(axis=0)
+        changed = waves.parts(plan, _TWO, by_diameter).change.mean(axis=0)
         light = whole.radiance
         slope = np.where(light > 0, changed / np.where(light > 0, light, 1.0), 0.0)
-    return WithWaves(whole, None, DiffractionTaken(waves.wavelength, found.rms_gray, parts.rays), plan, slope)
+    told = DiffractionTaken(waves.wavelength, found.rms_gray, parts.rays, _told_wavelengths(waves.lights))
+    return WithWaves(whole, None, told, plan, tuple(waves.lights), slope)
 
 
 def even_wave_cell(scene: Scene, work: Work, options: RenderOptions) -> float | None:
@@ -200,7 +223,7 @@ def even_wave_cell(scene: Scene, work: Work, options: RenderOptions) -> float | 
         return None
     if camera.diffraction == "auto" and not diffraction_left_out(scene, work.view, options.seed, tolerance).needed:
         return None
-    waves = _Waves(scene, replace(options, sampling=None), work, wavelength_of(scene)[0])
+    waves = _Waves(scene, replace(options, sampling=None), work, (light_of_all(scene, work.view),))
     try:
         cell = waves.plan(1.0).kernel.grid.cell
         plan = plan_waves(work.view, waves.wavelength, 0.0, options.seed, even_cell=cell)
@@ -213,6 +236,10 @@ def even_wave_cell(scene: Scene, work: Work, options: RenderOptions) -> float | 
     while times > 1 and cell > FINEST_CELL:
         cell, times = cell / 2, times / _FALL
     return cell
+
+
+def _told_wavelengths(lights: Sequence[Light]) -> tuple[float, ...] | None:
+    return tuple(light.wavelength for light in lights) if len(lights) > 1 else None
 
 
 def _look(work: Work) -> Array:

@@ -7,7 +7,7 @@ that of polynomials between the nodes of all, which Gauss' rule gives exactly.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
@@ -30,6 +30,8 @@ _TABLE: Final = FileKind("table of a spectrum", 1 << 24, "give a CSV file in UTF
 # A line of the standard deviation s has nodes s/50 apart up to 6 s: straight between them it is right to 1e-5.
 _LINE_NODES: Final = 601
 _LINE_REACH: Final = 6.0
+# Means of sources that differ by less, over the mean, count as one wavelength.
+_ONE_WAVELENGTH: Final = 0.01
 # Products of up to eight curves.
 _GAUSS: Final = 4
 # Illuminant A: Planck's law at 2848 K with c2 = 1.435e-2 m K (CIE 15), from 300 to 830 nm.
@@ -72,6 +74,25 @@ class Curve:
 
 
 @dataclass(frozen=True, slots=True)
+class WavelengthGroup:
+    """Sources for which one wavelength stands.
+
+    Attributes
+    ----------
+    wavelength : float
+        It [m].
+    sources : frozenset of str
+        Their names.
+    spread : float
+        As `Spectral.wavelength_spread`, where it stands for their light.
+    """
+
+    wavelength: float
+    sources: frozenset[str]
+    spread: float
+
+
+@dataclass(frozen=True, slots=True)
 class Spectral:
     """What the integrals over wavelength say.
 
@@ -90,6 +111,10 @@ class Spectral:
     wavelength_spread : float
         How far an effect that grows with the wavelength may be off, over the effect, where the mean stands for all:
         the mean distance of the sources' own means, and half of the variance, each over the mean.
+    wavelengths : tuple of float
+        Mean of each source [m]; 0 of one that is dark.
+    wavelength_spreads : tuple of float
+        As `wavelength_spread`, where a source's own mean stands for its light.
     """
 
     sources: tuple[str, ...]
@@ -97,7 +122,28 @@ class Spectral:
     materials: Mapping[str, Material]
     reflectance: tuple[tuple[float, ...], ...]
     wavelength: float
-    wavelength_spread: float = field(default=0.0, compare=False)  # told by what the rest is made of
+    # Told by what the rest is made of.
+    wavelength_spread: float = field(default=0.0, compare=False)
+    wavelengths: tuple[float, ...] = field(default=(), compare=False)
+    wavelength_spreads: tuple[float, ...] = field(default=(), compare=False)
+
+    def wavelength_groups(self) -> tuple[WavelengthGroup, ...]:
+        """Put the sources that shine in groups of about one wavelength, by increasing wavelength."""
+        rows = sorted(zip(self.wavelengths, self.wavelength_spreads, self.sources, strict=True))
+        parted: list[list[tuple[float, float, str]]] = []
+        for row in (row for row in rows if row[0] > 0):
+            if not parted or row[0] > (1 + _ONE_WAVELENGTH) * parted[-1][0][0]:
+                parted.append([])
+            parted[-1].append(row)
+        if len(parted) <= 1:
+            return (WavelengthGroup(self.wavelength, frozenset(self.sources), self.wavelength_spread),)
+        return tuple(map(_group, parted))
+
+
+def _group(rows: Sequence[tuple[float, float, str]]) -> WavelengthGroup:
+    middle = (rows[0][0] + rows[-1][0]) / 2
+    spread = max(abs(wavelength - middle) / middle + spread for wavelength, spread, _ in rows)
+    return WavelengthGroup(middle, frozenset(name for _, _, name in rows), spread)
 
 
 def integral(*curves: Curve) -> float:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from radwrap.files import write_bytes
 from radwrap.manifest import SCHEMA_VERSION, sha256_of_value, versions, write_manifest
+from radwrap.scene.scene import Scene
 from radwrap.study.crosscheck import Crosscheck
 
 Array = NDArray[np.float64]
@@ -27,6 +28,7 @@ _GRAY_TOLERANCE: Final = 0.5
 EXPLAINED: Final = 0.2
 # Where pixels mix bright and dark, a single one says nothing relative to itself: there the median of all must be right.
 _MIXED: Final = frozenset({"aperture", "edges", "mirror", "shadow"})
+WAVES_NOTE: Final = "the geometric part is compared: both trace rays, and diffraction is in neither"
 SHEETING_NOTE: Final = (
     "POV-Ray has no retroreflection: sheeting is not checked here; corner cubes check the geometry alone"
 )
@@ -60,9 +62,14 @@ def as_json(result: Crosscheck) -> dict[str, Any]:
         "explained": explained(result),
         "replaced_beams": list(result.beams),
         "note": SHEETING_NOTE,
+        **({"diffraction": WAVES_NOTE} if _has_waves(result.scene) else {}),
         "versions": {**versions(), **result.versions},
         "timing": {f"{name}_s": seconds for name, seconds in result.wall_s.items()},
     }
+
+
+def _has_waves(scene: Scene) -> bool:
+    return scene.camera.diffraction is not None and not scene.camera.aperture.is_infinitesimal
 
 
 def agrees(result: Crosscheck) -> bool:

@@ -21,7 +21,7 @@ from radwrap.imaging.relight.relit import read_basis, relit
 from radwrap.imaging.tolerance.kept_replicates import read_replicates
 from radwrap.imaging.tolerance.sampling import Pilot, strictest
 from radwrap.imaging.tolerance.wave_far import far_change, far_light
-from radwrap.imaging.tolerance.wave_parts import wave_cells, wave_tile
+from radwrap.imaging.tolerance.wave_parts import wave_cells, wave_parts, wave_tile
 from radwrap.imaging.tolerance.wave_plan import WavePlan, plan_waves
 from radwrap.imaging.tracing import LaidOutScene
 from radwrap.process import Programs
@@ -33,6 +33,7 @@ COARSE: Final = {"rows": 44, "columns": 51, "pixel_width": "28 um", "pixel_heigh
 FLOAT32: Final = 1e-5  # of the largest value: sums of a few values that are rounded so
 Array = NDArray[np.float64]
 NAMES: Final = ("left", "front", "rear", "low")
+DARK: Final = "0 W/m^2/sr"
 
 
 def board(diffraction: str = "on", **changes: Any) -> radwrap.Scene:
@@ -58,7 +59,7 @@ def changes_of(view: View, of_all: View, plan: WavePlan, *, sources: int, alone:
     found = np.zeros((sources, sensor.rows, sensor.columns))
     for tile, (r0, r1, c0, c1) in enumerate(plan.kernel.tiles):
         cells = wave_cells(of_all, plan, tile, int)
-        traced = wave_tile(view, plan, (tile, 0), cells, int, of_all=of_all if alone else None)
+        traced = wave_tile(view, [plan] * sources, (tile, 0), cells, int, of_all=of_all if alone else None)
         found[:, r0:r1, c0:c1] = [change for change, _ in traced]
     return found + [far_change(plan, around)[0] for around in far_light(view, plan, 0, int)]
 
@@ -107,6 +108,65 @@ def test_a_basis_has_the_waves_of_each_source(tracer: Any, tmp_path: Path) -> No
     bound = math.hypot(fresh.error.rms_gray_upper95, other.certificate.rms_gray_upper95)
     assert apart(fresh) < bound < 4.0
     assert apart(without) > apart(fresh)
+
+
+def two_colours(red: str = "650 nm", **changes: Any) -> radwrap.Scene:
+    """A blue lamp and a red one."""
+    lines = ({"line": "450 nm", "width": "2 nm"}, {"line": red, "width": "2 nm"})
+    sources = [{**SOURCES[number], "spectrum": line} for number, line in zip((0, 3), lines, strict=True)]
+    return radwrap.scene_from_document(scene_with({"sources": sources, "camera.diffraction": "on", **changes}))
+
+
+@pytest.mark.parametrize("tracer", ["compiled", pytest.param("radiance", marks=pytest.mark.long)])
+def test_each_colour_has_its_own_waves(tracer: Any, tmp_path: Path) -> None:
+    """Those of both lamps are those of each at its own wavelength, by the same rays."""
+    scene = two_colours()
+    with Programs() as programs:
+        traced = LaidOutScene(scene, radwrap.RenderOptions(tracer=tracer), programs, tmp_path)
+        view, lights = traced.view(), traced.lights()
+        assert [set(light.names or ()) for light in lights] == [{"left"}, {"low"}]
+        assert [light.wavelength for light in lights] == pytest.approx([450e-9, 650e-9], rel=1e-5)
+        assert max(light.spread for light in lights) < 1e-5
+        plan = plan_waves(view, 550e-9, 1.0, seed=3)
+
+        def added(*lit: tuple[View, float]) -> Array:
+            plans = [(each, plan.at(wavelength)) for each, wavelength in lit]
+            return wave_parts(view, plans, 2, progress=lambda _: None, check=lambda: None).change
+
+        views = [light.view for light in lights]
+        both = added(*zip(views, (450e-9, 650e-9), strict=True))
+        apart = both - added((views[0], 450e-9)) - added((views[1], 650e-9))
+        swapped = added(*zip(views, (650e-9, 450e-9), strict=True))
+    largest = np.abs(both).max()
+    assert np.abs(apart).max() < FLOAT32 * largest
+    assert np.abs(swapped - both).max() > 1e3 * FLOAT32 * largest
+
+
+def test_a_basis_has_the_waves_of_each_colour(tmp_path: Path) -> None:
+    options: dict[str, Any] = {"tolerance": 2.0, "tracer": "compiled"}
+    made = radwrap.render(two_colours(), tmp_path, basis=True, seed=3, **options)
+    assert made.manifest["diffraction"]["wavelengths"] == pytest.approx([450e-9, 650e-9], rel=1e-5)
+    itself, blue = relit(read_basis(tmp_path), [[1.0, 1.0], [1.0, 0.0]])
+    exposure = made.radiant_exposure.values
+    assert np.abs(itself.radiant_exposure.values - exposure).max() < FLOAT32 * exposure.max()
+    alone = radwrap.render(two_colours(**{"sources.1.radiance": DARK}), seed=4, **options)
+    bound = math.hypot(alone.error.rms_gray_upper95, blue.certificate.rms_gray_upper95)
+    assert math.sqrt(float(((blue.gray.values - alone.gray.values) ** 2).mean())) < bound
+    assert alone.manifest["diffraction"].get("wavelengths") is None
+
+
+def test_what_one_wavelength_leaves_out_of_a_wide_line_is_in_relit_errors(tmp_path: Path) -> None:
+    """The same rays in both: a line of 130 nm leaves out half of its variance, over its mean squared, of the waves."""
+    errors = []
+    for width in ("1 nm", "130 nm"):
+        lamp = {**SOURCES[0], "spectrum": {"line": "550 nm", "width": width}}
+        scene = radwrap.scene_from_document(scene_with({"sources": [lamp], "camera.diffraction": "on"}))
+        made = radwrap.render(scene, tmp_path / width, tolerance=2.0, tracer="compiled", basis=True)
+        (again,) = relit(read_basis(tmp_path / width), [[1.0]])
+        errors.append(again.certificate.diffraction_gray)
+    assert scene.spectral is not None and errors[0] is not None and errors[1] is not None
+    left = scene.spectral.wavelength_spread * made.manifest["diffraction"]["about_rms_gray"]
+    assert errors[1] - errors[0] == pytest.approx(left, rel=0.2)
 
 
 def test_a_plan_gives_waves_to_every_image_alike(tmp_path: Path) -> None:

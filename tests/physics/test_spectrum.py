@@ -259,6 +259,9 @@ def test_wavelengths_are_as_far_apart_as_their_lines(folder: Path) -> None:
     apart = 50 / 550
     assert scene.spectral is not None and scene.spectral.wavelength == pytest.approx(550e-9, rel=1e-5)
     assert scene.spectral.wavelength_spread == pytest.approx(apart + apart**2 / 2, rel=1e-3)
+    assert scene.spectral.wavelengths == pytest.approx([500e-9, 600e-9], rel=1e-6)
+    sigma = 2 / math.sqrt(8 * math.log(2))
+    assert scene.spectral.wavelength_spreads == pytest.approx([(sigma / w) ** 2 / 2 for w in (500, 600)], rel=2e-3)
 
 
 def test_fewest_groups_are_the_fewest() -> None:

@@ -1,5 +1,6 @@
 """When two images agree: every pixel has a term, and no term hides a difference behind brighter ones."""
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -47,6 +48,17 @@ def test_what_shines_before_the_background_is_a_difference() -> None:
     assert verdict(result, "background") == "differs" and not agrees(result)
     assert as_json(result)["terms"]["background"]["relative_rms"] is None
     assert agrees(compared(radiance, radiance, diffuse=left, background=right))
+
+
+def test_a_scene_with_waves_is_compared_without_and_says_so() -> None:
+    left, _ = halves()
+    result = compared(np.ones(SHAPE), np.ones(SHAPE), diffuse=left)
+    assert "diffraction" not in as_json(result)
+    camera = result.scene.camera
+    for diffraction, diameter, told in (("auto", 1e-3, True), ("on", 1e-3, True), ("auto", 0.0, False)):
+        other = replace(camera, diffraction=diffraction, aperture=replace(camera.aperture, diameter=diameter))
+        found = as_json(replace(result, scene=replace(result.scene, camera=other)))
+        assert ("the geometric part is compared" in found.get("diffraction", "")) == told
 
 
 def test_every_pixel_has_a_term() -> None:

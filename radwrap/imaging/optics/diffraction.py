@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any, Final
 
+from radwrap.imaging.optics.view import View
 from radwrap.scene.camera import ASSUMED_WAVELENGTH
 from radwrap.scene.scene import Scene
 
@@ -12,6 +14,34 @@ from radwrap.scene.scene import Scene
 _FIRST_ZERO: Final = 1.2196698912665045
 # An Airy disc of a smaller radius than this share of a pixel blurs nothing that the pixel does not [px].
 _MATTERS: Final = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Light:
+    """Light for which one wavelength stands.
+
+    Attributes
+    ----------
+    view : View
+        The camera in this light alone.
+    wavelength : float
+        It [m].
+    spread : float
+        How far what waves add may be off by that, over what they add: see `WavelengthGroup`.
+    names : frozenset of str, optional
+        Names of the sources; None where it is the light of all.
+    """
+
+    view: View
+    wavelength: float
+    spread: float = 0.0
+    names: frozenset[str] | None = None
+
+
+def light_of_all(scene: Scene, view: View) -> Light:
+    """The light of all sources, as one."""
+    spread = 0.0 if scene.spectral is None else scene.spectral.wavelength_spread
+    return Light(view, wavelength_of(scene)[0], spread)
 
 
 def wavelength_of(scene: Scene) -> tuple[float, bool]:

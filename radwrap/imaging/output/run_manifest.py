@@ -55,11 +55,15 @@ class BouncesTraced:
 
 @dataclass(frozen=True, slots=True)
 class DiffractionTaken:
-    """Diffraction that the image has: at which wavelength [m], about what it changes, and rays for it."""
+    """Diffraction that the image has: at which wavelength [m], about what it changes, and rays for it.
+
+    Where sources differ, ``wavelength`` is their mean, and ``wavelengths`` are those that were taken.
+    """
 
     wavelength: Positive
     about_rms_gray: NotNegative
     rays: Rays
+    wavelengths: tuple[Positive, ...] | None = field(default=None, metadata=ONLY_WHERE_USED)
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,6 +27,7 @@ from radwrap.imaging.methods.kernel import Gathered, KernelPlan, gathered_source
 from radwrap.imaging.methods.pieces import log_call, remove_strangers, run_jobs
 from radwrap.imaging.methods.rays import RaysPlan, TracedTile, traced_tile
 from radwrap.imaging.methods.smooth_blocks import in_other_light
+from radwrap.imaging.optics.diffraction import Light
 from radwrap.imaging.optics.view import LitView
 from radwrap.imaging.relight.basis_pieces import BasisPieces
 from radwrap.imaging.relight.basis_waves import BasisWaves
@@ -299,6 +300,7 @@ def write_basis(
     *,
     magnification: NDArray[np.float64] | None = None,
     waves: WavePlan | None = None,
+    lights: tuple[Light, ...] = (),
 ) -> list[str]:
     """Trace each source alone by the rays of an image to tolerance, and write its part of the basis.
 
@@ -318,6 +320,8 @@ def write_basis(
         M of what each pixel sees, where the uncertainty of relit images needs it.
     waves : WavePlan, optional
         By which rays the image got its diffraction, where it has it.
+    lights : tuple of Light
+        Likewise: which wavelength stands for which sources.
 
     Returns
     -------
@@ -333,7 +337,7 @@ def write_basis(
     if smooth is not None:
         work = replace(work, view=replace(work.view, smooth=smooth))
         views = [replace(lit, view=replace(lit.view, smooth=in_other_light(smooth, lit.view))) for lit in views]
-    maker = _maker(work, tuple(views), outcome, waves)
+    maker = _maker(work, tuple(views), outcome, waves, lights)
     make_folder(maker.pieces.folder)
     ours = {maker.pieces.path(kind, number).name for kind in maker.kinds() for number in range(len(views))}
     remove_strangers(maker.pieces.folder, ours)
@@ -357,7 +361,9 @@ def sealed(description: Mapping[str, Any]) -> dict[str, Any]:
     return {**rest, SEAL: sha256_of_value(rest)}
 
 
-def _maker(work: Work, views: tuple[LitView, ...], outcome: Outcome, waves: WavePlan | None) -> _Maker:
+def _maker(
+    work: Work, views: tuple[LitView, ...], outcome: Outcome, waves: WavePlan | None, lights: tuple[Light, ...]
+) -> _Maker:
     sample = outcome.sample
     if sample is not None:
         sample = replace(sample, pairs=np.maximum(sample.pairs, _LEAST_PAIRS))
@@ -366,13 +372,16 @@ def _maker(work: Work, views: tuple[LitView, ...], outcome: Outcome, waves: Wave
         "plan": outcome.ray_plan,
         "seed": work.seed,
         "sources": [name for lit in views for name in lit.names],
-        **({} if waves is None else {"waves": waves.kernel, "wavelength": waves.waves.wavelength}),
+        **({} if waves is None else {"waves": waves.kernel, "wavelengths": [light.wavelength for light in lights]}),
     }
     name = sha256_of_value(
         {**what, "sample": None if sample is None else [sample.pixels.tolist(), sample.pairs.tolist()]}
     )
     pieces = BasisPieces(work.folder / _WORK, name, views)
-    of_waves = None if waves is None else BasisWaves(work, waves, pieces, len(outcome.replicates.images))
+    of_waves = None
+    if waves is not None:
+        plans = tuple(waves.at(light.wavelength) for light in lights)
+        of_waves = BasisWaves(work, waves, pieces, len(outcome.replicates.images), lights, plans)
     return _Maker(work, outcome, sample, pieces, of_waves)
 
 
@@ -388,13 +397,14 @@ def _write_view(out: Path, maker: _Maker, view: int) -> Iterator[str]:
             write_exr(path, values, channel="radiance_cos4", metadata={"radwrap:unit": "W m^-2 sr^-1"})
         parts.append(part)
 
+    changes: list[NDArray[np.float32]] = []
     cells: list[NDArray[np.float32]] = []
     for replicate in range(maker.replicates):
         images, grid = maker.replicate(view, replicate)
         if maker.waves is not None:
             change, of_cells = maker.waves.replicate(view, replicate)
             images += change
-            cells = [sum(cells, of_cells)]
+            changes, cells = [sum(changes, change)], [sum(cells, of_cells)]
         written(str(replicate), images)
         grids.append(grid)
     if grids[0].size:
@@ -402,7 +412,8 @@ def _write_view(out: Path, maker: _Maker, view: int) -> Iterator[str]:
     if maker.sample is not None:
         written("model", maker.pieces.each("model", view))
     if maker.waves is not None:
-        written(WAVES, np.concatenate([cells[0] / maker.replicates, maker.waves.beyond(view)], axis=1))
+        change, of_cells = (parts[0] / np.float32(maker.replicates) for parts in (changes, cells))
+        written(WAVES, np.concatenate([of_cells, maker.waves.beyond(view, change)], axis=1))
     yield from (file_name(name, part) for name in names for part in parts)
 
 
@@ -433,7 +444,7 @@ def _description(maker: _Maker) -> dict[str, Any]:
             "rays": maker.model_rays(),
         },
         "ray_plan": plain(maker.plan),
-        **({"waves": {"wavelength": maker.waves.plan.waves.wavelength}} if maker.waves else {}),
+        **({"waves": maker.waves.description} if maker.waves else {}),
         **({"every_pixel": True} if isinstance(maker.plan, HybridPlan) else {}),
         **({"even": True, "smooth_share": outcome.replicates.smooth_share} if _is_even(maker.plan) else {}),
     }

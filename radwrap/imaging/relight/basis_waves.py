@@ -9,11 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.imaging.methods.pieces import log_call
+from radwrap.imaging.optics.diffraction import Light
 from radwrap.imaging.relight.basis_pieces import BasisPieces
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.wave_far import far_change, far_light
@@ -35,12 +37,24 @@ class BasisWaves:
         Where finished pieces are.
     replicates : int
         As many as the images have.
+    lights : tuple of Light
+        Which wavelength stands for which sources.
+    plans : tuple of WavePlan
+        The same rays for each of them.
     """
 
     work: Work
     plan: WavePlan
     pieces: BasisPieces
     replicates: int
+    lights: tuple[Light, ...]
+    plans: tuple[WavePlan, ...]
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """What `basis.json` tells of them; the first wavelength is of the light of all."""
+        wavelengths = [light.wavelength for light in self.lights]
+        return {"wavelength": self.plan.waves.wavelength, "wavelengths": wavelengths}
 
     def kinds(self) -> Iterator[str]:
         """Kinds of pieces."""
@@ -65,15 +79,43 @@ class BasisWaves:
         for tile, (r0, r1, c0, c1) in enumerate(self.plan.kernel.tiles):
             rows = np.stack(self.pieces.each(self._kind(replicate, tile), view), axis=1)
             found[..., r0:r1, c0:c1] = rows.reshape(2, -1, r1 - r0, c1 - c0)
-        for number, around in enumerate(self.pieces.each(self._around(replicate), view)):
-            found[0, number] += far_change(self.plan, around.astype(np.float64))[0].astype(np.float32)
+        around = self.pieces.each(self._around(replicate), view)
+        for number, (plan, light) in enumerate(zip(self._plans(view), around, strict=True)):
+            found[0, number] += far_change(plan, light.astype(np.float64))[0].astype(np.float32)
         return found[0], found[1]
 
-    def beyond(self, view: int) -> NDArray[np.float32]:
-        """What light may change that comes from farther than was looked at, shape (sources, rows, columns)."""
+    def beyond(self, view: int, change: NDArray[np.float32]) -> NDArray[np.float32]:
+        """What light may change that comes from farther than was looked at, and other wavelengths than the one taken.
+
+        Parameters
+        ----------
+        view : int
+            Of which sources.
+        change : ndarray, shape (sources, rows, columns)
+            What waves add.
+
+        Returns
+        -------
+        ndarray, shape (sources, rows, columns)
+        """
         each = [self.pieces.each(self._around(replicate), view) for replicate in range(self.replicates)]
         around: NDArray[np.float64] = np.asarray(each, dtype=np.float64).mean(axis=0)  # of each source
-        return np.stack([far_change(self.plan, one)[1].astype(np.float32) for one in around])
+        spreads = [self.lights[number].spread for number in self._of_sources(view)]
+        found = [
+            far_change(plan, light)[1] + spread * np.abs(by_waves)
+            for plan, light, spread, by_waves in zip(self._plans(view), around, spreads, change, strict=True)
+        ]
+        return np.stack(found).astype(np.float32)
+
+    def _of_sources(self, view: int) -> list[int]:
+        """Numbers of the lights that the sources of a view belong to."""
+        return [
+            next(number for number, light in enumerate(self.lights) if light.names is None or name in light.names)
+            for name in self.pieces.views[view].names
+        ]
+
+    def _plans(self, view: int) -> list[WavePlan]:
+        return [self.plans[number] for number in self._of_sources(view)]
 
     def _tiles(self) -> Iterator[tuple[int, int]]:
         tiles = range(len(self.plan.kernel.tiles))
@@ -90,7 +132,8 @@ class BasisWaves:
             kind, lit = self._kind(replicate, tile), self.pieces.views[view]
             log_call(self.pieces.folder, f"{kind} {view}")
             alone = of_all if len(lit.names) == 1 else None
-            traced = wave_tile(replace(lit.view, workers=1), self.plan, (tile, replicate), cells, count, of_all=alone)
+            one, plans = replace(lit.view, workers=1), self._plans(view)
+            traced = wave_tile(one, plans, (tile, replicate), cells, count, of_all=alone)
             self.pieces.write(kind, view, np.stack([part.ravel() for parts in traced for part in parts]))
 
     @staticmethod

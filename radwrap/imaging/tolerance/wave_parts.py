@@ -9,7 +9,8 @@ sources; the very same rays then tell what waves add to the light of each.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import itertools
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -50,7 +51,7 @@ class WaveParts:
 
 def wave_parts(
     view: View,
-    plan: WavePlan,
+    plans: Sequence[tuple[View, WavePlan]],
     replicates: int,
     *,
     progress: Callable[[int], None],
@@ -62,14 +63,15 @@ def wave_parts(
     ----------
     view : View
         In the light of all sources.
-    plan : WavePlan
-        Which rays.
+    plans : sequence of (View, WavePlan)
+        The light of each wavelength, and its plan, all of the same rays: see `WavePlan.at`.
     replicates : int
         How many sets of them, 2 at least.
     progress, check : callable
         Is told how many rays were traced; raises where the run is to end.
     """
-    sensor, view = plan.kernel.camera.sensor, bare(view)
+    plan = plans[0][1]
+    sensor, of_all = plan.kernel.camera.sensor, view if len(plans) > 1 else None
     change = np.zeros((replicates, sensor.rows, sensor.columns))
     cells = np.zeros((sensor.rows, sensor.columns))
     counted = plan.rays
@@ -82,14 +84,15 @@ def wave_parts(
     for tile, (r0, r1, c0, c1) in enumerate(plan.kernel.tiles):
         check()
         decided = wave_cells(view, plan, tile, count)
-        for replicate in range(replicates):
-            ((found, of_cells),) = wave_tile(view, plan, (tile, replicate), decided, count)
-            change[replicate, r0:r1, c0:c1] = found
-            cells[r0:r1, c0:c1] += of_cells / replicates
+        for replicate, (lit, of_light) in itertools.product(range(replicates), plans):
+            traced = wave_tile(lit, [of_light], (tile, replicate), decided, count, of_all=of_all)
+            for found, of_cells in traced:
+                change[replicate, r0:r1, c0:c1] += found
+                cells[r0:r1, c0:c1] += of_cells / replicates
     beyond = np.zeros((sensor.rows, sensor.columns))
-    for replicate in range(replicates):
-        (around,) = far_light(view, plan, replicate, count)
-        far, farther = far_change(plan, around)
+    for replicate, (lit, of_light) in itertools.product(range(replicates), plans):
+        (around,) = far_light(lit, plan, replicate, count)
+        far, farther = far_change(of_light, around)
         change[replicate] += far
         beyond += farther / replicates
     return WaveParts(change, cells, beyond, counted)
@@ -102,7 +105,7 @@ def wave_cells(view: View, plan: WavePlan, tile: int, progress: Callable[[int], 
 
 def wave_tile(
     view: View,
-    plan: WavePlan,
+    plans: Sequence[WavePlan],
     which: tuple[int, int],
     cells: Cells,
     progress: Callable[[int], None],
@@ -115,8 +118,8 @@ def wave_tile(
     ----------
     view : View
         In the light of all sources or of some.
-    plan : WavePlan
-        Which rays.
+    plans : sequence of WavePlan
+        Of each source that the view tells apart, all of the same rays.
     which : tuple of int
         Numbers of the tile and of the replicate.
     cells : Cells
@@ -132,6 +135,7 @@ def wave_tile(
         See `WaveParts`; without the light from far away.
     """
     tile, replicate = which
+    plan = plans[0]
     kernel, view = plan.kernel, bare(view)
     key = (plan.seed, Rendering.WAVE_RAYS, replicate, tile)
     like = None
@@ -141,12 +145,12 @@ def wave_tile(
     summed = central if central.values.ndim == 2 else replace(central, values=central.values.sum(axis=0))
     coarser = replace(coarsened(central), magnification=coarsened(like or summed).magnification)
     place, cell = kernel.tiles[tile], kernel.grid.cell
-    # Cells that do not resolve what waves do say little of what smaller ones would change.
-    share = GRID_SHARE if cell * plan.pitch <= plan.waves.blur else 1.0
     each = (array.reshape(-1, *array.shape[-2:]) for array in (central.values, coarser.values))
-    for fine, rough in zip(*each, strict=True):
-        found = _gathered(plan, replace(central, values=fine), cell, place)
-        yield found, share * (_gathered(plan, replace(coarser, values=rough), 2 * cell, place) - found)
+    for of_source, fine, rough in zip(plans, *each, strict=True):
+        # Cells that do not resolve what waves do say little of what smaller ones would change.
+        share = GRID_SHARE if cell * plan.pitch <= of_source.waves.blur else 1.0
+        found = _gathered(of_source, replace(central, values=fine), cell, place)
+        yield found, share * (_gathered(of_source, replace(coarser, values=rough), 2 * cell, place) - found)
 
 
 def _gathered(plan: WavePlan, central: CentralImage, cell: float, place: Rect) -> Array:

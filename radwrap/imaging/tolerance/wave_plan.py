@@ -114,6 +114,13 @@ class WavePlan:
     seed: int
     rays: int
 
+    def at(self, wavelength: float) -> WavePlan:
+        """The same rays, for light of another wavelength [m]."""
+        if wavelength == self.waves.wavelength:
+            return self
+        waves = replace(self.waves, wavelength=wavelength)
+        return replace(self, waves=waves, weights=WaveWeights(self.kernel, _less_rays(waves)))
+
     @property
     def pitch(self) -> float:
         """The smaller pitch of the pixels [m]."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, assert_never
@@ -227,8 +227,10 @@ def _check_cover(curve: Curve, powers: list[Curve], passed: list[Curve], where: 
             )
 
 
-def _wavelengths(scene: Scene, powers: list[Curve], passed: list[Curve]) -> tuple[float, float]:
-    """Mean over the light that counts [m], and how far it is from standing for all: see `Spectral`."""
+def _wavelengths(
+    scene: Scene, powers: list[Curve], passed: list[Curve]
+) -> tuple[float, float, tuple[float, ...], tuple[float, ...]]:
+    """Mean over the light that counts [m], how far it is from standing for all, and both of each source."""
     moments = np.zeros((len(powers), 3))
     for moment, source, power in zip(moments, scene.sources, powers, strict=True):
         wavelength = Curve(power.ends, power.ends)
@@ -237,11 +239,21 @@ def _wavelengths(scene: Scene, powers: list[Curve], passed: list[Curve]) -> tupl
     lit = moments[moments[:, 0] > 0]
     whole, first, second = lit.sum(axis=0).tolist()
     if not whole > 0:
-        return 0.0, 0.0
+        return 0.0, 0.0, (), ()
     mean = first / whole
     apart = float(np.abs(lit[:, 1] - mean * lit[:, 0]).sum()) / whole
-    variance = max(second / whole - mean**2, 0.0)
-    return mean, apart / mean + variance / (2 * mean**2)
+    means, spreads = zip(*map(_line, moments.tolist()), strict=True)
+    return mean, apart / mean + _half_variance(whole, mean, second), means, spreads
+
+
+def _line(moments: Sequence[float]) -> tuple[float, float]:
+    """A source's mean wavelength [m], and how far it is from standing for its light; 0 of one that is dark."""
+    whole, first, second = moments
+    return (first / whole, _half_variance(whole, first / whole, second)) if whole > 0 else (0.0, 0.0)
+
+
+def _half_variance(whole: float, mean: float, second: float) -> float:
+    return max(second / whole / mean**2 - 1, 0.0) / 2
 
 
 def _intensity(source: Source) -> float:
