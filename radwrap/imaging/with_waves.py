@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -32,8 +33,11 @@ Array = NDArray[np.float64]
 _SHARE: Final = 0.2
 _DECIDING_SHARE: Final = 0.05
 _FEWEST: Final = 1 << 13
-_AIM: Final = 0.5  # of the tolerance, each of both replicates
-_FINER: Final = 0.25  # of that aim, where it was too much
+_AIM: Final = 0.7  # of what the image leaves of the tolerance, each of both replicates: their mean has half of it
+_LEAST_LEFT: Final = 0.3  # of the tolerance; where the image leaves less, it is made finer
+_OF_CELLS: Final = 0.5  # of what the image leaves, what the size of their cells may change
+_FINER: Final = 0.25  # of either, where it was too much
+_TRIES: Final = 2  # plans of waves
 _LESS: Final = 0.8  # of the tolerance is left to the rays' own image, where both together break it
 _TWO: Final = 2  # replicates, where nothing is made of them but their mean
 # Of the tolerance, what waves may add to the error of images that are compared; and how fast that falls with the size
@@ -95,8 +99,11 @@ class _Waves:
         """Cells of a plan of many images, which no light decides."""
         return None if self.options.sampling is None else self.options.sampling.wave_cell
 
-    def plan(self, aim: float) -> WavePlan:
-        return plan_waves(self.work.view, self.wavelength, aim, self.options.seed, even_cell=self.even_cell)
+    def plan(self, aim: float, of_cells: float) -> WavePlan:
+        """Rays for errors of a replicate by their number, and by the size of their cells [gray level]."""
+        share = of_cells / self.about_rms if self.about_rms > of_cells else 1.0
+        view, seed = self.work.view, self.options.seed
+        return plan_waves(view, self.wavelength, aim, seed, share=share, even_cell=self.even_cell)
 
     def replicates(self, made: Made) -> int:
         """As many as the image has, where each is kept."""
@@ -182,28 +189,34 @@ def with_waves(
         return WithWaves(made, found, None)
     waves = _Waves(scene, options, work, lights(), found.rms_gray)
     more_may_help = options.sampling is None
-    taken = found.rays
-    for share in (_AIM, _AIM * _FINER):
+    taken, left = found.rays, _left(options.gray_tolerance, made)
+    aim, of_cells = _AIM * left, _OF_CELLS * left
+    for _ in range(_TRIES if more_may_help else 1):
         try:
-            plan = waves.plan(share * options.gray_tolerance)
+            plan = waves.plan(aim, of_cells)
         except TooDeep as error:
             if camera.diffraction == "auto" and more_may_help:
                 return WithWaves(made, found, None)
             raise _too_deep() from error
         parts = waves.parts(plan, waves.replicates(made))
         taken += parts.rays
-        whole = _added(made, plan, parts, waves, taken)
-        if _is_met(whole) or not more_may_help:
+        whole, off = _added(made, plan, parts, waves, taken)
+        if _is_met(whole) or not _more_rays_may_do(made, waves, off):
             break
+        if off.cells > off.noise.upper:
+            of_cells *= _FINER
+        else:
+            aim *= _FINER
     if not _is_met(whole) and _is_met(made) and more_may_help:
         taken, made = taken + made.used.rays, again(_LESS * options.gray_tolerance)
         if len(parts.change) != waves.replicates(made):
             parts = waves.parts(plan, waves.replicates(made))
             taken += parts.rays
-        whole = _added(made, plan, parts, waves, taken)
+        whole, _ = _added(made, plan, parts, waves, taken)
     slope = None
     if scene.tolerances is not None and scene.tolerances.aperture_diameter:
-        changed = waves.parts(plan, _TWO, by_diameter).change.mean(axis=0)
+        usual = plan_waves(work.view, waves.wavelength, aim, options.seed)
+        changed = waves.parts(usual, _TWO, by_diameter).change.mean(axis=0)
         light = whole.radiance
         slope = np.where(light > 0, changed / np.where(light > 0, light, 1.0), 0.0)
     told = DiffractionTaken(waves.wavelength, found.rms_gray, parts.rays, _told_wavelengths(waves.lights))
@@ -225,7 +238,7 @@ def even_wave_cell(scene: Scene, work: Work, options: RenderOptions) -> float | 
         return None
     waves = _Waves(scene, replace(options, sampling=None), work, (light_of_all(scene, work.view),))
     try:
-        cell = waves.plan(1.0).kernel.grid.cell
+        cell = plan_waves(work.view, waves.wavelength, 1.0, options.seed).kernel.grid.cell
         plan = plan_waves(work.view, waves.wavelength, 0.0, options.seed, even_cell=cell)
     except TooDeep as error:
         raise _too_deep() from error
@@ -240,6 +253,12 @@ def even_wave_cell(scene: Scene, work: Work, options: RenderOptions) -> float | 
 
 def _told_wavelengths(lights: Sequence[Light]) -> tuple[float, ...] | None:
     return tuple(light.wavelength for light in lights) if len(lights) > 1 else None
+
+
+def _left(tolerance: float, made: Made) -> float:
+    """What an image leaves of a tolerance for its waves [gray level]."""
+    left = math.sqrt(max(tolerance**2 - made.certificate.rms_gray_upper95**2, 0.0))
+    return max(left, _LEAST_LEFT * tolerance)
 
 
 def _look(work: Work) -> Array:
@@ -269,13 +288,20 @@ def _is_met(made: Made) -> bool:
     return made.outcome is None or made.outcome.met
 
 
+def _more_rays_may_do(made: Made, waves: _Waves, off: WaveError) -> bool:
+    """Whether the image and what its waves are off by anyway would keep what is asked."""
+    known, demand = made.certificate, waves.options.demand
+    lasting = known.rms_gray_upper95 + off.tails + waves.by_bands
+    return demand is not None and demand.is_met(lasting, known.p99_gray_upper95)
+
+
 def _error(plan: WavePlan, parts: WaveParts, made: Array, work: Work) -> WaveError:
     view = work.view
     return wave_error(parts, made, visible_gray(view.exposure_of_radiance, view.camera.sensor), plan.block)
 
 
-def _added(made: Made, plan: WavePlan, parts: WaveParts, waves: _Waves, rays: int) -> Made:
-    """The image with what waves add, and the certificate of both."""
+def _added(made: Made, plan: WavePlan, parts: WaveParts, waves: _Waves, rays: int) -> tuple[Made, WaveError]:
+    """The image with what waves add and the certificate of both, and how far it may be off by them."""
     radiance = np.maximum(made.radiance + parts.change.mean(axis=0), 0.0)
     found = _error(plan, parts, radiance, waves.work)
     lasting, quantile = found.tails + waves.by_bands, found.quantile + waves.by_bands
@@ -288,4 +314,4 @@ def _added(made: Made, plan: WavePlan, parts: WaveParts, waves: _Waves, rays: in
         outcome = replace(outcome, radiance=radiance, certificate=certificate, met=met, record=record)
         if waves.options.sampling is not None:
             outcome = replace(outcome, replicates=outcome.replicates.with_waves(parts.change, parts.cells))
-    return replace(made, radiance=radiance, certificate=certificate, used=used, outcome=outcome)
+    return replace(made, radiance=radiance, certificate=certificate, used=used, outcome=outcome), found

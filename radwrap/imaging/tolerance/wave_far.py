@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -19,8 +20,10 @@ from radwrap.scene.camera import Aperture
 
 Array = NDArray[np.float64]
 
-# The coarse image is so many times as wide as the guard band; what goes farther still is counted as an error.
-_FAR: Final = 20.0
+# The coarse image is so many times as wide as the guard band at least, and twice that, up to so often, where that takes
+# few blocks more; what goes farther still is counted as an error.
+_LEAST_FAR: Final = 20.0
+_DOUBLINGS: Final = 4
 _BLOCKS: Final = 4  # of the coarse image, in a guard band's width
 _FEWEST_BLOCK: Final = 2.0  # px
 _MOST_BLOCKS: Final = 1 << 18
@@ -42,13 +45,15 @@ def far_light(view: View, plan: WavePlan, replicate: int, progress: Callable[[in
     ndarray, shape (sources, rows of blocks, columns of blocks)
         [W m^-2 sr^-1]
     """
-    block, margin, (rows, columns) = _blocks(plan)
+    coarse = _Coarse.of(plan)
+    block, margin, (rows, columns) = coarse.block, coarse.margin, coarse.shape
     random = generator(plan.seed, Rendering.WAVE_FAR, replicate)
     beside = min(margin, math.ceil(_DENSE * min(plan.kernel.reach_px) / block))
     dense = np.zeros((rows, columns), dtype=bool)
     dense[margin - beside : rows - margin + beside, margin - beside : columns - margin + beside] = True
     places, owners = [], []
-    for some, strata in ((dense, _STRATA), (~dense, 1)):
+    # No more rays than pixels are needed to tell light that is spread so far.
+    for some, strata in ((dense, min(_STRATA, round(block))), (~dense, 1)):
         row, column = np.nonzero(some)
         inside = (np.indices((strata, strata)).reshape(2, 1, -1) + random.random((2, len(row), strata**2))) / strata
         places.append(np.stack([row[:, np.newaxis] + inside[0], column[:, np.newaxis] + inside[1]]).reshape(2, -1))
@@ -64,7 +69,7 @@ def far_light(view: View, plan: WavePlan, replicate: int, progress: Callable[[in
     blur = near - (plan.kernel.guard or 0.0)
     aperture = plan.waves.aperture
     rim_at = blur / math.sqrt(2) if aperture.shape == "square" else blur
-    kernel = _tail_kernel(aperture, rim_at / block, near / block, _FAR * near / block)
+    kernel = _tail_kernel(aperture, rim_at / block, near / block, coarse.far / block)
     return np.stack([_correlated(one, kernel) for one in values.reshape(-1, rows, columns)])
 
 
@@ -97,24 +102,59 @@ def far_change(plan: WavePlan, around: Array) -> tuple[Array, Array]:
     from scipy.ndimage import map_coordinates
 
     sensor, share = plan.kernel.camera.sensor, plan.weights.share
-    block, _, _ = _blocks(plan)
+    coarse = _Coarse.of(plan)
     at = (np.arange(size) + 0.5 for size in (sensor.rows, sensor.columns))
-    places = np.meshgrid(*(place / block - 0.5 for place in at), indexing="ij")
+    places = np.meshgrid(*(place / coarse.block - 0.5 for place in at), indexing="ij")
     mean = map_coordinates(around, places, order=1, mode="nearest")
-    beyond = min(plan.waves.tail(_FAR * min(plan.kernel.reach_px) * plan.pitch), abs(share))
+    beyond = min(plan.waves.tail(coarse.far * plan.pitch), abs(share))
     return share * mean, beyond * mean
 
 
-def _blocks(plan: WavePlan) -> tuple[float, int, tuple[int, int]]:
-    """Side of a block [px], how many lie beside the sensor on each side, and rows and columns of all."""
-    sensor, near = plan.kernel.camera.sensor, min(plan.kernel.reach_px)
-    far = _FAR * near
-    block = max(near / _BLOCKS, _FEWEST_BLOCK)
-    while (sensor.rows + 2 * far) * (sensor.columns + 2 * far) / block**2 > _MOST_BLOCKS:
-        block *= 2
-    margin = math.ceil(far / block) + 1
-    rows, columns = (math.ceil(size / block) + 2 * margin for size in (sensor.rows, sensor.columns))
-    return block, margin, (rows, columns)
+@dataclass(frozen=True, slots=True)
+class _Coarse:
+    """The coarse image around the sensor.
+
+    Attributes
+    ----------
+    far : float
+        How far a pixel looks [px].
+    block : float
+        Side of a block [px].
+    margin : int
+        How many lie beside the sensor on each side.
+    shape : tuple of int
+        Rows and columns of blocks.
+    """
+
+    far: float
+    block: float
+    margin: int
+    shape: tuple[int, int]
+
+    @classmethod
+    def of(cls, plan: WavePlan) -> _Coarse:
+        """As wide as few blocks allow: what lies farther is an error."""
+        near = min(plan.kernel.reach_px)
+        block = max(near / _BLOCKS, _FEWEST_BLOCK)
+        while (found := cls._by(plan, _LEAST_FAR * near, block)).blocks > _MOST_BLOCKS:
+            block *= 2
+        inside = cls._by(plan, _DENSE * near, block).blocks
+        for times in range(1, _DOUBLINGS + 1):
+            wider = cls._by(plan, _LEAST_FAR * near * 2**times, block)
+            if wider.blocks > min(_MOST_BLOCKS, _STRATA * inside):
+                break
+            found = wider
+        return found
+
+    @classmethod
+    def _by(cls, plan: WavePlan, far: float, block: float) -> _Coarse:
+        sensor, margin = plan.kernel.camera.sensor, math.ceil(far / block) + 1
+        rows, columns = (math.ceil(size / block) + 2 * margin for size in (sensor.rows, sensor.columns))
+        return cls(far, block, margin, (rows, columns))
+
+    @property
+    def blocks(self) -> int:
+        return self.shape[0] * self.shape[1]
 
 
 def _tail_kernel(aperture: Aperture, rim_at: float, near: float, far: float) -> Array:

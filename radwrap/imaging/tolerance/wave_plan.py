@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from radwrap.imaging.demand import FINEST_CELL
 from radwrap.imaging.methods.kernel import KernelPlan, fast_length, plan_kernel
 from radwrap.imaging.optics.footprint import Footprint, laid_out
 from radwrap.imaging.optics.view import View, look_at_depths
@@ -21,12 +22,20 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _LOOK: Final = 64  # rays along a side of a look at the depths
-_BASE_SHARE: Final = 1.0  # of the wave's length, a base cell
+# A base cell is as wide as the wave's length, and as two pixels at least: with these an image was as exact as with
+# single ones, by 30 % less rays.
+_BASE_SHARE: Final = 1.0
+_LEAST_BASE: Final = 2.0  # px
+# Cells as wide as the wave's length change about a quarter of what waves add, rms, and half as wide ones a quarter of
+# that. Where more than that may be left, cells may be of half a pixel though rays blur by less.
+_OFF: Final = 0.25
+_COARSEST: Final = 0.5  # px
 # The guard band in wave's lengths; light that waves send farther is taken from a coarse image, see `wave_far`.
 _NEAR: Final = 6.0
 # The weights are made on a grid so many times as wide as they are taken from, of so many cells at most.
 _AROUND: Final = 8
 _MOST_AROUND: Final = 1 << 21
+_LEAST_GAIN: Final = 0.05  # of noise; rays are so few then that fewer would save nothing
 _STEP: Final = 0.02  # of the diameter, to either side: a slope by both is off by its square
 
 
@@ -51,7 +60,7 @@ class WaveWeights:
     def near(self, cell: float, phase: tuple[int, int]) -> list[Array]:
         """Of each layer, shape (2 rows + 1, 2 columns + 1); cells of a pixel in the middle."""
         if (cell, phase) not in self.made:
-            self.made[cell, phase] = [self._cut(layer, cell, phase) for layer in self.kernel.layers]
+            self.made[cell, phase] = [self.of_layer(layer, cell, phase) for layer in self.kernel.layers]
         return self.made[cell, phase]
 
     def laid_out(self, cell: float, shape: tuple[int, int], phase: tuple[int, int]) -> Iterator[Complex]:
@@ -66,7 +75,8 @@ class WaveWeights:
         near = self.near(self.kernel.grid.cell, (0, 0))
         return -float(np.mean([each.sum() for each in near]))
 
-    def _cut(self, layer: float, cell: float, phase: tuple[int, int]) -> Array:
+    def of_layer(self, layer: float, cell: float, phase: tuple[int, int]) -> Array:
+        """As `near`, of one layer."""
         reach = self.kernel.reach_px[::-1]
         # A pixel's middle beside that of the cell whose corner it shares [px].
         beside = [(1 - cell) / 2 + shift for shift in phase]
@@ -134,7 +144,9 @@ class WavePlan:
         return math.ceil(max(blur, self.waves.blur / self.pitch)) + 1
 
 
-def plan_waves(view: View, wavelength: float, aim: float, seed: int, *, even_cell: float | None = None) -> WavePlan:
+def plan_waves(
+    view: View, wavelength: float, aim: float, seed: int, *, share: float = _OFF, even_cell: float | None = None
+) -> WavePlan:
     """Choose cells, layers, tiles and the guard band.
 
     Parameters
@@ -147,6 +159,8 @@ def plan_waves(view: View, wavelength: float, aim: float, seed: int, *, even_cel
         Rms error of one replicate to aim at [gray level].
     seed : int
         Of all that is drawn.
+    share : float
+        Of what waves add, what the cells' size may change; a guess that the image decides on.
     even_cell : float, optional
         As of `plan_kernel`: no light decides where rays go.
 
@@ -158,14 +172,34 @@ def plan_waves(view: View, wavelength: float, aim: float, seed: int, *, even_cel
     camera = view.camera
     waves = Waves(camera.aperture, camera.image_distance, wavelength)
     pitch = min(camera.sensor.pixel_width, camera.sensor.pixel_height)
+    blur = waves.blur / pitch
     met, rays = look_at_depths(view, _LOOK, generator(seed, Rendering.WAVES))
     plan = plan_kernel(bare(view), met, aim, even_cell=even_cell)
     if even_cell is None:
-        # Where waves blur by many pixels rays go on in steps as wide, and only where light differs in finer ones.
-        wider = max(0, math.floor(math.log2(_BASE_SHARE * waves.blur / pitch / plan.grid.base)))
+        coarsest = plan.grid.cell if share <= _OFF else max(plan.grid.cell, _COARSEST)
+        wanted = min(coarsest, blur * math.sqrt(share / _OFF))
+        finer = math.ceil(math.log2(plan.grid.cell / max(wanted, FINEST_CELL)))
+        plan = plan_kernel(bare(view), met, aim, finer)
+        # Where light is even rays go on in wide steps, as waves spread what they add.
+        wider = max(0, math.floor(math.log2(max(_BASE_SHARE * blur, _LEAST_BASE) / plan.grid.base)))
         plan = replace(plan, grid=replace(plan.grid, base=plan.grid.base << wider, levels=plan.grid.levels + wider))
-    plan = replace(plan, guard=max(_NEAR * waves.blur / pitch, 1.0))
-    return WavePlan(plan, waves, WaveWeights(plan, _less_rays(waves)), seed, rays)
+    plan = replace(plan, guard=max(_NEAR * blur, 1.0))
+    weights = WaveWeights(plan, _less_rays(waves))
+    if even_cell is None:
+        plan = replace(plan, grid=replace(plan.grid, aim=aim / _noise_gain(weights)))
+        weights = replace(weights, kernel=plan)
+    return WavePlan(plan, waves, weights, seed, rays)
+
+
+def _noise_gain(weights: WaveWeights) -> float:
+    """Noise of what waves add over that of an image by the same rays: small where waves blur by less than pixels."""
+    kernel, cell, (_, rays) = weights.kernel, weights.kernel.grid.cell, weights.terms[-1]
+    added, alone = weights.near(cell, (0, 0)), WaveWeights(kernel, ((1.0, rays),))
+    gains = [
+        float((added[number] ** 2).sum() / (alone.of_layer(kernel.layers[number], cell, (0, 0)) ** 2).sum())
+        for number in (0, -1)
+    ]
+    return min(1.0, max(math.sqrt(max(gains)), _LEAST_GAIN))
 
 
 def by_diameter(plan: WavePlan) -> WavePlan:
