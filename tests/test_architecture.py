@@ -35,7 +35,18 @@ ORDER = [
 ROOMS = {
     "scene": [
         *("distortion", "linear_sensor", "pixel_window", "camera", "sensor_part"),
-        *("materials", "mesh", "wide_shapes", "spectrum", "sources", "targets", "tolerances", "scene", "bands"),
+        *(
+            "materials",
+            "mesh",
+            "wide_shapes",
+            "spectrum",
+            "patterns",
+            "sources",
+            "targets",
+            "tolerances",
+            "scene",
+            "bands",
+        ),
         *("mesh_files", "look", "file"),
     ],
     "imaging": [
@@ -48,6 +59,7 @@ ROOMS = {
             "banding",
             "tracer_choice",
             "tracing",
+            "pattern_truth",
             "truth",
         ),
         *(
@@ -88,6 +100,7 @@ DOORS = {
         "measure/parts/overlay.py": "draws what was found",
         "measure/parts/raster.py": "labels, distances and hulls of masks",
         "scene/file/calibration_file.py": "reads what OpenCV's FileStorage wrote",
+        "scene/file/pattern_convert.py": "knows the bits of OpenCV's ArUco markers",
     },
     "pydantic": {
         "scene/file/border.py": "types of the scene file's values",
@@ -96,6 +109,7 @@ DOORS = {
         "scene/file/load.py": "reads a scene's tables, and what they left out",
         "scene/file/material_tables.py": BORDER,
         "scene/file/optics_tables.py": BORDER,
+        "scene/file/pattern_tables.py": BORDER,
         "scene/file/sensor_tables.py": BORDER,
         "scene/file/source_tables.py": BORDER,
         "study/design_tables.py": "tables of a design file: pydantic goes no further",

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from radwrap.frames import points_to_local, to_world
 from radwrap.imaging.optics.view import PixelPlan, ray_blocks, traced
+from radwrap.imaging.pattern_truth import pattern_truth
 from radwrap.scene.camera import Camera
 from radwrap.scene.look.geometry import in_view, project
 from radwrap.scene.scene import Scene
-from radwrap.scene.targets import DotBoard, EdgeTarget, Target
+from radwrap.scene.targets import DotBoard, EdgeTarget, PatternTarget, Target
 from radwrap.tracers.tracer import Tracer
 
 _EDGE_POINTS: Final = 65
@@ -107,7 +108,8 @@ def geometry(scene: Scene, part_names: tuple[str, ...]) -> dict[str, Any]:
         its pose ``camera_from_target`` (4 x 4, m), its dots (row, column,
         u, v [px], in_view) or its edge (end points and the line
         u cos(angle) + v sin(angle) = offset [px], and where the lens distorts
-        the `bow`, the edge's largest distance from that line [px]).
+        the `bow`, the edge's largest distance from that line [px]), or what
+        `pattern_truth` says.
     """
     return {
         "pixel_convention": "u is the column, v the row; the centre of the first pixel is (0, 0)",
@@ -117,11 +119,14 @@ def geometry(scene: Scene, part_names: tuple[str, ...]) -> dict[str, Any]:
 
 
 def _target(camera: Camera, target: Target) -> dict[str, Any]:
-    entry: dict[str, Any] = {"kind": type(target).__name__, "camera_from_target": _pose(camera, target)}
+    kind = type(target.layout if isinstance(target, PatternTarget) else target).__name__
+    entry: dict[str, Any] = {"kind": kind, "camera_from_target": _pose(camera, target)}
     if isinstance(target, DotBoard):
         entry["dots"] = [asdict(place) for place in dot_places(camera, target)]
     if isinstance(target, EdgeTarget):
         entry["edge"] = _told(edge_line(camera, target))
+    if isinstance(target, PatternTarget):
+        entry |= pattern_truth(camera, target)
     return entry
 
 

@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 
 from radwrap.frames import Pose, Vector, to_world
 from radwrap.scene.mesh import Mesh
+from radwrap.scene.patterns.layouts import Layout
+from radwrap.scene.patterns.marks import FlatDisc
+from radwrap.scene.patterns.partition import Partition
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +100,38 @@ class EdgeTarget:
     width: float
     height: float
     edge_position: float
+
+
+@dataclass(frozen=True, slots=True)
+class PatternTarget:
+    """A plate with a pattern of another material.
+
+    Attributes
+    ----------
+    material, pattern_material : str
+        Names of the plate's material and that of its marks.
+    layout : Layout
+        What is where.
+    partition : Partition
+        Which of the two lies at a place.
+    """
+
+    name: str
+    pose: Pose
+    material: str
+    pattern_material: str
+    layout: Layout
+    partition: Partition = field(compare=False, repr=False)
+
+    @property
+    def width(self) -> float:
+        """Size along x [m]."""
+        return self.layout.size[0]
+
+    @property
+    def height(self) -> float:
+        """Size along y [m]."""
+        return self.layout.size[1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,7 +228,7 @@ class MeshPart:
     closed: bool = True
 
 
-Flat = Sheet | DotBoard | EdgeTarget | Polygon | Disc
+Flat = Sheet | DotBoard | EdgeTarget | PatternTarget | Polygon | Disc
 Solid = Sphere | Cylinder | Box
 Target = Flat | Solid | MeshPart | RadFile
 
@@ -251,7 +286,7 @@ class Surface:
     name : str
         Unique in the scene.
     part : str
-        What it is of the target: "surface", "dots" or "edge".
+        What it is of the target: "surface", "dots", "edge" or "pattern".
     material : str
         Name of the material.
     shape : Shape
@@ -301,6 +336,19 @@ def surfaces(target: Target) -> tuple[Surface, ...]:
                 _plain(target, _rectangle(target.pose, target.width, target.height)),
                 Surface(f"{target.name}.edge", "edge", target.edge_material, _flat(target.pose, bright)),
             )
+        case PatternTarget():
+            marks = (
+                Surface(
+                    f"{target.name}.mark_{number}",
+                    "pattern",
+                    target.pattern_material,
+                    _disc(target.pose, (mark.x, mark.y, 0.0), 2 * mark.radius)
+                    if isinstance(mark, FlatDisc)
+                    else _flat(target.pose, mark.vertices),
+                )
+                for number, mark in enumerate(target.layout.marks())
+            )
+            return _plain(target, _rectangle(target.pose, target.width, target.height)), *marks
         case Sheet():
             return (_plain(target, _rectangle(target.pose, target.width, target.height)),)
         case Polygon():
@@ -319,7 +367,7 @@ def surfaces(target: Target) -> tuple[Surface, ...]:
             return (Surface(target.name, "surface", target.material, shape),)
 
 
-def _plain(target: Sheet | DotBoard | EdgeTarget | Polygon | Disc | Sphere, shape: Shape) -> Surface:
+def _plain(target: Flat | Sphere, shape: Shape) -> Surface:
     return Surface(target.name, "surface", target.material, shape)
 
 

@@ -50,6 +50,7 @@ from radwrap.scene.targets import (
     DotBoard,
     EdgeTarget,
     MeshShape,
+    PatternTarget,
     PolygonShape,
     SphereShape,
     Surface,
@@ -316,7 +317,7 @@ def highlight(specular_reflectance: float, roughness: float) -> tuple[float, flo
 def _target(target: Target, camera: Camera, frame: TextFrame, words: Mapping[str, str]) -> Iterator[str]:
     """Surfaces; what lies on another one of the same target is lifted to the side that the eye is on."""
     lift = np.zeros(3)
-    if isinstance(target, DotBoard | EdgeTarget):
+    if isinstance(target, DotBoard | EdgeTarget | PatternTarget):
         normal = target.pose.z_axis
         side = dot(subtract(camera.pose.position, target.pose.position), normal)
         lift = np.asarray(normal) * math.copysign(_LIFT, side)

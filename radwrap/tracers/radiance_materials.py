@@ -25,7 +25,7 @@ from radwrap.scene.materials import (
     PrintedSheeting,
     Specular,
 )
-from radwrap.scene.targets import DotBoard, EdgeTarget, Sheet, Target
+from radwrap.scene.targets import Sheet, Target
 from radwrap.tracers.text_frame import TextFrame
 
 FUNCTIONS: Final = "radwrap.cal"
@@ -160,27 +160,6 @@ def _print_numbers(image: PrintedImage, place: Placement) -> tuple[float, ...]:
     width, height = place.size
     sides = (*(value / width for value in place.x_axis), *(value / height for value in place.y_axis))
     return (*place.middle, *sides, float(len(image.rows[0])), float(len(image.rows)))
-
-
-def painted(
-    name: str, materials: tuple[str, str], functions: str, target: DotBoard | EdgeTarget, frame: TextFrame
-) -> str:
-    """A modifier of that name that shows the first material on a target's decals and the second one beside them.
-
-    The board is one surface, so nothing hangs on which of two surfaces in one plane is met: rims are exact under
-    grazing rays, on both sides and for shadow rays.
-    """
-    place = placement(target, frame)
-    x, y = place.x_axis, place.y_axis
-    match target:
-        case DotBoard():
-            pitch, radius = target.pitch * frame.units, target.dot_diameter / 2 / target.pitch
-            steps = (*(value / pitch for value in x), *(value / pitch for value in y))
-            numbers = (*place.middle, *steps, float(target.columns), float(target.rows), radius**2)
-            function = "on_dot"
-        case EdgeTarget():
-            numbers, function = (*place.middle, *x, target.edge_position * frame.units), "beyond_edge"
-    return primitive("void", "mixfunc", name, numbers, (*materials, function, functions))
 
 
 def _front_only(name: str, functions: str) -> str:

@@ -28,6 +28,7 @@ from radwrap.scene.targets import (
     DotBoard,
     EdgeTarget,
     MeshShape,
+    PatternTarget,
     PolygonShape,
     SphereShape,
     Surface,
@@ -35,6 +36,7 @@ from radwrap.scene.targets import (
     TubeShape,
     surfaces,
 )
+from radwrap.tracers.radiance_decals import painted, pattern_file, pattern_functions
 from radwrap.tracers.radiance_materials import (
     FUNCTIONS,
     MEASURED,
@@ -43,7 +45,6 @@ from radwrap.tracers.radiance_materials import (
     functions_beside,
     has_direction,
     number,
-    painted,
     placement,
     primitive,
 )
@@ -117,6 +118,8 @@ def scene_text(
         beside.update(data_files(f"{stem}.{name}", functions, material))
     parts += _materials(scene, stem)
     for target in scene.targets:
+        if isinstance(target, PatternTarget):
+            beside[pattern_file(functions, target)] = pattern_functions(target)
         parts += _target(target, scene.materials, stem, frame)
     return RadianceScene("\n".join(parts), beside, frame)
 
@@ -306,7 +309,7 @@ def _geometry(
     target: Target, pieces: tuple[Surface, ...], modifiers: Mapping[str, str], frame: TextFrame, stem: str
 ) -> Iterator[str]:
     """A target's surfaces; `modifiers` are those of its parts, which must stand before them."""
-    if isinstance(target, DotBoard | EdgeTarget):
+    if isinstance(target, DotBoard | EdgeTarget | PatternTarget):
         decal = next(surface.part for surface in pieces if surface.is_decal)
         both = f"both.{target.name}"
         yield painted(both, (modifiers[decal], modifiers["surface"]), _functions(stem), target, frame)

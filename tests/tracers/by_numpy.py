@@ -8,10 +8,11 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
 from radwrap.frames import Pose, aim, points_to_local
-from radwrap.scene.look.intersections import first_hit
+from radwrap.scene.look.intersections import first_hit, in_polygon
 from radwrap.scene.look.reflection import radiance_factor
 from radwrap.scene.look.superposed import summed, superposed
 from radwrap.scene.materials import Lambertian, Material, PerturbedNormal, PrintedImage, PrintedSheeting
+from radwrap.scene.patterns.marks import FlatDisc, Mark
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Emitter, Luminaire, Patch, WideSource
 from radwrap.scene.targets import (
@@ -20,6 +21,8 @@ from radwrap.scene.targets import (
     Disc,
     DotBoard,
     EdgeTarget,
+    Flat,
+    PatternTarget,
     Polygon,
     Sheet,
     Sphere,
@@ -109,9 +112,7 @@ def _unhidden(
         irradiance = emitter.radiant_intensity * emitter.relative_intensity_at(places) / away**2
         cosine = 1.0 if isinstance(emitter, Luminaire) else -(to_light @ np.asarray(emitter.axis))
         omega = math.pi * emitter.radius**2 * np.maximum(cosine, 0.0) / away**2
-        flat = (
-            omega if isinstance(target, Sheet | DotBoard | EdgeTarget | Polygon | Disc | Box) else np.zeros(len(away))
-        )
+        flat = omega if isinstance(target, Flat | Box) else np.zeros(len(away))
         if isinstance(target, Cylinder):  # its ends are flat
             flat = np.where(np.abs(normals @ np.asarray(target.pose.z_axis)) > 0.5, omega, 0.0)
         value = irradiance * _factor(
@@ -154,9 +155,20 @@ def _factor(
         centres = np.array([centre[:2] for _, _, centre in target.dot_centres()])
         near = np.linalg.norm(local[:, np.newaxis, :2] - centres, axis=2).min(axis=1) < target.dot_diameter / 2
         value = np.where(near, of(scene.materials[target.dot_material]), value)
+    if isinstance(target, PatternTarget):
+        on_mark = np.zeros(len(local), dtype=bool)
+        for mark in target.layout.marks():
+            on_mark |= _on(mark, local)
+        value = np.where(on_mark, of(scene.materials[target.pattern_material]), value)
     if isinstance(target, EdgeTarget):
         value = np.where(local[:, 0] > target.edge_position, of(scene.materials[target.edge_material]), value)
     return value
+
+
+def _on(mark: Mark, local: np.ndarray) -> np.ndarray:
+    if isinstance(mark, FlatDisc):
+        return np.hypot(local[:, 0] - mark.x, local[:, 1] - mark.y) < mark.radius
+    return in_polygon(np.array(mark.vertices), local[:, :2])
 
 
 def _printed(material: PrintedImage, target: Sheet, local: np.ndarray) -> np.ndarray:

@@ -26,6 +26,8 @@ from radwrap.scene.materials import (
     Specular,
 )
 from radwrap.scene.mesh import mesh_of
+from radwrap.scene.patterns.layouts import CircleGrid, Layout, SiemensStar
+from radwrap.scene.patterns.partition import partition
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import (
     Beam,
@@ -45,6 +47,7 @@ from radwrap.scene.targets import (
     DotBoard,
     EdgeTarget,
     MeshPart,
+    PatternTarget,
     Polygon,
     Sheet,
     Sphere,
@@ -114,10 +117,17 @@ def _part(name: str, pose: Pose, material: str) -> MeshPart:
     return MeshPart(name, pose, material, "hull.obj", "2" * 64, mesh_of(vertices, faces))
 
 
+def pattern(name: str, pose: Pose, material: str, layout: Layout) -> PatternTarget:
+    """Marks of a material on a plate of another."""
+    return PatternTarget(name, pose, "bulk", material, layout, partition(layout.marks(), layout.size))
+
+
 SHAPES: Mapping[str, Callable[[str, Pose, str], Target]] = {
     "sheet": lambda name, pose, material: Sheet(name, pose, material, 0.2, 0.15),
     "board": lambda name, pose, material: DotBoard(name, pose, "bulk", material, 3, 4, 0.04, 0.025, 0.01),
     "edge": lambda name, pose, material: EdgeTarget(name, pose, material, "bulk", 0.2, 0.15, 0.013),
+    "discs": lambda name, pose, material: pattern(name, pose, material, CircleGrid(3, 3, 0.03, 0.035, 0.01, True)),
+    "star": lambda name, pose, material: pattern(name, pose, material, SiemensStar(7, 0.18, 0.03, 0.01)),
     "polygon": lambda name, pose, material: Polygon(name, pose, material, _STAR),
     "disc": lambda name, pose, material: Disc(name, pose, material, 0.2),
     "sphere": lambda name, pose, material: Sphere(name, pose, material, 0.2),
@@ -281,7 +291,17 @@ def relative(found: np.ndarray, expected: np.ndarray) -> np.ndarray:
     return np.abs(found - expected) / np.maximum(np.maximum(expected, least), 1e-300)
 
 
-_LENGTHS = {"width", "height", "pitch", "dot_diameter", "margin", "edge_position", "diameter", "length"}
+_LENGTHS = {
+    "width",
+    "height",
+    "pitch",
+    "dot_diameter",
+    "margin",
+    "edge_position",
+    "diameter",
+    "length",
+    "inner_diameter",
+}
 
 
 def scaled(scene: Scene, factor: float, shift: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Scene:
@@ -308,6 +328,10 @@ def scaled(scene: Scene, factor: float, shift: tuple[float, float, float] = (0.0
                 changes["size"] = tuple(factor * side for side in value)
             elif field.name == "vertices":
                 changes["vertices"] = tuple((factor * x, factor * y) for x, y in value)
+            elif isinstance(old, PatternTarget) and field.name == "layout":
+                lengths = {one.name: getattr(value, one.name) * factor for one in fields(value) if one.name in _LENGTHS}
+                larger = replace(value, **lengths)
+                changes |= {"layout": larger, "partition": partition(larger.marks(), larger.size)}
             elif field.name == "mesh":
                 changes["mesh"] = mesh_of(value.vertices * factor, value.faces)
         return replace(old, **changes)

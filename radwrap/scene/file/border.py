@@ -167,6 +167,13 @@ class Placed(Model):
     """Order of the three turns, the first one first."""
 
 
+class TargetBase(Placed):
+    """What all targets have in common."""
+
+    name: Name | None = None
+    """Unique in the scene; default by its number."""
+
+
 class Aimed(Model):
     """Something that looks along its own z axis: by look_at (and up), or by rotation."""
 

@@ -15,6 +15,7 @@ from radwrap.scene.distortion import Distortion, bounded, opencv_distortion
 from radwrap.scene.file import document as tables
 from radwrap.scene.file.material_convert import check_places, material_from_table
 from radwrap.scene.file.optics_tables import LensModel
+from radwrap.scene.file.pattern_convert import pattern_target
 from radwrap.scene.file.poses import placed_pose, pose_of
 from radwrap.scene.file.sensor_tables import PixelsModel
 from radwrap.scene.file.sensor_values import sensor_from_table
@@ -57,9 +58,7 @@ def scene_from_model(
     sources = sources_from_tables(model.sources, camera.pose, assumed=assumed, origin=origin, folder=folder)
     target_names = _target_names(model, assumed)
     targets = tuple(
-        _part(table, name, f"{origin}: targets[{index}]", folder)
-        if isinstance(table, tables.PartModel)
-        else _target(table, name)
+        target_from_table(table, name, f"{origin}: targets[{index}]", folder)
         for index, (table, name) in enumerate(zip(model.targets, target_names, strict=True))
     )
     for kind, things in (("sources", sources), ("targets", targets)):
@@ -131,7 +130,7 @@ def _check_splitter(sources: tuple[Source, ...], targets: tuple[Target, ...], or
 
 def _check_materials(targets: tuple[Target, ...], materials: Mapping[str, object], origin: str) -> None:
     for index, target in enumerate(targets):
-        for key in ("material", "dot_material", "edge_material"):
+        for key in ("material", "dot_material", "edge_material", "pattern_material"):
             name = getattr(target, key, None)
             if name is not None and name not in materials:
                 raise InputError(
@@ -284,9 +283,18 @@ def _part(table: tables.PartModel, name: str, where: str, folder: Path) -> MeshP
     return MeshPart(name, placed_pose(table), table.material, table.part, told, mesh, order.closed)
 
 
-def _target(table: tables.TargetModel, name: str) -> Target:
+def target_from_table(table: tables.TargetModel, name: str, where: str, folder: Path) -> Target:
+    """Convert a validated entry of ``[[targets]]``.
+
+    Raises
+    ------
+    InputError
+        If its file cannot be read, or values that are right one by one do not go together.
+    """
     pose = placed_pose(table)
     match table:
+        case tables.PartModel():
+            return _part(table, name, where, folder)
         case tables.SheetModel():
             return Sheet(name, pose, table.material, *table.size)
         case tables.BoardModel():
@@ -315,4 +323,5 @@ def _target(table: tables.TargetModel, name: str) -> Target:
             return Box(name, pose, table.material, table.size)
         case tables.RadModel():
             return RadFile(name, pose, table.rad, table.length_unit)
-    raise TypeError(f"{type(table).__name__} is read with its file")
+        case _:
+            return pattern_target(table, name, where)

@@ -16,17 +16,24 @@ from radwrap.scene.file.border import (
     Model,
     Name,
     PixelPosition,
-    Placed,
     Point,
     Share,
     Size,
     SizeOrZero,
+    TargetBase,
     Wavelength,
     default,
     exactly_one,
 )
 from radwrap.scene.file.material_tables import MaterialModel
 from radwrap.scene.file.optics_tables import CurveModel, LensModel
+from radwrap.scene.file.pattern_tables import (
+    CharucoModel,
+    ChessboardModel,
+    CirclesModel,
+    SiemensStarModel,
+    Usaf1951Model,
+)
 from radwrap.scene.file.sensor_tables import AnySensorModel, GrayLevel
 from radwrap.scene.file.source_tables import SourceModel
 
@@ -169,13 +176,6 @@ class CameraModel(Aimed):
         if self.lens is None or self.lens.f_number is None:
             return self.aperture.diameter
         return self.focal_length / self.lens.f_number
-
-
-class TargetBase(Placed):
-    """What all targets have in common."""
-
-    name: Name | None = None
-    """Unique in the scene; default by its number."""
 
 
 class SheetModel(TargetBase):
@@ -335,6 +335,11 @@ TargetModel = Annotated[
     SheetModel
     | BoardModel
     | EdgeModel
+    | ChessboardModel
+    | CharucoModel
+    | CirclesModel
+    | SiemensStarModel
+    | Usaf1951Model
     | PolygonModel
     | DiscModel
     | SphereModel
@@ -344,6 +349,16 @@ TargetModel = Annotated[
     | RadModel,
     Field(discriminator="type"),
 ]
+
+
+class TargetFileModel(Model):
+    """A file that holds one target with a pattern, and nothing else."""
+
+    target: Annotated[
+        BoardModel | ChessboardModel | CharucoModel | CirclesModel | SiemensStarModel | Usaf1951Model,
+        Field(discriminator="type"),
+    ]
+    """Its table."""
 
 
 class TolerancesModel(Model):

@@ -111,7 +111,7 @@ def check_places(targets: tuple[Target, ...], materials: Mapping[str, Material],
         Naming the target's key.
     """
     for index, target in enumerate(targets):
-        for key in ("material", "dot_material", "edge_material"):
+        for key in ("material", "dot_material", "edge_material", "pattern_material"):
             material = materials.get(getattr(target, key, ""))
             for kind, fitting, why in _PLACES:
                 if isinstance(material, kind) and not isinstance(target, fitting):

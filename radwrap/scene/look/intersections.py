@@ -20,6 +20,7 @@ from radwrap.scene.targets import (
     EdgeTarget,
     Flat,
     MeshPart,
+    PatternTarget,
     Polygon,
     RadFile,
     Sheet,
@@ -107,7 +108,7 @@ def reached(among: Bounded, origin: Vector, rays: Array) -> Iterator[tuple[Targe
 def _reach(target: Target) -> float:
     """Radius of a sphere about a target's origin that holds it [m]."""
     match target:
-        case Sheet() | DotBoard() | EdgeTarget():
+        case Sheet() | DotBoard() | EdgeTarget() | PatternTarget():
             return math.hypot(target.width, target.height) / 2
         case Disc() | Sphere():
             return target.diameter / 2
@@ -160,7 +161,7 @@ def first_hit(target: Target, origins: Array, directions: Array) -> tuple[Array,
                 distance, normals = _box_hit(target, start, along)
             case MeshPart():
                 distance, normals = mesh_hit(target.mesh, start, along)
-            case Sheet() | DotBoard() | EdgeTarget() | Polygon() | Disc():
+            case Sheet() | DotBoard() | EdgeTarget() | PatternTarget() | Polygon() | Disc():
                 distance = -start[:, 2] / along[:, 2]
                 met = (distance > _START) & on_face(target, (start + distance[:, np.newaxis] * along)[:, :2])
                 distance = np.where(met, distance, math.inf)
@@ -179,7 +180,7 @@ def on_face(target: Flat, xy: Array) -> NDArray[np.bool_]:
             return in_polygon(np.asarray(target.vertices), xy)
         case Disc():
             inside = np.hypot(x, y) <= target.diameter / 2
-        case Sheet() | DotBoard() | EdgeTarget():
+        case Sheet() | DotBoard() | EdgeTarget() | PatternTarget():
             inside = (np.abs(x) <= target.width / 2) & (np.abs(y) <= target.height / 2)
         case _:
             assert_never(target)

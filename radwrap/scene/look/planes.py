@@ -24,6 +24,7 @@ from radwrap.scene.targets import (
     DotBoard,
     EdgeTarget,
     MeshPart,
+    PatternTarget,
     Polygon,
     PolygonShape,
     RadFile,
@@ -223,7 +224,7 @@ def _emitter_face(scene: Scene, owner: str, emitter: Emitter) -> _Face:
 def _faces(scene: Scene, target: Target) -> Iterator[_Face]:
     """Flat faces of a target, without those of meshes."""
     match target:
-        case Sheet() | DotBoard() | EdgeTarget():
+        case Sheet() | DotBoard() | EdgeTarget() | PatternTarget():
             corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (target.width / 2, target.height / 2)
         case Disc():
             corners = circle() * target.diameter / 2

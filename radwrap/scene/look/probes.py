@@ -18,6 +18,7 @@ from radwrap.frames import Vector
 from radwrap.scene.camera import Camera
 from radwrap.scene.look.geometry import SurfacePoints, directions
 from radwrap.scene.look.intersections import clamped, first_hit, nearest_point, on_face
+from radwrap.scene.patterns.marks import FlatDisc
 from radwrap.scene.sources import Beam, Emitter
 from radwrap.scene.targets import (
     Box,
@@ -27,6 +28,7 @@ from radwrap.scene.targets import (
     EdgeTarget,
     Flat,
     MeshPart,
+    PatternTarget,
     Polygon,
     RadFile,
     Sheet,
@@ -136,7 +138,7 @@ def _border(target: Target) -> Array:
         case Disc():
             angle = np.linspace(0, 2 * np.pi, 4 * _BORDER, endpoint=False)
             xy = np.column_stack([np.cos(angle), np.sin(angle)]) * target.diameter / 2
-        case Sheet() | DotBoard() | EdgeTarget() | Polygon():
+        case Sheet() | DotBoard() | EdgeTarget() | PatternTarget() | Polygon():
             corners = _corners(target)
             sides = np.roll(corners, -1, axis=0) - corners
             share = np.linspace(0, 1, _BORDER, endpoint=False)[:, np.newaxis, np.newaxis]
@@ -148,7 +150,7 @@ def _border(target: Target) -> Array:
     return border
 
 
-def _corners(target: Sheet | DotBoard | EdgeTarget | Polygon) -> Array:
+def _corners(target: Sheet | DotBoard | EdgeTarget | PatternTarget | Polygon) -> Array:
     if isinstance(target, Polygon):
         return np.asarray(target.vertices)
     return np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (target.width / 2, target.height / 2)
@@ -195,9 +197,11 @@ def hit_points(target: Target, origin: Vector, rays: Array) -> tuple[SurfacePoin
 def material_number(target: Target, points: Array) -> NDArray[np.intp]:
     """Which of its `materials_of` a target has at points of its surface, shape (n, 3) [m]."""
     number = np.zeros(len(points), dtype=np.intp)
-    if isinstance(target, DotBoard | EdgeTarget):
+    if isinstance(target, DotBoard | EdgeTarget | PatternTarget):
         local = (points - np.asarray(target.pose.position)) @ np.asarray(target.pose.rotation)
-        if isinstance(target, EdgeTarget):
+        if isinstance(target, PatternTarget):
+            number[target.partition.covered(local[:, :2])] = 1
+        elif isinstance(target, EdgeTarget):
             number[local[:, 0] > target.edge_position] = 1
         else:
             middle = np.array([target.columns - 1, target.rows - 1]) / 2
@@ -215,6 +219,8 @@ def materials_of(target: Target) -> tuple[str, ...]:
             return target.material, target.dot_material
         case EdgeTarget():
             return target.material, target.edge_material
+        case PatternTarget():
+            return target.material, target.pattern_material
         case Sheet() | Polygon() | Disc() | Sphere() | Cylinder() | Box() | MeshPart():
             return (target.material,)
 
@@ -257,13 +263,15 @@ def _flat_points(target: Flat) -> Array:
         case Disc():
             xy = _rectangle(np.full(2, -target.diameter / 2), np.full(2, target.diameter / 2))
             xy = xy * np.minimum(1.0, target.diameter / 2 / np.maximum(np.hypot(*xy.T), 1e-300))[:, np.newaxis]
-        case Sheet() | DotBoard() | EdgeTarget():
+        case Sheet() | DotBoard() | EdgeTarget() | PatternTarget():
             half = np.array([target.width, target.height]) / 2
             xy = _rectangle(-half, half)
         case _:
             assert_never(target)
     if isinstance(target, DotBoard):
         xy = np.vstack([xy, _dots(target)])
+    if isinstance(target, PatternTarget):
+        xy = np.vstack([xy, _marks(target)])
     if isinstance(target, EdgeTarget):
         x = target.edge_position + target.width * np.array([-1e-6, 1e-6])
         y = np.linspace(-target.height / 2, target.height / 2, _GRID)
@@ -283,6 +291,15 @@ def _dots(board: DotBoard) -> Array:
         for count in (board.columns, board.rows)
     )
     return np.stack(np.meshgrid(column, row), axis=-1).reshape(-1, 2) * board.pitch
+
+
+def _marks(target: PatternTarget) -> Array:
+    """A place within each mark; of many those of marks that are spread over the plate."""
+    marks = list(target.layout.marks())
+    chosen = marks[:: max(1, len(marks) // _MOST_DOTS**2)]
+    return np.array(
+        [(mark.x, mark.y) if isinstance(mark, FlatDisc) else np.mean(mark.vertices, axis=0).tolist() for mark in chosen]
+    )
 
 
 def _solid_points(target: Sphere | Cylinder | Box) -> tuple[Array, Array]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.scene.look.geometry import project
+from radwrap.scene.patterns.marks import narrowest_of
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import half_width
 from radwrap.scene.targets import (
@@ -19,6 +20,7 @@ from radwrap.scene.targets import (
     DotBoard,
     EdgeTarget,
     MeshPart,
+    PatternTarget,
     Polygon,
     RadFile,
     Sheet,
@@ -78,6 +80,8 @@ def narrowest(target: Target) -> float | None:
     match target:
         case DotBoard():
             return target.dot_diameter
+        case PatternTarget():
+            return min(map(narrowest_of, target.layout.marks()))
         case Sheet() | EdgeTarget():
             return min(target.width, target.height)
         case Disc() | Sphere():

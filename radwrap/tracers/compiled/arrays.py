@@ -51,6 +51,8 @@ BRDF: Final = 6  # numbers of incidence, viewing and azimuth angles
 # Kinds of what is painted on a flat target, and what its numbers a, b, c are.
 DOTS: Final = 0  # columns, rows, square of radius over pitch
 EDGE: Final = 1  # where the edge lies
+PATTERN: Final = 2  # where the nodes of its partition begin in the tables, places being in metres
+NODE: Final = 6  # numbers of a partition's node
 
 # Shapes of wide lights, and what `a`, `b` and `c` mean.
 WIDE_RECTANGLE: Final = 0  # width, height
@@ -182,11 +184,11 @@ class Decal:
     Attributes
     ----------
     kind : int
-        Dots, or all beyond an edge.
+        Dots, all beyond an edge, or a pattern.
     cover : int
         What it looks like.
     x, y, z, ux, uy, uz, vx, vy, vz : float
-        Middle of the target, its x and y, of dots over their pitch.
+        Middle of the target, its x and y, of dots over their pitch, of a pattern over a metre.
     a, b, c : float
         See the kinds.
     """

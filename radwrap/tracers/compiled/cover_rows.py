@@ -29,7 +29,7 @@ from radwrap.scene.materials import (
     Specular,
     TwoSided,
 )
-from radwrap.scene.targets import DotBoard, EdgeTarget, Sheet, Target, surfaces
+from radwrap.scene.targets import DotBoard, EdgeTarget, PatternTarget, Sheet, Target, surfaces
 from radwrap.tracers.compiled.arrays import (
     BEADS,
     BRDF,
@@ -38,6 +38,7 @@ from radwrap.tracers.compiled.arrays import (
     DOTS,
     EDGE,
     NOTHING,
+    PATTERN,
     TURNED_NORMAL,
     WARD,
     Cover,
@@ -79,10 +80,13 @@ class Wardrobe:
         materials = {surface.part: surface.material for surface in found}
         covers = {part: self._cover(target, part, name) for part, name in materials.items()}
         decal = -1
-        if isinstance(target, DotBoard | EdgeTarget):
+        if isinstance(target, DotBoard | EdgeTarget | PatternTarget):
             decal = len(self._decals)
             painted = next(cover for part, cover in covers.items() if part != "surface")
-            self._decals.append(_decal(target, painted, self.frame))
+            first = len(self.tables)
+            if isinstance(target, PatternTarget):
+                self.tables += target.partition.nodes.ravel().tolist()
+            self._decals.append(_decal(target, painted, first, self.frame))
         return [Piece(surface.shape, covers["surface"], decal) for surface in found if not surface.is_decal]
 
     @property
@@ -196,14 +200,19 @@ def _print(cover: NDArray[np.void], material: PrintedImage, target: Target, fram
     put(cover, "vx vy vz", np.array(target.pose.y_axis) / (target.height * frame.units))
 
 
-def _decal(target: DotBoard | EdgeTarget, painted: int, frame: TextFrame) -> NDArray[np.void]:
-    """What is painted on a target with that cover."""
+def _decal(
+    target: DotBoard | EdgeTarget | PatternTarget, painted: int, first: int, frame: TextFrame
+) -> NDArray[np.void]:
+    """What is painted on a target with that cover; a pattern's nodes begin at `first` in the tables."""
     decal = rows(Decal, 1)
     x, y = np.array(target.pose.x_axis), np.array(target.pose.y_axis)
     decal["cover"] = painted
     put(decal, "x y z", frame.point(target.pose.position))
     if isinstance(target, EdgeTarget):
         decal["kind"], decal["a"] = EDGE, target.edge_position * frame.units
+    elif isinstance(target, PatternTarget):
+        x, y = x / frame.units, y / frame.units
+        decal["kind"], decal["a"] = PATTERN, first
     else:
         pitch = target.pitch * frame.units
         x, y = x / pitch, y / pitch

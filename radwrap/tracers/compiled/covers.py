@@ -9,13 +9,16 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from radwrap.scene.patterns.partition import MARK
 from radwrap.tracers.compiled.arithmetic import angle_of, exponential
 from radwrap.tracers.compiled.arrays import (
     BEADS,
     BRUSHED,
     COEFFICIENTS,
     DOTS,
+    NODE,
     NOTHING,
+    PATTERN,
     TURNED_NORMAL,
     WARD,
     Cover,
@@ -34,8 +37,8 @@ _LEAST_SINES: Final = 1e-12  # of the squares, where an azimuth means nothing
 
 
 @compiled
-def painted(decals: Decals, cover: int, decal: int, x: float, y: float, z: float) -> int:
-    """The cover that a flat target shows at a place: its own, or that of its dots or of beyond its edge."""
+def painted(decals: Decals, tables: Floats, cover: int, decal: int, x: float, y: float, z: float) -> int:
+    """The cover that a flat target shows at a place: its own, or that of its dots, of beyond its edge, or its marks."""
     if decal < 0:
         return cover
     d = decals[decal]
@@ -44,9 +47,40 @@ def painted(decals: Decals, cover: int, decal: int, x: float, y: float, z: float
     if d.kind == DOTS:
         u, v = from_dot(across, d.a), from_dot(up, d.b)
         shown = d.c - u * u - v * v > 0
+    elif d.kind == PATTERN:
+        shown = is_marked(tables, int(d.a), across, up)
     else:
         shown = across - d.a > 0
     return d.cover if shown else cover
+
+
+@compiled
+def is_marked(tables: Floats, first: int, x: float, y: float) -> bool:
+    """Whether a pattern has a mark at a place of its plate [m], see `scene.patterns.partition`."""
+    number = 0
+    while number >= 0:
+        node = first + number * NODE
+        a, b, c = tables[node], tables[node + 1], tables[node + 2]
+        side = c - (x - a) * (x - a) - (y - b) * (y - b) if tables[node + 3] > 0 else a * x + b * y - c
+        number = int(tables[node + 4] if side > 0 else tables[node + 5])
+    return number == MARK
+
+
+@compiled
+def rim_beyond(tables: Floats, first: int, x: float, y: float, reach: float) -> bool:
+    """Whether no line or circle that a pattern asks about at a place comes within reach of it [m]."""
+    number = 0
+    while number >= 0:
+        node = first + number * NODE
+        a, b, c = tables[node], tables[node + 1], tables[node + 2]
+        if tables[node + 3] > 0:
+            side = math.sqrt(c) - math.sqrt((x - a) * (x - a) + (y - b) * (y - b))
+        else:
+            side = a * x + b * y - c
+        if abs(side) <= reach:
+            return False
+        number = int(tables[node + 4] if side > 0 else tables[node + 5])
+    return True
 
 
 @compiled

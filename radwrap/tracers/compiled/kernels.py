@@ -136,7 +136,7 @@ def trace(
         shape = shapes[number]
         x, y, z = ox + distance * dx, oy + distance * dy, oz + distance * dz
         nx, ny, nz = normal_at(shape, x, y, z)
-        cover = covers[painted(decals, shape.owner, shape.decal, x, y, z)]
+        cover = covers[painted(decals, tables, shape.owner, shape.decal, x, y, z)]
         if nx * dx + ny * dy + nz * dz > 0:
             if not cover.two_sided:
                 continue
@@ -275,6 +275,6 @@ def surfaces(
         elif met >= 0:
             shape = shapes[met]
             nx, ny, nz = normal_at(shape, x, y, z)
-            found[r] = painted(decals, shape.owner, shape.decal, x, y, z)
+            found[r] = painted(decals, tables, shape.owner, shape.decal, x, y, z)
         normals[r, 0], normals[r, 1], normals[r, 2] = nx, ny, nz
     return True

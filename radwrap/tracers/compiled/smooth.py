@@ -20,6 +20,7 @@ from radwrap.tracers.compiled.arrays import (
     DISC,
     DOTS,
     NOTHING,
+    PATTERN,
     RECTANGLE,
     TRIANGLE,
     WARD,
@@ -38,7 +39,7 @@ from radwrap.tracers.compiled.arrays import (
     rows,
 )
 from radwrap.tracers.compiled.compiler import compiled
-from radwrap.tracers.compiled.covers import from_dot, painted
+from radwrap.tracers.compiled.covers import from_dot, painted, rim_beyond
 from radwrap.tracers.compiled.intersect import closest
 from radwrap.tracers.compiled.kernels import placed
 from radwrap.tracers.compiled.layout import CompiledScene
@@ -105,6 +106,7 @@ def smooth_blocks(scene: CompiledScene, corners: Floats, middles: Floats) -> NDA
         scene.emitters.nodes,
         scene.covers,
         scene.decals,
+        scene.tables,
         scene.clusters,
         scene.wides,
         boxes,
@@ -190,7 +192,8 @@ def _met(
         place[r, 0], place[r, 1], place[r, 2] = ox + distance * dx, oy + distance * dy, oz + distance * dz
         if shape >= 0:
             met[r] = shape if disc < 0 else _EMITTER
-            cover[r] = painted(decals, shapes[shape].owner, shapes[shape].decal, place[r, 0], place[r, 1], place[r, 2])
+            x, y, z = place[r, 0], place[r, 1], place[r, 2]
+            cover[r] = painted(decals, tables, shapes[shape].owner, shapes[shape].decal, x, y, z)
 
 
 @compiled
@@ -214,6 +217,7 @@ def _undisturbed(
     disc_nodes: Nodes,
     covers: Covers,
     decals: Decals,
+    tables: Floats,
     clusters: Clusters,
     wides: Wides,
     boxes: Clusters,
@@ -242,7 +246,7 @@ def _undisturbed(
             proved = (
                 proved
                 and cover.kind == NOTHING
-                and _is_one_face(shapes[but], decals, middle[0], middle[1], middle[2], reach[b])
+                and _is_one_face(shapes[but], decals, tables, middle[0], middle[1], middle[2], reach[b])
             )
         # Of surfaces in one plane any may be seen.
         free = clear_between(shapes, nodes, box, ex, ey, ez, ex, ey, ez, but, not proved, stack)
@@ -272,14 +276,14 @@ def _undisturbed(
                 for axis in range(3):
                     quad[k, axis] = middle[axis] + (1 + _SPARE) * (places[b, k, axis] - middle[axis])
             is_plain = shapes[but].kind == TRIANGLE or _is_one_face(
-                shapes[but], decals, middle[0], middle[1], middle[2], reach[b]
+                shapes[but], decals, tables, middle[0], middle[1], middle[2], reach[b]
             )
             if is_plain and fills(shapes, nodes, quad, but, _NEAR * reach[b], stack, polygons):
                 found[b] = _LIKELY
 
 
 @compiled
-def _is_one_face(shape: Shape, decals: Decals, x: float, y: float, z: float, reach: float) -> bool:
+def _is_one_face(shape: Shape, decals: Decals, tables: Floats, x: float, y: float, z: float, reach: float) -> bool:
     """Whether a shape is flat and without notches, and nothing else is painted on it within reach of a place."""
     if shape.kind not in (TRIANGLE, RECTANGLE, DISC):
         return False
@@ -288,6 +292,9 @@ def _is_one_face(shape: Shape, decals: Decals, x: float, y: float, z: float, rea
     d = decals[shape.decal]
     px, py, pz = x - d.x, y - d.y, z - d.z
     across, up = px * d.ux + py * d.uy + pz * d.uz, px * d.vx + py * d.vy + pz * d.vz
+    if d.kind == PATTERN:
+        # Metres in place of the text's unit.
+        return rim_beyond(tables, int(d.a), across, up, reach * math.sqrt(d.ux * d.ux + d.uy * d.uy + d.uz * d.uz))
     if d.kind != DOTS:
         return abs(across - d.a) > reach * math.sqrt(d.ux * d.ux + d.uy * d.uy + d.uz * d.uz)
     # In pitches, of which there is one across and one up.

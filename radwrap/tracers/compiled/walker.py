@@ -89,6 +89,7 @@ class WalkingTracer:
         count = go_on(
             scene.targets.shapes,
             scene.decals,
+            scene.tables,
             *scene.frame.origin,
             float(scene.frame.units),
             rays,

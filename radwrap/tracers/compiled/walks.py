@@ -25,6 +25,7 @@ _UNIT: Final = 2.0**-53
 def go_on(
     shapes: Shapes,
     decals: Decals,
+    tables: Floats,
     x0: float,
     y0: float,
     z0: float,
@@ -43,7 +44,7 @@ def go_on(
 
     Parameters
     ----------
-    shapes, decals, x0, y0, z0, units, lengths, met
+    shapes, decals, tables, x0, y0, z0, units, lengths, met
         As `kernels.trace`.
     rays : ndarray, shape (n, 6)
         Of the walks' last steps, and of the next.
@@ -75,7 +76,7 @@ def go_on(
         nx, ny, nz = normal_at(shape, x, y, z)
         if nx * dx + ny * dy + nz * dz > 0:
             nx, ny, nz = -nx, -ny, -nz
-        cover, key = painted(decals, shape.owner, shape.decal, x, y, z), keys[r]
+        cover, key = painted(decals, tables, shape.owner, shape.decal, x, y, z), keys[r]
         (lx, ly, lz), weight = scattered(
             reflecting[cover, 0],
             reflecting[cover, 1],
