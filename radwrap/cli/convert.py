@@ -19,9 +19,11 @@ from radwrap.units import LENGTH, parse_quantity
 
 _DESCRIPTION = (
     "A scene becomes OUT.rad with its function and data files beside it, named OUT.* (oconv OUT.rad works in that "
-    "folder), OUT.vf (its central view), OUT.pov for POV-Ray 3.7, or OUT.glb, a preview of its shapes. A mesh (.stl, "
+    "folder), OUT.vf (its central view), OUT.pov for POV-Ray 3.7, or OUT.glb, a preview of its shapes. Of a scene, "
+    "or a file of one target alone, OUT.svg and OUT.pdf are the target to print, at its true size. A mesh (.stl, "
     ".obj, .ply, .off, .glb, .step) becomes OUT.rad, and what was repaired is told. So does a luminaire (.ies)."
 )
+_PRINTS: Final = (".svg", ".pdf")
 _MESHES: Final = (".stl", ".obj", ".ply", ".off", ".glb", ".step", ".stp")
 
 
@@ -32,7 +34,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         description=_DESCRIPTION,
     )
     shared.add_scene(parser)
-    parser.add_argument("out", metavar="OUT", help="file to write: .rad, .vf, .pov or .glb; of a mesh .rad")
+    parser.add_argument("out", metavar="OUT", help="file to write: .rad, .vf, .pov, .glb, .svg or .pdf; of a mesh .rad")
     parser.add_argument(
         "--length-unit",
         metavar="LENGTH",
@@ -44,6 +46,8 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument(
         "--polygons", action="store_true", help="a mesh as polygons in place of Radiance's compiled mesh"
     )
+    parser.add_argument("--paper", choices=("a4", "letter"), help="of a target to print (default a4)")
+    parser.add_argument("--target", metavar="NAME", help="to print, where a scene has several")
     shared.add_radiance(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)
@@ -64,6 +68,11 @@ def run(arguments: argparse.Namespace) -> int:
 
         _only_rad(out)
         return _told(write_luminaire(Path(arguments.scene), out, _radiance(arguments)), arguments)
+    if out.suffix in _PRINTS:
+        return _print(arguments)
+    for option in ("paper", "target"):
+        if getattr(arguments, option):
+            raise InputError("goes with a target to print", where=f"--{option}", remedy="end OUT in .svg or .pdf")
     scene = one_band(shared.load(arguments), "sources")
     # Each writer has its own libraries.
     match out.suffix:
@@ -85,9 +94,22 @@ def run(arguments: argparse.Namespace) -> int:
             written = write_preview(scene, out)
         case suffix:
             raise InputError(
-                f'cannot write "{suffix or out.name}"', where=str(out), remedy="end the name in .rad, .vf, .pov or .glb"
+                f'cannot write "{suffix or out.name}"',
+                where=str(out),
+                remedy="end the name in .rad, .vf, .pov, .glb, .svg or .pdf",
             )
     return _told(written, arguments)
+
+
+def _print(arguments: argparse.Namespace) -> int:
+    """A target as a file to print."""
+    from radwrap.convert.print_files import write_pdf, write_svg
+    from radwrap.scene.file.target_file import load_target
+
+    out = Path(arguments.out)
+    name, layout = load_target(arguments.scene, arguments.target, shared.overrides_of(arguments))
+    write = write_pdf if out.suffix == ".pdf" else write_svg
+    return _told(write(name, layout, out, arguments.paper or "a4"), arguments)
 
 
 def _told(written: tuple[Path, ...], arguments: argparse.Namespace) -> int:
