@@ -96,6 +96,7 @@ DOORS = {
         "calibrate/opencv_views.py": "projects, and calibrates from several views",
         "calibrate/opencv_solver.py": "the solver that Tsai's is held against, and whose models users have",
         "measure/compare.py": "registration of two images: phase correlation and ECC",
+        "measure/targets/opencv_detectors.py": "detectors of calibration targets",
         "measure/dots/overlay.py": "draws what was found",
         "measure/parts/overlay.py": "draws what was found",
         "measure/parts/raster.py": "labels, distances and hulls of masks",

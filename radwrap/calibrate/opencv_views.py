@@ -53,12 +53,17 @@ def opencv_start(
         np.ascontiguousarray(view.points * [1, 1, 0] if flat else view.points, dtype=np.float32) for view in views
     ]
     image = [np.ascontiguousarray(view.image, dtype=np.float32) for view in views]
+    # Several threads add up in the order in which they end: the same points would not give the same bytes.
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
     try:
         _, found, given, turns, places = cv2.calibrateCamera(points, image, size, matrix, coefficients, flags=flags)
     except cv2.error as error:
         raise InputError(
             f"calibrateCamera refused the points: {error.err}", where="OpenCV", remedy="look for wrong points"
         ) from error
+    finally:
+        cv2.setNumThreads(threads)
     camera = np.zeros(len(MATRIX) + len(COEFFICIENTS))
     camera[:4] = found[0, 0], found[1, 1], found[0, 2], found[1, 2]
     bent = np.ravel(given)[: len(COEFFICIENTS)]

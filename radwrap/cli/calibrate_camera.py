@@ -6,7 +6,9 @@ u to the right, v down. Results are in SI units, angles in degrees; the camera
 frame is x right, y down, z forward. One view gets Tsai's camera, R = Rz Ry Rx,
 Xu = Xd (1 + kappa1 r^2), and needs --pixel-width, --pixel-height and --centre.
 With a column ``view`` more the table holds several views of a target, and gets
-OpenCV's camera in pixels; it needs --image-size.
+OpenCV's camera in pixels; it needs --image-size. With --target the files are
+images, one a view, in which a detector looks for the target of FILE.toml, a
+scene or a target's own table (docs/targets.md).
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from radwrap.calibrate.tsai import SOLVERS, CameraCalibration, as_json, calibrat
 from radwrap.calibrate.views import MODELS
 from radwrap.cli import calibrate_views
 from radwrap.cli import options as shared
+from radwrap.cli.calibrate_images import DETECTORS
 from radwrap.errors import InputError
 from radwrap.manifest import json_text
 from radwrap.reading import FileKind, csv_rows, read_text, shortened, unusable
@@ -43,13 +46,26 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("points", metavar="POINTS.csv", help="columns x,y,z,u,v, or view,x,y,z,u,v")
+    parser.add_argument(
+        "points",
+        metavar="POINTS.csv | IMAGE",
+        nargs="+",
+        help="a table with columns x,y,z,u,v, or view,x,y,z,u,v; with --target images",
+    )
+    parser.add_argument("--target", metavar="FILE.toml", help="of images: what is seen in them")
+    parser.add_argument(
+        "--detector",
+        choices=DETECTORS,
+        help="of images: sb (default) or corners of a chessboard, charuco, dots (ours, default of a symmetric grid) or "
+        "circles (OpenCV's)",
+    )
+    parser.add_argument("--csv", metavar="FILE", help="of images: table of the points that were found")
     parser.add_argument("--pixel-width", metavar="LENGTH", help='of one view: such as "13.75 um"')
     parser.add_argument("--pixel-height", metavar="LENGTH", help='of one view: such as "16 um"')
     parser.add_argument(
         "--centre", metavar=("U", "V"), nargs=2, help="of one view: image centre [px]; a start value where free"
     )
-    parser.add_argument("--length-unit", choices=LENGTH.units, default="m", help="unit of x, y, z (default m)")
+    parser.add_argument("--length-unit", choices=LENGTH.units, help="of tables: unit of x, y, z (default m)")
     parser.add_argument("--solver", choices=SOLVERS, help="of one view: default tsai")
     parser.add_argument(
         "--free",
@@ -66,7 +82,11 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     )
     parser.add_argument("--model", choices=MODELS, help="of several views: distortion (default brown)")
     parser.add_argument(
-        "--image-size", metavar=("COLUMNS", "ROWS"), nargs=2, type=int, help="of several views: the sensor's pixels"
+        "--image-size",
+        metavar=("COLUMNS", "ROWS"),
+        nargs=2,
+        type=int,
+        help="of several views: the sensor's pixels; images tell theirs",
     )
     parser.add_argument(
         "--noise",
@@ -80,15 +100,26 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out the verb."""
-    views, points, image = read_points(Path(arguments.points), LENGTH.units[arguments.length_unit])
+    if arguments.target is not None:
+        return calibrate_views.of_images(arguments)
+    for name in ("detector", "csv"):
+        if getattr(arguments, name) is not None:
+            raise InputError(
+                "belongs to images", where=f"--{name}", remedy="name their target by --target, or leave it out"
+            )
+    table, *others = arguments.points
+    if others:
+        raise InputError("is one table too many", where=others[0], remedy="name the target of images by --target")
+    unit = LENGTH.units[arguments.length_unit or "m"]
+    views, points, image = read_points(Path(table), unit)
     if views is not None:
-        return calibrate_views.run(arguments, views, points, image)
+        return calibrate_views.of_table(arguments, views, points, image)
     for name in ("model", "image_size", "noise"):
         if getattr(arguments, name) is not None:
             raise InputError(
                 "belongs to a table of several views",
                 where=f"--{name.replace('_', '-')}",
-                remedy=f"give {arguments.points} a column view, or leave it out",
+                remedy=f"give {table} a column view, or leave it out",
             )
     for name in ("pixel_width", "pixel_height", "centre"):
         if getattr(arguments, name) is None:
@@ -112,7 +143,7 @@ def run(arguments: argparse.Namespace) -> int:
             sx=arguments.sx,
         )
     except InputError as error:
-        where = f"{arguments.points}: {error.where}" if error.where in _OF_POINTS else error.where
+        where = f"{table}: {error.where}" if error.where in _OF_POINTS else error.where
         raise InputError(error.what, where=where, remedy=error.remedy) from error
     told = {**as_json(found), "pixel_width": pixel_width, "pixel_height": pixel_height}
     print(json_text(told) if arguments.json else "\n".join(_lines(found)) + "\n", end="")

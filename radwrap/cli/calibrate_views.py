@@ -1,10 +1,14 @@
-"""``radwrap calibrate camera`` with a table of several views: columns ``view,x,y,z,u,v``."""
+"""``radwrap calibrate camera`` with several views: a table with columns ``view,x,y,z,u,v``, or images of a target."""
 
 from __future__ import annotations
 
 import argparse
+import csv
+import io
 import math
 from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -13,7 +17,10 @@ from numpy.typing import NDArray
 from radwrap.calibrate.projection_uncertainty import UncertaintyOverImage, uncertainty_over_image
 from radwrap.calibrate.several_views import ViewsCalibration, as_json, calibrate_views
 from radwrap.calibrate.views import CalibrationView
+from radwrap.cli import options as shared
+from radwrap.cli.calibrate_images import views_of
 from radwrap.errors import InputError
+from radwrap.files import write_bytes
 from radwrap.manifest import json_text
 
 # Options that only one view takes.
@@ -22,33 +29,85 @@ _OF_THE_FILE: Final = ("views", "view ", "OpenCV")  # how the places of errors b
 _LARGEST: Final = 1 << 16  # px
 
 
-def run(
+def of_table(
     arguments: argparse.Namespace, names: list[str], points: NDArray[np.float64], image: NDArray[np.float64]
 ) -> int:
     """Carry out the verb, on the lines of a table: their views, points [m], and pixels."""
+    _refuse_of_one_view(arguments)
+    size = _image_size(arguments)
+    if size is None:
+        raise InputError("is needed with a table of several views", where="--image-size", remedy="such as 2448 2048")
+    of, (table,) = np.array(names), arguments.points
+    with _placed(table):
+        views = [CalibrationView(points[of == name], image[of == name], name) for name in dict.fromkeys(names)]
+    return _told(arguments, views, size, table, {})
+
+
+def of_images(arguments: argparse.Namespace) -> int:
+    """Carry out the verb, on images of the target that --target names."""
+    _refuse_of_one_view(arguments)
+    if arguments.length_unit is not None:
+        raise InputError("belongs to a table", where="--length-unit", remedy="leave it out: the target has its units")
+    images = [Path(name) for name in arguments.points]
+    table = shared.file_to_write(arguments.csv, "--csv", others=[*images, arguments.target])
+    views, size, detector = views_of(images, Path(arguments.target), arguments.detector, _image_size(arguments))
+    if table is not None:
+        write_bytes(table, _csv(views).encode())
+    return _told(arguments, views, size, "images", {"target": arguments.target, "detector": detector})
+
+
+def _csv(views: list[CalibrationView]) -> str:
+    """The points as `of_table` reads them, in metres."""
+    text = io.StringIO()
+    lines = csv.writer(text, lineterminator="\n")
+    lines.writerow(("view", "x", "y", "z", "u", "v"))
+    for view in views:
+        for point, shown in zip(view.points.tolist(), view.image.tolist(), strict=True):
+            lines.writerow((view.name, *point, *shown))
+    return text.getvalue()
+
+
+def _refuse_of_one_view(arguments: argparse.Namespace) -> None:
     for name in OF_ONE_VIEW:
         if getattr(arguments, name) is not None:
             raise InputError(
                 "belongs to a table of one view", where=f"--{name.replace('_', '-')}", remedy="leave it out"
             )
+
+
+def _image_size(arguments: argparse.Namespace) -> tuple[int, int] | None:
     if arguments.image_size is None:
-        raise InputError("is needed with a table of several views", where="--image-size", remedy="such as 2448 2048")
+        return None
     columns, rows = arguments.image_size
     if not (0 < columns <= _LARGEST and 0 < rows <= _LARGEST):
         raise InputError(f"must be columns and rows, 1 to {_LARGEST}", where="--image-size")
-    order = dict.fromkeys(names)
-    of = np.array(names)
+    return columns, rows
+
+
+@contextmanager
+def _placed(origin: str) -> Iterator[None]:
+    """Errors within name the file, or the option."""
     try:
-        views = [CalibrationView(points[of == name], image[of == name], name) for name in order]
-        found = calibrate_views(views, (columns, rows), model=arguments.model or "brown", noise=arguments.noise)
-        near = float(np.mean([view.distance for view in found.views]))
-        over = [uncertainty_over_image(found, distance) for distance in (near, math.inf)]
+        yield
     except InputError as error:
         inside = error.where is not None and error.where.startswith(_OF_THE_FILE)
-        where = f"{arguments.points}: {error.where}" if inside else f"--{error.where}"
+        where = f"{origin}: {error.where}" if inside else f"--{error.where}"
         raise InputError(error.what, where=where, remedy=error.remedy) from error
+
+
+def _told(
+    arguments: argparse.Namespace,
+    views: list[CalibrationView],
+    size: tuple[int, int],
+    origin: str,
+    how: dict[str, Any],
+) -> int:
+    with _placed(origin):
+        found = calibrate_views(views, size, model=arguments.model or "brown", noise=arguments.noise)
+        near = float(np.mean([view.distance for view in found.views]))
+        over = [uncertainty_over_image(found, distance) for distance in (near, math.inf)]
     print(
-        json_text({**as_json(found), "projection_uncertainty": [_over(one) for one in over]})
+        json_text({**as_json(found), **how, "projection_uncertainty": [_over(one) for one in over]})
         if arguments.json
         else "\n".join(_lines(found, over)) + "\n",
         end="",

@@ -334,3 +334,9 @@ def test_a_wrong_table_names_its_place(tmp_path: Path, capsys: pytest.CaptureFix
     path.write_text("x,y,z,u,v\n1,2,3,4,5\n")
     assert "--image-size: belongs to a table of several views" in here(asked, capsys).stderr
     assert "--pixel-width: is needed" in here(asked[:3], capsys).stderr
+
+
+def test_the_same_points_give_the_same_bytes() -> None:
+    """OpenCV's threads would add up in any order."""
+    found = [calibrated("brown", 6, NOISE, 3) for _ in range(4)]
+    assert len({one.covariance.tobytes() + one.camera_matrix.tobytes() for one in found}) == 1

@@ -1,0 +1,174 @@
+"""``radwrap calibrate camera IMAGES... --target FILE``: views of a target by what detectors find in images."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Final, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.calibrate.views import CalibrationView
+from radwrap.errors import InputError
+from radwrap.images import GrayImage, read_gray
+from radwrap.measure.dots import DotsNotFound, find_dots
+from radwrap.measure.targets import CharucoBoard, PointsNotFound, charuco_corners, chessboard_corners, circle_centres
+from radwrap.progress import Progress
+from radwrap.scene.file.target_file import load_target
+from radwrap.scene.patterns.layouts import Charuco, Chessboard, CircleGrid, Layout
+from radwrap.scene.patterns.marks import Place
+
+Detector = Literal["sb", "corners", "charuco", "circles", "dots"]
+DETECTORS: Final[tuple[Detector, ...]] = get_args(Detector)
+Found = tuple[Sequence[Place], NDArray[np.float64]]
+_MOST_NAMED: Final = 3
+
+
+def views_of(
+    images: Sequence[Path], target: Path, detector: Detector | None, image_size: tuple[int, int] | None
+) -> tuple[list[CalibrationView], tuple[int, int], Detector]:
+    """Views as a table has them, from images.
+
+    Parameters
+    ----------
+    images : sequence of Path
+        One view each.
+    target : Path
+        A scene with the target, or the target's own file.
+    detector : str, optional
+        Default that of the target's kind.
+    image_size : tuple of int, optional
+        Columns and rows that all images must have.
+
+    Returns
+    -------
+    list of CalibrationView, tuple of int, str
+        Named as the images are; columns and rows; the detector.
+
+    Raises
+    ------
+    InputError
+        If an image cannot be read, stands twice or has another size, or nothing is found in some; it names them.
+    """
+    _, layout = load_target(target)
+    chosen = _detector(layout, detector, target)
+    find = _finder(layout, chosen, target)
+    _check_once(images)
+    found: list[CalibrationView] = []
+    failed: list[tuple[Path, PointsNotFound]] = []
+    progress = Progress("looking for the target", len(images))
+    try:
+        for path in images:
+            image = read_gray(path)
+            image_size = _same_size(path, image, images[0], image_size)
+            try:
+                places, shown = find(image)
+            except PointsNotFound as error:
+                failed.append((path, error))
+            except InputError as error:
+                raise InputError(error.what, where=error.where or str(path), remedy=error.remedy) from error
+            else:
+                points = np.column_stack([np.array(places), np.zeros(len(places))])
+                found.append(CalibrationView(points, shown, str(path)))
+            progress.add(1)
+    finally:
+        progress.close()
+    if failed:
+        raise _nothing_in(failed, len(images))
+    if image_size is None:
+        raise InputError("no image is given", where="IMAGES")
+    return found, image_size, chosen
+
+
+def _detector(layout: Layout, asked: Detector | None, target: Path) -> Detector:
+    fitting: tuple[Detector, ...]
+    match layout:
+        case Chessboard():
+            fitting = ("sb", "corners")
+        case Charuco():
+            fitting = ("charuco",)
+        case CircleGrid():
+            fitting = ("circles",) if layout.asymmetric else ("dots", "circles")
+        case _:
+            raise InputError(
+                f"a {type(layout).__name__} has no points that calibrate a camera",
+                where=f"--target {target}",
+                remedy="take a chessboard, a ChArUco board or a grid of circles",
+            )
+    if asked is not None and asked not in fitting:
+        raise InputError(
+            f'"{asked}" does not look for a {type(layout).__name__}',
+            where="--detector",
+            remedy=f"use {' or '.join(fitting)}",
+        )
+    return asked or fitting[0]
+
+
+def _finder(layout: Layout, detector: Detector, target: Path) -> Callable[[GrayImage], Found]:
+    """What finds the target's points in an image: their places on it [m], and their images [px]."""
+    match layout:
+        case Chessboard():
+            places = [place for *_, place in layout.corners()]
+            return lambda image: (
+                places,
+                chessboard_corners(image, layout.rows, layout.columns, sector_based=detector == "sb"),
+            )
+        case Charuco():
+            corners = [place for *_, place in layout.corners()]
+            share = layout.marker_size / layout.square_size
+            board = CharucoBoard(layout.rows, layout.columns, share, layout.dictionary, layout.first_marker)
+
+            def charuco(image: GrayImage) -> Found:
+                ids, shown = charuco_corners(image, board)
+                return [corners[number] for number in ids.tolist()], shown
+
+            return charuco
+        case CircleGrid():
+            centres = [place for *_, place in layout.centres()]
+            if detector == "dots":
+                return lambda image: (centres, _dots(image, layout))
+            return lambda image: (
+                centres,
+                circle_centres(image, layout.rows, layout.columns, asymmetric=layout.asymmetric),
+            )
+    raise TypeError(f"{target}: {type(layout).__name__} has no points")
+
+
+def _dots(image: GrayImage, grid: CircleGrid) -> NDArray[np.float64]:
+    if image.values.min() == image.values.max():
+        raise PointsNotFound("shows one gray level everywhere", remedy="look at how it was taken")
+    try:
+        return find_dots(
+            image, grid.rows, grid.columns, method="conic", pitch=grid.pitch, dot_diameter=grid.dot_diameter
+        ).centres
+    except DotsNotFound as error:
+        raise PointsNotFound(error.what, remedy=error.remedy) from error
+
+
+def _check_once(images: Sequence[Path]) -> None:
+    seen: set[Path] = set()
+    for path in images:
+        if (place := path.resolve()) in seen:
+            raise InputError("stands there twice", where=str(path), remedy="give each image once")
+        seen.add(place)
+
+
+def _same_size(path: Path, image: GrayImage, first: Path, size: tuple[int, int] | None) -> tuple[int, int]:
+    rows, columns = image.values.shape
+    if size is None or size == (columns, rows):
+        return columns, rows
+    due = f"{size[0]} x {size[1]}"
+    raise InputError(
+        f"has {columns} x {rows} pixels, not {due} as {first if path != first else '--image-size'} says",
+        where=str(path),
+        remedy="one camera's images have one size",
+    )
+
+
+def _nothing_in(failed: Sequence[tuple[Path, PointsNotFound]], images: int) -> InputError:
+    names = ", ".join(str(path) for path, _ in failed[:_MOST_NAMED])
+    more = f" and {len(failed) - _MOST_NAMED} more" if len(failed) > _MOST_NAMED else ""
+    (_, first), *_ = failed
+    whole = f" ({len(failed)} of {images} images)" if images > 1 else ""
+    return InputError(f"{first.what}{whole}", where=f"{names}{more}", remedy=f"{first.remedy}, or leave them out")
