@@ -13,7 +13,7 @@ import argparse
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +23,10 @@ from radwrap.errors import InputError
 from radwrap.images import GrayImage
 from radwrap.imaging.truth import geometry
 from radwrap.measure.dots import find_dots
-from radwrap.measure.targets import CharucoBoard, charuco_corners, chessboard_corners, circle_centres
+from radwrap.measure.targets import CharucoBoard, ChessboardMethod, charuco_corners, chessboard_corners, circle_centres
 
 TARGETS: Final = Path(__file__).parents[1] / "rad_scenes" / "targets"
+NAMES: Final = ("chessboard", "charuco", "circles", "circles_asymmetric")
 TOLERANCE: Final = 0.7  # gray level rms, below the noise
 TILT: Final = 40.0  # degrees at most
 Points = NDArray[np.float64]
@@ -68,11 +69,11 @@ def detectors(scene: radwrap.Scene) -> dict[str, Callable[[GrayImage], tuple[Poi
     match type(layout).__name__:
         case "Chessboard":
             return {
-                "sb": lambda image: (chessboard_corners(image, layout.rows, layout.columns), true),
-                "corners": lambda image: (
-                    chessboard_corners(image, layout.rows, layout.columns, sector_based=False),
+                method: lambda image, method=method: (
+                    chessboard_corners(image, layout.rows, layout.columns, method),
                     true,
-                ),
+                )
+                for method in get_args(ChessboardMethod)
             }
         case "Charuco":
             share = layout.marker_size / layout.square_size
@@ -145,11 +146,12 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--views", type=int, default=13)
+    parser.add_argument("--targets", nargs="+", choices=NAMES, default=NAMES)
     parser.add_argument("--noise", type=float, default=1.0)
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     result = {}
-    for name in ("chessboard", "charuco", "circles", "circles_asymmetric"):
+    for name in arguments.targets:
         result[name] = measured(name, arguments.views, arguments.noise)
         for detector, told in result[name].items():
             u, v = told["bias_px"]

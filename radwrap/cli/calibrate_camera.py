@@ -56,8 +56,8 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument(
         "--detector",
         choices=DETECTORS,
-        help="of images: sb (default) or corners of a chessboard, charuco, dots (ours, default of a symmetric grid) or "
-        "circles (OpenCV's)",
+        help="of images: refined (default), sb or corners of a chessboard, charuco, dots (ours, default of a symmetric "
+        "grid) or circles (OpenCV's)",
     )
     parser.add_argument("--csv", metavar="FILE", help="of images: table of the points that were found")
     parser.add_argument("--pixel-width", metavar="LENGTH", help='of one view: such as "13.75 um"')

@@ -13,13 +13,20 @@ from radwrap.calibrate.views import CalibrationView
 from radwrap.errors import InputError
 from radwrap.images import GrayImage, read_gray
 from radwrap.measure.dots import DotsNotFound, find_dots
-from radwrap.measure.targets import CharucoBoard, PointsNotFound, charuco_corners, chessboard_corners, circle_centres
+from radwrap.measure.targets import (
+    CharucoBoard,
+    ChessboardMethod,
+    PointsNotFound,
+    charuco_corners,
+    chessboard_corners,
+    circle_centres,
+)
 from radwrap.progress import Progress
 from radwrap.scene.file.target_file import load_target
 from radwrap.scene.patterns.layouts import Charuco, Chessboard, CircleGrid, Layout
 from radwrap.scene.patterns.marks import Place
 
-Detector = Literal["sb", "corners", "charuco", "circles", "dots"]
+Detector = Literal["refined", "sb", "corners", "charuco", "circles", "dots"]
 DETECTORS: Final[tuple[Detector, ...]] = get_args(Detector)
 Found = tuple[Sequence[Place], NDArray[np.float64]]
 _MOST_NAMED: Final = 3
@@ -85,7 +92,7 @@ def _detector(layout: Layout, asked: Detector | None, target: Path) -> Detector:
     fitting: tuple[Detector, ...]
     match layout:
         case Chessboard():
-            fitting = ("sb", "corners")
+            fitting = ("refined", "sb", "corners")
         case Charuco():
             fitting = ("charuco",)
         case CircleGrid():
@@ -110,10 +117,8 @@ def _finder(layout: Layout, detector: Detector, target: Path) -> Callable[[GrayI
     match layout:
         case Chessboard():
             places = [place for *_, place in layout.corners()]
-            return lambda image: (
-                places,
-                chessboard_corners(image, layout.rows, layout.columns, sector_based=detector == "sb"),
-            )
+            method: ChessboardMethod = detector if detector in ("sb", "corners") else "refined"
+            return lambda image: (places, chessboard_corners(image, layout.rows, layout.columns, method))
         case Charuco():
             corners = [place for *_, place in layout.corners()]
             share = layout.marker_size / layout.square_size

@@ -1,12 +1,21 @@
 """OpenCV's detectors on pictures whose points are known."""
 
+from typing import get_args
+
 import numpy as np
 import pytest
 
 from radwrap.errors import InputError
 from radwrap.images import GrayImage
 from radwrap.imaging.pattern_truth import ellipse_centres, true_points
-from radwrap.measure.targets import CharucoBoard, PointsNotFound, charuco_corners, chessboard_corners, circle_centres
+from radwrap.measure.targets import (
+    CharucoBoard,
+    ChessboardMethod,
+    PointsNotFound,
+    charuco_corners,
+    chessboard_corners,
+    circle_centres,
+)
 from radwrap.scene.patterns.layouts import Charuco, Chessboard, CircleGrid
 from radwrap.scene.scene import Scene
 from radwrap.scene.targets import PatternTarget
@@ -32,15 +41,15 @@ def close(found: np.ndarray, true: np.ndarray, most: tuple[float, float]) -> boo
 
 
 @pytest.mark.parametrize("tilt", TILTS, ids=["upright", "turned"])
-@pytest.mark.parametrize("sector_based", [True, False], ids=["sectors", "corners"])
-def test_corners_of_a_chessboard(tilt: tuple[float, float, float], sector_based: bool) -> None:
+@pytest.mark.parametrize("method", get_args(ChessboardMethod))
+def test_corners_of_a_chessboard(tilt: tuple[float, float, float], method: ChessboardMethod) -> None:
     """Of 7 x 10 squares a half turn is told by the colour of the first."""
     scene = scene_with("chessboard", tilt)
     target = target_of(scene)
     assert isinstance(target.layout, Chessboard)
     true = true_points(scene.camera, target, [place for *_, place in target.layout.corners()])
-    found = chessboard_corners(picture(scene), 7, 10, sector_based=sector_based)
-    assert close(found, true.image, SECTORS if sector_based else CORNERS)
+    found = chessboard_corners(picture(scene), 7, 10, method)
+    assert close(found, true.image, SECTORS if method == "sb" else CORNERS)
 
 
 def test_corners_of_a_charuco_board_of_which_a_part_is_seen() -> None:
@@ -70,7 +79,7 @@ def test_circles_are_found_at_the_centres_of_their_ellipses(name: str) -> None:
 def test_more_bits_are_brought_to_eight() -> None:
     image = picture(scene_with("chessboard", TILTS[0]))
     dim = GrayImage(image.values * 3 + 100, 12)
-    found = [chessboard_corners(one, 7, 10, sector_based=False) for one in (image, dim)]
+    found = [chessboard_corners(one, 7, 10) for one in (image, dim)]
     assert np.abs(found[0] - found[1]).max() < 0.05  # px: other rounding
 
 

@@ -6,10 +6,18 @@ centres of the discs themselves, not of their images.
 
 from radwrap.measure.targets.opencv_detectors import (
     CharucoBoard,
+    ChessboardMethod,
     PointsNotFound,
     charuco_corners,
     chessboard_corners,
     circle_centres,
 )
 
-__all__ = ["CharucoBoard", "PointsNotFound", "charuco_corners", "chessboard_corners", "circle_centres"]
+__all__ = [
+    "CharucoBoard",
+    "ChessboardMethod",
+    "PointsNotFound",
+    "charuco_corners",
+    "chessboard_corners",
+    "circle_centres",
+]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,7 +51,10 @@ class CharucoBoard:
     first_marker: int
 
 
-def chessboard_corners(image: GrayImage, rows: int, columns: int, *, sector_based: bool = True) -> Points:
+ChessboardMethod = Literal["refined", "sb", "corners"]
+
+
+def chessboard_corners(image: GrayImage, rows: int, columns: int, method: ChessboardMethod = "refined") -> Points:
     """Inner corners of a chessboard, row by row from its dark top left square.
 
     A board that looks the same after a turn may be taken as turned so.
@@ -62,8 +65,9 @@ def chessboard_corners(image: GrayImage, rows: int, columns: int, *, sector_base
         The whole board in view, with some light about it.
     rows, columns : int
         Squares, at least 3 each.
-    sector_based : bool
-        Whether by ``findChessboardCornersSB``, else by ``findChessboardCorners`` with ``cornerSubPix``.
+    method : str
+        ``sb``: by ``findChessboardCornersSB``. ``corners``: by ``findChessboardCorners`` with ``cornerSubPix``.
+        ``refined``: found as by ``sb``, placed by ``cornerSubPix``.
 
     Returns
     -------
@@ -81,7 +85,7 @@ def chessboard_corners(image: GrayImage, rows: int, columns: int, *, sector_base
         raise InputError(f"a board of {rows} x {columns} squares", remedy="OpenCV needs 3 rows and columns at least")
     codes = _eight_bits(image)
     size = (columns - 1, rows - 1)
-    if sector_based:
+    if method != "corners":
         flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
         seen, found = cv2.findChessboardCornersSB(codes, size, flags=flags)
     else:
@@ -89,7 +93,7 @@ def chessboard_corners(image: GrayImage, rows: int, columns: int, *, sector_base
     if not seen or found is None:
         raise _not_found(f"the {size[1]} x {size[0]} inner corners of a chessboard")
     corners = np.asarray(found, dtype=np.float64).reshape(-1, 2)
-    if not sector_based:
+    if method != "sb":
         corners = _refined(codes, corners, size)
     return _from_dark_square(image.values, corners, size)
 
