@@ -3,7 +3,8 @@
 ::
 
     opencv   xd = x (1 + k1 r^2 + k2 r^4 + k3 r^6)/(1 + k4 r^2 + k5 r^4 + k6 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2)
-             yd = likewise in y, with p1 (r^2 + 2 y^2) + 2 p2 x y;  r of the undistorted x, y
+                  + s1 r^2 + s2 r^4
+             yd = likewise in y, with p1 (r^2 + 2 y^2) + 2 p2 x y + s3 r^2 + s4 r^4;  r of the undistorted x, y
     tsai     x  = xd (1 + kappa1 rd^2), y likewise;  rd of the distorted xd, yd: it undistorts
 
 Either is given one way and inverted by Newton's method, and each place found is put in again. Where it folds over
@@ -28,6 +29,8 @@ Array = NDArray[np.float64]
 Bent = tuple[Array, Array, Array]
 Model = Literal["opencv", "tsai"]
 
+_PLAIN: Final = 8  # coefficients of OpenCV's without a thin prism
+_OPENCV: Final = 12
 _DIRECTIONS: Final = 72
 _SCAN: Final = 400  # steps of the radius in which a fold is looked for
 _CHECKED: Final = 10  # steps of the radius between places that are inverted when a scene is read
@@ -49,7 +52,8 @@ class Distortion:
     model : str
         "opencv" or "tsai".
     coefficients : tuple of float
-        k1, k2, p1, p2, k3, k4, k5, k6, in OpenCV's order; or kappa1 f^2.
+        k1, k2, p1, p2, k3, k4, k5, k6, in OpenCV's order, and s1, s2, s3, s4 of a thin prism where there is one; or
+        kappa1 f^2.
     limit : float
         Radius in the undistorted image up to which the formula holds [f].
     distorted_limit : float
@@ -96,7 +100,7 @@ class Distortion:
 
     def opencv(self, x: Array, y: Array) -> Bent:
         """Distorted places of undistorted ones, and derivatives, shape (2, 2, n)."""
-        k1, k2, p1, p2, k3, k4, k5, k6 = self.coefficients
+        k1, k2, p1, p2, k3, k4, k5, k6, *prism = self.coefficients
         s = x * x + y * y
         above, below = 1 + s * (k1 + s * (k2 + s * k3)), 1 + s * (k4 + s * (k5 + s * k6))
         radial = above / below
@@ -111,12 +115,20 @@ class Distortion:
                 [cross, radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x],
             ]
         )
+        if prism:
+            s1, s2, s3, s4 = prism
+            xd += s * (s1 + s * s2)
+            yd += s * (s3 + s * s4)
+            jacobian += 2 * np.array(
+                [[(s1 + 2 * s2 * s) * x, (s1 + 2 * s2 * s) * y], [(s3 + 2 * s4 * s) * x, (s3 + 2 * s4 * s) * y]]
+            )
         return xd, yd, jacobian
 
 
 def opencv_distortion(values: tuple[float, ...]) -> Distortion:
-    """Distortion by up to eight coefficients in OpenCV's order: k1, k2, p1, p2, k3, k4, k5, k6."""
-    return Distortion("opencv", (*values, *(0.0,) * (8 - len(values))))
+    """Distortion by up to twelve coefficients in OpenCV's order: k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4."""
+    count = _OPENCV if any(values[_PLAIN:]) else _PLAIN
+    return Distortion("opencv", (*values, *(0.0,) * (count - len(values)))[:count])
 
 
 def bounded(distortion: Distortion, corner: float, where: str) -> Distortion:

@@ -21,6 +21,7 @@ SAME = 1e-9  # px, asked for
 # The matrix of a conic of 1e-3 of its distance loses half the digits to its smallest entry.
 CONIC = 1e-7  # px
 BENT = {"model": "opencv", "k1": -0.25, "k2": 0.08, "p1": 1e-3, "p2": -8e-4, "k3": 0.01}
+PRISM = BENT | {"s1": 0.02, "s2": -0.01, "s3": -0.015, "s4": 0.02}
 POINTS = {
     "chessboard": ("corners", 6 * 9),
     "charuco": ("corners", 4 * 6),
@@ -51,7 +52,7 @@ def by_opencv(scene: Scene, told: dict[str, Any], places: np.ndarray) -> np.ndar
     return np.asarray(cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, bent)[0]).reshape(-1, 2)
 
 
-@pytest.mark.parametrize("distortion", [None, BENT], ids=["straight", "bent"])
+@pytest.mark.parametrize("distortion", [None, BENT, PRISM], ids=["straight", "bent", "prism"])
 @pytest.mark.parametrize("name", POINTS)
 def test_points_are_where_opencv_projects_them(name: str, distortion: dict[str, Any] | None) -> None:
     scene = scene_of(name, **({} if distortion is None else {"camera.distortion": distortion}))

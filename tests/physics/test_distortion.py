@@ -23,6 +23,7 @@ FOCAL_PX = 5000.0
 SETS: dict[str, tuple[float, ...]] = {
     "barrel": (-0.25, 0.08, 1e-3, -8e-4, 0.01),
     "pincushion": (0.3, -0.1, 0.0, 0.0),
+    "prism": (-0.2, 0.05, 1e-3, -5e-4, 0.0, 0.0, 0.0, 0.0, 0.02, -0.01, -0.015, 0.02),
     "rational": (-0.3, 0.1, 1e-3, 1e-3, 0.0, 0.05, -0.02, 0.01),
 }
 PITCH, COLUMNS, ROWS = 5e-5, 160, 120
@@ -66,6 +67,18 @@ def test_where_newton_goes_astray_the_round_trip_is_exact_too(values: tuple[floa
     assert np.hypot(u, v).max() <= distortion.limit * (1 + 1e-9)
     assert (ratio > 0).all()
     assert np.abs(by_opencv(u, v, values) - np.column_stack([x, y])).max() * FOCAL_PX < ROUND_TRIP
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_areas_change_as_the_places_do(name: str) -> None:
+    """Derivatives of the places, by central differences that are off by the square of their step."""
+    distortion, step = opencv_distortion(SETS[name]), 1e-6
+    x, y = places(0.4)
+    found = distortion.opencv(x, y)[2]
+    for column, (right, down) in enumerate(((step, 0.0), (0.0, step))):
+        ahead, behind = (distortion.opencv(x + sign * right, y + sign * down) for sign in (1, -1))
+        for row in (0, 1):
+            assert np.abs((ahead[row] - behind[row]) / (2 * step) - found[row, column]).max() < 1e-8
 
 
 def test_a_place_that_no_direction_has_is_refused_by_name() -> None:
@@ -273,6 +286,27 @@ distortion_coefficients: { rows: 1, cols: 5, data: [-0.25, 0.08, 0.001, -0.0008,
     assert cameras[0] == cameras[1]
 
 
+def test_our_own_calibration_of_a_thin_prism_is_read(tmp_path: Path) -> None:
+    """As `radwrap calibrate camera --model thin_prism --json` writes it."""
+    told = {
+        "model": "thin_prism",
+        "image_width": 160,
+        "image_height": 120,
+        "camera_matrix": [[201.0, 0.0, 77.3], [0.0, 200.0, 61.9], [0.0, 0.0, 1.0]],
+        "distortion_coefficients": list(SETS["prism"]),
+    }
+    (tmp_path / "camera.json").write_text(json.dumps(told))
+    camera = radwrap.scene_from_document(document(calibration="camera.json"), folder=tmp_path).camera
+    assert camera.distortion is not None and camera.distortion.coefficients == SETS["prism"]
+    random = np.random.default_rng(3)
+    local = np.column_stack([random.uniform(-0.3, 0.3, (50, 2)), np.ones(50)])
+    expected, _ = cv2.projectPoints(
+        local, np.zeros(3), np.zeros(3), np.array(told["camera_matrix"]), np.array(SETS["prism"])
+    )
+    world = np.asarray(camera.pose.position) + local @ np.asarray(camera.pose.rotation).T
+    assert project(camera, world)[0] == pytest.approx(np.asarray(expected).reshape(-1, 2), abs=ROUND_TRIP)
+
+
 def test_our_own_calibration_overlays_its_points_pose_included(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -310,7 +344,7 @@ BAD_FILES: dict[str, tuple[dict[str, Any], str]] = {
     "text": ({"camera_matrix": "wide"}, "is no matrix of numbers"),
     "nan": ({"camera_matrix": np.array([[np.nan, 0, 80], [0, 200, 60], [0, 0, 1]])}, "not finite"),
     "negative": ({"camera_matrix": np.array([[-200.0, 0, 80], [0, -200, 60], [0, 0, 1]])}, "not above zero"),
-    "prism": ({"distortion_coefficients": np.full((1, 12), 0.01)}, "thin prism or tilt"),
+    "tilt": ({"distortion_coefficients": np.full((1, 14), 0.01)}, "a tilted sensor"),
     "fisheye": ({"distortion_model": "equidistant"}, '"equidistant" is not expressed'),
     "sample's fisheye": ({"fisheye_model": 1}, '"fisheye" is not expressed'),
     "no fisheye": ({"fisheye_model": 0, "distortion_coefficients": np.array([[-3.0, 0, 0, 0, 0]])}, "folds the image"),

@@ -26,7 +26,7 @@ _POSE: Final = ("position", "translation", "look_at", "rotation", "up", "rotatio
 # Pixels of a data sheet and a calibration's focal lengths differ by less, else one of them is of another camera.
 _SAME_SHAPE: Final = 0.02
 _SAME_PITCH: Final = 1e-6
-_OPENCV: Final = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+_OPENCV: Final = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4")
 
 
 def with_calibration(document: Mapping[str, Any], origin: str, folder: Path) -> Mapping[str, Any]:

@@ -31,7 +31,7 @@ _NESTING: Final = re.compile(
 )
 _MODEL: Final = "distortion_model"
 _REMEDY: Final = "give OpenCV's YAML or the JSON of `radwrap calibrate camera --json`"
-_MOST_COEFFICIENTS: Final = 8  # of those that OpenCV names in its order, further ones are of thin prisms and tilts
+_MOST_COEFFICIENTS: Final = 12  # of those that OpenCV names in its order; further ones are of a tilted sensor
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,7 @@ class Intrinsics:
     centre : tuple of float
         Principal point, column and row [px].
     coefficients : tuple of float
-        OpenCV's k1, k2, p1, p2, k3, k4, k5, k6; empty where kappa1 is given.
+        OpenCV's k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, as far as told; empty where kappa1 is given.
     kappa1 : float or None
         Tsai's [m^-2].
     focal_length : float or None
@@ -169,7 +169,7 @@ def _opencv(text: str) -> Intrinsics:
     if matrix[1]:
         raise InputError("its camera matrix has a skew, which is not expressed")
     if any(bend[_MOST_COEFFICIENTS:]):
-        raise InputError("its thin prism or tilt coefficients are not expressed", remedy="calibrate without them")
+        raise InputError("its coefficients of a tilted sensor are not expressed", remedy="calibrate without them")
     fx, _, cx, _, fy, cy = matrix[:6]
     return Intrinsics((fx, fy), (cx, cy), tuple(bend[:_MOST_COEFFICIENTS]), None, None, 1.0, size, None, None)
 

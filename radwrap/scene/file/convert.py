@@ -225,7 +225,8 @@ def _distortion(table: tables.CameraModel, centre: tuple[float, float], where: s
     if told.kappa1 is not None:
         found = Distortion("tsai", (told.kappa1 * f**2,))
     else:
-        values = (told.k1, told.k2, told.p1, told.p2, told.k3, told.k4, told.k5, told.k6)
+        radial_and_tangential = (told.k1, told.k2, told.p1, told.p2, told.k3, told.k4, told.k5, told.k6)
+        values = (*radial_and_tangential, told.s1, told.s2, told.s3, told.s4)
         found = opencv_distortion(tuple(value or 0.0 for value in values))
     if not any(found.coefficients):
         return None

@@ -89,6 +89,14 @@ class DistortionModel(Model):
     """Coefficient of r^4 in the radial formula's denominator."""
     k6: BendNumber | None = None
     """Coefficient of r^6 in the radial formula's denominator."""
+    s1: BendNumber | None = None
+    """Thin prism: what moves x by r^2."""
+    s2: BendNumber | None = None
+    """Thin prism: what moves x by r^4."""
+    s3: BendNumber | None = None
+    """Thin prism: what moves y by r^2."""
+    s4: BendNumber | None = None
+    """Thin prism: what moves y by r^4."""
     kappa1: Curvature | None = None
     """Tsai's coefficient, x = xd (1 + kappa1 rd^2)."""
 
