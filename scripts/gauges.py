@@ -1,6 +1,6 @@
 """How far the gauges' numbers may be trusted: random pictures of known geometry, by gauge and by blur.
 
-Usage: gauges.py [--scenes 200] [--frames 20] [--seed 2] [--json FILE]
+Usage: gauges.py [--scenes 200] [--frames 20] [--seed 2] [--gauges circle width ...] [--blurs 0 1 2] [--json FILE]
 
 Each scene is drawn with its blur (.3 to 1, 1 to 2, 2 to 5 px), size, place, levels and noise; a quarter of them each
 has uneven light, a neighbour that touches, or a half-tone rim narrower than the blur. z is the error over the standard
@@ -34,6 +34,7 @@ BLURS: Final = ((0.3, 1.0), (1.0, 2.0), (2.0, 5.0))
 SIDE: Final = 128  # px, at most
 FINE: Final = 8  # places a side in each pixel
 GAUGES: Final = ("circle", "width", "line", "stripe")
+WRONG: Final = "wrong"  # the second part, as --gauges names it
 
 
 @dataclass
@@ -292,18 +293,21 @@ def main() -> int:
     parser.add_argument("--scenes", type=int, default=200, help="of each gauge, in all classes of blur together")
     parser.add_argument("--frames", type=int, default=20)
     parser.add_argument("--seed", type=int, default=2, help="1 was used while the gauges were made")
+    parser.add_argument("--gauges", nargs="+", choices=(*GAUGES, WRONG), default=(*GAUGES, WRONG))
+    parser.add_argument("--blurs", nargs="+", type=int, choices=range(len(BLURS)), default=range(len(BLURS)))
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     result: dict[str, Any] = {}
-    for kind in GAUGES:
-        for span in BLURS:
+    for kind in (gauge for gauge in GAUGES if gauge in given.gauges):
+        for span in (BLURS[number] for number in given.blurs):
             told = campaign(kind, span, math.ceil(given.scenes / len(BLURS)), given.frames, given.seed).told()
             result[f"{kind} {span[0]:g} to {span[1]:g} px"] = told
             print(_line(kind, span, told), flush=True)
             for name, rms in told["others_rms"].items():
                 print(f"        {name}: rms {rms:.3f} px, median {told['others_median'][name]:+.3f}")
     counts: Counter[str] = Counter()
-    for name, warned, total in wrong_models(given.seed, max(given.scenes // 5, 1)):
+    wrong = wrong_models(given.seed, max(given.scenes // 5, 1)) if WRONG in given.gauges else ()
+    for name, warned, total in wrong:
         counts[name] = warned
         result[f"warned of {name}"] = warned / total
         print(f"{name}: {warned} of {total} warned of, or refused")

@@ -133,6 +133,11 @@ def test_some_tiles_stand_for_all(tmp_path: Path) -> None:
     assert 1 / 1.5 < found.rays / made.rays < 1.5
 
 
+def test_a_shutter_that_never_opens_is_forecast_without_a_warning() -> None:
+    cost = forecast(scene(**{"camera.exposure_time": "0 s"}), radwrap.RenderOptions(workers=1), started=0.0)
+    assert 0 < cost.seconds < 60 and cost.rays > 0
+
+
 def test_parts_add_up_and_a_run_takes_about_as_long(tmp_path: Path) -> None:
     cost = forecast(scene(4), radwrap.RenderOptions(workers=1), started=1.0)
     assert cost.seconds == pytest.approx(sum(cost.parts.values())) and cost.parts["start"] == 1.0

@@ -309,5 +309,6 @@ def comparison_seconds(work: Work, plan: Plan, number: int) -> float:
     sensor, block = plan.camera.sensor, block_of(plan)
     rows = min(sensor.rows, max(-(-_STRIP // sensor.columns), 8 * block[0]))
     images = np.ones((number, rows, sensor.columns), dtype=np.float32)
-    strip = Replicates(images / work.view.exposure_of_radiance, 0.0, 0, 0, block)
+    # Which radiance does not matter where no light is collected.
+    strip = Replicates(images / (work.view.exposure_of_radiance or 1.0), 0.0, 0, 0, block)
     return timed(lambda: (strip.mean, discretisation(work.view, strip))) * sensor.rows / rows
