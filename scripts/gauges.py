@@ -172,6 +172,8 @@ def _straight(kind: str, dice: np.random.Generator, blur: float, levels: tuple[f
         line = measure_line(image, caliper, stripe=kind == "stripe")
         if line.width is not None and line.width_sigma is not None:
             return line.width, line.width_sigma, bool(line.warnings)
+        if kind == "stripe":
+            raise InputError(line.warnings[-1], where="the image")
         (a, b), (c, d) = line.centre, centre
         return (a - c) * math.cos(angle) + (b - d) * math.sin(angle), line.position_sigma, bool(line.warnings)
 

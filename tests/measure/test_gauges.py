@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import doctest
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import astuple
 from types import ModuleType
 from typing import Any
@@ -36,6 +36,7 @@ from radwrap.measure.gauges import circle as circle_gauge
 from radwrap.measure.gauges import region as region_gauge
 from radwrap.measure.gauges import straight as straight_gauge
 from radwrap.measure.gauges import uniformity as uniformity_gauge
+from radwrap.measure.gauges.narrow import lookalike
 from tests.measure.pictures import any_picture, edge_picture, noisy, ring_picture, stripe_picture
 
 Array = NDArray[np.float64]
@@ -321,12 +322,67 @@ def test_standard_errors_of_lines_are_those_of_repeated_frames(kind: str) -> Non
     assert not honest(z / 2) and not honest(z * 2)
 
 
-def test_a_stripe_hardly_wider_than_its_blur_is_warned_of() -> None:
-    light = stripe_picture((60, 80), 0.3, 42.0, 3.2, blur=3.6, levels=(30.0, 190.0))
+def cumulants(width: float, blur: float) -> tuple[float, float]:
+    """Variance and fourth cumulant of a box blurred by a disc, by numbers."""
+    x = np.linspace(-1, 1, 200_001)
+    box = np.ones_like(x) / x.size
+    disc = np.sqrt(1 - x**2)
+    disc /= disc.sum()
+    second = [float(part @ (size * x) ** 2) for part, size in ((box, width / 2), (disc, blur))]
+    fourth = [float(part @ (size * x) ** 4) for part, size in ((box, width / 2), (disc, blur))]
+    return sum(second), sum(m4 - 3 * m2**2 for m2, m4 in zip(second, fourth, strict=True))
+
+
+@pytest.mark.parametrize(("width", "blur"), [(8.0, 4.0), (5.0, 1.2), (3.0, 4.0)])
+def test_two_pairs_of_width_and_blur_look_alike(width: float, blur: float) -> None:
+    found = lookalike(width, blur)
+    assert found is not None and abs(found[0] - width) > 0.1
+    assert cumulants(*found) == pytest.approx(cumulants(width, blur), rel=1e-4)
+    again = lookalike(*found)
+    assert again is not None and again == pytest.approx((width, blur))
+
+
+def test_a_wide_stripe_looks_like_no_other() -> None:
+    """At a width of sqrt(30) blurs the other one has none."""
+    assert lookalike(math.sqrt(30) + 0.01, 1.0) is None
+    found = lookalike(math.sqrt(30) - 0.01, 1.0)
+    assert found is not None and found[0] < 0.5
+
+
+def stripe_frames(width: float, blur: float, bright: float, number: int) -> Iterator[GrayImage]:
+    light = stripe_picture((60, 80), 0.3, 42.0, width, blur=blur, levels=(30.0, bright))
     dice = np.random.default_rng(2)
-    for _ in range(4):
-        found = measure_line(GrayImage(noisy(light, dice)), StraightCaliper(MIDDLE, 0.3, 24, 12), stripe=True)
-        assert found.warnings != ()
+    return (GrayImage(noisy(light, dice)) for _ in range(number))
+
+
+def test_a_stripe_that_looks_like_another_has_no_width_but_a_middle() -> None:
+    caliper = StraightCaliper(MIDDLE, 0.3, 24, 14)
+    faint = list(stripe_frames(7.4, 3.3, 90.0, 3))
+    for image in faint:
+        line = measure_line(image, caliper, stripe=True)
+        assert (line.width, line.width_sigma, line.width_by_rendering) == (None, None, None)
+        assert "the width is not known" in line.warnings[-1] and line.inside == "bright"
+        middle = line.centre[0] * math.cos(0.3) + line.centre[1] * math.sin(0.3)
+        assert middle == pytest.approx(42, abs=5 * line.position_sigma)
+    with pytest.raises(InputError, match="does not tell the width"):
+        measure_width(faint[0], caliper)
+    # Of more light the same stripe is known.
+    for image in stripe_frames(7.4, 3.3, 220.0, 3):
+        line = measure_line(image, caliper, stripe=True)
+        assert line.width is not None and abs(line.width - 7.4) < 5 * (line.width_sigma or 0) < 0.2
+
+
+def test_the_standard_error_holds_where_width_and_blur_hang_together() -> None:
+    """At 1.74 blurs light does not depend on the width to first order, and slopes tell nothing of its error."""
+    caliper = StraightCaliper(MIDDLE, 0.3, 24, 14)
+    z = []
+    for image in stripe_frames(6.1, 3.5, 190.0, 24):
+        line = measure_line(image, caliper, stripe=True)
+        if line.width is not None and line.width_sigma is not None:
+            assert 0.01 < line.width_sigma < 1.0
+            z.append((line.width - 6.1) / line.width_sigma)
+    assert len(z) >= 12
+    assert 0.4 < np.std(z) < 1.6 and np.abs(z).max() < 4.5
 
 
 def test_edges_that_are_not_parallel_are_warned_of() -> None:

@@ -10,6 +10,7 @@
     what a pixel sees of a blurred step                 step
     least squares in a strip along the contour          strip
     the same without neighbours, with errors            contour
+    two rims whose blurs run into each other            narrow
     pixels -> lengths                                   scale
     the gauges                                          circle, straight_fit, straight, region, uniformity
 """

@@ -65,6 +65,10 @@ class Contour:
         Mean light of either side.
     influence : ndarray, shape (k, n)
         What an error of one gray level in each pixel of the strip does to the parameters.
+    strip : Strip
+        Pixels that were fitted.
+    noise : float
+        Variance of their weighted residuals, with what neighbours have in common.
     residual_rms : float
         What the fit leaves [light].
     pixels : int
@@ -84,6 +88,8 @@ class Contour:
     low: float
     high: float
     influence: Array = field(repr=False)
+    strip: Strip = field(repr=False)
+    noise: float
     residual_rms: float
     pixels: int
     left_out: float
@@ -95,9 +101,7 @@ class Contour:
         return float(np.abs(weights @ self.influence).sum())
 
 
-def fit_contour(
-    light: Light, shape: Shape, blur: float, band: float, aspect: float, *, reach: float | None = None
-) -> Contour:
+def fit_contour(light: Light, shape: Shape, blur: float, band: float, aspect: float) -> Contour:
     """Fit a shape to the light of an image.
 
     Parameters
@@ -112,8 +116,6 @@ def fit_contour(
         The contour is not looked for farther away than this [px].
     aspect : float
         Height of a pixel over its width.
-    reach : float, optional
-        How far from the contour pixels are fitted [px]; default by the blur.
 
     Raises
     ------
@@ -123,15 +125,15 @@ def fit_contour(
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(1):  # of tall narrow matrices: threads would wait for one another most of the time
-        return _fitted(light, shape, max(blur, NARROWEST), band, aspect=aspect, reach=reach)
+        return _fitted(light, shape, max(blur, NARROWEST), band, aspect)
 
 
-def _fitted(light: Light, shape: Shape, blur: float, band: float, *, aspect: float, reach: float | None) -> Contour:
+def _fitted(light: Light, shape: Shape, blur: float, band: float, aspect: float) -> Contour:
     """Rounds of strip, weights and outliers, until pixels no longer come and go."""
     parameters, noise = shape.start, (0.0, 0.0)
     for _ in range(_ROUNDS):
         before = parameters, blur
-        strip = _strip(light, shape, parameters, min(reach or blur + BEYOND, band), aspect)
+        strip = _strip(light, shape, parameters, min(blur + BEYOND, band), aspect)
         state = solved(shape, _weighted(strip, shape, before, noise), *before)
         keep, left_out = _kept(shape, state)
         if left_out > 1 - LEAST_CONTOUR:
@@ -271,7 +273,8 @@ def _told(shape: Shape, light: Light, strip: Strip, state: State, left_out: floa
     # Rounding is noise of its own, also where a still image shows none.
     rounding = (QUANTISATION if is_whole(light) else 0.0) * (strip.slope * strip.weight) ** 2
     factor = variance_factor(across, state.rims[0].along, state.residual)
-    covariance = (inverse * np.maximum(variance, rounding)) @ inverse.T * factor
+    noise = np.maximum(variance, rounding) * factor
+    covariance = (inverse * noise) @ inverse.T
     low, high = _levels(strip, state)
     if abs(high - low) < _FAINTEST / float(np.median(strip.weight)):
         raise InputError("shows no contour above its noise", where="the image", remedy="raise contrast or exposure")
@@ -284,6 +287,8 @@ def _told(shape: Shape, light: Light, strip: Strip, state: State, left_out: floa
         low=low,
         high=high,
         influence=inverse[:count] * (strip.weight * strip.slope),
+        strip=strip,
+        noise=float(noise.mean()),
         residual_rms=float(np.sqrt(np.mean((state.residual / strip.weight) ** 2))),
         pixels=strip.light.size,
         left_out=left_out,

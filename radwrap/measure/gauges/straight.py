@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from radwrap.errors import InputError
 from radwrap.images import GrayImage
 from radwrap.measure.gauges.calipers import Side, StraightCaliper
 from radwrap.measure.gauges.contour import BEYOND, Contour
@@ -21,6 +22,7 @@ from radwrap.measure.gauges.straight_fit import StraightGauge
 
 Array = NDArray[np.float64]
 
+_REMEDY: Final = "measure the blur at a single edge near it, or average frames"
 _NOT_PARALLEL: Final = 5.0  # standard errors
 _SLANT: Final = 0.05  # px over the caliper's length, below which two edges count as parallel
 
@@ -43,7 +45,7 @@ class Line:
     position_sigma, position_by_rendering : float
         Across the line at the centre [px].
     width, width_sigma, width_by_rendering : float or None
-        Of a stripe [px].
+        Of a stripe [px]; None where a wider one with less blur, or the reverse, looks alike in this noise.
     bright_side : str or None
         "positive" where u cos + v sin > offset is bright, else "negative"; None of a stripe.
     inside : str or None
@@ -175,8 +177,14 @@ def measure_line(
     gauge = StraightGauge.of(image, caliper, response, pixel_aspect)
     if stripe:
         both = gauge.pair(way)
-        fit = gauge.stripe_fit(both, way)
-        return _line(gauge, fit, way, None, both.inside)
+        stripe_fit = gauge.stripe_fit(both, way)
+        if isinstance(stripe_fit, PointFit):
+            return _line(gauge, stripe_fit, way, None, both.inside)
+        line = _line(gauge, stripe_fit.fit, way, None, both.inside)
+        if stripe_fit.in_doubt is None:
+            return line
+        told = f"the width is not known: {stripe_fit.in_doubt}: {_REMEDY}"
+        return replace(line, width=None, width_sigma=None, width_by_rendering=None, warnings=(*line.warnings, told))
     rising = None if bright_side is None else bright_side == "positive"
     found = gauge.crossings(rising, way)
     fit = gauge.edge_fit(found, way, caliper.band + 2)
@@ -237,7 +245,11 @@ def measure_width(
     blur = max(both.low.width, both.high.width) * 2
     if gap < 2 * (blur + BEYOND) and plane is None:
         fit = gauge.stripe_fit(both, way)
-        return _width(gauge, [fit], both.inside, None, way)
+        if isinstance(fit, PointFit):
+            return _width(gauge, [fit], both.inside, None, way)
+        if fit.in_doubt is not None:
+            raise InputError(f"does not tell the width: {fit.in_doubt}", where="the image", remedy=_REMEDY)
+        return _width(gauge, [fit.fit], both.inside, None, way)
     fits = [gauge.edge_fit(one, way, min(caliper.band, gap / 2)) for one in (both.low, both.high)]
     return _width(gauge, fits, both.inside, plane, way)
 

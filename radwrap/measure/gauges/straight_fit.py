@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from radwrap.errors import InputError
 from radwrap.images import GrayImage
 from radwrap.measure.gauges.calipers import Side, StraightCaliper
-from radwrap.measure.gauges.contour import BEYOND, Contour, fit_contour
+from radwrap.measure.gauges.contour import Contour, fit_contour
+from radwrap.measure.gauges.narrow import NarrowFit, fit_narrow
 from radwrap.measure.gauges.points import PointFit, fit_points, robust_line
 from radwrap.measure.gauges.response import Light, Response, light_of
 from radwrap.measure.gauges.rims import Shape
@@ -23,12 +24,6 @@ Array = NDArray[np.float64]
 
 _FEWEST_SHARE: Final = 0.3  # of the scan lines, that must cross the edge
 _LARGEST_TURN: Final = math.radians(30)  # between the caliper and the edge
-_NARROW: Final = 4.0  # widths of blur
-_TOO_NARROW: Final = 1.3  # widths of blur; fits of random stripes that went wrong ended below
-_SWAPPED: Final = 0.85  # of twice the blur, the width of the stripe that looks alike
-_SAME: Final = 0.02  # of the width
-_CERTAIN: Final = 100.0  # variances; beyond that no other fit counts
-_AS_GOOD: Final = 1.01  # times the residual: of a thousand pixels chance makes as much in one of thousands
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,7 +113,7 @@ class StraightGauge:
             return fit_points(shape, points)
         return fit_contour(self.light, shape, 2 * found.width, band, self.aspect)
 
-    def stripe_fit(self, both: Pair, way: Way) -> Contour | PointFit:
+    def stripe_fit(self, both: Pair, way: Way) -> NarrowFit | PointFit:
         """Shift, turn and width of a stripe."""
         first, points = self.start(both.low)
         second, others = self.start(both.high)
@@ -126,44 +121,10 @@ class StraightGauge:
         shape = stripe_shape(self.centre, self.angle, self.length, start)
         if way != "model":
             return _stripe_points(shape, points, others)
-        fit = self._stripe(start, both.low.width + both.high.width)
-        shift, turn, width = fit.parameters
-        if width > _NARROW * fit.blur:
-            return fit
-        # A narrow stripe with much blur looks much like a wide one with little: whichever fits better.
-        starts = (width, fit.blur), (_SWAPPED * 2 * fit.blur, width / 2 / _SWAPPED)
-        # As far from the middle for both: of the same pixels residuals can be held against each other.
-        extent = width / 2 + max(blur for _, blur in starts) + BEYOND
-        fits = [self._stripe(np.array([shift, turn, size]), blur, extent - size / 2) for size, blur in starts]
-        best, worse = sorted(fits, key=lambda one: one.residual_rms)
-        apart = abs(best.parameters[2] - worse.parameters[2]) > _SAME * width
-        best = _unsure(best, worse)
-        if apart and worse.residual_rms < _AS_GOOD * best.residual_rms:
-            told = (
-                f"a width of {abs(worse.parameters[2]):.3g} px with a blur of {worse.blur:.3g} px fits nearly as well"
-            )
-            return replace(best, warnings=(*best.warnings, told))
-        if best.parameters[2] < _TOO_NARROW * best.blur:
-            told = "the stripe is hardly wider than its blur: a wider one with less blur looks much alike"
-            return replace(best, warnings=(*best.warnings, told))
-        return best
+        return fit_narrow(shape, both.low.width + both.high.width, self._contour)
 
-    def _stripe(self, start: Array, blur: float, reach: float | None = None) -> Contour:
-        shape = stripe_shape(self.centre, self.angle, self.length, start)
-        return fit_contour(self.light, shape, blur, self.lines.half_length, self.aspect, reach=reach)
-
-
-def _unsure(best: Contour, other: Contour) -> Contour:
-    """The better of two fits, whose width may as well be the other's, by how likely noise makes that fit worse.
-
-    Where their sums of squares differ by d variances the other one holds the truth with a chance of
-    1/(1 + exp(d/2)); that chance times the square of their distance adds to the variance.
-    """
-    further = best.pixels * (other.residual_rms**2 / max(best.residual_rms**2, 1e-300) - 1)
-    chance = 1 / (1 + math.exp(min(further, _CERTAIN) / 2))
-    covariance = best.covariance.copy()
-    covariance[2, 2] += chance * (best.parameters[2] - other.parameters[2]) ** 2
-    return replace(best, covariance=covariance)
+    def _contour(self, shape: Shape, blur: float) -> Contour:
+        return fit_contour(self.light, shape, blur, self.lines.half_length, self.aspect)
 
 
 def _stripe_points(shape: Shape, low: Array, high: Array) -> PointFit:

@@ -1,0 +1,206 @@
+"""What pixels tell of the width between two rims whose blurs run into each other.
+
+Light across them is a box of width w blurred by a disc of radius b, at a contrast that is not known either. Its
+variance V = w^2/12 + b^2/4 is seen well. Its fourth cumulant is -(w^4/120 + b^4/16), which with x = w^2/12 is
+-(1.2 x^2 + (V - x)^2): the same for x and for V/1.1 - x. So a second pair of width and blur looks much alike, where
+V/1.1 > x, and where both pairs come close the light hardly depends on x at all: a standard error by the slopes there is
+wrong. Hence the width's likelihood is followed, as far as five standard errors, and the second pair is held against the
+same pixels.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.measure.gauges.contour import Contour
+from radwrap.measure.gauges.rims import Rim, Shape
+from radwrap.measure.gauges.strip import NARROWEST, State, Strip, jacobian_of, solved
+
+Array = NDArray[np.float64]
+
+EXCLUDED: Final = 25.0  # variances: what fits worse by five standard errors is out
+_TRIES: Final = 3  # of a better fit
+_BETTER: Final = 0.5  # variances, by which another fit must be better to be followed
+_FAR: Final = 2.5  # standard errors by the slopes
+_SQUARE: Final = 0.2  # of the squared distance, by which the likelihood's fall may differ: then the slopes are right
+_STEPS: Final = 24  # of a walk to one side
+_SMALL_RISE: Final = 1.0  # variances a step; the next is twice as long
+_LARGE_RISE: Final = 9.0  # the same; the step is made again, half as long
+_LONGEST: Final = 0.1  # of the width, of a step
+_FINE: Final = 2000  # places of the likelihood's integral
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """A width, the radius of blur that suits it, and by how much both fit worse than the best.
+
+    Attributes
+    ----------
+    width, blur : float
+        [px]
+    rise : float
+        Of the sum of squares, in variances.
+    """
+
+    width: float
+    blur: float
+    rise: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NarrowFit:
+    """A fit of two rims, and what else its pixels may show.
+
+    Attributes
+    ----------
+    fit : Contour
+        Whose last parameter is the width; its covariance holds the whole likelihood of the width.
+    other : Trial or None
+        That is not excluded: the width is then not known.
+    """
+
+    fit: Contour
+    other: Trial | None = None
+
+    @property
+    def in_doubt(self) -> str | None:
+        """What cannot be told apart; None where the width is known."""
+        if self.other is None:
+            return None
+        return (
+            f"{self.fit.parameters[-1]:.3g} px with a blur of {self.fit.blur:.3g} px fits best, but "
+            f"{self.other.width:.3g} px with {self.other.blur:.3g} px only {math.sqrt(max(self.other.rise, 0)):.1f} "
+            "standard errors worse"
+        )
+
+
+def lookalike(width: float, blur: float) -> tuple[float, float] | None:
+    """Width and blur that give light across two rims the same variance and fourth cumulant; None where none do.
+
+    Parameters
+    ----------
+    width, blur : float
+        Distance of the rims and radius of the disc [px].
+    """
+    share = width**2 / 12
+    total = share + blur**2 / 4
+    there = total / 1.1 - share
+    return (math.sqrt(12 * there), 2 * math.sqrt(total - there)) if there > 0 else None
+
+
+def fit_narrow(shape: Shape, blur: float, fitted: Callable[[Shape, float], Contour]) -> NarrowFit:
+    """Fit two rims, and hold the fit against all others that the same pixels may show.
+
+    Parameters
+    ----------
+    shape : Shape
+        Of two rims; its last parameter is their distance [px].
+    blur : float
+        Radius of the disc of blur to begin with [px].
+    fitted : callable
+        Shape and blur to begin with -> fit.
+    """
+    for _ in range(_TRIES):
+        fit = fitted(shape, blur)
+        width = float(fit.parameters[-1])
+        alike = lookalike(width, fit.blur)
+        if alike is None:
+            return NarrowFit(fit)
+        best = solved(shape, fit.strip, fit.parameters, fit.blur)
+        nodes = _nodes(shape, fit, best)
+        second = solved(shape, fit.strip, np.append(fit.parameters[:-1], alike[0]), alike[1])
+        there = Trial(float(second.parameters[-1]), second.blur, (second.cost - best.cost) / fit.noise)
+        better = min([*nodes, there], key=lambda node: node.rise)
+        if better.rise > -_BETTER:
+            seen = nodes[0].width <= there.width <= nodes[-1].width
+            other = None if seen or there.rise > EXCLUDED else there
+            return NarrowFit(_spread_out(shape, fit, best, nodes), other)
+        shape, blur = replace(shape, start=np.append(fit.parameters[:-1], better.width)), better.blur
+    # Of other pixels another one is better, again and again.
+    return NarrowFit(fit, better)
+
+
+def _nodes(shape: Shape, fit: Contour, best: State) -> list[Trial]:
+    """Widths in order, of which the first and the last are out, or the best one and one far off on either side."""
+    middle = Trial(float(fit.parameters[-1]), fit.blur, 0.0)
+    far = _FAR * math.sqrt(fit.covariance[-1, -1])
+    if far < _LONGEST * middle.width:
+        ends = [_at(shape, fit, best, middle.width + side * far, fit.parameters[:-1])[0] for side in (-1, 1)]
+        if all(abs(end.rise / _FAR**2 - 1) < _SQUARE for end in ends):
+            return [ends[0], middle, ends[1]]
+    walks = [_walk(shape, fit, best, side) for side in (-1.0, 1.0)]
+    return [*reversed(walks[0]), middle, *walks[1]]
+
+
+def _walk(shape: Shape, fit: Contour, best: State, side: float) -> list[Trial]:
+    """Widths to one side, until one is out."""
+    middle = float(fit.parameters[-1])
+    longest = _LONGEST * middle
+    step = min(math.sqrt(fit.covariance[-1, -1]), longest)
+    most = math.sqrt(middle**2 + 3 * fit.blur**2)
+    found: list[Trial] = []
+    width, before, parameters = middle, 0.0, fit.parameters[:-1]
+    for _ in range(_STEPS):
+        there = width + side * step
+        if not NARROWEST < there < most:
+            break
+        node, moved = _at(shape, fit, best, there, parameters)
+        if node.rise - before > _LARGE_RISE and step > 1e-3 * longest:
+            step /= 2
+            continue
+        found.append(node)
+        if node.rise > EXCLUDED:
+            break
+        if node.rise - before < _SMALL_RISE:
+            step = min(2 * step, longest)
+        width, before, parameters = there, node.rise, moved
+    return found
+
+
+def _at(shape: Shape, fit: Contour, best: State, width: float, parameters: Array) -> tuple[Trial, Array]:
+    """The best fit of a width, and its other parameters."""
+    # Of the same variance across the rims.
+    blur = math.sqrt(max(fit.blur**2 + (fit.parameters[-1] ** 2 - width**2) / 3, NARROWEST**2))
+    state = solved(_of_width(shape, width), fit.strip, parameters, blur)
+    return Trial(width, state.blur, (state.cost - best.cost) / fit.noise), state.parameters
+
+
+def _of_width(shape: Shape, width: float) -> Shape:
+    """The same at a width that is given."""
+
+    def rims(parameters: Array, places: Array) -> list[Rim]:
+        return list(shape.rims(np.append(parameters, width), places))
+
+    return Shape(rims, shape.start[:-1], shape.units[:-1], shape.length, shape.closed)
+
+
+def _spread_out(shape: Shape, fit: Contour, best: State, nodes: list[Trial]) -> Contour:
+    """The fit with the mean square about it, over the likelihood, as the variance of width and of blur."""
+    from scipy.interpolate import PchipInterpolator
+
+    if len(nodes) <= 3:
+        return fit
+    widths, blurs, rises = np.array([(node.width, node.blur, node.rise) for node in nodes]).T
+    places = np.linspace(widths[0], widths[-1], _FINE)
+    likelihood = np.exp(-PchipInterpolator(widths, rises)(places) / 2)
+    likelihood /= likelihood.sum()
+    square = float(likelihood @ (places - fit.parameters[-1]) ** 2)
+    # What is left of the blur's variance where the width is given is as the slopes have it.
+    given = _blur_variance(_of_width(shape, float(fit.parameters[-1])), fit.strip, best) * fit.noise
+    blurred = float(likelihood @ (PchipInterpolator(widths, blurs)(places) - fit.blur) ** 2) + given
+    scale = np.ones(len(fit.parameters))
+    scale[-1] = math.sqrt(square / fit.covariance[-1, -1])
+    return replace(fit, covariance=fit.covariance * np.outer(scale, scale), blur_sigma=math.sqrt(blurred))
+
+
+def _blur_variance(shape: Shape, strip: Strip, state: State) -> float:
+    """Of blur in units of the noise, by the slopes."""
+    count = len(state.parameters) - 1
+    jacobian = jacobian_of(shape, strip, replace(state, parameters=state.parameters[:count]))
+    return float((np.linalg.pinv(jacobian, rcond=1e-9)[count] ** 2).sum())
