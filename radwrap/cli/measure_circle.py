@@ -54,26 +54,28 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         rims: dict[str, tuple[RimPlace, Circle]] = {}
         places = _places(arguments, found)
-        for number, (name, place) in enumerate(places.items()):
-            caliper = Caliper(
+        calipers = {
+            name: Caliper(
                 place.centre,
                 place.radius,
                 _band(arguments, found, place, [other.radius for other in places.values() if other is not place]),
-                arguments.inside if number == 0 else None,
+                arguments.inside if name == "outer" else None,
                 _arc(arguments),
             )
-            rims[name] = (
-                place,
-                measure_circle(
-                    found.image,
-                    caliper,
-                    response=found.response,
-                    form=arguments.shape,
-                    plane=plane,
-                    way=arguments.edge,
-                    pixel_aspect=found.aspect,
-                ),
+            for name, place in places.items()
+        }
+        for name, caliper in calipers.items():
+            circle = measure_circle(
+                found.image,
+                caliper,
+                response=found.response,
+                form=arguments.shape,
+                plane=plane,
+                beside=next((other for other in calipers.values() if other is not caliper), None),
+                way=arguments.edge,
+                pixel_aspect=found.aspect,
             )
+            rims[name] = places[name], circle
     except InputError as error:
         raise gauging.located(error, arguments.image) from error
     told = gauging.head(found, arguments.edge) | {"shape": arguments.shape}

@@ -51,6 +51,7 @@ def _diameter(seen: Seen, options: Options, true: float = 0.0) -> Answer:
     places = rim_places(camera, face, aspect_of(camera))
     name = _rim(places, options)
     caliper, plane, response = rim_caliper(places, name), plane_of(camera, face), response_of(camera)
+    beside = next((rim_caliper(places, other) for other in places if other != name), None)
 
     def circle(image: GrayImage) -> Circle:
         found = measure_circle(
@@ -58,6 +59,7 @@ def _diameter(seen: Seen, options: Options, true: float = 0.0) -> Answer:
             caliper,
             response=response,
             plane=plane,
+            beside=beside,
             way=options.get("edge", "model"),
             pixel_aspect=aspect_of(camera),
         )

@@ -10,7 +10,7 @@
     what a pixel sees of a blurred step                 step
     least squares in a strip along the contour          strip
     the same without neighbours, with errors            contour
-    two rims whose blurs run into each other            narrow
+    two rims whose blurs run into each other            narrow, ring
     pixels -> lengths                                   scale
     the gauges                                          circle, straight_fit, straight, region, uniformity
 """

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -15,8 +15,9 @@ from radwrap.images import GrayImage
 from radwrap.measure.gauges.calipers import Caliper, Side
 from radwrap.measure.gauges.contour import Contour, fit_contour
 from radwrap.measure.gauges.points import PointFit, fit_points, robust_circle
-from radwrap.measure.gauges.response import Response, light_of
+from radwrap.measure.gauges.response import Light, Response, light_of
 from radwrap.measure.gauges.rims import Shape
+from radwrap.measure.gauges.ring import fit_ring, ring_crossings, ring_middle, thin
 from radwrap.measure.gauges.round_shapes import circle_shape, ellipse_shape, plane_shape
 from radwrap.measure.gauges.scale import Plane
 from radwrap.measure.gauges.scan import ScanLines, Way, check_unsaturated, crossings
@@ -102,6 +103,7 @@ def measure_circle(
     response: Response | None = None,
     form: Form = "circle",
     plane: Plane | None = None,
+    beside: Caliper | None = None,
     way: Way = "model",
     pixel_aspect: float = 1.0,
 ) -> Circle:
@@ -119,6 +121,8 @@ def measure_circle(
         "circle" or "ellipse".
     plane : Plane, optional
         In which the circle lies; then it is round there, whatever the image shows.
+    beside : Caliper, optional
+        The other rim of a ring. Where the two lie in each other's blur the model is fitted to both at once.
     way : str
         "model": a fit of the blurred step; "gradient", "moment": points along scan lines, for comparison with what
         other programs do. Blur across a bent rim moves their points, and no standard error holds that.
@@ -133,7 +137,7 @@ def measure_circle(
     Raises
     ------
     InputError
-        If there is no such circle.
+        If there is no such circle, or the two rims of a thin ring cannot be told from more or less blur.
 
     Examples
     --------
@@ -151,7 +155,15 @@ def measure_circle(
     light = light_of(image, response or Response())
     lines = _scan_lines(caliper, pixel_aspect)
     rising = None if caliper.inside is None else caliper.inside == "dark"
+    named = _Named(form, plane, pixel_aspect)
     found = crossings(light.values, lines, "moment" if way == "moment" else "gradient", rising)
+    width = math.inf if found is None else 2 * found.width
+    if way == "model" and beside is not None and thin(caliper, beside, width):
+        if form == "ellipse":
+            raise InputError(
+                "shows two rims in each other's blur", where="the image", remedy="measure circles, or in a plane"
+            )
+        return _of_ring(light, (caliper, beside), named)
     if found is None:
         raise _no_rim()
     points = lines.origins[found.line] + found.offsets[:, None] * lines.directions[found.line]
@@ -159,18 +171,36 @@ def measure_circle(
     fewest = max(_FEWEST_POINTS, _FEWEST_SHARE * len(lines.origins))
     if near.sum() < fewest or not abs(radius - caliper.radius) <= caliper.band:
         raise _no_rim()
-    named = _Named(form, plane, pixel_aspect)
     shape = _shape(caliper, (centre, radius), -1.0 if found.rising else 1.0, named)
     fit: Contour | PointFit
     if way == "model":
         if form == "ellipse" or plane is not None:
-            begun = fit_points(shape, points[near]).parameters
-            shape = Shape(shape.rims, begun, shape.units, shape.length, shape.closed)
+            shape = replace(shape, start=fit_points(shape, points[near]).parameters)
         fit = fit_contour(light, shape, 2 * found.width, caliper.band + 2, pixel_aspect)
     else:
         check_unsaturated(light.usable, lines, found)
         fit = fit_points(shape, points[near])
     return _circle(fit, named, way, "dark" if found.rising else "bright", 1 - float(near.mean()))
+
+
+def _of_ring(light: Light, calipers: tuple[Caliper, Caliper], named: _Named) -> Circle:
+    """The first of two rims that are fitted at once."""
+    inner, outer = sorted(calipers, key=lambda one: one.radius)
+    lines = _scan_lines(ring_middle(inner, outer), named.aspect)
+    both = ring_crossings(light, lines)
+    shapes = []
+    for rim, found in zip((inner, outer), both, strict=True):
+        points = lines.origins[found.line] + found.offsets[:, None] * lines.directions[found.line]
+        centre, radius, near = robust_circle(points, _nearness(rim, named.form, named.plane))
+        if near.sum() < _FEWEST_SHARE * len(lines.origins):
+            raise _no_rim()
+        # Both distances are positive between them, be it bright or dark there.
+        shape = _shape(rim, (centre, radius), 1.0 if rim is outer else -1.0, named)
+        begun = shape.start if named.plane is None else fit_points(shape, points[near]).parameters
+        shapes.append(replace(shape, start=begun))
+    fits = fit_ring(light, (shapes[0], shapes[1]), both[0].width + both[1].width, named.aspect)
+    number = 0 if calipers[0] is inner else 1
+    return _circle(fits[number], named, "model", "dark" if both[number].rising else "bright", 0.0)
 
 
 def _no_rim() -> InputError:

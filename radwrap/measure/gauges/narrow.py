@@ -106,6 +106,13 @@ def fit_narrow(shape: Shape, blur: float, fitted: Callable[[Shape, float], Conto
     fitted : callable
         Shape and blur to begin with -> fit.
     """
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1):  # as of all such fits
+        return _fit_narrow(shape, blur, fitted)
+
+
+def _fit_narrow(shape: Shape, blur: float, fitted: Callable[[Shape, float], Contour]) -> NarrowFit:
     for _ in range(_TRIES):
         fit = fitted(shape, blur)
         width = float(fit.parameters[-1])
