@@ -20,7 +20,7 @@ from radwrap.measure.background import QUANTISATION
 from radwrap.measure.edges.correlation import variance_factor
 from radwrap.measure.gauges.response import Light
 from radwrap.measure.gauges.rims import Shape
-from radwrap.measure.gauges.strip import NARROWEST, State, Strip, jacobian_of, solved, terms_of
+from radwrap.measure.gauges.strip import NARROWEST, ROUGH, State, Strip, jacobian_of, solved, terms_of
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -134,7 +134,7 @@ def _fitted(light: Light, shape: Shape, blur: float, band: float, aspect: float)
     for _ in range(_ROUNDS):
         before = parameters, blur
         strip = _strip(light, shape, parameters, min(blur + BEYOND, band), aspect)
-        state = solved(shape, _weighted(strip, shape, before, noise), *before)
+        state = solved(shape, _weighted(strip, shape, before, noise), *before, done=ROUGH)
         keep, left_out = _kept(shape, state)
         if left_out > 1 - LEAST_CONTOUR:
             raise InputError(

@@ -21,6 +21,7 @@ _HARMONIC: Final = 16.0  # px of contour for each harmonic of its light
 _HARMONICS: Final = 2
 _STEPS: Final = 12  # of Gauss and Newton
 _DONE: Final = 1e-6  # px; a smaller step is the last
+ROUGH: Final = 1e-3  # px; enough to tell which pixels belong to something else
 _SHARES: Final = (1.0, 0.5, 0.25, 0.1)  # of a step, where a whole one makes it worse
 
 
@@ -150,8 +151,8 @@ def jacobian_of(shape: Shape, strip: Strip, state: State) -> Array:
     return whole
 
 
-def solved(shape: Shape, strip: Strip, parameters: Array, blur: float) -> State:
-    """Gauss and Newton, with shorter steps where a whole one makes it worse."""
+def solved(shape: Shape, strip: Strip, parameters: Array, blur: float, *, done: float = _DONE) -> State:
+    """Gauss and Newton, with shorter steps where a whole one makes it worse; a step below `done` [px] is the last."""
     state = _state(shape, strip, parameters, blur)
     count = len(parameters)
     for _ in range(_STEPS):
@@ -168,7 +169,7 @@ def solved(shape: Shape, strip: Strip, parameters: Array, blur: float) -> State:
             return state
         size = max(np.abs((tried.parameters - state.parameters) / shape.units).max(), abs(tried.blur - state.blur))
         state = tried
-        if size < _DONE:
+        if size < done:
             break
     return state
 
