@@ -89,6 +89,11 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         help="of several views: the sensor's pixels; images tell theirs",
     )
     parser.add_argument(
+        "--picture",
+        metavar="FILE.png",
+        help="of several views: maps of the projection's standard error over the image",
+    )
+    parser.add_argument(
         "--noise",
         metavar="PX",
         type=shared.number(1e-6, 1e3),
@@ -114,7 +119,7 @@ def run(arguments: argparse.Namespace) -> int:
     views, points, image = read_points(Path(table), unit)
     if views is not None:
         return calibrate_views.of_table(arguments, views, points, image)
-    for name in ("model", "image_size", "noise"):
+    for name in ("model", "image_size", "noise", "picture"):
         if getattr(arguments, name) is not None:
             raise InputError(
                 "belongs to a table of several views",

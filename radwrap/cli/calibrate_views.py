@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from radwrap.calibrate.projection_uncertainty import UncertaintyOverImage, uncertainty_over_image
 from radwrap.calibrate.several_views import ViewsCalibration, as_json, calibrate_views
+from radwrap.calibrate.uncertainty_picture import uncertainty_picture
 from radwrap.calibrate.views import CalibrationView
 from radwrap.cli import options as shared
 from radwrap.cli.calibrate_images import views_of
@@ -106,6 +107,9 @@ def _told(
         found = calibrate_views(views, size, model=arguments.model or "brown", noise=arguments.noise)
         near = float(np.mean([view.distance for view in found.views]))
         over = [uncertainty_over_image(found, distance) for distance in (near, math.inf)]
+        picture = None if arguments.picture is None else uncertainty_picture(found, (near, math.inf))
+    if picture is not None:
+        write_bytes(Path(arguments.picture), picture)
     print(
         json_text({**as_json(found), **how, "projection_uncertainty": [_over(one) for one in over]})
         if arguments.json

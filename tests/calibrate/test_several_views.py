@@ -8,6 +8,7 @@ import math
 from functools import cache
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -278,6 +279,11 @@ def test_the_command_takes_a_table_of_views(tmp_path: Path, capsys: pytest.Captu
     near, far = told["projection_uncertainty"]
     assert far["distance"] is None and near["distance"] == pytest.approx(0.35, abs=0.15)
     assert np.shape(near["sigma_px"]) == (len(near["rows"]), len(near["columns"]))
+    pictures = [tmp_path / f"{name} map.png" for name in "ab"]
+    for picture in pictures:
+        here([*asked, "--picture", picture], capsys).success()
+    assert pictures[0].read_bytes() == pictures[1].read_bytes()
+    assert cv2.imread(str(pictures[0])).std() > 10
     # The middle is seen by many points: it is known better than the corners.
     assert near["sigma_px"][3][4] < min(near["sigma_px"][0][0], near["sigma_px"][-1][-1])
 
