@@ -23,6 +23,10 @@ _COLUMNS: Final = 9
 _ROWS: Final = 7
 
 
+class NoPlace(InputError):
+    """Some pixels are the image of no direction."""
+
+
 def projection_uncertainty(found: ViewsCalibration, image: Array, distance: float) -> Array:
     """How far the projection of a point that stands still may be off, by the noise of the calibration's points.
 
@@ -142,7 +146,7 @@ def _directions(camera: Array, image: Array) -> Array:
         # At a depth of 1 a point's move across is that of its direction.
         flat = flat - np.linalg.solve(jacobian[:, 3:5].reshape(-1, 2, 2), missed[:, :, None])[:, :, 0]
     else:
-        raise InputError(
+        raise NoPlace(
             "the distortion has no place for some pixels",
             where="image",
             remedy="ask nearer to the calibration's points",

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.calibrate.projection_uncertainty import UncertaintyOverImage, uncertainty_over_image
+from radwrap.calibrate.projection_uncertainty import NoPlace, UncertaintyOverImage, uncertainty_over_image
 from radwrap.calibrate.several_views import ViewsCalibration, as_json, calibrate_views
 from radwrap.calibrate.uncertainty_picture import uncertainty_picture
 from radwrap.calibrate.views import CalibrationView
@@ -90,6 +90,13 @@ def _placed(origin: str) -> Iterator[None]:
     """Errors within name the file, or the option."""
     try:
         yield
+    except NoPlace as error:
+        raise InputError(
+            "was calibrated, but its distortion runs back on itself within the image, where the projection's error "
+            "then has no value: the views do not tell the distortion",
+            where=origin,
+            remedy="take more views, up to the image's corners, or a model of fewer coefficients",
+        ) from error
     except InputError as error:
         inside = error.where is not None and error.where.startswith(_OF_THE_FILE)
         where = f"{origin}: {error.where}" if inside else f"--{error.where}"

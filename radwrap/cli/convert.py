@@ -24,6 +24,7 @@ _DESCRIPTION = (
     ".obj, .ply, .off, .glb, .step) becomes OUT.rad, and what was repaired is told. So does a luminaire (.ies)."
 )
 _PRINTS: Final = (".svg", ".pdf")
+_OF_SCENES: Final = (".rad", ".vf", ".pov", ".glb")
 _MESHES: Final = (".stl", ".obj", ".ply", ".off", ".glb", ".step", ".stp")
 
 
@@ -70,6 +71,12 @@ def run(arguments: argparse.Namespace) -> int:
         return _told(write_luminaire(Path(arguments.scene), out, _radiance(arguments)), arguments)
     if out.suffix in _PRINTS:
         return _print(arguments)
+    if out.suffix not in _OF_SCENES:
+        raise InputError(
+            f'cannot write "{out.suffix or out.name}"',
+            where=str(out),
+            remedy="end the name in .rad, .vf, .pov, .glb, .svg or .pdf",
+        )
     for option in ("paper", "target"):
         if getattr(arguments, option):
             raise InputError("goes with a target to print", where=f"--{option}", remedy="end OUT in .svg or .pdf")
@@ -88,16 +95,10 @@ def run(arguments: argparse.Namespace) -> int:
             from radwrap.convert.povray_files import write_povray
 
             written = write_povray(scene, out, _radiance(arguments))
-        case ".glb":
+        case _:
             from radwrap.convert.preview_files import write_preview
 
             written = write_preview(scene, out)
-        case suffix:
-            raise InputError(
-                f'cannot write "{suffix or out.name}"',
-                where=str(out),
-                remedy="end the name in .rad, .vf, .pov, .glb, .svg or .pdf",
-            )
     return _told(written, arguments)
 
 

@@ -1,4 +1,4 @@
-"""A target laid out on sheets of paper, at its true size: what `svg_text` and `pdf_text` write.
+"""A target laid out on sheets of paper, at its true size: what `print_files` writes.
 
 Lengths in metres; a page's origin is its lower left corner, x to the right, y up.
 """
@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final, Literal
 
+from radwrap.errors import InputError
 from radwrap.scene.patterns.layouts import Layout
 from radwrap.scene.patterns.marks import FlatDisc, FlatPolygon, Mark, Place, rectangle
 
@@ -20,6 +21,7 @@ BAR_WIDTH: Final = 0.001
 TEXT: Final = 0.003  # height of letters
 _BORDER: Final = 0.010  # what a printer may leave white
 _STRIP: Final = 0.012  # for the bar and a line of text, at the bottom
+_MOST_SHEETS: Final = 400
 _CROP: Final = 0.005  # length of the marks at which sheets are cut
 
 
@@ -69,12 +71,23 @@ def pages(name: str, layout: Layout, paper: Paper) -> tuple[Page, ...]:
 
     A plate that fits on one sheet, upright or turned, stands in its middle; larger ones are cut into tiles that meet
     edge to edge, on as few sheets as possible.
+
+    Raises
+    ------
+    InputError
+        If it takes more sheets than anybody glues together.
     """
     width, height = layout.size
     upright = PAPERS[paper]
     (columns, rows), size = min(
         ((_tiles(layout.size, size), size) for size in (upright, upright[::-1])), key=lambda found: math.prod(found[0])
     )
+    if rows * columns > _MOST_SHEETS:
+        raise InputError(
+            f'"{name}" is {width:.4g} x {height:.4g} m and takes {rows * columns} sheets, more than {_MOST_SHEETS}',
+            where="the target's size",
+            remedy="check its units",
+        )
     area = _printable(size)
     marks = tuple(layout.marks())
     found = []

@@ -175,6 +175,10 @@ def test_the_same_target_gives_the_same_bytes_and_a_board_is_printed_too(tmp_pat
         (["rad_scenes/targets/circles.toml", "OUT.rad", "--paper", "a4"], "--paper: goes with a target to print"),
         (["BARE", "OUT.pdf", "--set", "rows=0"], "big.toml: rows"),
         (["BARE", "OUT.pdf", "--set", "row=4"], "big.toml: row: unknown key"),
+        (["BARE", "OUT.pdf", "--set", 'rows="6"'], "big.toml: rows: "),
+        (["BARE", "OUT.png"], 'cannot write ".png"'),
+        (["BARE", "OUT.pdf", "--set", "square_size=60 m"], "sheets, more than 400; check its units"),
+        (["MARKED", "OUT.pdf"], 'marked.toml: dictionary: OpenCV has no dictionary "DICT_4X4_5"; did you mean'),
         (["TWICE", "OUT.pdf"], "has several targets with a pattern: target, other"),
     ],
 )
@@ -186,7 +190,13 @@ def test_what_cannot_be_printed_is_one_clear_error(
     other = '\n[[targets]]\ntype = "circles"\nname = "other"\nposition = ["0 m", "0 m", "-1 m"]\nmaterial = "ink"\n'
     other += 'pattern_material = "paper"\nrows = 1\ncolumns = 1\npitch = "9 mm"\ndot_diameter = "7 mm"\n'
     (tmp_path / "twice.toml").write_text(twice + other)
-    places = {"BARE": str(tmp_path / "big.toml"), "TWICE": str(tmp_path / "twice.toml")}
+    marked = 'type = "charuco"\nrows = 4\ncolumns = 5\nsquare_size = "10 mm"\nmarker_size = "8 mm"\n'
+    (tmp_path / "marked.toml").write_text(marked + 'dictionary = "DICT_4X4_5"\n')
+    places = {
+        "MARKED": str(tmp_path / "marked.toml"),
+        "BARE": str(tmp_path / "big.toml"),
+        "TWICE": str(tmp_path / "twice.toml"),
+    }
     root = TARGETS.parents[1]
     words = [places.get(word, word.replace("OUT", str(tmp_path / "out"))) for word in arguments]
     words[0] = words[0] if words[0].startswith("/") else str(root / words[0])

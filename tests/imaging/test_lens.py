@@ -15,7 +15,7 @@ from radwrap.imaging.demand import Demand
 from radwrap.imaging.methods.kernel import plan_kernel
 from radwrap.imaging.methods.rays import sampled_radiance
 from radwrap.imaging.optics.aperture import sub_viewpoints
-from radwrap.imaging.optics.view import PixelPlan, View, pixel_means, ray_blocks, trace_rays, traced
+from radwrap.imaging.optics.view import PixelPlan, View, magnifications_at, pixel_means, ray_blocks, trace_rays, traced
 from radwrap.imaging.response.exposure import radiant_exposure
 from radwrap.imaging.tolerance.certificate import PixelSample, model_errors, root
 from radwrap.scene.camera import Aperture, Lens
@@ -39,6 +39,13 @@ def seen_through(aperture: Aperture, *planes: tuple[float, Texture], lens: Lens 
     found = replace(found, lens=lens or Lens(FOCUS))
     scale = found.image_distance**2 / F**2 / found.transmission
     return View(replace(found, sensor=replace(found.sensor, gain=found.sensor.gain * scale)), Planes(planes))
+
+
+def test_no_places_have_no_magnifications() -> None:
+    """Square on and in focus no pixel needs a pair of rays."""
+    view = seen_through(Aperture("round", 2e-3), (FOCUS, even))
+    assert magnifications_at(view, np.empty(0), np.empty(0)).shape == (0,)
+    assert magnifications_at(view, np.array([3.0]), np.array([4.0])) == pytest.approx(0.0, abs=1e-12)
 
 
 def even(x: Array, y: Array) -> Array:

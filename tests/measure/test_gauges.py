@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from radwrap.errors import InputError
 from radwrap.images import GrayImage
@@ -36,7 +37,7 @@ from radwrap.measure.gauges import circle as circle_gauge
 from radwrap.measure.gauges import region as region_gauge
 from radwrap.measure.gauges import straight as straight_gauge
 from radwrap.measure.gauges import uniformity as uniformity_gauge
-from radwrap.measure.gauges.narrow import lookalike
+from radwrap.measure.gauges.narrow import lookalike, width_by_gaussian
 from tests.measure.pictures import any_picture, edge_picture, noisy, ring_picture, stripe_picture
 
 Array = NDArray[np.float64]
@@ -411,6 +412,32 @@ def test_a_wide_stripe_looks_like_no_other() -> None:
     assert lookalike(math.sqrt(30) + 0.01, 1.0) is None
     found = lookalike(math.sqrt(30) - 0.01, 1.0)
     assert found is not None and found[0] < 0.5
+
+
+def test_of_a_gaussian_blur_a_narrow_width_is_warned_of() -> None:
+    """3 px under a Gaussian of .7 px, in closed form: a disc of blur makes 1.9 px of it, and a small error."""
+    # Variance and fourth cumulant of a box under a Gaussian are those of the fitted box under a disc.
+    x, total = 1.3**2 / 12, 1.3**2 / 12 + 1.1**2 / 4
+    there = width_by_gaussian(1.3, 1.1) ** 2 / 12
+    assert 1.2 * there**2 == pytest.approx(1.2 * x**2 + (total - x) ** 2)
+    assert width_by_gaussian(8.0, 1.0) == pytest.approx(8.0, rel=1e-3)
+    u = np.arange(60) - 30.2
+
+    def falls(edge: float) -> Array:
+        # Mean over a pixel of the integral of a Gaussian, by fine places.
+        inside = (np.arange(32) + 0.5) / 32 - 0.5
+        return ndtr((edge - u[:, None] - inside) / 0.7).mean(axis=1)
+
+    light = np.tile(30 + 160 * (falls(1.5) - falls(-1.5)), (140, 1))
+    # Over so many pixels noise seems to exclude the pair of width and blur that is true.
+    image = GrayImage(light + 0.5 * np.random.default_rng(1).standard_normal(light.shape), 16)
+    caliper = StraightCaliper((30.2, 70.0), 0.0, 130, 14)
+    found = measure_width(image, caliper)
+    assert found.width < 2 and found.width_sigma < 0.03
+    (told,) = [text for text in found.warnings if "hangs on the shape of the blur" in text]
+    assert float(told.split("about ")[1].split()[0]) == pytest.approx(3.0, rel=0.1)
+    wide = np.tile(30 + 160 * (falls(5.0) - falls(-5.0)), (140, 1))
+    assert not any("shape of the blur" in text for text in measure_width(GrayImage(wide, 16), caliper).warnings)
 
 
 def stripe_frames(width: float, blur: float, bright: float, number: int) -> Iterator[GrayImage]:

@@ -411,6 +411,8 @@ def _asked(
 
 def magnifications_at(view: View, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
     """M of what central rays through sensor positions (u, v) [px] meet; `Camera.shear` where nothing."""
+    if not len(u):
+        return np.empty(0)
     rays, cos4 = rays_through(view.camera.without_lens, (0.0, 0.0), u, v)
     with closing(view.tracer.distances(np.array_split(rays, -(-len(u) // RAYS_AT_ONCE)))) as answers:
         distance = np.concatenate(list(answers))

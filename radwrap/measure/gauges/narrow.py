@@ -33,6 +33,9 @@ _STEPS: Final = 24  # of a walk to one side
 _SMALL_RISE: Final = 1.0  # variances a step; the next is twice as long
 _LARGE_RISE: Final = 9.0  # the same; the step is made again, half as long
 _LONGEST: Final = 0.1  # of the width, of a step
+# By how much another kind of blur may change the width without a warning: of the width, and in standard errors.
+_SHAPE: Final = 0.05
+_SHAPE_SIGMAS: Final = 2.0
 _FINE: Final = 2000  # places of the likelihood's integral
 
 
@@ -94,6 +97,22 @@ def lookalike(width: float, blur: float) -> tuple[float, float] | None:
     return (math.sqrt(12 * there), 2 * math.sqrt(total - there)) if there > 0 else None
 
 
+def width_by_gaussian(width: float, blur: float) -> float:
+    """Width that gives light across two rims the same variance and fourth cumulant where the blur is a Gaussian.
+
+    A Gaussian has no fourth cumulant, so that 1.2 x^2 with another x is all of it.
+
+    Parameters
+    ----------
+    width, blur : float
+        Distance of the rims and radius of a disc of blur that were fitted [px].
+    """
+    share = width**2 / 12
+    total = share + blur**2 / 4
+    there = min(math.sqrt(share**2 + (total - share) ** 2 / 1.2), total)
+    return math.sqrt(12 * there)
+
+
 def fit_narrow(shape: Shape, blur: float, fitted: Callable[[Shape, float], Contour]) -> NarrowFit:
     """Fit two rims, and hold the fit against all others that the same pixels may show.
 
@@ -109,7 +128,21 @@ def fit_narrow(shape: Shape, blur: float, fitted: Callable[[Shape, float], Conto
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(1):  # as of all such fits
-        return _fit_narrow(shape, blur, fitted)
+        found = _fit_narrow(shape, blur, fitted)
+    return replace(found, fit=_of_one_blur(found.fit))
+
+
+def _of_one_blur(fit: Contour) -> Contour:
+    """With a warning where the width hangs on what kind of blur it is."""
+    width = float(fit.parameters[-1])
+    other, sigma = width_by_gaussian(width, fit.blur), math.sqrt(fit.covariance[-1, -1])
+    if abs(other - width) < max(_SHAPE * width, _SHAPE_SIGMAS * sigma):
+        return fit
+    told = (
+        f"the width hangs on the shape of the blur, which no standard error holds: {width:.3g} px if it is a disc, "
+        f"about {other:.3g} px if it is a Gaussian"
+    )
+    return replace(fit, warnings=(*fit.warnings, told))
 
 
 def _fit_narrow(shape: Shape, blur: float, fitted: Callable[[Shape, float], Contour]) -> NarrowFit:

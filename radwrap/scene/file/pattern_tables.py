@@ -51,7 +51,7 @@ class CharucoModel(PatternModel):
     """Side of a square."""
     marker_size: Size
     """Side of a marker with its dark border."""
-    dictionary: Annotated[str, Field(strict=True, pattern="^DICT_[0-9A-Za-z_]{1,40}$")]
+    dictionary: Annotated[str, Field(strict=True, max_length=64)]
     """Name of one of OpenCV's predefined dictionaries, such as DICT_4X4_50."""
     first_marker: Annotated[int, Field(strict=True, ge=0, le=10_000)] = 0
     """Number in the dictionary of the marker at the top left."""

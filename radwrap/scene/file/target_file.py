@@ -86,10 +86,11 @@ def layout_of(target: Target) -> Layout | None:
 
 def _alone(document: dict[str, Any], origin: str) -> Target:
     given = (_ANY_BOARD if document.get("type") == "board" else _ANY_MATERIAL) | document
+    remedy = "" if "type" in document else f"its type must be {_TYPES}"
     try:
-        table = validated(TargetFileModel, {"target": given}, origin, f"its type must be {_TYPES}").target
+        table = validated(TargetFileModel, {"target": given}, origin, remedy).target
+        return target_from_table(table, table.name or "target", f"{origin}: target", Path())
     except InputError as error:
         raise InputError(
             error.what, where=(error.where or origin).replace(" target.", " ", 1), remedy=error.remedy
         ) from error
-    return target_from_table(table, table.name or "target", origin, Path())
