@@ -41,13 +41,10 @@ BELT: Final = (0.0, -30.0, 0.0)
 EYE: Final = 400.0  # mm above the belt
 
 
-def linear_scene(cell: str, megapixels: float, bits: int, exposure_ms: float) -> radwrap.Scene:
-    """The cell by a linear sensor."""
-    case = case_of(cell, megapixels)
-    scene = radwrap.load_scene(case.file, case.overrides)
+def linear_sensor(bits: int) -> dict[str, Any]:
+    """Keys of a linear sensor without its pixels."""
     top = 2**bits - 1
-    sensor: dict[str, Any] = {
-        **{key.rpartition(".")[2]: value for key, value in case.overrides.items()},
+    return {
         "model": "linear",
         "bit_depth": bits,
         "wavelength": "630 nm",
@@ -57,6 +54,14 @@ def linear_scene(cell: str, megapixels: float, bits: int, exposure_ms: float) ->
         "full_well": f"{FULL_WELL} e",
         "read_noise": "6 e",
     }
+
+
+def linear_scene(cell: str, megapixels: float, bits: int, exposure_ms: float) -> radwrap.Scene:
+    """The cell by a linear sensor."""
+    case = case_of(cell, megapixels)
+    scene = radwrap.load_scene(case.file, case.overrides)
+    pixels = {key.rpartition(".")[2]: value for key, value in case.overrides.items()}
+    sensor = {**pixels, **linear_sensor(bits)}
     scene = radwrap.with_value(scene, "camera.sensor", sensor)
     return radwrap.with_value(scene, "camera.exposure_time", f"{exposure_ms!r} ms")
 

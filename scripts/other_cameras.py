@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import radwrap
-from default_tolerance import FILLED, FULL_WELL, OFFSET, cpu, exposed
+from default_tolerance import FILLED, FULL_WELL, cpu, exposed, linear_sensor
 from radwrap import Rendered
 from radwrap.imaging.response.noise import fixed_pattern, linear_of, noisy_frame
 
@@ -109,20 +109,12 @@ def small_scene(name: str) -> radwrap.Scene:
     file = SCENES / name / "scene.toml"
     sensor = radwrap.load_scene(file).camera.sensor
     rows, columns = SIZE
-    top = 2**BITS - 1
     small = {
-        "model": "linear",
         "rows": rows,
         "columns": columns,
         "pixel_width": f"{sensor.pixel_width * sensor.columns / columns * 1e6!r} um",
         "pixel_height": f"{sensor.pixel_height * sensor.rows / rows * 1e6!r} um",
-        "bit_depth": BITS,
-        "wavelength": "630 nm",
-        "quantum_efficiency": 0.6,
-        "system_gain": f"{top * (1 - OFFSET) / FULL_WELL!r} DN/e",
-        "offset": round(top * OFFSET),
-        "full_well": f"{FULL_WELL} e",
-        "read_noise": "6 e",
+        **linear_sensor(BITS),
     }
     changes = {"camera.sensor": small, "camera.diffraction": "off", "camera.exposure_time": "1 ns"}
     dark = radwrap.load_scene(file, changes)

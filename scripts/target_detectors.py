@@ -24,6 +24,7 @@ from radwrap.images import GrayImage
 from radwrap.imaging.truth import geometry
 from radwrap.measure.dots import find_dots
 from radwrap.measure.targets import CharucoBoard, ChessboardMethod, charuco_corners, chessboard_corners, circle_centres
+from radwrap.scene.file.target_file import layout_of
 
 TARGETS: Final = Path(__file__).parents[1] / "rad_scenes" / "targets"
 NAMES: Final = ("chessboard", "charuco", "circles", "circles_asymmetric")
@@ -63,7 +64,7 @@ def points_of(scene: radwrap.Scene) -> list[dict[str, Any]]:
 def detectors(scene: radwrap.Scene) -> dict[str, Callable[[GrayImage], tuple[Points, Points]]]:
     """Name -> what it finds, and what is true of it, point by point."""
     (target,) = scene.targets
-    layout: Any = target.layout  # type: ignore[union-attr]
+    layout: Any = layout_of(target)
     points = points_of(scene)
     true = np.array([(point["u"], point["v"]) for point in points])
     match type(layout).__name__:

@@ -111,8 +111,10 @@ class UncertaintyOverImage:
     sigma: tuple[tuple[float, ...], ...]
 
 
-def uncertainty_over_image(found: ViewsCalibration, distance: float) -> UncertaintyOverImage:
-    """The projection's standard error on a grid over the whole image, corners in.
+def uncertainty_over_image(
+    found: ViewsCalibration, distance: float, grid: tuple[int, int] = (_COLUMNS, _ROWS)
+) -> UncertaintyOverImage:
+    """The projection's standard error on a grid of so many columns and rows over the whole image, corners in.
 
     Raises
     ------
@@ -120,10 +122,10 @@ def uncertainty_over_image(found: ViewsCalibration, distance: float) -> Uncertai
         As `projection_uncertainty`.
     """
     wide, high = found.image_size
-    columns, rows = np.linspace(0, wide - 1, _COLUMNS), np.linspace(0, high - 1, _ROWS)
+    columns, rows = (np.linspace(0, size - 1, number) for size, number in zip((wide, high), grid, strict=True))
     places = np.array([(u, v) for v in rows for u in columns])
     sigma = np.sqrt(np.linalg.eigvalsh(projection_uncertainty(found, places, distance))[:, -1])
-    by_row = sigma.reshape(_ROWS, _COLUMNS).tolist()
+    by_row = sigma.reshape(grid[::-1]).tolist()
     return UncertaintyOverImage(distance, tuple(columns.tolist()), tuple(rows.tolist()), tuple(map(tuple, by_row)))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import io
 import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -15,6 +14,7 @@ from radwrap.calibrate.response import PARAMETERS, Response, energy_in_cone, exp
 from radwrap.calibrate.response_fits import Array, PowerFit
 from radwrap.cli import options as shared
 from radwrap.errors import InputError
+from radwrap.figure_png import figure_png
 from radwrap.files import write_bytes
 from radwrap.manifest import SCHEMA_VERSION, json_text
 from radwrap.reading import FileKind, csv_rows, read_text, shortened, unusable
@@ -345,10 +345,7 @@ def plot(response: Response, exposure: Array, gray: Array) -> bytes:
         f"  residual {response.residual_rms_gray:.2g} gray rms",
         fontsize=10,
     )
-    stream = io.BytesIO()
-    # Without the writer's name and version, so that only the numbers decide the bytes.
-    figure.savefig(stream, format="png", metadata={"Software": None})
-    return stream.getvalue()
+    return figure_png(figure)
 
 
 def _prefix(largest: float) -> tuple[float, str]:

@@ -35,13 +35,14 @@ def of_table(
 ) -> int:
     """Carry out the verb, on the lines of a table: their views, points [m], and pixels."""
     _refuse_of_one_view(arguments)
+    picture = shared.file_to_write(arguments.picture, "--picture", ".png", others=arguments.points)
     size = _image_size(arguments)
     if size is None:
         raise InputError("is needed with a table of several views", where="--image-size", remedy="such as 2448 2048")
     of, (table,) = np.array(names), arguments.points
     with _placed(table):
         views = [CalibrationView(points[of == name], image[of == name], name) for name in dict.fromkeys(names)]
-    return _told(arguments, views, size, table, {})
+    return _told(arguments, views, size, table, {}, picture=picture)
 
 
 def of_images(arguments: argparse.Namespace) -> int:
@@ -51,10 +52,13 @@ def of_images(arguments: argparse.Namespace) -> int:
         raise InputError("belongs to a table", where="--length-unit", remedy="leave it out: the target has its units")
     images = [Path(name) for name in arguments.points]
     table = shared.file_to_write(arguments.csv, "--csv", others=[*images, arguments.target])
+    picture = shared.file_to_write(
+        arguments.picture, "--picture", ".png", others=[*images, arguments.target, arguments.csv]
+    )
     views, size, detector = views_of(images, Path(arguments.target), arguments.detector, _image_size(arguments))
     if table is not None:
         write_bytes(table, _csv(views).encode())
-    return _told(arguments, views, size, "images", {"target": arguments.target, "detector": detector})
+    return _told(arguments, views, size, "images", {"target": arguments.target, "detector": detector}, picture=picture)
 
 
 def _csv(views: list[CalibrationView]) -> str:
@@ -109,14 +113,15 @@ def _told(
     size: tuple[int, int],
     origin: str,
     how: dict[str, Any],
+    *,
+    picture: Path | None,
 ) -> int:
     with _placed(origin):
         found = calibrate_views(views, size, model=arguments.model or "brown", noise=arguments.noise)
         near = float(np.mean([view.distance for view in found.views]))
         over = [uncertainty_over_image(found, distance) for distance in (near, math.inf)]
-        picture = None if arguments.picture is None else uncertainty_picture(found, (near, math.inf))
-    if picture is not None:
-        write_bytes(Path(arguments.picture), picture)
+        if picture is not None:
+            write_bytes(picture, uncertainty_picture(found, (near, math.inf)))
     print(
         json_text({**as_json(found), **how, "projection_uncertainty": [_over(one) for one in over]})
         if arguments.json

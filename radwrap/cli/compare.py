@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import io
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from radwrap.cli import options as shared
 from radwrap.errors import CheckFailed, InputError
+from radwrap.figure_png import figure_png
 from radwrap.files import check_results, make_folder, write_bytes
 from radwrap.images import GrayImage, read_gray, read_image, write_png
 from radwrap.imaging.run_files import PartNumbers
@@ -325,10 +325,7 @@ def plot(comparison: Comparison) -> bytes:
         f" at ({u}, {v}); mainly: {causes.mainly or 'none of dark level, exposure, shift alone'}",
         fontsize=11,
     )
-    stream = io.BytesIO()
-    # Without the writer's name and version, so that only the numbers decide the bytes.
-    figure.savefig(stream, format="png", metadata={"Software": None})
-    return stream.getvalue()
+    return figure_png(figure)
 
 
 def _drawn(axis: Axes, image: NDArray[np.float64], **colours: Any) -> AxesImage:

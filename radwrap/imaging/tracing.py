@@ -261,14 +261,14 @@ class LaidOutScene:
 
     def lights(self) -> tuple[Light, ...]:
         """The camera in the light of all sources of about one wavelength, for each such wavelength."""
-        shining = [source for source in self.scene.sources if _shines(source)]
         groups = () if self.scene.spectral is None else self.scene.spectral.wavelength_groups()
-        groups = tuple(group for group in groups if any(source.name in group.sources for source in shining))
         if len(groups) < 2:
             return (light_of_all(self.scene, self.view()),)
         found = []
         for number, group in enumerate(groups):
-            names = frozenset(name for source in shining if source.name in group.sources for name in _switched(source))
+            names = frozenset(
+                name for source in self.scene.sources if source.name in group.sources for name in _switched(source)
+            )
             view = self._view(self._lit(self._engine, self.scene, f"light{number}", names))
             found.append(Light(view, group.wavelength, group.spread, names))
         return tuple(found)
@@ -353,12 +353,6 @@ class LaidOutScene:
 def _switched(source: Source) -> set[str]:
     """Names by which the light of a source is switched: its own and, of a ring, those of the LEDs."""
     return {source.name, *(emitter.source for emitter in emitters(source))}
-
-
-def _shines(source: Source) -> bool:
-    if isinstance(source, WideSource):  # its patches come later
-        return source.radiance > 0
-    return any(emitter.radiance > 0 for emitter in emitters(source))
 
 
 def scene_sha256(scene: Scene, prepared: PreparedScene) -> str:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
+from radwrap.figure_png import figure_png
 from radwrap.files import write_bytes
 from radwrap.images import ExposureImage, GrayImage
 from radwrap.imaging.render_options import RenderOptions
@@ -191,9 +191,7 @@ def _picture(study: Study) -> bytes:
     figure.legend(*above.get_legend_handles_labels(), loc="outside right upper", fontsize="small")
     if any(point.failure for point in study.points):
         figure.supxlabel("x on the lower border: that method gave no answer", fontsize="small", color="0.3")
-    content = BytesIO()
-    figure.savefig(content, format="png", dpi=110, metadata={"Software": None})
-    return content.getvalue()
+    return figure_png(figure, dpi=110)
 
 
 Measure = Callable[[float, Scene, ExposureImage], list[BiasPoint]]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import math
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from radwrap.figure_png import figure_png
 from radwrap.files import write_bytes
 from radwrap.manifest import SCHEMA_VERSION, sha256_of_value, versions, write_manifest
 from radwrap.scene.scene import Scene
@@ -205,9 +205,7 @@ def picture(result: Crosscheck) -> bytes:
         f"{_title(result)}: they {word}; rms {100 * whole['rms_of_peak']:.2g} %, "
         f"largest {100 * whole['maximum_of_peak']:.2g} % of the brightest pixel"
     )
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", metadata={"Software": None})
-    return stream.getvalue()
+    return figure_png(figure)
 
 
 def _title(result: Crosscheck) -> str:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from io import BytesIO
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from radwrap.figure_png import figure_png
 from radwrap.files import make_folder, write_bytes
 from radwrap.manifest import json_text
 from radwrap.study.effects import Analysis, as_json
@@ -54,12 +54,6 @@ def _figure(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def _png(figure: Figure) -> bytes:
-    content = BytesIO()
-    figure.savefig(content, format="png", dpi=100, metadata={"Software": None})
-    return content.getvalue()
-
-
 def _axis(analysis: Analysis, what: str) -> str:
     unit = analysis.data.unit
     return f"{what} {analysis.data.response}" + (f" [{unit}]" if unit else "")
@@ -88,7 +82,7 @@ def half_normal(analysis: Analysis) -> bytes:
     axes.set_ylabel(_axis(analysis, "size of effect on"))
     axes.set_title("Half-normal plot")
     axes.grid(visible=True, alpha=0.3)
-    return _png(figure)
+    return figure_png(figure)
 
 
 def pareto(analysis: Analysis) -> bytes:
@@ -114,7 +108,7 @@ def pareto(analysis: Analysis) -> bytes:
         _axis(analysis, "size of effect on") + ("; bars: images' error" if analysis.data.errors.any() else "")
     )
     axes.set_title("Pareto plot")
-    return _png(figure)
+    return figure_png(figure)
 
 
 def main_effects(analysis: Analysis) -> bytes:
@@ -133,7 +127,7 @@ def main_effects(analysis: Analysis) -> bytes:
         grid[number // columns][number % columns].set_axis_off()
     for row in grid:
         row[0].set_ylabel(_axis(analysis, "mean"))
-    return _png(figure)
+    return figure_png(figure)
 
 
 def _means(axes: Axes, codes: Any, values: Any, levels: tuple[str, ...], numbers: Any, **style: Any) -> None:
@@ -177,4 +171,4 @@ def interactions(analysis: Analysis) -> bytes:
         axes.legend(fontsize="x-small")
     for row in grid:
         row[0].set_ylabel(_axis(analysis, "mean"), fontsize="small")
-    return _png(figure)
+    return figure_png(figure)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import csv
 from collections.abc import Sequence
 from dataclasses import asdict
-from io import BytesIO, StringIO
+from io import StringIO
 from pathlib import Path
 from typing import Any, Final
 
+from radwrap.figure_png import figure_png
 from radwrap.files import write_bytes
 from radwrap.imaging.forecast.cost import duration
 from radwrap.manifest import SCHEMA_VERSION, json_text
@@ -145,9 +146,7 @@ def picture(trade: Trade) -> bytes:
     axes.set_title(f"{trade.title}: time against error")
     axes.grid(visible=True, which="both", alpha=0.3)
     axes.legend(fontsize="small")
-    content = BytesIO()
-    figure.savefig(content, format="png", dpi=110, metadata={"Software": None})
-    return content.getvalue()
+    return figure_png(figure, dpi=110)
 
 
 def _shown(row: Row) -> float:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import base64
-import io
 from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
 from typing import Final
 
+from radwrap.figure_png import figure_png
 from radwrap.files import make_folder, write_bytes
 from radwrap.manifest import json_text, versions
 from radwrap.validate.case import Case, Plot
@@ -106,6 +106,4 @@ def picture(plot: Plot) -> bytes:
     axes.set(title=plot.title, xlabel=plot.x_label, ylabel=plot.y_label)
     axes.grid(visible=True, alpha=0.3)
     axes.legend(fontsize="small", frameon=False)
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", metadata={"Software": None})
-    return stream.getvalue()
+    return figure_png(figure)

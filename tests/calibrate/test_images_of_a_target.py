@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,9 +27,9 @@ def views(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def calibrated(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, object]:
+def calibrated(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:
     assert main(["calibrate", "camera", *words, "--json"]) == 0
-    found: dict[str, object] = json.loads(capsys.readouterr().out)
+    found: dict[str, Any] = json.loads(capsys.readouterr().out)
     return found
 
 
@@ -39,7 +40,7 @@ def test_the_camera_is_found(name: str, detector: str, views: Path, capsys: pyte
     target = str(TARGETS / f"{name}.toml")
     found = calibrated(capsys, *images, "--target", target, "--detector", detector, "--csv", str(table))
     assert (found["detector"], found["target"]) == (detector, target)
-    assert [view["view"] for view in found["views"]] == images  # type: ignore[attr-defined]
+    assert [view["view"] for view in found["views"]] == images
     matrix = np.array(found["camera_matrix"])
     sigma = np.sqrt(np.diag(np.array(found["covariance"])))
     for value, true, error in zip((matrix[0, 0], matrix[0, 2], matrix[1, 2]), TRUE, sigma[[0, 2, 3]], strict=True):

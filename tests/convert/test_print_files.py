@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from radwrap.cli.main import main
-from radwrap.convert.print_pages import PAPERS, Paper, pages
+from radwrap.convert.print_pages import PAPERS, Paper, Window, pages
 from radwrap.scene.file.target_file import load_target
 from radwrap.scene.patterns.marks import FlatDisc, Mark
 
@@ -147,13 +147,13 @@ def test_tiles_show_every_place_of_a_large_plate_once(paper: Paper, tmp_path: Pa
     assert len(list(tmp_path.glob("big.row*_column*.svg"))) == 4
 
 
-def cut_area(mark: Mark, window: object) -> float:
+def cut_area(mark: Mark, window: Window | None) -> float:
     """Area of an upright rectangle within a window."""
     assert not isinstance(mark, FlatDisc)
     low, high = np.min(mark.vertices, axis=0), np.max(mark.vertices, axis=0)
     if window is not None:
-        low = np.maximum(low, [window.left, window.bottom])  # type: ignore[attr-defined]
-        high = np.minimum(high, [window.right, window.top])  # type: ignore[attr-defined]
+        low = np.maximum(low, [window.left, window.bottom])
+        high = np.minimum(high, [window.right, window.top])
     return float(np.prod(np.maximum(high - low, 0.0)))
 
 

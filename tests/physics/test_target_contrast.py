@@ -8,6 +8,7 @@ import pytest
 
 import radwrap
 from radwrap.scene.look.geometry import directions
+from radwrap.scene.patterns.layouts import Usaf1951
 from radwrap.scene.targets import PatternTarget
 
 TARGETS = Path(__file__).parents[2] / "rad_scenes" / "targets"
@@ -60,7 +61,8 @@ def test_bars_of_usaf_elements_are_their_shares_of_pixels() -> None:
     camera = scene.camera
     scale = camera.image_distance / 0.3 / camera.sensor.pixel_width  # px a metre
     off = []
-    for element in target.layout.elements():  # type: ignore[union-attr]
+    assert isinstance(target.layout, Usaf1951)
+    for element in target.layout.elements():
         bar = element.bar_width * scale
         for (x, y), is_upright in ((element.upright, True), (element.level, False)):
             u, v = camera.principal_point[0] + x * scale, camera.principal_point[1] - y * scale

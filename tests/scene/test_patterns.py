@@ -10,7 +10,7 @@ import pytest
 
 import radwrap
 from radwrap.scene.file.load import load_scene
-from radwrap.scene.patterns.layouts import Chessboard, CircleGrid, Layout, SiemensStar, Usaf1951
+from radwrap.scene.patterns.layouts import Charuco, Chessboard, CircleGrid, Layout, SiemensStar, Usaf1951
 from radwrap.scene.patterns.marks import FlatDisc, Mark, narrowest_of
 from radwrap.scene.patterns.partition import MARK, PLATE, Partition, partition
 from radwrap.scene.targets import PatternTarget, surfaces
@@ -154,7 +154,8 @@ def test_a_charuco_board_is_opencvs(rows: int, columns: int, dictionary: str, fi
     xy = np.stack([(u + 0.5) / 8e3 - target.width / 2, target.height / 2 - (v + 0.5) / 8e3], axis=-1).reshape(-1, 2)
     dark = target.partition.covered(xy).reshape(u.shape)
     assert ((picture < 128) == dark).all()
-    corners = np.array([(x, y) for _, _, (x, y) in target.layout.corners()])  # type: ignore[union-attr]
+    assert isinstance(target.layout, Charuco)
+    corners = np.array([(x, y) for _, _, (x, y) in target.layout.corners()])
     theirs = np.array(board.getChessboardCorners())[:, :2] / 1e3
     ours = np.column_stack([corners[:, 0] + target.width / 2, target.height / 2 - corners[:, 1]])
     assert np.abs(ours - theirs).max() < 1e-8  # OpenCV has float32

@@ -197,7 +197,7 @@ def _noise_gain(weights: WaveWeights) -> float:
     added, alone = weights.near(cell, (0, 0)), WaveWeights(kernel, ((1.0, rays),))
     gains = [
         float((added[number] ** 2).sum() / (alone.of_layer(kernel.layers[number], cell, (0, 0)) ** 2).sum())
-        for number in (0, -1)
+        for number in {0, len(kernel.layers) - 1}
     ]
     return min(1.0, max(math.sqrt(max(gains)), _LEAST_GAIN))
 
