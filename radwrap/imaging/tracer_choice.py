@@ -18,6 +18,7 @@ from radwrap.manifest import ONLY_WHERE_USED
 from radwrap.random_streams import Rendering, generator
 from radwrap.scene.camera import Camera, Sensor
 from radwrap.scene.scene import Scene
+from radwrap.scene.sources import WideSource
 from radwrap.tracers.agreement import Agreement, agreement
 from radwrap.tracers.bouncing import SURE_STEPS, Reflecting
 from radwrap.tracers.engine import Engine, EngineName
@@ -26,6 +27,9 @@ from radwrap.tracers.tracer import Tracer
 
 # Rays times sources that Radiance traces in about the time that the compiled tracer takes to be loaded.
 WORTH_COMPILED: Final = 1_000_000
+# Rays that certify an image at least: of 512 pixels, four pairs each, twice, for one layer of depth.
+_CERTIFIED_PIXELS: Final = 512
+_CERTIFYING: Final = 16
 # Rays of a pixel whose walks are the fewest that tell their noise: two replicates, each with a pilot of twice as many.
 _WALKS: Final = 2 * 3 * FEWEST
 # What each step of a walk asks Radiance besides a ray to each source: where the surface is, and whose.
@@ -94,9 +98,12 @@ def candidate(scene: Scene, options: RenderOptions) -> TracerUsed:
         return TracerUsed("radiance", cannot)
     sources, sensor = max(len(scene.emitters), 1), scene.camera.sensor
     walked = sensor.pixels * _walked(sources, sensor, options)
-    work = walked or sensor.pixels * sources * _rays_per_pixel(options)
+    work = walked or sources * _fewest_rays(scene.camera, options)
     told = f"about {work} rays of walks times sources" if walked else f"{work} rays times sources at least"
-    if work < WORTH_COMPILED:
+    whole = [source.name for source in scene.sources if isinstance(source, WideSource) and source.is_outline]
+    if whole:  # to cut them takes longer than to load the compiled tracer, and each ray then asks hundreds of patches
+        told = f"wide lights shine as a whole: {', '.join(whole)}"
+    elif work < WORTH_COMPILED:
         return TracerUsed("radiance", f"{told} are below {WORTH_COMPILED}")
     if lacks:
         return TracerUsed("radiance", lacks)
@@ -120,10 +127,14 @@ def _steps_of(options: RenderOptions) -> int:
     return min(options.bounces, SURE_STEPS) if isinstance(options.bounces, int) else SURE_STEPS
 
 
-def _rays_per_pixel(options: RenderOptions) -> int:
+def _fewest_rays(camera: Camera, options: RenderOptions) -> int:
+    """Rays that an image takes at least; of a small one its certificate takes most."""
+    pixels, samples = camera.sensor.pixels, options.pixel_samples**2
     if options.fixed_method == "viewpoints":
-        return options.viewpoint_number * options.pixel_samples**2
-    return options.pixel_samples**2
+        return pixels * samples * options.viewpoint_number
+    if options.fixed_method is not None or camera.aperture.is_infinitesimal:
+        return pixels * samples
+    return pixels * samples + _CERTIFYING * min(pixels, _CERTIFIED_PIXELS)
 
 
 def probed(reference: Tracer, other: Engine, scene: Scene, rays: NDArray[np.float64]) -> Agreement:

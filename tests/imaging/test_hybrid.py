@@ -20,6 +20,7 @@ from radwrap.imaging.methods.kernel import layer_shares, plan_kernel
 from radwrap.imaging.methods.pairs import paired
 from radwrap.imaging.methods.pieces import CALL_LOG
 from radwrap.imaging.methods.rays import ORDER, rays_over
+from radwrap.imaging.optics.footprint import reach_px
 from radwrap.imaging.optics.view import View, trace_rays
 from radwrap.imaging.tolerance.certificate import independent_errors
 from radwrap.imaging.tolerance.foreseen import seen_by
@@ -218,20 +219,58 @@ def test_noise_that_ends_at_dark_is_told_whole(number: int) -> None:
 @pytest.mark.parametrize("shape", [(1, 1), (3, 17), (40, 23)])
 @pytest.mark.parametrize("far", [[0, 0], [1, 2], [5, 4]])
 def test_what_lies_nearby_is_found_as_by_looking(shape: tuple[int, int], far: list[int]) -> None:
+    camera = behind_an_edge().camera
     random = np.random.default_rng(7)
     far = [min(steps, size - 1) for steps, size in zip(far, shape, strict=True)]
     magnification, seen = random.random((2, *shape))
     seen[random.random(shape) < 0.1] = np.nan
     seen[0, 0] = 0.5
-    got = cost_of_steps(magnification, seen, far)
+    got = cost_of_steps(camera, magnification, seen, far)
     for row, column in np.ndindex(shape):
         near = tuple(
             slice(max(0, place - steps), place + steps + 1) for place, steps in zip((row, column), far, strict=True)
         )
         if np.isnan(seen[near]).all():
             continue
-        expected = 0.32 * np.ptp(magnification[near]) * (np.nanmax(seen[near]) - np.nanmin(seen[near]))
-        assert got[row, column] == pytest.approx(expected)
+        light = np.nanmax(seen[near]) - camera.sensor.dark_gray
+        share = np.ptp(magnification[near]) / magnification[near].max()
+        assert got[row, column] == pytest.approx(share * light / math.pi)
+
+
+def edge_under_blur(x: Array, radius: float) -> Array:
+    """What lies beyond an edge, of the light that a round opening's blur of that radius gathers at a distance x."""
+    t = np.clip(x / radius, -1, 1)
+    return 0.5 + (np.arcsin(t) + t * np.sqrt(1 - t**2)) / math.pi
+
+
+# Blur of the magnification 1 [px], the magnifications, and how good an estimate that is made for small steps is there.
+@pytest.mark.parametrize(
+    ("blur", "near", "apart", "within"),
+    [
+        (8.0, 1.1, 0.05, 0.1),
+        (8.0, 1.1, 0.4, 0.35),
+        (400.0, 0.02, 0.005, 0.25),
+        (400.0, 0.02, 0.02, 0.5),
+        (0.1, 1.1, 0.3, 0.1),
+        (30.0, 0.02, 0.01, 0.1),
+    ],
+)
+def test_a_step_costs_what_the_far_light_is_spread_wrongly(
+    blur: float, near: float, apart: float, within: float
+) -> None:
+    """The near thing is as bright as the far one: there is no contrast to see, and the kernel is off all the same."""
+    camera, light = behind_an_edge().camera, 100.0
+    wide = camera.aperture.diameter * blur / max(reach_px(camera, 1.0))
+    camera = replace(camera, aperture=replace(camera.aperture, diameter=wide))
+    gray_levels = np.full((1, 4), light + camera.sensor.dark_gray)
+    magnification = np.array([[near, near, near - apart, near - apart]])
+    (got,) = np.unique(cost_of_steps(camera, magnification, gray_levels, [0, 3]))
+    x = np.linspace(-30.0, 30.0, 60001)
+    radii = (max(one * blur, 1e-9) for one in (near - apart, near))  # in focus there is no blur
+    one, other = (edge_under_blur(x, radius) for radius in radii)
+    width = round(1 / (x[1] - x[0]))  # a pixel
+    seen = np.convolve(one - other, np.full(width, 1 / width), mode="same")
+    assert got == pytest.approx(light * np.abs(seen).max(), rel=within)
 
 
 def test_a_coarse_survey_is_looked_at_more_nearly(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -52,13 +52,31 @@ def worth_it(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_small_scene_is_left_to_radiance_by_a_count() -> None:
     scene, work = small(), 20 * 24
+    certified = 17 * work  # so few pixels are all looked at, by two of each of four pairs, twice
     assert candidate(scene, RenderOptions()) == TracerUsed(
-        "radiance", f"{work} rays times sources at least are below {tracer_choice.WORTH_COMPILED}"
+        "radiance", f"{certified} rays times sources at least are below {tracer_choice.WORTH_COMPILED}"
     )
     assert candidate(scene, RenderOptions(viewpoints=37)).reason.startswith(f"{37 * work} rays")
     many = RenderOptions(viewpoints=2100)
     assert candidate(scene, many) == TracerUsed("compiled", f"{2100 * work} rays times sources at least")
     assert candidate(scene, replace(many, tracer="radiance")) == TracerUsed("radiance", "asked for")
+
+
+def test_of_a_small_image_its_certificate_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tracer_choice, "WORTH_COMPILED", 17 * 20 * 24)
+    assert candidate(small(), RenderOptions()).name == "compiled"
+    assert candidate(small(), RenderOptions(viewpoints=7)).name == "radiance"
+    assert candidate(small(**{"camera.aperture.diameter": "0 mm"}), RenderOptions()).name == "radiance"
+
+
+TENT: Final = {"type": "surround", "name": "tent", "radiance": "40 W/m^2/sr"}
+
+
+def test_however_small_an_image_a_wide_light_is_not_cut_where_it_may_shine_whole() -> None:
+    """Radiance took a minute for 40 x 32 pixels in a tent."""
+    used = candidate(small(sources=[TENT]), RenderOptions())
+    assert used == TracerUsed("compiled", "wide lights shine as a whole: tent")
+    assert candidate(small(sources=[TENT]), RenderOptions(tracer="radiance")).name == "radiance"
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,12 @@ from radwrap.imaging.optics.footprint import reach_px
 from radwrap.imaging.response.sensor import GrayWhereAsked
 from radwrap.scene.camera import Camera
 
-# A step in depth costs about this share of its difference in magnification and of the contrast (measured).
-_STEP_COST: Final = 0.32
+# The far thing's light B is spread by its own magnification m_far, where the near thing's rim lets through what its own
+# m_near says: the kernel is off by B (F(x/m_far) - F(x/m_near)); F is an edge under a round opening's blur. Where the
+# magnifications differ by the share s that is at most s B/pi, at .7 of the blur's radius, whatever the near thing's
+# own light. Of a blur that is smaller than a pixel the pixel's mean counts: 2/(3 pi) of what the radii differ by [px].
+_WIDE_COST: Final = 1 / math.pi
+_NARROW_COST: Final = 2 / (3 * math.pi)
 
 
 def steps(
@@ -56,21 +60,30 @@ def cost_on_grid(
         min(math.ceil(reach[axis] * n / size) + 1, n - 1)
         for axis, (size, n) in enumerate(zip(shape, magnification.shape, strict=True))
     ]
-    return cost_of_steps(magnification, gray, far)
+    return cost_of_steps(camera, magnification, gray, far)
 
 
-def cost_of_steps(magnification: NDArray[np.float64], gray: NDArray[np.float64], far: list[int]) -> NDArray[np.float64]:
-    """About what a kernel is off by at each point, from what is seen within so many points along each axis."""
-    cost: NDArray[np.float64] = _STEP_COST * _range_nearby(magnification, far) * _range_nearby(gray, far)
+def cost_of_steps(
+    camera: Camera, magnification: NDArray[np.float64], gray: NDArray[np.float64], far: list[int]
+) -> NDArray[np.float64]:
+    """About what a kernel is off by at each point, from what is seen within so many points along each axis.
+
+    Magnifications of a lens are small about its plane of focus: their share counts, not what they differ by.
+    """
+    high, low = _extreme_nearby(magnification, far, np.fmax), _extreme_nearby(magnification, far, np.fmin)
+    largest = np.maximum(np.abs(high), np.abs(low))
+    share = np.divide(high - low, largest, out=np.zeros_like(largest), where=largest > 0)
+    light = _extreme_nearby(gray, far, np.fmax) - camera.sensor.dark_gray
+    blur = max(reach_px(camera, 1.0)) * largest
+    cost: NDArray[np.float64] = np.minimum(_WIDE_COST, _NARROW_COST * blur) * share * light
     return cost
 
 
-def _range_nearby(values: NDArray[np.float64], far: list[int]) -> NDArray[np.float64]:
-    """Largest less smallest within so many steps along each axis; what is not a number is passed over."""
-    high = low = values
+def _extreme_nearby(values: NDArray[np.float64], far: list[int], choose: np.ufunc) -> NDArray[np.float64]:
+    """Largest or smallest within so many steps along each axis; what is not a number is passed over."""
     for axis, steps_away in enumerate(far):
-        high, low = _extreme(high, axis, steps_away, np.fmax), _extreme(low, axis, steps_away, np.fmin)
-    return high - low
+        values = _extreme(values, axis, steps_away, choose)
+    return values
 
 
 def _extreme(values: NDArray[np.float64], axis: int, far: int, choose: np.ufunc) -> NDArray[np.float64]:

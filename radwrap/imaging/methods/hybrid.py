@@ -299,7 +299,8 @@ def _near_steps(view: View, plan: HybridPlan, tile: int) -> tuple[NDArray[np.boo
     magnification, gray = np.full((2, len(rows), len(columns)), np.nan)
     magnification.flat[asked] = found
     gray.flat[asked] = gray_levels(values * view.exposure_of_radiance, sensor)
-    nearer = cost_of_steps(magnification, gray, [min(reach[1], len(rows) - 1), min(reach[0], len(columns) - 1)])
+    far = [min(reach[1], len(rows) - 1), min(reach[0], len(columns) - 1)]
+    nearer = cost_of_steps(plan.camera, magnification, gray, far)
     cut = nearer[reach[1] : len(rows) - reach[1], reach[0] : len(columns) - reach[0]]
     return near & (cut > plan.least), len(asked)
 
