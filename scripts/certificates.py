@@ -169,10 +169,12 @@ def true_square(view: View, gray: np.ndarray[Any, Any], bound: float, seed: int)
             return square, error
 
 
-def judged(number: int, budget: float) -> dict[str, Any] | None:
+def judged(
+    number: int, budget: float, drawn: Callable[[np.random.Generator], dict[str, Any]] = draw
+) -> dict[str, Any] | None:
     """One scene, rendered and held against the truth; None where there is nothing to see."""
     random = np.random.default_rng([2026, number])
-    document = draw(random)
+    document = drawn(random)
     try:
         scene = exposed(document, float(random.uniform(60, 260)))
     except radwrap.InputError as error:  # drawn badly: too near a wide source, a part around the camera
@@ -219,7 +221,7 @@ def judged(number: int, budget: float) -> dict[str, Any] | None:
 
 def judged_by(
     judge: Callable[[int, float], dict[str, Any] | None],
-    told: Callable[[dict[str, Any]], str],
+    in_words: Callable[[dict[str, Any]], str],
     words: str,
     budget: float,
 ) -> list[dict[str, Any]]:
@@ -240,7 +242,7 @@ def judged_by(
         if row is None or "refused" in row:
             continue
         rows.append(row)
-        print(told(row), flush=True)
+        print(in_words(row), flush=True)
     return rows
 
 
@@ -249,7 +251,7 @@ def kept(rows: list[dict[str, Any]]) -> tuple[float, float]:
     return float(np.mean([row["holds"] for row in rows])), float(np.median([row["ratio"] for row in rows]))
 
 
-def _told(row: dict[str, Any]) -> str:
+def told(row: dict[str, Any]) -> str:
     return (
         f"{row['number']:4d} tol {row['tolerance']:.1f} {row['method']:6} {'met ' if row['met'] else 'MISS'} "
         f"true {row['true_rms_gray']:.4f}+-{row['truth_standard_error_gray']:.4f} "
@@ -262,7 +264,7 @@ def _told(row: dict[str, Any]) -> str:
 
 def main() -> int:
     """Draw, judge, print."""
-    rows = judged_by(judged, _told, __doc__ or "", 2e7)
+    rows = judged_by(judged, told, __doc__ or "", 2e7)
     holds, idle = kept(rows)
     broken = sum(row["method"] != "kernel" for row in rows)
     seen = float(np.mean([row["planted"] > 0.5 for row in rows]))

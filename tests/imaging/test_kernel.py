@@ -110,6 +110,17 @@ def test_any_opening_as_by_rays(aperture: Aperture) -> None:
         assert np.abs(other.weights[:60, :60] - turned.weights[:60, :60]).max() > 0.2 * other.weights.max()
 
 
+@pytest.mark.parametrize("place", [-0.25, 0.25, 0.45])
+def test_an_edge_beside_a_tiles_border_is_seen(place: float) -> None:
+    """Of the outermost cells no neighbour outside says that an edge crosses them."""
+    seen = view(Aperture("round", 3e-6), (1.0, edge(math.pi / 2, place * 1.2e-5 / F)))
+    plan = replace(plan_kernel(seen, np.array([1 + F]), 0.5, 1), tiles=((0, 12, 0, 32), (12, 24, 0, 32)))
+    right = np.clip(np.arange(24) - 11.0 - place, 0.0, 1.0)  # the border is between rows 11 and 12
+    for seed in range(10):
+        off = gray(seen, kernel_image(seen, plan, seed)) - 100 * right[:, np.newaxis] * falloff(seen)
+        assert np.abs(off).max() < 15  # a cell of a quarter of a pixel for a row of a sharp edge: 12
+
+
 def test_small_spots_are_neither_lost_nor_counted_twice() -> None:
     """Spots smaller than the cells: the mean over many replicates is their light, within 4 standard errors."""
 

@@ -73,7 +73,8 @@ def test_an_edge_becomes_its_closed_form_within_the_bound(side: float, focus: fl
     off = (found - change) * scale * sensor.gain
     size = math.sqrt(float(np.mean((change * scale * sensor.gain) ** 2)))
     bound = math.sqrt(error.noise.upper + error.cells) + error.tails
-    assert math.sqrt(float((off**2).mean())) < bound < max(0.8, 0.3 * size), (bound, size)
+    # Bounds of small changes are mostly noise of two replicates: over six seeds .04 to .86.
+    assert math.sqrt(float((off**2).mean())) < bound < max(0.9, 0.3 * size), (bound, size)
 
 
 def scene_of(diffraction: str, **camera_values: object) -> radwrap.Scene:

@@ -178,7 +178,9 @@ def decide_cells(
     shape = tuple(
         -(-(start + size - begin) // step) for start, size, begin in zip(region[0], region[1], first, strict=True)
     )
-    sampler = _Sampler(view, plan, (first[0], first[1]), progress)
+    # One base cell more on each side: what is seen of a cell is told by its neighbours, which the outermost lack.
+    shape = tuple(count + 2 for count in shape)
+    sampler = _Sampler(view, plan, (first[0] - step, first[1] - step), progress)
     rows, columns = np.indices(shape)
     values = sampler.trace(*sampler.places(rows.ravel(), columns.ravel(), step, random), with_depth=False)[0]
     values = values.reshape(shape)
@@ -194,8 +196,14 @@ def decide_cells(
         values[row, column] = sampler.trace(*sampler.places(row, column, size, random), with_depth=False)[0]
     spread = _spread_that_counts(plan, values, plan.cell)
     cut.append(spread > max(least, _least_cut(plan, spread, plan.cell)))
-    samples, predicted = _samples_needed(plan, spread[cut[-1]], values.size)
+    cut = [_within(mask, 2**level) for level, mask in enumerate(cut)]
+    samples, predicted = _samples_needed(plan, _within(spread, step)[cut[-1]], cut[-1].size)
     return Cells((first[0], first[1]), _levels(cut), samples, predicted, sampler.rays)
+
+
+def _within(values: NDArray[_T], rim: int) -> NDArray[_T]:
+    """All but a rim so wide."""
+    return values[rim:-rim, rim:-rim].copy()
 
 
 def _least_cut(plan: GridPlan, spread: NDArray[np.float64], size: float) -> float:
