@@ -252,6 +252,7 @@ def kept(rows: list[dict[str, Any]]) -> tuple[float, float]:
 
 
 def told(row: dict[str, Any]) -> str:
+    """A line of a scene."""
     return (
         f"{row['number']:4d} tol {row['tolerance']:.1f} {row['method']:6} {'met ' if row['met'] else 'MISS'} "
         f"true {row['true_rms_gray']:.4f}+-{row['truth_standard_error_gray']:.4f} "

@@ -14,6 +14,7 @@ from collections import Counter
 from typing import Any
 
 import numpy as np
+
 from certificates import COVERAGE, IDLE, OUT, draw, judged, judged_by, kept, told
 
 FASTEST, SLOWEST = 1.4, 16.0  # f-numbers

@@ -23,6 +23,7 @@ from radwrap.imaging.methods.rays import ORDER, rays_over
 from radwrap.imaging.optics.footprint import reach_px
 from radwrap.imaging.optics.view import View, trace_rays
 from radwrap.imaging.tolerance.certificate import independent_errors
+from radwrap.imaging.tolerance.corrected_replicates import tile_numbers, trace_plan
 from radwrap.imaging.tolerance.foreseen import seen_by
 from radwrap.imaging.tolerance.planner import Outcome, render_to_tolerance
 from radwrap.imaging.tolerance.replicates import Replicates, Work, discretisation
@@ -209,7 +210,7 @@ def test_noise_that_ends_at_dark_is_told_whole(number: int) -> None:
     random = np.random.default_rng(4)
     images = random.normal(truth, noise, (number, 40, 72)).astype(np.float32)
     own = np.ones(images.shape[1:], dtype=bool)
-    made = Replicates(images, 0.0, 0, 0, (1, 1), own_rays=own, uncorrected=np.zeros_like(images))
+    made = Replicates(images, np.zeros_like(images[0]), 0, 0, (1, 1), own_rays=own, uncorrected=np.zeros_like(images))
     off = gray(seen, made.mean - truth)
     found, _ = discretisation(seen, made)
     assert float((off**2).mean()) < found.upper
@@ -271,6 +272,21 @@ def test_a_step_costs_what_the_far_light_is_spread_wrongly(
     width = round(1 / (x[1] - x[0]))  # a pixel
     seen = np.convolve(one - other, np.full(width, 1 / width), mode="same")
     assert got == pytest.approx(light * np.abs(seen).max(), rel=within)
+
+
+def test_rays_in_the_kernels_place_have_no_error_of_its_cells(tmp_path: Path) -> None:
+    """A sharp picture in cells of a quarter of a pixel, of which rays take the place or pairs are added."""
+    seen = behind_an_edge(rows=6)
+    plan = planned(seen)
+    with Programs() as programs:
+        work = Work(seen, tmp_path, programs, Progress("", 1, shown=False), "none", 0)
+        made, kernel = trace_plan(work, plan, 2), trace_plan(work, plan.kernel, 2)
+        signed = tile_numbers(work, plan, 0)
+    assert len(plan.tiles) == 1
+    assert (signed > 0).any()
+    assert (kernel.grid_squares[signed > 0] > 0).any()
+    assert not made.grid_squares[signed > 0].any()
+    assert np.array_equal(made.grid_squares[signed <= 0], kernel.grid_squares[signed <= 0])
 
 
 def test_a_coarse_survey_is_looked_at_more_nearly(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -310,5 +310,5 @@ def comparison_seconds(work: Work, plan: Plan, number: int) -> float:
     rows = min(sensor.rows, max(-(-_STRIP // sensor.columns), 8 * block[0]))
     images = np.ones((number, rows, sensor.columns), dtype=np.float32)
     # Which radiance does not matter where no light is collected.
-    strip = Replicates(images / (work.view.exposure_of_radiance or 1.0), 0.0, 0, 0, block)
+    strip = Replicates(images / (work.view.exposure_of_radiance or 1.0), np.zeros_like(images[0]), 0, 0, block)
     return timed(lambda: (strip.mean, discretisation(work.view, strip))) * sensor.rows / rows

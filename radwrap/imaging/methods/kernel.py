@@ -114,13 +114,18 @@ class Gathered:
     central: CentralImage
     coarser: CentralImage
 
-    def grid_square(self, exposure_of_radiance: float, sensor: Sensor) -> float:
-        """Mean square of what the cells' size changes [gray level^2]."""
+    def grid_squares(self, exposure_of_radiance: float, sensor: Sensor) -> NDArray[np.float64]:
+        """Of each pixel, or of the nearest that tells, the square of what the cells' size changes [gray level^2]."""
+        squares = np.zeros(self.values.shape)
         if not self.change.size:
-            return 0.0
-        fine = self.values[self.some]
-        squares = grid_squares(fine, self.change, exposure_of_radiance, sensor)
-        return float(squares.mean())
+            return squares
+        told = grid_squares(self.values[self.some], self.change, exposure_of_radiance, sensor)
+        near = [
+            np.abs(np.arange(size)[:, np.newaxis] - at.ravel()).argmin(axis=1)
+            for size, at in zip(self.values.shape, self.some, strict=True)
+        ]
+        squares[...] = told[np.ix_(*near)]
+        return squares
 
 
 def grid_squares(

@@ -75,16 +75,18 @@ def trace_plan(work: Work, plan: Plan, number: int, most: float = math.inf) -> R
             found[piece] = there[0]
     run_jobs([partial(make, piece) for piece in due], work.programs, work.view.workers)
     images = kernel.images.copy()
-    own_rays = np.zeros(images.shape[1:], dtype=bool)
+    own_rays, squares = np.zeros(images.shape[1:], dtype=bool), kernel.grid_squares.copy()
     for piece in pieces:
         r0, r1, c0, c1 = plan.tiles[piece.tile]
         place = images[piece.replicate, r0:r1, c0:c1]
         place[...] = corrected(place.astype(np.float64), found[piece].astype(np.float64), piece.signed)
         own_rays[r0:r1, c0:c1] = piece.signed != 0
+        squares[r0:r1, c0:c1][piece.signed > 0] = 0.0  # rays in the kernel's place have none of its cells
     reused = kernel.reused + len(pieces) - len(due)
     return replace(
         kernel,
         images=images,
+        grid_squares=squares,
         rays=whole,
         reused=reused,
         own_rays=own_rays,

@@ -44,8 +44,8 @@ class Replicates:
     ----------
     images : ndarray, shape (replicates, rows, columns)
         Mean of L cos^4(theta) over pixel and opening [W m^-2 sr^-1], as their files hold it.
-    grid_square : float
-        Mean square of what the size of the kernel's cells changes [gray level^2].
+    grid_squares : ndarray, shape (rows, columns)
+        Squares of what the size of the kernel's cells changes at each pixel [gray level^2].
     rays : int
         How many were traced for all of them.
     reused : int
@@ -65,7 +65,7 @@ class Replicates:
     """
 
     images: NDArray[np.float32]
-    grid_square: float
+    grid_squares: NDArray[np.float32]
     rays: int
     reused: int
     block: tuple[int, int]
@@ -74,6 +74,11 @@ class Replicates:
     uncorrected: NDArray[np.float32] | None = None
     parts: Mapping[str, int] = field(default_factory=dict)
     smooth_share: float = 1.0
+
+    @property
+    def grid_square(self) -> float:
+        """Mean square of what the size of the kernel's cells changes [gray level^2]."""
+        return float(self.grid_squares.mean(dtype=np.float64))
 
     @property
     def mean(self) -> NDArray[np.float64]:
@@ -166,16 +171,15 @@ def trace_replicates(work: Work, plan: PurePlan, number: int, most: float = math
     remove_halves(work.folder)
     sensor = work.view.camera.sensor
     images = np.empty((number, sensor.rows, sensor.columns), dtype=np.float32)
-    change = np.zeros(images.shape[1:]) if _keeps_change(plan) else None
+    below = np.zeros(images.shape[1:])
     told: dict[_TilePiece, Mapping[str, Any]] = {}
-    changes: dict[_TilePiece, NDArray[np.float32]] = {}
+    grids: dict[_TilePiece, NDArray[np.float32]] = {}
 
     def lay(piece: _TilePiece, found: tuple[NDArray[np.float32], Mapping[str, Any]]) -> None:
         r0, r1, c0, c1 = plan.tiles[piece.tile]
         pixels, told[piece] = found
         images[piece.replicate, r0:r1, c0:c1] = pixels[: r1 - r0]
-        if change is not None:
-            changes[piece] = pixels[r1 - r0 :]
+        grids[piece] = pixels[r1 - r0 :]
 
     def make(piece: _TilePiece) -> None:
         lay(piece, piece.make())
@@ -200,20 +204,19 @@ def trace_replicates(work: Work, plan: PurePlan, number: int, most: float = math
         if whole > most:
             raise TooManyRays({f"cells of {name}": taken}, whole)
     run_jobs([partial(make, piece) for piece in due], work.programs, work.view.workers)
-    grid_square, rays = 0.0, 0
+    rays = 0
     for piece in pieces:
         r0, r1, c0, c1 = plan.tiles[piece.tile]
         rays += int(told[piece]["rays"])
-        grid_square += float(told[piece]["grid_square"]) * (r1 - r0) * (c1 - c0) / images.size
-        if change is not None:  # in the order of the pieces, whoever was finished first
-            change[r0:r1, c0:c1] += changes[piece].astype(np.float64) / number
-    made = Replicates(images, grid_square, rays, len(pieces) - len(due), block_of(plan), change, parts={name: rays})
-    if change is None:
+        if isinstance(plan, KernelPlan):  # in the order of the pieces, whoever was finished first
+            below[r0:r1, c0:c1] += grids[piece].astype(np.float64) / number
+    squares = below.astype(np.float32)
+    made = Replicates(images, squares, rays, len(pieces) - len(due), block_of(plan), parts={name: rays})
+    if not isinstance(plan, KernelPlan) or not plan.grid.even:
         return made
     # What replicates have in common, without the noise of each.
-    squares = grid_squares(made.mean, change, work.view.exposure_of_radiance, sensor)
-    share = smooth_share(plan) if isinstance(plan, KernelPlan) else 1.0
-    return replace(made, grid_square=float(squares.mean()), smooth_share=share)
+    squares = grid_squares(made.mean, below, work.view.exposure_of_radiance, sensor).astype(np.float32)
+    return replace(made, grid_squares=squares, change=below, smooth_share=smooth_share(plan))
 
 
 def decide_tiles(work: Work, plan: PurePlan) -> None:
@@ -236,11 +239,6 @@ def make_tiles(work: Work, plan: PurePlan, number: int) -> int:
 
     run_jobs([partial(make, piece) for piece in pieces], work.programs, work.view.workers)
     return sum(rays)
-
-
-def _keeps_change(plan: PurePlan) -> bool:
-    """Whether each piece holds, below its values, what the size of the kernel's cells changes."""
-    return isinstance(plan, KernelPlan) and bool(plan.grid.even)
 
 
 def among(work: Work, jobs: int) -> Work:
@@ -268,12 +266,15 @@ def replicates_needed(plan: Plan) -> int:
 
 
 class _TilePiece:
-    """A tile of a replicate."""
+    """A tile of a replicate; of a kernel it holds, below its values, what the cells' size does to each.
+
+    That is the change, of an even plan, and else its square in gray levels.
+    """
 
     def __init__(self, work: Work, plan: PurePlan, name: str, replicate: int, tile: int) -> None:
         self.replicate, self.tile = replicate, tile
         self._file = f"piece_{name[:12]}_{replicate:03d}_{tile:05d}.exr"
-        self._work, self._plan, self._name = work, plan, f"{name}-{replicate}-{tile}"
+        self._work, self._plan, self._name = work, plan, f"{name}-{replicate}-{tile}-grid"
         self._whole = name
 
     def read(self) -> tuple[NDArray[np.float32], dict[str, str]] | None:
@@ -286,7 +287,7 @@ class _TilePiece:
         log_call(work.folder, Path(self._file).stem)
         if isinstance(self._plan, RaysPlan):
             traced = traced_tile(work.view, self._plan, self.tile, seed, work.progress.add)
-            values, found = traced.values, {"rays": traced.rays, "grid_square": 0.0}
+            values, found = traced.values, {"rays": traced.rays}
         else:
             values, found = self._gathered(self._plan, seed)
         pixels = values.astype(np.float32)
@@ -297,13 +298,12 @@ class _TilePiece:
         work = self._work
         cells = _CellsPiece(work, plan, self._whole, self.tile).cells()
         gathered = gathered_tile(work.view, plan, self.tile, cells, seed=seed, progress=work.progress.add)
-        values = gathered.values
-        if plan.grid.even:
-            values = np.concatenate([values, gathered.change])
+        grid = gathered.change
+        if not plan.grid.even:
+            grid = gathered.grid_squares(plan.grid.exposure_of_radiance, plan.camera.sensor)
         # The rays that decided the cells are counted once.
         rays = gathered.central.rays + (cells.rays if self.replicate == 0 else 0)
-        grid_square = gathered.grid_square(plan.grid.exposure_of_radiance, plan.camera.sensor)
-        return values, {"rays": rays, "grid_square": repr(grid_square)}
+        return np.concatenate([gathered.values, grid]), {"rays": rays}
 
 
 class _CellsPiece:
