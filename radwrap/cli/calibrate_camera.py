@@ -26,10 +26,10 @@ from radwrap.calibrate.tsai import SOLVERS, CameraCalibration, as_json, calibrat
 from radwrap.calibrate.views import MODELS
 from radwrap.cli import calibrate_views
 from radwrap.cli import options as shared
-from radwrap.cli.calibrate_images import DETECTORS
 from radwrap.errors import InputError
 from radwrap.manifest import json_text
 from radwrap.reading import FileKind, csv_rows, read_text, shortened, unusable
+from radwrap.study.target_points import DETECTORS
 from radwrap.units import LENGTH, PIXEL, Dimension, parse_quantity
 
 _COLUMNS: Final = ("x", "y", "z", "u", "v")

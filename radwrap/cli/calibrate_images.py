@@ -2,33 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Final, Literal, get_args
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radwrap.calibrate.views import CalibrationView
 from radwrap.errors import InputError
 from radwrap.images import GrayImage, read_gray
-from radwrap.measure.dots import DotsNotFound, find_dots
-from radwrap.measure.targets import (
-    CharucoBoard,
-    ChessboardMethod,
-    PointsNotFound,
-    charuco_corners,
-    chessboard_corners,
-    circle_centres,
-)
+from radwrap.measure.targets import PointsNotFound
 from radwrap.progress import Progress
 from radwrap.scene.file.target_file import load_target
-from radwrap.scene.patterns.layouts import Charuco, Chessboard, CircleGrid, Layout
-from radwrap.scene.patterns.marks import Place
+from radwrap.study.target_points import Detector, detector_of, finder_of
 
-Detector = Literal["refined", "sb", "corners", "charuco", "circles", "dots"]
-DETECTORS: Final[tuple[Detector, ...]] = get_args(Detector)
-Found = tuple[Sequence[Place], NDArray[np.float64]]
 _MOST_NAMED: Final = 3
 
 
@@ -59,8 +46,8 @@ def views_of(
         If an image cannot be read, stands twice or has another size, or nothing is found in some; it names them.
     """
     _, layout = load_target(target)
-    chosen = _detector(layout, detector, target)
-    find = _finder(layout, chosen, target)
+    chosen = detector_of(layout, detector, target=f"--target {target}", where="--detector")
+    find = finder_of(layout, chosen)
     _check_once(images)
     found: list[CalibrationView] = []
     failed: list[tuple[Path, PointsNotFound]] = []
@@ -86,69 +73,6 @@ def views_of(
     if image_size is None:
         raise InputError("no image is given", where="IMAGES")
     return found, image_size, chosen
-
-
-def _detector(layout: Layout, asked: Detector | None, target: Path) -> Detector:
-    fitting: tuple[Detector, ...]
-    match layout:
-        case Chessboard():
-            fitting = ("refined", "sb", "corners")
-        case Charuco():
-            fitting = ("charuco",)
-        case CircleGrid():
-            fitting = ("circles",) if layout.asymmetric else ("dots", "circles")
-        case _:
-            raise InputError(
-                f"a {type(layout).__name__} has no points that calibrate a camera",
-                where=f"--target {target}",
-                remedy="take a chessboard, a ChArUco board or a grid of circles",
-            )
-    if asked is not None and asked not in fitting:
-        raise InputError(
-            f'"{asked}" does not look for a {type(layout).__name__}',
-            where="--detector",
-            remedy=f"use {' or '.join(fitting)}",
-        )
-    return asked or fitting[0]
-
-
-def _finder(layout: Layout, detector: Detector, target: Path) -> Callable[[GrayImage], Found]:
-    """What finds the target's points in an image: their places on it [m], and their images [px]."""
-    match layout:
-        case Chessboard():
-            places = [place for *_, place in layout.corners()]
-            method: ChessboardMethod = detector if detector in ("sb", "corners") else "refined"
-            return lambda image: (places, chessboard_corners(image, layout.rows, layout.columns, method))
-        case Charuco():
-            corners = [place for *_, place in layout.corners()]
-            share = layout.marker_size / layout.square_size
-            board = CharucoBoard(layout.rows, layout.columns, share, layout.dictionary, layout.first_marker)
-
-            def charuco(image: GrayImage) -> Found:
-                ids, shown = charuco_corners(image, board)
-                return [corners[number] for number in ids.tolist()], shown
-
-            return charuco
-        case CircleGrid():
-            centres = [place for *_, place in layout.centres()]
-            if detector == "dots":
-                return lambda image: (centres, _dots(image, layout))
-            return lambda image: (
-                centres,
-                circle_centres(image, layout.rows, layout.columns, asymmetric=layout.asymmetric),
-            )
-    raise TypeError(f"{target}: {type(layout).__name__} has no points")
-
-
-def _dots(image: GrayImage, grid: CircleGrid) -> NDArray[np.float64]:
-    if image.values.min() == image.values.max():
-        raise PointsNotFound("shows one gray level everywhere", remedy="look at how it was taken")
-    try:
-        return find_dots(
-            image, grid.rows, grid.columns, method="conic", pitch=grid.pitch, dot_diameter=grid.dot_diameter
-        ).centres
-    except DotsNotFound as error:
-        raise PointsNotFound(error.what, remedy=error.remedy) from error
 
 
 def _check_once(images: Sequence[Path]) -> None:

@@ -30,6 +30,7 @@ from radwrap.nearest import did_you_mean
 from radwrap.random_streams import Studying, generator
 from radwrap.scene.scene import Scene
 from radwrap.scene.targets import DotBoard, EdgeTarget
+from radwrap.study.calibration_responses import CALIBRATIONS
 from radwrap.study.gauge_responses import GAUGES
 from radwrap.study.image_error import Cause, ImageError
 from radwrap.study.repeatability import repeatability
@@ -443,6 +444,7 @@ KINDS: Final[Mapping[str, Kind]] = {
     "contrast": Kind("Michelson contrast of 99th and 1st percentile", None, "", {}, _contrast),
     "saturated_share": Kind("share of saturated pixels", None, "", {}, _saturated_share),
     **GAUGES,
+    **CALIBRATIONS,
 }
 
 

@@ -271,12 +271,15 @@ def _check_level(design: Design, factor: Factor, level: Level, options: Mapping[
     for values in _ends(level):
         document: dict[str, Any] = deepcopy(dict(design.document))
         render = dict(design.render)
+        changed: dict[str, dict[str, Any]] = {}
         for key, value in settings(factor, Level(level.name, values), design.document, generator(0)):
             if key.startswith(_RENDER):
                 check_render_option(key.removeprefix(_RENDER), value, where)
                 render[key.removeprefix(_RENDER)] = value
             elif key.startswith(_RESPONSES):
-                _check_response_key(design, key, value, where)
+                response, option = _response_of(design, key, where)
+                check_options(response.kind, {option: value}, where)
+                changed.setdefault(response.told_in, {})[option] = value
             else:
                 _set(document, key, value, where)
         how = render_options(render, where, **options)
@@ -287,6 +290,10 @@ def _check_level(design: Design, factor: Factor, level: Level, options: Mapping[
             _check_decided(scene, how)
         except InputError as error:
             raise InputError(f"{error.where}: {error.what}", where=where, remedy=error.remedy) from error
+        for response in design.responses:
+            if there := changed.get(response.told_in):
+                asked = replace(response, options={**response.options, **there})
+                check_response(asked, scene, f"{where}: responses.{response.told_in}")
 
 
 def _check_decided(scene: Scene, how: RenderOptions) -> None:
@@ -315,11 +322,12 @@ def _ends(level: Level) -> list[tuple[Any, ...]]:
     return [tuple(pair[end] for pair in pairs) for end in (0, 1)]
 
 
-def _check_response_key(design: Design, key: str, value: Any, where: str) -> None:
+def _response_of(design: Design, key: str, where: str) -> tuple[Response, str]:
+    """The response that a key names, and its option."""
     name, _, option = key.removeprefix(_RESPONSES).partition(".")
     response = next((response for response in design.responses if response.told_in == name), None)
     if response is None:
         raise InputError(f'no response "{name}"', where=where, remedy="define it in [responses]")
     if response.user is not None:
         raise InputError("a Python function has no options that vary", where=where, remedy="define two responses")
-    check_options(response.kind, {option: value}, where)
+    return response, option

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from radwrap.calibrate.several_views import ViewsCalibration
+from radwrap.calibrate.views import DistortionModel
 from radwrap.errors import InputError
 from radwrap.images import GrayImage
 from radwrap.imaging.tolerance.kept_replicates import KeptReplicates
@@ -19,6 +21,7 @@ from radwrap.measure.dots import SoughtDots
 from radwrap.measure.edges import Edge
 from radwrap.scene.scene import Scene
 from radwrap.study.image_error import Cause, Changed, ErrorFields, ImageError, changed_by_replicates, copies_of
+from radwrap.study.target_points import Detector
 from radwrap.study.user_call import Called
 from radwrap.study.user_function import UserFunction
 
@@ -51,6 +54,10 @@ class Seen:
         Dots that were found on it and its copies, by copy, board and dark level: several responses measure the same.
     edges : dict
         The edge on each copy, likewise, by dark level and gamma.
+    points : dict
+        Rms distance of a target's points on each copy from the truth [px], likewise, by target and detector.
+    planned : dict
+        Calibrations by planned views of a target, by its name, their number, tilt and model.
     seed : int
         Of its run: decides the noise of frames.
     home : Path, optional
@@ -71,6 +78,8 @@ class Seen:
     model: ImageError | None = None
     sought: dict[tuple[int, str | None, float | None], SoughtDots] = field(default_factory=dict)
     edges: dict[tuple[int, float | None, float | None], Edge] = field(default_factory=dict)
+    points: dict[tuple[int, str, Detector], float] = field(default_factory=dict)
+    planned: dict[tuple[str, int, float, DistortionModel], ViewsCalibration] = field(default_factory=dict)
     seed: int = 0
     home: Path | None = None
     told: Mapping[str, Any] = field(default_factory=dict)
