@@ -42,6 +42,7 @@ _VERBS: Final = {
     "led": ("led", "drive the real LED ring over USB HID"),
     "validate": ("validate", "run the score card of closed forms"),
     "doctor": ("doctor", "check programs and libraries"),
+    "completion": ("completion", "print what a shell needs to complete this command"),
 }
 
 
@@ -132,6 +133,13 @@ class _Parser(argparse.ArgumentParser):
         (file or sys.stdout).write(message)  # argparse itself passes over what cannot be written
 
 
+class _Verbs(argparse._SubParsersAction):  # type: ignore[type-arg]
+    """Verbs with what they are for."""
+
+    def add_parser(self, name: str, **more: Any) -> Any:
+        return super().add_parser(name, help=_VERBS[name][1], **more)
+
+
 class _Version(argparse.Action):
     """The version, looked up where it is asked for."""
 
@@ -152,21 +160,33 @@ def _parsed(arguments: Sequence[str]) -> argparse.Namespace:
             gc.enable()
 
 
-def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
-    """Parser of the verb that is asked for; of all their names where none is."""
+def whole_parser() -> argparse.ArgumentParser:
+    """Parser of all verbs, with all that each of them takes."""
+    parser, verbs = _without_verbs()
+    for module in dict.fromkeys(module for module, _ in _VERBS.values()):
+        import_module(f"radwrap.cli.{module}").add_to(verbs)
+    return parser
+
+
+def _without_verbs() -> tuple[argparse.ArgumentParser, argparse._SubParsersAction[Any]]:
     parser = _Parser(
         prog="radwrap", description="Predicts the gray values a machine-vision camera will capture.", epilog=_EPILOG
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
-    verbs: argparse._SubParsersAction[Any] = parser.add_subparsers(title="verbs", required=True, metavar="VERB")
+    return parser, parser.add_subparsers(title="verbs", required=True, metavar="VERB", action=_Verbs)
+
+
+def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
+    """Parser of the verb that is asked for; of all their names where none is."""
+    parser, verbs = _without_verbs()
     asked = _VERBS.get(arguments[0]) if arguments else None
     if asked is not None:
         check_address_space()
         # Here and not above: until the libraries are loaded, an interrupt must find `main` at work.
         import_module(f"radwrap.cli.{asked[0]}").add_to(verbs)
         return parser
-    for name, (_, purpose) in _VERBS.items():
-        verbs.add_parser(name, help=purpose)
+    for name in _VERBS:
+        verbs.add_parser(name)
     return parser
 
 
