@@ -29,14 +29,23 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made / "it"
 
 
-def explained(folder: Path, **changes: Any) -> tuple[Scene, dict[str, Any], dict[str, Any]]:
+Explained = tuple[Scene, dict[str, Any], dict[str, Any]]
+
+
+def explained(folder: Path, **changes: Any) -> Explained:
     scene = load_scene(folder / "scene.toml", changes)
     found = radwrap.explain(scene)
     return scene, found, {one["target"]: one for one in found["in_sight"]}
 
 
-def test_sizes_are_those_of_the_visible_face(folder: Path) -> None:
-    scene, _, seen = explained(folder)
+@pytest.fixture(scope="module")
+def plain(folder: Path) -> Explained:
+    """The template as it is."""
+    return explained(folder)
+
+
+def test_sizes_are_those_of_the_visible_face(plain: Explained) -> None:
+    scene, _, seen = plain
     camera = scene.camera
     washer, belt = seen["washer"], seen["belt"]
     # 2.5 mm high on .05 mm: its face is 297.45 mm away, not its origin at 299.95 mm.
@@ -51,7 +60,7 @@ def test_sizes_are_those_of_the_visible_face(folder: Path) -> None:
 
 def test_levels_are_those_of_the_image(folder: Path) -> None:
     scene, _, seen = explained(folder, **{"camera.sensor.scale": "1/8"})
-    image = radwrap.render(scene, tolerance=30, workers=1, truth=True)
+    image = radwrap.render(scene, tolerance=30, workers=1, truth=True, tracer="compiled")
     assert image.truth is not None
     mask = image.truth["mask"] == next(n for name, n in image.truth["parts"].items() if "washer" in name)
     assert seen["washer"]["middle"]["gray"] == pytest.approx(np.median(image.gray.values[mask]), rel=0.01)
@@ -74,8 +83,8 @@ def test_snr_is_that_of_frames(folder: Path) -> None:
         assert level.electrons == pytest.approx(share * linear_of(sensor).full_well, rel=0.02)
 
 
-def test_exposure_for_80_percent_brings_the_peak_there(folder: Path) -> None:
-    _, found, _ = explained(folder)
+def test_exposure_for_80_percent_brings_the_peak_there(folder: Path, plain: Explained) -> None:
+    _, found, _ = plain
     wanted = found["exposure_for_80_percent"]
     scene, again, _ = explained(folder, **{"camera.exposure_time": f"{wanted!r} s"})
     sensor = scene.camera.sensor
@@ -83,9 +92,9 @@ def test_exposure_for_80_percent_brings_the_peak_there(folder: Path) -> None:
     assert share == pytest.approx(0.8, abs=1e-3)
 
 
-def test_each_target_has_the_exposure_of_its_own_brightest(folder: Path) -> None:
+def test_each_target_has_the_exposure_of_its_own_brightest(folder: Path, plain: Explained) -> None:
     """And the target that the expected peak lies on has that peak as its "at most": one exposure for both."""
-    _, found, seen = explained(folder)
+    _, found, seen = plain
     peak = found["expected_peak"]
     assert seen[peak["target"]]["peak"]["gray"] == pytest.approx(peak["gray"], abs=0.51)
     assert seen[peak["target"]]["exposure_for_80_percent"] == found["exposure_for_80_percent"]
@@ -114,8 +123,8 @@ def test_no_steps_of_light_that_shines_as_a_whole(tmp_path: Path, capsys: pytest
     assert "steps" not in lines.success().stdout
 
 
-def test_eight_bits_are_enough_where_noise_covers_their_step(folder: Path) -> None:
-    _, found, _ = explained(folder)
+def test_eight_bits_are_enough_where_noise_covers_their_step(folder: Path, plain: Explained) -> None:
+    _, found, _ = plain
     assert found["eight_bits"]["enough"] and found["eight_bits"]["target"] == "belt"
     assert found["eight_bits"]["step"] == 16
     _, found, _ = explained(folder, **{"materials.belt.reflectance": 0.01})
