@@ -41,11 +41,16 @@ def ring_picture(
     levels: tuple[float, ...],
 ) -> Array:
     """Light of discs one in the other: `levels` from the outside inwards, one more than radii, the largest first."""
-    u, v = _places(shape)
-    distance = np.hypot(u - centre[0], v - centre[1])
+    v, u = np.indices(shape, dtype=np.float64)
+    away = np.hypot(u - centre[0], v - centre[1])
+    offset_u, offset_v = _places((1, 1))
     light = np.full(shape, levels[0])
     for radius, outer, inner in zip(radii, levels[:-1], levels[1:], strict=True):
-        light = light + (inner - outer) * disc_share(distance, radius, blur).mean(axis=-1)
+        share = disc_share(away, radius, blur)  # 0 or 1 but for pixels that the blurred rim crosses
+        rim = np.abs(away - radius) < blur + 1
+        places = np.hypot(u[rim][:, None] + offset_u[0] - centre[0], v[rim][:, None] + offset_v[0] - centre[1])
+        share[rim] = disc_share(places, radius, blur).mean(axis=-1)
+        light = light + (inner - outer) * share
     return light
 
 

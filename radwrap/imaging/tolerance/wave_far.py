@@ -169,12 +169,17 @@ def _tail_kernel(aperture: Aperture, rim_at: float, near: float, far: float) -> 
     length = {"square": 4 * aperture.diameter, "half_disc": aperture.diameter}.get(aperture.shape, 0.0)
     straight = length / rim(aperture)
     if straight < 1:
-        y, x = (np.indices((size * _INSIDE, size * _INSIDE)) + 0.5) / _INSIDE - 0.5 - margin
-        radius = np.hypot(x, y)
+        # It is alike in all quarters: one of them, with the middle's own blocks.
+        half = margin + 1
+        along = (np.arange(half * _INSIDE) + 0.5) / _INSIDE - 0.5
+        radius = np.hypot(along[:, np.newaxis], along)
         beyond = (radius > near) & (radius <= far)
-        radius = np.where(beyond, radius, far)
-        each = np.where(beyond, _from_both_rims(radius, rim_at) / radius, 0.0)
-        arc = each.reshape(size, _INSIDE, size, _INSIDE).sum(axis=(1, 3))
+        each = np.zeros_like(radius)
+        at = radius[beyond]
+        each[beyond] = _from_both_rims(at, rim_at) / at
+        quarter = each.reshape(half, _INSIDE, half, _INSIDE).sum(axis=(1, 3))
+        lower = np.concatenate([quarter[:, :0:-1], quarter], axis=1)
+        arc = np.concatenate([lower[:0:-1], lower])
         kernel += (1 - straight) * arc / arc.sum()
     if straight:
         normals = [aperture.rotation + turn * math.pi / 2 for turn in range(2 if aperture.shape == "square" else 1)]
