@@ -115,7 +115,8 @@ def test_the_advice_is_for_the_camera_at_hand(folder: Path) -> None:
 def test_no_steps_of_light_that_shines_as_a_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The compiled tracer has none; what is not known of the tracer keeps the warning."""
     here(["init", tmp_path / "it", "--template", "coaxial"], capsys).success()
-    scene = load_scene(tmp_path / "it" / "scene.toml", {"sources[0].irradiance_error": 0.05})
+    changes = {"sources[0].irradiance_error": 0.05, "camera.sensor.scale": "1/16"}
+    scene = load_scene(tmp_path / "it" / "scene.toml", changes)
     told = [[w for w in radwrap.explain(scene, whole)["warnings"] if "steps" in w] for whole in ((), ("coaxial",))]
     assert len(told[0]) == 1 and told[1] == []
     small = ["--tracer", "compiled", "--set", "camera.sensor.scale=1/16", "--set", "sources[0].irradiance_error=0.05"]

@@ -94,7 +94,10 @@ def test_what_is_hidden_has_none(cell: Path) -> None:
 
 def test_regions_go_by_the_scenes_truth(cell: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
-    here(["render", cell, "--scale", "1/8", "--set", "camera.diffraction=off", "--out", out], capsys).success()
+    here(
+        ["render", cell, "--scale", "1/8", "--set", "camera.diffraction=off", "--tracer", "compiled", "--out", out],
+        capsys,
+    ).success()
     words = ["--scene", cell, "--scale", "1/8", "--truth", "washer"]
     told = here(["measure", "region", out / "gray.png", *words, "--against-truth", "belt"], capsys).success().stdout
     assert told.startswith("region: mean 3") and "against: mean 6" in told

@@ -175,8 +175,8 @@ def _tail_kernel(aperture: Aperture, rim_at: float, near: float, far: float) -> 
         radius = np.hypot(along[:, np.newaxis], along)
         beyond = (radius > near) & (radius <= far)
         each = np.zeros_like(radius)
-        at = radius[beyond]
-        each[beyond] = _from_both_rims(at, rim_at) / at
+        seen = radius[beyond]
+        each[beyond] = _from_both_rims(seen, rim_at) / seen
         quarter = each.reshape(half, _INSIDE, half, _INSIDE).sum(axis=(1, 3))
         lower = np.concatenate([quarter[:, :0:-1], quarter], axis=1)
         arc = np.concatenate([lower[:0:-1], lower])

@@ -40,24 +40,21 @@ def disc_edge(distance: Array, radius: float, order: int = 0) -> Array:
 
 
 def antiderivatives(distance: Array, radius: float, orders: tuple[int, ...]) -> list[Array]:
-    """E_n(x) = int_{t<x} (x - t)^n/n! k(t) dt from the disc's one-sided moments M_j = int_{t<x} t^j k(t) dt."""
+    """E_n(x) = int_{t<x} (x - t)^n/n! k(t) dt, each from the two before it.
+
+    With E_(-1) = k, from (1 - t^2) k' + t k = 0 integrated m = n times:
+    n (n + 2) E_n = (1 - x^2) E_(n-2) + (2 n + 1) x E_(n-1), at all x.
+    """
     x = distance / radius
     s = np.clip(x, -1.0, 1.0)
     chord = np.sqrt(1 - s * s)
-    # Products: powers beyond squares take ten times as long.
-    rest = 2 / math.pi * chord * chord * chord
-    moments = [1 - (np.arccos(s) - s * chord) / math.pi, -rest / 3]
-    for j in range(2, max(orders) + 1):
-        rest = rest * s
-        moments.append(((j - 1) * moments[j - 2] - rest) / (j + 2))
-    found = []
-    for n in orders:
-        # sum_j x^(n-j) (-1)^j M_j/(j! (n-j)!) by Horner's rule.
-        total = moments[0] / math.factorial(n)
-        for j in range(1, n + 1):
-            total = total * x + (-1) ** j * moments[j] / (math.factorial(j) * math.factorial(n - j))
-        found.append(radius**n * total)
-    return found
+    rest = 1 - x * x
+    before, last = 2 / math.pi * chord, 1 - (np.arccos(s) - s * chord) / math.pi
+    found = {0: last}
+    for n in range(1, max(orders) + 1):
+        before, last = last, (rest * before + (2 * n + 1) * (x * last)) / (n * (n + 2))
+        found[n] = last
+    return [radius**n * found[n] for n in orders]
 
 
 def pixel_edge(distance: Array, radius: float, along_u: float, along_v: float, orders: int = 1) -> list[Array]:
