@@ -17,7 +17,7 @@ TARGETS = Path(__file__).parents[2] / "rad_scenes" / "targets"
 NAMES = sorted(path.stem for path in TARGETS.glob("*.toml"))
 WRITTEN = 2e-6  # mm: numbers are written to the nanometre
 ARC = 1e-5  # of a radius: cubic curves are no circles
-BIG = 'type = "charuco"\nrows = 9\ncolumns = 14\nsquare_size = "30 mm"\nmarker_size = "22 mm"\n'
+BIG = 'type = "charuco"\nrows = 6\ncolumns = 9\nsquare_size = "46 mm"\nmarker_size = "34 mm"\n'
 BIG += 'dictionary = "DICT_5X5_100"'
 Path2 = list[np.ndarray]
 SVG = "{http://www.w3.org/2000/svg}"

@@ -173,8 +173,9 @@ def test_what_one_wavelength_leaves_out_of_a_wide_line_is_in_relit_errors(tmp_pa
 def test_a_plan_gives_waves_to_every_image_alike(tmp_path: Path) -> None:
     """A darker image, in which waves do not matter, has them by the same rays; each replicate has its own."""
     plan = SamplingPlan("kernel", cell=0.5, replicates=3, wave_cell=0.5)
-    bright = radwrap.render(board("auto"), tmp_path, sampling=plan)
-    dark = radwrap.render(board("auto", **{"camera.exposure_time": "1 ms"}), sampling=plan)
+    how = radwrap.RenderOptions(tracer="compiled", sampling=plan)
+    bright = radwrap.render(board("auto"), tmp_path, options=how)
+    dark = radwrap.render(board("auto", **{"camera.exposure_time": "1 ms"}), options=how)
     assert bright.manifest["diffraction"]["rays"] == dark.manifest["diffraction"]["rays"]
     assert dark.manifest["diffraction"]["about_rms_gray"] < 0.15 < bright.manifest["diffraction"]["about_rms_gray"]
     times = bright.scene.camera.exposure_time / 1e-3
@@ -185,7 +186,7 @@ def test_a_plan_gives_waves_to_every_image_alike(tmp_path: Path) -> None:
     assert len(kept.images) == 3 and kept.change.any()
     exposure = bright.radiant_exposure.values
     assert np.abs(np.maximum(kept.images.mean(axis=0), 0.0) - exposure).max() < FLOAT32 * exposure.max()
-    none = radwrap.render(board("auto"), sampling=replace(plan, wave_cell=None))
+    none = radwrap.render(board("auto"), options=how, sampling=replace(plan, wave_cell=None))
     assert none.manifest.get("diffraction") is None and none.left_out["diffraction"].needed
     with pytest.raises(InputError, match=r"sampling.wave_cell: is missing"):
         radwrap.render(board("on"), sampling=replace(plan, wave_cell=None))

@@ -190,10 +190,11 @@ def on_face(target: Flat, xy: Array) -> NDArray[np.bool_]:
 def in_polygon(vertices: Array, xy: Array) -> NDArray[np.bool_]:
     """Which points, shape (n, 2), lie in a polygon, shape (m, 2): even-odd rule; on the border it may be either."""
     inside = np.zeros(len(xy), dtype=bool)
-    for (x0, y0), (x1, y1) in zip(vertices, np.roll(vertices, -1, axis=0), strict=True):
+    x, y = np.ascontiguousarray(xy.T)
+    for (x0, y0), (x1, y1) in zip(vertices.tolist(), np.roll(vertices, -1, axis=0).tolist(), strict=True):
         if y0 != y1:
-            crosses = (y0 > xy[:, 1]) != (y1 > xy[:, 1])
-            inside ^= crosses & (xy[:, 0] < x0 + (xy[:, 1] - y0) * (x1 - x0) / (y1 - y0))
+            some = np.flatnonzero((y0 > y) != (y1 > y))  # few, of a polygon with many sides
+            inside[some] ^= x[some] < x0 + (y[some] - y0) * (x1 - x0) / (y1 - y0)
     return inside
 
 
