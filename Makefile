@@ -42,7 +42,7 @@ face: $(READY)
 # for a sixth of the time; tests of a file share what they make, and the longest files are begun first (conftest.py).
 # One thread each for linear algebra: on small matrices more threads mostly wait for each other, at five times the cost.
 ONE_THREAD := OPENBLAS_NUM_THREADS=1
-PYTEST := -m pytest -n 3 --dist loadfile --no-loadscope-reorder
+PYTEST := -m pytest -n 3 --dist loadfile --no-loadscope-reorder --durations=20
 # Plain asserts load in half the time, in each process; what fails is run again by asserts that show their values.
 tested = $(ONE_THREAD) $(BIN)/python $(PYTEST) --assert=plain $(1) || \
 	{ $(ONE_THREAD) $(BIN)/python $(PYTEST) --last-failed --last-failed-no-failures none $(1); exit 1; }

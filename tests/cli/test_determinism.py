@@ -66,10 +66,8 @@ def test_the_seed_decides_the_jitter_and_nothing_else(tmp_path: Path, capsys: py
     "place",
     [
         pytest.param("with a blank", marks=pytest.mark.long),
-        "größe µ 日本",
+        "-rf/größe µ 日本/$HOME; !touch touched; {x} %d * ? [a] ~",
         pytest.param("quote ' and \" and `", marks=pytest.mark.long),
-        "$HOME; !touch touched; {x} %d * ? [a] ~",
-        "-rf",
         pytest.param("colon:and,comma", marks=pytest.mark.long),
         pytest.param("a.b/.hidden/..name", marks=pytest.mark.long),
     ],

@@ -14,7 +14,9 @@ from radwrap.scene.file.load import load_scene
 from tests.cli.conftest import here
 
 WHOLE = [
-    pytest.param(name, marks=[pytest.mark.long] if name in ("ring", "dome", "darkfield", "calibration") else [])
+    pytest.param(
+        name, marks=[pytest.mark.long] if name in ("ring", "dome", "coaxial", "darkfield", "calibration") else []
+    )
     for name in TEMPLATES
 ]
 
@@ -25,8 +27,7 @@ def test_a_template_renders_as_it_is(name: str, tmp_path: Path, capsys: pytest.C
     told = here(["init", folder, "--template", name], capsys).success().stdout
     path = folder / "scene.toml"
     assert f"radwrap render {path}" in told
-    # A wide light has many patches, whose time goes with the pixels.
-    scale = [] if name == "retro" else ["--scale", "1/16" if name == "coaxial" else "1/8"]
+    scale = [] if name == "retro" else ["--scale", "1/8"]
     here(["render", path, *scale, "--out", folder / "out"], capsys).success()
     scene = load_scene(path)
     assert (scene.camera.sensor.linear is None) == (scene.camera.lens is None) == (name == "retro")
@@ -40,7 +41,9 @@ def test_a_template_renders_as_it_is(name: str, tmp_path: Path, capsys: pytest.C
     assert gray.max() < full
 
 
-@pytest.mark.parametrize(("name", "inside"), [("ring", "bright"), ("backlight", "dark")])
+@pytest.mark.parametrize(
+    ("name", "inside"), [("ring", "bright"), pytest.param("backlight", "dark", marks=pytest.mark.long)]
+)
 def test_its_part_can_be_measured(name: str, inside: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     here(["init", tmp_path / "it", "--template", name], capsys).success()
     path, out = tmp_path / "it" / "scene.toml", tmp_path / "out"

@@ -274,8 +274,8 @@ def test_the_image_that_comes_nearest_to_all_demands_is_kept(tmp_path: Path, max
 def test_a_small_budget_is_not_overspent(tmp_path: Path) -> None:
     """The first attempt aims at what the budget allows, down to the fewest rays of each pixel."""
     seen = view(Aperture("round", 0.0), (1.0, wires), rows=12, columns=16)
-    dear = search(seen, tmp_path / "dear", Demand(0.05, method="rays"))
-    cheap = search(seen, tmp_path / "cheap", Demand(0.05, method="rays", budget=Budget(rays=2.5e4)))
+    dear = search(seen, tmp_path / "dear", Demand(0.1, method="rays"))
+    cheap = search(seen, tmp_path / "cheap", Demand(0.1, method="rays", budget=Budget(rays=2.5e4)))
     assert not cheap.met and cheap.record.rays < 5e4 < dear.record.rays
 
 

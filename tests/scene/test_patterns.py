@@ -127,9 +127,18 @@ def test_everything_lies_on_the_plate(path: Path) -> None:
         assert narrowest_of(mark) > 0
 
 
-@pytest.mark.parametrize(("rows", "columns"), [(5, 7), (6, 7), (6, 4)])
+SIZES = [(5, 7), (6, 7), (6, 4)]
+DICTIONARIES = [("DICT_4X4_50", 0), ("DICT_6X6_250", 17), ("DICT_APRILTAG_36h11", 3)]
+
+
+# Each size and each dictionary once: the first says where markers lie, the second what they are. All pairs are long.
 @pytest.mark.parametrize(
-    ("dictionary", "first"), [("DICT_4X4_50", 0), ("DICT_6X6_250", 17), ("DICT_APRILTAG_36h11", 3)]
+    ("rows", "columns", "dictionary", "first"),
+    [
+        pytest.param(*size, *bits, marks=[] if SIZES.index(size) == DICTIONARIES.index(bits) else [pytest.mark.long])
+        for size in SIZES
+        for bits in DICTIONARIES
+    ],
 )
 def test_a_charuco_board_is_opencvs(rows: int, columns: int, dictionary: str, first: int) -> None:
     """Each pixel of OpenCV's own picture, with 8 pixels to a cell so that cells end between pixels."""

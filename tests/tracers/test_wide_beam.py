@@ -67,13 +67,15 @@ def brute(source: WideSource, p: np.ndarray, n: np.ndarray, count: int = 1 << 18
     return float(area(source.shape) * f.mean())
 
 
+# Of each light one surface that faces its plane and two that do not; three more are long.
+@pytest.mark.parametrize("number", [3, pytest.param(6, marks=pytest.mark.long)])
 @pytest.mark.parametrize("beam", BEAMS)
 @pytest.mark.parametrize("shape", SHAPES)
-def test_random_points_against_quadrature(shape: str, beam: str) -> None:
+def test_random_points_against_quadrature(shape: str, beam: str, number: int) -> None:
     source, random = wide(SHAPES[shape], BEAMS[beam]), np.random.default_rng(7)
     light, tables = row_of(source)
     room = np.empty(CUTS)
-    for k in range(6):
+    for k in range(number):
         p = random.uniform([-0.4, -0.4, 0.15], [0.4, 0.4, 1.5])
         n = np.array([0.0, 0.0, -1.0]) if k % 3 == 0 else random.normal(size=3)
         n /= np.linalg.norm(n)

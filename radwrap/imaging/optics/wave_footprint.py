@@ -73,9 +73,9 @@ def wave_weights(
     )
     found = np.zeros((shape[0], shape[1] // 2 + 1), dtype=np.complex128)
     transfer = waves.transfer_up_to(highest, magnification)
-    for y, along in zip(down, of_rows, strict=True):
-        for x, beside in zip(across, of_columns, strict=True):
-            rows, columns = (np.flatnonzero(np.abs(values) < highest) for values in (y, x))
+    some_rows, some_columns = ([np.flatnonzero(np.abs(one) < highest) for one in axis] for axis in (down, across))
+    for y, along, rows in zip(down, of_rows, some_rows, strict=True):
+        for x, beside, columns in zip(across, of_columns, some_columns, strict=True):
             if rows.size and columns.size:
                 at = np.ix_(rows, columns)
                 passed = transfer(x[np.newaxis, columns], y[rows, np.newaxis])
