@@ -34,6 +34,7 @@ ORDER = [
 # The rooms of the two largest folders, wings and modules beside them. Each may import itself and what stands before it.
 ROOMS = {
     "scene": [
+        "catalog",
         *("distortion", "linear_sensor", "pixel_window", "camera", "sensor_part"),
         *(
             "materials",
@@ -119,8 +120,6 @@ DOORS = {
     },
     "tomllib": {
         "reading.py": "TOML of users, judged before it is parsed",
-        "scene/file/border.py": "reads tables of our own",
-        "scene/file/sensor_tables.py": "reads presets of our own",
     },
     "pydantic_core": {
         "scene/file/faults.py": "turns pydantic's errors into ours",

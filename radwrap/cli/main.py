@@ -41,6 +41,7 @@ _VERBS: Final = {
     "compare": ("compare", "compare a captured image with the predicted one"),
     "led": ("led", "drive the real LED ring over USB HID"),
     "validate": ("validate", "run the score card of closed forms"),
+    "catalog": ("catalog", "list, show and check sensors, lenses, lights and materials that scenes may name"),
     "doctor": ("doctor", "check programs and libraries"),
     "completion": ("completion", "print what a shell needs to complete this command"),
 }

@@ -31,6 +31,7 @@ from radwrap.imaging.relight.relit import Relighter, Relit, read_basis
 from radwrap.imaging.relight.relit_uncertainty import relit_squares
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.tolerance.uncertainty import combined
+from radwrap.scene.catalog.places import SCENE
 from radwrap.scene.file.turned import with_levels
 from radwrap.scene.scene import Scene
 
@@ -188,6 +189,7 @@ def _named_files(scene: Scene) -> str | None:
     """Where files lie that the scene's camera names, if it names any."""
     camera = json.loads(scene.document)["camera"]
     named = "calibration" in camera or "data_sheet" in camera.get("sensor", {})
+    named = named or any(one.key.startswith("camera.") and one.component.place == SCENE for one in scene.components)
     return str(scene.folder) if named else None
 
 

@@ -145,10 +145,8 @@ def basis_in_other_camera(basis: Basis, scene: SceneText, changes: Mapping[str, 
     """
     if not changes:
         return basis
-    camera, _, _ = camera_with(
-        scene.document, changes, origin=scene.origin, folder=scene.folder, spectral=scene.spectral
-    )
-    old, new = basis.camera, replace(camera, distortion=None)
+    other = camera_with(scene.document, changes, origin=scene.origin, folder=scene.folder, spectral=scene.spectral)
+    old, new = basis.camera, replace(other.camera, distortion=None)
     check_same_light(old, new)
     return replace(basis, camera=new, exposure_of_radiance=basis.exposure_of_radiance * _times(old, new))
 

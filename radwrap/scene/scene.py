@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from radwrap.scene.camera import Camera
+from radwrap.scene.catalog.presets import Taken
 from radwrap.scene.materials import Material
 from radwrap.scene.sources import Emitter, Source, WideSource, emitters
 from radwrap.scene.spectrum import Spectral
@@ -40,6 +41,8 @@ class Scene:
         The scene file's content as JSON, with overrides, as the user wrote it.
     spectral : Spectral, optional
         Where spectra are told: what they come to. Radiances of sources are then what counts of them.
+    components : tuple of Taken
+        What it takes from the catalog.
     """
 
     camera: Camera
@@ -52,6 +55,7 @@ class Scene:
     folder: Path = field(default=Path(), compare=False)
     document: str = field(default="{}", compare=False, repr=False)
     spectral: Spectral | None = None
+    components: tuple[Taken, ...] = field(default=(), compare=False, repr=False)
 
     @property
     def emitters(self) -> tuple[Emitter, ...]:

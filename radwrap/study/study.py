@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import time
@@ -19,6 +20,7 @@ from radwrap.imaging.tolerance.lit_noise import ToleranceAsked
 from radwrap.manifest import SCHEMA_VERSION, STUDY_PACKAGES, read_manifest, sha256_of_value, versions, write_manifest
 from radwrap.process import MOST_WORKERS, Programs, available_cores
 from radwrap.progress import Progress
+from radwrap.scene.catalog.presets import hashes_of, naming_presets, with_presets
 from radwrap.scene.file.named_files import named_files
 from radwrap.study.design import Design, render_options
 from radwrap.study.journal import RESULTS, Journal
@@ -253,7 +255,19 @@ def _file_hashes(design: Design, runs: Sequence[Run], options: StudyOptions) -> 
     strings = {"base": design.document, "runs": [run.document for run in runs]}
     return {
         os.path.relpath(path, folder): _file_hash(path) for path in named_files(strings, folder, trust=options.trust)
-    }
+    } | {f"catalog: {name}": sha256 for name, sha256 in _component_hashes(design, runs).items()}
+
+
+def _component_hashes(design: Design, runs: Sequence[Run]) -> dict[str, str]:
+    """Hash of each component of the catalog that a run's scene names, wherever it lies."""
+    found: dict[str, str] = {}
+    seen: set[str] = set()
+    for document in (design.document, *(run.document for run in runs)):
+        tables = naming_presets(document)
+        if tables and (text := json.dumps(tables)) not in seen:
+            seen.add(text)
+            found |= hashes_of(with_presets(tables, design.scene_origin, design.folder)[1])
+    return dict(sorted(found.items()))
 
 
 def _file_hash(path: Path) -> str:

@@ -11,12 +11,12 @@ from typing import Any
 import pytest
 
 from radwrap.errors import InputError
-from radwrap.scene.file.border import preset_names
+from radwrap.scene.catalog.places import listed
 from radwrap.scene.file.load import scene_from_document
 from radwrap.scene.materials import Anisotropic, Glass, Specular
 from radwrap.scene.scene import Scene
 
-NAMES = preset_names("materials")
+NAMES = sorted(name for name, _, _ in listed("materials"))
 CITED = set(re.findall(r"^@\w+\{([\w-]+),", Path("CITATIONS.bib").read_text(), re.MULTILINE))
 
 

@@ -11,6 +11,7 @@ from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.response.noise import linear_of
 from radwrap.imaging.tracing import LaidOutScene, scene_sha256
 from radwrap.manifest import sha256_of_value, versions
+from radwrap.scene.catalog.presets import hashes_of
 from radwrap.scene.scene import Scene
 
 
@@ -61,6 +62,7 @@ def identity_of(scene: Scene, options: RenderOptions, traced: LaidOutScene) -> I
             "basis": sources,
             **({"frames": options.frames} if options.frames else {}),
             "document": scene.document,
+            **({"components": hashes} if (hashes := hashes_of(scene.components)) else {}),
             "versions": used,
         }
     )

@@ -22,6 +22,7 @@ from radwrap.imaging.tolerance.search_record import SearchRecord
 from radwrap.imaging.tolerance.uncertainty import UncertaintySummary
 from radwrap.imaging.tracer_choice import TracerUsed
 from radwrap.manifest import ONLY_WHERE_USED, SCHEMA_VERSION, plain, read_manifest, write_manifest
+from radwrap.scene.scene import Scene
 from radwrap.written import Count, Hashes, NotNegative, Positive, Rays, Sha256, Share, read_back
 
 MANIFEST: Final = "manifest.json"
@@ -67,6 +68,20 @@ class DiffractionTaken:
 
 
 @dataclass(frozen=True, slots=True)
+class ComponentUsed:
+    """A component of the catalog: where the scene names it, which file it was, and all its values."""
+
+    key: str
+    kind: str
+    name: str
+    place: str
+    revision: str
+    sha256: Sha256
+    used: tuple[str, ...]
+    values: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
 class Timing:
     """What a run took, and what was said of that before: the one part of a manifest that differs between equal runs."""
 
@@ -103,6 +118,8 @@ class RunManifest:
         Which tracer, and why.
     versions, assumed : Mapping[str, str]
         Of everything that a file depends on; key of the scene -> default that was taken.
+    components : tuple of ComponentUsed or None
+        What the scene takes from the catalog: enough to make the image again without the files.
     camera : Mapping
         As `radwrap.manifest.plain` gives it.
     scene : str
@@ -150,6 +167,7 @@ class RunManifest:
     tracer: TracerUsed | None = field(default=None, metadata=ONLY_WHERE_USED)
     versions: Mapping[str, str]
     assumed: Mapping[str, str]
+    components: tuple[ComponentUsed, ...] | None = field(default=None, metadata=ONLY_WHERE_USED)
     camera: Mapping[str, Any]
     scene: str
     warnings: tuple[str, ...]
@@ -179,6 +197,27 @@ class RunManifest:
     def met(self) -> bool:
         """Whether the tolerance is kept; what has none keeps it."""
         return self.plan is None or self.plan.met
+
+
+def components_used(scene: Scene) -> tuple[ComponentUsed, ...] | None:
+    """What a scene takes from the catalog, None where that is nothing."""
+    found = [(taken, taken.component) for taken in scene.components]
+    return (
+        tuple(
+            ComponentUsed(
+                key=taken.key,
+                kind=one.kind,
+                name=one.name,
+                place=one.place,
+                revision=one.revision,
+                sha256=one.sha256,
+                used=taken.used,
+                values=dict(one.values),
+            )
+            for taken, one in found
+        )
+        or None
+    )
 
 
 def write_run_manifest(folder: Path, manifest: RunManifest) -> None:

@@ -15,7 +15,14 @@ from radwrap.imaging.forecast.effects import Effect, warnings_of_left_out
 from radwrap.imaging.mean_radiance import Made
 from radwrap.imaging.output.identity import Identity
 from radwrap.imaging.output.image_files import ImageSummary
-from radwrap.imaging.output.run_manifest import Bounces, BouncesTraced, DiffractionTaken, RunManifest, Timing
+from radwrap.imaging.output.run_manifest import (
+    Bounces,
+    BouncesTraced,
+    DiffractionTaken,
+    RunManifest,
+    Timing,
+    components_used,
+)
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.tolerance.lit_noise import ToleranceAsked
 from radwrap.imaging.tolerance.uncertainty import UncertaintySummary
@@ -112,6 +119,7 @@ class TracedRun:
             tracer=self.tracer,
             versions=self.identity.versions,
             assumed=dict(sorted(self.scene.assumed.items())),
+            components=components_used(self.scene),
             camera=plain(self.scene.camera),
             scene=self.scene.document,
             warnings=self.warnings,

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable
-from importlib.resources import files
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema, model_validator
 
 from radwrap.errors import InputError
-from radwrap.nearest import did_you_mean
 from radwrap.units import (
     ANGLE,
     COEFFICIENT_OF_RETROREFLECTION,
@@ -104,6 +101,8 @@ Whole = Annotated[int, Field(strict=True)]
 Flag = Annotated[bool, Field(strict=True)]
 # Names become identifiers of Radiance's text.
 Name = Annotated[str, Field(strict=True, pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")]
+# NAME, or NAME@DATE of an older revision.
+ComponentName = Annotated[str, Field(strict=True, min_length=1, max_length=100)]
 Point = tuple[AnyLength, AnyLength, AnyLength]
 Direction = tuple[Number, Number, Number]
 RotationOrder = Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
@@ -128,27 +127,6 @@ def exactly_one(model: Model, *keys: str) -> None:
     given = [key for key in keys if getattr(model, key) is not None]
     if len(given) != 1:
         raise ValueError(f"needs exactly one of {' and '.join(keys)}, not {len(given)}")
-
-
-def preset_names(folder: str) -> tuple[str, ...]:
-    """Names of the presets in a folder of radwrap's data."""
-    entries = (files("radwrap") / "data" / folder).iterdir()
-    return tuple(sorted(entry.name.removesuffix(".toml") for entry in entries if entry.name.endswith(".toml")))
-
-
-def read_preset(folder: str, what: str, name: str) -> dict[str, Any]:
-    """Table of a preset.
-
-    Raises
-    ------
-    ValueError
-        If there is none of that name.
-    """
-    known = preset_names(folder)
-    if name not in known:
-        near = did_you_mean(name, known) or f"known: {', '.join(known)}"
-        raise ValueError(f'preset: no {what} "{name}"; {near}')
-    return tomllib.loads((files("radwrap") / "data" / folder / f"{name}.toml").read_text("utf-8"))
 
 
 def preset_or_all(schema: dict[str, Any]) -> None:

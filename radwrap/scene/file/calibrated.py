@@ -17,7 +17,6 @@ from radwrap.errors import InputError
 from radwrap.frames import fixed_axis_angles
 from radwrap.scene.file.beside import named_file
 from radwrap.scene.file.calibration_file import Intrinsics, read_intrinsics
-from radwrap.scene.file.sensor_tables import sensor_preset
 from radwrap.units import LENGTH, parse_quantity
 
 KEY: Final = "calibration"
@@ -47,19 +46,15 @@ def with_calibration(document: Mapping[str, Any], origin: str, folder: Path) -> 
                 "stands in the calibration too", where=f"{origin}: camera.{key}", remedy=f"leave it or {KEY} out"
             )
     found = read_intrinsics(named_file(folder, camera[KEY], where), where)
-    sensor = _with_preset(camera.get("sensor"), f"{origin}: camera.sensor")
+    sensor = _table(camera.get("sensor"), f"{origin}: camera.sensor")
     changes = {**_image(found, sensor, where, _focus(camera)), **_pose(found, camera)}
     return {**document, "camera": {**camera, **changes}}
 
 
-def _with_preset(sensor: Any, where: str) -> dict[str, Any]:
+def _table(sensor: Any, where: str) -> dict[str, Any]:
     if not isinstance(sensor, dict):
         raise InputError("is missing", where=where, remedy="a calibration tells no sensor")
-    try:
-        preset = sensor_preset(sensor["preset"]) if isinstance(sensor.get("preset"), str) else {}
-    except ValueError as error:
-        raise InputError(str(error), where=where) from error
-    return {**preset, **sensor}
+    return sensor
 
 
 def _focus(camera: Mapping[str, Any]) -> float:

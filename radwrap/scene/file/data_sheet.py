@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from radwrap.errors import InputError
 from radwrap.reading import FileKind, read_toml
+from radwrap.scene.catalog.component import CATALOG
 from radwrap.scene.file.beside import named_file
 from radwrap.units import LENGTH, parse_quantity
 
@@ -36,6 +37,7 @@ def with_data_sheet(document: Mapping[str, Any], origin: str, folder: Path) -> M
     where = f"{origin}: camera.sensor.{KEY}"
     path = named_file(folder, name, where)
     sheet = read_toml(path, _DATA_SHEET, f'{where}: "{name}"')
+    sheet.pop(CATALOG, None)  # where its values come from
     if KEY in sheet or "preset" in sheet:
         raise InputError(f'"{name}" names another sheet', where=where, remedy="spell its values out")
     return {**document, "camera": {**camera, "sensor": {**_without_replaced(sheet, sensor, where), **sensor}}}

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,6 +17,7 @@ from pydantic_core import PydanticUndefined
 from radwrap.errors import InputError
 from radwrap.reading import FileKind, check_tree, read_toml
 from radwrap.scene.camera import Camera
+from radwrap.scene.catalog.presets import Taken, in_file, with_presets
 from radwrap.scene.file.border import Model
 from radwrap.scene.file.calibrated import with_calibration
 from radwrap.scene.file.convert import camera_from_table, scene_from_model
@@ -77,7 +78,7 @@ class _MaterialsModel(Model):
 def load_materials(path: str | Path) -> dict[str, Material]:
     """Read a file with ``[materials."NAME"]`` tables as a scene has them; errors as `load_scene`."""
     path = Path(path)
-    document = read_toml(path, _SCENE_FILE)
+    document, _ = with_presets(read_toml(path, _SCENE_FILE), path.name, path.parent)
     _checked_json(document, path.name)
     try:
         model = _MaterialsModel.model_validate(document)
@@ -122,12 +123,17 @@ def scene_from_document(
     for key, value in (overrides or {}).items():
         tables = set_all(tables, key, value, origin)
     text = _checked_json(tables, origin)
-    whole = with_calibration(with_data_sheet(tables, origin, folder), origin, folder)
+    filled, taken = with_presets(tables, origin, folder)
+    whole = with_calibration(with_data_sheet(filled, origin, folder), origin, folder)
     try:
         model = SceneModel.model_validate(whole)
     except ValidationError as error:
-        raise in_sheet(fault(error, origin, whole, SceneModel), tables, whole, origin) from error
-    scene = scene_from_model(model, assumed=dict(_assumed(model)), origin=origin, folder=folder, document=text)
+        raise in_file(
+            in_sheet(fault(error, origin, whole, SceneModel), tables, whole, origin), taken, origin
+        ) from error
+    told = dict(_assumed(model)) | _unpublished(taken)
+    scene = scene_from_model(model, assumed=told, origin=origin, folder=folder, document=text)
+    scene = replace(scene, components=taken)
     check_shapes(scene)
     check_beside(scene)
     scene = outlined(scene)
@@ -150,16 +156,47 @@ def with_camera(scene: Scene, overrides: Mapping[str, Any]) -> Scene:
     InputError
         As `load_scene`; and if a key is none of the camera, or another sensor may weigh the scene's spectra otherwise.
     """
-    camera, told, text = camera_with(
+    other = camera_with(
         scene.document, overrides, origin=scene.origin, folder=scene.folder, spectral=scene.spectral is not None
     )
-    assumed = {key: value for key, value in scene.assumed.items() if not key.startswith("camera.")}
-    return replace(scene, camera=camera, assumed=assumed | told, document=text)
+    return replace(
+        scene,
+        camera=other.camera,
+        assumed={key: value for key, value in scene.assumed.items() if not _of_camera(key)} | other.assumed,
+        document=other.document,
+        components=(*other.components, *(taken for taken in scene.components if not _of_camera(taken.key))),
+    )
+
+
+def _of_camera(key: str) -> bool:
+    return key.startswith("camera.")
+
+
+@dataclass(frozen=True, slots=True)
+class OtherCamera:
+    """The camera of a document in which some keys were changed.
+
+    Attributes
+    ----------
+    camera : Camera
+        The camera.
+    assumed : dict
+        What it takes because the document is silent, as `Scene.assumed`.
+    document : str
+        The document with the changes.
+    components : tuple of Taken
+        What the camera takes from the catalog.
+    """
+
+    camera: Camera
+    assumed: dict[str, str]
+    document: str
+    components: tuple[Taken, ...]
 
 
 def camera_with(
     document: str, overrides: Mapping[str, Any], *, origin: str, folder: Path, spectral: bool
-) -> tuple[Camera, dict[str, str], str]:
+) -> OtherCamera:
     """The camera of a scene's document with some keys changed; errors as `with_camera`.
 
     Parameters
@@ -172,11 +209,6 @@ def camera_with(
         As of `Scene`.
     spectral : bool
         Whether the scene tells spectra, which another sensor may weigh otherwise.
-
-    Returns
-    -------
-    Camera, dict, str
-        The camera, what it takes because the document is silent, and the document with the changes.
     """
     tables: dict[str, Any] = json.loads(document)
     for key, value in overrides.items():
@@ -186,13 +218,15 @@ def camera_with(
             raise InputError("may weigh the scene's spectra otherwise", where=key, remedy="render that camera")
         tables = set_all(tables, key, value, origin)
     text = _checked_json(tables, origin)
-    whole = with_calibration(with_data_sheet(tables, origin, folder), origin, folder)
+    filled, taken = with_presets({"camera": tables["camera"]}, origin, folder)
+    whole = with_calibration(with_data_sheet(filled, origin, folder), origin, folder)
     try:
         model = _CameraModel.model_validate({"camera": whole["camera"]})
     except ValidationError as error:
-        raise in_sheet(fault(error, origin, whole, _CameraModel), tables, whole, origin) from error
-    told = dict(_assumed(model))
-    return camera_from_table(model.camera, f"{origin}: camera", told), told, text
+        found = in_sheet(fault(error, origin, whole, _CameraModel), tables, whole, origin)
+        raise in_file(found, taken, origin) from error
+    told = dict(_assumed(model)) | _unpublished(taken)
+    return OtherCamera(camera_from_table(model.camera, f"{origin}: camera", told), told, text, taken)
 
 
 def with_value(scene: Scene, key: str, value: Any) -> Scene:
@@ -249,6 +283,11 @@ def _assumed(model: BaseModel, prefix: str = "") -> Iterator[tuple[str, str]]:
         elif isinstance(value, dict):
             for entry, item in value.items():
                 yield from _assumed(item, f"{key}.{entry}.")
+
+
+def _unpublished(taken: tuple[Taken, ...]) -> dict[str, str]:
+    """Key path and value of everything that comes from a component and that nobody published."""
+    return {key: value for one in taken for key, value in one.assumed()}
 
 
 def _shown(value: Any) -> str:

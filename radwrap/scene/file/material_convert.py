@@ -49,8 +49,6 @@ def material_from_table(
     InputError
         If its file is not what it should be.
     """
-    if isinstance(table, tables.FromCatalog):
-        assumed |= {f"{key}.{name}": value for name, value in table.assumed.items()}
     match table:
         case tables.LambertianModel():
             return Lambertian(table.reflectance)

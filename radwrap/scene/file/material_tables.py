@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
-from radwrap.scene.file.border import Angle, Coefficient, Model, Name, Share, preset_or_all, read_preset
+from radwrap.scene.file.border import Angle, Coefficient, ComponentName, Model, Share, preset_or_all
 from radwrap.scene.file.optics_tables import CurveModel
 
 _PERTURBED = ("reflectance", "roughness")
@@ -28,29 +28,8 @@ class Coloured(Model):
 class FromCatalog(Model):
     """A material that may stand in radwrap's own catalog; what is given beside the preset replaces its value."""
 
-    preset: Name | None = None
+    preset: ComponentName | None = None
     """Name of a material in radwrap's catalog; keys beside it replace its values."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _with_preset(cls, table: Any) -> Any:
-        if not isinstance(table, dict) or not isinstance(table.get("preset"), str):
-            return table
-        found = read_preset("materials", "material", table["preset"])
-        del found["catalog"]
-        if table.get("type") != found["type"]:
-            raise ValueError(f'preset: "{table["preset"]}" is a material of type "{found["type"]}"')
-        return {**found, **table}
-
-    @property
-    def assumed(self) -> dict[str, str]:
-        """Key -> value of all that the preset says without a measurement behind it."""
-        if self.preset is None:
-            return {}
-        found = read_preset("materials", "material", self.preset)
-        told = found["catalog"]["from"]
-        keys = [key for key in told if told[key]["basis"] == "assumed" and found[key] == getattr(self, key)]
-        return {key: f"{found[key]}: of the preset {self.preset}, which nobody measured" for key in keys}
 
 
 class LambertianModel(Coloured):
@@ -90,7 +69,7 @@ class RetroreflectiveModel(Coloured):
 
     type: Literal["retroreflective"]
     """Kind of material."""
-    preset: Name | None = None
+    preset: ComponentName | None = None
     """Name of a sheeting in radwrap's data; keys beside it replace its values."""
     model: Literal["perturbed_normal", "coefficient"]
     """How retroreflection is described."""
@@ -118,13 +97,6 @@ class RetroreflectiveModel(Coloured):
     """Share of the sheeting's light that a print over it takes, 0 to 1."""
     print_reflectance: Share | None = None
     """Diffuse reflectance of that print, 0 to 1."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _with_preset(cls, table: Any) -> Any:
-        if not isinstance(table, dict) or not isinstance(table.get("preset"), str):
-            return table
-        return {**read_preset("sheetings", "sheeting", table["preset"]), **table}
 
     @model_validator(mode="after")
     def _consistent(self) -> RetroreflectiveModel:

@@ -7,12 +7,14 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from radwrap.scene.file.border import Model, PositiveShare, Size, SizeOrZero, Wavelength
+from radwrap.scene.file.border import ComponentName, Model, PositiveShare, Size, SizeOrZero, Wavelength
 
 
 class LensModel(Model):
     """[camera.lens]: a thin lens in the opening's plane."""
 
+    preset: ComponentName | None = None
+    """Name of a lens of the catalog; keys beside it, and camera.focal_length, replace its values."""
     focus_distance: Size
     """From the lens to the plane that is sharp, along the axis."""
     f_number: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.1, le=1e6)] | None = None

@@ -5,21 +5,18 @@ from __future__ import annotations
 import itertools
 import math
 import re
-import tomllib
-from importlib.resources import files
 from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import BeforeValidator, ConfigDict, Discriminator, Field, Tag, model_validator
 
 from radwrap.errors import InputError
-from radwrap.nearest import did_you_mean
 from radwrap.scene.file.border import (
+    ComponentName,
     Count,
     ElectronRate,
     Electrons,
     Flag,
     Model,
-    Name,
     Share,
     Size,
     SystemGain,
@@ -126,8 +123,8 @@ class SensorModel(PixelsModel):
 
     model: Literal["power_law"] | None = None
     """The power law G = K H^gamma + G0."""
-    preset: Name | None = None
-    """Name of a sensor in radwrap's data; keys beside it replace its values."""
+    preset: ComponentName | None = None
+    """Name of a sensor of the catalog; keys beside it replace its values."""
     gain: str
     """K of the power law, such as "3.38e4 (J/m^2)^-0.85"."""
     gamma: Gamma
@@ -136,13 +133,6 @@ class SensorModel(PixelsModel):
     """Gray level without light, G0."""
     saturation_gray: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
     """Gray level at which a pixel is full."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _with_preset(cls, table: Any) -> Any:
-        if not isinstance(table, dict) or not isinstance(table.get("preset"), str):
-            return table
-        return {**sensor_preset(table["preset"]), **table}
 
     @model_validator(mode="after")
     def _consistent(self) -> SensorModel:
@@ -177,10 +167,12 @@ class DefectsModel(Model):
 class LinearSensorModel(PixelsModel):
     """The linear camera of EMVA 1288; a data sheet may hold any of these keys."""
 
-    model_config: ClassVar[ConfigDict] = ConfigDict(json_schema_extra=_open_to("data_sheet"))
+    model_config: ClassVar[ConfigDict] = ConfigDict(json_schema_extra=_open_to("data_sheet", "preset"))
 
     model: Literal["linear"]
     """The linear camera of EMVA 1288."""
+    preset: ComponentName | None = None
+    """Name of a sensor of the catalog; keys beside it replace its values."""
     data_sheet: Annotated[str, Field(strict=True, min_length=1, max_length=1000)] | None = None
     """TOML file beside the scene that holds what the scene does not say of the sensor."""
     wavelength: Size
@@ -263,24 +255,3 @@ def _kind(table: Any) -> str:
 AnySensorModel = Annotated[
     Annotated[SensorModel, Tag("power_law")] | Annotated[LinearSensorModel, Tag("linear")], Discriminator(_kind)
 ]
-
-
-def sensor_presets() -> tuple[str, ...]:
-    """Names of the sensors that radwrap knows."""
-    folder = files("radwrap") / "data" / "sensors"
-    return tuple(sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml")))
-
-
-def sensor_preset(name: str) -> dict[str, Any]:
-    """Table of a sensor that radwrap knows.
-
-    Raises
-    ------
-    ValueError
-        If it knows no such sensor.
-    """
-    known = sensor_presets()
-    if name not in known:
-        near = did_you_mean(name, known)
-        raise ValueError(f'preset: no sensor "{name}"; {near or "known: " + ", ".join(known)}')
-    return tomllib.loads((files("radwrap") / "data" / "sensors" / f"{name}.toml").read_text("utf-8"))

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Final, Literal
+from typing import Annotated, ClassVar, Final, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
 from radwrap.scene.file.border import (
     Aimed,
     Angle,
+    ComponentName,
     EfficacyValue,
     Factor,
     LuminanceValue,
@@ -26,7 +27,6 @@ from radwrap.scene.file.border import (
     default,
     exactly_one,
     preset_or_all,
-    read_preset,
 )
 from radwrap.scene.file.optics_tables import SpectrumModel
 from radwrap.scene.sources import WidthDefinition
@@ -68,8 +68,12 @@ class BeamModel(Model):
 class Spectral(Model):
     """What all sources have in common: a spectrum, where the scene tells any."""
 
+    model_config: ClassVar[ConfigDict] = ConfigDict(json_schema_extra=preset_or_all)
+
     name: Name
     """Unique in the scene."""
+    preset: ComponentName | None = None
+    """Name of a light of the catalog, of a lamp where that is the type; keys beside it replace its values."""
     spectrum: SpectrumModel | None = None
     """Of its light; every source has one, or none."""
 
@@ -123,22 +127,10 @@ class LampModel(Shining, Aimed):
 
     type: Literal["lamp"]
     """Kind of source."""
-    preset: Name | None = None
-    """Name of a lamp in radwrap's data; keys beside it replace its values."""
     diameter: Size
     """Of the disc that shines."""
     beam: BeamModel
     """Angular distribution."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _with_preset(cls, table: Any) -> Any:
-        if not isinstance(table, dict) or not isinstance(table.get("preset"), str):
-            return table
-        preset = read_preset("lamps", "lamp", table["preset"])
-        if any(key in table for key in ("radiance", "radiant_flux", *PHOTOMETRIC)):
-            preset.pop("radiant_intensity", None)
-        return {**preset, **table}
 
 
 class IesModel(Spectral, Aimed):

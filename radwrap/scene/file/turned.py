@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any, Final
 
 from radwrap.errors import InputError
-from radwrap.scene.file.border import read_preset
+from radwrap.scene.catalog.places import find
+from radwrap.scene.catalog.presets import class_of_source
 from radwrap.scene.file.load import scene_from_document
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Ring, WideSource, emitters
@@ -44,9 +46,9 @@ def with_levels(scene: Scene, factors: Mapping[str, float], changes: Mapping[str
     document = json.loads(scene.document)
     for table, source in zip(document["sources"], scene.sources, strict=True):
         if isinstance(source, Ring):
-            _turn_ring(table, [factors.get(emitter.source, 1.0) for emitter in emitters(source)])
+            _turn_ring(table, [factors.get(emitter.source, 1.0) for emitter in emitters(source)], scene.folder)
         elif factors.get(source.name, 1.0) != 1.0:
-            _turn(table, factors[source.name])
+            _turn(table, factors[source.name], scene.folder)
     made = scene_from_document(document, changes, origin=scene.origin, folder=scene.folder)
     for (name, before), (_, after) in zip(_radiances(scene), _radiances(made), strict=True):
         wanted = before * factors.get(name, 1.0)
@@ -65,10 +67,10 @@ def _radiances(scene: Scene) -> Iterator[tuple[str, float]]:
             yield from ((emitter.source, emitter.radiance) for emitter in emitters(source))
 
 
-def _turn_ring(table: dict[str, Any], factors: list[float]) -> None:
+def _turn_ring(table: dict[str, Any], factors: list[float], folder: Path) -> None:
     if len(set(factors)) == 1 and "calibration" not in table:
         if factors[0] != 1.0:
-            _turn(table, factors[0])
+            _turn(table, factors[0], folder)
         return
     leds = {led["index"]: led for led in table.get("leds", [])}
     for index, factor in enumerate(factors):
@@ -78,11 +80,11 @@ def _turn_ring(table: dict[str, Any], factors: list[float]) -> None:
     table["leds"] = [leds[index] for index in sorted(leds)]
 
 
-def _turn(table: dict[str, Any], factor: float) -> None:
+def _turn(table: dict[str, Any], factor: float, folder: Path) -> None:
     """Turn the level that a table tells; where it tells none, that of its preset."""
     told = table
-    if not any(key in table for key in _LEVELS) and table.get("type") == "lamp":
-        told = read_preset("lamps", "lamp", table["preset"])
+    if not any(key in table for key in _LEVELS) and "preset" in table:
+        told = dict(find(class_of_source(table), table["preset"], folder, f"{table['name']}.preset").values)
     for key in _LEVELS:
         if key in told:
             number, unit = told[key].split(" ", 1)

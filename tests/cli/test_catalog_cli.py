@@ -1,0 +1,98 @@
+"""`radwrap catalog`: what there is, whether it can be relied on, and one's own."""
+
+from __future__ import annotations
+
+import json
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from radwrap.cli.main import main
+
+DATA = files("radwrap") / "data" / "sensors"
+TWIN = "sony_imx287.allied_alvium_1800_c"
+
+
+@pytest.fixture(autouse=True)
+def own_places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "user"))
+    monkeypatch.delenv("RADWRAP_CATALOG", raising=False)
+
+
+def told(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, dict[str, Any]]:
+    code = main(["catalog", *words, "--json"])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def written(folder: Path, old: str = "", new: str = "") -> Path:
+    text = (DATA / f"{TWIN}.toml").read_text("utf-8")
+    assert old in text
+    path = folder / f"{TWIN}.toml"
+    path.write_text(text.replace(old, new) if old else text)
+    return path
+
+
+def test_every_component_of_the_package_can_be_relied_on(capsys: pytest.CaptureFixture[str]) -> None:
+    """Each key has source or reason, a scene takes all of them, and totals are within rounding and 1 dB."""
+    code, found = told(capsys, "check")
+    assert (code, found["problems"]) == (0, [])
+    totals = [total for one in found["components"] for total in one["totals"]]
+    assert len(totals) == 40 and all(total["agrees"] for total in totals)
+    kinds = [one["class"] for one in found["components"]]
+    assert {kind: kinds.count(kind) for kind in kinds} == {
+        **{"sensors": 22, "lenses": 6, "leds": 9, "lights": 14},
+        **{"lamps": 1, "materials": 14, "sheetings": 3},
+    }
+
+
+def test_the_full_well_that_a_vendor_printed_ten_times_too_high_is_found(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The sheet says 74 dB, which 208000 e would make 94.3 dB with the sheet's threshold of 4 e."""
+    path = written(tmp_path, 'full_well = "20800 e"', 'full_well = "208000 e"')
+    code, found = told(capsys, "check", str(path))
+    assert code == 1
+    (problem,) = found["problems"]
+    assert "dynamic_range" in problem and TWIN in problem and "-20" in problem
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('full_well = { basis = "measured", source = "allied" }', "", "full_well: nothing in catalog.from"),
+        ('full_well = { basis = "measured", source = "allied" }', 'full_well = { basis = "measured" }', "its source"),
+        ('full_well = "20800 e"', 'full_well = "20800 V"', "full_well"),
+        ('full_well = "20800 e"', 'ful_well = "20800 e"', "unknown key"),
+        ('dynamic_range = "74 dB"', 'dynamic_range = "74"', "in dB"),
+        ('dynamic_range = "74 dB"', 'width = "74 dB"', "nothing is known of"),
+    ],
+)
+def test_what_is_wrong_is_said(
+    old: str, new: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, found = told(capsys, "check", str(written(tmp_path, old, new)))
+    assert code == 1 and any(message in problem for problem in found["problems"])
+
+
+def test_ones_own_component_hides_that_of_the_package(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = written(tmp_path, 'read_noise = "3.2 e"', 'read_noise = "3.3 e"')
+    assert told(capsys, "add", str(path))[0] == 0
+    _, found = told(capsys, "show", TWIN)
+    (one,) = found["components"]
+    assert (one["place"], one["values"]["read_noise"]) == ("user", "3.3 e")
+    written(tmp_path, 'read_noise = "3.2 e"', 'read_noise = "3.4 e"')
+    assert main(["catalog", "add", str(path)]) == 2
+    assert "other values" in capsys.readouterr().err
+    path.write_text(path.read_text().replace("2026-11-25", "2026-11-26"))
+    assert told(capsys, "add", str(path))[0] == 0
+    values = [told(capsys, "show", name)[1]["components"][0]["values"] for name in (TWIN, f"{TWIN}@2026-11-25")]
+    assert [one["read_noise"] for one in values] == ["3.4 e", "3.3 e"]
+
+
+def test_names_that_there_are_not(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["catalog", "show", "sony_imx287"]) == 2
+    assert "no sensor" in capsys.readouterr().err
+    assert main(["catalog", "show", "lenses/generic_26mm"]) == 2
+    assert "generic_25mm" in capsys.readouterr().err
