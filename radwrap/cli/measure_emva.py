@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from radwrap.cli import options as shared
+from radwrap.cli import written_sensor
 from radwrap.errors import InputError
 from radwrap.files import write_bytes
 from radwrap.manifest import SCHEMA_VERSION, json_text
@@ -36,6 +37,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument("--wavelength", metavar="LENGTH", help='likewise, such as "650 nm"')
     parser.add_argument("--trust", action="store_true", help="let FRAMES.csv name files outside its folder")
     parser.add_argument("--plot", metavar="PNG", help="draw photon transfer, signal, SNR and linearity")
+    written_sensor.add_options(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)
 
@@ -43,6 +45,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Carry out the verb."""
     picture = shared.file_to_write(arguments.plot, "--plot", ".png", others=[arguments.frames])
+    component = written_sensor.file_of(arguments)
     path = Path(arguments.frames)
     kind, stacks = read_stacks(path, trust=arguments.trust)
     try:
@@ -51,6 +54,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError(error.what, where=error.where or str(path), remedy=error.remedy) from error
     if picture is not None:
         write_bytes(picture, plot(found, kind))
+    if component is not None:
+        _write(component, arguments, found, stacks[0].mean.shape)
     told = {
         "schema_version": SCHEMA_VERSION,
         "exposure": kind,
@@ -67,17 +72,56 @@ def _photons(arguments: argparse.Namespace, kind: str) -> float | None:
     options = ("--pixel-width", "--pixel-height", "--wavelength")
     given = {option: getattr(arguments, option[2:].replace("-", "_")) for option in options}
     named = [option for option, text in given.items() if text is not None]
-    if kind != "radiant_exposure" and named:
+    if kind != "radiant_exposure" and named and arguments.write is None:
         raise InputError(f"goes with the column radiant_exposure, the file has {kind}", where=named[0])
     if kind == "photons":
         return 1.0
-    if not named:
+    if kind != "radiant_exposure" or not named:
         return None
     if len(named) < len(options):
         missing = next(option for option in options if option not in named)
         raise InputError("is missing", where=missing, remedy=f"{', '.join(options)} go together")
     width, height, wavelength = (_length(text, option) for option, text in given.items())
     return width * height * wavelength / (PLANCK * LIGHT)
+
+
+def _write(path: Path, arguments: argparse.Namespace, found: PhotonTransfer, shape: tuple[int, ...]) -> None:
+    """Write what was measured as a component of the catalog."""
+    if found.quantum_efficiency is None:
+        raise InputError(
+            "needs the quantum efficiency, and exposure times do not tell it",
+            where="--write",
+            remedy="give frames with radiant_exposure or photons",
+        )
+    if not found.saturated and found.full_well is None:
+        raise InputError("needs the full well, and no frame reaches it", where="--write", remedy="expose longer")
+    well = found.saturation_electrons if found.full_well is None else found.full_well
+    measured: dict[str, Any] = {
+        "rows": shape[0],
+        "columns": shape[1],
+        "quantum_efficiency": round(found.quantum_efficiency, 6),
+        "system_gain": f"{found.gain:.6g} DN/e",
+        "offset": round(found.dark_gray, 4),
+        "full_well": f"{well:.6g} e",
+        "read_noise": f"{found.read_noise:.6g} e",
+    }
+    if found.dark_current is not None:
+        measured["dark_current"] = f"{max(found.dark_current, 0.0):.6g} e/s"
+    if found.dsnu is not None:
+        measured["dsnu"] = f"{found.dsnu:.6g} e"
+    if found.prnu is not None:
+        measured["prnu"] = round(found.prnu, 8)
+    written_sensor.write_sensor(
+        path,
+        arguments,
+        measured,
+        assumed={},
+        published={
+            "dynamic_range": f"{20 * math.log10(found.dynamic_range):.2f} dB",
+            "snr_max": f"{20 * math.log10(found.snr_max):.2f} dB",
+        },
+        citation=f"frames of {Path(arguments.frames).name}, by radwrap measure emva",
+    )
 
 
 def _length(text: str, option: str) -> float:

@@ -96,3 +96,55 @@ def test_names_that_there_are_not(capsys: pytest.CaptureFixture[str]) -> None:
     assert "no sensor" in capsys.readouterr().err
     assert main(["catalog", "show", "lenses/generic_26mm"]) == 2
     assert "generic_25mm" in capsys.readouterr().err
+
+
+XML = """<?xml version="1.0"?>
+<results>
+  <sensitivity>
+    <K><short>System gain</short><value>0.37</value></K>
+    <QE><value>63,4</value></QE>
+    <sigma_d><value>2.44</value></sigma_d>
+    <u_e_sat><value>10970</value></u_e_sat>
+    <DR_dB><value>71.45</value></DR_dB>
+  </sensitivity>
+  <spatial><PRNU1288><value>0.7</value></PRNU1288><DSNU1288><value>nan</value></DSNU1288></spatial>
+  <dark_current><u_I_mean><value>-0.2</value></u_I_mean></dark_current>
+</results>
+"""
+SIZE = ["--rows", "2048", "--columns", "2448", "--pixel-width", "3.45 um", "--pixel-height", "3.45 um"]
+REST = ["--wavelength", "525 nm", "--bit-depth", "12", "--revision", "2026-11-25"]
+
+
+def imported(folder: Path, text: str) -> int:
+    (folder / "emva.xml").write_text(text)
+    words = [str(folder / "emva.xml"), *SIZE, *REST, "--write", str(folder / "own.toml")]
+    return main(["catalog", "import", *words])
+
+
+def test_results_of_the_reference_program_become_a_sensor(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert imported(tmp_path, XML) == 0
+    capsys.readouterr()
+    code, found = told(capsys, "check", str(tmp_path / "own.toml"))
+    assert (code, found["problems"]) == (0, [])
+    values = found["components"][0]["values"]
+    assert (values["quantum_efficiency"], values["system_gain"], values["prnu"]) == (0.634, "0.37 DN/e", 0.007)
+    assert found["components"][0]["from"]["offset"]["basis"] == "assumed"
+    assert "dsnu" not in values and "dark_current" not in values
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("<results>", '<!DOCTYPE r [<!ENTITY a "b">]><results>', "declares a DTD or an entity"),
+        ("<K>", "<G>", "is not XML"),
+        ("0.37", "1e999", "not a finite number"),
+        ("10970", "109700", "dynamic_range"),
+        ("sigma_d>", "sigma>", "sigma_d: is missing"),
+    ],
+)
+def test_results_that_cannot_be_relied_on_are_refused(
+    old: str, new: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert imported(tmp_path, XML.replace(old, new)) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "own.toml").exists()

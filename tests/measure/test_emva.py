@@ -3,6 +3,7 @@
 import io
 import json
 import math
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -174,7 +175,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     pattern = fixed_pattern(sensor)
     lines = ["file,radiant_exposure"]
     for step in range(9):
-        level = 18000 * step / 8 / MU_P_OF_H
+        level = 24000 * step / 8 / MU_P_OF_H
         for k in range(2):
             frame = noisy_frame(ExposureImage(np.full((60, 80), level)), sensor, pattern, 0, 2 * step + k)
             write_png(folder / f"{step} {k}.png", frame.codes)
@@ -192,6 +193,15 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert Image.open(io.BytesIO((folder / "plot.png").read_bytes())).size[0] > 800
     assert main(["measure", "emva", str(table)]) == 0
     assert "system gain: 0.2" in capsys.readouterr().out
+    own = ["--write", str(folder / "own.toml"), "--revision", "2026-11-25"]
+    assert main(["measure", "emva", str(table), *light, *own]) == 2
+    assert "--bit-depth: is missing" in capsys.readouterr().err
+    assert main(["measure", "emva", str(table), *light, *own, "--bit-depth", str(sensor.bit_depth)]) == 0
+    written = tomllib.loads((folder / "own.toml").read_text())
+    assert (written["rows"], written["columns"]) == (60, 80)
+    assert float(written["system_gain"].split()[0]) == pytest.approx(told["gain"], rel=1e-5)
+    assert main(["catalog", "check", str(folder / "own.toml")]) == 0
+    capsys.readouterr()
     assert main(["measure", "emva", str(table), *light[:4]]) == 2
     assert "--wavelength: is missing" in capsys.readouterr().err
 
