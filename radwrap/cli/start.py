@@ -8,6 +8,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
+from radwrap.cli import init_from_catalog
 from radwrap.errors import InputError
 from radwrap.files import make_folder, write_bytes
 from radwrap.manifest import json_text
@@ -29,6 +30,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         "coaxial light, a calibration board (all with a lens and a linear sensor), or the paper's retroreflective "
         "board behind a pinhole (default)",
     )
+    init_from_catalog.add_options(init)
     init.set_defaults(run=run_init)
     schema = verbs.add_parser("schema", description="Editors complete scene files from it.")
     schema.add_argument("--json", action="store_true", help="accepted for uniformity: the schema always is JSON")
@@ -40,6 +42,12 @@ def run_init(arguments: argparse.Namespace) -> int:
     if not arguments.folder:
         raise InputError("has no name", where="DIR", remedy='name a folder; "." is this one')
     folder = Path(arguments.folder)
+    if init_from_catalog.is_asked(arguments):
+        path, assumed = init_from_catalog.write_scene(arguments, folder)
+        for line in assumed:
+            print(f"assumed: {line}")
+        _tell_next(path, folder, look=True)
+        return 0
     make_folder(folder)
     written = _files_of(arguments.template or _PAPER)
     for name in written:
@@ -47,11 +55,14 @@ def run_init(arguments: argparse.Namespace) -> int:
             raise InputError("is there already", where=str(folder / name), remedy="choose another folder")
     for name, content in written.items():
         write_bytes(folder / name, content)
-    path = folder / _SCENE
-    print(f"{path}\nrender it: radwrap render {path} --out {folder / 'out'}")
-    if arguments.template not in (None, _PAPER):
-        print(f"a first look: radwrap render {path} --scale 1/4 --out {folder / 'look'}")
+    _tell_next(folder / _SCENE, folder, look=arguments.template not in (None, _PAPER))
     return 0
+
+
+def _tell_next(path: Path, folder: Path, *, look: bool) -> None:
+    print(f"{path}\nrender it: radwrap render {path} --out {folder / 'out'}")
+    if look:
+        print(f"a first look: radwrap render {path} --scale 1/4 --out {folder / 'look'}")
 
 
 def _files_of(template: str) -> dict[str, bytes]:

@@ -1,0 +1,115 @@
+"""`radwrap init` from components and a mesh: the part fills the field, light comes from where it should."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from radwrap.cli import init_from_catalog
+from radwrap.cli.main import main
+from radwrap.errors import InputError
+from radwrap.scene.catalog.places import find
+from radwrap.scene.file.first_scene import FILLED, ChosenLight, Part, first_scene
+from radwrap.scene.file.load import load_scene, scene_from_document
+from tests.cli.conftest import here
+
+ROOT = Path(__file__).parents[2]
+WASHER = ROOT / "radwrap" / "data" / "templates" / "washer.obj"  # 24 x 24 x 2.5 mm
+ROUNDING = 1e-4  # lengths are written to a tenth of a micrometre
+
+
+def scene_of(size: tuple[float, float, float], lens: str, *lights: str) -> dict[str, Any]:
+    part = Part("washer.obj", "1 mm", (0.0, 0.0, 0.0), size)
+    chosen = [ChosenLight(find("lights", f"generic_{name}", None, "x")) for name in lights]
+    sensor = find("sensors", "sony_imx250.lucid_atlas", None, "x")
+    return first_scene(part, sensor, find("lenses", f"generic_{lens}", None, "x"), chosen, 1e-3)
+
+
+@pytest.mark.parametrize(("size", "turned"), [((0.024, 0.010, 0.003), False), ((0.010, 0.024, 0.003), True)])
+def test_the_part_fills_the_field(size: tuple[float, float, float], turned: bool, tmp_path: Path) -> None:
+    """By the thin lens: the longer side of the part's top is 80 % of the columns, or the other one of the rows."""
+    (tmp_path / "washer.obj").write_bytes(WASHER.read_bytes())
+    camera = scene_from_document(scene_of(size, "25mm", "ring_90mm_24led"), folder=tmp_path).camera
+    assert camera.lens is not None
+    f, s = camera.focal_length, camera.lens.focus_distance
+    magnification = f / (s - f)
+    sensor = camera.sensor
+    shares = [
+        max(size[:2]) * magnification / (sensor.columns * sensor.pixel_width),
+        min(size[:2]) * magnification / (sensor.rows * sensor.pixel_height),
+    ]
+    assert max(shares) == pytest.approx(FILLED, rel=ROUNDING)
+    assert (abs(camera.pose.y_axis[0]) > 0.5) == turned
+
+
+@pytest.mark.parametrize(
+    ("lens", "lights", "message"),
+    [
+        ("8mm", ["dome_100mm"], "before the camera"),
+        ("50mm", ["ring_60mm_16led", "area_ring_100mm"], None),
+    ],
+)
+def test_no_light_stands_before_the_camera(lens: str, lights: list[str], message: str | None) -> None:
+    if message is None:
+        tables = scene_of((0.02, 0.02, 0.002), lens, *lights)
+        assert len(tables["sources"]) == 2
+        return
+    with pytest.raises(InputError, match=message):
+        scene_of((0.05, 0.05, 0.002), lens, *lights)
+
+
+WORDS = ["--camera", "sony_imx287.flir_bfs_u3_04s2m", "--lens", "generic_35mm", "--part", WASHER]
+
+
+LIGHT = ["--light", "generic_backlight_100x100mm", "--length-unit", "mm"]
+
+
+def test_what_was_assumed_is_listed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(init_from_catalog, "_exposure", lambda *_: 2e-3)  # no rays: the whole way has its own test
+    told = here(["init", tmp_path / "new", *WORDS, *LIGHT], capsys).success().stdout
+    assert "assumed: sources[0].radiance = 20 W/m^2/sr" in told
+    scene = load_scene(tmp_path / "new" / "scene.toml")
+    assert scene.assumed["sources[0].radiance"].startswith("20 W/m^2/sr")
+    assert scene.camera.exposure_time == 2e-3
+    assert (tmp_path / "new" / "washer.obj").read_bytes() == WASHER.read_bytes()
+    assert main(["init", str(tmp_path / "new"), *map(str, [*WORDS, *LIGHT])]) == 2
+    assert "is there already" in capsys.readouterr().err
+
+
+@pytest.mark.long
+def test_a_scene_that_renders_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The brightest thousandth comes to 80 % of the range."""
+    here(["init", tmp_path / "new", *WORDS, *LIGHT], capsys).success()
+    scene = load_scene(tmp_path / "new" / "scene.toml")
+    sensor, time = scene.camera.sensor, scene.camera.exposure_time
+    # A backlight is seen itself: H = pi L T/(4 (N (1 + m))^2) t on the axis.
+    assert scene.camera.lens is not None
+    f, s = scene.camera.focal_length, scene.camera.lens.focus_distance
+    exposure = math.pi * 20 * 0.9 / 4 / (4 * (1 + f / (s - f))) ** 2 * time
+    share = sensor.gain * exposure / (sensor.saturation_gray - sensor.dark_gray)
+    assert share == pytest.approx(0.8, rel=0.02)  # light towards the corners, and the disc for a point, take 1 %
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (WORDS, "--light: is missing"),
+        ([*WORDS, "--light", "generic_ring_90mm"], 'no light "generic_ring_90mm"'),
+        ([*WORDS, "--light", "generic_ring_90mm_24led=50 lux", "--length-unit", "mm"], "is no level of a light"),
+        ([*WORDS, "--light", "generic_ring_90mm_24led", "--length-unit", "miles"], "--length-unit"),
+        ([*WORDS, "--light", "generic_ring_90mm_24led"], "--length-unit"),
+        ([*WORDS, "--light", "generic_ring_90mm_24led", "--template", "ring"], "goes without --template"),
+        (["--length-unit", "mm"], "goes with --part"),
+    ],
+)
+def test_what_is_wrong_leaves_no_folder(
+    words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["init", str(tmp_path / "new"), *map(str, words)]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
