@@ -21,10 +21,8 @@ _LIGHTS: Final = ("lights", "leds", "lamps")
 _PART: Final = FileKind("mesh file", 256 << 20)
 _COARSE_PIXELS: Final = 20_000  # a thousandth of them is enough for a quantile
 _QUANTILE: Final = 99.9
-_TOLERANCE: Final = "2 %"
-_FIRST_EXPOSURE: Final = 1e-3  # [s]
-_NEAR: Final = 2.0  # factor on the exposure time beyond which the coarse picture is made again
-_LOOKS: Final = 4
+_SAMPLES: Final = 2  # a side of each pixel
+_FIRST_EXPOSURE: Final = 1e-3  # of the coarse picture; exposure grows with it [s]
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -144,25 +142,18 @@ def _exposure(document: Mapping[str, Any], folder: Path) -> float:
     from radwrap.imaging.synthesis import render
     from radwrap.scene.file.load import scene_from_document
 
-    time = _FIRST_EXPOSURE
     whole = scene_from_document(document, origin=SCENE, folder=folder).camera.sensor
     block = max(1, round(math.sqrt(whole.rows * whole.columns / _COARSE_PIXELS)))
-    changes: dict[str, Any] = {"camera.diffraction": "off"} | (
-        {"camera.sensor.scale": f"1/{block}"} if block > 1 else {}
-    )
-    for _ in range(_LOOKS):
-        scene = scene_from_document(
-            document, changes | {"camera.exposure_time": f"{time!r} s"}, origin=SCENE, folder=folder
-        )
-        exposure = render(scene, tolerance=_TOLERANCE, bounces=0).radiant_exposure.values
-        brightest = float(np.percentile(exposure, _QUANTILE)) / exposure_of_radiance(scene.camera)
-        advised = exposure_for_advice(scene.camera, brightest)
-        if advised is None:
-            raise InputError("no light reaches what the camera sees", where="--light", remedy="choose another light")
-        if 1 / _NEAR < advised / time < _NEAR:
-            return advised
-        time = advised
-    return time
+    changes: dict[str, Any] = {"camera.diffraction": "off"}
+    if block > 1:
+        changes["camera.sensor.scale"] = f"1/{block}"
+    scene = scene_from_document(document, changes, origin=SCENE, folder=folder)
+    exposure = render(scene, method="pinhole", pixel_samples=_SAMPLES, bounces=0).radiant_exposure.values
+    brightest = float(np.percentile(exposure, _QUANTILE)) / exposure_of_radiance(scene.camera)
+    advised = exposure_for_advice(scene.camera, brightest)
+    if advised is None:
+        raise InputError("no light reaches what the camera sees", where="--light", remedy="choose another light")
+    return advised
 
 
 def _assumed(lights: list[ChosenLight], document: Mapping[str, Any]) -> list[str]:

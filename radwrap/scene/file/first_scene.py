@@ -168,7 +168,7 @@ def _field(part: Part, sensor: Component, lens: Component) -> Field:
     height = values["rows"] * _length(values["pixel_height"])
     x, y, thick = part.size
     if not (x > 0 and y > 0):
-        raise InputError("has no area from above", where="--part", remedy="turn the mesh: the camera looks along -z")
+        raise InputError("has no area from above", where="part", remedy="turn the mesh: the camera looks along -z")
     straight, turned = min(width / x, height / y), min(width / y, height / x)
     magnification = FILLED * max(straight, turned)
     focal_length = _length(lens.values["focal_length"])
@@ -212,7 +212,7 @@ def _source(light: ChosenLight, number: int, field: Field, part: Part) -> dict[s
             reach = max(math.hypot(*part.size[:2]) / 2, field.top)
             if not reach < _INSIDE_DOME * radius:
                 raise InputError(
-                    f"the part does not fit into {one.name}", where=f"--light {one.name}", remedy="take a larger dome"
+                    f"the part does not fit into {one.name}", where=f"light={one.name}", remedy="take a larger dome"
                 )
             if not hole > _BESIDE * field.radius(max(radius + distance - field.top, 0.0)):
                 raise _in_the_way(one, number)
@@ -228,7 +228,7 @@ def _source(light: ChosenLight, number: int, field: Field, part: Part) -> dict[s
 def _in_the_way(one: Component, number: int) -> InputError:
     return InputError(
         f"light {number} would stand before the camera: the field does not pass its opening",
-        where=f"--light {one.name}",
+        where=f"light={one.name}",
         remedy="take a larger one, or a lens of longer focal length",
     )
 
@@ -244,7 +244,7 @@ def _level_key(level: str, one: Component) -> str:
     key = _UNITS.get(unit)
     if key is None:
         raise InputError(
-            f'"{level}" is no level of a light', where=f"--light {one.name}", remedy=f"units: {', '.join(_UNITS)}"
+            f'"{level}" is no level of a light', where=f"light={one.name}", remedy=f"units: {', '.join(_UNITS)}"
         )
     return key
 
