@@ -15,7 +15,8 @@ from radwrap.errors import InputError
 from radwrap.images import ExposureImage, GrayImage, png_bytes, preview_codes
 from radwrap.imaging.forecast.effects import Effect, warnings_of_left_out
 from radwrap.imaging.other_camera import Developed, in_other_camera
-from radwrap.imaging.output.run_manifest import Extent, RunManifest
+from radwrap.imaging.output.assumed_values import assumed_effects, warnings_of_assumed
+from radwrap.imaging.output.run_manifest import Extent, RunManifest, components_used
 from radwrap.imaging.page.one_file import Page, one_file
 from radwrap.imaging.relight.relit import read_basis
 from radwrap.imaging.response.noise import fixed_pattern, linear_of, noisy_frame
@@ -266,10 +267,14 @@ def _run_of(run: RunManifest, made: Developed) -> RunManifest:
     sensor = made.scene.camera.sensor
     levels = gray_levels(made.radiant_exposure.values, sensor)
     left_out, warnings = _grown(run, made.growth)
+    stale = set(warnings_of_assumed(run.assumed_effects or ()))
+    effects = assumed_effects(made.scene, made.radiant_exposure.values)
     return replace(
         run,
         left_out=left_out,
-        warnings=warnings,
+        warnings=(*(line for line in warnings if line not in stale), *warnings_of_assumed(effects)),
+        components=components_used(made.scene),
+        assumed_effects=effects or None,
         camera=plain(made.scene.camera),
         scene=made.scene.document,
         assumed=dict(sorted(made.scene.assumed.items())),

@@ -15,6 +15,7 @@ from radwrap.imaging.forecast.cost import Foretold
 from radwrap.imaging.forecast.effects import Effect
 from radwrap.imaging.optics.aperture import Layout
 from radwrap.imaging.optics.view import PixelSampling
+from radwrap.imaging.output.assumed_values import AssumedEffect
 from radwrap.imaging.render_options import Method
 from radwrap.imaging.tolerance.certificate import Certificate
 from radwrap.imaging.tolerance.lit_noise import ToleranceAsked
@@ -120,6 +121,8 @@ class RunManifest:
         Of everything that a file depends on; key of the scene -> default that was taken.
     components : tuple of ComponentUsed or None
         What the scene takes from the catalog: enough to make the image again without the files.
+    assumed_effects : tuple of AssumedEffect or None
+        What those of its values decide that nobody published, where a range is known.
     camera : Mapping
         As `radwrap.manifest.plain` gives it.
     scene : str
@@ -168,6 +171,7 @@ class RunManifest:
     versions: Mapping[str, str]
     assumed: Mapping[str, str]
     components: tuple[ComponentUsed, ...] | None = field(default=None, metadata=ONLY_WHERE_USED)
+    assumed_effects: tuple[AssumedEffect, ...] | None = field(default=None, metadata=ONLY_WHERE_USED)
     camera: Mapping[str, Any]
     scene: str
     warnings: tuple[str, ...]

@@ -13,6 +13,7 @@ from radwrap.imaging.banding import Banding
 from radwrap.imaging.forecast.cost import Foretold
 from radwrap.imaging.forecast.effects import Effect, warnings_of_left_out
 from radwrap.imaging.mean_radiance import Made
+from radwrap.imaging.output.assumed_values import assumed_effects, warnings_of_assumed
 from radwrap.imaging.output.identity import Identity
 from radwrap.imaging.output.image_files import ImageSummary
 from radwrap.imaging.output.run_manifest import (
@@ -100,6 +101,7 @@ class TracedRun:
         """All that is known, with the hashes of the files that were written."""
         used, options = self.made.used, self.options
         outcome, certificate = self.made.outcome, self.made.certificate
+        effects = assumed_effects(self.scene, self.made.radiance * self.exposure_of_radiance)
         return RunManifest(
             scene_sha256=self.identity.scene_sha256,
             run_sha256=self.identity.run_sha256,
@@ -122,7 +124,8 @@ class TracedRun:
             components=components_used(self.scene),
             camera=plain(self.scene.camera),
             scene=self.scene.document,
-            warnings=self.warnings,
+            assumed_effects=effects or None,
+            warnings=(*self.warnings, *warnings_of_assumed(effects)),
             radiant_exposure=images.radiant_exposure,
             gray=images.gray,
             saturated_fraction=images.saturated_fraction,
