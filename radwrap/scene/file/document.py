@@ -114,7 +114,8 @@ def _from_calibration(schema: dict[str, Any]) -> None:
     """In the JSON schema: what a calibration tells need not stand in the scene."""
     required = schema.pop("required", [])
     others = [name for name in required if name != "focal_length"]
-    schema["anyOf"] = [{"required": [*others, "calibration"]}, {"required": required}]
+    by_name = {"required": [*others, "lens"], "properties": {"lens": {"type": "object", "required": ["preset"]}}}
+    schema["anyOf"] = [{"required": [*others, "calibration"]}, by_name, {"required": required}]
 
 
 class CameraModel(Aimed):
