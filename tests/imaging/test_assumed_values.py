@@ -61,8 +61,9 @@ def test_what_the_user_says_is_not_assumed() -> None:
 
 
 def test_one_line_names_what_counts() -> None:
-    (line,) = warnings_of_assumed(tuple(effects_of(scene_with(), 3000).values()))
-    assert "camera.sensor.offset from 0 to 240: mean gray -64 to +176" in line and "dark_current" not in line
+    (line,) = warnings_of_assumed(tuple(effects_of(scene_with(), 8000).values()))
+    assert "camera.sensor.offset from 0 to 240: mean gray -64 to +176; " in line
+    assert "camera.sensor.prnu from 0 to 0.014: noise -" in line and "dark_current" not in line
 
 
 def test_a_quantum_efficiency_at_another_wavelength_may_be_another() -> None:

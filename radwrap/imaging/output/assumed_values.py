@@ -29,6 +29,8 @@ from radwrap.scene.scene import Scene
 _MOST_PIXELS: Final = 1 << 14  # evenly spread: means of more of them are hardly others
 _NOTABLE_MEAN: Final = 0.01  # of the range of gray levels, from which on an image hangs on a value
 _NOTABLE_NOISE: Final = 0.1
+_SHOWN_GRAY: Final = 0.01
+_SHOWN_NOISE: Final = 0.005
 _QUANTITY: Final = re.compile(r"(\S+) (\S+)")
 _SENSOR: Final = "camera.sensor"
 
@@ -82,14 +84,19 @@ def assumed_effects(scene: Scene, exposure: NDArray[np.float64]) -> tuple[Assume
 def warnings_of_assumed(effects: tuple[AssumedEffect, ...]) -> Iterator[str]:
     """One line, where an image hangs on any of them."""
     told = [
-        f"{effect.key} from {effect.low} to {effect.high}: mean gray {effect.mean_gray[0]:+.3g} to "
-        f"{effect.mean_gray[1]:+.3g}"
-        + ("" if effect.noise is None else f", noise {effect.noise[0]:+.0%} to {effect.noise[1]:+.0%}")
-        for effect in effects
-        if effect.notable
+        f"{effect.key} from {effect.low} to {effect.high}: {_changes(effect)}" for effect in effects if effect.notable
     ]
     if told:
         yield f"the image hangs on values that nobody published: {'; '.join(told)}"
+
+
+def _changes(effect: AssumedEffect) -> str:
+    """Those of the two changes that can be seen in their digits."""
+    low, high = effect.mean_gray
+    told = [f"mean gray {low:+.3g} to {high:+.3g}"] if max(abs(low), abs(high)) >= _SHOWN_GRAY else []
+    if effect.noise is not None and max(map(abs, effect.noise)) >= _SHOWN_NOISE:
+        told.append(f"noise {effect.noise[0]:+.0%} to {effect.noise[1]:+.0%}")
+    return ", ".join(told)
 
 
 def _is_looked_at(scene: Scene, taken: Taken, key: str) -> bool:
