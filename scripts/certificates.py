@@ -147,13 +147,22 @@ def exposed(document: dict[str, Any], gray: float, folder: Path = Path()) -> rad
     )
 
 
-def true_square(view: View, gray: np.ndarray[Any, Any], bound: float, seed: int) -> tuple[float, float]:
-    """Mean square error of an image over all its pixels, and that number's standard error [gray level^2]."""
-    v, u = np.divmod(np.arange(gray.size, dtype=np.float64), COLUMNS)
+def true_square(
+    view: View,
+    gray: np.ndarray[Any, Any],
+    bound: float,
+    seed: int,
+    sampled: Callable[..., np.ndarray[Any, Any]] = sampled_radiance,
+) -> tuple[float, float]:
+    """Mean square error of an image over all its pixels, and that number's standard error [gray level^2].
+
+    `sampled` gives independent values of pixels, as `sampled_radiance` does.
+    """
+    v, u = np.divmod(np.arange(gray.size, dtype=np.float64), gray.shape[1])
     random = np.random.default_rng((seed, 2))
     errors: list[np.ndarray[Any, Any]] = []
     while True:
-        value = sampled_radiance(view, u, v, TRUTH_RAYS, random).mean(axis=1) * view.exposure_of_radiance
+        value = sampled(view, u, v, TRUTH_RAYS, random).mean(axis=1) * view.exposure_of_radiance
         errors.append(gray_levels(value, view.camera.sensor) - gray.ravel())
         count = len(errors)
         if count < FEWEST_TRUTHS:
