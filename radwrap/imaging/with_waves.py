@@ -40,6 +40,9 @@ _FINER: Final = 0.25  # of either, where it was too much
 _TRIES: Final = 2  # plans of waves
 _LESS: Final = 0.8  # of the tolerance is left to the rays' own image, where both together break it
 _TWO: Final = 2  # replicates, where nothing is made of them but their mean
+# Degrees of freedom by which noise is known: its bound is then 1.4 of it. Two replicates have one for each block over
+# which errors hang together, and where a small image has few blocks more replicates are made.
+_DEGREES: Final = 24
 # Of the tolerance, what waves may add to the error of images that are compared; and how fast that falls with the size
 # of their cells, as in `sampling`.
 _EVEN_SHARE: Final = 0.4
@@ -105,10 +108,13 @@ class _Waves:
         view, seed = self.work.view, self.options.seed
         return plan_waves(view, self.wavelength, aim, seed, share=share, even_cell=self.even_cell)
 
-    def replicates(self, made: Made) -> int:
-        """As many as the image has, where each is kept."""
-        kept = self.options.basis or self.options.sampling is not None
-        return len(made.outcome.replicates.images) if kept and made.outcome is not None else _TWO
+    def replicates(self, made: Made, plan: WavePlan) -> int:
+        """As many as the image has, where each is kept; else so many that their noise is known."""
+        if (self.options.basis or self.options.sampling is not None) and made.outcome is not None:
+            return len(made.outcome.replicates.images)
+        sensor = self.scene.camera.sensor
+        blocks = math.ceil(sensor.rows / plan.block) * math.ceil(sensor.columns / plan.block)
+        return max(_TWO, 1 + math.ceil(_DEGREES / blocks))
 
     def parts(
         self, plan: WavePlan, replicates: int, told_by: Callable[[WavePlan], WavePlan] = lambda plan: plan
@@ -198,7 +204,7 @@ def with_waves(
             if camera.diffraction == "auto" and more_may_help:
                 return WithWaves(made, found, None)
             raise _too_deep() from error
-        parts = waves.parts(plan, waves.replicates(made))
+        parts = waves.parts(plan, waves.replicates(made, plan))
         taken += parts.rays
         whole, off = _added(made, plan, parts, waves, taken)
         if _is_met(whole) or not _more_rays_may_do(made, waves, off):
@@ -209,8 +215,8 @@ def with_waves(
             aim *= _FINER
     if not _is_met(whole) and _is_met(made) and more_may_help:
         taken, made = taken + made.used.rays, again(_LESS * options.gray_tolerance)
-        if len(parts.change) != waves.replicates(made):
-            parts = waves.parts(plan, waves.replicates(made))
+        if len(parts.change) != waves.replicates(made, plan):
+            parts = waves.parts(plan, waves.replicates(made, plan))
             taken += parts.rays
         whole, _ = _added(made, plan, parts, waves, taken)
     slope = None
