@@ -144,6 +144,12 @@ def _lines(found: Mapping[str, Any], *, all_assumed: bool) -> Iterator[str]:
             f"{airy['wavelength'] * 1e9:.4g} nm{' (assumed)' if airy['wavelength_assumed'] else ''}; "
             f"{_decided(airy['asked'], found.get('effects', ()))}"
         )
+    if best := found["best_opening"]:
+        yield (
+            f"round opening for the depths in sight: {best['steepest_diameter'] * 1e3:.3g} mm has the steepest edges; "
+            f"below {best['balanced_diameter'] * 1e3:.3g} mm (beyond F number {best['balanced_f_number']:.3g}) "
+            "diffraction costs more than defocus"
+        )
     for source in found["scene"]["sources"]:
         yield f"source: {_source(source)}"
     if spectrum := found.get("spectrum"):

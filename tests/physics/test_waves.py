@@ -9,10 +9,11 @@ from scipy.special import j0, j1, jv, sici
 
 from radwrap.frames import Pose
 from radwrap.imaging.optics.aperture import turn
+from radwrap.imaging.optics.diffraction import best_opening
 from radwrap.imaging.optics.footprint import folded, laid_out, opening_points
 from radwrap.imaging.optics.wave_footprint import wave_weights
 from radwrap.imaging.optics.waves import Waves
-from radwrap.scene.camera import Aperture, Camera, Sensor
+from radwrap.scene.camera import Aperture, Camera, Lens, Sensor
 from radwrap.scene.pixel_window import PixelWindow, box, strips
 
 # Transforms are integrals by Gauss' rule, 1e-9, and a cubic between their values, 6e-5 of what is left at a frequency.
@@ -234,3 +235,29 @@ def test_tails_fall_as_the_rim_of_the_opening_says() -> None:
         low = 1e-3 * waves.highest_frequency
         lost = 1 - waves.transfer(0.0, low * np.cos(angle), low * np.sin(angle)).real.mean()
         assert 2 * math.pi * lost / low / (2 * math.pi) ** 2 * 2 == pytest.approx(2 * waves.tail(1.0), rel=5e-3)
+
+
+def edge_slope(diameter: float, distance: float, magnification: float) -> float:
+    """Of an edge in its middle, over its contrast [m^-1]."""
+    waves = Waves(Aperture("round", diameter), distance, WAVELENGTH)
+    nodes, weights = np.polynomial.legendre.leggauss(400)
+    frequency = (nodes + 1) / 2 * waves.highest_frequency
+    return float(waves.transfer(magnification, frequency, np.zeros(1)).real @ weights * waves.highest_frequency)
+
+
+@pytest.mark.parametrize(("focus", "depth"), [(None, 1e6), (None, 0.05), (0.3, 0.4)], ids=["far", "near", "lens"])
+def test_the_steepest_edge_is_that_of_the_opening_that_is_named(focus: float | None, depth: float) -> None:
+    camera = replace(camera_of(ROUND, 1e-5), lens=None if focus is None else Lens(focus))
+    v, m = camera.image_distance, float(camera.magnification(depth))
+    best = best_opening(camera, WAVELENGTH, [depth])
+    assert best is not None
+    at, smaller, larger = (edge_slope(share * best.steepest_diameter, v, m) for share in (1.0, 0.93, 1.07))
+    assert at > smaller and at > larger
+    if depth == 1e6:  # 12.5 mm and 550 nm
+        assert best.steepest_diameter == pytest.approx(0.13e-3, abs=0.005e-3)
+    # At the balance waves in focus are as steep as the geometric disc.
+    d = best.balanced_diameter
+    assert edge_slope(d, v, 0.0) == pytest.approx(4 / (math.pi * abs(m) * d), rel=BETWEEN)
+    assert best.balanced_f_number == pytest.approx(camera.focal_length / d)
+    # A depth in focus asks for nothing.
+    assert focus is None or best_opening(camera, WAVELENGTH, [focus]) is None

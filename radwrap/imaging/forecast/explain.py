@@ -12,7 +12,7 @@ import numpy as np
 from radwrap.errors import InputError
 from radwrap.imaging.forecast.in_sight import ADVISED_SHARE, eight_bits, exposure_for_advice, in_sight, told
 from radwrap.imaging.forecast.preview import Brightest, brightest, spread_look
-from radwrap.imaging.optics.diffraction import diffraction, diffraction_warning
+from radwrap.imaging.optics.diffraction import best_opening, diffraction, diffraction_warning, wavelength_of
 from radwrap.imaging.response.exposure import exposure_of_radiance
 from radwrap.imaging.response.sensor import unclipped_gray
 from radwrap.manifest import SCHEMA_VERSION, finite, plain
@@ -54,6 +54,7 @@ def explain(scene: Scene, whole: Collection[str] = ()) -> dict[str, Any]:
         source's radiance, what each material reflects of it, the bands that
         relative errors need;
         ``diffraction``: what the opening's Airy disc is, see `diffraction`;
+        ``best_opening``: round openings for the depths in sight, see `BestOpening`; null where all lies in focus;
         ``targets``: for each its depth [m], blur radius [px] and R of Eq. 8
         [m], at its origin; ``rings``: observation angle at each target [deg];
         ``in_sight``: of each target that is seen its visible depths, what a pixel and the sensor cover there, blur,
@@ -75,6 +76,9 @@ def explain(scene: Scene, whole: Collection[str] = ()) -> dict[str, Any]:
     camera = scene.camera
     found = brightest(scene)
     airy, seen = diffraction(scene), in_sight(scene, found)
+    best = best_opening(
+        camera, wavelength_of(scene)[0], [depth for one in seen for depth in (one.nearest, one.farthest)]
+    )
     peak = None if found is None else _peak(camera, found)
     advised = None if found is None else exposure_for_advice(camera, found.radiance)
     return {
@@ -95,6 +99,7 @@ def explain(scene: Scene, whole: Collection[str] = ()) -> dict[str, Any]:
         ],
         **({"focus": _focus(camera)} if camera.lens else {}),
         "diffraction": airy,
+        "best_opening": None if best is None else plain(best, named=False),
         **({"spectrum": _spectrum(scene, scene.spectral)} if scene.spectral else {}),
         "targets": [_target(camera, target.name, target.pose.position) for target in scene.targets],
         "rings": [_ring(scene, source) for source in scene.sources if isinstance(source, Ring)],
