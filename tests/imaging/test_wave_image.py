@@ -116,7 +116,7 @@ def test_noise_is_known_of_an_image_hardly_wider_than_what_waves_blur() -> None:
     """Of two replicates the noise on so few pixels could be anything, and its bound missed the tolerance."""
     document = tomllib.loads(BENCH.read_text())
     document["camera"]["diffraction"] = "on"
-    document["camera"]["sensor"] |= {"rows": 12, "columns": 14, "pixel_width": "10 um", "pixel_height": "10 um"}
+    document["camera"]["sensor"] |= {"rows": 12, "columns": 14, "pixel_width": "8 um", "pixel_height": "8 um"}
     made = radwrap.render(radwrap.scene_from_document(document), tolerance=2)
     assert made.met and made.error.diffraction_gray is not None and made.error.diffraction_gray < 1
 
