@@ -174,7 +174,7 @@ def _levels(
         core = fitted_level(light, base, inner, scene.response, terms, highest=2, rounded=scene.rounded)
         contrast = around.surface - core.surface
         middle = float(contrast[inner].mean())
-        if middle <= FAINTEST / 2 * max(around.spread, core.spread) or (contrast <= 0)[own].any():
+        if middle <= FAINTEST / 2 * max(around.spread, core.spread) or (contrast <= 0)[inner].any():
             return None
         shell = ring & (far <= half + 0.5 + SHELL)
         if shell.any() and float(light[shell].mean() - light[inner].mean()) < LEAST_STEP * middle:
