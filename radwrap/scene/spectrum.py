@@ -115,6 +115,8 @@ class Spectral:
         Mean of each source [m]; 0 of one that is dark.
     wavelength_spreads : tuple of float
         As `wavelength_spread`, where a source's own mean stands for its light.
+    counts_electrons : bool
+        Whether `counts` hold a linear sensor's quantum efficiency, over that at its own wavelength.
     """
 
     sources: tuple[str, ...]
@@ -126,6 +128,7 @@ class Spectral:
     wavelength_spread: float = field(default=0.0, compare=False)
     wavelengths: tuple[float, ...] = field(default=(), compare=False)
     wavelength_spreads: tuple[float, ...] = field(default=(), compare=False)
+    counts_electrons: bool = field(default=False, compare=False)
 
     def wavelength_groups(self) -> tuple[WavelengthGroup, ...]:
         """Put the sources that shine in groups of about one wavelength, by increasing wavelength."""

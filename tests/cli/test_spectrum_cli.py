@@ -134,6 +134,31 @@ def test_a_linear_camera_of_another_wavelength_is_told(wavelength: str, off: str
         assert 'write wavelength = "650 nm"' in told[0]
 
 
+def test_a_table_of_quantum_efficiencies_counts_with_the_spectra(folder: Path) -> None:
+    """Electrons of a line of 1 nm are those of a sensor told at that wavelength, whatever its own wavelength is."""
+    given = document()
+    del given["sources"][1], given["camera"]["filter"], given["camera"]["spectral_response"]
+    given["sources"][0]["spectrum"] = {"line": "650 nm", "width": "1 nm"}
+    plain = {key: value for key, value in LINEAR.items() if key not in ("rows", "columns", "quantum_efficiency")}
+    table = [["500 nm", 0.6], ["600 nm", 0.5], ["700 nm", 0.2]]
+
+    def electrons(wavelength: str, places: list[list[object]] = table) -> tuple[radwrap.Scene, float]:
+        sensor = {"rows": 6, "columns": 6, "wavelength": wavelength, "quantum_efficiencies": places}
+        given["camera"]["sensor"] = plain | sensor
+        scene = radwrap.scene_from_document(given, folder=folder)
+        assert scene.spectral is not None and scene.camera.sensor.linear is not None
+        linear = scene.camera.sensor.linear
+        # Electrons of a joule go with efficiency and wavelength.
+        return scene, scene.spectral.counts[0] * linear.quantum_efficiency * linear.wavelength
+
+    here_ = electrons("650 nm")[1]
+    assert here_ == pytest.approx(0.35 * 650e-9, rel=1e-5)
+    assert electrons("510 nm")[1] == pytest.approx(here_, rel=1e-12)
+    assert not [line for line in warnings_of(electrons("510 nm")[0]) if "photons" in line]
+    with pytest.raises(radwrap.InputError, match=r"500 to 649 nm, does not cover the light"):
+        electrons("510 nm", [["500 nm", 0.6], ["649 nm", 0.5]])
+
+
 def test_candelas_without_a_spectrum_are_refused(folder: Path) -> None:
     """Never taken for watts."""
     given = document()

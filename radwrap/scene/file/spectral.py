@@ -14,6 +14,7 @@ from radwrap.errors import InputError
 from radwrap.scene.bands import scaled
 from radwrap.scene.file.beside import named_file
 from radwrap.scene.file.material_tables import Coloured
+from radwrap.scene.file.sensor_tables import LinearSensorModel
 from radwrap.scene.sources import Beam, Source, TableBeam, WideSource, dimmed, emitters
 from radwrap.scene.spectrum import (
     Curve,
@@ -40,6 +41,8 @@ _PIECE_NODES: Final = 4  # of a straight piece of a table, 0.05 deg wide
 _BEAM_REACH: Final = 9.0  # standard deviations
 # Wavelengths closer than this share are one: tables begin and end where their writer's numbers say.
 _ROUNDING: Final = 1e-9
+# Share of a source's light that may lie beside a table of quantum efficiencies, the tail of a line.
+_UNKNOWN: Final = 1e-3
 
 
 def _file(name: str, folder: Path, where: str, largest: float = math.inf) -> Curve:
@@ -163,6 +166,8 @@ def _integrals(scene: Scene, model: tables.SceneModel, powers: list[Curve]) -> S
     if glass is not None:
         _check_cover(glass, shining, [response] if response else [], f"{scene.origin}: camera.filter")
     passed = list(path.values())
+    electrons = [] if response else _efficiencies(scene, model, shining, [glass] if glass else [])
+    passed += electrons
     used = [name for name in scene.materials if name in _used(scene)]
     curves: dict[str, Curve] = {}
     for name in used:
@@ -178,7 +183,31 @@ def _integrals(scene: Scene, model: tables.SceneModel, powers: list[Curve]) -> S
     ]
     materials = {name: scene.materials[name] for name in used}
     names = tuple(source.name for source in scene.sources)
-    return Spectral(names, tuple(counts), materials, tuple(rows), *_wavelengths(scene, powers, passed))
+    found = Spectral(names, tuple(counts), materials, tuple(rows), *_wavelengths(scene, powers, passed))
+    return replace(found, counts_electrons=bool(electrons))
+
+
+def _efficiencies(scene: Scene, model: tables.SceneModel, shining: list[Curve], glass: list[Curve]) -> list[Curve]:
+    """What of the exposure counts by a linear sensor's table: electrons, over those at its own wavelength.
+
+    A quantum efficiency counts photons, of which a joule holds as many more as the wavelength is longer.
+    """
+    sensor = model.camera.sensor
+    if not isinstance(sensor, LinearSensorModel) or sensor.quantum_efficiencies is None:
+        return []
+    places, shares = zip(*sensor.quantum_efficiencies, strict=True)
+    known = Curve((places[0], places[-1]), (1.0, 1.0))
+    for power in shining:
+        whole = integral(power, *glass)
+        if integral(power, *glass, known) < (1 - _UNKNOWN) * whole:
+            raise InputError(
+                f"its table, {places[0] * 1e9:g} to {places[-1] * 1e9:g} nm, does not cover the light",
+                where=f"{scene.origin}: camera.sensor.quantum_efficiencies",
+                remedy="give camera.spectral_response, a longer table, or camera.filter",
+            )
+    own = sensor.efficiency()
+    photons = Curve(known.ends, (places[0] / sensor.wavelength, places[-1] / sensor.wavelength))
+    return [Curve(places, tuple(share / own for share in shares)), photons]
 
 
 def _nothing_seen(scene: Scene, powers: list[Curve], path: Mapping[str, Curve]) -> InputError:

@@ -342,7 +342,7 @@ def _other_wavelength(scene: Scene) -> Iterator[str]:
     What counts is the mean by energy: mu_p = integral of E lambda/(h c), and that over E is its mean lambda/(h c).
     """
     linear = scene.camera.sensor.linear
-    if linear is None or scene.spectral is None or scene.spectral.wavelength <= 0:
+    if linear is None or scene.spectral is None or scene.spectral.wavelength <= 0 or scene.spectral.counts_electrons:
         return
     share = linear.wavelength / scene.spectral.wavelength - 1
     if abs(share) > _WAVELENGTH_SHARE:
