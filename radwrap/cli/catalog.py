@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
+import sys
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,7 +13,7 @@ from radwrap.cli import options as shared
 from radwrap.errors import InputError
 from radwrap.files import make_folder, write_bytes
 from radwrap.manifest import SCHEMA_VERSION, json_text, plain
-from radwrap.scene.catalog.component import BASES, CLASSES, Component, content_of, leaves, read_component
+from radwrap.scene.catalog.component import BASES, CLASSES, Component, checked_name, content_of, leaves, read_component
 from radwrap.scene.catalog.places import find, listed, user_folder
 from radwrap.scene.file.component_check import Checked, check_component
 
@@ -56,14 +57,16 @@ def _finish(parser: argparse.ArgumentParser, run: Any) -> None:
 def run_list(arguments: argparse.Namespace) -> int:
     """Print what there is."""
     kinds = [arguments.kind] if arguments.kind else list(CLASSES)
-    found = [one for kind in kinds for one in _all_of(kind, _folder(arguments))]
+    found, broken = _all_of(kinds, _folder(arguments))
     if arguments.json:
-        print(_json([_short(one) for one in found]), end="")
-        return 0
-    for one in found:
-        bases = ", ".join(f"{number} {basis}" for basis, number in _bases(one).items())
-        print(f"{one.kind:<10} {one.name:<40} {one.place:<8} {one.revision}  {one.title} ({bases})")
-    return 0
+        print(_json([_short(one) for one in found], problems=broken), end="")
+    else:
+        for one in found:
+            bases = ", ".join(f"{number} {basis}" for basis, number in _bases(one).items())
+            print(f"{one.kind:<10} {one.name:<40} {one.place:<8} {one.revision}  {one.title} ({bases})")
+    for problem in broken:
+        print(problem, file=sys.stderr)
+    return _CHECK_FAILED if broken else 0
 
 
 def run_show(arguments: argparse.Namespace) -> int:
@@ -79,12 +82,13 @@ def run_show(arguments: argparse.Namespace) -> int:
 def run_check(arguments: argparse.Namespace) -> int:
     """Look at components."""
     folder = _folder(arguments)
+    broken: list[str] = []
     if arguments.names:
         found = [_given(name, folder) for name in arguments.names]
     else:
-        found = [one for kind in CLASSES for one in _all_of(kind, folder)]
+        found, broken = _all_of(CLASSES, folder)
     checked = [(one, check_component(one)) for one in found]
-    problems = [problem for _, result in checked for problem in result.problems]
+    problems = broken + [problem for _, result in checked for problem in result.problems]
     if arguments.json:
         print(_json([_whole(one, result) for one, result in checked], problems=problems), end="")
     else:
@@ -102,6 +106,9 @@ def run_add(arguments: argparse.Namespace) -> int:
     """Put a file into the user's catalog; what is there of an older revision keeps its date as a name."""
     path = Path(arguments.file)
     one = _file(path)
+    if path.suffix != ".toml":
+        raise InputError("does not end in .toml", where=str(path), remedy="rename it")
+    checked_name(one.name, str(path))
     problems = check_component(one).problems
     if problems:
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
@@ -132,14 +139,20 @@ def _folder(arguments: argparse.Namespace) -> Path | None:
     return Path(arguments.folder) if arguments.folder else None
 
 
-def _all_of(kind: str, folder: Path | None) -> list[Component]:
-    seen: set[str] = set()
-    found = []
-    for name, place, path in listed(kind, folder):
-        if name not in seen:  # what is hidden by an earlier place cannot be named
+def _all_of(kinds: Iterable[str], folder: Path | None) -> tuple[list[Component], list[str]]:
+    """All components of some classes, and what is wrong with files that are none."""
+    found, broken = [], []
+    for kind in kinds:
+        seen: set[str] = set()
+        for name, place, path in listed(kind, folder):
+            if name in seen:  # what is hidden by an earlier place cannot be named
+                continue
             seen.add(name)
-            found.append(read_component(path, place.folder, kind, place.name, str(path)))
-    return found
+            try:
+                found.append(read_component(path, place.folder, kind, place.name, str(path)))
+            except InputError as error:
+                broken.append(str(error))
+    return found, broken
 
 
 def _named(text: str, folder: Path | None) -> Component:

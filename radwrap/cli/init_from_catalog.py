@@ -85,6 +85,7 @@ def write_scene(arguments: argparse.Namespace, folder: Path) -> tuple[Path, list
     part = _part(source, arguments.length_unit)
     content = read_bytes(source, _PART, f"--part {source}")
     document = first_scene(part, sensor, lens, lights, _FIRST_EXPOSURE)
+    is_new = not folder.exists()
     make_folder(folder)
     for name in (part.file, SCENE):
         if (folder / name).exists():
@@ -94,6 +95,8 @@ def write_scene(arguments: argparse.Namespace, folder: Path) -> tuple[Path, list
         exposure = _exposure(document, folder)
     except BaseException:
         (folder / part.file).unlink(missing_ok=True)
+        if is_new:
+            folder.rmdir()
         raise
     document["camera"]["exposure_time"] = f"{exposure * 1e3:.4g} ms"
     assumed = _assumed(lights, document)
@@ -138,6 +141,7 @@ def _exposure(document: Mapping[str, Any], folder: Path) -> float:
     import numpy as np
 
     from radwrap.imaging.forecast.in_sight import exposure_for_advice
+    from radwrap.imaging.optics.falloff import whole_falloff
     from radwrap.imaging.response.exposure import exposure_of_radiance
     from radwrap.imaging.synthesis import render
     from radwrap.scene.file.load import scene_from_document
@@ -150,6 +154,9 @@ def _exposure(document: Mapping[str, Any], folder: Path) -> float:
     scene = scene_from_document(document, changes, origin=SCENE, folder=folder)
     exposure = render(scene, method="pinhole", pixel_samples=_SAMPLES, bounces=0).radiant_exposure.values
     brightest = float(np.percentile(exposure, _QUANTILE)) / exposure_of_radiance(scene.camera)
+    # From a wide opening's rim light comes slanted: less than through its middle.
+    on_axis = np.array([[0.0, 0.0, scene.camera.image_distance]])
+    brightest *= float(whole_falloff(scene.camera, on_axis)[0])
     advised = exposure_for_advice(scene.camera, brightest)
     if advised is None:
         raise InputError("no light reaches what the camera sees", where="--light", remedy="choose another light")

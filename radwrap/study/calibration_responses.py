@@ -24,6 +24,7 @@ from radwrap.units import ANGLE, LENGTH, PIXEL, parse_quantity
 
 _FEWEST_VIEWS, _MOST_VIEWS = 3, 500
 _MOST_TILT: Final = math.radians(80)
+_TRIED: Final = 8  # views, before the first ray
 TARGET, INFINITY = "target", "infinity"
 _VIEWS: Final = 20
 _TILT: Final = math.radians(30)
@@ -129,7 +130,11 @@ def _check_views(scene: Scene, options: Options) -> None:
         if "detector" in options:
             raise InputError("detector and noise exclude each other", remedy="leave out one of them")
     _distance(scene, options)
-    planned_views(scene.camera, _target(scene, options), _views(options), _tilt(options))
+    camera, count = scene.camera, min(_views(options), _TRIED)
+    views = planned_views(camera, _target(scene, options), count, _tilt(options))
+    # What cannot be told from few views so tilted cannot be told from many.
+    size = (camera.sensor.columns, camera.sensor.rows)
+    calibrate_views(views, size, model=options.get("model", "brown"), noise=1.0)
 
 
 _POINT: Final = {"target": str, "detector": DETECTORS}

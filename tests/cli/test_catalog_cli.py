@@ -9,7 +9,9 @@ from typing import Any
 
 import pytest
 
+import radwrap
 from radwrap.cli.main import main
+from tests.cli.conftest import here
 
 DATA = files("radwrap") / "data" / "sensors"
 TWIN = "sony_imx287.allied_alvium_1800_c"
@@ -148,3 +150,46 @@ def test_results_that_cannot_be_relied_on_are_refused(
     assert imported(tmp_path, XML.replace(old, new)) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "own.toml").exists()
+
+
+def test_a_broken_file_hides_no_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "sensors").mkdir()
+    (tmp_path / "sensors" / "broken.toml").write_text("x = [")
+    monkeypatch.setenv("RADWRAP_CATALOG", str(tmp_path))
+    for verb in ("list", "check"):
+        done = here(["catalog", verb, "--json"], capsys)
+        assert done.code == 1
+        told = json.loads(done.stdout)
+        assert len(told["components"]) > 50
+        assert len(told["problems"]) == 1 and "broken.toml" in told["problems"][0]
+
+
+@pytest.mark.parametrize(
+    ("told", "what"),
+    [
+        ('["a", "b"]', "must be a number"),
+        ("[300, 240]", "does not lie between"),
+        ("[100, 240]", "does not lie between"),
+        ("[0, 240]", None),
+    ],
+)
+def test_ends_of_a_range_are_values_of_the_key(
+    told: str, what: str | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = Path(radwrap.__file__).parent / "data" / "sensors" / "sony_imx250.flir_bfs_u3_51s5m.toml"
+    text = source.read_text()
+    assert text.count("range = [0, 240]") == 1
+    (tmp_path / "one.toml").write_text(text.replace("range = [0, 240]", f"range = {told}"))
+    done = here(["catalog", "check", tmp_path / "one.toml"], capsys)
+    assert done.code == (0 if what is None else 1)
+    assert what is None or (what in done.stdout and "catalog.from.offset.range" in done.stdout)
+
+
+@pytest.mark.parametrize("name", ["Große Kamera.toml", "camera.txt"])
+def test_only_names_of_the_catalog_are_added(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = Path(radwrap.__file__).parent / "data" / "sensors" / "sony_imx250.flir_bfs_u3_51s5m.toml"
+    (tmp_path / name).write_bytes(source.read_bytes())
+    done = here(["catalog", "add", tmp_path / name], capsys)
+    assert done.code == 2 and name in done.stderr

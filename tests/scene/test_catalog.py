@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+import radwrap
 from radwrap.errors import InputError
 from radwrap.imaging.output.run_manifest import components_used
 from radwrap.scene.catalog.places import find, listed
@@ -126,3 +127,10 @@ def test_all_files_of_the_package_are_components() -> None:
         assert set(one.entries) == {key for key in one.values if key not in ("type", "model")}, one.name
         assert all(entry.basis == "assumed" or entry.source or entry.note for entry in one.entries.values())
         assert {entry.source for entry in one.entries.values() if entry.source} <= set(one.catalog.get("sources", {}))
+
+
+@pytest.mark.parametrize("name", [3, ["fivs"], {"name": "fivs"}])
+def test_a_name_that_is_no_text_is_refused_where_it_stands(name: object) -> None:
+    with pytest.raises(InputError, match="is not a name of the catalog") as told:
+        radwrap.scene_from_document({"camera": {"sensor": {"preset": name}}})
+    assert "camera.sensor.preset" in (told.value.where or "")

@@ -79,7 +79,7 @@ def test_what_is_given_beside_a_preset_counts() -> None:
         ({"type": "specular", "preset": "roled_brass"}, 'did you mean "rolled_brass"?'),
         ({"type": "specular", "preset": "clear_glass"}, 'is a material of type "glass"'),
         ({"type": "lambertian", "preset": "rolled_brass"}, "unknown key"),
-        ({"type": "specular", "preset": 3}, "must be a string"),
+        ({"type": "specular", "preset": 3}, "is not a name of the catalog"),
     ],
 )
 def test_presets_that_there_are_not_are_refused(material: dict[str, Any], message: str) -> None:

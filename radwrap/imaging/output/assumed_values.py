@@ -18,6 +18,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from radwrap.errors import InputError
 from radwrap.imaging.response.noise import noise_variance
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.scene.camera import Sensor
@@ -123,7 +124,11 @@ def _effect(scene: Scene, taken: Taken, key: str, entry: Entry, light: NDArray[n
     images = []
     for end in ends:
         if taken.component.kind == "sensors":
-            other = with_camera(scene, {f"{_SENSOR}.{key}": end}).camera.sensor
+            try:
+                other = with_camera(scene, {f"{_SENSOR}.{key}": end}).camera.sensor
+            except InputError as error:
+                where = f"{taken.component.path}: catalog.from.{key}.range"
+                raise InputError(error.what, where=where, remedy="see `radwrap catalog check`") from error
             images.append(_image(other, light))
         else:
             share = _number(end) / _number(value)

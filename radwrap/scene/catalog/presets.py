@@ -92,7 +92,7 @@ def with_presets(
     taken: list[Taken] = []
 
     def merged(table: Any, kind: str, key: str) -> Any:
-        if not isinstance(table, dict) or not isinstance(table.get(KEY), str):
+        if not isinstance(table, dict) or KEY not in table:
             return table
         where = f"{origin}: {key}"
         component = find(kind, table[KEY], folder, f"{where}.{KEY}")
@@ -106,7 +106,7 @@ def with_presets(
         changed = {**camera}
         if "sensor" in camera:
             changed["sensor"] = merged(camera["sensor"], "sensors", "camera.sensor")
-        if isinstance(camera.get("lens"), dict) and isinstance(camera["lens"].get(KEY), str):
+        if isinstance(camera.get("lens"), dict) and KEY in camera["lens"]:
             component = find("lenses", camera["lens"][KEY], folder, f"{origin}: camera.lens.{KEY}")
             changed, used = _with_lens(changed, component)
             taken.append(Taken(f"camera.lens.{KEY}", component, used))

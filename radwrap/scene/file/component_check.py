@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from radwrap.errors import InputError
@@ -16,7 +16,7 @@ from radwrap.scene.file.document import DistortionModel
 from radwrap.scene.file.faults import validated
 from radwrap.scene.file.optics_tables import LensModel
 from radwrap.scene.file.sensor_tables import LinearSensorModel, SensorModel
-from radwrap.units import LENGTH, parse_quantity
+from radwrap.units import DIMENSIONS, LENGTH, parse_quantity
 
 _MATERIALS: Final[Mapping[str, type[Model]]] = {
     "specular": materials.SpecularModel,
@@ -66,6 +66,8 @@ def check_component(component: Component) -> Checked:
     """
     where = f"{component.kind}/{component.path.name}"
     problems = [*_of_keys(component, where), *_of_entries(component, where), *_of_sources(component, where)]
+    if not problems:
+        problems += _of_ranges(component, where)
     totals: tuple[Total, ...] = ()
     try:
         totals = totals_of(component, where)
@@ -128,6 +130,32 @@ def _of_entries(component: Component, where: str) -> Iterator[str]:
         if entry.source and entry.source not in known:
             yield f'{place}: catalog.sources has no "{entry.source}"'
         yield from (f"{place}: {what}" for what in _missing(entry))
+
+
+def _of_ranges(component: Component, where: str) -> Iterator[str]:
+    """Both ends of a range are values that a scene takes, in their order, and the value lies between them."""
+    for key, entry in component.entries.items():
+        if entry.range is None or key not in component.values:
+            continue
+        place = f"{where}: catalog.from.{key}.range"
+        wrong = [
+            problem
+            for end in entry.range
+            for problem in _of_keys(replace(component, values={**component.values, key: end}), place)
+        ]
+        yield from wrong[:1]
+        low, value, high = (_number(one) for one in (entry.range[0], component.values[key], entry.range[1]))
+        if not wrong and low is not None and value is not None and high is not None and not low <= value <= high:
+            yield f"{place}: {component.values[key]} does not lie between its ends"
+
+
+def _number(value: Any) -> float | None:
+    """Of a value that a scene takes, with its unit or without; None of what is no number."""
+    if not isinstance(value, str):
+        return float(value) if isinstance(value, int | float) else None
+    number, _, unit = value.partition(" ")
+    size = next((dimension.units[unit] for dimension in DIMENSIONS if unit in dimension.units), None)
+    return None if size is None else size * float(number)
 
 
 def _missing(entry: Entry) -> Iterator[str]:
