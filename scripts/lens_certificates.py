@@ -7,15 +7,13 @@ share of scenes that break the kernel's model, which is only printed.
 
 from __future__ import annotations
 
-import json
 import math
 import sys
-from collections import Counter
 from typing import Any
 
 import numpy as np
 
-from certificates import COVERAGE, IDLE, OUT, draw, judged, judged_by, kept, told
+from certificates import concluded, draw, judged, judged_by, told
 
 FASTEST, SLOWEST = 1.4, 16.0  # f-numbers
 NEAREST, FARTHEST = 0.4, 1.2  # focus, in distances of the board
@@ -35,15 +33,7 @@ def through_a_lens(random: np.random.Generator) -> dict[str, Any]:
 def main() -> int:
     """Draw, judge, print."""
     rows = judged_by(lambda number, budget: judged(number, budget, through_a_lens), told, __doc__ or "", 2e7)
-    holds, idle = kept(rows)
-    methods = Counter(row["method"] for row in rows)
-    met = sum(row["met"] for row in rows)
-    print(f"bound holds in {holds:.1%} of {len(rows)}; median bound / truth {idle:.2f}; {dict(methods)}; met {met}")
-    OUT.parent.mkdir(exist_ok=True)
-    OUT.with_name("lens_certificates.json").write_text(
-        json.dumps({"coverage": holds, "median_ratio": idle, "rows": rows}, indent=1)
-    )
-    return 0 if holds >= COVERAGE and idle <= IDLE else 1
+    return concluded(rows, "lens_certificates")
 
 
 if __name__ == "__main__":

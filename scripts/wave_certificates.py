@@ -10,11 +10,9 @@ bound / truth above 1.5).
 
 from __future__ import annotations
 
-import json
 import math
 import resource
 import sys
-from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,7 +20,7 @@ import numpy as np
 from scipy.special import j0
 
 import radwrap
-from certificates import COVERAGE, IDLE, OUT, draw, exposed, judged_by, kept, true_square
+from certificates import concluded, draw, exposed, judged_by, true_square
 from radwrap.imaging.methods.sobol import scrambled_points
 from radwrap.imaging.optics.view import View, look_at_depths, trace_rays
 from radwrap.imaging.response.sensor import gray_levels
@@ -228,15 +226,7 @@ def in_words(row: dict[str, Any]) -> str:
 def main() -> int:
     """Draw, judge, print."""
     rows = judged_by(judged, in_words, __doc__ or "", 2e7)
-    holds, idle = kept(rows)
-    methods = Counter(row["method"] for row in rows)
-    met = sum(row["met"] for row in rows)
-    print(f"bound holds in {holds:.1%} of {len(rows)}; median bound / truth {idle:.2f}; {dict(methods)}; met {met}")
-    OUT.parent.mkdir(exist_ok=True)
-    OUT.with_name("wave_certificates.json").write_text(
-        json.dumps({"coverage": holds, "median_ratio": idle, "rows": rows}, indent=1)
-    )
-    return 0 if holds >= COVERAGE and idle <= IDLE else 1
+    return concluded(rows, "wave_certificates")
 
 
 if __name__ == "__main__":

@@ -10,21 +10,19 @@ than 91 % of the scenes, or if it is idle (median of bound / truth above 1.5).
 
 from __future__ import annotations
 
-import json
 import math
 import sys
 import tempfile
 import time
 from collections.abc import Generator, Iterable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 import radwrap
-from certificates import COVERAGE, IDLE, draw, judged_by, kept, true_square
+from certificates import concluded, draw, judged_by, true_square
 from radwrap.imaging.optics.view import trace_rays
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.response.sensor import gray_levels
@@ -42,7 +40,6 @@ from radwrap.tracers.compiled.tree import DEPTH
 from radwrap.tracers.compiled.wide_light import sent_by
 from radwrap.tracers.compiled.wide_shadow import is_hidden
 
-OUT = Path(__file__).resolve().parent.parent / "out" / "wide_certificates.json"
 COMPILED = RenderOptions(tracer="compiled")
 # What takes longer is lit by the far end of a lobe only, by 1e-8 of what its sheeting sends back: nobody looks at it.
 LONGEST = 3600.0  # s
@@ -72,7 +69,7 @@ def by_even_points(  # noqa: PLR0917  (compiled functions take their arrays one 
         shape = shapes[number]
         x, y, z = ox + distance * dx, oy + distance * dy, oz + distance * dz
         nx, ny, nz = normal_at(shape, x, y, z)
-        cover = covers[painted(decals, shape.owner, shape.decal, x, y, z)]
+        cover = covers[painted(decals, tables, shape.owner, shape.decal, x, y, z)]
         if nx * dx + ny * dy + nz * dz > 0:
             if not cover.two_sided:
                 continue
@@ -243,13 +240,7 @@ def _told(row: dict[str, Any]) -> str:
 
 def main() -> int:
     """Draw, judge, print."""
-    rows = judged_by(_judged, _told, __doc__ or "", 5e6)
-    holds, idle = kept(rows)
-    met = sum(row["met"] for row in rows)
-    print(f"bound holds in {holds:.1%} of {len(rows)}; median bound / truth {idle:.2f}; met {met}")
-    OUT.parent.mkdir(exist_ok=True)
-    OUT.write_text(json.dumps({"coverage": holds, "median_ratio": idle, "rows": rows}, indent=1))
-    return 0 if holds >= COVERAGE and idle <= IDLE else 1
+    return concluded(judged_by(_judged, _told, __doc__ or "", 5e6), "wide_certificates")
 
 
 if __name__ == "__main__":
