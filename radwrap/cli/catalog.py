@@ -136,7 +136,10 @@ def run_add(arguments: argparse.Namespace) -> int:
 
 
 def _folder(arguments: argparse.Namespace) -> Path | None:
-    return Path(arguments.folder) if arguments.folder else None
+    folder = Path(arguments.folder) if arguments.folder else None
+    if folder is not None and not folder.is_dir():
+        raise InputError("is not a folder", where=f"--folder {folder}")
+    return folder
 
 
 def _all_of(kinds: Iterable[str], folder: Path | None) -> tuple[list[Component], list[str]]:

@@ -193,3 +193,13 @@ def test_only_names_of_the_catalog_are_added(name: str, tmp_path: Path, capsys: 
     (tmp_path / name).write_bytes(source.read_bytes())
     done = here(["catalog", "add", tmp_path / name], capsys)
     assert done.code == 2 and name in done.stderr
+
+
+def test_folders_that_are_none_are_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    done = here(["catalog", "list", "--folder", tmp_path / "nowhere"], capsys)
+    assert done.code == 2 and "--folder" in done.stderr
+    monkeypatch.setenv("RADWRAP_CATALOG", str(tmp_path / "nowhere"))
+    done = here(["catalog", "list"], capsys)
+    assert done.code == 2 and "RADWRAP_CATALOG" in done.stderr

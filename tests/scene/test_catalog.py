@@ -24,6 +24,7 @@ START = tomllib.loads((files("radwrap") / "data" / "init" / "scene.toml").read_t
 @pytest.fixture(autouse=True)
 def own_places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "user"))
+    (tmp_path / "named").mkdir()
     monkeypatch.setenv("RADWRAP_CATALOG", str(tmp_path / "named"))
 
 

@@ -56,18 +56,21 @@ def read_emva_xml(path: Path) -> dict[str, float]:
     except (ElementTree.ParseError, ValueError) as error:
         raise InputError(f"is not XML: {error}", where=str(path)) from error
     found: dict[str, float] = {}
+    empty: set[str] = set()
     for element in root.iter():
         name = element.tag.lower()
         values = [child.text for child in element if child.tag.lower() == "value"]
         if name in NAMES and values:
             number = _number(values[0], f"{path}: {element.tag}")
             if number is None:
+                empty.add(name)
                 continue
             if found.setdefault(name, number) != number:
                 raise InputError("stands there twice, with two values", where=f"{path}: {element.tag}")
     for name, needed in NAMES.items():
         if needed and name not in found:
-            raise InputError("is missing", where=f"{path}: {name}", remedy="export all results of the measurement")
+            told = "has no value above zero" if name in empty else "is missing"
+            raise InputError(told, where=f"{path}: {name}", remedy="export all results of the measurement")
         if needed and not found[name] > 0:
             raise InputError("must be above zero", where=f"{path}: {name}")
     return found

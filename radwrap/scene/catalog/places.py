@@ -57,9 +57,16 @@ def places(scene_folder: Path | None = None) -> tuple[Place, ...]:
     ----------
     scene_folder : Path, optional
         Folder of the scene that names components.
+
+    Raises
+    ------
+    InputError
+        If the variable names no folder.
     """
     found = [Place(SCENE, scene_folder, flat=True)] if scene_folder is not None else []
     if named := os.environ.get(VARIABLE):
+        if not Path(named).is_dir():
+            raise InputError(f'"{named}" is not a folder', where=VARIABLE, remedy="correct the variable, or unset it")
         found.append(Place(VARIABLE, Path(named)))
     return (*found, Place(USER, user_folder()), Place(PACKAGE, Path(str(files("radwrap") / "data"))))
 
