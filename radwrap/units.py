@@ -152,6 +152,12 @@ def parse_quantity(text: object, dimension: Dimension) -> float:
 _GAIN: Final = re.compile(rf"({_NUMBER}) \(J/m\^2\)\^-({_NUMBER})")
 
 
+def dimension_of(value: object) -> Dimension | None:
+    """The dimension of a quantity, None where it is none."""
+    unit = value.partition(" ")[2] if isinstance(value, str) else ""
+    return next((dimension for dimension in DIMENSIONS if unit in dimension.units), None)
+
+
 def parse_gain(text: object) -> tuple[float, float]:
     """Read the sensor gain K of Eq. 5, whose unit carries gamma.
 

@@ -35,10 +35,9 @@ def add_to(kinds: argparse._SubParsersAction[Any]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out the verb."""
-    if arguments.write is None:
+    path = None if arguments.write is None else written_sensor.file_of(arguments)
+    if path is None:
         raise InputError("is missing", where="--write", remedy="name the file to write")
-    path = written_sensor.file_of(arguments)
-    assert path is not None  # noqa: S101  (named above)
     for option in ("rows", "columns"):
         if getattr(arguments, option) is None:
             raise InputError("is missing", where=f"--{option}", remedy="the XML does not tell it")

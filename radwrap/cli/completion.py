@@ -32,7 +32,7 @@ def run(arguments: argparse.Namespace) -> int:
     from radwrap.cli.main import whole_parser
 
     parser = whole_parser()
-    for action in _actions(parser):
+    for action in _actions(parser):  # `complete` is an attribute that shtab looks for, and argparse does not know
         names = action.metavar if isinstance(action.metavar, str) else action.dest.upper()
         if names == _FOLDER:
             action.complete = shtab.DIRECTORY  # type: ignore[attr-defined]

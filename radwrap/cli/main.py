@@ -134,7 +134,7 @@ class _Parser(argparse.ArgumentParser):
         (file or sys.stdout).write(message)  # argparse itself passes over what cannot be written
 
 
-class _Verbs(argparse._SubParsersAction):  # type: ignore[type-arg]
+class _Verbs(argparse._SubParsersAction):  # type: ignore[type-arg]  # generic for type checkers only
     """Verbs with what they are for."""
 
     def add_parser(self, name: str, **more: Any) -> Any:

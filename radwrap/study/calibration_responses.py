@@ -58,14 +58,16 @@ def _rms(seen: Seen, options: Options, copy: int, image: GrayImage) -> float:
 
 def _calibrated(seen: Seen, options: Options) -> ViewsCalibration:
     """A calibration by views with exact points whose noise is given as 1 px: how much of it is left."""
-    camera, target = seen.scene.camera, _target(seen.scene, options)
-    count, tilt, model = _views(options), _tilt(options), options.get("model", "brown")
-    place = (target.name, count, tilt, model)
+    place = (_target(seen.scene, options).name, _views(options), _tilt(options), options.get("model", "brown"))
     if place not in seen.planned:
-        views = planned_views(camera, target, count, tilt)
-        size = (camera.sensor.columns, camera.sensor.rows)
-        seen.planned[place] = calibrate_views(views, size, model=model, noise=1.0)
+        seen.planned[place] = _planned(seen.scene, options, _views(options))
     return seen.planned[place]
+
+
+def _planned(scene: Scene, options: Options, count: int) -> ViewsCalibration:
+    sensor = scene.camera.sensor
+    views = planned_views(scene.camera, _target(scene, options), count, _tilt(options))
+    return calibrate_views(views, (sensor.columns, sensor.rows), model=options.get("model", "brown"), noise=1.0)
 
 
 def _projection_sigma(seen: Seen, options: Options) -> Answer:
@@ -130,11 +132,8 @@ def _check_views(scene: Scene, options: Options) -> None:
         if "detector" in options:
             raise InputError("detector and noise exclude each other", remedy="leave out one of them")
     _distance(scene, options)
-    camera, count = scene.camera, min(_views(options), _TRIED)
-    views = planned_views(camera, _target(scene, options), count, _tilt(options))
     # What cannot be told from few views so tilted cannot be told from many.
-    size = (camera.sensor.columns, camera.sensor.rows)
-    calibrate_views(views, size, model=options.get("model", "brown"), noise=1.0)
+    _planned(scene, options, min(_views(options), _TRIED))
 
 
 _POINT: Final = {"target": str, "detector": DETECTORS}

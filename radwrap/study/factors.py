@@ -21,7 +21,7 @@ import numpy as np
 from radwrap.errors import InputError
 from radwrap.random_streams import generator
 from radwrap.scene.file.keys import expanded
-from radwrap.units import DIMENSIONS, Dimension, parse_gain, parse_quantity
+from radwrap.units import dimension_of, parse_gain, parse_quantity
 
 _DRAWS: Final = ("uniform", "normal")
 _GAIN: Final = " (J/m^2)^-"  # in the unit of a sensor's gain, which holds gamma
@@ -178,12 +178,6 @@ def _number(value: float) -> float:
     if not math.isfinite(number):
         raise InputError("is no number that a computer holds")
     return number
-
-
-def dimension_of(value: Any) -> Dimension | None:
-    """The dimension of a quantity, None where it is none."""
-    unit = value.partition(" ")[2] if isinstance(value, str) else ""
-    return next((dimension for dimension in DIMENSIONS if unit in dimension.units), None)
 
 
 def in_si(value: Any) -> float | None:

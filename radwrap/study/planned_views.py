@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from radwrap.calibrate.camera_model import turn
 from radwrap.calibrate.views import CalibrationView
 from radwrap.errors import InputError
 from radwrap.frames import points_to_local
@@ -48,26 +49,22 @@ def planned_views(camera: Camera, target: PatternTarget, count: int, tilt: float
     InputError
         If the target does not fit into the image.
     """
-    points = np.column_stack([np.array(places_of(target.layout)), np.zeros(len(places_of(target.layout)))])
+    from scipy.stats.qmc import Halton
+
+    places = np.array(places_of(target.layout))
+    points = np.column_stack([places, np.zeros(len(places))])
     distance = float(np.linalg.norm(points_to_local(camera.pose, np.array([target.pose.position]))))
     size = np.array([camera.sensor.columns, camera.sensor.rows])
     middle = (size - 1) / 2
+    spread = Halton(2, scramble=False).fast_forward(1).random(count) * size - 0.5  # its first point is a corner
     found = []
-    for number in range(count):
-        turn = _turned(tilt, number * _GOLDEN)
-        wanted = np.array([_halton(number + 1, 2), _halton(number + 1, 3)]) * size - 0.5
-        share = _farthest(camera, points @ turn.T, middle, wanted, distance)
-        world = _placed(camera, points @ turn.T, middle + share * (wanted - middle), distance)
+    for number, wanted in enumerate(spread):
+        about = number * _GOLDEN
+        arms = points @ (turn(tilt * np.array([math.cos(about), math.sin(about), 0.0]))[0] @ _FACING).T
+        share = _farthest(camera, arms, middle, wanted, distance)
+        world = _placed(camera, arms, middle + share * (wanted - middle), distance)
         found.append(CalibrationView(points, project(camera, world)[0], str(number + 1)))
     return found
-
-
-def _turned(tilt: float, about: float) -> Array:
-    """Rotation of the target in the camera's frame: tilted about an axis in the image plane."""
-    x, y = math.cos(about), math.sin(about)
-    cross = np.array([[0.0, 0.0, y], [0.0, 0.0, -x], [-y, x, 0.0]])
-    turn: Array = (np.eye(3) + math.sin(tilt) * cross + (1 - math.cos(tilt)) * cross @ cross) @ _FACING
-    return turn
 
 
 def _placed(camera: Camera, arms: Array, middle: Array, distance: float) -> Array:
@@ -88,7 +85,9 @@ def _farthest(camera: Camera, arms: Array, middle: Array, wanted: Array, distanc
         raise InputError(
             f"does not fit into the image at {distance:.3g} m, so tilted", remedy="move it away, or tilt it less"
         )
-    low, high = (1.0, 1.0) if fits(1.0) else (0.0, 1.0)
+    if fits(1.0):
+        return 1.0
+    low, high = 0.0, 1.0
     for _ in range(_HALVINGS):
         half = (low + high) / 2
         low, high = (half, high) if fits(half) else (low, half)
@@ -97,13 +96,3 @@ def _farthest(camera: Camera, arms: Array, middle: Array, wanted: Array, distanc
             f"fills the image at {distance:.3g} m, so that views cannot differ", remedy="move it away, or tilt it less"
         )
     return low
-
-
-def _halton(number: int, base: int) -> float:
-    """A number's digits, mirrored at the point (Halton 1960)."""
-    value, step = 0.0, 1.0
-    while number:
-        step /= base
-        number, digit = divmod(number, base)
-        value += digit * step
-    return value

@@ -69,10 +69,12 @@ def detector_of(layout: Layout, asked: Detector | None, *, target: str, where: s
 
 def places_of(layout: Layout) -> list[Place]:
     """Places of all points of a target that calibrates [m], in the order of its detectors."""
-    points = layout.centres() if isinstance(layout, CircleGrid) else ()
-    if isinstance(layout, Chessboard | Charuco):
-        points = layout.corners()
-    return [place for *_, place in points]
+    match layout:
+        case Chessboard() | Charuco():
+            return [place for *_, place in layout.corners()]
+        case CircleGrid():
+            return [place for *_, place in layout.centres()]
+    raise TypeError(f"{type(layout).__name__} has no points")
 
 
 def finder_of(layout: Layout, detector: Detector) -> Callable[[GrayImage], Found]:

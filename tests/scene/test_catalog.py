@@ -13,6 +13,7 @@ import radwrap
 from radwrap.errors import InputError
 from radwrap.imaging.output.run_manifest import components_used
 from radwrap.scene.catalog.places import find, listed
+from radwrap.scene.catalog.presets import with_presets
 from radwrap.scene.file.load import scene_from_document, with_camera
 from radwrap.scene.scene import Scene
 
@@ -135,3 +136,13 @@ def test_a_name_that_is_no_text_is_refused_where_it_stands(name: object) -> None
     with pytest.raises(InputError, match="is not a name of the catalog") as told:
         radwrap.scene_from_document({"camera": {"sensor": {"preset": name}}})
     assert "camera.sensor.preset" in (told.value.where or "")
+
+
+@pytest.mark.parametrize("kind", ["led", "lamp"])
+def test_another_level_stands_for_that_of_a_preset(kind: str) -> None:
+    """Of an LED too: it was told to have two."""
+    name = {"led": "osram_w5sn_470nm", "lamp": "metal_halide_400w"}[kind]
+    whole, (taken,) = with_presets({"sources": [{"type": kind, "preset": name, "radiant_flux": "5 mW"}]}, "x", None)
+    (source,) = whole["sources"]
+    assert source["radiant_flux"] == "5 mW" and "radiant_intensity" not in source
+    assert "radiant_intensity" not in taken.used

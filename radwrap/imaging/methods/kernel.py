@@ -116,16 +116,15 @@ class Gathered:
 
     def grid_squares(self, exposure_of_radiance: float, sensor: Sensor) -> NDArray[np.float64]:
         """Of each pixel, or of the nearest that tells, the square of what the cells' size changes [gray level^2]."""
-        squares = np.zeros(self.values.shape)
         if not self.change.size:
-            return squares
+            return np.zeros(self.values.shape)
         told = grid_squares(self.values[self.some], self.change, exposure_of_radiance, sensor)
         near = [
             np.abs(np.arange(size)[:, np.newaxis] - at.ravel()).argmin(axis=1)
             for size, at in zip(self.values.shape, self.some, strict=True)
         ]
-        squares[...] = told[np.ix_(*near)]
-        return squares
+        spread: NDArray[np.float64] = told[np.ix_(*near)]
+        return spread
 
 
 def grid_squares(

@@ -15,7 +15,8 @@ from radwrap.scene.catalog.places import find
 from radwrap.units import LENGTH, parse_quantity
 
 KEY: Final = "preset"
-_LEVELS: Final = (
+# A source tells its level by one of these, as a number and a unit.
+LEVELS: Final = (
     *("radiance", "radiant_intensity", "radiant_flux"),
     *("luminance", "luminous_intensity", "luminous_flux"),
 )
@@ -220,8 +221,8 @@ def _beside(component: Component, table: Mapping[str, Any], where: str) -> dict[
         if told is not None and component.kind != "sheetings" and told != own:
             kind = component.kind.removesuffix("s")
             raise InputError(f'preset: "{component.name}" is a {kind} of {key} "{own}"', where=where)
-    if component.kind in ("lamps", "lights") and any(key in table for key in _LEVELS):
-        values = {key: value for key, value in values.items() if key not in _LEVELS}
+    if any(key in table for key in LEVELS):
+        values = {key: value for key, value in values.items() if key not in LEVELS}
     if component.kind == "sensors":
         if "data_sheet" in table:
             raise InputError("stands beside preset", where=f"{where}.data_sheet", remedy="leave one of them out")

@@ -16,7 +16,7 @@ from radwrap.scene.file.document import DistortionModel
 from radwrap.scene.file.faults import validated
 from radwrap.scene.file.optics_tables import LensModel
 from radwrap.scene.file.sensor_tables import LinearSensorModel, SensorModel
-from radwrap.units import DIMENSIONS, LENGTH, parse_quantity
+from radwrap.units import LENGTH, dimension_of, parse_quantity
 
 _MATERIALS: Final[Mapping[str, type[Model]]] = {
     "specular": materials.SpecularModel,
@@ -153,9 +153,8 @@ def _number(value: Any) -> float | None:
     """Of a value that a scene takes, with its unit or without; None of what is no number."""
     if not isinstance(value, str):
         return float(value) if isinstance(value, int | float) else None
-    number, _, unit = value.partition(" ")
-    size = next((dimension.units[unit] for dimension in DIMENSIONS if unit in dimension.units), None)
-    return None if size is None else size * float(number)
+    dimension = dimension_of(value)
+    return None if dimension is None else parse_quantity(value, dimension)
 
 
 def _missing(entry: Entry) -> Iterator[str]:

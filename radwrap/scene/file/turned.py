@@ -9,20 +9,11 @@ from typing import Any, Final
 
 from radwrap.errors import InputError
 from radwrap.scene.catalog.places import find
-from radwrap.scene.catalog.presets import class_of_source
+from radwrap.scene.catalog.presets import LEVELS, class_of_source
 from radwrap.scene.file.load import scene_from_document
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Ring, WideSource, emitters
 
-# A source tells its level by one of these, as a number and a unit.
-_LEVELS: Final = (
-    "radiance",
-    "radiant_intensity",
-    "radiant_flux",
-    "luminance",
-    "luminous_intensity",
-    "luminous_flux",
-)
 _SAME: Final = 1e-9  # of a radiance: products of a few numbers, rounded
 
 
@@ -83,9 +74,9 @@ def _turn_ring(table: dict[str, Any], factors: list[float], folder: Path) -> Non
 def _turn(table: dict[str, Any], factor: float, folder: Path) -> None:
     """Turn the level that a table tells; where it tells none, that of its preset."""
     told = table
-    if not any(key in table for key in _LEVELS) and "preset" in table:
+    if not any(key in table for key in LEVELS) and "preset" in table:
         told = dict(find(class_of_source(table), table["preset"], folder, f"{table['name']}.preset").values)
-    for key in _LEVELS:
+    for key in LEVELS:
         if key in told:
             number, unit = told[key].split(" ", 1)
             table[key] = f"{float(number) * factor!r} {unit}"
