@@ -224,8 +224,8 @@ def _greet(server: socket.socket, greeting: bytes, held: list[socket.socket]) ->
     with suppress(OSError):
         while True:
             connection, _ = server.accept()
+            held.append(connection)  # first, as the client may be gone before the greeting: it is closed all the same
             connection.sendall(greeting)
-            held.append(connection)
 
 
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="makes a certificate")
