@@ -25,30 +25,29 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
 from radwrap.scene.camera import Aperture
 
-if TYPE_CHECKING:
-    from scipy.interpolate import CubicSpline
-
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Transfer = Callable[[Array, Array], Complex]
-_Curve = tuple[float, float, "CubicSpline"]  # from one frequency to another [m^-1]
+_Curve = tuple[float, float, Array]  # from one frequency to another [m^-1], and what lies between, see `_finer`
 
-# Nodes of Gauss' rule on each piece of a chord's integral, without defocus, and more of them for each cycle of the
-# phase along the piece: pi pi/2 is the least that resolves it, as nodes lie apart where the sine is steep.
-_NODES: Final = 24
+# Nodes of Gauss' rule; a piece of a chord's integral is cut into as many parts as its phase has cycles for. Of a whole
+# piece pi pi/2 nodes a cycle are the least that resolve it, as nodes lie apart where the sine is steep.
+_NODES: Final = 32
 _NODES_OF_CYCLE: Final = 6
-_NODES_STEP: Final = 32  # rules of so many more nodes are made, and the rows between two of them share one
-# Places along the frequency at which a round opening's transform is computed; between them it is a cubic. Its error is
-# 5/384 (2 pi/24)^4 = 6e-5 of the local amplitude, which for many cycles is small itself.
+# Places along the frequency at which a round opening's transform is computed. As a function of the angle of which they
+# are the cosines it is smooth and periodic, so its Fourier series gives it between them, and straight lines between
+# those: their error is 1/8 (2 pi/(64 24))^2 = 2e-6 of the local amplitude, which for many cycles is small itself.
 _PLACES: Final = 384
 _PLACES_OF_CYCLE: Final = 24
+_FINER: Final = 64
 _AT_ONCE: Final = 1 << 20  # values of an integrand that are held: 16 MiB
 # Of a transform's envelope over x = pi |m| d nu: 2 |J1(x)|/x <= sqrt(8/pi) x^-1.5 of a disc, less than twice of a ring
 # whose stop is not nearly as wide, |sin(x)/x| <= 1/x of a square and of the straight edge of half a disc.
@@ -152,8 +151,6 @@ class Waves:
 
     def _curves(self, magnification: float, highest: float) -> list[_Curve]:
         """Of a disc, or a ring: overlaps of its discs with each other, real as those of both orders are taken."""
-        from scipy.interpolate import CubicSpline
-
         outer, inner = self.aperture.diameter / 2, self.aperture.inner_diameter / 2
         pairs = [(outer, outer, 1.0)]
         if self.aperture.shape == "annular":
@@ -169,7 +166,7 @@ class Waves:
                 places = _PLACES + math.ceil(_PLACES_OF_CYCLE * 2 * large * abs(magnification) * (top - low))
                 knots = low + (top - low) * (1 - np.cos(np.pi * np.arange(places + 1) / places)) / 2
                 values = sign / self.aperture.area * self._discs(magnification, large, small, knots)
-                curves.append((low, top, CubicSpline(knots, values)))
+                curves.append((low, top, _finer(values)))
         return curves
 
     def _discs(self, magnification: float, large: float, small: float, frequency: Array) -> Array:
@@ -226,8 +223,15 @@ def _round(curves: list[_Curve], across: Array, down: Array) -> Complex:
     found = np.zeros(frequency.shape)
     for low, high, curve in curves:
         some = (frequency <= high) & ((frequency > low) | (low == 0.0))
-        found[some] += curve(frequency[some])
+        place = np.arccos(np.clip(1 - 2 * (frequency[some] - low) / (high - low), -1.0, 1.0)) / np.pi
+        found[some] += np.interp(place * (len(curve) - 1), np.arange(len(curve)), curve)
     return found.astype(np.complex128)
+
+
+def _finer(values: Array) -> Array:
+    """Values at equal steps of an angle from 0 to pi, about both of which they are even: the same at finer steps."""
+    around = np.concatenate([values, values[-2:0:-1]])
+    return _FINER * np.fft.irfft(np.fft.rfft(around), _FINER * len(around))[: _FINER * (len(values) - 1) + 1]
 
 
 def rim(aperture: Aperture) -> float:
@@ -258,17 +262,17 @@ def _transformed(
     real : bool
         Whether the real part is enough.
     """
-    from scipy.special import roots_legendre
-
     longest = np.diff(breaks, axis=-1).max(axis=-1, initial=0.0)
-    steps = np.ceil(_NODES_OF_CYCLE * longest * np.abs(cycles) / _NODES_STEP).astype(np.intp)
+    parts = np.maximum(np.ceil(_NODES_OF_CYCLE * longest * np.abs(cycles) / _NODES), 1).astype(np.intp)
     found = np.empty(len(breaks), dtype=np.complex128)
-    for step in np.unique(steps).tolist():
-        nodes, weights = roots_legendre(_NODES + _NODES_STEP * step)
+    nodes, weights = leggauss(_NODES)
+    for number in np.unique(parts).tolist():
         # x = sin turns a square root at either end of a piece into a smooth function.
-        place, weight = np.sin(np.pi / 2 * nodes), weights * np.pi / 2 * np.cos(np.pi / 2 * nodes)
-        rows = np.flatnonzero(steps == step)
-        together = max(1, _AT_ONCE // (len(nodes) * (breaks.shape[1] - 1)))
+        middles = (np.arange(number)[:, np.newaxis] + 0.5) * np.pi / number - np.pi / 2
+        angle = (middles + nodes * np.pi / 2 / number).ravel()
+        place, weight = np.sin(angle), np.tile(weights, number) * np.pi / 2 / number * np.cos(angle)
+        rows = np.flatnonzero(parts == number)
+        together = max(1, _AT_ONCE // (len(place) * (breaks.shape[1] - 1)))
         for start in range(0, len(rows), together):
             some = rows[start : start + together]
             middle = (breaks[some, 1:] + breaks[some, :-1]) / 2
