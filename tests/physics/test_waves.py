@@ -16,7 +16,7 @@ from radwrap.imaging.optics.waves import Waves
 from radwrap.scene.camera import Aperture, Camera, Lens, Sensor
 from radwrap.scene.pixel_window import PixelWindow, box, strips
 
-# Transforms are integrals by Gauss' rule, 1e-9, and straight between close values, 2e-6 of what is left at a frequency.
+# Transforms are integrals by Gauss' rule, 1e-9, and straight between close values, 3e-5 of what is left at a frequency.
 EXACT = 1e-6
 BETWEEN = 5e-5
 

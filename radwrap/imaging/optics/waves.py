@@ -44,10 +44,10 @@ _NODES: Final = 32
 _NODES_OF_CYCLE: Final = 6
 # Places along the frequency at which a round opening's transform is computed. As a function of the angle of which they
 # are the cosines it is smooth and periodic, so its Fourier series gives it between them, and straight lines between
-# those: their error is 1/8 (2 pi/(64 24))^2 = 2e-6 of the local amplitude, which for many cycles is small itself.
+# those: their error is 1/8 (2 pi/(16 24))^2 = 3e-5 of the local amplitude, which for many cycles is small itself.
 _PLACES: Final = 384
 _PLACES_OF_CYCLE: Final = 24
-_FINER: Final = 64
+_FINER: Final = 16
 _AT_ONCE: Final = 1 << 20  # values of an integrand that are held: 16 MiB
 # Of a transform's envelope over x = pi |m| d nu: 2 |J1(x)|/x <= sqrt(8/pi) x^-1.5 of a disc, less than twice of a ring
 # whose stop is not nearly as wide, |sin(x)/x| <= 1/x of a square and of the straight edge of half a disc.
