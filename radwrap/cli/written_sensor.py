@@ -11,7 +11,7 @@ from typing import Any, Final
 from radwrap.cli import options as shared
 from radwrap.errors import InputError
 from radwrap.files import write_bytes
-from radwrap.scene.catalog.component import checked_name, component_of
+from radwrap.scene.catalog.component import checked_name, component_of, content_of
 from radwrap.scene.catalog.written import component_text
 from radwrap.scene.file.component_check import check_component
 from radwrap.units import LENGTH, parse_quantity
@@ -25,6 +25,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--bit-depth", metavar="N", type=shared.whole(1, 16), help="with --write: of the converter")
     parser.add_argument("--title", metavar="TEXT", help="with --write: what camera it is, and how it was set")
     parser.add_argument("--revision", metavar="DATE", help="with --write: date of the file (default today)")
+    parser.add_argument("--replace", action="store_true", help="with --write: replace a file that says something else")
 
 
 def file_of(arguments: argparse.Namespace) -> Path | None:
@@ -40,6 +41,8 @@ def file_of(arguments: argparse.Namespace) -> Path | None:
         for option in ("bit_depth", "title", "revision"):
             if getattr(arguments, option) is not None:
                 raise InputError("goes with --write", where=f"--{option.replace('_', '-')}")
+        if arguments.replace:
+            raise InputError("goes with --write", where="--replace")
         return None
     checked_name(path.name.removesuffix(".toml"), "--write")
     for option in (*_LENGTHS, "bit_depth"):
@@ -77,7 +80,7 @@ def write_sensor(
     Raises
     ------
     InputError
-        If an option is wrong, or the numbers do not go together.
+        If an option is wrong, the numbers do not go together, or a file is there that says something else.
     """
     told = {"model": "linear", "bit_depth": arguments.bit_depth} | {key: getattr(arguments, key) for key in _LENGTHS}
     for key in _LENGTHS:
@@ -100,7 +103,10 @@ def write_sensor(
     problems = check_component(component_of(text.encode(), path, "sensors", "file", str(path))).problems
     if problems:
         raise InputError(problems[0], where="--write", remedy="see docs/catalog.md")
-    write_bytes(path, text.encode())
+    content = text.encode()
+    if path.exists() and not arguments.replace and content_of(path, path.parent, str(path)) != content:
+        raise InputError("is there and says something else", where=str(path), remedy="name another file, or --replace")
+    write_bytes(path, content)
 
 
 def _revision(text: str | None) -> datetime.date:

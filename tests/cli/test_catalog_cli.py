@@ -117,10 +117,10 @@ SIZE = ["--rows", "2048", "--columns", "2448", "--pixel-width", "3.45 um", "--pi
 REST = ["--wavelength", "525 nm", "--bit-depth", "12", "--revision", "2026-11-25"]
 
 
-def imported(folder: Path, text: str) -> int:
+def imported(folder: Path, text: str, *more: str) -> int:
     (folder / "emva.xml").write_text(text)
     words = [str(folder / "emva.xml"), *SIZE, *REST, "--write", str(folder / "own.toml")]
-    return main(["catalog", "import", *words])
+    return main(["catalog", "import", *words, *more])
 
 
 def test_results_of_the_reference_program_become_a_sensor(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -150,6 +150,17 @@ def test_results_that_cannot_be_relied_on_are_refused(
     assert imported(tmp_path, XML.replace(old, new)) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "own.toml").exists()
+
+
+def test_a_file_that_is_there_is_not_replaced_unasked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert imported(tmp_path, XML) == 0
+    first = (tmp_path / "own.toml").read_bytes()
+    assert imported(tmp_path, XML) == 0, "the same again is no loss"
+    assert imported(tmp_path, XML.replace("2.44", "2.43")) == 2
+    assert "own.toml: is there and says something else" in capsys.readouterr().err
+    assert (tmp_path / "own.toml").read_bytes() == first
+    assert imported(tmp_path, XML.replace("2.44", "2.43"), "--replace") == 0
+    assert (tmp_path / "own.toml").read_bytes() != first
 
 
 def test_a_broken_file_hides_no_other(
