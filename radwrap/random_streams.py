@@ -84,6 +84,15 @@ class Studying(IntEnum):
 
 
 @unique
+class Drawing(IntEnum):
+    """Of a dataset: (stream, image, number of the table) beside the seed, see `spawned`."""
+
+    VARIED = 71
+    PARTS = 72
+    RENDER = 73
+
+
+@unique
 class Measuring(IntEnum):
     """Of a measurement, each first in its key; images give no seed."""
 
@@ -93,3 +102,8 @@ class Measuring(IntEnum):
 def generator(*key: int) -> np.random.Generator:
     """Random numbers that a key decides: seed, stream, and what else tells them apart."""
     return np.random.default_rng(tuple(map(int, key)))
+
+
+def spawned(seed: int, *key: int) -> np.random.Generator:
+    """Random numbers of a child of a seed's sequence: another key is independent of it, and nothing else decides it."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(map(int, key))))
