@@ -130,6 +130,7 @@ DOORS = {
     "trimesh": {
         "scene/mesh_files/parts.py": "reads mesh files for scenes",
         "convert/preview_files.py": "writes binary glTF",
+        "dataset/collisions.py": "finds parts that stand in each other",
     },
     "hid": {"led/ports.py": "the one way to a HID device"},
     "hidraw": {"led/ports.py": "the same, by the kernel's own driver"},

@@ -34,6 +34,7 @@ _VERBS: Final = {
     "explain": ("explain", "tell what a scene amounts to"),
     "trade": ("trade", "measure what accuracy costs on a scene"),
     "study": ("study", "change a scene by a design, measure, and say what matters"),
+    "dataset": ("dataset", "make images with truth to learn from: masks, boxes, depth, poses"),
     "convert": ("convert", "write a scene for Radiance, POV-Ray or as a preview; a mesh for Radiance"),
     "crosscheck": ("crosscheck", "compare Radiance with POV-Ray on a scene"),
     "measure": ("measure", "measure circles, widths, edges, dots, parts, gray levels or noise in images"),

@@ -24,8 +24,11 @@ from radwrap.scene.file.load import load_scene, scene_from_document
 from radwrap.scene.targets import MeshPart
 from radwrap.study.factors import Draw
 
+WRITTEN: Final = ("coco",)
 _DATASET_FILE: Final = FileKind("dataset file", 64 << 20)
 _POSE_KEY: Final = re.compile(r"targets\[(\d+|\*)\]\.(position|rotation)")
+# What makes a category: another mesh is another category.
+_CATEGORY_KEY: Final = re.compile(r"targets\[(\d+)\]\.(name|part|length_unit|type)$")
 _ROTATION: Final = ".rotation"
 
 
@@ -113,6 +116,12 @@ class Dataset:
     parts: tuple[Parts, ...]
     categories: tuple[str, ...]
 
+    @property
+    def most_objects(self) -> int:
+        """How many objects an image may show."""
+        fixed = len(self.categories) - len(self.parts)
+        return fixed + sum(one.most for one in self.parts)
+
 
 def read_dataset(path: Path) -> Dataset:
     """Read a dataset's file and its scene.
@@ -128,6 +137,9 @@ def read_dataset(path: Path) -> Dataset:
     categories = tuple(target.name for target in scene.targets if isinstance(target, MeshPart))
     if not categories:
         raise InputError("the scene has no mesh part", where=f"{origin}: scene", remedy='give a target with "part"')
+    for name in told.formats:
+        if name not in WRITTEN:
+            raise InputError(f'"{name}" is not written yet', where=f"{origin}: formats", remedy='use "coco"')
     if len(set(told.formats)) < len(told.formats):
         raise InputError("names a format twice", where=f"{origin}: formats")
     _check_tolerance(told.tolerance, f"{origin}: tolerance")
@@ -224,6 +236,12 @@ def _check_vary(dataset: Dataset) -> None:
             if key in keys:
                 raise InputError(f"{key} is drawn by {keys[key]} too", where=f"{one.where}.key")
             keys[key] = one.where
+            if _CATEGORY_KEY.match(key):
+                raise InputError(
+                    f"{key} makes a category, and is not drawn",
+                    where=f"{one.where}.key",
+                    remedy="give the scene a target for each mesh, and draw their numbers in [[parts]]",
+                )
             pose = _POSE_KEY.match(key)
             if pose is not None and int(pose[1]) in copied:
                 raise InputError(

@@ -21,8 +21,8 @@ _SEEDS: Final = 2**32
 MOST_TRIES: Final = 1000  # to place a part where it stands in no other
 
 Table = dict[str, Any]
-# Whether a target's table stands free of those that were placed; it is then placed too.
-Places = Callable[[Mapping[str, Any]], bool]
+# Whether a target's table, of a category, stands free of those that were placed; it is then placed too.
+Places = Callable[[Mapping[str, Any], str], bool]
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,15 +39,18 @@ class DrawnImage:
         Tables of its scene.
     categories : Mapping of str to str
         Name of each object, a target of the scene -> its category.
+    values : Mapping
+        Key path -> what was drawn; of parts position and rotation, by NAME.position.
     """
 
     number: int
     seed: int
     document: Mapping[str, Any]
     categories: Mapping[str, str]
+    values: Mapping[str, Any]
 
 
-def drawn_image(dataset: Dataset, number: int, places: Places = lambda _: True) -> DrawnImage:
+def drawn_image(dataset: Dataset, number: int, places: Places = lambda *_: True) -> DrawnImage:
     """What image `number` shows; the same whoever asks, and in whatever order.
 
     Parameters
@@ -65,10 +68,12 @@ def drawn_image(dataset: Dataset, number: int, places: Places = lambda _: True) 
         If a part found no place after 1000 tries, or parts that are not drawn stand in each other.
     """
     document: Table = deepcopy(dict(dataset.document))
+    values: dict[str, Any] = {}
     for table, one in enumerate(dataset.vary):
         random = _random(dataset, Drawing.VARIED, number, table)
         for key in expanded(one.key, dataset.document):
-            set_key(document, key, one.distribution.value(random), dataset.scene_origin)
+            values[key] = one.distribution.value(random)
+            set_key(document, key, values[key], dataset.scene_origin)
             if isinstance(one.distribution, RandomRotation):
                 _write_order(document, f"{key}_order", dataset.scene_origin)
     copied = {one.target: one for one in dataset.parts}
@@ -80,7 +85,7 @@ def drawn_image(dataset: Dataset, number: int, places: Places = lambda _: True) 
         targets.append(target)
         if target["name"] in dataset.categories:
             categories[target["name"]] = target["name"]
-            if not places(target):
+            if not places(target, target["name"]):
                 raise InputError(
                     f'image {number}: "{target["name"]}" stands in another part', where=f"{dataset.origin}: scene"
                 )
@@ -92,9 +97,10 @@ def drawn_image(dataset: Dataset, number: int, places: Places = lambda _: True) 
             copy = {**deepcopy(prototype), "name": _name_of_copy(parts.target, taken)}
             targets.append(_placed(copy, parts, random, places, number))
             categories[copy["name"]] = parts.target
+            values |= {f"{copy['name']}.{key}": copy[key] for key in ("position", "rotation")}
     document["targets"] = targets
     seed = int(spawned(dataset.seed, Drawing.RENDER, number).integers(_SEEDS))
-    return DrawnImage(number, seed, document, categories)
+    return DrawnImage(number, seed, document, categories, values)
 
 
 def _random(dataset: Dataset, stream: Drawing, image: int, table: int) -> np.random.Generator:
@@ -118,7 +124,7 @@ def _placed(copy: Table, parts: Parts, random: np.random.Generator, places: Plac
     for _ in range(MOST_TRIES):
         copy["position"] = [place.value(random) if isinstance(place, Draw) else place for place in parts.place]
         copy["rotation"], copy["rotation_order"] = parts.rotation.value(random), _ORDER
-        if places(copy):
+        if places(copy, parts.target):
             return copy
     raise InputError(
         f'image {number}: "{copy["name"]}" found no place in {MOST_TRIES} tries in which it stands in no other part',

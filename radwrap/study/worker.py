@@ -143,7 +143,7 @@ def carry_out(job: Job) -> list[Outcome]:
     from threadpoolctl import threadpool_limits
 
     # Workers share the cores already; threads of linear algebra on top of them only wait for each other.
-    with _ended_by_signal(), threadpool_limits(1):
+    with ended_by_signal(), threadpool_limits(1):
         start = time.monotonic()
         try:
             _log(job)
@@ -166,7 +166,7 @@ def failed(run: int, why: str, wall_s: float = 0.0) -> Outcome:
 
 
 @contextmanager
-def _ended_by_signal() -> Iterator[None]:
+def ended_by_signal() -> Iterator[None]:
     """SIGTERM ends the tracers first, then this process; a thread of somebody else's process cannot know of it."""
     if threading.current_thread() is not threading.main_thread():
         yield

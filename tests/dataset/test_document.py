@@ -15,7 +15,6 @@ from tests.dataset.conftest import Write
 WHOLE = """
 images = 5
 seed = 7
-formats = ["coco", "yolo"]
 
 [[vary]]
 key = "camera.exposure_time"
@@ -83,7 +82,7 @@ def test_a_part_without_a_place_ends_after_a_thousand_tries(dataset_file: Write)
     crowded = read_dataset(dataset_file('images = 1\n[[parts]]\ntarget = "block"'))
     asked = []
     with pytest.raises(InputError, match="no place in 1000 tries") as told:
-        drawn_image(crowded, 0, lambda table: bool(asked.append(table)))
+        drawn_image(crowded, 0, lambda table, category: bool(asked.append((table, category))))
     assert len(asked) == MOST_TRIES
     assert told.value.where == "dataset.toml: parts[0]"
 
@@ -96,6 +95,8 @@ def test_a_part_without_a_place_ends_after_a_thousand_tries(dataset_file: Write)
         ("images = 1\nseed = -1", "seed"),
         ('images = 1\nformats = ["voc"]', "formats[0]"),
         ("images = 1\nformats = []", "formats"),
+        ('images = 1\nformats = ["bop"]', "formats"),
+        ('images = 1\n[[vary]]\nkey = "targets[1].length_unit"\nchoice = ["1 mm"]', "vary[0].key"),
         ('images = 1\nformats = ["coco", "coco"]', "formats"),
         ("images = 1\ntolerance = -1", "tolerance"),
         ('images = 1\ntolerance = "much"', "tolerance"),

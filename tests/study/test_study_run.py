@@ -165,12 +165,12 @@ def test_ctrl_c_ends_everything_and_the_study_goes_on(tmp_path: Path, good: byte
 
 _FINALISED = """
 import os, signal, time
-from radwrap.study.worker import _ended_by_signal
+from radwrap.study.worker import ended_by_signal
 class Finalised:
     def __del__(self):
         os.kill(os.getpid(), signal.SIGTERM)
         time.sleep(0)
-with _ended_by_signal():
+with ended_by_signal():
     Finalised()
     time.sleep(3600)
 """

@@ -1,0 +1,216 @@
+"""A dataset from its file to its shards: what is due is made by processes, and whoever is killed goes on."""
+
+from __future__ import annotations
+
+import shutil
+from collections import Counter
+from collections.abc import Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import closing
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+from radwrap.dataset.coco import COCO, coco_file
+from radwrap.dataset.collisions import require_fcl
+from radwrap.dataset.document import Dataset
+from radwrap.dataset.one_image import TRAIN, ImageJob, Place, is_whole, make_image
+from radwrap.errors import EnvironmentFailure, InputError
+from radwrap.files import make_folder, sha256_of, sole_owner, write_bytes
+from radwrap.imaging.render_options import RenderOptions, TracerName
+from radwrap.manifest import (
+    COMPILER_PACKAGES,
+    SCHEMA_VERSION,
+    json_text,
+    plain,
+    read_manifest,
+    sha256_of_value,
+    versions,
+    write_manifest,
+)
+from radwrap.process import MOST_WORKERS, available_cores
+from radwrap.progress import Progress
+from radwrap.scene.catalog.presets import hashes_of, with_presets
+from radwrap.scene.file.named_files import named_files
+from radwrap.study.pool import LocalPool
+
+DATASET: Final = "dataset.json"
+MANIFEST: Final = "manifest.json"
+_AHEAD: Final = 2  # jobs in the pool's hands for each worker
+_LOOK: Final = 1.0  # s for which an interrupt may wait at most
+_DEATHS: Final = 3  # of workers over one image, after which it is blamed
+
+
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """How a dataset is made; nothing of it changes a byte but `tracer`.
+
+    Attributes
+    ----------
+    workers : int, optional
+        Processes; default one a core.
+    force : bool
+        Remove another dataset from the folder.
+    trust, radiance, tracer_timeout, tracer
+        As in `RenderOptions`.
+    progress : bool
+        Show progress on stderr.
+    """
+
+    workers: int | None = None
+    force: bool = False
+    trust: bool = False
+    radiance: str | None = None
+    tracer_timeout: float = 600.0
+    tracer: TracerName = "auto"
+    progress: bool = False
+
+    def __post_init__(self) -> None:
+        if self.workers is not None and not 1 <= self.workers <= MOST_WORKERS:
+            raise InputError(f"must lie between 1 and {MOST_WORKERS}, not {self.workers}", where="workers")
+
+
+def run_dataset(dataset: Dataset, out: Path, options: RunOptions) -> dict[str, Any]:
+    """Make a dataset; images that are whole in the folder are kept.
+
+    Returns
+    -------
+    dict
+        What dataset.json holds, and ``made``, the number of images that were made now.
+
+    Raises
+    ------
+    InputError
+        If the folder holds another dataset, or an image cannot be made.
+    EnvironmentFailure
+        If a library, a tracer or the disk fails.
+    """
+    if dataset.most_objects > 1:
+        require_fcl()
+    how = RenderOptions(
+        tolerance=dataset.tolerance,
+        workers=1,
+        trust=options.trust,
+        radiance=options.radiance,
+        tracer_timeout=options.tracer_timeout,
+        tracer=options.tracer,
+    )
+    make_folder(out)
+    with sole_owner(out):
+        told = _take_possession(dataset, out, options)
+        due = [number for number in range(dataset.images) if not is_whole(Place.of(out, dataset, number))]
+        if due:
+            _make(dataset, out, how, options, due)
+        return {**told, **_gather(dataset, out), "made": len(due)}
+
+
+def _take_possession(dataset: Dataset, out: Path, options: RunOptions) -> dict[str, Any]:
+    told = {
+        "schema_version": SCHEMA_VERSION,
+        "title": dataset.title,
+        "dataset": _told_of(dataset),
+        "files": _hashes(dataset, options),
+        "tracer": options.tracer,
+        "versions": versions(*COMPILER_PACKAGES),
+    }
+    told["dataset_sha256"] = sha256_of_value(told)
+    if (out / DATASET).exists():
+        if read_manifest(out / DATASET).get("dataset_sha256") == told["dataset_sha256"]:
+            return told
+        if not options.force:
+            raise InputError(
+                "holds another dataset, or one whose files or programs were others",
+                where=str(out),
+                remedy="choose another `out`, or remove it by `force`",
+            )
+        (out / DATASET).unlink()
+    if (out / TRAIN).exists():
+        if not options.force:
+            raise InputError(
+                f'holds a folder "{TRAIN}" of something else', where=str(out), remedy="choose another `out`"
+            )
+        shutil.rmtree(out / TRAIN)
+    write_manifest(out / DATASET, told)
+    return told
+
+
+def _told_of(dataset: Dataset) -> dict[str, Any]:
+    """A dataset as JSON, without the place where it lies."""
+    told: dict[str, Any] = plain(asdict(replace(dataset, folder=Path())))
+    del told["folder"]
+    return told
+
+
+def _hashes(dataset: Dataset, options: RunOptions) -> dict[str, str]:
+    """Hash of each file and of each component that its scenes may name."""
+    folder = dataset.folder.resolve()
+    strings = {"base": dataset.document, "vary": [plain(one) for one in dataset.vary]}
+    files = named_files(strings, folder, trust=options.trust)
+    components = hashes_of(with_presets(dict(dataset.document), dataset.scene_origin, dataset.folder)[1])
+    return {path.name: sha256_of(path) for path in files} | {
+        f"catalog: {name}": one for name, one in components.items()
+    }
+
+
+def _make(dataset: Dataset, out: Path, how: RenderOptions, options: RunOptions, due: list[int]) -> None:
+    """Make the images that are due; the first that fails ends the run."""
+    waiting = list(reversed(due))
+    running: dict[Future[Any], int] = {}
+    deaths: Counter[int] = Counter()
+    progress = Progress("images", dataset.images, shown=options.progress)
+    progress.skip(dataset.images - len(due))
+    with closing(progress), closing(LocalPool(min(options.workers or available_cores(), len(due)))) as pool:
+        while waiting or running:
+            broken: list[int] = []
+            while waiting and len(running) < _AHEAD * pool.workers:
+                number = waiting.pop()
+                try:
+                    running[pool.submit(make_image, ImageJob(dataset, number, str(out.absolute()), how))] = number
+                except RuntimeError as error:
+                    if not pool.is_broken(error):
+                        raise
+                    broken.append(number)
+                    break
+            for future in wait(running, _LOOK, FIRST_COMPLETED).done if running else ():
+                number = running.pop(future)
+                failure = future.exception()
+                if failure is None:
+                    progress.add(1)
+                elif pool.is_broken(failure):
+                    broken.append(number)
+                else:
+                    raise failure
+            if broken:
+                broken += running.values()  # they end with the pool; what they have written is made again, the same
+                running.clear()
+                deaths.update(broken)
+                number, times = deaths.most_common(1)[0]
+                if times > _DEATHS:
+                    raise EnvironmentFailure(f"its worker died {times} times", where=f"image {number}")
+                waiting += sorted(broken, reverse=True)
+                pool.rebuild()
+
+
+def _gather(dataset: Dataset, out: Path) -> dict[str, Any]:
+    """Write what a shard has of all its images, from their records."""
+    missed: dict[str, float | None] = {}
+    objects: Counter[str] = Counter()
+    for first in range(0, dataset.images, dataset.shard):
+        numbers = range(first, min(first + dataset.shard, dataset.images))
+        records = [read_manifest(Place.of(out, dataset, number).record) for number in numbers]
+        shard = Place.of(out, dataset, first).shard
+        if "coco" in dataset.formats:
+            write_bytes(shard / COCO, json_text(coco_file(dataset.title, dataset.categories, records)).encode())
+        write_manifest(shard / MANIFEST, {"schema_version": SCHEMA_VERSION, "images": [_short(one) for one in records]})
+        for record in records:
+            objects.update(one["category"] for one in record["objects"])
+            if not record["met"]:
+                missed[str(record["image"])] = record["error"]["rms_gray_upper95"]
+    return {"images": dataset.images, "objects": {name: objects[name] for name in dataset.categories}, "missed": missed}
+
+
+def _short(record: Mapping[str, Any]) -> dict[str, Any]:
+    """What a shard's manifest says of an image: its certificate, and what was drawn."""
+    return {
+        key: record[key] for key in ("image", "gray", "seed", "error", "met", "tracer", "method", "by_box", "values")
+    }

@@ -1,0 +1,118 @@
+"""A small dataset from its file to its shards, in this process; what hangs on processes is in test_resume."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from radwrap.cli.main import main
+from radwrap.dataset import run
+from radwrap.dataset.run_lengths import run_lengths
+from radwrap.files import sha256_of
+from tests.dataset.conftest import Write
+from tests.study.conftest import OneThread
+
+SMALL = """
+images = 3
+shard = 2
+seed = 4
+tolerance = 8
+
+[[vary]]
+key = "camera.exposure_time"
+uniform = ["50 ms", "150 ms"]
+
+[[parts]]
+target = "block"
+count = 2
+x = ["-15 mm", "15 mm"]
+y = ["-10 mm", "10 mm"]
+"""
+
+
+@pytest.fixture(autouse=True)
+def _here(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run, "LocalPool", OneThread)
+
+
+def contents(out: Path) -> dict[str, str]:
+    """Hash of each file, but for the lock."""
+    return {str(one.relative_to(out)): sha256_of(one) for one in out.rglob("[!.]*") if one.is_file()}
+
+
+def read(path: Path) -> Any:
+    return json.loads(path.read_text())
+
+
+def mask(path: Path) -> np.ndarray:
+    found = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    assert found is not None and set(np.unique(found)) <= {0, 255}
+    return found > 0
+
+
+def test_a_dataset_is_whole_goes_on_and_agrees_with_itself(
+    dataset_file: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, path = tmp_path / "out", dataset_file(SMALL)
+    assert main(["dataset", "run", str(path), "--out", str(out), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["images"], told["made"], told["objects"], told["missed"]) == (3, 3, {"block": 6}, {})
+    before = contents(out)
+
+    for shard, numbers in (("000000", (0, 1)), ("000001", (2,))):
+        folder = out / "train" / shard
+        coco, manifest = read(folder / "coco.json"), read(folder / "manifest.json")
+        assert [one["id"] for one in coco["images"]] == [one["image"] for one in manifest["images"]] == list(numbers)
+        assert coco["categories"] == [{"id": 1, "name": "block"}]
+        for image, entry in zip(coco["images"], manifest["images"], strict=True):
+            gray = cv2.imread(str(folder / image["file_name"]), cv2.IMREAD_UNCHANGED)
+            assert gray is not None and gray.shape == (image["height"], image["width"]) == (40, 48)
+            assert 0 <= entry["error"]["rms_gray_upper95"] <= 8 and entry["met"]
+            assert 50 <= float(entry["values"]["camera.exposure_time"].split()[0]) <= 150
+            record = read(folder / "records" / Path(image["file_name"]).with_suffix(".json").name)
+            assert {name: sha256_of(folder / name) for name in record["files"]} == record["files"]
+            found = {one["name"]: one for one in coco["annotations"] if one["image_id"] == image["id"]}
+            stem = Path(image["file_name"]).stem
+            for number, one in enumerate(record["objects"]):
+                visible = mask(folder / "mask_visib" / f"{stem}_{number:06d}.png")
+                whole = mask(folder / "mask" / f"{stem}_{number:06d}.png")
+                assert (whole | ~visible).all() and visible.sum() == one["px_count_visib"]
+                if one["px_count_visib"] == 0:
+                    assert one["name"] not in found
+                    continue
+                annotation = found[one["name"]]
+                x, y, width, height = annotation["bbox"]
+                cut = visible[y : y + height, x : x + width]
+                assert cut.sum() == visible.sum() == annotation["area"] == sum(run_lengths(visible)[1::2])
+                assert cut.any(axis=1)[[0, -1]].all() and cut.any(axis=0)[[0, -1]].all()
+
+    # What is lost is made again, the same to the byte; what is whole is not touched.
+    kept = (out / "train" / "000000" / "records" / "000000.json").stat().st_mtime_ns
+    for lost in ("000000/records/000001.json", "000000/gray/000001.png", "000001/coco.json"):
+        (out / "train" / lost).unlink()
+    assert main(["dataset", "run", str(path), "--out", str(out)]) == 0
+    assert "3 images, 1 of them made now; 6 block" in capsys.readouterr().out
+    assert contents(out) == before
+    assert (out / "train" / "000000" / "records" / "000000.json").stat().st_mtime_ns == kept
+
+    # Another dataset does not go into its folder, unless that is asked for.
+    other = dataset_file(SMALL.replace("images = 3", "images = 1").replace("count = 2", "count = 0"))
+    assert main(["dataset", "run", str(other), "--out", str(out)]) == 2
+    assert "holds another dataset" in capsys.readouterr().err
+    assert contents(out) == before
+    assert main(["dataset", "run", str(other), "--out", str(out), "--force"]) == 0
+    assert read(out / "train" / "000000" / "coco.json")["annotations"] == []
+    assert not (out / "train" / "000001").exists()
+
+
+def test_an_image_that_cannot_be_made_is_named(
+    dataset_file: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = dataset_file('images = 2\n[[parts]]\ntarget = "block"\ncount = 2')
+    assert main(["dataset", "run", str(path), "--out", str(tmp_path / "out")]) == 2
+    assert 'dataset.toml: parts[0]: image 0: "block_2" found no place' in capsys.readouterr().err
