@@ -8,7 +8,7 @@ from typing import Any, Final
 from radwrap.dataset.first_hits import ImageTruth
 from radwrap.dataset.run_lengths import segmentation
 
-COCO: Final = "coco.json"
+COCO_FILE: Final = "coco.json"
 _OBJECTS: Final = 10_000  # of one image at most, so that numbers of annotations hang on the image alone
 
 

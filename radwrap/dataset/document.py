@@ -13,8 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from radwrap.dataset.bop import check_camera
 from radwrap.dataset.draws import Distribution, RandomRotation, read_distribution, read_interval, read_rotation
-from radwrap.dataset.tables import DISTRIBUTIONS, MOST_COPIES, DatasetModel, PartsModel, VaryModel
+from radwrap.dataset.tables import BOP, DISTRIBUTIONS, MOST_COPIES, YOLO, DatasetModel, PartsModel, VaryModel
 from radwrap.errors import InputError
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.reading import FileKind, read_toml
@@ -24,7 +25,6 @@ from radwrap.scene.file.load import load_scene, scene_from_document
 from radwrap.scene.targets import MeshPart
 from radwrap.study.factors import Draw
 
-WRITTEN: Final = ("coco",)
 _DATASET_FILE: Final = FileKind("dataset file", 64 << 20)
 _POSE_KEY: Final = re.compile(r"targets\[(\d+|\*)\]\.(position|rotation)")
 # What makes a category: another mesh is another category.
@@ -117,6 +117,11 @@ class Dataset:
     categories: tuple[str, ...]
 
     @property
+    def gray_folder(self) -> str:
+        """Where a shard's images lie: BOP has "gray", YOLO finds labels by "images"."""
+        return "gray" if BOP in self.formats or YOLO not in self.formats else "images"
+
+    @property
     def most_objects(self) -> int:
         """How many objects an image may show."""
         fixed = len(self.categories) - len(self.parts)
@@ -137,9 +142,6 @@ def read_dataset(path: Path) -> Dataset:
     categories = tuple(target.name for target in scene.targets if isinstance(target, MeshPart))
     if not categories:
         raise InputError("the scene has no mesh part", where=f"{origin}: scene", remedy='give a target with "part"')
-    for name in told.formats:
-        if name not in WRITTEN:
-            raise InputError(f'"{name}" is not written yet', where=f"{origin}: formats", remedy='use "coco"')
     if len(set(told.formats)) < len(told.formats):
         raise InputError("names a format twice", where=f"{origin}: formats")
     _check_tolerance(told.tolerance, f"{origin}: tolerance")
@@ -160,6 +162,8 @@ def read_dataset(path: Path) -> Dataset:
         parts=parts,
         categories=categories,
     )
+    if BOP in dataset.formats:
+        check_camera(scene.camera, f"{origin}: formats")
     _check_parts(dataset)
     _check_vary(dataset)
     return dataset

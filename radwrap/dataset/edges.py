@@ -24,7 +24,8 @@ def edge_image(hits: FirstHits, truth: ImageTruth) -> NDArray[np.uint8]:
     """Where edges are: 1 for outlines, 2 for creases above 30 degrees, 0 elsewhere, shape (rows, columns).
 
     An outline is a pixel that sees an object while one of its four neighbours does not. A crease is a pixel that a
-    visible point of a mesh edge falls into, where two faces turn by more than 30 degrees, or only one face is.
+    visible point of a mesh edge falls into, where two faces turn by more than 30 degrees, or only one face is; it sees
+    the same object.
     """
     found = np.zeros(truth.depth.shape, dtype=np.uint8)
     for one in truth.objects:
@@ -33,6 +34,7 @@ def edge_image(hits: FirstHits, truth: ImageTruth) -> NDArray[np.uint8]:
         places = np.rint(uv).astype(np.int64)
         inside = (depth > 0) & (places >= 0).all(axis=1) & (places < found.shape[::-1]).all(axis=1)
         seen = places[inside][hits.reaches(points[inside])]
+        seen = seen[one.visible[seen[:, 1], seen[:, 0]]]
         found[seen[:, 1], seen[:, 0]] = CREASE
     for one in truth.objects:
         found[outline_of(one.visible)] = OUTLINE

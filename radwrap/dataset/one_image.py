@@ -10,12 +10,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from radwrap.dataset.bop import check_camera
 from radwrap.dataset.coco import annotations_of
 from radwrap.dataset.collisions import Standing, body_of
 from radwrap.dataset.document import Dataset
 from radwrap.dataset.drawn import DrawnImage, drawn_image
 from radwrap.dataset.edges import edge_image
 from radwrap.dataset.first_hits import FirstHits, ObjectTruth
+from radwrap.dataset.tables import BOP
 from radwrap.errors import EnvironmentFailure, InputError
 from radwrap.files import make_folder, sha256_of
 from radwrap.frames import points_to_local
@@ -30,7 +32,6 @@ from radwrap.scene.targets import MeshPart
 
 TRAIN: Final = "train"
 RECORDS: Final = "records"
-GRAY: Final = "gray"
 _MASK: Final = np.uint8(255)
 _MOST: Final = 65535
 _FINEST: Final = 1e-3  # mm
@@ -124,12 +125,14 @@ def _make(job: ImageJob) -> None:
     dataset, out = job.dataset, Path(job.out)
     drawn, boxes = draw_standing(dataset, job.number)
     scene = scene_from_document(drawn.document, origin=dataset.scene_origin, folder=dataset.folder)
+    if BOP in dataset.formats:
+        check_camera(scene.camera, f"{dataset.origin}: formats")
     hits = FirstHits(scene)
     truth = hits.truth(drawn.categories)
     result = render(scene, None, job.options, seed=drawn.seed)
     place = Place.of(out, dataset, job.number)
     numbers = {name: dataset.categories.index(category) + 1 for name, category in drawn.categories.items()}
-    gray, scale = place.file(GRAY, ".png"), depth_scale(truth.depth)
+    gray, scale = place.file(dataset.gray_folder, ".png"), depth_scale(truth.depth)
     files = {gray: result.gray.codes, place.file("depth", ".png"): depth_codes(truth.depth, scale)}
     files[place.file("edges", ".png")] = edge_image(hits, truth)
     for number, one in enumerate(truth.objects):
@@ -213,6 +216,7 @@ def _object(
         "bbox_obj": one.whole_box.values,
         "bbox_visib": one.visible_box.values,
         "px_count_all": one.whole_pixels,
+        "px_count_valid": int(one.whole.sum()),
         "px_count_visib": one.visible_pixels,
         "visib_fract": one.visible_share,
     }

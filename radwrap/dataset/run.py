@@ -11,10 +11,13 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from radwrap.dataset.coco import COCO, coco_file
+from radwrap.dataset.bop import MODELS, scene_files, write_models
+from radwrap.dataset.coco import COCO_FILE, coco_file
 from radwrap.dataset.collisions import require_fcl
 from radwrap.dataset.document import Dataset
 from radwrap.dataset.one_image import TRAIN, ImageJob, Place, is_whole, make_image
+from radwrap.dataset.tables import BOP, COCO, YOLO
+from radwrap.dataset.yolo import DATA, LABELS, data_text, label_text
 from radwrap.errors import EnvironmentFailure, InputError
 from radwrap.files import make_folder, sha256_of, sole_owner, write_bytes
 from radwrap.imaging.render_options import RenderOptions, TracerName
@@ -31,7 +34,9 @@ from radwrap.manifest import (
 from radwrap.process import MOST_WORKERS, available_cores
 from radwrap.progress import Progress
 from radwrap.scene.catalog.presets import hashes_of, with_presets
+from radwrap.scene.file.load import scene_from_document
 from radwrap.scene.file.named_files import named_files
+from radwrap.scene.targets import MeshPart
 from radwrap.study.pool import LocalPool
 
 DATASET: Final = "dataset.json"
@@ -130,6 +135,8 @@ def _take_possession(dataset: Dataset, out: Path, options: RunOptions) -> dict[s
                 f'holds a folder "{TRAIN}" of something else', where=str(out), remedy="choose another `out`"
             )
         shutil.rmtree(out / TRAIN)
+        shutil.rmtree(out / MODELS, ignore_errors=True)
+        (out / DATA).unlink(missing_ok=True)
     write_manifest(out / DATASET, told)
     return told
 
@@ -199,14 +206,38 @@ def _gather(dataset: Dataset, out: Path) -> dict[str, Any]:
         numbers = range(first, min(first + dataset.shard, dataset.images))
         records = [read_manifest(Place.of(out, dataset, number).record) for number in numbers]
         shard = Place.of(out, dataset, first).shard
-        if "coco" in dataset.formats:
-            write_bytes(shard / COCO, json_text(coco_file(dataset.title, dataset.categories, records)).encode())
+        _write_formats(dataset, shard, records)
         write_manifest(shard / MANIFEST, {"schema_version": SCHEMA_VERSION, "images": [_short(one) for one in records]})
         for record in records:
             objects.update(one["category"] for one in record["objects"])
             if not record["met"]:
                 missed[str(record["image"])] = record["error"]["rms_gray_upper95"]
+    _write_roots(dataset, out)
     return {"images": dataset.images, "objects": {name: objects[name] for name in dataset.categories}, "missed": missed}
+
+
+def _write_formats(dataset: Dataset, shard: Path, records: list[dict[str, Any]]) -> None:
+    """What the formats have of a shard."""
+    if COCO in dataset.formats:
+        write_bytes(shard / COCO_FILE, json_text(coco_file(dataset.title, dataset.categories, records)).encode())
+    if BOP in dataset.formats:
+        for name, told in scene_files(records).items():
+            write_bytes(shard / name, json_text(told).encode())
+    if YOLO in dataset.formats:
+        make_folder(shard / LABELS)
+        for record in records:
+            write_bytes(shard / LABELS / f"{Path(record['gray']).stem}.txt", label_text(record).encode())
+
+
+def _write_roots(dataset: Dataset, out: Path) -> None:
+    """What the formats have of all shards."""
+    if BOP in dataset.formats:
+        base = scene_from_document(dataset.document, origin=dataset.scene_origin, folder=dataset.folder)
+        write_models(out, (target for target in base.targets if isinstance(target, MeshPart)))
+    if YOLO in dataset.formats:
+        shards = range(-(-dataset.images // dataset.shard))
+        folders = [f"{TRAIN}/{number:06d}/{dataset.gray_folder}" for number in shards]
+        write_bytes(out / DATA, data_text(folders, dataset.categories).encode())
 
 
 def _short(record: Mapping[str, Any]) -> dict[str, Any]:

@@ -13,7 +13,9 @@ MOST_COPIES: Final = 1000  # of one target in one image
 _LARGEST_SEED: Final = 2**32 - 1
 
 Text = Annotated[str, Field(strict=True, min_length=1)]
-FORMATS: Final = ("coco", "bop", "yolo")
+COCO: Final = "coco"
+BOP: Final = "bop"
+YOLO: Final = "yolo"
 FormatName = Literal["coco", "bop", "yolo"]
 DISTRIBUTIONS: Final = ("uniform", "normal", "log_uniform", "choice", "rotation")
 

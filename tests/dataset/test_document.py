@@ -95,7 +95,10 @@ def test_a_part_without_a_place_ends_after_a_thousand_tries(dataset_file: Write)
         ("images = 1\nseed = -1", "seed"),
         ('images = 1\nformats = ["voc"]', "formats[0]"),
         ("images = 1\nformats = []", "formats"),
-        ('images = 1\nformats = ["bop"]', "formats"),
+        (
+            'images = 1\nformats = ["bop"]\n[set]\n"camera.distortion" = { model = "opencv", k1 = 0.1 }',
+            "formats",
+        ),
         ('images = 1\n[[vary]]\nkey = "targets[1].length_unit"\nchoice = ["1 mm"]', "vary[0].key"),
         ('images = 1\nformats = ["coco", "coco"]', "formats"),
         ("images = 1\ntolerance = -1", "tolerance"),

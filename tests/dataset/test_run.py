@@ -14,6 +14,7 @@ from radwrap.cli.main import main
 from radwrap.dataset import run
 from radwrap.dataset.run_lengths import run_lengths
 from radwrap.files import sha256_of
+from radwrap.imaging import tracer_choice
 from tests.dataset.conftest import Write
 from tests.study.conftest import OneThread
 
@@ -38,6 +39,7 @@ y = ["-10 mm", "10 mm"]
 @pytest.fixture(autouse=True)
 def _here(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(run, "LocalPool", OneThread)
+    monkeypatch.setattr(tracer_choice, "WORTH_COMPILED", 1)  # the compiled tracer is loaded for the truth anyhow
 
 
 def contents(out: Path) -> dict[str, str]:
