@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,6 +32,7 @@ from radwrap.scene.scene import Scene
 from radwrap.scene.targets import MeshPart
 
 TRAIN: Final = "train"
+WORK: Final = ".work"
 RECORDS: Final = "records"
 _MASK: Final = np.uint8(255)
 _MOST: Final = 65535
@@ -129,7 +131,9 @@ def _make(job: ImageJob) -> None:
         check_camera(scene.camera, f"{dataset.origin}: formats")
     hits = FirstHits(scene)
     truth = hits.truth(drawn.categories)
-    result = render(scene, None, job.options, seed=drawn.seed)
+    # Below the dataset's folder, where whoever goes on after a kill removes it.
+    with tempfile.TemporaryDirectory(dir=out / WORK) as folder:
+        result = render(scene, folder, job.options, seed=drawn.seed)
     place = Place.of(out, dataset, job.number)
     numbers = {name: dataset.categories.index(category) + 1 for name, category in drawn.categories.items()}
     gray, scale = place.file(dataset.gray_folder, ".png"), depth_scale(truth.depth)

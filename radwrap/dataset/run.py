@@ -15,7 +15,7 @@ from radwrap.dataset.bop import MODELS, scene_files, write_models
 from radwrap.dataset.coco import COCO_FILE, coco_file
 from radwrap.dataset.collisions import require_fcl
 from radwrap.dataset.document import Dataset
-from radwrap.dataset.one_image import TRAIN, ImageJob, Place, is_whole, make_image
+from radwrap.dataset.one_image import TRAIN, WORK, ImageJob, Place, is_whole, make_image
 from radwrap.dataset.tables import BOP, COCO, YOLO
 from radwrap.dataset.yolo import DATA, LABELS, data_text, label_text
 from radwrap.errors import EnvironmentFailure, InputError
@@ -104,8 +104,13 @@ def run_dataset(dataset: Dataset, out: Path, options: RunOptions) -> dict[str, A
     with sole_owner(out):
         told = _take_possession(dataset, out, options)
         due = [number for number in range(dataset.images) if not is_whole(Place.of(out, dataset, number))]
+        shutil.rmtree(out / WORK, ignore_errors=True)  # of a run that was killed
         if due:
-            _make(dataset, out, how, options, due)
+            make_folder(out / WORK)
+            try:
+                _make(dataset, out, how, options, due)
+            finally:
+                shutil.rmtree(out / WORK, ignore_errors=True)
         return {**told, **_gather(dataset, out), "made": len(due)}
 
 
