@@ -18,10 +18,12 @@ from radwrap.dataset.draws import Distribution, RandomRotation, read_distributio
 from radwrap.dataset.tables import BOP, DISTRIBUTIONS, MOST_COPIES, YOLO, DatasetModel, PartsModel, VaryModel
 from radwrap.errors import InputError
 from radwrap.imaging.render_options import RenderOptions
+from radwrap.imaging.response.noise import linear_of
 from radwrap.reading import FileKind, read_toml
 from radwrap.scene.file.faults import validated
 from radwrap.scene.file.keys import expanded, set_key, with_all_leds
 from radwrap.scene.file.load import load_scene, scene_from_document
+from radwrap.scene.scene import Scene
 from radwrap.scene.targets import MeshPart
 from radwrap.study.factors import Draw
 
@@ -96,6 +98,8 @@ class Dataset:
         Of "coco", "bop" and "yolo".
     tolerance : float or str
         As in `RenderOptions`.
+    noise : bool
+        Whether an image is one frame with the noise of a linear camera, in place of the mean.
     vary : tuple of Vary
     parts : tuple of Parts
     categories : tuple of str
@@ -112,6 +116,7 @@ class Dataset:
     shard: int
     formats: tuple[str, ...]
     tolerance: float | str
+    noise: bool
     vary: tuple[Vary, ...]
     parts: tuple[Parts, ...]
     categories: tuple[str, ...]
@@ -158,12 +163,15 @@ def read_dataset(path: Path) -> Dataset:
         shard=told.shard,
         formats=tuple(told.formats),
         tolerance=told.tolerance,
+        noise=told.noise,
         vary=vary,
         parts=parts,
         categories=categories,
     )
     if BOP in dataset.formats:
         check_camera(scene.camera, f"{origin}: formats")
+    if dataset.noise:
+        _check_noise(scene, f"{origin}: noise")
     _check_parts(dataset)
     _check_vary(dataset)
     return dataset
@@ -181,6 +189,13 @@ def _check_tolerance(tolerance: Any, where: str) -> None:
         raise InputError("must be a number of gray levels, or a text with a unit", where=where)
     try:
         RenderOptions(tolerance=tolerance)
+    except InputError as error:
+        raise InputError(error.what, where=where, remedy=error.remedy) from error
+
+
+def _check_noise(scene: Scene, where: str) -> None:
+    try:
+        linear_of(scene.camera.sensor)
     except InputError as error:
         raise InputError(error.what, where=where, remedy=error.remedy) from error
 

@@ -137,7 +137,8 @@ def _make(job: ImageJob) -> None:
     place = Place.of(out, dataset, job.number)
     numbers = {name: dataset.categories.index(category) + 1 for name, category in drawn.categories.items()}
     gray, scale = place.file(dataset.gray_folder, ".png"), depth_scale(truth.depth)
-    files = {gray: result.gray.codes, place.file("depth", ".png"): depth_codes(truth.depth, scale)}
+    image = result.frames(1)[0] if dataset.noise else result.gray
+    files = {gray: image.codes, place.file("depth", ".png"): depth_codes(truth.depth, scale)}
     files[place.file("edges", ".png")] = edge_image(hits, truth)
     for number, one in enumerate(truth.objects):
         files[place.file("mask", ".png", number)] = one.whole * _MASK

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections import Counter
 from collections.abc import Mapping
@@ -159,7 +160,7 @@ def _hashes(dataset: Dataset, options: RunOptions) -> dict[str, str]:
     strings = {"base": dataset.document, "vary": [plain(one) for one in dataset.vary]}
     files = named_files(strings, folder, trust=options.trust)
     components = hashes_of(with_presets(dict(dataset.document), dataset.scene_origin, dataset.folder)[1])
-    return {path.name: sha256_of(path) for path in files} | {
+    return {os.path.relpath(path, folder): sha256_of(path) for path in files} | {
         f"catalog: {name}": one for name, one in components.items()
     }
 

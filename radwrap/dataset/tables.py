@@ -6,7 +6,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, model_validator
 
-from radwrap.scene.file.border import Model, Name, default, exactly_one
+from radwrap.scene.file.border import Flag, Model, Name, default, exactly_one
 
 MOST_IMAGES: Final = 1_000_000
 MOST_COPIES: Final = 1000  # of one target in one image
@@ -60,6 +60,7 @@ class DatasetModel(Model):
     seed: Annotated[int, Field(strict=True, ge=0, le=_LARGEST_SEED)] = 0
     formats: Annotated[tuple[FormatName, ...], Field(min_length=1)] = ("coco",)
     tolerance: Any = 1
+    noise: Flag = False
     shard: Annotated[int, Field(strict=True, ge=1, le=MOST_IMAGES)] = 1000
     vary: tuple[VaryModel, ...] = ()
     parts: tuple[PartsModel, ...] = ()

@@ -104,6 +104,7 @@ def test_a_part_without_a_place_ends_after_a_thousand_tries(dataset_file: Write)
         ("images = 1\ntolerance = -1", "tolerance"),
         ('images = 1\ntolerance = "much"', "tolerance"),
         ("images = 1\nshards = 4", "shards"),
+        ("images = 1\nnoise = true", "noise"),
         ('images = 1\n[[vary]]\nkey = "camera.exposure_time"', "vary[0]"),
         ('images = 1\n[[vary]]\nkey = "camera.exposure_time"\nuniform = [1, 2]', "vary[0]"),
         ('images = 1\n[[vary]]\nkey = "camera.exposure"\nuniform = ["1 ms", "2 ms"]', "vary[0]"),

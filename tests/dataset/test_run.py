@@ -112,6 +112,26 @@ def test_a_dataset_is_whole_goes_on_and_agrees_with_itself(
     assert not (out / "train" / "000001").exists()
 
 
+LINEAR = (
+    '[set]\n"camera.sensor" = { model = "linear", rows = 20, columns = 24, pixel_width = "0.1 mm", '
+    'pixel_height = "0.1 mm", offset = 20, wavelength = "650 nm", quantum_efficiency = 0.5, '
+    'system_gain = "0.01 DN/e", full_well = "20 ke", read_noise = "300 e" }\n"camera.exposure_time" = "1 us"'
+)
+
+
+def test_noise_is_that_of_one_frame(dataset_file: Write, tmp_path: Path) -> None:
+    """Of read noise of 300 electrons 3 gray levels: within five standard errors of 480 pixels, rounding included."""
+    images = []
+    for noise in ("true", "false"):
+        path = dataset_file(f"images = 1\ntolerance = 8\nnoise = {noise}\n{LINEAR}")
+        assert main(["dataset", "run", str(path), "--out", str(tmp_path / noise)]) == 0
+        image = cv2.imread(str(tmp_path / noise / "train" / "000000" / "gray" / "000000.png"), cv2.IMREAD_UNCHANGED)
+        assert image is not None
+        images.append(image.astype(float))
+    sigma = np.sqrt(9 + 1 / 12)
+    assert abs((images[0] - images[1]).std() - sigma) < 5 * sigma / np.sqrt(2 * 480)
+
+
 def test_an_image_that_cannot_be_made_is_named(
     dataset_file: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
