@@ -13,7 +13,7 @@ from radwrap.frames import rotation_about_fixed_axes
 from radwrap.study.factors import Draw
 from radwrap.units import ANGLE, parse_quantity
 
-N = 4000
+N = 2500
 SIGMAS = 5.0
 
 
