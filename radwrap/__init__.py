@@ -42,6 +42,8 @@ if TYPE_CHECKING:
     from radwrap.errors import RadwrapError as RadwrapError
     from radwrap.errors import ToleranceNotMet as ToleranceNotMet
     from radwrap.errors import TracerError as TracerError
+    from radwrap.fitting.fit import fit as fit
+    from radwrap.fitting.told import Fit as Fit
     from radwrap.images import GrayImage as GrayImage
     from radwrap.imaging.forecast.effects import effects as effects
     from radwrap.imaging.forecast.explain import explain as explain
@@ -78,6 +80,7 @@ _HOMES = {
     "Cancelled": "radwrap.errors",
     "CheckFailed": "radwrap.errors",
     "EnvironmentFailure": "radwrap.errors",
+    "Fit": "radwrap.fitting.told",
     "GrayImage": "radwrap.images",
     "InputError": "radwrap.errors",
     "Progressed": "radwrap.progress",
@@ -99,6 +102,7 @@ _HOMES = {
     "explain": "radwrap.imaging.forecast.explain",
     "find_dots": "radwrap.measure.dots",
     "find_parts": "radwrap.measure.parts",
+    "fit": "radwrap.fitting.fit",
     "fit_response": "radwrap.calibrate.response",
     "load_scene": "radwrap.scene.file.load",
     "measure_circle": "radwrap.measure.gauges",

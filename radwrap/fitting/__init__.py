@@ -1,0 +1,13 @@
+"""A scene turned round: the values of its keys for which the prediction agrees with what was captured.
+
+The data's way::
+
+    KEY[=low:high] -> a number with its unit and bounds       free_keys
+    captured images -> mean, repeats, mask                    captured
+    a basis of the scene's light -> gray levels of any values prediction
+    noise, rounding, saturated and dark pixels                weights
+    values, by weighted least squares                         solution
+    -> covariance and what is not determined                  covariance, directions
+    -> does the scene explain the captures, and where not     verdict
+    -> fit.json, scene.toml, residual.png, index.html         told, scene_text, page
+"""

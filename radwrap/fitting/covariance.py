@@ -1,0 +1,134 @@
+"""How sure the values of a fit are: noise of the captures, and the error of the prediction itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+# Singular values of the Jacobian, its columns made of one length, below this share of the largest: the difference of
+# two predictions tells no smaller one.
+RANK: Final = 1e-6
+_NOTHING: Final = 1e-10  # of the longest column: rounding of two predictions, over their step
+_TOUCHED: Final = 1e-3  # share of a key in a direction that is not determined
+SURE: Final = 0.95
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PredictionErrors:
+    """How far a prediction may be off, by others of its kind with other seeds.
+
+    Attributes
+    ----------
+    replicates : ndarray, shape (replicates, pixels)
+        Independent predictions of the used pixels, over sigma; at least two.
+    predictions : int
+        Of how many such the prediction is the mean.
+    model : float
+        Rms error over sigma that all of them have in common, at most.
+    """
+
+    replicates: Array
+    predictions: int
+    model: float
+
+    @property
+    def deviations(self) -> Array:
+        """From their mean, shape (replicates, pixels)."""
+        return np.asarray(self.replicates - self.replicates.mean(axis=0))
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom of what they tell of their variance."""
+        return len(self.replicates) - 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spread:
+    """What the captures determine, all in units of the keys' scales.
+
+    Attributes
+    ----------
+    noise : ndarray, shape (keys, keys)
+        Covariance by noise and rounding: (J^T J)^-1.
+    prediction : ndarray, shape (keys, keys)
+        Covariance by what the rays of the prediction may be off: the same error in all captures.
+    freedom : int
+        Independent predictions less one, that tell it.
+    bound : ndarray, shape (keys,)
+        By how much the model of the rays' method may move each value, at most.
+    half_width : ndarray, shape (keys,)
+        Of the 95 % interval; NaN where the captures do not determine a key.
+    rank : int
+        Determined directions.
+    null : ndarray, shape (directions, keys)
+        Those that are not determined.
+    basis : ndarray, shape (pixels, rank)
+        Orthonormal, of all changes of the prediction that the keys make, over sigma.
+    """
+
+    noise: Array
+    prediction: Array
+    freedom: int
+    bound: Array
+    half_width: Array
+    rank: int
+    null: Array
+    basis: Array
+
+    @property
+    def covariance(self) -> Array:
+        """Of noise and prediction."""
+        return self.noise + self.prediction
+
+    @property
+    def correlation(self) -> Array:
+        """Of the values; 0 where a value has no deviation."""
+        covariance = self.covariance
+        deviation = np.sqrt(np.diag(covariance))
+        scale = np.where(deviation > 0, deviation, np.inf)
+        return np.asarray(covariance / np.outer(scale, scale))
+
+
+def spread(jacobian: Array, errors: PredictionErrors) -> Spread:
+    """Find it from a weighted Jacobian.
+
+    Parameters
+    ----------
+    jacobian : ndarray, shape (pixels, keys)
+        Change of the prediction with each key's scale, over sigma.
+    errors : PredictionErrors
+        Of the same pixels.
+    """
+    from scipy.stats import norm, t
+
+    lengths = np.linalg.norm(jacobian, axis=0)
+    largest = float(lengths.max(initial=0.0))
+    # A key that changes nothing has rounding alone in its column.
+    scale = np.where(lengths > _NOTHING * largest, lengths, np.inf)
+    left, singular, right = np.linalg.svd(jacobian / scale, full_matrices=False)
+    keys = jacobian.shape[1]
+    good = singular > RANK * float(singular.max(initial=0.0))
+    rank = int(good.sum())
+    inverse = (right[good].T / singular[good]) @ left[:, good].T / scale[:, np.newaxis]
+    noise = inverse @ inverse.T
+    moved, freedom = errors.deviations @ inverse.T, errors.freedom
+    prediction = moved.T @ moved / freedom / errors.predictions
+    bound = np.linalg.norm(inverse, axis=1) * errors.model * np.sqrt(len(jacobian))
+    # In the keys' own scales: a change of columns made of one length is one of a value divided by it.
+    undetermined = _complement(right[good], keys)
+    null = undetermined / np.where(np.isfinite(scale), scale, 1.0)
+    half = np.sqrt(
+        (norm.ppf(0.5 + SURE / 2) ** 2) * np.diag(noise) + (t.ppf(0.5 + SURE / 2, freedom) ** 2) * np.diag(prediction)
+    )
+    touched = np.sqrt((undetermined**2).sum(axis=0)) > _TOUCHED
+    return Spread(noise, prediction, freedom, bound, np.where(touched, np.nan, half + bound), rank, null, left[:, good])
+
+
+def _complement(determined: Array, keys: int) -> Array:
+    """Orthonormal rows that stand on some orthonormal rows."""
+    whole = np.linalg.svd(determined, full_matrices=True)[2] if len(determined) else np.eye(keys)
+    return np.asarray(whole[len(determined) :])

@@ -1,0 +1,247 @@
+"""``fit``: from a scene and captures to values, their covariance and a verdict."""
+
+from __future__ import annotations
+
+import json
+import math
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.errors import InputError
+from radwrap.files import check_results, make_folder, sha256_of, sole_owner
+from radwrap.fitting.captured import Captured, captured, read_captures, read_mask
+from radwrap.fitting.covariance import PredictionErrors, Spread, spread
+from radwrap.fitting.directions import in_words
+from radwrap.fitting.free_keys import FreeKey, FreeScene, free_scene
+from radwrap.fitting.page import FILES, write_fit
+from radwrap.fitting.prediction import Prediction, check_needs_no_ray
+from radwrap.fitting.scene_text import text_of, with_values
+from radwrap.fitting.solution import solve
+from radwrap.fitting.told import Fit, FittedKey, as_manifest
+from radwrap.fitting.verdict import verdict
+from radwrap.fitting.weights import check_noise
+from radwrap.images import GrayImage, digest
+from radwrap.imaging.relight.relit import Basis, read_basis
+from radwrap.imaging.render_options import RenderOptions
+from radwrap.imaging.response.sensor import gray_levels, image_of_levels
+from radwrap.imaging.synthesis import render
+from radwrap.manifest import SCHEMA_VERSION, sha256_of_value, versions
+from radwrap.reading import FileKind, read_text
+from radwrap.scene.file.load import load_scene
+from radwrap.scene.scene import Scene
+
+Array = NDArray[np.float64]
+_SCENE_FILE: Final = FileKind("scene file", 16 << 20, "")
+_NOTHING: Final[Mapping[str, Any]] = {}
+REPLICATES: Final = 4  # further predictions by other seeds
+_SEED_STEP: Final = 1_000_003  # between their seeds: none is that of a neighbouring fit
+_AT_BOUND: Final = 1e-6  # of a key's scale
+PACKAGES: Final = ("tomlkit",)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Lit:
+    """The basis that a fit works on, further ones by other seeds, and what was held."""
+
+    basis: Basis
+    further: tuple[Basis, ...]
+    rays: int
+    held: Mapping[str, Any]
+    left_out: str
+
+
+def fit(
+    scene: Scene | str | Path,
+    captures: Sequence[str | Path | GrayImage],
+    free: Sequence[str],
+    out: str | Path | None = None,
+    options: RenderOptions | None = None,
+    *,
+    changes: Mapping[str, Any] = _NOTHING,
+    noise: float | None = None,
+    mask: str | Path | NDArray[np.bool_] | None = None,
+    robust: bool = False,
+) -> Fit:
+    """Find values of scene keys for which the prediction agrees with captures.
+
+    Levels of sources, the exposure time and the sensor's electronics can be free: of these gray levels follow from one
+    light basis without a ray.
+
+    Parameters
+    ----------
+    scene : Scene, str or Path
+        Where the fit begins, or its file, whose text `out` gets back with the values that were found.
+    captures : sequence of str, Path or GrayImage
+        Captures of this very scene; several are repeats.
+    free : sequence of str
+        ``KEY`` or ``KEY=low:high``, as in the scene file; ``[*]`` frees each entry of a list by itself.
+    out : str or Path, optional
+        Folder for fit.json, scene.toml, residual.png, residual.exr and index.html.
+    options : RenderOptions, optional
+        How the scene is rendered: tracer, method, diffraction and bounces are decided once.
+    changes : Mapping, optional
+        Keys of the scene with other values, as of `load_scene`; of a scene file only.
+    noise : float, optional
+        Standard deviation of one capture [gray level]; default that of the linear sensor, or the scatter of repeats.
+    mask : str, Path or ndarray of bool, optional
+        Pixels that count: those that are not black.
+    robust : bool
+        Whether single pixels that are far off count less.
+
+    Returns
+    -------
+    Fit
+        Values, covariance, directions that are not determined, residual and verdict.
+
+    Raises
+    ------
+    InputError
+        If a key cannot be fitted, a capture is not one of the scene's sensor, or no noise is known.
+
+    Examples
+    --------
+    >>> import radwrap
+    >>> scene = radwrap.load_scene("scene.toml", {"camera.sensor.scale": "1/4"})
+    >>> dimmer = radwrap.with_value(scene, "camera.exposure_time", "180 ms")
+    >>> photograph = radwrap.render(dimmer, tolerance=1).gray
+    >>> coarse = radwrap.RenderOptions(tolerance=2)
+    >>> found = radwrap.fit(scene, [photograph], ["camera.exposure_time=0.05 s:1 s"], options=coarse, noise=1.0)
+    >>> abs(found.scene.camera.exposure_time - 0.18) < 0.01
+    True
+    """
+    options = options or RenderOptions()
+    text: str | None = None
+    if not isinstance(scene, Scene):
+        path = Path(scene)
+        text, scene = read_text(path, _SCENE_FILE), load_scene(path, changes)
+    elif changes:
+        raise InputError("goes with a scene file", where="changes", remedy="use `with_value`")
+    if noise is not None and not (math.isfinite(noise) and noise >= 0):
+        raise InputError("must be a number from 0 on", where="noise")
+    begun = free_scene(scene, free)
+    check_needs_no_ray(begun)
+    names = [
+        str(one.provenance.get("file", "captures")) if isinstance(one, GrayImage) else str(one) for one in captures
+    ]
+    images = read_captures(captures)
+    sensor = scene.camera.sensor
+    counted = read_mask(mask) if isinstance(mask, str | Path) else mask
+    taken = captured(images, names, sensor, counted)
+    check_noise(sensor, noise, taken.repeats)
+    if out is None:
+        with tempfile.TemporaryDirectory(prefix="radwrap-fit-") as work:
+            lit = _lit(begun.scene, options, Path(work))
+        return _fitted(begun, taken, lit, _told(images, names), noise=noise, robust=robust)
+    folder = Path(out)
+    check_results(folder, FILES)
+    make_folder(folder)
+    with sole_owner(folder):
+        with tempfile.TemporaryDirectory(prefix=".fit-", dir=folder) as work:
+            lit = _lit(begun.scene, options, Path(work))
+        made = _fitted(begun, taken, lit, _told(images, names), noise=noise, robust=robust)
+        values = begun.written([key.value for key in made.keys])
+        written = text_of(json.loads(made.scene.document)) if text is None else with_values(text, {**changes, **values})
+        write_fit(made, written, folder)
+    return made
+
+
+def _told(images: Sequence[GrayImage], names: Sequence[str]) -> list[dict[str, Any]]:
+    """What the manifest tells of captures."""
+    found: list[dict[str, Any]] = []
+    for image, name in zip(images, names, strict=True):
+        path = Path(name)
+        told = {"file_sha256": sha256_of(path)} if path.is_file() else {}
+        found.append({"file": name, **told, "pixels_sha256": digest(image.values)})
+    return found
+
+
+def _lit(scene: Scene, options: RenderOptions, work: Path) -> _Lit:
+    """Trace the basis, and further ones by other seeds."""
+    made = render(scene, work / "0", replace(options, basis=True, frames=0, truth=False))
+    held = {"method": made.run.method, "tracer": options.tracer, "bounces": options.bounces}
+    if isinstance(made.run.method, str) and made.run.method in ("kernel", "rays", "hybrid"):
+        options = replace(options, method=made.run.method)
+    further, rays = [], made.run.rays
+    for number in range(1, REPLICATES + 1):
+        seed = (options.seed + number * _SEED_STEP) % 2**63
+        again = render(scene, work / str(number), replace(options, basis=True, frames=0, truth=False, seed=seed))
+        further.append(read_basis(work / str(number)))
+        rays += again.run.rays
+    return _Lit(read_basis(work / "0"), tuple(further), rays, held, made.run.missing)
+
+
+def _fitted(
+    free: FreeScene, taken: Captured, lit: _Lit, told: list[dict[str, Any]], *, noise: float | None, robust: bool
+) -> Fit:
+    prediction = Prediction(free, lit.basis)
+    solved = solve(free, prediction, taken, noise, robust=robust)
+    used, sigma = solved.weighed.used, solved.weighed.sigma
+    own = prediction.replicates(solved.predicted)
+    stack = np.concatenate([own, *(prediction.replicates(solved.predicted, basis) for basis in lit.further)])
+    model = prediction.certificate(solved.predicted).model_rms_gray or 0.0
+    relative = float(model * np.sqrt(np.mean(1 / sigma[used] ** 2)))
+    errors = PredictionErrors(stack[:, used] / sigma[used], len(own), relative)
+    sure = spread(solved.jacobian, errors)
+    judged = verdict(solved.residual, sigma, sure, errors)
+    scales = np.array([key.scale for key in free.keys])
+    keys = tuple(
+        _key(key, float(value), sure, number)
+        for number, (key, value) in enumerate(zip(free.keys, solved.values, strict=True))
+    )
+    lost = np.isnan(sure.half_width)
+    gone = lost[:, np.newaxis] | lost[np.newaxis]
+    covariance = np.where(gone, np.nan, sure.covariance * np.outer(scales, scales))
+    correlation = np.where(gone, np.nan, sure.correlation)
+    words = in_words(sure.null, [key.key for key in free.keys], solved.values, scales)
+    scene = solved.predicted.scene
+    gray = image_of_levels(gray_levels(solved.predicted.exposure, scene.camera.sensor), scene.camera.sensor, {})
+    censored = int(np.count_nonzero(solved.weighed.censored))
+    manifest = {
+        "schema_version": SCHEMA_VERSION,
+        "versions": versions(*PACKAGES),
+        "scene_sha256": sha256_of_value(scene),
+        "scene": json.loads(scene.document),
+        "captures": told,
+        "noise": noise,
+        "robust": robust,
+        "held": dict(lit.held),
+        "rays": lit.rays,
+        "left_out": lit.left_out,
+        "converged": solved.converged,
+        "rounds": solved.rounds,
+        "used_pixels": int(np.count_nonzero(used)),
+        "censored_pixels": censored,
+        "undetermined": words,
+        **as_manifest(keys, judged, covariance, correlation),
+    }
+    return Fit(
+        scene,
+        keys,
+        covariance,
+        correlation,
+        tuple(words),
+        judged,
+        solved.converged,
+        solved.residual,
+        sigma,
+        gray,
+        censored,
+        manifest,
+    )
+
+
+def _key(key: FreeKey, value: float, sure: Spread, number: int) -> FittedKey:
+    half, scale = float(sure.half_width[number]), key.scale
+    near = _AT_BOUND * scale
+    at_bound = value <= key.low + near or value >= key.high - near
+    if math.isnan(half):
+        return FittedKey(key.key, key.unit, key.value, value, None, None, None, None, at_bound)
+    noise, rays = (scale * math.sqrt(part[number, number]) for part in (sure.noise, sure.prediction))
+    interval = value - scale * half, value + scale * half
+    return FittedKey(key.key, key.unit, key.value, value, math.hypot(noise, rays), interval, noise, rays, at_bound)

@@ -1,0 +1,122 @@
+"""The values that a fit finds: least squares, with weights that follow the prediction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.errors import InputError
+from radwrap.fitting.captured import Captured
+from radwrap.fitting.free_keys import FreeScene
+from radwrap.fitting.prediction import Predicted, Prediction
+from radwrap.fitting.weights import Weighed, weighed
+
+Array = NDArray[np.float64]
+_PRECISE: Final = 1e-13  # of the solver: below what the difference of two predictions tells
+# Of the sum's gradient by a key's scale: the value is then off by this times its own variance.
+_LEVEL: Final = 1e-8
+_ROUNDS: Final = 40  # of weights
+_STILL: Final = 1e-9  # expected deviations by which a round may still move the prediction, at most: the fit stands
+_ENOUGH: Final = 1e-2  # the same after the last round: weights of a pixel go to and fro
+_EVALUATIONS: Final = 100  # of one round
+_INSIDE: Final = 1e-9  # of a key's scale: so far from its bounds the solver begins
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """Where a fit came to.
+
+    Attributes
+    ----------
+    values : ndarray, shape (keys,)
+        In the keys' units.
+    predicted : Predicted
+        There.
+    weighed : Weighed
+        What each pixel counts there.
+    residual : ndarray, shape (rows, columns)
+        (captured - predicted)/sigma; NaN where a pixel does not count.
+    jacobian : ndarray, shape (pixels, keys)
+        Change of the prediction with each key's scale, over sigma, of the used pixels.
+    converged : bool
+        Whether it stands.
+    rounds : int
+        How often weights were made.
+    """
+
+    values: Array
+    predicted: Predicted
+    weighed: Weighed
+    residual: Array
+    jacobian: Array
+    converged: bool
+    rounds: int
+
+
+def solve(
+    free: FreeScene, prediction: Prediction, captured: Captured, noise: float | None, *, robust: bool
+) -> Solution:
+    """Find the values by which prediction and captures agree best.
+
+    Noise is that of the prediction: weights are made, a weighted problem is solved, and so on until neither moves.
+
+    Raises
+    ------
+    InputError
+        If all pixels are censored, or as `weighed`.
+    """
+    from scipy.optimize import least_squares
+
+    scales = np.array([key.scale for key in free.keys])
+    bounds = np.array([[key.low, key.high] for key in free.keys]).T / scales
+    inside = np.where(np.isfinite(bounds), _INSIDE, 0.0)
+    x = np.clip(np.array([key.value for key in free.keys]) / scales, bounds[0] + inside[0], bounds[1] - inside[1])
+    moved, rounds, ended = np.inf, 0, True
+    while rounds < _ROUNDS and not moved < _STILL:
+        rounds += 1
+        counted = _weighed(prediction.at(x * scales), captured, noise)
+        used, sigma = counted.used, counted.sigma[counted.used]
+        measured = captured.mean[used]
+
+        def misfit(
+            at: Array, used: NDArray[np.bool_] = used, sigma: Array = sigma, measured: Array = measured
+        ) -> Array:
+            return np.asarray((prediction.at(at * scales).unclipped[used] - measured) / sigma)
+
+        def slopes(at: Array, used: NDArray[np.bool_] = used, sigma: Array = sigma) -> Array:
+            return np.asarray((prediction.slopes(at * scales)[:, used] / sigma).T)
+
+        found = least_squares(
+            misfit,
+            x,
+            jac=slopes,
+            bounds=bounds,
+            loss="soft_l1" if robust else "linear",
+            xtol=_PRECISE,
+            ftol=_PRECISE,
+            gtol=_LEVEL,
+            max_nfev=_EVALUATIONS,
+            x_scale="jac",
+        )
+        ended = found.status > 0
+        moved = float(np.linalg.norm(found.jac @ (found.x - x)))
+        x = found.x
+    predicted = prediction.at(x * scales)
+    counted = _weighed(predicted, captured, noise)
+    residual = np.where(counted.used, (captured.mean - predicted.unclipped) / counted.sigma, np.nan)
+    jacobian = (prediction.slopes(x * scales)[:, counted.used] / counted.sigma[counted.used]).T
+    return Solution(x * scales, predicted, counted, residual, jacobian, ended and moved < _ENOUGH, rounds)
+
+
+def _weighed(predicted: Predicted, captured: Captured, noise: float | None) -> Weighed:
+    found = weighed(predicted.exposure, predicted.unclipped, captured, predicted.sensor, noise)
+    if not found.used.any():
+        raise InputError(
+            "no pixel is left: all are saturated or dark in capture and prediction",
+            where="CAPTURE",
+            remedy="capture with another exposure time, or begin with other values",
+        )
+    return found

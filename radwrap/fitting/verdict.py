@@ -1,0 +1,183 @@
+"""Whether a scene explains its captures within noise and the error of the prediction, and where not.
+
+Two sums of squares are judged, each at half the level: that of all pixels, which sees what is off here and there, and
+that of the means of blocks, which sees what is off by little everywhere in a neighbourhood. The prediction's own error
+is no noise of the captures: it is one unknown image. Its expected square makes the law of the sum a non-central one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.fitting.covariance import PredictionErrors, Spread
+
+Array = NDArray[np.float64]
+LEVEL: Final = 0.01
+_BLOCKS: Final = 8  # along the longer side
+_LEAST_SIDE: Final = 2  # px
+_TOLD: Final = 5
+_VANISHES: Final = 1e-3  # variance of a block mean that the fit has taken away but for this share
+
+
+@dataclass(frozen=True, slots=True)
+class Test:
+    """A sum of squares and what it may be.
+
+    Attributes
+    ----------
+    chi_square : float
+        The sum.
+    freedom : int
+        Its degrees of freedom.
+    prediction : float
+        Its expected part by the error of the prediction: the non-centrality.
+    largest : float
+        What an explained one exceeds with half of `LEVEL`.
+    """
+
+    chi_square: float
+    freedom: int
+    prediction: float
+    largest: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether it does not exceed that."""
+        return self.chi_square <= self.largest
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """A part of the image, and what is left there.
+
+    Attributes
+    ----------
+    rows, columns : tuple of int
+        First, and the one after the last.
+    mean_gray : float
+        Mean of captured - predicted [gray level].
+    deviations : float
+        That, in what the mean of the block may be off by noise and prediction.
+    pixels : int
+        That were used.
+    """
+
+    rows: tuple[int, int]
+    columns: tuple[int, int]
+    mean_gray: float
+    deviations: float
+    pixels: int
+
+    def told(self) -> str:
+        """In words."""
+        side = "brighter" if self.mean_gray > 0 else "darker"
+        return (
+            f"rows {self.rows[0]} to {self.rows[1] - 1}, columns {self.columns[0]} to {self.columns[1] - 1}: the "
+            f"capture is {abs(self.mean_gray):.3g} gray {side} ({abs(self.deviations):.3g} expected deviations)"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Whether captures are explained.
+
+    Attributes
+    ----------
+    pixels, blocks : Test
+        The two sums; blocks have none where they are fewer than what was fitted.
+    worst : tuple of Block
+        Where most is left, the worst first.
+    """
+
+    pixels: Test
+    blocks: Test | None
+    worst: tuple[Block, ...]
+
+    @property
+    def explained(self) -> bool:
+        """Both tests passed."""
+        return self.pixels.passed and (self.blocks is None or self.blocks.passed)
+
+
+def verdict(residual: Array, sigma: Array, found: Spread, errors: PredictionErrors) -> Verdict:
+    """Judge what a fit leaves.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (rows, columns)
+        (captured - predicted)/sigma; NaN where a pixel was not used.
+    sigma : ndarray, shape (rows, columns)
+        Expected deviation [gray level].
+    found : Spread
+        What the fit determined.
+    errors : PredictionErrors
+        Of the used pixels.
+    """
+    used = np.isfinite(residual)
+    left = residual[used]
+    off = errors.deviations
+    off = off - (off @ found.basis) @ found.basis.T
+    scale = errors.freedom * errors.predictions
+    common = errors.model**2 * left.size
+    pixels = _test(float(left @ left), left.size - found.rank, float((off**2).sum()) / scale + common)
+    places = list(_blocks(used))
+    sums = np.zeros((len(places), left.size))
+    number = np.cumsum(used.ravel()).reshape(used.shape) - 1
+    for row, (rows, columns) in enumerate(places):
+        here = number[rows, columns][used[rows, columns]]
+        sums[row, here] = 1 / np.sqrt(here.size)
+    taken = sums @ found.basis
+    covariance = np.eye(len(places)) - taken @ taken.T
+    values, vectors = np.linalg.eigh(covariance)
+    good = values > _VANISHES
+    white = vectors[:, good].T / np.sqrt(values[good])[:, np.newaxis]
+    means = sums @ left
+    wrong = sums @ off.T
+    blocks = None
+    if good.any():
+        statistic = white @ means
+        extra = float(((white @ wrong) ** 2).sum()) / scale + common
+        blocks = _test(float(statistic @ statistic), int(good.sum()), extra)
+    spread_of = np.sqrt(np.maximum(np.diag(covariance), _VANISHES) + (wrong**2).sum(axis=1) / scale)
+    deviations = means / spread_of
+    order = np.argsort(-np.abs(deviations), kind="stable")[:_TOLD]
+    gray = residual * sigma
+    worst = [_block(places[k], gray, used, float(deviations[k])) for k in order]
+    return Verdict(pixels, blocks, tuple(worst))
+
+
+def _test(value: float, freedom: int, prediction: float) -> Test:
+    from scipy.stats import chi2, ncx2
+
+    if freedom < 1:
+        return Test(value, freedom, prediction, float("inf"))
+    sure = 1 - LEVEL / 2
+    law = chi2(freedom) if prediction <= 0 else ncx2(freedom, prediction)
+    return Test(value, freedom, prediction, float(law.ppf(sure)))
+
+
+def _blocks(used: NDArray[np.bool_]) -> Iterator[tuple[slice, slice]]:
+    """Parts of an image with pixels that were used."""
+    side = max(_LEAST_SIDE, -(-max(used.shape) // _BLOCKS))
+    for row in range(0, used.shape[0], side):
+        for column in range(0, used.shape[1], side):
+            place = slice(row, min(row + side, used.shape[0])), slice(column, min(column + side, used.shape[1]))
+            if used[place].any():
+                yield place
+
+
+def _block(place: tuple[slice, slice], gray: Array, used: NDArray[np.bool_], deviations: float) -> Block:
+    rows, columns = place
+    here = used[place]
+    return Block(
+        (rows.start, rows.stop),
+        (columns.start, columns.stop),
+        float(gray[place][here].mean()),
+        deviations,
+        int(here.sum()),
+    )

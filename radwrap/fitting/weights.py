@@ -1,0 +1,112 @@
+"""How much each pixel counts: noise, rounding, and what saturated and dark pixels still say.
+
+A pixel whose prediction lies within `NEAR` standard deviations of where the sensor cuts says only "at least" or "at
+most": it is left out, unless the capture lies `FAR` standard deviations off. Which pixels these are is decided by the
+prediction and not by the capture, since pixels that are chosen by their noise would pull the fit. Where the capture is
+cut and the prediction is not, the difference to the cut is what the prediction is off by at least.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.errors import InputError
+from radwrap.fitting.captured import Captured
+from radwrap.imaging.response.noise import ROUNDING_VARIANCE, noise_variance, without_pattern
+from radwrap.scene.camera import Sensor
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+NEAR: Final = 3.0
+FAR: Final = 6.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Weighed:
+    """What a fit knows of each pixel.
+
+    Attributes
+    ----------
+    sigma : ndarray, shape (rows, columns)
+        Expected deviation of the mean of the captures from the prediction [gray level].
+    used : ndarray of bool
+        Pixels with a residual.
+    censored : ndarray of bool
+        Of the pixels that count those that only say "at least" or "at most", and agree.
+    """
+
+    sigma: Array
+    used: Flags
+    censored: Flags
+
+
+def check_noise(sensor: Sensor, noise: float | None, repeats: int) -> None:
+    """Refuse a fit that cannot know the noise of its captures."""
+    if sensor.linear is None and noise is None and repeats == 1:
+        raise InputError(
+            "the power law has no noise, and without it no residual can be judged",
+            where="noise",
+            remedy="give the standard deviation of one capture, several captures, or a linear sensor",
+        )
+
+
+def variance_of(exposure: Array, captured: Captured, sensor: Sensor, noise: float | None) -> Array:
+    """Variance of the captures' mean about the prediction [gray level^2]."""
+    rounding = ROUNDING_VARIANCE if sensor.rounding else 0.0
+    if noise is not None:
+        return np.full(exposure.shape, (noise**2 + rounding) / captured.repeats)
+    if sensor.linear is not None:
+        whole = noise_variance(exposure, sensor)
+        frame = noise_variance(exposure, without_pattern(sensor))
+        # The specimen's pattern is the same in all repeats.
+        return np.asarray(frame / captured.repeats + np.maximum(whole - frame, 0.0))
+    if captured.variance is None:
+        raise InputError("is not known", where="noise")
+    return np.maximum(captured.variance, rounding) / captured.repeats
+
+
+def weighed(exposure: Array, unclipped: Array, captured: Captured, sensor: Sensor, noise: float | None) -> Weighed:
+    """Decide for a prediction how much each pixel counts.
+
+    Parameters
+    ----------
+    exposure : ndarray, shape (rows, columns)
+        Predicted radiant exposure [J m^-2].
+    unclipped : ndarray, shape (rows, columns)
+        Its gray level without saturation.
+    captured : Captured
+        The captures.
+    sensor : Sensor
+        At the prediction's values.
+    noise : float or None
+        Standard deviation of one capture, where it is told [gray level].
+
+    Raises
+    ------
+    InputError
+        If nothing is known of the noise, or it is 0.
+    """
+    variance = variance_of(np.minimum(exposure, _below(exposure, sensor)), captured, sensor, noise)
+    if not (variance > 0).all():
+        raise InputError("is 0: no residual can be judged", where="noise", remedy="give the noise of one capture")
+    sigma = np.sqrt(variance)
+    high, low = sensor.saturation_gray, _floor(sensor)
+    at_top, at_bottom = unclipped > high - NEAR * sigma, unclipped < low + NEAR * sigma
+    agrees = (at_top & (captured.mean > high - FAR * sigma)) | (at_bottom & (captured.mean < low + FAR * sigma))
+    return Weighed(sigma, captured.mask & ~agrees, captured.mask & agrees)
+
+
+def _below(exposure: Array, sensor: Sensor) -> float:
+    """Exposure above which noise is cut: beyond it the noise of the brightest uncut pixel counts."""
+    share = 1 - 1e-2
+    span = share * (sensor.saturation_gray - sensor.dark_gray)
+    return float((span / sensor.gain) ** (1 / sensor.gamma)) if span > 0 else float(exposure.max())
+
+
+def _floor(sensor: Sensor) -> float:
+    """Gray level below which the camera gives none."""
+    return sensor.dark_gray if sensor.linear is not None and sensor.gamma != 1.0 else 0.0

@@ -1,0 +1,159 @@
+"""``radwrap fit`` as users have it."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pytest
+
+import radwrap
+from radwrap.errors import InputError
+from radwrap.fitting.captured import captured
+from radwrap.fitting.free_keys import free_scene
+from radwrap.fitting.prediction import check_needs_no_ray
+from radwrap.fitting.scene_text import with_values
+from radwrap.images import GrayImage, write_png
+from radwrap.random_streams import generator
+from radwrap.scene.scene import Scene
+from tests.cli.conftest import here, scene_text
+from tests.fitting.conftest import EXPOSURE, LEVELS, OPTIONS, changed, tables
+
+SIGMAS: Final = 4.0  # of each of five keys: 1 of 3000 fits is missed
+
+
+def _capture(scene: Scene, changes: dict[str, Any], seed: int = 5) -> GrayImage:
+    """A frame of the changed scene, its rays and its noise by other seeds than the fit's."""
+    return radwrap.render(changed(scene, changes), tolerance=0.5, seed=seed, workers=1).frames(1)[0]
+
+
+def test_a_twin_is_found_and_its_files_are_whole(
+    bench: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = f"# our bench\n{scene_text(tables())}"
+    path = tmp_path / "scene.toml"
+    path.write_text(text)
+    truth = {f"sources[0].leds[{k}].radiance_factor": factor for k, factor in enumerate((1.2, 0.7, 1.1))}
+    truth["camera.sensor.offset"] = 7.0
+    write_png(tmp_path / "capture.png", _capture(bench, truth).codes)
+    argv: list[object] = ["fit", path, tmp_path / "capture.png", "--free", LEVELS]
+    argv += ["--free", "camera.sensor.offset=0:20"]
+    argv += ["--out", tmp_path / "out", "--tolerance", 1, "--workers", 1, "--json"]
+    told = here(argv, capsys).success().json
+    assert told["explained"] and told["converged"] and told["undetermined"] == []
+    for key, true in zip(told["keys"], truth.values(), strict=True):
+        assert abs(key["value"] - true) < SIGMAS * key["sigma"]
+        assert key["interval_95"][0] < key["value"] < key["interval_95"][1]
+    out = tmp_path / "out"
+    assert json.loads((out / "fit.json").read_text()) == told
+    assert {file.name for file in out.iterdir() if not file.name.startswith(".")} == {
+        *("fit.json", "scene.toml", "residual.png", "residual.exr", "index.html")
+    }
+    written = (out / "scene.toml").read_text()
+    assert "# our bench" in written
+    found = radwrap.load_scene(out / "scene.toml")
+    assert found.camera.sensor.dark_gray == pytest.approx(told["keys"][3]["value"], rel=1e-12)
+    assert found.emitters[1].radiance / bench.emitters[1].radiance == pytest.approx(told["keys"][1]["value"], rel=1e-12)
+    page = (out / "index.html").read_text()
+    assert "yes" in page and "http" not in page
+
+
+def test_a_wrong_model_exits_with_1_and_says_where(
+    bench: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The scene lacks an LED that was on."""
+    write_png(tmp_path / "capture.png", _capture(bench, {}).codes)
+    path = tmp_path / "scene.toml"
+    path.write_text(scene_text(tables()))
+    argv = ["fit", path, tmp_path / "capture.png", "--free", EXPOSURE, "--out", tmp_path / "out", "--tolerance", 1]
+    done = here([*argv, "--set", "sources[0].leds[2].radiance_factor=0", "--workers", 1], capsys)
+    assert done.code == 1
+    assert "errors: no" in done.stdout and "rows" in done.stdout and "deviations" in done.stdout
+    assert radwrap.load_scene(tmp_path / "out" / "scene.toml").emitters[2].radiance == 0
+
+
+@pytest.mark.parametrize(
+    ("free", "words"),
+    [
+        ([], "is missing"),
+        (["camera.sensor.rows"], "whole numbers"),
+        (["sources[0].type"], "no number"),
+        (["camera.sensor.rounding"], "no number"),
+        (["camera.focal_length"], "needs renders"),
+        (["targets[0].edge_position"], "needs renders"),
+        (["pose:camera"], "pose"),
+        ([EXPOSURE, EXPOSURE], "twice"),
+        (["camera.exposure_time=1 ms:2 ms"], "outside"),
+        (["camera.exposure_time=1 mm:2 m"], "unit"),
+        (["camera.exposure_time=4 ms"], "low:high"),
+        (["camera.nothing"], "no number in the scene"),
+    ],
+)
+def test_what_cannot_be_fitted_is_refused(bench: Scene, free: list[str], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        check_needs_no_ray(free_scene(bench, free))
+
+
+def test_bounds_are_read_in_any_unit_and_found_where_the_scene_has_them(bench: Scene) -> None:
+    (exposure, efficiency) = free_scene(bench, [f"{EXPOSURE}=0.05 s:1 s", "camera.sensor.quantum_efficiency"]).keys
+    assert (exposure.low, exposure.high, exposure.unit) == (pytest.approx(50.0), pytest.approx(1000.0), "ms")
+    assert efficiency.high == pytest.approx(1.0, rel=1e-9) and 0 < efficiency.low < 1e-5
+
+
+def test_the_unit_of_a_gain_goes_with_gamma() -> None:
+    sensor = tables()["camera"]["sensor"]
+    bent = tables()
+    bent["camera"]["sensor"] = {
+        **{name: sensor[name] for name in ("rows", "columns", "pixel_width", "pixel_height")},
+        **{"gain": "1e5 (J/m^2)^-0.8", "gamma": 0.8, "dark_gray": 20, "saturation_gray": 255},
+    }
+    scene = radwrap.scene_from_document(bent)
+    free = free_scene(scene, ["camera.sensor.gamma", "camera.sensor.gain"])
+    found = free.at([0.75, 2e5]).camera.sensor
+    assert (found.gamma, found.gain) == (0.75, 2e5)
+
+
+@pytest.mark.parametrize(
+    ("image", "words"),
+    [
+        (GrayImage(np.zeros((20, 25))), "25 x 20"),
+        (GrayImage(np.full((20, 24), 300.0), bit_depth=16), "16 bits"),
+    ],
+)
+def test_captures_of_another_sensor_are_refused(bench: Scene, image: GrayImage, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        radwrap.fit(bench, [image], [EXPOSURE], options=OPTIONS)
+
+
+def test_a_power_law_needs_its_noise_told() -> None:
+    bent = tables()
+    sensor = {name: bent["camera"]["sensor"][name] for name in ("rows", "columns", "pixel_width", "pixel_height")}
+    power = {"gain": "1e5 (J/m^2)^-1", "gamma": 1.0, "dark_gray": 20, "saturation_gray": 255}
+    bent["camera"]["sensor"] = sensor | power
+    scene = radwrap.scene_from_document(bent)
+    with pytest.raises(InputError, match="no noise"):
+        radwrap.fit(scene, [GrayImage(np.full((20, 24), 90.0))], [EXPOSURE], options=OPTIONS)
+
+
+def test_repeats_tell_their_noise() -> None:
+    scene = radwrap.scene_from_document(tables())
+    images = [GrayImage(90 + 2 * generator(k, 1).standard_normal((20, 24)), 8) for k in range(6)]
+    found = captured(images, [str(k) for k in range(6)], scene.camera.sensor, None)
+    assert found.variance is not None
+    # 2400 degrees of freedom tell a variance to 3 %.
+    assert found.variance.mean() == pytest.approx(4.0, rel=0.12)
+
+
+def test_values_go_into_the_users_text() -> None:
+    text = '# bench\n[camera]\nexposure_time = "1 ms"  # as set\n\n[[sources]]\ncount = 3\n'
+    text += "leds = [{index = 2, radiance_factor = 1.0}]\n"
+    changes = {"camera.exposure_time": "2.5 ms", "camera.sensor.offset": 4.0, "sources[0].leds[2].radiance_factor": 0.5}
+    made = with_values(text, {**changes, "sources[0].leds[1].radiance_factor": 0.25})
+    assert 'exposure_time = "2.5 ms"  # as set' in made and "# bench" in made
+    found = tomllib.loads(made)
+    assert found["camera"]["sensor"]["offset"] == 4.0
+    leds = {led["index"]: led["radiance_factor"] for led in found["sources"][0]["leds"]}
+    assert leds == {2: 0.5, 1: 0.25}
