@@ -13,8 +13,8 @@ from radwrap.manifest import json_text
 
 _DESCRIPTION = (
     "Finds values of scene keys for which the prediction agrees with captured images, how sure they are, and whether "
-    "the scene then explains the captures within noise and the error of the prediction. Levels of sources, exposure "
-    "time and the sensor's electronics can be free. Writes fit.json, scene.toml with the values, residual.png, "
+    "the scene then explains the captures within noise and the error of the prediction. Numbers of the scene file "
+    "and poses can be free. Writes fit.json, scene.toml with the values, residual.png, "
     "residual.exr and index.html into DIR. Exit code 1: the scene does not explain the captures; 3: no convergence."
 )
 

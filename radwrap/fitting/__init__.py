@@ -2,9 +2,10 @@
 
 The data's way::
 
-    KEY[=low:high] -> a number with its unit and bounds       free_keys
+    KEY[=low:high] -> a number with its unit and bounds       free_keys, poses
     captured images -> mean, repeats, mask                    captured
-    a basis of the scene's light -> gray levels of any values prediction
+    bases of the scene's light, by the same rays              light
+    -> gray levels of any values                              prediction
     noise, rounding, saturated and dark pixels                weights
     values, by weighted least squares                         solution
     -> covariance and what is not determined                  covariance, directions

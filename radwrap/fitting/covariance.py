@@ -12,6 +12,8 @@ Array = NDArray[np.float64]
 # Singular values of the Jacobian, its columns made of one length, below this share of the largest: the difference of
 # two predictions tells no smaller one.
 RANK: Final = 1e-6
+# The same where renders are compared: rays of the two have some of their grain in common, not all of it.
+GRAIN: Final = 1e-2
 _NOTHING: Final = 1e-10  # of the longest column: rounding of two predictions, over their step
 _TOUCHED: Final = 1e-3  # share of a key in a direction that is not determined
 SURE: Final = 0.95
@@ -93,7 +95,22 @@ class Spread:
         return np.asarray(covariance / np.outer(scale, scale))
 
 
-def spread(jacobian: Array, errors: PredictionErrors) -> Spread:
+def determined_inverse(jacobian: Array, rank: float = RANK) -> Array:
+    """Of a Jacobian, shape (pixels, keys), the inverse in the directions that it determines, shape (keys, pixels)."""
+    scale = _lengths(jacobian)
+    left, singular, right = np.linalg.svd(jacobian / scale, full_matrices=False)
+    good = singular > rank * float(singular.max(initial=0.0))
+    inverse: Array = (right[good].T / singular[good]) @ left[:, good].T / scale[:, np.newaxis]
+    return inverse
+
+
+def _lengths(jacobian: Array) -> Array:
+    """Of the columns; infinite for a key that changes nothing, whose column is rounding."""
+    lengths = np.linalg.norm(jacobian, axis=0)
+    return np.where(lengths > _NOTHING * float(lengths.max(initial=0.0)), lengths, np.inf)
+
+
+def spread(jacobian: Array, errors: PredictionErrors, rank_share: float = RANK) -> Spread:
     """Find it from a weighted Jacobian.
 
     Parameters
@@ -102,16 +119,15 @@ def spread(jacobian: Array, errors: PredictionErrors) -> Spread:
         Change of the prediction with each key's scale, over sigma.
     errors : PredictionErrors
         Of the same pixels.
+    rank_share : float
+        Below this share of the largest a singular value is none: `RANK`, or `GRAIN` where keys need renders.
     """
     from scipy.stats import norm, t
 
-    lengths = np.linalg.norm(jacobian, axis=0)
-    largest = float(lengths.max(initial=0.0))
-    # A key that changes nothing has rounding alone in its column.
-    scale = np.where(lengths > _NOTHING * largest, lengths, np.inf)
+    scale = _lengths(jacobian)
     left, singular, right = np.linalg.svd(jacobian / scale, full_matrices=False)
     keys = jacobian.shape[1]
-    good = singular > RANK * float(singular.max(initial=0.0))
+    good = singular > rank_share * float(singular.max(initial=0.0))
     rank = int(good.sum())
     inverse = (right[good].T / singular[good]) @ left[:, good].T / scale[:, np.newaxis]
     noise = inverse @ inverse.T

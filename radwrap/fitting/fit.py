@@ -6,7 +6,6 @@ import json
 import math
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,21 +15,21 @@ from numpy.typing import NDArray
 from radwrap.errors import InputError
 from radwrap.files import check_results, make_folder, sha256_of, sole_owner
 from radwrap.fitting.captured import Captured, captured, read_captures, read_mask
-from radwrap.fitting.covariance import PredictionErrors, Spread, spread
+from radwrap.fitting.covariance import GRAIN, RANK, PredictionErrors, Spread, spread
 from radwrap.fitting.directions import in_words
 from radwrap.fitting.free_keys import FreeKey, FreeScene, free_scene
+from radwrap.fitting.light import Light
 from radwrap.fitting.page import FILES, write_fit
-from radwrap.fitting.prediction import Prediction, check_needs_no_ray
+from radwrap.fitting.poses import aimed_keys
+from radwrap.fitting.prediction import Prediction, need_renders
 from radwrap.fitting.scene_text import text_of, with_values
 from radwrap.fitting.solution import solve
 from radwrap.fitting.told import Fit, FittedKey, as_manifest
 from radwrap.fitting.verdict import verdict
 from radwrap.fitting.weights import check_noise
 from radwrap.images import GrayImage, digest
-from radwrap.imaging.relight.relit import Basis, read_basis
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.response.sensor import gray_levels, image_of_levels
-from radwrap.imaging.synthesis import render
 from radwrap.manifest import SCHEMA_VERSION, sha256_of_value, versions
 from radwrap.reading import FileKind, read_text
 from radwrap.scene.file.load import load_scene
@@ -39,21 +38,8 @@ from radwrap.scene.scene import Scene
 Array = NDArray[np.float64]
 _SCENE_FILE: Final = FileKind("scene file", 16 << 20, "")
 _NOTHING: Final[Mapping[str, Any]] = {}
-REPLICATES: Final = 4  # further predictions by other seeds
-_SEED_STEP: Final = 1_000_003  # between their seeds: none is that of a neighbouring fit
 _AT_BOUND: Final = 1e-6  # of a key's scale
 PACKAGES: Final = ("tomlkit",)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Lit:
-    """The basis that a fit works on, further ones by other seeds, and what was held."""
-
-    basis: Basis
-    further: tuple[Basis, ...]
-    rays: int
-    held: Mapping[str, Any]
-    left_out: str
 
 
 def fit(
@@ -70,8 +56,8 @@ def fit(
 ) -> Fit:
     """Find values of scene keys for which the prediction agrees with captures.
 
-    Levels of sources, the exposure time and the sensor's electronics can be free: of these gray levels follow from one
-    light basis without a ray.
+    Levels of sources, the exposure time and the sensor's electronics follow from one light basis without a ray; other
+    numbers and poses take renders by the same rays.
 
     Parameters
     ----------
@@ -80,7 +66,8 @@ def fit(
     captures : sequence of str, Path or GrayImage
         Captures of this very scene; several are repeats.
     free : sequence of str
-        ``KEY`` or ``KEY=low:high``, as in the scene file; ``[*]`` frees each entry of a list by itself.
+        ``KEY`` or ``KEY=low:high``, as in the scene file; ``[*]`` frees each entry of a list by itself;
+        ``pose:camera`` and ``pose:NAME`` are six numbers about the scene's pose.
     out : str or Path, optional
         Folder for fit.json, scene.toml, residual.png, residual.exr and index.html.
     options : RenderOptions, optional
@@ -125,7 +112,7 @@ def fit(
     if noise is not None and not (math.isfinite(noise) and noise >= 0):
         raise InputError("must be a number from 0 on", where="noise")
     begun = free_scene(scene, free)
-    check_needs_no_ray(begun)
+    rendered = need_renders(begun)
     names = [
         str(one.provenance.get("file", "captures")) if isinstance(one, GrayImage) else str(one) for one in captures
     ]
@@ -136,17 +123,21 @@ def fit(
     check_noise(sensor, noise, taken.repeats)
     if out is None:
         with tempfile.TemporaryDirectory(prefix="radwrap-fit-") as work:
-            lit = _lit(begun.scene, options, Path(work))
-        return _fitted(begun, taken, lit, _told(images, names), noise=noise, robust=robust)
+            light = Light(begun.scene, options, Path(work), is_even=any(rendered))
+            return _fitted(begun, rendered, taken, light, _told(images, names), noise=noise, robust=robust)
     folder = Path(out)
     check_results(folder, FILES)
     make_folder(folder)
     with sole_owner(folder):
         with tempfile.TemporaryDirectory(prefix=".fit-", dir=folder) as work:
-            lit = _lit(begun.scene, options, Path(work))
-        made = _fitted(begun, taken, lit, _told(images, names), noise=noise, robust=robust)
+            light = Light(begun.scene, options, Path(work), is_even=any(rendered))
+            made = _fitted(begun, rendered, taken, light, _told(images, names), noise=noise, robust=robust)
         values = begun.written([key.value for key in made.keys])
-        written = text_of(json.loads(made.scene.document)) if text is None else with_values(text, {**changes, **values})
+        written = (
+            text_of(json.loads(made.scene.document))
+            if text is None
+            else with_values(text, {**changes, **values}, aimed_keys(begun.poses))
+        )
         write_fit(made, written, folder)
     return made
 
@@ -161,33 +152,26 @@ def _told(images: Sequence[GrayImage], names: Sequence[str]) -> list[dict[str, A
     return found
 
 
-def _lit(scene: Scene, options: RenderOptions, work: Path) -> _Lit:
-    """Trace the basis, and further ones by other seeds."""
-    made = render(scene, work / "0", replace(options, basis=True, frames=0, truth=False))
-    held = {"method": made.run.method, "tracer": options.tracer, "bounces": options.bounces}
-    if isinstance(made.run.method, str) and made.run.method in ("kernel", "rays", "hybrid"):
-        options = replace(options, method=made.run.method)
-    further, rays = [], made.run.rays
-    for number in range(1, REPLICATES + 1):
-        seed = (options.seed + number * _SEED_STEP) % 2**63
-        again = render(scene, work / str(number), replace(options, basis=True, frames=0, truth=False, seed=seed))
-        further.append(read_basis(work / str(number)))
-        rays += again.run.rays
-    return _Lit(read_basis(work / "0"), tuple(further), rays, held, made.run.missing)
-
-
 def _fitted(
-    free: FreeScene, taken: Captured, lit: _Lit, told: list[dict[str, Any]], *, noise: float | None, robust: bool
+    free: FreeScene,
+    rendered: Sequence[bool],
+    taken: Captured,
+    light: Light,
+    told: list[dict[str, Any]],
+    *,
+    noise: float | None,
+    robust: bool,
 ) -> Fit:
-    prediction = Prediction(free, lit.basis)
+    prediction = Prediction(free, light.begin, rendered, light.at)
     solved = solve(free, prediction, taken, noise, robust=robust)
     used, sigma = solved.weighed.used, solved.weighed.sigma
     own = prediction.replicates(solved.predicted)
-    stack = np.concatenate([own, *(prediction.replicates(solved.predicted, basis) for basis in lit.further)])
+    others = light.further(prediction.lit_scene(solved.values))
+    stack = np.concatenate([own, *(prediction.replicates(solved.predicted, basis) for basis in others)])
     model = prediction.certificate(solved.predicted).model_rms_gray or 0.0
     relative = float(model * np.sqrt(np.mean(1 / sigma[used] ** 2)))
     errors = PredictionErrors(stack[:, used] / sigma[used], len(own), relative)
-    sure = spread(solved.jacobian, errors)
+    sure = spread(solved.jacobian, errors, GRAIN if prediction.has_renders else RANK)
     judged = verdict(solved.residual, sigma, sure, errors)
     scales = np.array([key.scale for key in free.keys])
     keys = tuple(
@@ -210,9 +194,10 @@ def _fitted(
         "captures": told,
         "noise": noise,
         "robust": robust,
-        "held": dict(lit.held),
-        "rays": lit.rays,
-        "left_out": lit.left_out,
+        "held": light.held(),
+        "rays": light.rays,
+        "places": prediction.renders,
+        "left_out": light.left_out,
         "converged": solved.converged,
         "rounds": solved.rounds,
         "used_pixels": int(np.count_nonzero(used)),

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from radwrap.errors import InputError
+from radwrap.fitting.poses import PREFIX, SHIFTS, TURNS, FreePose, free_pose, with_poses
 from radwrap.reading import shortened
 from radwrap.scene.file.keys import expanded, found, set_all, with_all_leds
 from radwrap.scene.file.load import scene_from_document
@@ -70,10 +71,13 @@ class FreeScene:
     scene : Scene
         At the values where the fit begins.
     keys : tuple of FreeKey
+    poses : tuple of FreePose
+        Whose numbers some keys are.
     """
 
     scene: Scene
     keys: tuple[FreeKey, ...]
+    poses: tuple[FreePose, ...] = ()
 
     def written(self, values: Sequence[float]) -> dict[str, Any]:
         """Key -> value as the scene file would hold it; the unit of a power law's gain goes with gamma."""
@@ -84,7 +88,7 @@ class FreeScene:
             gamma = told.get(_GAMMA, found(document, _GAMMA))
             if isinstance(gain, str) and gamma is not None:
                 told[_GAIN] = f"{parse_gain(gain)[0]!r} (J/m^2)^-{gamma!r}"
-        return told
+        return with_poses(self.poses, told)
 
     def at(self, values: Sequence[float]) -> Scene:
         """The scene at other values; InputError where it does not take them."""
@@ -114,22 +118,30 @@ def free_scene(scene: Scene, asked: Sequence[str]) -> FreeScene:
     document = with_all_leds(json.loads(scene.document), [text.partition("=")[0] for text in asked])
     filled = scene_from_document(document, origin=scene.origin, folder=scene.folder)
     begun: list[tuple[FreeKey, bool]] = []
+    poses: list[FreePose] = []
     for text in asked:
         name, _, bounds = text.partition("=")
         name = name.strip()
-        if name.startswith("pose:"):
-            raise InputError("a pose cannot be free yet", where=f"free {shortened(name)}", remedy="leave it out")
+        if name.startswith(PREFIX):
+            pose = free_pose(filled, document, name.removeprefix(PREFIX))
+            if bounds:
+                raise InputError("takes no bounds", where=f"free {shortened(name)}")
+            if pose in poses:
+                raise InputError("is named twice", where=f"free {name}")
+            poses.append(pose)
+            units = (["mm"] * len(SHIFTS)) + (["deg"] * len(TURNS))
+            begun += [(FreeKey(key, 0.0, unit), True) for key, unit in zip(pose.keys, units, strict=True)]
+            continue
         for key in expanded(name, document):
             if any(other.key == key for other, _ in begun):
                 raise InputError("is named twice", where=f"free {key}")
             one, document = _begun(filled, document, key, bounds.strip())
             _check_real(scene, document, one)
             begun.append((one, bool(bounds)))
-    start = scene_from_document(
-        document, {key.key: key.written(key.value) for key, _ in begun}, origin=scene.origin, folder=scene.folder
-    )
-    keys = tuple(_checked(start, key, is_bounded) for key, is_bounded in begun)
-    return FreeScene(start, keys)
+    told = {key.key: key.written(key.value) for key, _ in begun}
+    start = scene_from_document(document, with_poses(poses, told), origin=scene.origin, folder=scene.folder)
+    keys = tuple(key if key.key.startswith(PREFIX) else _checked(start, key, is_bounded) for key, is_bounded in begun)
+    return FreeScene(start, keys, tuple(poses))
 
 
 def _check_real(scene: Scene, document: dict[str, Any], key: FreeKey) -> None:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
 from radwrap.scene.file.keys import expanded, steps_of
 
 
-def with_values(text: str, values: Mapping[str, Any]) -> str:
+def with_values(text: str, values: Mapping[str, Any], removed: Sequence[str] = ()) -> str:
     """Replace values in the text of a scene file; what it does not have yet is added to its table.
 
     Parameters
@@ -18,6 +18,8 @@ def with_values(text: str, values: Mapping[str, Any]) -> str:
         A scene file that was read.
     values : Mapping[str, Any]
         Key path -> value as the file would hold it.
+    removed : sequence of str
+        Key paths that it has no more.
     """
     import tomlkit
 
@@ -26,6 +28,12 @@ def with_values(text: str, values: Mapping[str, Any]) -> str:
         # An LED that the file does not list is none of the entries that [*] names.
         for one in expanded(key, document.unwrap()) if ".leds[*]" not in key else [key]:
             _set(document, steps_of(one), value)
+    for key in removed:
+        place: Any = document
+        steps = steps_of(key)
+        for step in steps[:-1]:
+            place = place[step]
+        place.pop(steps[-1], None)
     return tomlkit.dumps(document)
 
 

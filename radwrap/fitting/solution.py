@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.fitting.captured import Captured
+from radwrap.fitting.covariance import GRAIN, determined_inverse
 from radwrap.fitting.free_keys import FreeScene
 from radwrap.fitting.prediction import Predicted, Prediction
 from radwrap.fitting.weights import Weighed, weighed
@@ -21,6 +22,11 @@ _LEVEL: Final = 1e-8
 _ROUNDS: Final = 40  # of weights
 _STILL: Final = 1e-9  # expected deviations by which a round may still move the prediction, at most: the fit stands
 _ENOUGH: Final = 1e-2  # the same after the last round: weights of a pixel go to and fro
+# Where keys need renders, rays have a grain: what a step must move the prediction by, in expected deviations.
+_GRAIN_STILL: Final = 0.3
+_GRAIN_ENOUGH: Final = 1.0  # of a step that the grain hides
+_GRAIN_ROUNDS: Final = 15
+_HALVINGS: Final = 4
 _EVALUATIONS: Final = 100  # of one round
 _INSIDE: Final = 1e-9  # of a key's scale: so far from its bounds the solver begins
 
@@ -75,6 +81,9 @@ def solve(
     inside = np.where(np.isfinite(bounds), _INSIDE, 0.0)
     x = np.clip(np.array([key.value for key in free.keys]) / scales, bounds[0] + inside[0], bounds[1] - inside[1])
     moved, rounds, ended = np.inf, 0, True
+    against = _Against(prediction, captured, noise)
+    if prediction.has_renders:
+        return _through_grain(against, x * scales, scales, bounds * scales, robust=robust)
     while rounds < _ROUNDS and not moved < _STILL:
         rounds += 1
         counted = _weighed(prediction.at(x * scales), captured, noise)
@@ -104,11 +113,55 @@ def solve(
         ended = found.status > 0
         moved = float(np.linalg.norm(found.jac @ (found.x - x)))
         x = found.x
-    predicted = prediction.at(x * scales)
-    counted = _weighed(predicted, captured, noise)
-    residual = np.where(counted.used, (captured.mean - predicted.unclipped) / counted.sigma, np.nan)
-    jacobian = (prediction.slopes(x * scales)[:, counted.used] / counted.sigma[counted.used]).T
-    return Solution(x * scales, predicted, counted, residual, jacobian, ended and moved < _ENOUGH, rounds)
+    return against.ended(x * scales, rounds, converged=ended and moved < _ENOUGH)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Against:
+    """What is fitted to what."""
+
+    prediction: Prediction
+    captured: Captured
+    noise: float | None
+
+    def ended(self, values: Array, rounds: int, *, converged: bool) -> Solution:
+        """Where a fit came to."""
+        predicted = self.prediction.at(values)
+        counted = _weighed(predicted, self.captured, self.noise)
+        residual = np.where(counted.used, (self.captured.mean - predicted.unclipped) / counted.sigma, np.nan)
+        jacobian = (self.prediction.slopes(values)[:, counted.used] / counted.sigma[counted.used]).T
+        return Solution(values, predicted, counted, residual, jacobian, converged, rounds)
+
+
+def _through_grain(against: _Against, values: Array, scales: Array, bounds: Array, *, robust: bool) -> Solution:
+    """Gauss and Newton's steps in the directions that stand out of the grain of the rays.
+
+    A solver that looks for the last digit of a sum that has steps asks for many renders, and wanders along what the
+    captures do not determine: here such directions are not gone, and a step that does not lower the sum ends the fit.
+    """
+    prediction, captured = against.prediction, against.captured
+    moved, rounds = np.inf, 0
+    while rounds < _GRAIN_ROUNDS and not moved < _GRAIN_STILL:
+        rounds += 1
+        predicted = prediction.at(values)
+        counted = _weighed(predicted, captured, against.noise)
+        used, sigma = counted.used, counted.sigma[counted.used]
+        left = (captured.mean - predicted.unclipped)[used] / sigma
+        weight = (1 + left**2) ** -0.25 if robust else np.ones(left.size)
+        jacobian = (prediction.slopes(values)[:, used] / sigma).T * weight[:, np.newaxis]
+        step = determined_inverse(jacobian, GRAIN) @ (left * weight)
+        for _ in range(_HALVINGS):
+            tried = np.clip(values + step * scales, bounds[0], bounds[1])
+            after = (captured.mean - prediction.at(tried).unclipped)[used] / sigma
+            if float(((after * weight) ** 2).sum()) < float(((left * weight) ** 2).sum()):
+                moved = float(np.linalg.norm(jacobian @ ((tried - values) / scales)))
+                values = tried
+                break
+            step = step / 2
+        else:
+            moved = float(np.linalg.norm(jacobian @ step))
+            return against.ended(values, rounds, converged=moved < _GRAIN_ENOUGH)
+    return against.ended(values, rounds, converged=moved < _GRAIN_STILL)
 
 
 def _weighed(predicted: Predicted, captured: Captured, noise: float | None) -> Weighed:

@@ -14,7 +14,8 @@ import radwrap
 from radwrap.errors import InputError
 from radwrap.fitting.captured import captured
 from radwrap.fitting.free_keys import free_scene
-from radwrap.fitting.prediction import check_needs_no_ray
+from radwrap.fitting.poses import aimed_keys
+from radwrap.fitting.prediction import need_renders
 from radwrap.fitting.scene_text import with_values
 from radwrap.images import GrayImage, write_png
 from radwrap.random_streams import generator
@@ -82,9 +83,9 @@ def test_a_wrong_model_exits_with_1_and_says_where(
         (["camera.sensor.rows"], "whole numbers"),
         (["sources[0].type"], "no number"),
         (["camera.sensor.rounding"], "no number"),
-        (["camera.focal_length"], "needs renders"),
-        (["targets[0].edge_position"], "needs renders"),
-        (["pose:camera"], "pose"),
+        (["pose:nobody"], "nothing that has a pose"),
+        (["pose:camera=0 mm:1 mm"], "no bounds"),
+        (["pose:camera", "pose:camera"], "twice"),
         ([EXPOSURE, EXPOSURE], "twice"),
         (["camera.exposure_time=1 ms:2 ms"], "outside"),
         (["camera.exposure_time=1 mm:2 m"], "unit"),
@@ -94,7 +95,37 @@ def test_a_wrong_model_exits_with_1_and_says_where(
 )
 def test_what_cannot_be_fitted_is_refused(bench: Scene, free: list[str], words: str) -> None:
     with pytest.raises(InputError, match=words):
-        check_needs_no_ray(free_scene(bench, free))
+        need_renders(free_scene(bench, free))
+
+
+def test_what_needs_renders_is_found_by_changing_the_scene(bench: Scene) -> None:
+    free = [EXPOSURE, "sources[0].radiance", "camera.sensor.offset", "targets[0].edge_position", "materials.white"]
+    free[4] = "materials.white.reflectance"
+    assert need_renders(free_scene(bench, free)) == (False, False, False, True, True)
+
+
+def test_a_pose_is_written_as_position_and_rotation(bench: Scene) -> None:
+    """A camera that looks down from 500 mm: its z is the world's -z."""
+    free = free_scene(bench, ["pose:camera"])
+    assert free.scene.camera.pose.position == pytest.approx(bench.camera.pose.position)
+    assert np.allclose(free.scene.camera.pose.rotation, bench.camera.pose.rotation, atol=1e-12)
+    moved = free.at([0.0, 0.0, 10.0, 0.0, 0.0, 90.0]).camera.pose
+    assert moved.position == pytest.approx((0.0, 0.0, 0.49), abs=1e-12)
+    assert np.allclose(moved.x_axis, bench.camera.pose.y_axis, atol=1e-12)
+    text = scene_text(tables())
+    changes = free.written([0.0, 0.0, 10.0, 0.0, 0.0, 90.0])
+    found = radwrap.scene_from_document(tomllib.loads(with_values(text, changes, aimed_keys(free.poses))))
+    assert found.camera.pose.position == pytest.approx((0.0, 0.0, 0.49), abs=1e-12)
+
+
+def test_a_place_is_found_by_renders(bench: Scene) -> None:
+    """An edge 0.35 mm off, by bases whose rays lie alike; the twin's rays are others."""
+    truth = {"targets[0].edge_position": "1.35 mm", "sources[0].radiance": "2700 W/m^2/sr"}
+    found = radwrap.fit(bench, [_capture(bench, truth)], list(truth), options=OPTIONS)
+    assert found.converged and found.explained
+    for key, true in zip(found.keys, (1.35, 2700.0), strict=True):
+        assert key.sigma is not None and abs(key.value - true) < SIGMAS * key.sigma
+    assert found.keys[0].sigma_prediction and found.keys[0].sigma_prediction > 0
 
 
 def test_bounds_are_read_in_any_unit_and_found_where_the_scene_has_them(bench: Scene) -> None:
