@@ -16,6 +16,7 @@ RANK: Final = 1e-6
 GRAIN: Final = 1e-2
 _NOTHING: Final = 1e-10  # of the longest column: rounding of two predictions, over their step
 _TOUCHED: Final = 1e-3  # share of a key in a direction that is not determined
+_UNSURE: Final = 3.0  # times the share of a singular value that is none: so unsure are directions
 SURE: Final = 0.95
 
 
@@ -140,7 +141,7 @@ def spread(jacobian: Array, errors: PredictionErrors, rank_share: float = RANK) 
     half = np.sqrt(
         (norm.ppf(0.5 + SURE / 2) ** 2) * np.diag(noise) + (t.ppf(0.5 + SURE / 2, freedom) ** 2) * np.diag(prediction)
     )
-    touched = np.sqrt((undetermined**2).sum(axis=0)) > _TOUCHED
+    touched = np.sqrt((undetermined**2).sum(axis=0)) > max(_TOUCHED, _UNSURE * rank_share)
     return Spread(noise, prediction, freedom, bound, np.where(touched, np.nan, half + bound), rank, null, left[:, good])
 
 

@@ -168,7 +168,9 @@ def _fitted(
     own = prediction.replicates(solved.predicted)
     others = light.further(prediction.lit_scene(solved.values))
     stack = np.concatenate([own, *(prediction.replicates(solved.predicted, basis) for basis in others)])
-    model = prediction.certificate(solved.predicted).model_rms_gray or 0.0
+    certificate = prediction.certificate(solved.predicted)
+    # What replicates have in common: the method's model, and the size of its cells.
+    model = math.hypot(certificate.model_rms_gray or 0.0, certificate.discretisation_rms_gray or 0.0)
     relative = float(model * np.sqrt(np.mean(1 / sigma[used] ** 2)))
     errors = PredictionErrors(stack[:, used] / sigma[used], len(own), relative)
     sure = spread(solved.jacobian, errors, GRAIN if prediction.has_renders else RANK)

@@ -27,8 +27,8 @@ SIGMAS: Final = 4.0  # of each of five keys: 1 of 3000 fits is missed
 
 
 def _capture(scene: Scene, changes: dict[str, Any], seed: int = 5) -> GrayImage:
-    """A frame of the changed scene, its rays and its noise by other seeds than the fit's."""
-    return radwrap.render(changed(scene, changes), tolerance=0.5, seed=seed, workers=1).frames(1)[0]
+    """A frame of the changed scene, at a fifth of the fit's tolerance: its own rays are off by nothing that counts."""
+    return radwrap.render(changed(scene, changes), tolerance=0.2, seed=seed, workers=1).frames(1)[0]
 
 
 def test_a_twin_is_found_and_its_files_are_whole(
@@ -69,7 +69,7 @@ def test_a_wrong_model_exits_with_1_and_says_where(
     write_png(tmp_path / "capture.png", _capture(bench, {}).codes)
     path = tmp_path / "scene.toml"
     path.write_text(scene_text(tables()))
-    argv = ["fit", path, tmp_path / "capture.png", "--free", EXPOSURE, "--out", tmp_path / "out", "--tolerance", 1]
+    argv = ["fit", path, tmp_path / "capture.png", "--free", EXPOSURE, "--out", tmp_path / "out", "--tolerance", 0.3]
     done = here([*argv, "--set", "sources[0].leds[2].radiance_factor=0", "--workers", 1], capsys)
     assert done.code == 1
     assert "errors: no" in done.stdout and "rows" in done.stdout and "deviations" in done.stdout
@@ -119,13 +119,13 @@ def test_a_pose_is_written_as_position_and_rotation(bench: Scene) -> None:
 
 
 def test_a_place_is_found_by_renders(bench: Scene) -> None:
-    """An edge 0.35 mm off, by bases whose rays lie alike; the twin's rays are others."""
-    truth = {"targets[0].edge_position": "1.35 mm", "sources[0].radiance": "2700 W/m^2/sr"}
+    """An edge 0.2 mm off, by bases whose rays lie alike; the twin's rays are others."""
+    truth = {"targets[0].edge_position": "1.2 mm"}
     found = radwrap.fit(bench, [_capture(bench, truth)], list(truth), options=OPTIONS)
+    (key,) = found.keys
     assert found.converged and found.explained
-    for key, true in zip(found.keys, (1.35, 2700.0), strict=True):
-        assert key.sigma is not None and abs(key.value - true) < SIGMAS * key.sigma
-    assert found.keys[0].sigma_prediction and found.keys[0].sigma_prediction > 0
+    assert key.sigma is not None and key.sigma_prediction
+    assert abs(key.value - 1.2) < SIGMAS * key.sigma < 0.2
 
 
 def test_bounds_are_read_in_any_unit_and_found_where_the_scene_has_them(bench: Scene) -> None:
