@@ -10,7 +10,14 @@ import numpy as np
 import pytest
 
 from radwrap.errors import InputError
-from radwrap.imaging.methods.kernel import KernelPlan, decide_tile, gather_some, gathered_tile, plan_kernel
+from radwrap.imaging.methods.kernel import (
+    KernelPlan,
+    decide_tile,
+    gather_some,
+    gathered_tile,
+    grid_squares,
+    plan_kernel,
+)
 from radwrap.imaging.methods.rays import plan_rays, sampled_radiance, traced_tile
 from radwrap.imaging.optics.footprint import Footprint, folded, footprint, opening_points, reach_px
 from radwrap.imaging.optics.view import View
@@ -301,3 +308,11 @@ def test_pixels_that_look_even_get_a_share_of_the_rays_of_others() -> None:
     assert numbers.max() > 1000
     assert numbers.min() >= numbers.mean() / 64
     assert numbers.min() > plan.fewest
+
+
+def test_radiance_below_zero_counts_as_none() -> None:
+    """Corrections by rays have noise: a power law of what is negative would be no number."""
+    sensor = replace(view(Aperture(), (1.0, np.ones_like)).camera.sensor, gamma=0.5, gain=1.0, saturation_gray=1e9)
+    radiance, change = np.array([-0.04, -0.04, 0.25, 0.01]), np.array([0.01, 0.13, 0.0, -0.05])
+    # sqrt: 0 stays 0; 0 becomes .3; .5 stays; .1 becomes 0.
+    assert grid_squares(radiance, change, 1.0, sensor) == pytest.approx([0.0, 0.09, 0.0, 0.01])

@@ -130,9 +130,13 @@ class Gathered:
 def grid_squares(
     radiance: NDArray[np.float64], change: NDArray[np.float64], exposure_of_radiance: float, sensor: Sensor
 ) -> NDArray[np.float64]:
-    """Squares of what changes of radiance [W m^-2 sr^-1] do to gray levels [gray level^2]."""
-    changed = np.maximum(radiance + change, 0.0)
-    gray, exact = (gray_levels(values * exposure_of_radiance, sensor) for values in (changed, radiance))
+    """Squares of what changes of radiance [W m^-2 sr^-1] do to gray levels [gray level^2].
+
+    Radiance that rays have corrected may fall below zero by its noise; what counts is the image, which does not.
+    """
+    gray, exact = (
+        gray_levels(np.maximum(values, 0.0) * exposure_of_radiance, sensor) for values in (radiance + change, radiance)
+    )
     squares: NDArray[np.float64] = (gray - exact) ** 2
     return squares
 
