@@ -19,7 +19,7 @@ from radwrap.fitting.covariance import GRAIN, RANK, PredictionErrors, Spread, sp
 from radwrap.fitting.directions import in_words
 from radwrap.fitting.free_keys import FreeKey, FreeScene, free_scene
 from radwrap.fitting.light import Light
-from radwrap.fitting.page import FILES, write_fit
+from radwrap.fitting.page import FILES, RESIDUAL, SCENE, write_fit
 from radwrap.fitting.poses import aimed_keys
 from radwrap.fitting.prediction import Prediction, need_renders
 from radwrap.fitting.scene_text import text_of, with_values
@@ -127,6 +127,7 @@ def fit(
             return _fitted(begun, rendered, taken, light, _told(images, names), noise=noise, robust=robust)
     folder = Path(out)
     check_results(folder, FILES)
+    _check_not_lost(folder)
     make_folder(folder)
     with sole_owner(folder):
         with tempfile.TemporaryDirectory(prefix=".fit-", dir=folder) as work:
@@ -140,6 +141,12 @@ def fit(
         )
         write_fit(made, written, folder)
     return made
+
+
+def _check_not_lost(folder: Path) -> None:
+    """Refuse a folder with a scene of the user's own, which the scene that was found would replace."""
+    if (folder / SCENE).exists() and not (folder / RESIDUAL).exists():
+        raise InputError(f"holds a {SCENE} that no fit wrote", where=str(folder), remedy="choose another `out`")
 
 
 def _told(images: Sequence[GrayImage], names: Sequence[str]) -> list[dict[str, Any]]:

@@ -45,7 +45,7 @@ def residual_codes(fit: Fit) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
 
 
 def write_fit(fit: Fit, text: str, out: Path) -> None:
-    """Write a fit's files, fit.json last.
+    """Write a fit's files, fit.json last and the scene after the residual, by which a folder of fits is known.
 
     Parameters
     ----------
@@ -57,9 +57,9 @@ def write_fit(fit: Fit, text: str, out: Path) -> None:
         Folder that is there.
     """
     (out / NUMBERS).unlink(missing_ok=True)
-    write_bytes(out / SCENE, text.encode())
     # A pixel that was not used has no residual: 0 is none.
     write_exr(out / RESIDUAL, np.nan_to_num(fit.residual).astype(np.float32), channel="residual")
+    write_bytes(out / SCENE, text.encode())
     codes = residual_codes(fit)
     write_png(out / PICTURE, codes)
     write_bytes(out / PAGE, _page(fit, png_bytes(codes)).encode())
