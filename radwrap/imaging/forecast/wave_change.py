@@ -25,6 +25,7 @@ from radwrap.imaging.optics.waves import Waves
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.tolerance.bounds import NOTHING, Bounded, stratified_mean
 from radwrap.imaging.tolerance.certificate import lacks_in_gray
+from radwrap.imaging.tolerance.wave_behind import layered
 from radwrap.random_streams import Rendering, generator
 from radwrap.scene.camera import Camera
 
@@ -315,10 +316,11 @@ def _gathered(
 ) -> tuple[Array, Array]:
     """What rays gather at those pixels of a part that lie alike in their cells, and what waves add."""
     rays, waves = np.zeros_like(weights[0][0]), np.zeros_like(weights[0][0])
-    for share, (of_rays, of_waves) in zip(layer_shares(grid.layers, depth), weights, strict=True):
-        spectrum = np.fft.rfft2(light * share)
+    seen, behind = layered(light, depth, grid.layers)
+    for number, (of_rays, of_waves) in enumerate(weights):
+        spectrum = np.fft.rfft2(seen[number])
         rays += spectrum * np.conj(of_rays)
-        waves += spectrum * np.conj(of_waves)
+        waves += (spectrum if behind is None else np.fft.rfft2(behind[number])) * np.conj(of_waves)
     r0, r1, c0, c1 = rect
     first_row, _, first_column, _ = grid.around(rect, grid.far)
     step = max(1, round(grid.cell))
