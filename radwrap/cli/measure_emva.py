@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from radwrap.cli import options as shared
 from radwrap.cli import written_sensor
@@ -19,6 +19,7 @@ from radwrap.measure.emva import PhotonTransfer, photon_transfer, read_stacks
 from radwrap.scene.linear_sensor import LIGHT, PLANCK
 from radwrap.units import LENGTH, parse_quantity
 
+_TOP: Final = 1.05  # of a converter's range: what gain and full well, as measured, may lie above it
 _UNITS = {"exposure_time": "s", "radiant_exposure": "J/m^2", "photons": "photon"}
 
 
@@ -96,6 +97,12 @@ def _write(path: Path, arguments: argparse.Namespace, found: PhotonTransfer, sha
     if not found.saturated and found.full_well is None:
         raise InputError("needs the full well, and no frame reaches it", where="--write", remedy="expose longer")
     well = found.saturation_electrons if found.full_well is None else found.full_well
+    top = found.dark_gray + well * found.gain
+    if top > _TOP * 2**arguments.bit_depth:
+        raise InputError(
+            f"a converter of {arguments.bit_depth} bits has no level {top:.0f}, which the frames reach",
+            where="--bit-depth",
+        )
     measured: dict[str, Any] = {
         "rows": shape[0],
         "columns": shape[1],

@@ -25,7 +25,7 @@ from radwrap.frames import points_to_local
 from radwrap.images import write_png
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.synthesis import render
-from radwrap.manifest import SCHEMA_VERSION, plain, write_manifest
+from radwrap.manifest import SCHEMA_VERSION, plain, read_manifest, write_manifest
 from radwrap.scene.camera import Camera
 from radwrap.scene.file.load import scene_from_document
 from radwrap.scene.scene import Scene
@@ -228,5 +228,8 @@ def _object(
 
 
 def is_whole(place: Place) -> bool:
-    """Whether an image is done: its record appears after all its files."""
-    return place.record.is_file()
+    """Whether an image is done: its record appears after all its files, which are still what it says."""
+    if not place.record.is_file():
+        return False
+    files = read_manifest(place.record)["files"]
+    return all((place.shard / name).is_file() and sha256_of(place.shard / name) == told for name, told in files.items())

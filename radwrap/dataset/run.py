@@ -134,15 +134,16 @@ def _take_possession(dataset: Dataset, out: Path, options: RunOptions) -> dict[s
                 where=str(out),
                 remedy="choose another `out`, or remove it by `force`",
             )
-        (out / DATASET).unlink()
-    if (out / TRAIN).exists():
-        if not options.force:
-            raise InputError(
-                f'holds a folder "{TRAIN}" of something else', where=str(out), remedy="choose another `out`"
-            )
-        shutil.rmtree(out / TRAIN)
-        shutil.rmtree(out / MODELS, ignore_errors=True)
+        # Its dataset.json goes last, so that one who is killed here may go on.
+        for folder in (TRAIN, MODELS):
+            shutil.rmtree(out / folder, ignore_errors=True)
         (out / DATA).unlink(missing_ok=True)
+    else:
+        for folder in (TRAIN, MODELS):
+            if (out / folder).exists():
+                raise InputError(
+                    f'holds a folder "{folder}" that no dataset wrote', where=str(out), remedy="choose another `out`"
+                )
     write_manifest(out / DATASET, told)
     return told
 

@@ -97,8 +97,10 @@ def test_a_dataset_is_whole_goes_on_and_agrees_with_itself(
     kept = (out / "train" / "000000" / "records" / "000000.json").stat().st_mtime_ns
     for lost in ("000000/records/000001.json", "000000/gray/000001.png", "000001/coco.json"):
         (out / "train" / lost).unlink()
+    cut = next((out / "train" / "000001" / "gray").glob("*.png"))
+    cut.write_bytes(cut.read_bytes()[:50])
     assert main(["dataset", "run", str(path), "--out", str(out)]) == 0
-    assert "3 images, 1 of them made now; 6 block" in capsys.readouterr().out
+    assert "3 images, 2 of them made now; 6 block" in capsys.readouterr().out
     assert contents(out) == before
     assert (out / "train" / "000000" / "records" / "000000.json").stat().st_mtime_ns == kept
 
@@ -110,6 +112,13 @@ def test_a_dataset_is_whole_goes_on_and_agrees_with_itself(
     assert main(["dataset", "run", str(other), "--out", str(out), "--force"]) == 0
     assert read(out / "train" / "000000" / "coco.json")["annotations"] == []
     assert not (out / "train" / "000001").exists()
+
+    # What no dataset wrote is never removed.
+    (tmp_path / "own" / "train").mkdir(parents=True)
+    (tmp_path / "own" / "train" / "mine.txt").write_text("mine")
+    assert main(["dataset", "run", str(other), "--out", str(tmp_path / "own"), "--force"]) == 2
+    assert 'holds a folder "train" that no dataset wrote' in capsys.readouterr().err
+    assert (tmp_path / "own" / "train" / "mine.txt").read_text() == "mine"
 
 
 LINEAR = (

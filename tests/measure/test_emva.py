@@ -196,6 +196,8 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     own = ["--write", str(folder / "own.toml"), "--revision", "2026-11-25"]
     assert main(["measure", "emva", str(table), *light, *own]) == 2
     assert "--bit-depth: is missing" in capsys.readouterr().err
+    assert main(["measure", "emva", str(table), *light, *own, "--bit-depth", str(sensor.bit_depth - 2)]) == 2
+    assert "has no level" in capsys.readouterr().err
     assert main(["measure", "emva", str(table), *light, *own, "--bit-depth", str(sensor.bit_depth)]) == 0
     written = tomllib.loads((folder / "own.toml").read_text())
     assert (written["rows"], written["columns"]) == (60, 80)
