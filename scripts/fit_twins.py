@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import resource
 import sys
 from pathlib import Path
 from typing import Any, Final
@@ -18,6 +17,7 @@ from typing import Any, Final
 import numpy as np
 
 import radwrap
+from default_tolerance import cpu
 from radwrap.manifest import json_text
 from radwrap.random_streams import generator
 
@@ -102,12 +102,6 @@ def number_of(value: Any) -> float:
     return float(str(value).split()[0])
 
 
-def processor_time() -> float:
-    """Of this process and its children [s]."""
-    each = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    return sum(one.ru_utime + one.ru_stime for one in each)
-
-
 def twin(number: int, seed: int, tolerance: float, *, renders: bool, wrong: bool) -> dict[str, Any]:
     """One scene, one capture, one fit."""
     random = generator(seed, number, _STREAM)
@@ -118,7 +112,7 @@ def twin(number: int, seed: int, tolerance: float, *, renders: bool, wrong: bool
     rays = radwrap.RenderOptions(method="rays", tolerance=tolerance / 5, seed=10_000 + number, workers=1)
     made = radwrap.render(captured, options=rays, tracer="compiled")
     begun = radwrap.with_value(scene, "sources[0].leds[2].radiance_factor", 0.0) if wrong else scene
-    before = processor_time()
+    before = cpu()
     options = radwrap.RenderOptions(tolerance=tolerance, seed=number, workers=1)
     found = radwrap.fit(begun, made.frames(1), list(truth), options=options)
     keys = [
@@ -135,7 +129,7 @@ def twin(number: int, seed: int, tolerance: float, *, renders: bool, wrong: bool
         "explained": found.explained,
         "converged": found.converged,
         "keys": keys,
-        "processor_s": processor_time() - before,
+        "processor_s": cpu() - before,
         "rays": found.manifest["rays"],
         "places": found.manifest["places"],
     }

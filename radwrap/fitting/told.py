@@ -118,9 +118,7 @@ class Fit:
         if self.explained:
             told.append(f"The scene explains the captures within its errors: yes ({numbers}).")
             if pixels.chi_square > _LOOSE * pixels.freedom:
-                told.append(
-                    "Most of what is left may be the prediction's own error: a finer --tolerance would say more."
-                )
+                told.append("Most of what is left may be the prediction's own error: a finer tolerance would say more.")
             return told
         told.append(f"The scene explains the captures within its errors: no ({numbers}). Most is left here:")
         return [*told, *(f"  {block.told()}" for block in self.verdict.worst)]

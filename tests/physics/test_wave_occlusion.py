@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from radwrap.imaging.optics.view import View
-from radwrap.imaging.tolerance.wave_behind import filled, layered
+from radwrap.imaging.tolerance.wave_behind import as_seen, filled, going_on
 from radwrap.imaging.tolerance.wave_image import visible_gray, wave_error
 from radwrap.imaging.tolerance.wave_parts import wave_parts
 from radwrap.imaging.tolerance.wave_plan import plan_waves
@@ -75,7 +75,7 @@ def seen(side: float, near: float, focus: float | None) -> View:
     def lamp(x: Array, y: Array) -> Array:
         return (1 + (x / LAMP) ** 2 + (y / LAMP) ** 2) ** 2
 
-    tracer: Tracer = Planes(((near, edge), (LAMP, lamp)))  # type: ignore[assignment]
+    tracer: Tracer = Planes(((near, edge), (LAMP, lamp)))  # type: ignore[assignment]  # a stand-in, for its rays
     return View(replace(plain, lens=lens), tracer)
 
 
@@ -111,10 +111,9 @@ def test_light_that_is_laid_out_adds_up_and_slopes_hide_nothing() -> None:
     layers = (0.0, 0.1, 0.2, 0.3)
     across = np.broadcast_to(np.linspace(0.0, 0.3, 64), (48, 64))
     values = 1 + across
-    seen_, behind = layered(values, across, layers)
-    assert behind is None and sum(seen_) == pytest.approx(values)
+    assert going_on(values, across, layers) is None and sum(as_seen(values, across, layers)) == pytest.approx(values)
     hiding = np.where(np.arange(64) < 20, 0.3, 0.1) * np.ones((48, 1))
-    seen_, behind = layered(values, hiding, layers)
+    behind = going_on(values, hiding, layers)
     assert behind is not None and sum(behind) == pytest.approx(values)
     # What lies behind goes on to the border, and the near layer has what differs from it.
     assert (behind[1][:, 20:] == values[:, 20:]).all() and behind[1][:, 19] == pytest.approx(values[:, 20], rel=0.02)

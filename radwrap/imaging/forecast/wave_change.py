@@ -25,7 +25,7 @@ from radwrap.imaging.optics.waves import Waves
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.tolerance.bounds import NOTHING, Bounded, stratified_mean
 from radwrap.imaging.tolerance.certificate import lacks_in_gray
-from radwrap.imaging.tolerance.wave_behind import layered
+from radwrap.imaging.tolerance.wave_behind import as_seen, going_on
 from radwrap.random_streams import Rendering, generator
 from radwrap.scene.camera import Camera
 
@@ -316,7 +316,7 @@ def _gathered(
 ) -> tuple[Array, Array]:
     """What rays gather at those pixels of a part that lie alike in their cells, and what waves add."""
     rays, waves = np.zeros_like(weights[0][0]), np.zeros_like(weights[0][0])
-    seen, behind = layered(light, depth, grid.layers)
+    seen, behind = as_seen(light, depth, grid.layers), going_on(light, depth, grid.layers)
     for number, (of_rays, of_waves) in enumerate(weights):
         spectrum = np.fft.rfft2(seen[number])
         rays += spectrum * np.conj(of_rays)

@@ -134,9 +134,8 @@ def grid_squares(
 
     Radiance that rays have corrected may fall below zero by its noise; what counts is the image, which does not.
     """
-    gray, exact = (
-        gray_levels(np.maximum(values, 0.0) * exposure_of_radiance, sensor) for values in (radiance + change, radiance)
-    )
+    each = (np.maximum(values, 0.0) for values in (radiance + change, radiance))
+    gray, exact = (gray_levels(values * exposure_of_radiance, sensor) for values in each)
     squares: NDArray[np.float64] = (gray - exact) ** 2
     return squares
 
@@ -222,8 +221,13 @@ def layer_shares(layers: tuple[float, ...], magnification: NDArray[np.float64]) 
     """Share of each layer in light of the given magnifications; shares sum to 1."""
     if len(layers) == 1:
         return [np.ones_like(magnification)]
-    place = np.clip((magnification - layers[0]) / (layers[1] - layers[0]), 0.0, len(layers) - 1.0)
+    place = layer_places(layers, magnification)
     return [np.maximum(0.0, 1 - np.abs(place - number)) for number in range(len(layers))]
+
+
+def layer_places(layers: tuple[float, ...], magnification: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Numbers of the layers, of two at least, that light of the given magnifications lies at or between."""
+    return np.asarray(np.clip((magnification - layers[0]) / (layers[1] - layers[0]), 0.0, len(layers) - 1.0))
 
 
 def decide_tile(

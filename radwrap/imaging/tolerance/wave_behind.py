@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.imaging.methods.kernel import layer_shares
+from radwrap.imaging.methods.kernel import layer_places, layer_shares
 
 Array = NDArray[np.float64]
 
@@ -25,8 +25,13 @@ Array = NDArray[np.float64]
 _STEP: Final = 0.5
 
 
-def layered(values: Array, magnification: Array, layers: tuple[float, ...]) -> tuple[list[Array], list[Array] | None]:
-    """Light of each layer, as it is seen and with what lies behind.
+def as_seen(values: Array, magnification: Array, layers: tuple[float, ...]) -> list[Array]:
+    """Light of each layer where it is seen; parameters as in `going_on`."""
+    return [values * share for share in layer_shares(layers, magnification)]
+
+
+def going_on(values: Array, magnification: Array, layers: tuple[float, ...]) -> list[Array] | None:
+    """Light of each layer, what lies behind laid out to go on.
 
     Parameters
     ----------
@@ -37,24 +42,21 @@ def layered(values: Array, magnification: Array, layers: tuple[float, ...]) -> t
 
     Returns
     -------
-    seen : list of ndarray, shape (rows, columns)
-        Light of each layer; they sum up to the values.
-    behind : list of ndarray, or None
-        The same with what lies behind laid out to go on; None where nothing hides another thing.
+    list of ndarray, shape (rows, columns), or None
+        They sum up to the values; None where nothing hides another thing.
     """
-    seen = [values * share for share in layer_shares(layers, magnification)]
     if len(layers) == 1:
-        return seen, None
-    place = np.clip((magnification - layers[0]) / (layers[1] - layers[0]), 0.0, len(layers) - 1.0)
+        return None
+    place = layer_places(layers, magnification)
     if not any((np.abs(np.diff(place, axis=axis)) > _STEP).any() for axis in (0, 1)):
-        return seen, None
+        return None
     number = np.rint(place).astype(np.intp)
     light, depth = np.zeros_like(values), magnification.copy()
     for near in np.unique(number)[1:].tolist():
         here, far = number == near, number < near
         light[here], depth[here] = (filled(one, far)[here] for one in (values, magnification))
-    of_near, of_far = layer_shares(layers, magnification), layer_shares(layers, depth)
-    return seen, [(values - light) * near + light * far for near, far in zip(of_near, of_far, strict=True)]
+    near_light, far_light = as_seen(values - light, magnification, layers), as_seen(light, depth, layers)
+    return [near + far for near, far in zip(near_light, far_light, strict=True)]
 
 
 def filled(values: Array, known: NDArray[np.bool_]) -> Array:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from radwrap.imaging.methods.central import Cells, CentralImage, central_image
 from radwrap.imaging.methods.kernel import GRID_SHARE, coarsened, decide_tile, fast_length, lattice
 from radwrap.imaging.optics.view import View
-from radwrap.imaging.tolerance.wave_behind import layered
+from radwrap.imaging.tolerance.wave_behind import as_seen, going_on
 from radwrap.imaging.tolerance.wave_far import far_change, far_light
 from radwrap.imaging.tolerance.wave_plan import WavePlan, bare
 from radwrap.random_streams import Rendering
@@ -156,20 +156,15 @@ def wave_tile(
     for of_source, fine, rough in zip(plans, *each, strict=True):
         # Cells that do not resolve what waves do say little of what smaller ones would change.
         share = GRID_SHARE if cell * plan.pitch <= of_source.waves.blur else 1.0
-        seen, behind = _laid_out(of_source, replace(central, values=fine))
+        depth, rough_depth, layers = central.magnification, coarser.magnification, plan.kernel.layers
+        seen = [fine] if depth is None else as_seen(fine, depth, layers)
+        rough_seen = [rough] if rough_depth is None else as_seen(rough, rough_depth, layers)
+        behind = None if depth is None else going_on(fine, depth, layers)
         found = seen_only = _gathered(of_source, central, seen, cell, place)
         if behind is not None:
             found = _gathered(of_source, central, behind, cell, place)
-        rough_seen, _ = _laid_out(of_source, replace(coarser, values=rough))
         of_cells = share * (_gathered(of_source, coarser, rough_seen, 2 * cell, place) - seen_only)
         yield found, of_cells + OF_HIDING * (found - seen_only)
-
-
-def _laid_out(plan: WavePlan, central: CentralImage) -> tuple[list[Array], list[Array] | None]:
-    """Light of each layer, see `layered`."""
-    if central.magnification is None:
-        return [central.values], None
-    return layered(central.values, central.magnification, plan.kernel.layers)
 
 
 def _gathered(plan: WavePlan, central: CentralImage, light: Sequence[Array], cell: float, place: Rect) -> Array:
