@@ -33,7 +33,9 @@ def calibrated(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any
     return found
 
 
-@pytest.mark.parametrize(("name", "detector"), [("chessboard", "corners"), ("circles", "dots")])
+@pytest.mark.parametrize(
+    ("name", "detector"), [("chessboard", "corners"), pytest.param("circles", "dots", marks=pytest.mark.long)]
+)
 def test_the_camera_is_found(name: str, detector: str, views: Path, capsys: pytest.CaptureFixture[str]) -> None:
     images = [str(path) for path in sorted(views.glob(f"{name}*.png"))]
     table = views / "points.csv"

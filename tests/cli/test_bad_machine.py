@@ -319,6 +319,7 @@ def _small_disk(place: Path) -> Iterator[bool]:
 _TRIES: Final = 12  # at most, of which exposure is told in one of two or more
 
 
+@pytest.mark.long
 def test_a_full_disk_is_told_whatever_it_is_that_no_longer_fits(
     tmp_path: Path, good: dict[str, Any], capsys: pytest.CaptureFixture[str]
 ) -> None:

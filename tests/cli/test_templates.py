@@ -15,7 +15,10 @@ from tests.cli.conftest import here
 
 WHOLE = [
     pytest.param(
-        name, marks=[pytest.mark.long] if name in ("ring", "dome", "coaxial", "darkfield", "calibration") else []
+        name,
+        marks=[pytest.mark.long]
+        if name in ("ring", "dome", "backlight", "coaxial", "darkfield", "calibration")
+        else [],
     )
     for name in TEMPLATES
 ]

@@ -51,7 +51,7 @@ def warm_folders() -> set[Path]:
     return {place for parent in ("/dev/shm", tempfile.gettempdir()) for place in Path(parent).glob("radwrap-*")}  # noqa: S108
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
 def test_a_signal_ends_all(tmp_path: Path, number: int) -> None:
     with serving(tmp_path, LONG, *LONG_OPTIONS) as served:
         wait_for_tracers(served)

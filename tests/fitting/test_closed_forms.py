@@ -60,6 +60,7 @@ def test_a_level_is_weighted_linear_least_squares(bench: Scene, basis: Basis) ->
     assert variance == pytest.approx(1 / float((weight * slope**2).sum()), rel=EXACT)
 
 
+@pytest.mark.long
 def test_deviations_are_those_of_the_scatter(bench: Scene, basis: Basis) -> None:
     free, truth = ["sources[0].leds[0].radiance_factor", "camera.sensor.offset"], [1.3, 6.0]
     found = list(_noisy(bench, basis, free, truth, SEEDS))

@@ -44,6 +44,7 @@ def shaded(*more: dict[str, Any]) -> Scene:
     return scene_of(ROOF, *more, sources=[LAMP], **FINE)
 
 
+@pytest.mark.long
 def test_half_shadows_take_few_rays_and_keep_their_bound() -> None:
     scene = shaded()
     made, all_traced = (render(scene, None, COMPILED, tolerance=0.3, max_error=most) for most in (None, 50.0))

@@ -123,6 +123,7 @@ def means(values: Array, pixels: int) -> Array:
     return found
 
 
+@pytest.mark.long
 def test_images_are_those_of_the_whole_sensor(path: Path) -> None:
     scene, whole = rendered(path)
     linear, sensor = linear_of(scene.camera.sensor), scene.camera.sensor

@@ -107,11 +107,10 @@ def test_radiance_gives_the_same_bytes_too(tolerance: float) -> None:
     [
         {"tolerance": 4.0},
         pytest.param({"tolerance": 0.5}, marks=pytest.mark.long),
-        {"seed": 1},
+        pytest.param({"seed": 1}, marks=pytest.mark.long),
         {"method": "rays", "tolerance": 3.0},
         {"method": "kernel", "max_error": 6.0},
-        {"viewpoints": 7},
-        {"truth": True},
+        *(pytest.param(how, marks=pytest.mark.long) for how in ({"viewpoints": 7}, {"truth": True})),
         {"workers": 1},
         {"sampling": SamplingPlan("rays", rays=16)},
     ],
@@ -174,8 +173,11 @@ class _Followed:
 @pytest.mark.parametrize(
     "name",
     [
-        *("level", "reflectance", "exposure"),
-        *(pytest.param(name, marks=pytest.mark.long) for name in ("factor of an LED", "beam", "roughness")),
+        *("level", "exposure"),
+        *(
+            pytest.param(name, marks=pytest.mark.long)
+            for name in ("reflectance", "factor of an LED", "beam", "roughness")
+        ),
     ],
 )
 @pytest.mark.parametrize(

@@ -95,7 +95,7 @@ def honest(z: Array) -> bool:
 
 
 # A sharp rim and a wide one; what lies between them is long.
-@pytest.mark.parametrize("blur", [0.6, pytest.param(1.5, marks=pytest.mark.long), 3.5])
+@pytest.mark.parametrize("blur", [0.6, *(pytest.param(blur, marks=pytest.mark.long) for blur in (1.5, 3.5))])
 def test_standard_errors_of_a_circle_are_those_of_repeated_frames(blur: float) -> None:
     def measured(image: GrayImage) -> tuple[float, float]:
         found = measure_circle(image, Caliper((30, 31), 16, 6))
@@ -186,7 +186,7 @@ def nearly_round(u: Array, v: Array) -> Array:
 
 
 @pytest.mark.parametrize(
-    "inside", [polygon(6), pytest.param(polygon(8), marks=pytest.mark.long), polygon(12), nearly_round]
+    "inside", [*(pytest.param(polygon(n), marks=pytest.mark.long) for n in (6, 8)), polygon(12), nearly_round]
 )
 @pytest.mark.parametrize("blur", [0.8, 2.5])
 def test_what_is_no_circle_is_warned_of(inside: Callable[[Array, Array], Array], blur: float) -> None:
@@ -242,6 +242,7 @@ def test_both_rims_of_a_thin_ring_are_known_to_a_thousandth(
     assert abs(alone.diameter - 42) > 0.03, "or the rims need not be fitted at once"
 
 
+@pytest.mark.long
 def test_standard_errors_of_a_thin_ring_are_those_of_repeated_frames() -> None:
     dice, light = np.random.default_rng(4), thin_ring(21.0, 4.0, 1.3)
     calipers = [Caliper((30, 31), radius, 2.0) for radius in (21.3, 17.3)]
@@ -369,7 +370,9 @@ def test_a_width_is_known_to_a_thousandth(width: float, levels: tuple[float, flo
     assert abs(found.slant) < 1e-3 and found.warnings == ()
 
 
-@pytest.mark.parametrize("kind", ["line", "width", "stripe"])
+@pytest.mark.parametrize(
+    "kind", ["line", *(pytest.param(kind, marks=pytest.mark.long) for kind in ("width", "stripe"))]
+)
 def test_standard_errors_of_lines_are_those_of_repeated_frames(kind: str) -> None:
     size = {"line": 0.0, "width": 22.0, "stripe": 5.0}[kind]
     edge = edge_picture((60, 80), 0.3, 42.0, 1.3, (30.0, 190.0))
@@ -466,6 +469,7 @@ def test_a_stripe_that_looks_like_another_has_no_width_but_a_middle() -> None:
         assert line.width is not None and abs(line.width - 7.4) < 5 * (line.width_sigma or 0) < 0.2
 
 
+@pytest.mark.long
 def test_the_standard_error_holds_where_width_and_blur_hang_together() -> None:
     """At 1.74 blurs light does not depend on the width to first order, and slopes tell nothing of its error."""
     caliper = StraightCaliper(MIDDLE, 0.3, 24, 14)

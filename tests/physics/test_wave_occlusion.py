@@ -79,10 +79,20 @@ def seen(side: float, near: float, focus: float | None) -> View:
     return View(replace(plain, lens=lens), tracer)
 
 
+# The nearest edge is the hardest; the others are for the whole sample.
 PINHOLES = [
-    (math.sqrt(number * WAVELENGTH * FOCAL), None, near) for number in (0.3, 3, 30) for near in (0.05, 0.5, 0.9)
+    pytest.param(math.sqrt(number * WAVELENGTH * FOCAL), None, near, marks=marks)
+    for number in (0.3, 3, 30)
+    for near, marks in (
+        (0.05, [pytest.mark.long] if number > 3 else []),
+        *((far, [pytest.mark.long]) for far in (0.5, 0.9)),
+    )
 ]
-LENSES = [(2e-3, focus, near) for focus in (1.0, 0.5) for near in (0.5, 0.9)]
+LENSES = [
+    pytest.param(2e-3, focus, near, marks=[pytest.mark.long] if near > 0.5 else [])
+    for focus in (1.0, 0.5)
+    for near in (0.5, 0.9)
+]
 
 
 @pytest.mark.parametrize(("side", "focus", "near"), PINHOLES + LENSES)

@@ -100,6 +100,7 @@ def _other_radwrap(folder: Path) -> Path:
     return folder
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("one_process")
 def test_workers_may_come_late_and_go_early(tmp_path: Path) -> None:
     """The last one is killed at work; another goes on, and the table is the one of this process."""

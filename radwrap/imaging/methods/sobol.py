@@ -47,17 +47,22 @@ def _sequence(first: int, count: int) -> NDArray[np.uint32]:
 
 
 def _reversed_bits(x: NDArray[np.uint32]) -> NDArray[np.uint32]:
-    for shift, mask in ((1, 0x55555555), (2, 0x33333333), (4, 0x0F0F0F0F), (8, 0x00FF00FF)):
+    x = x.byteswap()
+    for shift, mask in ((1, 0x55555555), (2, 0x33333333), (4, 0x0F0F0F0F)):
         s, m = np.uint32(shift), np.uint32(mask)
-        x = ((x >> s) & m) | ((x & m) << s)
-    return (x >> np.uint32(16)) | (x << np.uint32(16))
+        high = x & m
+        high <<= s
+        x >>= s
+        x &= m
+        x |= high
+    return x
 
 
 def _scrambled(x: NDArray[np.uint32], key: NDArray[np.uint32]) -> NDArray[np.uint32]:
     """Nested uniform scrambling: each bit is flipped as all higher bits and the key decide."""
     x = _reversed_bits(x) + key
     for factor in (0x6C50B47C, 0xB82F1E52, 0xC7AFE638, 0x8D22F6E6):
-        x = x ^ x * np.uint32(factor)
+        x ^= x * np.uint32(factor)
     return _reversed_bits(x)
 
 
