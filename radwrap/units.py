@@ -128,15 +128,16 @@ def parse_quantity(text: object, dimension: Dimension) -> float:
         If it is not one finite number, one blank and one unit of `dimension`.
     """
     units = ", ".join(dimension.units)
-    if not isinstance(text, str):
+    if not isinstance(text, str) or re.fullmatch(_NUMBER, text):
         raise InputError(
             f"{text!r} has no unit", remedy=f'write a {dimension.name} as "NUMBER UNIT", unit one of: {units}'
         )
     match = _QUANTITY.fullmatch(text)
     if match is None:
+        usual = "mm" if "mm" in dimension.units else next(iter(dimension.units))
         raise InputError(
             f'"{text}" is not a {dimension.name}',
-            remedy=f'write "NUMBER UNIT" with one blank, such as "12.5 {next(iter(dimension.units))}"; units: {units}',
+            remedy=f'write "NUMBER UNIT" with one blank, such as "12.5 {usual}"; units: {units}',
         )
     number, unit = match.groups()
     if unit not in dimension.units:
