@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from radwrap.errors import ToleranceNotMet as ToleranceNotMet
     from radwrap.errors import TracerError as TracerError
     from radwrap.fitting.fit import fit as fit
+    from radwrap.fitting.series import Captures as Captures
     from radwrap.fitting.told import Fit as Fit
     from radwrap.images import GrayImage as GrayImage
     from radwrap.imaging.forecast.effects import effects as effects
@@ -78,6 +79,7 @@ _HOMES = {
     "Box": "radwrap.measure.gauges",
     "Caliper": "radwrap.measure.gauges",
     "Cancelled": "radwrap.errors",
+    "Captures": "radwrap.fitting.series",
     "CheckFailed": "radwrap.errors",
     "EnvironmentFailure": "radwrap.errors",
     "Fit": "radwrap.fitting.told",

@@ -117,6 +117,7 @@ DOORS = {
         "scene/file/sensor_tables.py": BORDER,
         "scene/file/source_tables.py": BORDER,
         "dataset/tables.py": "tables of a dataset's file: pydantic goes no further",
+        "fitting/tables.py": "tables of a file of captures: pydantic goes no further",
         "study/design_tables.py": "tables of a design file: pydantic goes no further",
         "imaging/run_files.py": "ranges of numbers in what a run leaves as JSON",
         "written.py": "checks JSON that is read back",

@@ -6,8 +6,9 @@ import argparse
 from typing import Any
 
 from radwrap.cli import options as shared
-from radwrap.errors import CheckFailed, ToleranceNotMet
+from radwrap.errors import CheckFailed, InputError, ToleranceNotMet
 from radwrap.fitting.fit import fit
+from radwrap.fitting.series import read_series
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.manifest import json_text
 
@@ -23,7 +24,14 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     """Add the verb."""
     parser = verbs.add_parser("fit", description=_DESCRIPTION)
     parser.add_argument("scene", metavar="SCENE.toml", help="scene file where the fit begins")
-    parser.add_argument("captures", metavar="CAPTURE.png", nargs="+", help="captured image; several are repeats")
+    parser.add_argument("captures", metavar="CAPTURE.png", nargs="*", help="captured image; several are repeats")
+    parser.add_argument(
+        "--captures",
+        dest="series",
+        metavar="CAPTURES.toml",
+        help="file of captures of the bench in several states, each with its own values of some keys; in place "
+        "of CAPTURE",
+    )
     parser.add_argument(
         "--free",
         metavar="KEY[=LOW:HIGH]",
@@ -65,9 +73,11 @@ def run(arguments: argparse.Namespace) -> int:
         **shared.tracer_options(arguments),
         progress=True,
     )
+    if bool(arguments.captures) == bool(arguments.series):
+        raise InputError("is missing, or there are both", where="CAPTURE", remedy="name images, or --captures FILE")
     found = fit(
         arguments.scene,
-        arguments.captures,
+        read_series(arguments.series) if arguments.series else arguments.captures,
         arguments.free,
         out,
         options,

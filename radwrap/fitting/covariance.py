@@ -50,13 +50,46 @@ class PredictionErrors:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Shared:
+    """Noise that several captures have in common: what pixels of one specimen differ by.
+
+    Attributes
+    ----------
+    deviations : ndarray, shape (causes, pixels)
+        Of the used pixels of all captures, by each cause, over sigma.
+    pixel : ndarray of int, shape (pixels,)
+        Which pixel of the sensor each of them is.
+    """
+
+    deviations: Array
+    pixel: NDArray[np.intp]
+
+    def beyond_own(self, inverse: Array) -> Array:
+        """What it adds to the covariance of J+ times the noise, whose pixels count as if each had its own.
+
+        Parameters
+        ----------
+        inverse : ndarray, shape (keys, pixels)
+            J+.
+        """
+        keys, count = len(inverse), int(self.pixel.max()) + 1
+        found = np.zeros((keys, keys))
+        for cause in self.deviations:
+            moved = inverse * cause
+            # One error a pixel, which each capture hands on: their sum counts, and each by itself has been counted.
+            together = np.stack([np.bincount(self.pixel, row, count) for row in moved])
+            found += together @ together.T - moved @ moved.T
+        return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Spread:
     """What the captures determine, all in units of the keys' scales.
 
     Attributes
     ----------
     noise : ndarray, shape (keys, keys)
-        Covariance by noise and rounding: (J^T J)^-1.
+        Covariance by noise and rounding: (J^T J)^-1, and what captures have in common.
     prediction : ndarray, shape (keys, keys)
         Covariance by what the rays of the prediction may be off: the same error in all captures.
     freedom : int
@@ -111,7 +144,7 @@ def _lengths(jacobian: Array) -> Array:
     return np.where(lengths > _NOTHING * float(lengths.max(initial=0.0)), lengths, np.inf)
 
 
-def spread(jacobian: Array, errors: PredictionErrors, rank_share: float = RANK) -> Spread:
+def spread(jacobian: Array, errors: PredictionErrors, rank_share: float = RANK, shared: Shared | None = None) -> Spread:
     """Find it from a weighted Jacobian.
 
     Parameters
@@ -122,6 +155,8 @@ def spread(jacobian: Array, errors: PredictionErrors, rank_share: float = RANK) 
         Of the same pixels.
     rank_share : float
         Below this share of the largest a singular value is none: `RANK`, or `GRAIN` where keys need renders.
+    shared : Shared, optional
+        Noise that captures have in common.
     """
     from scipy.stats import norm, t
 
@@ -132,6 +167,8 @@ def spread(jacobian: Array, errors: PredictionErrors, rank_share: float = RANK) 
     rank = int(good.sum())
     inverse = (right[good].T / singular[good]) @ left[:, good].T / scale[:, np.newaxis]
     noise = inverse @ inverse.T
+    if shared is not None:
+        noise = noise + shared.beyond_own(inverse)
     moved, freedom = errors.deviations @ inverse.T, errors.freedom
     prediction = moved.T @ moved / freedom / errors.predictions
     bound = np.linalg.norm(inverse, axis=1) * errors.model * np.sqrt(len(jacobian))

@@ -13,21 +13,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
-from radwrap.files import check_results, make_folder, sha256_of, sole_owner
-from radwrap.fitting.captured import Captured, captured, read_captures, read_mask
-from radwrap.fitting.covariance import GRAIN, RANK, PredictionErrors, Spread, spread
+from radwrap.files import check_results, make_folder, sole_owner
+from radwrap.fitting.captured import read_mask
+from radwrap.fitting.covariance import GRAIN, RANK, PredictionErrors, Shared, Spread, spread
 from radwrap.fitting.directions import in_words
 from radwrap.fitting.free_keys import FreeKey, FreeScene, free_scene
 from radwrap.fitting.light import Light
 from radwrap.fitting.page import FILES, RESIDUAL, SCENE, write_fit
+from radwrap.fitting.places import Places, need_renders
 from radwrap.fitting.poses import aimed_keys
-from radwrap.fitting.prediction import Prediction, need_renders
+from radwrap.fitting.prediction import Prediction
 from radwrap.fitting.scene_text import text_of, with_values
-from radwrap.fitting.solution import solve
+from radwrap.fitting.series import Captures, State, states_of
+from radwrap.fitting.solution import Solution, solve
 from radwrap.fitting.told import Fit, FittedKey, as_manifest
 from radwrap.fitting.verdict import verdict
-from radwrap.fitting.weights import check_noise
-from radwrap.images import GrayImage, digest
+from radwrap.fitting.weights import patterns
+from radwrap.images import GrayImage
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.response.sensor import gray_levels, image_of_levels
 from radwrap.manifest import SCHEMA_VERSION, sha256_of_value, versions
@@ -44,7 +46,7 @@ PACKAGES: Final = ("tomlkit",)
 
 def fit(
     scene: Scene | str | Path,
-    captures: Sequence[str | Path | GrayImage],
+    captures: Sequence[str | Path | GrayImage] | Sequence[Captures],
     free: Sequence[str],
     out: str | Path | None = None,
     options: RenderOptions | None = None,
@@ -63,8 +65,9 @@ def fit(
     ----------
     scene : Scene, str or Path
         Where the fit begins, or its file, whose text `out` gets back with the values that were found.
-    captures : sequence of str, Path or GrayImage
-        Captures of this very scene; several are repeats.
+    captures : sequence of str, Path or GrayImage, or sequence of Captures
+        Images of this very scene, of which several are repeats; or `Captures`, each of the bench in a state of its own,
+        that share the values of the free keys.
     free : sequence of str
         ``KEY`` or ``KEY=low:high``, as in the scene file; ``[*]`` frees each entry of a list by itself;
         ``pose:camera`` and ``pose:NAME`` are six numbers about the scene's pose.
@@ -112,27 +115,19 @@ def fit(
     if noise is not None and not (math.isfinite(noise) and noise >= 0):
         raise InputError("must be a number from 0 on", where="noise")
     begun = free_scene(scene, free)
-    rendered = need_renders(begun)
-    names = [
-        str(one.provenance.get("file", "captures")) if isinstance(one, GrayImage) else str(one) for one in captures
-    ]
-    images = read_captures(captures)
-    sensor = scene.camera.sensor
     counted = read_mask(mask) if isinstance(mask, str | Path) else mask
-    taken = captured(images, names, sensor, counted)
-    check_noise(sensor, noise, taken.repeats)
+    states = states_of(begun, captures, counted, noise)
+    rendered = tuple(map(any, zip(*(need_renders(state.free) for state in states), strict=True)))
     if out is None:
         with tempfile.TemporaryDirectory(prefix="radwrap-fit-") as work:
-            light = Light(begun.scene, options, Path(work), is_even=any(rendered))
-            return _fitted(begun, rendered, taken, light, _told(images, names), noise=noise, robust=robust)
+            return _fitted(begun, rendered, states, options, Path(work), noise=noise, robust=robust)
     folder = Path(out)
     check_results(folder, FILES)
     _check_not_lost(folder)
     make_folder(folder)
     with sole_owner(folder):
         with tempfile.TemporaryDirectory(prefix=".fit-", dir=folder) as work:
-            light = Light(begun.scene, options, Path(work), is_even=any(rendered))
-            made = _fitted(begun, rendered, taken, light, _told(images, names), noise=noise, robust=robust)
+            made = _fitted(begun, rendered, states, options, Path(work), noise=noise, robust=robust)
         values = begun.written([key.value for key in made.keys])
         written = (
             text_of(json.loads(made.scene.document))
@@ -149,39 +144,63 @@ def _check_not_lost(folder: Path) -> None:
         raise InputError(f"holds a {SCENE} that no fit wrote", where=str(folder), remedy="choose another `out`")
 
 
-def _told(images: Sequence[GrayImage], names: Sequence[str]) -> list[dict[str, Any]]:
-    """What the manifest tells of captures."""
-    found: list[dict[str, Any]] = []
-    for image, name in zip(images, names, strict=True):
-        path = Path(name)
-        told = {"file_sha256": sha256_of(path)} if path.is_file() else {}
-        found.append({"file": name, **told, "pixels_sha256": digest(image.values)})
-    return found
+def _prediction(states: Sequence[State], rendered: Sequence[bool], light: Light) -> Prediction:
+    """Of all states; those that differ in levels, exposure or the sensor's electronics only are seen in one light."""
+    known: list[Places] = []
+    shots = []
+    for state in states:
+        places = next((one for one in known if one.serves(state.free.scene)), None)
+        if places is None:
+            places = Places(state.free, rendered, light.at)
+            known.append(places)
+        shots.append((state.free, places))
+    return Prediction(shots)
+
+
+def _errors(prediction: Prediction, solved: Solution, light: Light) -> PredictionErrors:
+    """How far the prediction may be off: by other rays, and by what all of them have in common."""
+    used, sigma = solved.weighed.used, solved.weighed.sigma
+    others = [light.further(places.scene(solved.values)) for places in prediction.places]
+    images, own = prediction.replicates(solved.predicted, others)
+    # The method's model, and the size of its cells.
+    models = []
+    for part in solved.predicted.parts:
+        certificate = part.certificate()
+        off = math.hypot(certificate.model_rms_gray or 0.0, certificate.discretisation_rms_gray or 0.0)
+        models.append(np.full(part.exposure.shape, off))
+    model = math.sqrt(float(np.mean((np.concatenate(models)[used] / sigma[used]) ** 2)))
+    return PredictionErrors(images[:, used] / sigma[used], own, model)
+
+
+def _shared(solved: Solution, noise: float | None) -> Shared | None:
+    """What pixels of one specimen differ by, in all captures of several; None where each pixel is seen once."""
+    parts = solved.predicted.parts
+    if len(parts) == 1 or noise is not None or parts[0].sensor.linear is None:
+        return None
+    used, sigma = solved.weighed.used, solved.weighed.sigma
+    deviations = np.concatenate([patterns(part.exposure, part.sensor) for part in parts], axis=1)
+    pixel = np.tile(np.arange(parts[0].exposure.size).reshape(parts[0].exposure.shape), (len(parts), 1))
+    return Shared(deviations[:, used] / sigma[used], pixel[used])
 
 
 def _fitted(
     free: FreeScene,
     rendered: Sequence[bool],
-    taken: Captured,
-    light: Light,
-    told: list[dict[str, Any]],
+    states: Sequence[State],
+    options: RenderOptions,
+    work: Path,
     *,
     noise: float | None,
     robust: bool,
 ) -> Fit:
-    prediction = Prediction(free, light.begin, rendered, light.at)
-    solved = solve(free, prediction, taken, noise, robust=robust)
+    light = Light(states[0].free.scene, options, work, is_even=any(rendered))
+    prediction = _prediction(states, rendered, light)
+    solved = solve(free.keys, prediction, [state.captured for state in states], noise, robust=robust)
     used, sigma = solved.weighed.used, solved.weighed.sigma
-    own = prediction.replicates(solved.predicted)
-    others = light.further(prediction.lit_scene(solved.values))
-    stack = np.concatenate([own, *(prediction.replicates(solved.predicted, basis) for basis in others)])
-    certificate = prediction.certificate(solved.predicted)
-    # What replicates have in common: the method's model, and the size of its cells.
-    model = math.hypot(certificate.model_rms_gray or 0.0, certificate.discretisation_rms_gray or 0.0)
-    relative = float(model * np.sqrt(np.mean(1 / sigma[used] ** 2)))
-    errors = PredictionErrors(stack[:, used] / sigma[used], len(own), relative)
-    sure = spread(solved.jacobian, errors, GRAIN if prediction.has_renders else RANK)
-    judged = verdict(solved.residual, sigma, sure, errors)
+    errors = _errors(prediction, solved, light)
+    grain = GRAIN if prediction.has_renders else RANK
+    sure = spread(solved.jacobian, errors, grain, _shared(solved, noise))
+    judged = verdict(solved.residual, sigma, sure, errors, captures=len(states))
     scales = np.array([key.scale for key in free.keys])
     keys = tuple(
         _key(key, float(value), sure, number)
@@ -192,15 +211,17 @@ def _fitted(
     covariance = np.where(gone, np.nan, sure.covariance * np.outer(scales, scales))
     correlation = np.where(gone, np.nan, sure.correlation)
     words = in_words(sure.null, [key.key for key in free.keys], solved.values, scales)
-    scene = solved.predicted.scene
-    gray = image_of_levels(gray_levels(solved.predicted.exposure, scene.camera.sensor), scene.camera.sensor, {})
+    scene = free.at([float(value) for value in solved.values])
+    grays = tuple(
+        image_of_levels(gray_levels(part.exposure, part.sensor), part.sensor, {}) for part in solved.predicted.parts
+    )
     censored = int(np.count_nonzero(solved.weighed.censored))
     manifest = {
         "schema_version": SCHEMA_VERSION,
         "versions": versions(*PACKAGES),
         "scene_sha256": sha256_of_value(scene),
         "scene": json.loads(scene.document),
-        "captures": told,
+        "captures": [told for state in states for told in state.told],
         "noise": noise,
         "robust": robust,
         "held": light.held(),
@@ -224,7 +245,7 @@ def _fitted(
         solved.converged,
         solved.residual,
         sigma,
-        gray,
+        grays,
         censored,
         manifest,
     )

@@ -44,7 +44,6 @@ class Light:
         self._options = replace(options, basis=True, frames=0, truth=False)
         if is_even:
             self._options = self._planned(scene, self._options)
-        self.begin = self._basis(scene, self._options.seed)
 
     def held(self) -> dict[str, Any]:
         """What was decided."""

@@ -1,17 +1,17 @@
-"""Gray levels for any values of the free keys: from one light basis, and one more for each place that is tried."""
+"""Gray levels of all captures for any values of the free keys: from light bases, one for each place that is tried."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
-from radwrap.fitting.free_keys import FreeScene
-from radwrap.imaging.other_camera import check_same_light
+from radwrap.fitting.free_keys import FreeKey, FreeScene
+from radwrap.fitting.places import Places, radiances
 from radwrap.imaging.relight.relit import Basis, Relighter
 from radwrap.imaging.response.exposure import exposure_of_radiance
 from radwrap.imaging.response.sensor import unclipped_gray
@@ -20,8 +20,6 @@ from radwrap.scene.camera import Sensor
 from radwrap.scene.scene import Scene
 
 Array = NDArray[np.float64]
-# Of a wide source its pieces are laid out anew with its level: they are the same light.
-_LIGHT: Final = ("radiance", "patches", "reached", "step", "is_outline")
 _STEP: Final = 1e-4  # of a key's scale: levels are linear in it, and the sensor's keys smooth
 _CHANGE: Final = 0.08  # of the image's range: so much a difference by renders changes somewhere
 _FARTHER: Final = 10.0
@@ -29,12 +27,11 @@ _TRIED_STEP: Final = 0.02  # of such a key's scale, to begin with
 _SMALLEST, _LARGEST = 1e-7, 0.5  # of a key's scale: steps of such a key
 _TRIALS: Final = 4
 _FIT: Final = 2.0  # a step that is right within this factor
-_TRIED: Final = 1e-3  # of a key's scale, to see what hangs on it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Predicted:
-    """What is predicted for some values.
+class Part:
+    """What is predicted for the scene of one capture.
 
     Attributes
     ----------
@@ -61,62 +58,51 @@ class Predicted:
         """That of the scene."""
         return self.scene.camera.sensor
 
+    def certificate(self) -> Certificate:
+        """How far its gray levels may be off, measured anew in this light and camera."""
+        camera = replace(self.scene.camera, distortion=None)
+        basis = replace(self.basis, camera=camera, exposure_of_radiance=exposure_of_radiance(camera))
+        return Relighter(basis).image(self.factors).certificate
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lit:
-    """The light of a scene, source by source.
+class Predicted:
+    """What is predicted for some values, for all captures.
 
     Attributes
     ----------
-    basis : Basis
-        As it was traced.
-    images : ndarray, shape (sources, rows, columns)
-        Mean of its replicates [W m^-2 sr^-1].
-    radiances : Mapping[str, float]
-        Of each source in that scene [W m^-2 sr^-1].
+    parts : tuple of Part
+        One for each capture.
     """
 
-    basis: Basis
-    images: Array
-    radiances: Mapping[str, float]
+    parts: tuple[Part, ...]
 
-    @classmethod
-    def of(cls, scene: Scene, basis: Basis) -> Lit:
-        """Of a scene's basis."""
-        return cls(basis, basis.images.astype(np.float64).mean(axis=1), radiances(scene))
+    @property
+    def exposure(self) -> Array:
+        """H of all, one below the other, shape (captures * rows, columns) [J m^-2]."""
+        return np.concatenate([part.exposure for part in self.parts])
+
+    @property
+    def unclipped(self) -> Array:
+        """Gray levels without saturation and rounding, likewise."""
+        return np.concatenate([part.unclipped for part in self.parts])
 
 
 class Prediction:
-    """What a scene with free keys comes to.
-
-    It keeps the light of each place that was asked for: to come back to one takes no ray.
+    """What the scenes of all captures come to.
 
     Parameters
     ----------
-    free : FreeScene
-        What is free.
-    basis : Basis
-        Of the scene where the fit begins.
-    rendered : sequence of bool
-        Which keys need renders; default none.
-    light : callable, optional
-        Traces the basis of a scene, by the same rays for all.
+    shots : sequence of (FreeScene, Places)
+        For each capture its scene, and the light that it is seen in. All have the same keys.
     """
 
-    def __init__(
-        self,
-        free: FreeScene,
-        basis: Basis,
-        rendered: Sequence[bool] = (),
-        light: Callable[[Scene], Basis] | None = None,
-    ) -> None:
-        self._free = free
-        self._begin = np.array([key.value for key in free.keys], dtype=np.float64)
-        self._rendered = np.array(rendered or [False] * len(free.keys), dtype=np.bool_)
-        self._light = light
-        self._lit = {self._place(self._begin): Lit.of(free.scene, basis)}
+    def __init__(self, shots: Sequence[tuple[FreeScene, Places]]) -> None:
+        self._shots = tuple(shots)
+        self._keys: tuple[FreeKey, ...] = shots[0][0].keys
+        self._rendered = shots[0][1].rendered
         self._steps = [_TRIED_STEP if moved else _STEP for moved in self._rendered]
-        self._found = [False] * len(free.keys)
+        self._found = [False] * len(self._keys)
 
     @property
     def has_renders(self) -> bool:
@@ -124,45 +110,35 @@ class Prediction:
         return bool(self._rendered.any())
 
     @property
+    def places(self) -> tuple[Places, ...]:
+        """Those that differ."""
+        return tuple({id(places): places for _, places in self._shots}.values())
+
+    @property
     def renders(self) -> int:
         """Bases so far."""
-        return len(self._lit)
-
-    def _place(self, values: Array) -> tuple[float, ...]:
-        """What decides where rays go."""
-        return tuple(float(value) for value in values[self._rendered])
-
-    def lit(self, values: Array) -> Lit:
-        """The light for the values of keys that need a render: the others are as where the fit begins."""
-        place = self._place(values)
-        if place not in self._lit:
-            if self._light is None:
-                raise TypeError("keys that need renders need who renders")
-            scene = self.lit_scene(values)
-            self._lit[place] = Lit.of(scene, self._light(scene))
-        return self._lit[place]
-
-    def lit_scene(self, values: Array) -> Scene:
-        """The scene of that light."""
-        return self._free.at([float(value) for value in np.where(self._rendered, values, self._begin)])
+        return sum(places.count for places in self.places)
 
     def at(self, values: Sequence[float] | Array) -> Predicted:
-        """Gray levels for some values; InputError where the scene does not take them."""
+        """Gray levels for some values; InputError where a scene does not take them."""
         at = np.array(values, dtype=np.float64)
-        scene, lit = self._free.at([float(value) for value in at]), self.lit(at)
-        told = radiances(scene)
-        factors = np.array([told[name] / lit.radiances[name] for name in lit.basis.sources])
-        exposure, unclipped = gray_of(scene, factors, lit.images)
-        return Predicted(scene, factors, exposure, unclipped, lit.basis)
+        parts = []
+        for free, places in self._shots:
+            scene, lit = free.at([float(value) for value in at]), places.lit(at)
+            told = radiances(scene)
+            factors = np.array([told[name] / lit.radiances[name] if told[name] else 0.0 for name in lit.basis.sources])
+            exposure, unclipped = gray_of(scene, factors, lit.images)
+            parts.append(Part(scene, factors, exposure, unclipped, lit.basis))
+        return Predicted(tuple(parts))
 
     def slopes(self, values: Array) -> Array:
-        """Change of the unclipped gray levels with each key's scale, shape (keys, rows, columns).
+        """Change of the unclipped gray levels with each key's scale, shape (keys, captures * rows, columns).
 
         A key that needs renders is moved so far that the image somewhere changes by a share of its range: what a
         smaller step shows may be the grain of the rays. How far that is, is found once.
         """
         found = []
-        for number in range(len(self._free.keys)):
+        for number in range(len(self._keys)):
             slope = self._slope(values, number)
             if self._rendered[number] and not self._found[number]:
                 slope = self._with_step(values, number, slope)
@@ -186,7 +162,7 @@ class Prediction:
         return slope
 
     def _slope(self, values: Array, number: int) -> Array:
-        key = self._free.keys[number]
+        key = self._keys[number]
         ends = []
         for sign in (1.0, -1.0):
             moved = np.array(values, dtype=np.float64)
@@ -194,23 +170,55 @@ class Prediction:
             ends.append((moved[number], self.at(moved).unclipped))
         return np.asarray((ends[0][1] - ends[1][1]) / ((ends[0][0] - ends[1][0]) / key.scale))
 
-    def replicates(self, predicted: Predicted, other: Basis | None = None) -> Array:
-        """The independent images whose mean a prediction is [gray level], shape (replicates, rows, columns)."""
-        basis = other or predicted.basis
-        if basis.sources != predicted.basis.sources:
-            raise InputError("has other sources", where="basis")
-        count = basis.images.shape[1]
-        made = [
-            gray_of(predicted.scene, predicted.factors, basis.images[:, number].astype(np.float64))[1]
-            for number in range(count)
-        ]
-        return np.stack(made)
+    def replicates(self, predicted: Predicted, others: Sequence[Sequence[Basis]]) -> tuple[Array, int]:
+        """Independent images whose mean a prediction is, and others of their kind.
 
-    def certificate(self, predicted: Predicted) -> Certificate:
-        """How far its gray levels may be off, measured anew in this light and camera."""
-        camera = replace(predicted.scene.camera, distortion=None)
-        basis = replace(predicted.basis, camera=camera, exposure_of_radiance=exposure_of_radiance(camera))
-        return Relighter(basis).image(predicted.factors).certificate
+        Captures in the same light share the error of its rays. Where bases have more replicates than others, some of
+        these are joined, so that all have as many.
+
+        Parameters
+        ----------
+        predicted : Predicted
+            The prediction.
+        others : sequence of sequence of Basis
+            Of each of `places` in turn the same number of further bases, by other rays.
+
+        Returns
+        -------
+        images : ndarray, shape (replicates, captures * rows, columns)
+            Unclipped gray levels.
+        own : int
+            How many of them, the first ones, the prediction is the mean of.
+
+        Raises
+        ------
+        InputError
+            If a basis has other sources.
+        """
+        own = [predicted.parts[self._first(places)].basis for places in self.places]
+        if any(basis.sources != own[0].sources for bases in others for basis in bases):
+            raise InputError("has other sources", where="basis")
+        rounds = [own, *zip(*others, strict=True)]
+        count = min(basis.images.shape[1] for bases in rounds for basis in bases)
+        return np.concatenate([self._images(predicted, bases, count) for bases in rounds]), count
+
+    def _images(self, predicted: Predicted, bases: Sequence[Basis], count: int) -> Array:
+        """By one basis for each of the places, shape (count, captures * rows, columns)."""
+        joined = {id(places): _joined(basis.images, count) for places, basis in zip(self.places, bases, strict=True)}
+        stacks = []
+        for part, (_, places) in zip(predicted.parts, self._shots, strict=True):
+            images = joined[id(places)]
+            stacks.append([gray_of(part.scene, part.factors, images[:, one])[1] for one in range(count)])
+        return np.concatenate([np.stack(stack) for stack in stacks], axis=1)
+
+    def _first(self, places: Places) -> int:
+        return next(number for number, (_, other) in enumerate(self._shots) if other is places)
+
+
+def _joined(images: NDArray[np.float32], count: int) -> Array:
+    """Means of neighbouring replicates, as many as asked for, shape (sources, count, rows, columns)."""
+    parts = np.array_split(images.astype(np.float64), count, axis=1)
+    return np.stack([part.mean(axis=1) for part in parts], axis=1)
 
 
 def gray_of(scene: Scene, factors: Array, images: Array) -> tuple[Array, Array]:
@@ -218,56 +226,3 @@ def gray_of(scene: Scene, factors: Array, images: Array) -> tuple[Array, Array]:
     mean = np.maximum(np.tensordot(factors, images, axes=1), 0.0)
     exposure = mean * exposure_of_radiance(scene.camera)
     return exposure, unclipped_gray(exposure, scene.camera.sensor)
-
-
-def radiances(scene: Scene) -> dict[str, float]:
-    """Radiance of each source by its name [W m^-2 sr^-1]."""
-    return {emitter.source: emitter.radiance for emitter in scene.emitters}
-
-
-def need_renders(free: FreeScene) -> tuple[bool, ...]:
-    """Of each key, whether it changes more than levels, exposure time and the sensor's electronics.
-
-    Raises
-    ------
-    InputError
-        If a key is the level of a source that is dark.
-    """
-    found = []
-    values = [key.value for key in free.keys]
-    base = free.scene
-    for number, key in enumerate(free.keys):
-        step = _TRIED * key.scale
-        moved = list(values)
-        moved[number] += step if values[number] + step <= key.high else -step
-        other = free.at(moved)
-        told = radiances(base)
-        if any(radiance != told[name] and not told[name] for name, radiance in radiances(other).items()):
-            raise InputError(
-                "is the level of a source that is dark", where=f"free {key.key}", remedy="let it begin above 0"
-            )
-        found.append(not (_same_but_for_levels(base, other) and _is_same_light(base, other)))
-    return tuple(found)
-
-
-def _is_same_light(one: Scene, other: Scene) -> bool:
-    if one.spectral is not None and replace(one.camera, exposure_time=other.camera.exposure_time) != other.camera:
-        return False  # another sensor may weigh spectra otherwise
-    try:
-        check_same_light(one.camera, other.camera)
-    except InputError:
-        return False
-    return True
-
-
-def _same_but_for_levels(one: Scene, other: Scene) -> bool:
-    for name in ("materials", "targets", "tolerances"):
-        if getattr(one, name) != getattr(other, name):
-            return False
-    lights = [[_without_level(emitter) for emitter in scene.emitters] for scene in (one, other)]
-    return lights[0] == lights[1]
-
-
-def _without_level(emitter: object) -> list[object]:
-    names = [field.name for field in fields(emitter) if field.name not in _LIGHT]  # type: ignore[arg-type]
-    return [(name, getattr(emitter, name)) for name in names]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from radwrap.errors import InputError
 from radwrap.fitting.captured import Captured
 from radwrap.fitting.covariance import GRAIN, determined_inverse
-from radwrap.fitting.free_keys import FreeScene
+from radwrap.fitting.free_keys import FreeKey
 from radwrap.fitting.prediction import Predicted, Prediction
 from radwrap.fitting.weights import Weighed, weighed
 
@@ -43,7 +44,7 @@ class Solution:
         There.
     weighed : Weighed
         What each pixel counts there.
-    residual : ndarray, shape (rows, columns)
+    residual : ndarray, shape (captures * rows, columns)
         (captured - predicted)/sigma; NaN where a pixel does not count.
     jacobian : ndarray, shape (pixels, keys)
         Change of the prediction with each key's scale, over sigma, of the used pixels.
@@ -63,7 +64,12 @@ class Solution:
 
 
 def solve(
-    free: FreeScene, prediction: Prediction, captured: Captured, noise: float | None, *, robust: bool
+    keys: Sequence[FreeKey],
+    prediction: Prediction,
+    captured: Sequence[Captured],
+    noise: float | None,
+    *,
+    robust: bool,
 ) -> Solution:
     """Find the values by which prediction and captures agree best.
 
@@ -76,19 +82,19 @@ def solve(
     """
     from scipy.optimize import least_squares
 
-    scales = np.array([key.scale for key in free.keys])
-    bounds = np.array([[key.low, key.high] for key in free.keys]).T / scales
+    scales = np.array([key.scale for key in keys])
+    bounds = np.array([[key.low, key.high] for key in keys]).T / scales
     inside = np.where(np.isfinite(bounds), _INSIDE, 0.0)
-    x = np.clip(np.array([key.value for key in free.keys]) / scales, bounds[0] + inside[0], bounds[1] - inside[1])
+    x = np.clip(np.array([key.value for key in keys]) / scales, bounds[0] + inside[0], bounds[1] - inside[1])
     moved, rounds, ended = np.inf, 0, True
-    against = _Against(prediction, captured, noise)
+    against = _Against(prediction, tuple(captured), noise)
     if prediction.has_renders:
         return _through_grain(against, x * scales, scales, bounds * scales, robust=robust)
     while rounds < _ROUNDS and not moved < _STILL:
         rounds += 1
-        counted = _weighed(prediction.at(x * scales), captured, noise)
+        counted = against.weighed(prediction.at(x * scales))
         used, sigma = counted.used, counted.sigma[counted.used]
-        measured = captured.mean[used]
+        measured = against.mean[used]
 
         def misfit(
             at: Array, used: NDArray[np.bool_] = used, sigma: Array = sigma, measured: Array = measured
@@ -121,14 +127,35 @@ class _Against:
     """What is fitted to what."""
 
     prediction: Prediction
-    captured: Captured
+    captured: tuple[Captured, ...]
     noise: float | None
+
+    @property
+    def mean(self) -> Array:
+        """All captures, one below the other [gray level]."""
+        return np.concatenate([one.mean for one in self.captured])
+
+    def weighed(self, predicted: Predicted) -> Weighed:
+        """What each pixel counts."""
+        found = [
+            weighed(part.exposure, part.unclipped, one, part.sensor, self.noise)
+            for part, one in zip(predicted.parts, self.captured, strict=True)
+        ]
+        if not any(one.used.any() for one in found):
+            raise InputError(
+                "no pixel is left: all are saturated or dark in capture and prediction",
+                where="CAPTURE",
+                remedy="capture with another exposure time, or begin with other values",
+            )
+        return Weighed(
+            *(np.concatenate([getattr(one, name) for one in found]) for name in ("sigma", "used", "censored"))
+        )
 
     def ended(self, values: Array, rounds: int, *, converged: bool) -> Solution:
         """Where a fit came to."""
         predicted = self.prediction.at(values)
-        counted = _weighed(predicted, self.captured, self.noise)
-        residual = np.where(counted.used, (self.captured.mean - predicted.unclipped) / counted.sigma, np.nan)
+        counted = self.weighed(predicted)
+        residual = np.where(counted.used, (self.mean - predicted.unclipped) / counted.sigma, np.nan)
         jacobian = (self.prediction.slopes(values)[:, counted.used] / counted.sigma[counted.used]).T
         return Solution(values, predicted, counted, residual, jacobian, converged, rounds)
 
@@ -139,20 +166,20 @@ def _through_grain(against: _Against, values: Array, scales: Array, bounds: Arra
     A solver that looks for the last digit of a sum that has steps asks for many renders, and wanders along what the
     captures do not determine: here such directions are not gone, and a step that does not lower the sum ends the fit.
     """
-    prediction, captured = against.prediction, against.captured
+    prediction, mean = against.prediction, against.mean
     moved, rounds = np.inf, 0
     while rounds < _GRAIN_ROUNDS and not moved < _GRAIN_STILL:
         rounds += 1
         predicted = prediction.at(values)
-        counted = _weighed(predicted, captured, against.noise)
+        counted = against.weighed(predicted)
         used, sigma = counted.used, counted.sigma[counted.used]
-        left = (captured.mean - predicted.unclipped)[used] / sigma
+        left = (mean - predicted.unclipped)[used] / sigma
         weight = (1 + left**2) ** -0.25 if robust else np.ones(left.size)
         jacobian = (prediction.slopes(values)[:, used] / sigma).T * weight[:, np.newaxis]
         step = determined_inverse(jacobian, GRAIN) @ (left * weight)
         for _ in range(_HALVINGS):
             tried = np.clip(values + step * scales, bounds[0], bounds[1])
-            after = (captured.mean - prediction.at(tried).unclipped)[used] / sigma
+            after = (mean - prediction.at(tried).unclipped)[used] / sigma
             if float(((after * weight) ** 2).sum()) < float(((left * weight) ** 2).sum()):
                 moved = float(np.linalg.norm(jacobian @ ((tried - values) / scales)))
                 values = tried
@@ -162,14 +189,3 @@ def _through_grain(against: _Against, values: Array, scales: Array, bounds: Arra
             moved = float(np.linalg.norm(jacobian @ step))
             return against.ended(values, rounds, converged=moved < _GRAIN_ENOUGH)
     return against.ended(values, rounds, converged=moved < _GRAIN_STILL)
-
-
-def _weighed(predicted: Predicted, captured: Captured, noise: float | None) -> Weighed:
-    found = weighed(predicted.exposure, predicted.unclipped, captured, predicted.sensor, noise)
-    if not found.used.any():
-        raise InputError(
-            "no pixel is left: all are saturated or dark in capture and prediction",
-            where="CAPTURE",
-            remedy="capture with another exposure time, or begin with other values",
-        )
-    return found

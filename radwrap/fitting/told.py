@@ -77,12 +77,13 @@ class Fit:
         Whether the scene explains the captures.
     converged : bool
         Whether the fit stands.
-    residual : ndarray, shape (rows, columns)
-        (captured - predicted)/expected deviation; NaN where a pixel is masked or censored.
-    sigma : ndarray, shape (rows, columns)
+    residual : ndarray, shape (captures * rows, columns)
+        (captured - predicted)/expected deviation; NaN where a pixel is masked or censored. States of the bench stand
+        one below the other; repeats are one.
+    sigma : ndarray, shape (captures * rows, columns)
         That deviation [gray level].
-    gray : GrayImage
-        Prediction at the values, as the camera gives it.
+    grays : tuple of GrayImage
+        Prediction at the values, as the camera gives it, for each state.
     censored : int
         Pixels that say only "at least" or "at most", and agree.
     manifest : Mapping
@@ -98,9 +99,14 @@ class Fit:
     converged: bool
     residual: Array
     sigma: Array
-    gray: GrayImage
+    grays: tuple[GrayImage, ...]
     censored: int
     manifest: Mapping[str, Any]
+
+    @property
+    def gray(self) -> GrayImage:
+        """That of the first state."""
+        return self.grays[0]
 
     @property
     def explained(self) -> bool:
@@ -155,6 +161,7 @@ def as_manifest(
                 "mean_gray": block.mean_gray,
                 "deviations": block.deviations,
                 "pixels": block.pixels,
+                **({} if block.capture is None else {"capture": block.capture}),
             }
             for block in verdict.worst
         ],

@@ -65,6 +65,8 @@ class Block:
         That, in what the mean of the block may be off by noise and prediction.
     pixels : int
         That were used.
+    capture : int or None
+        Which of several captures it stands in, from 0 on.
     """
 
     rows: tuple[int, int]
@@ -72,13 +74,15 @@ class Block:
     mean_gray: float
     deviations: float
     pixels: int
+    capture: int | None = None
 
     def told(self) -> str:
         """In words."""
         side = "brighter" if self.mean_gray > 0 else "darker"
+        which = "" if self.capture is None else f"capture {self.capture}, "
         return (
-            f"rows {self.rows[0]} to {self.rows[1] - 1}, columns {self.columns[0]} to {self.columns[1] - 1}: the "
-            f"capture is {abs(self.mean_gray):.3g} gray {side} ({abs(self.deviations):.3g} expected deviations)"
+            f"{which}rows {self.rows[0]} to {self.rows[1] - 1}, columns {self.columns[0]} to {self.columns[1] - 1}: "
+            f"the capture is {abs(self.mean_gray):.3g} gray {side} ({abs(self.deviations):.3g} expected deviations)"
         )
 
 
@@ -104,19 +108,21 @@ class Verdict:
         return self.pixels.passed and (self.blocks is None or self.blocks.passed)
 
 
-def verdict(residual: Array, sigma: Array, found: Spread, errors: PredictionErrors) -> Verdict:
+def verdict(residual: Array, sigma: Array, found: Spread, errors: PredictionErrors, *, captures: int = 1) -> Verdict:
     """Judge what a fit leaves.
 
     Parameters
     ----------
-    residual : ndarray, shape (rows, columns)
+    residual : ndarray, shape (captures * rows, columns)
         (captured - predicted)/sigma; NaN where a pixel was not used.
-    sigma : ndarray, shape (rows, columns)
+    sigma : ndarray, shape (captures * rows, columns)
         Expected deviation [gray level].
     found : Spread
         What the fit determined.
     errors : PredictionErrors
         Of the used pixels.
+    captures : int
+        Images that stand one below the other.
     """
     used = np.isfinite(residual)
     left = residual[used]
@@ -125,11 +131,12 @@ def verdict(residual: Array, sigma: Array, found: Spread, errors: PredictionErro
     scale = errors.freedom * errors.predictions
     common = errors.model**2 * left.size
     pixels = _test(float(left @ left), left.size - found.rank, float((off**2).sum()) / scale + common)
-    places = list(_blocks(used))
+    rows = len(used) // captures
+    places = list(_blocks(used, rows))
     sums = np.zeros((len(places), left.size))
     number = np.cumsum(used.ravel()).reshape(used.shape) - 1
-    for row, (rows, columns) in enumerate(places):
-        here = number[rows, columns][used[rows, columns]]
+    for row, place in enumerate(places):
+        here = number[place][used[place]]
         sums[row, here] = 1 / np.sqrt(here.size)
     taken = sums @ found.basis
     covariance = np.eye(len(places)) - taken @ taken.T
@@ -147,7 +154,7 @@ def verdict(residual: Array, sigma: Array, found: Spread, errors: PredictionErro
     deviations = means / spread_of
     order = np.argsort(-np.abs(deviations), kind="stable")[:_TOLD]
     gray = residual * sigma
-    worst = [_block(places[k], gray, used, float(deviations[k])) for k in order]
+    worst = [_block(places[k], gray, used, float(deviations[k]), rows if captures > 1 else None) for k in order]
     return Verdict(pixels, blocks, tuple(worst))
 
 
@@ -161,23 +168,31 @@ def _test(value: float, freedom: int, prediction: float) -> Test:
     return Test(value, freedom, prediction, float(law.ppf(sure)))
 
 
-def _blocks(used: NDArray[np.bool_]) -> Iterator[tuple[slice, slice]]:
-    """Parts of an image with pixels that were used."""
-    side = max(_LEAST_SIDE, -(-max(used.shape) // _BLOCKS))
-    for row in range(0, used.shape[0], side):
-        for column in range(0, used.shape[1], side):
-            place = slice(row, min(row + side, used.shape[0])), slice(column, min(column + side, used.shape[1]))
-            if used[place].any():
-                yield place
+def _blocks(used: NDArray[np.bool_], rows: int) -> Iterator[tuple[slice, slice]]:
+    """Parts of each image with pixels that were used."""
+    height, width = used.shape
+    side = max(_LEAST_SIDE, -(-max(rows, width) // _BLOCKS))
+    for top in range(0, height, rows):
+        for row in range(top, top + rows, side):
+            for column in range(0, width, side):
+                place = slice(row, min(row + side, top + rows)), slice(column, min(column + side, width))
+                if used[place].any():
+                    yield place
 
 
-def _block(place: tuple[slice, slice], gray: Array, used: NDArray[np.bool_], deviations: float) -> Block:
+def _block(
+    place: tuple[slice, slice], gray: Array, used: NDArray[np.bool_], deviations: float, height: int | None
+) -> Block:
+    """What is told of a block; rows count in its own capture, where images of that height stand below each other."""
     rows, columns = place
     here = used[place]
+    capture = None if height is None else rows.start // height
+    top = 0 if capture is None or height is None else capture * height
     return Block(
-        (rows.start, rows.stop),
+        (rows.start - top, rows.stop - top),
         (columns.start, columns.stop),
         float(gray[place][here].mean()),
         deviations,
         int(here.sum()),
+        capture,
     )

@@ -8,7 +8,7 @@ cut and the prediction is not, the difference to the cut is what the prediction 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.fitting.captured import Captured
-from radwrap.imaging.response.noise import ROUNDING_VARIANCE, noise_variance, without_pattern
+from radwrap.imaging.response.noise import ROUNDING_VARIANCE, linear_of, noise_variance, without_pattern
 from radwrap.scene.camera import Sensor
 
 Array = NDArray[np.float64]
@@ -67,6 +67,24 @@ def variance_of(exposure: Array, captured: Captured, sensor: Sensor, noise: floa
     if captured.variance is None:
         raise InputError("is not known", where="noise")
     return np.maximum(captured.variance, rounding) / captured.repeats
+
+
+def patterns(exposure: Array, sensor: Sensor) -> Array:
+    """What pixels of one specimen differ by, the same in each of its captures.
+
+    Returns
+    -------
+    ndarray, shape (2, rows, columns)
+        Standard deviations by DSNU and by PRNU [gray level].
+    """
+    linear = linear_of(sensor)
+    exposure = np.minimum(exposure, _below(exposure, sensor))
+    whole = noise_variance(exposure, sensor)
+    without = [
+        noise_variance(exposure, replace(sensor, linear=alike))
+        for alike in (replace(linear, dsnu=0.0), replace(linear, prnu=0.0))
+    ]
+    return np.asarray(np.sqrt(np.maximum(whole - np.stack(without), 0.0)))
 
 
 def weighed(exposure: Array, unclipped: Array, captured: Captured, sensor: Sensor, noise: float | None) -> Weighed:

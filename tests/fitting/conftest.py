@@ -11,6 +11,7 @@ import pytest
 
 from radwrap.fitting.captured import Captured, captured
 from radwrap.fitting.free_keys import FreeScene, free_scene
+from radwrap.fitting.places import Places
 from radwrap.fitting.prediction import Prediction
 from radwrap.images import GrayImage
 from radwrap.imaging.relight.relit import Basis, read_basis
@@ -67,7 +68,7 @@ def basis(bench: Scene, tmp_path_factory: pytest.TempPathFactory) -> Basis:
 def begun(bench: Scene, basis: Basis, free: list[str]) -> tuple[FreeScene, Prediction]:
     """A fit's beginning."""
     keys = free_scene(bench, free)
-    return keys, Prediction(keys, basis)
+    return keys, Prediction([(keys, Places(keys, (), lambda _: basis))])
 
 
 def taken(gray: np.ndarray[Any, np.dtype[np.float64]], scene: Scene) -> Captured:

@@ -37,10 +37,10 @@ def _noisy(bench: Scene, basis: Basis, free: list[str], values: list[float], see
     """Fits to captures that differ by their noise; what saturates is cut."""
     keys, prediction = begun(bench, basis, free)
     truth = prediction.at(values)
-    sigma, top = np.sqrt(noise_variance(truth.exposure, truth.sensor)), truth.sensor.saturation_gray
+    sigma, top = np.sqrt(noise_variance(truth.exposure, truth.parts[0].sensor)), truth.parts[0].sensor.saturation_gray
     for seed in range(seeds):
         noisy = np.minimum(truth.unclipped + sigma * generator(seed, 1).standard_normal(sigma.shape), top)
-        yield solve(keys, prediction, taken(noisy, bench), None, robust=False)
+        yield solve(keys.keys, prediction, [taken(noisy, bench)], None, robust=False)
 
 
 def test_a_level_is_weighted_linear_least_squares(bench: Scene, basis: Basis) -> None:
@@ -48,7 +48,7 @@ def test_a_level_is_weighted_linear_least_squares(bench: Scene, basis: Basis) ->
     truth = prediction.at([3000.0])
     noise = generator(3, 1).standard_normal(truth.exposure.shape)
     capture = taken(truth.unclipped + noise, bench)
-    solved = solve(keys, prediction, capture, None, robust=False)
+    solved = solve(keys.keys, prediction, [capture], None, robust=False)
     assert solved.converged
     # By hand: G = G0 + x g, with g of 1 W/m^2/sr from the scene's own.
     dark = bench.camera.sensor.dark_gray
@@ -81,7 +81,7 @@ def test_deviations_are_those_of_the_scatter(bench: Scene, basis: Basis) -> None
 def test_what_only_acts_as_a_product_is_named(bench: Scene, basis: Basis, free: list[str], words: str) -> None:
     keys, prediction = begun(bench, basis, free)
     start = np.array([key.value for key in keys.keys])
-    solved = solve(keys, prediction, taken(prediction.at(start).unclipped, bench), None, robust=False)
+    solved = solve(keys.keys, prediction, [taken(prediction.at(start).unclipped, bench)], None, robust=False)
     found = _spread(solved)
     assert found.rank == 1 and np.isnan(found.half_width).all()
     (told,) = in_words(found.null, free, solved.values, np.array([key.scale for key in keys.keys]))
@@ -91,7 +91,7 @@ def test_what_only_acts_as_a_product_is_named(bench: Scene, basis: Basis, free: 
 def test_levels_and_exposure_share_one_factor(bench: Scene, basis: Basis) -> None:
     keys, prediction = begun(bench, basis, [LEVELS, EXPOSURE, "camera.sensor.offset"])
     start = np.array([key.value for key in keys.keys])
-    solved = solve(keys, prediction, taken(prediction.at(start).unclipped, bench), None, robust=False)
+    solved = solve(keys.keys, prediction, [taken(prediction.at(start).unclipped, bench)], None, robust=False)
     found = _spread(solved)
     names = [key.key for key in keys.keys]
     (told,) = in_words(found.null, names, solved.values, np.array([key.scale for key in keys.keys]))
@@ -120,9 +120,9 @@ def test_a_missing_source_is_not_explained(bench: Scene, basis: Basis) -> None:
     keys, prediction = begun(bench, basis, [EXPOSURE])
     free = ["sources[0].leds[*].radiance_factor"]
     truth = begun(bench, basis, free)[1].at([1.0, 1.0, 0.0])
-    sigma = np.sqrt(noise_variance(truth.exposure, truth.sensor))
+    sigma = np.sqrt(noise_variance(truth.exposure, truth.parts[0].sensor))
     capture = taken(truth.unclipped + sigma * generator(5, 1).standard_normal(sigma.shape), bench)
-    solved = solve(keys, prediction, capture, None, robust=False)
+    solved = solve(keys.keys, prediction, [capture], None, robust=False)
     errors = PredictionErrors(np.zeros((2, len(solved.jacobian))), 2, 0.0)
     assert not verdict(solved.residual, solved.weighed.sigma, spread(solved.jacobian, errors), errors).explained
 
@@ -148,6 +148,6 @@ def test_saturated_pixels_do_not_pull(bench: Scene, basis: Basis) -> None:
 def test_a_changed_scene_is_the_same_prediction(bench: Scene, basis: Basis) -> None:
     """Keys go through the scene file: what is predicted is what a render of that scene would be lit by."""
     keys, prediction = begun(bench, basis, ["sources[0].radiance", "camera.sensor.offset"])
-    told = prediction.at([5000.0, 9.0])
+    told = prediction.at([5000.0, 9.0]).parts[0]
     assert told.scene.camera.sensor == changed(bench, keys.written([5000.0, 9.0])).camera.sensor
     assert told.factors == pytest.approx([2.0] * 3, rel=EXACT)

@@ -14,8 +14,8 @@ import radwrap
 from radwrap.errors import InputError
 from radwrap.fitting.captured import captured
 from radwrap.fitting.free_keys import free_scene
+from radwrap.fitting.places import need_renders
 from radwrap.fitting.poses import aimed_keys
-from radwrap.fitting.prediction import need_renders
 from radwrap.fitting.scene_text import with_values
 from radwrap.images import GrayImage, write_png
 from radwrap.random_streams import generator

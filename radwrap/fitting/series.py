@@ -1,0 +1,159 @@
+"""Captures of one bench in several states: each with its own images, and with other values of some keys."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from radwrap.errors import InputError
+from radwrap.files import sha256_of
+from radwrap.fitting.captured import Captured, captured, read_captures
+from radwrap.fitting.free_keys import FreeScene
+from radwrap.fitting.poses import aimed_keys
+from radwrap.fitting.tables import SeriesModel
+from radwrap.fitting.weights import check_noise
+from radwrap.images import GrayImage, digest
+from radwrap.reading import FileKind, read_toml
+from radwrap.scene.file.beside import named_file
+from radwrap.scene.file.faults import validated
+from radwrap.scene.file.keys import expanded, with_all_leds
+from radwrap.scene.file.load import scene_from_document
+
+_FILE: Final = FileKind("file of captures", 16 << 20, "see docs/fit.md")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Captures:
+    """Images of the bench in one state; several are repeats.
+
+    Attributes
+    ----------
+    images : sequence of str, Path or GrayImage
+        What the camera gave.
+    changes : Mapping[str, Any]
+        Keys of the scene that have other values there, as of `radwrap.load_scene`.
+    """
+
+    images: Sequence[str | Path | GrayImage]
+    changes: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """One state of the bench, read and checked.
+
+    Attributes
+    ----------
+    free : FreeScene
+        The scene there, with the keys that all states share.
+    captured : Captured
+        What the camera gave.
+    told : tuple of dict
+        Of each image, for the manifest.
+    """
+
+    free: FreeScene
+    captured: Captured
+    told: tuple[dict[str, Any], ...]
+
+
+def read_series(path: str | Path) -> tuple[Captures, ...]:
+    """Read a file of captures, whose images lie in its folder or below.
+
+    Raises
+    ------
+    InputError
+        With file and key.
+    """
+    source = Path(path)
+    model = validated(SeriesModel, read_toml(source, _FILE), source.name, "see docs/fit.md")
+    return tuple(
+        Captures(
+            [
+                named_file(source.parent, name, f"{source.name}: captures[{number}].files[{one}]")
+                for one, name in enumerate(entry.files)
+            ],
+            entry.set,
+        )
+        for number, entry in enumerate(model.captures)
+    )
+
+
+def states_of(
+    free: FreeScene,
+    captures: Sequence[str | Path | GrayImage] | Sequence[Captures],
+    mask: Any,
+    noise: float | None,
+) -> tuple[State, ...]:
+    """What was captured, each with its scene.
+
+    Parameters
+    ----------
+    free : FreeScene
+        Where the fit begins.
+    captures : sequence
+        Images, which are repeats, or `Captures`, each of its own state.
+    mask : ndarray of bool or None
+        Pixels that count, in all states.
+    noise : float or None
+        Standard deviation of one image [gray level].
+
+    Raises
+    ------
+    InputError
+        If an image is not one of the scene's sensor, a state changes a key that is free, or no noise is known.
+    """
+    series = [one for one in captures if isinstance(one, Captures)]
+    if series and len(series) < len(captures):
+        raise InputError("are images and states of the bench in one list", where="captures")
+    repeats = [one for one in captures if not isinstance(one, Captures)]
+    found = []
+    for number, one in enumerate(series or [Captures(repeats)]):
+        where = f"captures[{number}]"
+        scene = _changed(free, one.changes, where)
+        images = read_captures(one.images)
+        names = [_name(image, given) for image, given in zip(images, one.images, strict=True)]
+        taken = captured(images, names, scene.scene.camera.sensor, mask)
+        check_noise(scene.scene.camera.sensor, noise, taken.repeats)
+        state = {"capture": number, "set": dict(one.changes)} if series else {}
+        told = tuple({**_told(image, name), **state} for image, name in zip(images, names, strict=True))
+        found.append(State(scene, taken, told))
+    sensors = {(one.free.scene.camera.sensor.rows, one.free.scene.camera.sensor.columns) for one in found}
+    if len(sensors) > 1:
+        raise InputError("change the number of pixels", where="captures")
+    return tuple(found)
+
+
+def _changed(free: FreeScene, changes: Mapping[str, Any], where: str) -> FreeScene:
+    """The scene with other values of keys that are not free."""
+    if not changes:
+        return free
+    document = with_all_leds(json.loads(free.scene.document), list(changes))
+    told = {*free.written([key.value for key in free.keys]), *aimed_keys(free.poses)}
+    for key in changes:
+        for one in expanded(key, document):
+            if any(_holds(one, other) or _holds(other, one) for other in told):
+                raise InputError("is free: a capture cannot have a value of its own", where=f"{where}.set: {key}")
+    scene = scene_from_document(
+        json.loads(free.scene.document), dict(changes), origin=free.scene.origin, folder=free.scene.folder
+    )
+    return FreeScene(scene, free.keys, free.poses)
+
+
+def _holds(key: str, other: str) -> bool:
+    """Whether a key is another one, or a table or list that holds it."""
+    return other == key or other.startswith((f"{key}.", f"{key}["))
+
+
+def _name(image: GrayImage, given: str | Path | GrayImage) -> str:
+    return str(image.provenance.get("file", "captures")) if isinstance(given, GrayImage) else str(given)
+
+
+def _told(image: GrayImage, name: str) -> dict[str, Any]:
+    """What the manifest tells of an image."""
+    path = Path(name)
+    told = {"file_sha256": sha256_of(path)} if path.is_file() else {}
+    return {"file": name, **told, "pixels_sha256": digest(image.values)}
