@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -41,6 +42,7 @@ Array = NDArray[np.float64]
 _SCENE_FILE: Final = FileKind("scene file", 16 << 20, "")
 _NOTHING: Final[Mapping[str, Any]] = {}
 _AT_BOUND: Final = 1e-6  # of a key's scale
+_WORK: Final = ".fit"
 PACKAGES: Final = ("tomlkit",)
 
 
@@ -126,8 +128,10 @@ def fit(
     _check_not_lost(folder)
     make_folder(folder)
     with sole_owner(folder):
-        with tempfile.TemporaryDirectory(prefix=".fit-", dir=folder) as work:
-            made = _fitted(begun, rendered, states, options, Path(work), noise=noise, robust=robust)
+        # What was traced stays until the fit stands: one that was killed finds it, in the same order.
+        traced = folder / _WORK
+        make_folder(traced)
+        made = _fitted(begun, rendered, states, options, traced, noise=noise, robust=robust)
         values = begun.written([key.value for key in made.keys])
         written = (
             text_of(json.loads(made.scene.document))
@@ -135,6 +139,7 @@ def fit(
             else with_values(text, {**changes, **values}, aimed_keys(begun.poses))
         )
         write_fit(made, written, folder)
+        shutil.rmtree(traced)
     return made
 
 
