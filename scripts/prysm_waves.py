@@ -3,9 +3,11 @@
 Usage: prysm_waves.py --python /path/to/venv/bin/python [--samples 512]
 
 prysm is no dependency: `python3 -m venv V && V/bin/pip install prysm`. Four shapes of opening, in focus and at three
-Fresnel numbers of defocus. Radwrap transforms what passes of each frequency; prysm transforms the pupil's field, of
-which each sample has the share of it that the opening covers. Intensities over the peak in focus are compared at 41 x
-41 places; 1 is returned where they differ by 1e-4 of it. prysm's own error falls with the number of samples.
+Fresnel numbers of defocus; a round one behind glass, with each Zernike term up to order 4 by itself and all of them
+together, in focus and out of it, the polynomials by prysm's own formulas. Radwrap transforms what passes of each
+frequency; prysm transforms the pupil's field, of which each sample has the share of it that the opening covers.
+Intensities over the peak in focus are compared at 41 x 41 places; 1 is returned where they differ by 1e-4 of it.
+prysm's own error falls with the number of samples.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ import argparse
 import subprocess
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +31,8 @@ PERIOD = 128  # of the frequencies' sum, in lambda N_w: beyond its half less tha
 FINER = 16  # places along a side of a sample of the pupil that tell its share
 WIDE = 1.45  # side of the pupil's grid over the diameter: a turned square reaches beyond it
 LIMIT = 1e-4
+# Zernike terms of osa, rms over the pupil in waves: each, and all together with a defocus of this Fresnel number.
+TERMS, EACH, TOGETHER, OUT_OF_FOCUS = range(1, 15), 0.12, 0.05, 0.37
 
 
 def main() -> int:
@@ -78,11 +83,40 @@ def _by_radwrap() -> dict[str, Any]:
             magnification = fresnel * WAVELENGTH * DISTANCE / (DIAMETER / 2) ** 2
             passed = waves.transfer(magnification, frequency[np.newaxis], frequency[:, np.newaxis])
             found[f"{shape} {fresnel:g}"] = (across @ passed @ across.T).real / peak
+        if shape == "round":
+            found |= {
+                f"osa {name}": (
+                    across
+                    @ replace(waves, glass=_glass(coefficients)).transfer(
+                        fresnel * WAVELENGTH * DISTANCE / (DIAMETER / 2) ** 2,
+                        frequency[np.newaxis],
+                        frequency[:, np.newaxis],
+                    )
+                    @ across.T
+                ).real
+                / peak
+                for name, (coefficients, fresnel) in _glasses().items()
+            }
     return found
 
 
+def _glasses() -> dict[str, tuple[dict[int, float], float]]:
+    """Coefficients in waves, and the Fresnel number of the defocus beside them."""
+    alone = {str(index): ({index: EACH}, 0.0) for index in TERMS}
+    signs = {index: TOGETHER * (-1) ** (index // 3) for index in TERMS}
+    return alone | {"all": (signs, 0.0), "all, out of focus": (signs, OUT_OF_FOCUS)}
+
+
+def _glass(coefficients: dict[int, float]) -> Any:
+    from radwrap.imaging.optics.pupil_path import PupilPath
+    from radwrap.scene.zernike import order_of
+
+    orders = tuple(order_of("osa", index) for index in coefficients)
+    return PupilPath(DIAMETER / 2, orders, tuple(value * WAVELENGTH for value in coefficients.values()))  # type: ignore[arg-type]
+
+
 def _by_prysm(samples: int) -> dict[str, Any]:
-    from prysm.propagation import Wavefront
+    from prysm.polynomials import ansi_j_to_nm, zernike_nm
 
     side = samples * FINER
     fine = (np.arange(side) - (side - 1) / 2) * WIDE * DIAMETER / side
@@ -97,18 +131,30 @@ def _by_prysm(samples: int) -> dict[str, Any]:
             x, y = np.meshgrid(fine, fine[row * FINER : (row + 1) * FINER])
             inside = _inside(shape, c * x + s * y, c * y - s * x)
             share[row] = inside.reshape(FINER, samples, FINER).mean(axis=(0, 2))
-        square = coarse[:, np.newaxis] ** 2 + coarse[np.newaxis] ** 2
-        focused = None
+        square = (coarse[:, np.newaxis] ** 2 + coarse[np.newaxis] ** 2) / (DIAMETER / 2) ** 2
+        focused = _intensity(share, 0 * square).max()
         for fresnel in FRESNEL:
-            path = fresnel * WAVELENGTH / (DIAMETER / 2) ** 2 * square / 2  # m
-            pupil = Wavefront.from_amp_and_phase(
-                share, path * 1e9, WAVELENGTH * 1e6, WIDE * DIAMETER * 1e3 / samples
-            )  # nm, um, mm
-            seen = pupil.focus_fixed_sampling(DISTANCE * 1e3, STEP * SPREAD * 1e6, PLACES)
-            intensity = np.asarray(seen.intensity.data)
-            focused = intensity.max() if focused is None else focused
-            found[f"{shape} {fresnel:g}"] = intensity / focused
+            found[f"{shape} {fresnel:g}"] = _intensity(share, fresnel * square / 2) / focused
+        if shape == "round":
+            rho, theta = np.sqrt(square), np.arctan2(-coarse[:, np.newaxis], coarse[np.newaxis])  # rows go down
+            for name, (coefficients, fresnel) in _glasses().items():
+                terms = (
+                    value * zernike_nm(*ansi_j_to_nm(index), rho, theta, norm=True)
+                    for index, value in coefficients.items()
+                )
+                found[f"osa {name}"] = _intensity(share, fresnel * square / 2 + sum(terms)) / focused
     return found
+
+
+def _intensity(share: Any, waves: Any) -> Any:
+    """Behind a pupil of these amplitudes and paths [waves]."""
+    from prysm.propagation import Wavefront
+
+    nm, um, mm = 1e9, 1e6, 1e3
+    pupil = Wavefront.from_amp_and_phase(
+        share, waves * WAVELENGTH * nm, WAVELENGTH * um, WIDE * DIAMETER * mm / len(share)
+    )
+    return np.asarray(pupil.focus_fixed_sampling(DISTANCE * mm, STEP * SPREAD * um, PLACES).intensity.data)
 
 
 def _inside(shape: str, x: Any, y: Any) -> Any:

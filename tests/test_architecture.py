@@ -37,7 +37,7 @@ ORDER = [
 ROOMS = {
     "scene": [
         "catalog",
-        *("distortion", "linear_sensor", "pixel_window", "camera", "sensor_part"),
+        *("zernike", "aberrations", "distortion", "linear_sensor", "pixel_window", "camera", "sensor_part"),
         *(
             "materials",
             "mesh",

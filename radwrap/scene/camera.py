@@ -8,6 +8,7 @@ from typing import Any, Final, Literal
 
 from radwrap.frames import Pose
 from radwrap.manifest import ONLY_WHERE_USED
+from radwrap.scene.aberrations import Wavefront
 from radwrap.scene.distortion import Distortion
 from radwrap.scene.linear_sensor import LinearSensor
 from radwrap.scene.pixel_window import PixelWindow
@@ -139,7 +140,7 @@ class Sensor:
 
 @dataclass(frozen=True, slots=True)
 class Lens:
-    """A thin lens in the plane of the opening, without aberrations.
+    """A thin lens in the plane of the opening, without aberrations but those that are told.
 
     Attributes
     ----------
@@ -150,11 +151,14 @@ class Lens:
     relative_illumination : tuple of tuple of float, optional
         (height on the sensor [m], illumination as a share of the axis'), as measured: vignetting and cos^4 together,
         in place of cos^4; straight between the heights, held beyond them.
+    glass : Wavefront, optional
+        How its waves differ from those of a perfect lens.
     """
 
     focus_distance: float
     transmission: float = 1.0
     relative_illumination: tuple[tuple[float, float], ...] | None = None
+    glass: Wavefront | None = field(default=None, metadata=ONLY_WHERE_USED)
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,7 +28,7 @@ _GRAY_TOLERANCE: Final = 0.5
 EXPLAINED: Final = 0.2
 # Where pixels mix bright and dark, a single one says nothing relative to itself: there the median of all must be right.
 _MIXED: Final = frozenset({"aperture", "edges", "mirror", "shadow"})
-WAVES_NOTE: Final = "the geometric part is compared: both trace rays, and diffraction is in neither"
+WAVES_NOTE: Final = "the geometric part is compared: both trace rays, and neither has diffraction or aberrations"
 SHEETING_NOTE: Final = (
     "POV-Ray has no retroreflection: sheeting is not checked here; corner cubes check the geometry alone"
 )

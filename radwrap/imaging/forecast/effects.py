@@ -58,8 +58,8 @@ class Effect:
     Attributes
     ----------
     name : str
-        "finite_aperture", "cos4", "depth_spread", "diffraction", "bounces", "bounces_beyond_3", "bands", "leds" or
-        "led_differences".
+        "finite_aperture", "cos4", "depth_spread", "diffraction", "aberrations", "bounces", "bounces_beyond_3", "bands",
+        "leds" or "led_differences".
     left_out : str
         What the image would be without it.
     rms_gray, rms_gray_upper95 : float
@@ -217,7 +217,20 @@ def diffraction_left_out(scene: Scene, view: View, seed: int, tolerance: float, 
         As of `wave_change`.
     """
     square, rays = wave_change(view, wavelength_of(scene)[0], seed, most_rays)
-    return _effect("diffraction", "light is rays, and the opening sends no waves", square, rays, tolerance)
+    left_out = "light is rays, and the opening sends no waves"
+    if _has_glass(scene):
+        left_out += ", so that the lens has no aberrations either"
+    return _effect("diffraction", left_out, square, rays, tolerance)
+
+
+def _aberrations(scene: Scene, view: View, seed: int, tolerance: float) -> Effect:
+    """What the lens's aberrations are worth; parameters as of `diffraction_left_out`."""
+    square, rays = wave_change(view, wavelength_of(scene)[0], seed, of_glass=True)
+    return _effect("aberrations", "waves behind a perfect lens", square, rays, tolerance)
+
+
+def _has_glass(scene: Scene) -> bool:
+    return scene.camera.lens is not None and scene.camera.lens.glass is not None
 
 
 def bounces(
@@ -301,6 +314,8 @@ def _measured(traced: LaidOutScene, view: View, found: Survey, tolerance: float,
         tolerance,
     )
     yield diffraction_left_out(scene, view, seed, tolerance)
+    if _has_glass(scene):
+        yield _aberrations(scene, view, seed, tolerance)
     yield (first := bounces(scene, view, seed, tolerance, probe, traced=traced))
     if first.needed:
         # What was measured ends there; of sheeting and the like nobody knows more.

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from radwrap.imaging.methods.kernel import layer_shares
 from radwrap.imaging.optics.footprint import reach_px
+from radwrap.imaging.optics.lens_field import LensField, Place, glass_at, glass_reach, lens_field
 from radwrap.imaging.optics.view import View, look_at_depths, trace_rays
-from radwrap.imaging.optics.wave_footprint import both_weights
+from radwrap.imaging.optics.wave_footprint import passed_weights
 from radwrap.imaging.optics.waves import Waves
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.tolerance.bounds import NOTHING, Bounded, stratified_mean
@@ -45,6 +46,7 @@ _NEAR: Final = 3.0  # wave's lengths beyond the blur within which every cell has
 # Radii of blur that are told apart, as a share of the wave's length, and how many at most.
 _LAYER_STEP: Final = 0.5
 _MOST_LAYERS: Final = 17
+_STEPS: Final = 2  # between places of a lens's field along a side: they stand for all of it
 _MOST_CELLS: Final = 1 << 22  # around a pixel, of all layers: transforms of 64 MiB
 # Rays of a look at depths (a side of the grid), and of an image that is looked at as a whole.
 _LOOK: Final = 32
@@ -65,14 +67,16 @@ _ONE_SIDED: Final = 1.959963985
 
 @dataclass(frozen=True, slots=True)
 class _Grid:
-    """Cells, layers and guard bands, the same for each part of an image."""
+    """Cells, layers, places of the lens's field and guard bands, the same for each part of an image."""
 
     camera: Camera
     waves: Waves
+    lens_field: LensField
     cell: float
     layers: tuple[float, ...]
     near: int
     far: int
+    less: Waves  # what they are compared with: rays, or waves behind a perfect lens
 
     @property
     def block(self) -> float:
@@ -103,16 +107,20 @@ class _Grid:
         near, far = ((r1 - r0) * (c1 - c0) for r0, r1, c0, c1 in (self.around(rect, g) for g in (self.near, self.far)))
         return near * _BLOCK**2 + far - near
 
-    def weights(self, shape: tuple[int, int]) -> list[tuple[Complex, Complex]]:
-        """Of each layer what rays gather, and what waves add to it."""
-        found = []
-        for layer in self.layers:
-            rays, passed = both_weights(self.waves, self.camera, layer, self.cell, shape)
-            found.append((rays, passed - rays))
+    def weights(self, shape: tuple[int, int]) -> dict[Place, list[tuple[Complex, Complex]]]:
+        """Of each place of the field and layer what is gathered without waves, and what they add to it."""
+        without = [passed_weights(self.less, self.camera, layer, self.cell, shape) for layer in self.layers]
+        found = {}
+        for place in self.lens_field.places:
+            waves = replace(self.waves, glass=glass_at(self.camera, place))
+            passed = [passed_weights(waves, self.camera, layer, self.cell, shape) for layer in self.layers]
+            found[place] = [(rays, each - rays) for rays, each in zip(without, passed, strict=True)]
         return found
 
 
-def wave_change(view: View, wavelength: float, seed: int, most_rays: int = MOST_RAYS) -> tuple[Bounded, int]:
+def wave_change(
+    view: View, wavelength: float, seed: int, most_rays: int = MOST_RAYS, *, of_glass: bool = False
+) -> tuple[Bounded, int]:
     """Mean square of what diffraction would change of the gray levels, and how many rays it took to find out.
 
     Parameters
@@ -125,6 +133,8 @@ def wave_change(view: View, wavelength: float, seed: int, most_rays: int = MOST_
         Of all that is drawn.
     most_rays : int
         About how many rays it may take; where they are few the bound is wide.
+    of_glass : bool
+        Whether only that counts which waves behind a perfect lens do not change.
 
     Returns
     -------
@@ -138,6 +148,8 @@ def wave_change(view: View, wavelength: float, seed: int, most_rays: int = MOST_
         return NOTHING, 0
     random = generator(seed, Rendering.WAVES)
     grid, looked = _grid_of(view, Waves(camera.aperture, camera.image_distance, wavelength), random)
+    if of_glass:
+        grid = replace(grid, less=grid.waves)
     sensor = camera.sensor
     whole = (0, sensor.rows, 0, sensor.columns)
     for times in _COARSER:
@@ -165,12 +177,13 @@ def _grid_of(view: View, waves: Waves, random: np.random.Generator) -> tuple[_Gr
     radius = min(reach_px(camera, least))
     size = _CELL_SHARE * max(length, min(radius, math.sqrt(2 * length * radius)))
     cell = 2.0 ** math.floor(math.log2(max(size, _SMALLEST)))
-    near = math.ceil(max(reach_px(camera, most)) + _NEAR * length)
+    near = math.ceil(max(reach_px(camera, most)) + _NEAR * length + glass_reach(camera) / pitch)
+    of_lens = lens_field(camera, waves.wavelength, _STEPS)
     far = max(near, math.ceil(waves.tail_radius(_TAIL) / pitch))
     # Beside a deep blur tails are cut earlier, which the bound holds, and then cells are larger.
-    while (2 * far / cell) ** 2 * len(layers) > _MOST_CELLS:
+    while (2 * far / cell) ** 2 * len(layers) * len(of_lens.places) > _MOST_CELLS:
         far, cell = (max(near, far // 2), cell) if far > near else (far, 2 * cell)
-    return _Grid(camera, waves, cell, layers, near, far), rays
+    return _Grid(camera, waves, of_lens, cell, layers, near, far, replace(waves, wavelength=0.0)), rays
 
 
 def _of_some(
@@ -179,8 +192,13 @@ def _of_some(
     """Mean square over a large image by pixels in strata, what the cut tails may do, and the rays that it took."""
     sensor = view.camera.sensor
     side = _BLOCK * math.ceil((2 * grid.far / grid.cell + 1) / _BLOCK)
-    kernels = np.stack([np.fft.irfft2(waves, (side, side)).ravel() for _, waves in grid.weights((side, side))])
-    density = np.abs(kernels).mean(axis=0)
+    kernels = np.stack(
+        [
+            [np.fft.irfft2(waves, (side, side)).ravel() for _, waves in each]
+            for each in grid.weights((side, side)).values()
+        ]
+    )
+    density = np.abs(kernels.reshape(-1, side**2)).mean(axis=0)
     if not density.any():
         return NOTHING, 0.0, 0
     drawn = random.choice(sensor.pixels, min(sensor.pixels, most_rays // (2 * _LOOKS)), replace=False)
@@ -222,8 +240,8 @@ class _Drawn:
     grid : _Grid
     side : int
         Rows and columns of the cells around the pixel; those before its own lie at the far ends.
-    kernels : ndarray, shape (layers, side^2)
-        What waves add to the weight of each cell.
+    kernels : ndarray, shape (places, layers, side^2)
+        What waves add to the weight of each cell, at each place of the lens's field.
     density : ndarray, shape (side^2,)
         By which cells are drawn.
     """
@@ -253,7 +271,10 @@ class _Drawn:
         light, depth = trace_rays(view, None, *places, with_depth=len(self.grid.layers) > 1)
         shares = layer_shares(self.grid.layers, depth)
         each = cell.ravel()
-        change = sum(share * kernel[each] for share, kernel in zip(shares, self.kernels, strict=True))
+        place = np.repeat(self.grid.lens_field.nearest(u, v), cell.shape[1])
+        change = sum(
+            share * kernel[place, each] for share, kernel in zip(shares, self.kernels.swapaxes(0, 1), strict=True)
+        )
         return light.reshape(cell.shape), (change / self.density[each]).reshape(cell.shape), light.size
 
 
@@ -312,21 +333,26 @@ def _laid(near: NDArray[np.bool_], shape: tuple[int, int], values: Array) -> Arr
 
 
 def _gathered(
-    grid: _Grid, rect: Rect, weights: list[tuple[Complex, Complex]], light: Array, depth: Array
+    grid: _Grid, rect: Rect, weights: dict[Place, list[tuple[Complex, Complex]]], light: Array, depth: Array
 ) -> tuple[Array, Array]:
     """What rays gather at those pixels of a part that lie alike in their cells, and what waves add."""
-    rays, waves = np.zeros_like(weights[0][0]), np.zeros_like(weights[0][0])
     seen, behind = as_seen(light, depth, grid.layers), going_on(light, depth, grid.layers)
-    for number, (of_rays, of_waves) in enumerate(weights):
-        spectrum = np.fft.rfft2(seen[number])
-        rays += spectrum * np.conj(of_rays)
-        waves += (spectrum if behind is None else np.fft.rfft2(behind[number])) * np.conj(of_waves)
+    spectra = [np.fft.rfft2(one) for one in seen]
+    of_behind = spectra if behind is None else [np.fft.rfft2(one) for one in behind]
     r0, r1, c0, c1 = rect
     first_row, _, first_column, _ = grid.around(rect, grid.far)
     step = max(1, round(grid.cell))
-    at = []
+    at, chosen = [], []
     for begin, end, first in ((r0, r1, first_row), (c0, c1, first_column)):
         pixels = np.arange(begin + -begin % step, end, step)
         at.append(np.floor(pixels / grid.cell).astype(np.intp) - first * _BLOCK)
-    found = [np.fft.irfft2(each, light.shape)[np.ix_(*at)].ravel() for each in (rays, waves)]
+        chosen.append(pixels - begin)
+    found = np.zeros((2, at[0].size * at[1].size))
+    for place, share, _ in grid.lens_field.shares(rect):
+        rays, waves = np.zeros_like(spectra[0]), np.zeros_like(spectra[0])
+        for spectrum, other, (of_rays, of_waves) in zip(spectra, of_behind, weights[place], strict=True):
+            rays += spectrum * np.conj(of_rays)
+            waves += other * np.conj(of_waves)
+        each = [np.fft.irfft2(one, light.shape)[np.ix_(*at)].ravel() for one in (rays, waves)]
+        found += share[np.ix_(*chosen)].ravel() * np.stack(each)
     return found[0], found[1]

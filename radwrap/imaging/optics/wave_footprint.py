@@ -9,7 +9,6 @@ wide as that matters; `Waves.tail` says how much it is.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -111,20 +110,6 @@ def ray_weights(
 ) -> Complex:
     """As `wave_weights`, of the footprint of rays through an even opening."""
     return np.fft.rfft2(laid_out(footprint(camera.without_lens, magnification, cell, phase), shape))
-
-
-def both_weights(
-    waves: Waves,
-    camera: Camera,
-    magnification: float,
-    cell: float,
-    shape: tuple[int, int],
-    *,
-    phase: tuple[int, ...] = (0, 0),
-) -> tuple[Complex, Complex]:
-    """As `ray_weights` and `wave_weights`, where a blur of many cells and wave's lengths may be off by 1e-4."""
-    passed = passed_weights(waves, camera, magnification, cell, shape, phase=phase)
-    return passed_weights(replace(waves, wavelength=0.0), camera, magnification, cell, shape, phase=phase), passed
 
 
 def passed_weights(

@@ -23,7 +23,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
 
@@ -31,11 +31,11 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
+from radwrap.imaging.optics.pupil_path import PupilPath, Transfer
 from radwrap.scene.camera import Aperture
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-Transfer = Callable[[Array, Array], Complex]
 _Curve = tuple[float, float, Array]  # from one frequency to another [m^-1], and what lies between, see `_finer`
 
 # Nodes of Gauss' rule; a piece of a chord's integral is cut into as many parts as its phase has cycles for. Of a whole
@@ -66,11 +66,14 @@ class Waves:
         v, from the opening to the sensor [m].
     wavelength : float
         lambda [m]; 0 is the limit of rays.
+    glass : PupilPath, optional
+        What the lens adds to the path of light, which rays do not know.
     """
 
     aperture: Aperture
     image_distance: float
     wavelength: float
+    glass: PupilPath | None = None
 
     @property
     def shift(self) -> float:
@@ -95,7 +98,7 @@ class Waves:
         What is blurred by many times `blur` has passed none of its fine structure long before `highest_frequency`.
         """
         blur = math.pi * abs(magnification) * self.aperture.diameter
-        if not blur:
+        if not blur or (self.glass is not None and self.wavelength):  # which may bring to focus what lies out of it
             return self.highest_frequency
         straight = self.aperture.shape in ("square", "half_disc")
         x = 1 / least if straight else (2 * _ROUND_ENVELOPE / least) ** (2 / 3)
@@ -132,6 +135,11 @@ class Waves:
 
     def transfer_up_to(self, highest: float, magnification: float) -> Transfer:
         """As `transfer`, of frequencies that come in parts, none above the highest: what they share is made once."""
+        if self.glass is not None and self.wavelength:
+            perfect = replace(self, glass=None).transfer_up_to(highest, 0.0)
+            return self.glass.transfer_up_to(
+                self.aperture, self.image_distance, self.wavelength, magnification, perfect=perfect
+            )
         match self.aperture.shape:
             case "square":
                 return partial(self._square, magnification)

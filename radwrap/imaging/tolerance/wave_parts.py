@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from radwrap.imaging.methods.central import Cells, CentralImage, central_image
 from radwrap.imaging.methods.kernel import GRID_SHARE, coarsened, decide_tile, fast_length, lattice
+from radwrap.imaging.optics.lens_field import MIXED_SHARE
 from radwrap.imaging.optics.view import View
 from radwrap.imaging.tolerance.wave_behind import as_seen, going_on
 from radwrap.imaging.tolerance.wave_far import far_change, far_light
@@ -43,7 +44,8 @@ class WaveParts:
     change : ndarray, shape (replicates, rows, columns)
         Of mean radiance, by independent rays [W m^-2 sr^-1].
     cells : ndarray, shape (rows, columns)
-        What the cells' size may change of that, and where a near thing hides a far one how that is laid out.
+        What the cells' size may change of that, where a near thing hides a far one how that is laid out, and of a lens
+        whose glass differs over the field how places on a grid are mixed.
     beyond : ndarray, shape (rows, columns)
         What light may change that comes from farther than was looked at.
     rays : int
@@ -160,26 +162,35 @@ def wave_tile(
         seen = [fine] if depth is None else as_seen(fine, depth, layers)
         rough_seen = [rough] if rough_depth is None else as_seen(rough, rough_depth, layers)
         behind = None if depth is None else going_on(fine, depth, layers)
-        found = seen_only = _gathered(of_source, central, seen, cell, place)
+        found, of_field = _gathered(of_source, central, seen, cell, place)
+        seen_only = found
         if behind is not None:
-            found = _gathered(of_source, central, behind, cell, place)
-        of_cells = share * (_gathered(of_source, coarser, rough_seen, 2 * cell, place) - seen_only)
-        yield found, of_cells + OF_HIDING * (found - seen_only)
+            found, of_field = _gathered(of_source, central, behind, cell, place)
+        of_cells = share * (_gathered(of_source, coarser, rough_seen, 2 * cell, place)[0] - seen_only)
+        off = of_cells + OF_HIDING * (found - seen_only)
+        yield found, off + np.copysign(of_field, off)
 
 
-def _gathered(plan: WavePlan, central: CentralImage, light: Sequence[Array], cell: float, place: Rect) -> Array:
-    """What waves add to each pixel of a tile, by the light of each layer."""
+def _gathered(
+    plan: WavePlan, central: CentralImage, light: Sequence[Array], cell: float, place: Rect
+) -> tuple[Array, Array]:
+    """What waves add to each pixel of a tile, by the light of each layer; and how far a mixture of places is off."""
     rows, columns = (fast_length(size) for size in light[0].shape)
     shape = rows, columns
     spectra = [np.fft.rfft2(one, shape) for one in light]
-    found = np.empty((place[1] - place[0], place[3] - place[2]))
+    found, of_coarser = np.zeros((2, place[1] - place[0], place[3] - place[2]))
     step = max(1, round(cell))
-    for phase in np.ndindex(step, step):
-        at_phase = plan.weights.laid_out(cell, shape, (phase[0], phase[1]))
+    for phase, (of_field, share, coarser) in itertools.product(
+        np.ndindex(step, step), plan.weights.lens_field.shares(place)
+    ):
+        at_phase = plan.weights.laid_out(cell, shape, (phase[0], phase[1]), of_field)
         field = np.fft.irfft2(
             sum(spectrum * np.conj(each) for spectrum, each in zip(spectra, at_phase, strict=True)), shape
         )
         pixels = lattice(cell, place, phase)
         row, column = (np.floor(at / cell).astype(int) - first for at, first in zip(pixels, central.first, strict=True))
-        found[np.ix_(pixels[0] - place[0], pixels[1] - place[2])] = field[row[:, np.newaxis], column]
-    return found
+        at = np.ix_(pixels[0] - place[0], pixels[1] - place[2])
+        values = field[row[:, np.newaxis], column]
+        found[at] += share[at] * values
+        of_coarser[at] += coarser[at] * values
+    return found, MIXED_SHARE * np.abs(found - of_coarser)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from radwrap.imaging.demand import FINEST_CELL
 from radwrap.imaging.methods.kernel import KernelPlan, fast_length, plan_kernel
 from radwrap.imaging.optics.footprint import Footprint, laid_out
+from radwrap.imaging.optics.lens_field import LensField, Place, glass_at, glass_reach, lens_field
 from radwrap.imaging.optics.view import View, look_at_depths
 from radwrap.imaging.optics.wave_footprint import passed_weights
 from radwrap.imaging.optics.waves import Waves
@@ -34,6 +35,7 @@ _COARSEST: Final = 0.5  # px
 _NEAR: Final = 6.0
 # The weights are made on a grid so many times as wide as they are taken from, of so many cells at most.
 _AROUND: Final = 8
+_AROUND_GLASS: Final = 4  # there are many weights then; what comes in is 5e-6 of the highest
 _MOST_AROUND: Final = 1 << 21
 _LEAST_GAIN: Final = 0.05  # of noise; rays are so few then that fewer would save nothing
 _STEP: Final = 0.02  # of the diameter, to either side: a slope by both is off by its square
@@ -49,43 +51,51 @@ class WaveWeights:
         Cells, layers and how far they reach.
     terms : tuple
         Factors, and of which waves; a wavelength of 0 is rays. The factors sum to 0.
+    lens_field : LensField
+        Places of the sensor at which they are made.
     made : dict
         What was made already.
     """
 
     kernel: KernelPlan
     terms: tuple[tuple[float, Waves], ...]
-    made: dict[tuple[float, tuple[int, int]], list[Array]] = field(default_factory=dict)
+    lens_field: LensField
+    made: dict[tuple[float, tuple[int, int], Place], list[Array]] = field(default_factory=dict)
 
-    def near(self, cell: float, phase: tuple[int, int]) -> list[Array]:
+    def near(self, cell: float, phase: tuple[int, int], place: Place) -> list[Array]:
         """Of each layer, shape (2 rows + 1, 2 columns + 1); cells of a pixel in the middle."""
-        if (cell, phase) not in self.made:
-            self.made[cell, phase] = [self.of_layer(layer, cell, phase) for layer in self.kernel.layers]
-        return self.made[cell, phase]
+        key = cell, phase, place
+        if key not in self.made:
+            self.made[key] = [self.of_layer(layer, cell, phase, place) for layer in self.kernel.layers]
+        return self.made[key]
 
-    def laid_out(self, cell: float, shape: tuple[int, int], phase: tuple[int, int]) -> Iterator[Complex]:
+    def laid_out(self, cell: float, shape: tuple[int, int], phase: tuple[int, int], place: Place) -> Iterator[Complex]:
         """Their transforms in a field of a shape, of each layer."""
-        for near in self.near(cell, phase):
+        for near in self.near(cell, phase, place):
             corner = (-(near.shape[0] // 2), -(near.shape[1] // 2))
             yield np.fft.rfft2(laid_out(Footprint(corner, near), shape))
 
     @property
     def share(self) -> float:
         """Share of the light that goes farther."""
-        near = self.near(self.kernel.grid.cell, (0, 0))
-        return -float(np.mean([each.sum() for each in near]))
+        cell, places = self.kernel.grid.cell, self.lens_field.places
+        return -float(np.mean([each.sum() for place in places for each in self.near(cell, (0, 0), place)]))
 
-    def of_layer(self, layer: float, cell: float, phase: tuple[int, int]) -> Array:
+    def of_layer(self, layer: float, cell: float, phase: tuple[int, int], place: Place) -> Array:
         """As `near`, of one layer."""
         reach = self.kernel.reach_px[::-1]
         # A pixel's middle beside that of the cell whose corner it shares [px].
         beside = [(1 - cell) / 2 + shift for shift in phase]
         rows, columns = (math.ceil((far + abs(off)) / cell + 0.5) for far, off in zip(reach, beside, strict=True))
         # What goes round comes in from far away: little, spread widely.
-        wide = max(1, min(_AROUND, math.isqrt(_MOST_AROUND // (4 * rows * columns))))
+        glass = glass_at(self.kernel.camera, place)
+        wide = max(
+            1, min(_AROUND if glass is None else _AROUND_GLASS, math.isqrt(_MOST_AROUND // (4 * rows * columns)))
+        )
         shape = fast_length(2 * wide * rows + 1), fast_length(2 * wide * columns + 1)
         spectrum = np.zeros((shape[0], shape[1] // 2 + 1), dtype=np.complex128)
-        for factor, waves in self.terms:
+        for factor, light in self.terms:
+            waves = replace(light, glass=glass) if light.wavelength else light
             spectrum += factor * passed_weights(waves, self.kernel.camera, layer, cell, shape, phase=phase)
         change = np.fft.fftshift(np.fft.irfft2(spectrum, shape))
         r, c = (size // 2 for size in shape)
@@ -129,7 +139,7 @@ class WavePlan:
         if wavelength == self.waves.wavelength:
             return self
         waves = replace(self.waves, wavelength=wavelength)
-        return replace(self, waves=waves, weights=WaveWeights(self.kernel, _less_rays(waves)))
+        return replace(self, waves=waves, weights=WaveWeights(self.kernel, _less_rays(waves), self.weights.lens_field))
 
     @property
     def pitch(self) -> float:
@@ -141,7 +151,8 @@ class WavePlan:
     def block(self) -> int:
         """Rows and columns over which errors hang together [px]."""
         blur = max(self.kernel.reach_px) - (self.kernel.guard or 0.0)
-        return math.ceil(max(blur, self.waves.blur / self.pitch)) + 1
+        bent = glass_reach(self.kernel.camera) / self.pitch
+        return math.ceil(max(blur + bent, self.waves.blur / self.pitch)) + 1
 
 
 def plan_waves(
@@ -183,8 +194,8 @@ def plan_waves(
         # Where light is even rays go on in wide steps, as waves spread what they add.
         wider = max(0, math.floor(math.log2(max(_BASE_SHARE * blur, _LEAST_BASE) / plan.grid.base)))
         plan = replace(plan, grid=replace(plan.grid, base=plan.grid.base << wider, levels=plan.grid.levels + wider))
-    plan = replace(plan, guard=max(_NEAR * blur, 1.0))
-    weights = WaveWeights(plan, _less_rays(waves))
+    plan = replace(plan, guard=max(_NEAR * blur, 1.0) + glass_reach(camera) / pitch)
+    weights = WaveWeights(plan, _less_rays(waves), lens_field(camera, wavelength))
     if even_cell is None:
         plan = replace(plan, grid=replace(plan.grid, aim=aim / _noise_gain(weights)))
         weights = replace(weights, kernel=plan)
@@ -194,9 +205,10 @@ def plan_waves(
 def _noise_gain(weights: WaveWeights) -> float:
     """Noise of what waves add over that of an image by the same rays: small where waves blur by less than pixels."""
     kernel, cell, (_, rays) = weights.kernel, weights.kernel.grid.cell, weights.terms[-1]
-    added, alone = weights.near(cell, (0, 0)), WaveWeights(kernel, ((1.0, rays),))
+    place = weights.lens_field.places[len(weights.lens_field.places) // 2]
+    added, alone = weights.near(cell, (0, 0), place), WaveWeights(kernel, ((1.0, rays),), weights.lens_field)
     gains = [
-        float((added[number] ** 2).sum() / (alone.of_layer(kernel.layers[number], cell, (0, 0)) ** 2).sum())
+        float((added[number] ** 2).sum() / (alone.of_layer(kernel.layers[number], cell, (0, 0), place) ** 2).sum())
         for number in {0, len(kernel.layers) - 1}
     ]
     return min(1.0, max(math.sqrt(max(gains)), _LEAST_GAIN))
@@ -209,7 +221,7 @@ def by_diameter(plan: WavePlan) -> WavePlan:
         (sign * share, replace(plan.waves, aperture=replace(aperture, diameter=(1 + sign * _STEP) * aperture.diameter)))
         for sign in (1, -1)
     )
-    return replace(plan, weights=WaveWeights(plan.kernel, terms))
+    return replace(plan, weights=WaveWeights(plan.kernel, terms, plan.weights.lens_field))
 
 
 def _less_rays(*waves: Waves) -> tuple[tuple[float, Waves], ...]:

@@ -99,6 +99,11 @@ Factor = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=1e6)]
 Count = Annotated[int, Field(strict=True, ge=1, le=1_000_000)]
 Whole = Annotated[int, Field(strict=True)]
 Flag = Annotated[bool, Field(strict=True)]
+# What glass adds to the path of light: a thousand waves and more.
+LONGEST_PATH = 1e-3
+OpticalPath = Annotated[
+    float, Field(ge=-LONGEST_PATH, le=LONGEST_PATH), BeforeValidator(_reader(LENGTH)), _schema(LENGTH)
+]
 # Names become identifiers of Radiance's text.
 Name = Annotated[str, Field(strict=True, pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")]
 # NAME, or NAME@DATE of an older revision.

@@ -13,6 +13,7 @@ from radwrap.nearest import did_you_mean
 from radwrap.scene.camera import ASSUMED_WAVELENGTH, Aperture, Camera, Lens, image_distance
 from radwrap.scene.distortion import Distortion, bounded, opencv_distortion
 from radwrap.scene.file import document as tables
+from radwrap.scene.file.glass_convert import wavefront_from_table
 from radwrap.scene.file.material_convert import check_places, material_from_table
 from radwrap.scene.file.optics_tables import LensModel
 from radwrap.scene.file.pattern_convert import pattern_target
@@ -54,7 +55,7 @@ def scene_from_model(
         Where values that are right one by one do not go together.
     """
     names: set[str] = set()
-    camera = camera_from_table(model.camera, f"{origin}: camera", assumed)
+    camera = camera_from_table(model.camera, f"{origin}: camera", assumed, folder)
     sources = sources_from_tables(model.sources, camera.pose, assumed=assumed, origin=origin, folder=folder)
     target_names = _target_names(model, assumed)
     targets = tuple(
@@ -154,8 +155,8 @@ def _target_names(model: tables.SceneModel, assumed: dict[str, str]) -> list[str
     return names
 
 
-def camera_from_table(table: tables.CameraModel, where: str, assumed: dict[str, str]) -> Camera:
-    """Convert a validated ``[camera]``.
+def camera_from_table(table: tables.CameraModel, where: str, assumed: dict[str, str], folder: Path) -> Camera:
+    """Convert a validated ``[camera]``, whose files lie in a folder.
 
     Raises
     ------
@@ -188,7 +189,9 @@ def camera_from_table(table: tables.CameraModel, where: str, assumed: dict[str, 
         ),
         sensor=sensor_from_table(sensor, table.exposure_time, f"{where}.sensor"),
         distortion=_distortion(table, centre, where),
-        lens=None if table.lens is None else _lens(table.lens, table, principal_point, f"{where}.lens", assumed),
+        lens=None
+        if table.lens is None
+        else _lens(table.lens, table, principal_point, f"{where}.lens", assumed=assumed, folder=folder),
         wavelength=table.wavelength,
         diffraction=None if table.diffraction == "off" or not table.opening_diameter else table.diffraction,
     )
@@ -241,21 +244,22 @@ def _lens(
     camera: tables.CameraModel,
     principal_point: tuple[float, float],
     where: str,
+    *,
     assumed: dict[str, str],
+    folder: Path,
 ) -> Lens:
-    illumination = table.relative_illumination
-    if illumination is not None:
-        sensor = camera.sensor
-        across, down = (
-            max(centre + 0.5, count - 0.5 - centre) * pitch
-            for centre, count, pitch in zip(
-                principal_point,
-                (sensor.columns, sensor.rows),
-                (sensor.pixel_width, sensor.pixel_height),
-                strict=True,
-            )
+    illumination, sensor = table.relative_illumination, camera.sensor
+    across, down = (
+        max(centre + 0.5, count - 0.5 - centre) * pitch
+        for centre, count, pitch in zip(
+            principal_point,
+            (sensor.columns, sensor.rows),
+            (sensor.pixel_width, sensor.pixel_height),
+            strict=True,
         )
-        corner = math.hypot(across, down)
+    )
+    corner = math.hypot(across, down)
+    if illumination is not None:
         if corner > illumination[-1][0]:
             raise InputError(
                 f"ends {illumination[-1][0] * 1e3:g} mm from the axis, the sensor at {corner * 1e3:.4g} mm",
@@ -266,7 +270,13 @@ def _lens(
         assumed["camera.lens.falloff"] = "cos4"
     elif table.falloff == "none":
         illumination = ((0.0, 1.0),)
-    return Lens(table.focus_distance, table.transmission, illumination)
+    glass = None
+    if table.wavefront is not None:
+        reach = camera.opening_diameter / 2 * (math.sqrt(2) if camera.aperture.shape == "square" else 1.0)
+        glass = wavefront_from_table(
+            table.wavefront, (2 * reach, corner), f"{where}.wavefront", folder=folder, assumed=assumed
+        )
+    return Lens(table.focus_distance, table.transmission, illumination, glass)
 
 
 def _part(table: tables.PartModel, name: str, where: str, folder: Path) -> MeshPart:

@@ -179,6 +179,17 @@ class CameraModel(Aimed):
             raise ValueError('diffraction: "on" needs an opening, and the aperture\'s diameter is 0; leave it out')
         return self
 
+    @model_validator(mode="after")
+    def _waves_for_a_wavefront(self) -> CameraModel:
+        if self.lens is not None and self.lens.wavefront is not None:
+            if not self.opening_diameter:
+                raise ValueError("lens.wavefront needs an opening, and the aperture's diameter is 0; leave it out")
+            if self.diffraction == "off":
+                raise ValueError(
+                    'diffraction: "off" leaves out what lens.wavefront does to waves; leave one of them out'
+                )
+        return self
+
     @property
     def opening_diameter(self) -> float:
         """Diameter of the opening [m]: the aperture's own, or focal length over f-number."""

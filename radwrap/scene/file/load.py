@@ -226,7 +226,7 @@ def camera_with(
         found = in_sheet(fault(error, origin, whole, _CameraModel), tables, whole, origin)
         raise in_file(found, taken, origin) from error
     told = dict(_assumed(model)) | _unpublished(taken)
-    return OtherCamera(camera_from_table(model.camera, f"{origin}: camera", told), told, text, taken)
+    return OtherCamera(camera_from_table(model.camera, f"{origin}: camera", told, folder), told, text, taken)
 
 
 def with_value(scene: Scene, key: str, value: Any) -> Scene:
@@ -282,7 +282,8 @@ def _assumed(model: BaseModel, prefix: str = "") -> Iterator[tuple[str, str]]:
                     yield from _assumed(item, f"{key}[{index}].")
         elif isinstance(value, dict):
             for entry, item in value.items():
-                yield from _assumed(item, f"{key}.{entry}.")
+                if isinstance(item, BaseModel):
+                    yield from _assumed(item, f"{key}.{entry}.")
 
 
 def _unpublished(taken: tuple[Taken, ...]) -> dict[str, str]:

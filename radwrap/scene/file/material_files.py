@@ -64,7 +64,7 @@ def read_coefficients(path: Path) -> CoefficientFile:
     InputError
         If it is no such table.
     """
-    columns, _ = _columns(path, _SHEETING, optional="rotation_deg")
+    columns, _ = columns_of(path, _SHEETING, optional="rotation_deg")
     turns = columns.get("rotation_deg", np.zeros(len(columns["coefficient"]))) % 360  # 360 deg is 0
     grids = [
         _grid({name: columns[name][turns == turn] for name in _SHEETING}, _SHEETING, path) for turn in np.unique(turns)
@@ -94,7 +94,7 @@ def read_brdf(path: Path) -> MeasuredBrdf:
     InputError
         If it is no such table, or reflects more than falls on it.
     """
-    columns, digest = _columns(path, _BRDF)
+    columns, digest = columns_of(path, _BRDF)
     if min(float(columns[name].min(initial=0.0)) for name in _BRDF[:-1]) < 0:
         raise InputError("angles must be at least 0", where=str(path), remedy="tell the side by the azimuth, 0 to 180")
     axes, values = _grid(columns, _BRDF, path)
@@ -164,7 +164,14 @@ def read_print(path: Path, encoding: str, black: float, white: float) -> Printed
     return PrintedImage(sha256_of_value(rows), rows)
 
 
-def _columns(path: Path, names: tuple[str, ...], optional: str = "") -> tuple[dict[str, Array], str]:
+def columns_of(path: Path, names: tuple[str, ...], optional: str = "") -> tuple[dict[str, Array], str]:
+    """Columns of a CSV table, in any order, by name, and the SHA-256 of its file.
+
+    Raises
+    ------
+    InputError
+        If it is no table of finite numbers with these columns.
+    """
     text, digest = table_text(path, _LARGEST_FILE)
     rows = table_rows(text, path)
     head = [cell.strip() for cell in rows[0]] if rows else []

@@ -7,7 +7,37 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from radwrap.scene.file.border import ComponentName, Model, PositiveShare, Size, SizeOrZero, Wavelength
+from radwrap.scene.file.border import (
+    ComponentName,
+    Model,
+    OpticalPath,
+    PositiveShare,
+    Size,
+    SizeOrZero,
+    Wavelength,
+    exactly_one,
+)
+
+FileName = Annotated[str, Field(strict=True, min_length=1, max_length=1000)]
+TermNumber = Annotated[str, Field(strict=True, pattern=r"^(0|[1-9][0-9]{0,2})$")]
+
+
+class WavefrontModel(Model):
+    """[camera.lens.wavefront]: what the glass adds to the path of light over the pupil, as Zernike coefficients."""
+
+    convention: Literal["osa", "noll", "fringe"]
+    """How the polynomials are numbered; osa and noll have unit rms, fringe has unit peak."""
+    coefficients: Annotated[dict[TermNumber, OpticalPath], Field(min_length=1, max_length=231)] | None = None
+    """Number of a polynomial and its path, the same for all of the image; longer is positive."""
+    file: FileName | None = None
+    """CSV table beside the scene, in place of coefficients: field_height_mm, index, coefficient [m]."""
+    pupil_diameter: Size | None = None
+    """Of the disc that the polynomials belong to; default the opening's."""
+
+    @model_validator(mode="after")
+    def _one_place(self) -> WavefrontModel:
+        exactly_one(self, "coefficients", "file")
+        return self
 
 
 class LensModel(Model):
@@ -25,6 +55,8 @@ class LensModel(Model):
     """Towards the corners: cos^4 of the field angle, or none."""
     relative_illumination: tuple[tuple[SizeOrZero, PositiveShare], ...] | None = None
     """Pairs of image height and share of the light on the axis, from ["0 mm", 1.0] on; in place of falloff."""
+    wavefront: WavefrontModel | None = None
+    """How the lens differs from a perfect one, by Zernike polynomials."""
 
     @model_validator(mode="after")
     def _consistent(self) -> LensModel:
@@ -44,7 +76,7 @@ class LensModel(Model):
 class CurveModel(Model):
     """A quantity over wavelength: a table in a file beside the scene."""
 
-    file: Annotated[str, Field(strict=True, min_length=1, max_length=1000)]
+    file: FileName
     """CSV table beside the scene: wavelength [nm] and value."""
 
 
@@ -57,7 +89,7 @@ class SpectrumModel(Model):
     """Of that line, full width at half maximum."""
     preset: Literal["A", "D65", "E"] | None = None
     """A CIE standard illuminant."""
-    file: Annotated[str, Field(strict=True, min_length=1, max_length=1000)] | None = None
+    file: FileName | None = None
     """CSV table beside the scene: wavelength [nm] and relative power."""
 
     @model_validator(mode="after")

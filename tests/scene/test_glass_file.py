@@ -1,0 +1,112 @@
+"""Wavefronts of a lens as a scene file has them: numbers, units, tables beside the scene, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import radwrap
+from radwrap.errors import InputError
+from radwrap.scene.aberrations import Wavefront
+
+FOLDER = Path(__file__).parents[2] / "rad_scenes" / "real_lens"
+SCENE = FOLDER / "scene.toml"
+INLINE = {"convention": "osa", "coefficients": {"7": "45 nm", "4": "-0.02 um"}}
+CORNER_MM = math.hypot(192, 160) / 2 * 3.45e-3
+
+
+def glass(wavefront: dict[str, Any], folder: Path = FOLDER) -> Wavefront:
+    document = radwrap.load_scene(SCENE).document
+    scene = radwrap.scene_from_document(json.loads(document), {"camera.lens.wavefront": wavefront}, folder=folder)
+    assert scene.camera.lens is not None and scene.camera.lens.glass is not None
+    return scene.camera.lens.glass
+
+
+def by_order(found: Wavefront, row: int = 0) -> dict[tuple[int, int], float]:
+    return {order: value for order, value in zip(found.orders, found.coefficients[row], strict=True) if value}
+
+
+def test_coefficients_are_paths_of_unit_rms_whatever_their_convention() -> None:
+    assert by_order(glass(INLINE)) == {(3, -1): 45e-9, (2, 0): pytest.approx(-20e-9)}
+    noll = {"convention": "noll", "coefficients": {"7": "45 nm", "4": "-20 nm"}}
+    assert by_order(glass(noll)) == {(3, -1): 45e-9, (2, 0): -20e-9}
+    # Coma of peak 1 is 8 times that of rms 1 squared; defocus 2 rho^2 - 1 three times.
+    fringe = {"convention": "fringe", "coefficients": {"8": "45 nm", "4": "-20 nm"}}
+    found = by_order(glass(fringe))
+    assert found == {(3, -1): pytest.approx(45e-9 / math.sqrt(8)), (2, 0): pytest.approx(-20e-9 / math.sqrt(3))}
+
+
+def test_the_pupil_is_the_opening_unless_another_is_told() -> None:
+    assert glass(INLINE).pupil_diameter == pytest.approx(25e-3 / 4)
+    assert glass({**INLINE, "pupil_diameter": "10 mm"}).pupil_diameter == 10e-3
+    scene = radwrap.load_scene(SCENE, {"camera.lens.wavefront": INLINE})
+    assert scene.assumed["camera.lens.wavefront.pupil_diameter"] == "6.25 mm"
+
+
+def test_a_table_of_heights_is_read_in_any_order(tmp_path: Path) -> None:
+    (tmp_path / "lens.csv").write_text(
+        "index,field_height_mm,coefficient\n# coma grows\n7,0.5,4.5e-8\n12,0,1e-8\n7,0,0\n12,0.5,2e-8\n"
+    )
+    found = glass({"convention": "osa", "file": "lens.csv"}, tmp_path)
+    assert found.heights == (0.0, 0.5e-3)
+    assert by_order(found, 1) == {(3, -1): 4.5e-8, (4, 0): 2e-8} and by_order(found) == {(4, 0): 1e-8}
+    assert dict(zip(found.orders, found.at(0.25e-3, 0.0), strict=True))[3, 1] == pytest.approx(2.25e-8)
+
+
+@pytest.mark.parametrize(
+    ("wavefront", "told"),
+    [
+        ({"coefficients": {"7": "45 nm"}}, "camera.lens.wavefront.convention"),
+        ({"convention": "osa"}, "exactly one of coefficients and file"),
+        ({"convention": "osa", "coefficients": {"7": 45e-9}}, "camera.lens.wavefront.coefficients"),
+        ({"convention": "osa", "coefficients": {"seven": "45 nm"}}, "camera.lens.wavefront.coefficients"),
+        ({"convention": "osa", "coefficients": {"7": "45 mm"}}, "camera.lens.wavefront.coefficients.7"),
+        ({"convention": "noll", "coefficients": {"0": "45 nm"}}, "0 is no number of a term of the convention noll"),
+        (
+            {"convention": "fringe", "coefficients": {"38": "45 nm"}},
+            "38 is no number of a term of the convention fringe",
+        ),
+        ({**INLINE, "pupil_diameter": "5 mm"}, "is smaller than the opening of 6.25 mm"),
+        ({"convention": "osa", "file": "../lens.csv"}, "lies outside the scene's folder"),
+        ({"convention": "osa", "file": "none.csv"}, "camera.lens.wavefront.file"),
+    ],
+)
+def test_what_is_wrong_is_named(wavefront: dict[str, Any], told: str) -> None:
+    with pytest.raises(InputError, match=re.escape(told)):
+        glass(wavefront)
+
+
+@pytest.mark.parametrize(
+    ("lines", "told"),
+    [
+        ("0,4,1e-9\n0.5,4,0.3", "coefficients are paths in metres"),
+        ("0,4,1e-9\n0.3,4,2e-9", f"the sensor from 0 to {CORNER_MM:.4g} mm"),
+        ("0.1,4,1e-9\n0.5,4,2e-9", "add the axis"),
+        ("0,7,4e-8\n0.5,7,5e-8", "not alike from all sides, 40 nm rms"),
+        ("0,4,1e-9\n0,4,2e-9\n0.5,4,2e-9", "a term twice at the height 0 mm"),
+        ("0,4.5,1e-9\n0.5,4,2e-9", "whole numbers of terms"),
+        ("0,999,1e-9\n0.5,4,2e-9", "999 is no number of a term"),
+        ("0,4,nan\n0.5,4,2e-9", "finite numbers"),
+        ("", "finite numbers"),
+    ],
+)
+def test_what_is_wrong_in_a_table_is_named(tmp_path: Path, lines: str, told: str) -> None:
+    (tmp_path / "lens.csv").write_text(f"field_height_mm,index,coefficient\n{lines}\n")
+    with pytest.raises(InputError, match=re.escape(told)) as refused:
+        glass({"convention": "osa", "file": "lens.csv"}, tmp_path)
+    assert "lens.csv" in str(refused.value) or "wavefront.file" in str(refused.value)
+
+
+def test_a_wavefront_needs_waves_and_an_opening() -> None:
+    with pytest.raises(InputError, match=r'"off" leaves out what lens.wavefront does'):
+        radwrap.load_scene(SCENE, {"camera.diffraction": "off"})
+    tables = json.loads(radwrap.load_scene(SCENE).document)
+    del tables["camera"]["lens"]["f_number"]
+    tables["camera"]["aperture"] = {"diameter": "0 mm"}
+    with pytest.raises(InputError, match=r"lens.wavefront needs an opening"):
+        radwrap.scene_from_document(tables, folder=FOLDER)
