@@ -1,4 +1,4 @@
-"""How a lens differs from a perfect one: what its glass adds to the path of light through each point of the pupil.
+"""How a lens differs from a perfect one: what its glass adds to the path of light, or what contrast it leaves.
 
 Pupil axes are the camera's x, right, and y UP as the camera looks: the table of
 a lens is written so, though rows of an image go down. A positive path is a
@@ -60,3 +60,36 @@ def _turned(coefficients: dict[Order, float], order: Order, turn: float) -> floa
     c, s = math.cos(abs(m) * turn), math.sin(abs(m) * turn)
     other = coefficients[n, -m]
     return coefficients[order] * c + (other * s if m < 0 else -other * s)
+
+
+@dataclass(frozen=True, slots=True)
+class ContrastTable:
+    """A lens's contrast as a share of the diffraction limit's.
+
+    Attributes
+    ----------
+    frequencies : tuple of float
+        From 0 on, increasing [m^-1].
+    tangential, sagittal : tuple of tuple of float
+        Shares of gratings whose frequency lies along the radius of the field, and across it, a row for each height; 1
+        at the frequency 0, and held beyond the last.
+    heights : tuple of float, optional
+        On the sensor, from 0 on and increasing [m]; straight between them. Without heights all of the image has the
+        one row, and both directions are alike.
+    """
+
+    frequencies: tuple[float, ...]
+    tangential: tuple[tuple[float, ...], ...]
+    sagittal: tuple[tuple[float, ...], ...]
+    heights: tuple[float, ...] | None = None
+
+    def at(self, x: float, y: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Tangential and sagittal shares at a place of the erect image, x right and y up from the axis [m]."""
+        if self.heights is None:
+            return self.tangential[0], self.sagittal[0]
+        height, heights = math.hypot(x, y), self.heights
+        tangential, sagittal = (
+            tuple(float(np.interp(height, heights, column)) for column in zip(*rows, strict=True))
+            for rows in (self.tangential, self.sagittal)
+        )
+        return tangential, sagittal

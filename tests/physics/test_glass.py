@@ -15,7 +15,7 @@ from radwrap.imaging.optics.wave_footprint import wave_weights
 from radwrap.imaging.optics.waves import Waves
 from radwrap.imaging.tolerance.wave_parts import wave_parts
 from radwrap.imaging.tolerance.wave_plan import plan_waves
-from radwrap.scene.aberrations import Wavefront
+from radwrap.scene.aberrations import ContrastTable, Wavefront
 from radwrap.scene.camera import Aperture, Camera, Lens
 from radwrap.scene.pixel_window import PixelWindow, box
 from radwrap.scene.zernike import Order, order_of, rms, zernike
@@ -330,3 +330,37 @@ def test_places_between_are_mixed_within_what_is_counted_for_it() -> None:
     # Of light 1; noise of the rays is .002. Without a mixture, by the nearest place, pixels are off by .05.
     assert math.hypot(*off) / 2 < 1.3 * math.hypot(*counted) / 2 + 0.004
     assert math.hypot(*off) / 2 < 0.02
+
+
+def contrast_lens(tangential: float, sagittal: float) -> Camera:
+    """Shares of the limit from 5 % of the highest frequency on, at all heights but the axis."""
+    of = camera(Aperture("round", F / NUMBER), SIDE, SIDE, (PIXEL, PIXEL), F)
+    low = 0.05 / (WAVELENGTH * NUMBER)
+    shares = (((1.0, 1.0, 1.0), (1.0, value, value)) for value in (tangential, sagittal))
+    return replace(of, lens=Lens(FOCUS, glass=ContrastTable((0.0, low, 2 * low), *shares, (0.0, 1e-3))))
+
+
+def test_tangential_contrast_is_that_along_the_radius() -> None:
+    """Above the axis to the right, at half the table's last height: gratings along the radius, across it, between."""
+    of = contrast_lens(0.4, 0.8)
+    middle, away = (SIDE - 1) / 2, 0.5e-3 / PIXEL
+    waves = Waves(of.aperture, of.image_distance, WAVELENGTH)
+    for angle in (0.0, 0.5, 2.0):
+        place = (middle + away * math.cos(angle), middle - away * math.sin(angle))
+        behind_glass = replace(waves, glass=glass_at(of, place))
+        nu = 0.3 * waves.highest_frequency
+        for turned, share in ((0.0, 0.7), (math.pi / 2, 0.9), (math.pi / 4, 0.8)):
+            across, down = np.array([nu * math.cos(angle + turned)]), np.array([-nu * math.sin(angle + turned)])
+            for m in (0.0, 0.005):
+                limit = waves.transfer(m, across, down)
+                found = behind_glass.transfer(m, across, down)
+                assert found == pytest.approx(share * limit, abs=SQUARES)
+
+
+def test_a_lens_of_low_contrast_sends_no_light_away() -> None:
+    of = contrast_lens(0.4, 0.8)
+    change, _ = light_of(replace(of, lens=replace(of.lens, glass=None)), [(0.0, 0.0)])  # type: ignore[type-var]
+    by_glass, _ = light_of(of, [(8.0, -8.0)])
+    light = math.pi * LAMP**2
+    assert abs(by_glass.sum() - change.sum()) < IN_FRAME * light
+    assert moments(by_glass, (8.0, -8.0)) == pytest.approx((0.0, 0.0), abs=IN_FRAME * light)

@@ -12,7 +12,7 @@ import pytest
 
 import radwrap
 from radwrap.errors import InputError
-from radwrap.scene.aberrations import Wavefront
+from radwrap.scene.aberrations import ContrastTable, Wavefront
 
 FOLDER = Path(__file__).parents[2] / "rad_scenes" / "real_lens"
 SCENE = FOLDER / "scene.toml"
@@ -23,7 +23,7 @@ CORNER_MM = math.hypot(192, 160) / 2 * 3.45e-3
 def glass(wavefront: dict[str, Any], folder: Path = FOLDER) -> Wavefront:
     document = radwrap.load_scene(SCENE).document
     scene = radwrap.scene_from_document(json.loads(document), {"camera.lens.wavefront": wavefront}, folder=folder)
-    assert scene.camera.lens is not None and scene.camera.lens.glass is not None
+    assert scene.camera.lens is not None and isinstance(scene.camera.lens.glass, Wavefront)
     return scene.camera.lens.glass
 
 
@@ -110,3 +110,67 @@ def test_a_wavefront_needs_waves_and_an_opening() -> None:
     tables["camera"]["aperture"] = {"diameter": "0 mm"}
     with pytest.raises(InputError, match=r"lens.wavefront needs an opening"):
         radwrap.scene_from_document(tables, folder=FOLDER)
+
+
+def contrast(
+    folder: Path, lines: str, head: str = "frequency_per_mm,tangential,sagittal", **more: Any
+) -> ContrastTable:
+    (folder / "mtf.csv").write_text(f"{head}\n{lines}\n")
+    tables = json.loads(radwrap.load_scene(SCENE).document)
+    del tables["camera"]["lens"]["wavefront"]
+    told = {"file": "mtf.csv", "f_number": 4, "wavelength": "500 nm", **more}
+    scene = radwrap.scene_from_document(tables, {"camera.lens.mtf": told}, folder=folder)
+    assert scene.camera.lens is not None and isinstance(scene.camera.lens.glass, ContrastTable)
+    assert "camera.lens.mtf.phase" in scene.assumed and "camera.lens.mtf.beyond" in scene.assumed
+    return scene.camera.lens.glass
+
+
+def limit(per_mm: float) -> float:
+    """Contrast of a perfect lens of f/4 at 500 nm, whose highest frequency is 500 per mm."""
+    s = per_mm / 500
+    return 2 / math.pi * (math.acos(s) - s * math.sqrt(1 - s**2))
+
+
+def test_contrast_is_told_over_that_of_a_perfect_lens(tmp_path: Path) -> None:
+    found = contrast(tmp_path, f"100,{0.8 * limit(100)},{0.8 * limit(100)}\n200,{0.5 * limit(200)},{0.5 * limit(200)}")
+    assert found.frequencies == (0.0, 100e3, 200e3) and found.heights is None
+    assert found.tangential[0] == found.sagittal[0] == pytest.approx((1.0, 0.8, 0.5))
+
+
+def test_contrast_over_the_field_is_read_in_any_order(tmp_path: Path) -> None:
+    lines = "100,0.5,0.6,0.5\n200,0.2,0.3,0.5\n200,0.4,0.4,0\n100,0.7,0.7,0\n0,1,1,0\n0,1,1,0.5"
+    found = contrast(tmp_path, lines, "frequency_per_mm,tangential,sagittal,field_height_mm")
+    assert found.heights == (0.0, 0.5e-3) and found.frequencies == (0.0, 100e3, 200e3)
+    tangential, sagittal = found.at(0.3e-3, 0.4e-3)
+    assert tangential == pytest.approx((1.0, 0.5 / limit(100), 0.2 / limit(200)))
+    assert sagittal == pytest.approx((1.0, 0.6 / limit(100), 0.3 / limit(200)))
+
+
+@pytest.mark.parametrize(
+    ("lines", "more", "told"),
+    [
+        ("100,0.9,0.5", {}, "is 0.9 at 100 per mm, and a perfect lens leaves 0.747 at f/4 and 500 nm"),
+        ("100,-0.1,0.5", {}, "is -0.1 at 100 per mm"),
+        ("0,0.9,1\n100,0.5,0.5", {}, "must be 1 at the frequency 0"),
+        ("100,0.5,0.5", {"f_number": 2.8}, "is 2.8, and the camera's 4: contrast of another opening says nothing"),
+        ("100,0.7,0.5", {}, "differs on the axis by direction"),
+        ("100,0.5,0.5\n100,0.6,0.6", {}, "the same frequencies at each height, each once"),
+        ("-100,0.5,0.5", {}, "needs frequencies above 0"),
+        ("600,0,0", {}, "no frequency that a perfect lens leaves contrast of"),
+        ("100,nan,0.5", {}, "finite numbers"),
+    ],
+)
+def test_what_is_wrong_in_a_data_sheet_is_named(tmp_path: Path, lines: str, more: dict[str, Any], told: str) -> None:
+    with pytest.raises(InputError, match=re.escape(told)):
+        contrast(tmp_path, lines, **more)
+
+
+def test_a_lens_has_one_kind_of_glass() -> None:
+    with pytest.raises(InputError, match="wavefront and mtf, which say the same"):
+        radwrap.load_scene(SCENE, {"camera.lens.mtf": {"file": "contrast.csv", "f_number": 4, "wavelength": "590 nm"}})
+
+
+def test_the_example_of_a_data_sheet_is_read() -> None:
+    scene = radwrap.load_scene(FOLDER / "data_sheet.toml")
+    assert scene.camera.lens is not None and isinstance(scene.camera.lens.glass, ContrastTable)
+    assert scene.camera.lens.glass.tangential[2][-1] < scene.camera.lens.glass.sagittal[2][-1]

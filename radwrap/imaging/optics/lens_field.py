@@ -9,6 +9,7 @@ differs (Richardson), and half of it is counted.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
@@ -16,15 +17,18 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from radwrap.imaging.optics.contrast_share import ContrastShare
 from radwrap.imaging.optics.pupil_path import PupilPath
+from radwrap.scene.aberrations import ContrastTable, Wavefront
 from radwrap.scene.camera import Camera
 
 Array = NDArray[np.float64]
 Rect = tuple[int, int, int, int]
 Place = tuple[float, float]
+Glass = PupilPath | ContrastShare
 
 # Between neighbouring places a wavefront may change by so much of a wave, rms over the pupil: .63 rad. A mixture is
-# then off by a twentieth of the light that is moved.
+# then off by a twentieth of the light that is moved. Shares of contrast may change by as much.
 _STEP: Final = 0.1
 _FEWEST, _MOST = 4, 12  # steps along a side; what they leave is in the error
 # What a mixture is off by, over what one of places twice as far apart differs.
@@ -105,14 +109,13 @@ def lens_field(camera: Camera, wavelength: float, most: int = _MOST) -> LensFiel
     most : int
         Steps along a side at most; even.
     """
-    sensor = camera.sensor
+    sensor, lens = camera.sensor, camera.lens
     middle = LensField(((sensor.rows - 1) / 2,), ((sensor.columns - 1) / 2,))
-    wavefront = None if camera.lens is None else camera.lens.glass
-    if wavefront is None or wavefront.heights is None:
+    if lens is None or lens.glass is None or lens.glass.heights is None:
         return middle
     for steps in range(min(_FEWEST, most), most + 1, 2):
         found = LensField(_nodes(sensor.rows, steps), _nodes(sensor.columns, steps))
-        if _largest_step(camera, found) <= _STEP * wavelength:
+        if _largest_step(camera, found, wavelength) <= _STEP:
             break
     return found
 
@@ -121,34 +124,46 @@ def _nodes(pixels: int, steps: int) -> tuple[float, ...]:
     return tuple(np.linspace(0.0, max(pixels - 1, 1), steps + 1).tolist())
 
 
-def _largest_step(camera: Camera, field: LensField) -> float:
-    """How far wavefronts of neighbouring places differ, rms over the pupil [m]."""
-    values = np.array([_coefficients(camera, place) for place in field.places])
+def _largest_step(camera: Camera, field: LensField, wavelength: float) -> float:
+    """How far glass of neighbouring places differs: wavefronts rms over the pupil [waves], or shares of contrast."""
+    each = [glass_at(camera, place) for place in field.places]
+    values = np.array([_as_numbers(glass, wavelength) for glass in each if glass is not None])
     grid = values.reshape(len(field.rows), len(field.columns), -1)
-    return max(float(np.sqrt((np.diff(grid, axis=axis) ** 2).sum(axis=-1)).max()) for axis in (0, 1))
+    steps = [np.diff(grid, axis=axis) for axis in (0, 1)]
+    if isinstance(each[0], PupilPath):
+        return max(float(np.sqrt((step**2).sum(axis=-1)).max()) for step in steps)
+    return max(float(np.abs(step).max()) for step in steps)
 
 
-def glass_at(camera: Camera, place: Place) -> PupilPath | None:
+def _as_numbers(glass: Glass, wavelength: float) -> Array:
+    """What changes over the field, in axes that do not turn with it."""
+    if isinstance(glass, PupilPath):
+        return np.array(glass.coefficients) / wavelength
+    tangential, sagittal = np.array(glass.tangential), np.array(glass.sagittal)
+    apart = (tangential - sagittal) / 2
+    turned = (np.cos(2 * glass.azimuth) * apart, np.sin(2 * glass.azimuth) * apart)
+    return np.concatenate([(tangential + sagittal) / 2, *turned])
+
+
+def glass_at(camera: Camera, place: Place) -> Glass | None:
     """What the glass does at a column and row of the sensor [px]; None where it does nothing."""
-    wavefront = None if camera.lens is None else camera.lens.glass
-    if wavefront is None:
+    lens, sensor, (column, row), (cu, cv) = camera.lens, camera.sensor, place, camera.principal_point
+    if lens is None or lens.glass is None:
         return None
-    return PupilPath(wavefront.pupil_diameter / 2, wavefront.orders, _coefficients(camera, place))
-
-
-def _coefficients(camera: Camera, place: Place) -> tuple[float, ...]:
-    assert camera.lens is not None and camera.lens.glass is not None  # noqa: S101  (the caller knows)
-    (column, row), (cu, cv), sensor = place, camera.principal_point, camera.sensor
-    return camera.lens.glass.at((column - cu) * sensor.pixel_width, (cv - row) * sensor.pixel_height)
+    x, y = (column - cu) * sensor.pixel_width, (cv - row) * sensor.pixel_height  # y up
+    if isinstance(lens.glass, Wavefront):
+        return PupilPath(lens.glass.pupil_diameter / 2, lens.glass.orders, lens.glass.at(x, y))
+    return ContrastShare(lens.glass.frequencies, *lens.glass.at(x, y), math.atan2(y, x))
 
 
 def glass_reach(camera: Camera) -> float:
-    """How far the glass sends rays from where a perfect lens does, at most [m]."""
-    wavefront = None if camera.lens is None else camera.lens.glass
-    if wavefront is None:
-        return 0.0
-    steepest = max(
-        PupilPath(wavefront.pupil_diameter / 2, wavefront.orders, row).steepest(camera.aperture.reach)
-        for row in wavefront.coefficients
-    )
-    return steepest * camera.image_distance
+    """How far the glass sends light from where a perfect lens does, at most, or where it leaves half a contrast [m]."""
+    glass = None if camera.lens is None else camera.lens.glass
+    match glass:
+        case Wavefront():
+            rows = [PupilPath(glass.pupil_diameter / 2, glass.orders, row) for row in glass.coefficients]
+            return max(row.steepest(camera.aperture.reach) for row in rows) * camera.image_distance
+        case ContrastTable():
+            pairs = zip(glass.tangential, glass.sagittal, strict=True)
+            return max(ContrastShare(glass.frequencies, *pair, 0.0).reach for pair in pairs)
+    return 0.0

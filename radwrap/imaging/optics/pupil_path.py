@@ -24,12 +24,12 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.imaging.optics.aperture import turn
+from radwrap.imaging.optics.transfer import Transfer
 from radwrap.scene.camera import Aperture
 from radwrap.scene.zernike import Order, zernike
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-Transfer = Callable[[Array, Array], Complex]
 
 # Squares along the opening, at least and at most, and for each cycle of the phase: the point spread is then right to
 # 1e-4 of the peak in focus.
@@ -81,7 +81,13 @@ class PupilPath:
         return float(np.hypot(outward.max(initial=0.0), around.max(initial=0.0)))
 
     def transfer_up_to(
-        self, aperture: Aperture, image_distance: float, wavelength: float, magnification: float, *, perfect: Transfer
+        self,
+        aperture: Aperture,
+        image_distance: float,
+        wavelength: float,
+        magnification: float,
+        *,
+        perfect: Callable[[float], Transfer],
     ) -> Transfer:
         """What waves pass of frequencies.
 
@@ -92,7 +98,7 @@ class PupilPath:
         magnification : float
             m of the point.
         perfect : callable
-            The same in focus, without a path.
+            Gives the same of any magnification, without a path.
 
         Raises
         ------
@@ -118,9 +124,8 @@ class PupilPath:
         # Cubics by scipy, which is loaded where a lens has a wavefront only.
         from scipy.ndimage import spline_filter
 
-        return partial(
-            _between, spline_filter(ratio, output=np.complex128), wavelength * image_distance / step, perfect
-        )
+        cubics = spline_filter(ratio, output=np.complex128)
+        return partial(_between, cubics, wavelength * image_distance / step, perfect(0.0))
 
 
 def _ratio(share: Array, phase: Array) -> Complex:

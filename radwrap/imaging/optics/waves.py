@@ -31,7 +31,9 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
-from radwrap.imaging.optics.pupil_path import PupilPath, Transfer
+from radwrap.imaging.optics.contrast_share import ContrastShare
+from radwrap.imaging.optics.pupil_path import PupilPath
+from radwrap.imaging.optics.transfer import Transfer
 from radwrap.scene.camera import Aperture
 
 Array = NDArray[np.float64]
@@ -66,14 +68,14 @@ class Waves:
         v, from the opening to the sensor [m].
     wavelength : float
         lambda [m]; 0 is the limit of rays.
-    glass : PupilPath, optional
-        What the lens adds to the path of light, which rays do not know.
+    glass : PupilPath or ContrastShare, optional
+        What the lens does to waves, which rays do not know.
     """
 
     aperture: Aperture
     image_distance: float
     wavelength: float
-    glass: PupilPath | None = None
+    glass: PupilPath | ContrastShare | None = None
 
     @property
     def shift(self) -> float:
@@ -136,10 +138,9 @@ class Waves:
     def transfer_up_to(self, highest: float, magnification: float) -> Transfer:
         """As `transfer`, of frequencies that come in parts, none above the highest: what they share is made once."""
         if self.glass is not None and self.wavelength:
-            perfect = replace(self, glass=None).transfer_up_to(highest, 0.0)
-            return self.glass.transfer_up_to(
-                self.aperture, self.image_distance, self.wavelength, magnification, perfect=perfect
-            )
+            perfect = partial(replace(self, glass=None).transfer_up_to, highest)
+            light = self.aperture, self.image_distance, self.wavelength
+            return self.glass.transfer_up_to(*light, magnification, perfect=perfect)
         match self.aperture.shape:
             case "square":
                 return partial(self._square, magnification)

@@ -13,7 +13,7 @@ from radwrap.nearest import did_you_mean
 from radwrap.scene.camera import ASSUMED_WAVELENGTH, Aperture, Camera, Lens, image_distance
 from radwrap.scene.distortion import Distortion, bounded, opencv_distortion
 from radwrap.scene.file import document as tables
-from radwrap.scene.file.glass_convert import wavefront_from_table
+from radwrap.scene.file.glass_convert import glass_from_table
 from radwrap.scene.file.material_convert import check_places, material_from_table
 from radwrap.scene.file.optics_tables import LensModel
 from radwrap.scene.file.pattern_convert import pattern_target
@@ -270,12 +270,7 @@ def _lens(
         assumed["camera.lens.falloff"] = "cos4"
     elif table.falloff == "none":
         illumination = ((0.0, 1.0),)
-    glass = None
-    if table.wavefront is not None:
-        reach = camera.opening_diameter / 2 * (math.sqrt(2) if camera.aperture.shape == "square" else 1.0)
-        glass = wavefront_from_table(
-            table.wavefront, (2 * reach, corner), f"{where}.wavefront", folder=folder, assumed=assumed
-        )
+    glass = glass_from_table(table, camera, corner, where, folder=folder, assumed=assumed)
     return Lens(table.focus_distance, table.transmission, illumination, glass)
 
 

@@ -26,7 +26,7 @@ from radwrap.scene.file.border import (
     exactly_one,
 )
 from radwrap.scene.file.material_tables import MaterialModel
-from radwrap.scene.file.optics_tables import CurveModel, LensModel
+from radwrap.scene.file.optics_tables import GLASS, CurveModel, LensModel
 from radwrap.scene.file.pattern_tables import (
     CharucoModel,
     ChessboardModel,
@@ -180,14 +180,15 @@ class CameraModel(Aimed):
         return self
 
     @model_validator(mode="after")
-    def _waves_for_a_wavefront(self) -> CameraModel:
-        if self.lens is not None and self.lens.wavefront is not None:
-            if not self.opening_diameter:
-                raise ValueError("lens.wavefront needs an opening, and the aperture's diameter is 0; leave it out")
-            if self.diffraction == "off":
-                raise ValueError(
-                    'diffraction: "off" leaves out what lens.wavefront does to waves; leave one of them out'
-                )
+    def _waves_for_glass(self) -> CameraModel:
+        for key in GLASS:
+            if getattr(self.lens, key, None) is not None:
+                if not self.opening_diameter:
+                    raise ValueError(f"lens.{key} needs an opening, and the aperture's diameter is 0; leave it out")
+                if self.diffraction == "off":
+                    raise ValueError(
+                        f'diffraction: "off" leaves out what lens.{key} does to waves; leave one of them out'
+                    )
         return self
 
     @property

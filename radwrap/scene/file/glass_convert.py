@@ -7,36 +7,49 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from radwrap.errors import InputError
-from radwrap.scene.aberrations import Wavefront
+from radwrap.scene.aberrations import ContrastTable, Wavefront
 from radwrap.scene.file.beside import named_file
 from radwrap.scene.file.border import LONGEST_PATH
 from radwrap.scene.file.material_files import columns_of
 from radwrap.scene.zernike import HIGHEST_ORDER, Convention, Order, order_of, rms
 
 if TYPE_CHECKING:
-    from radwrap.scene.file.optics_tables import WavefrontModel
+    from radwrap.scene.file.document import CameraModel
+    from radwrap.scene.file.optics_tables import ContrastModel, LensModel, WavefrontModel
+
+Array = NDArray[np.float64]
 
 _COLUMNS: Final = ("field_height_mm", "index", "coefficient")
 _MM: Final = 1e-3
 # What a design program writes for nothing, rms over the pupil [m].
 _NOTHING: Final = 1e-9
 _MOST_HEIGHTS: Final = 1000
+_CONTRAST: Final = ("frequency_per_mm", "tangential", "sagittal")
+_HEIGHT: Final = "field_height_mm"
+# Readings of a data sheet's curves, of contrast.
+_READING: Final = 0.02
+_SAME_OPENING: Final = 0.02
+# Of the highest frequency that passes: beyond it, contrast over the limit's says nothing.
+_TELLING: Final = 0.95
 _SAME: Final = 1 + 1e-9  # diameters that rounding makes two of
 
 
-def wavefront_from_table(
-    table: WavefrontModel, reach: tuple[float, float], where: str, *, folder: Path, assumed: dict[str, str]
-) -> Wavefront:
-    """Convert a validated ``[camera.lens.wavefront]``.
+def glass_from_table(
+    table: LensModel, camera: CameraModel, corner: float, where: str, *, folder: Path, assumed: dict[str, str]
+) -> Wavefront | ContrastTable | None:
+    """How a lens differs from a perfect one; None where its table does not say that.
 
     Parameters
     ----------
-    table : WavefrontModel
-        It.
-    reach : tuple of float
-        Diameter of the disc around the opening, and how far the sensor's corner lies from the axis [m].
+    table : LensModel
+        Of a camera.
+    camera : CameraModel
+        It, for the opening.
+    corner : float
+        How far the sensor's corner lies from the axis [m].
     where : str
         Place for messages.
     folder : Path
@@ -47,8 +60,20 @@ def wavefront_from_table(
     Raises
     ------
     InputError
-        Where values that are right one by one do not go together, or its file is no such table.
+        Where values that are right one by one do not go together, or a file is no such table.
     """
+    if table.mtf is not None:
+        return _contrast(table.mtf, camera, corner, f"{where}.mtf", folder=folder, assumed=assumed)
+    if table.wavefront is None:
+        return None
+    opening = camera.opening_diameter * (math.sqrt(2) if camera.aperture.shape == "square" else 1.0)
+    return _wavefront(table.wavefront, (opening, corner), f"{where}.wavefront", folder=folder, assumed=assumed)
+
+
+def _wavefront(
+    table: WavefrontModel, reach: tuple[float, float], where: str, *, folder: Path, assumed: dict[str, str]
+) -> Wavefront:
+    """Of a validated ``[camera.lens.wavefront]``, for the disc around an opening and a corner so far off [m]."""
     opening, corner = reach
     pupil = table.pupil_diameter or opening
     if table.pupil_diameter is None:
@@ -127,3 +152,80 @@ def _read(path: Path, where: str) -> tuple[tuple[float, ...], list[dict[int, flo
             raise InputError(f"has a term twice at the height {one:g} mm", where=where)
         rows.append(dict(zip(terms, path_of[some].tolist(), strict=True)))
     return tuple(one * _MM for one in heights), rows
+
+
+def _contrast(
+    table: ContrastModel, camera: CameraModel, corner: float, where: str, *, folder: Path, assumed: dict[str, str]
+) -> ContrastTable:
+    """Of a validated ``[camera.lens.mtf]``, for a sensor whose corner lies so far from the axis [m]."""
+    number = camera.focal_length / camera.opening_diameter
+    if abs(table.f_number / number - 1) > _SAME_OPENING:
+        raise InputError(
+            f"is {table.f_number:g}, and the camera's {number:.4g}: contrast of another opening says nothing",
+            where=f"{where}.f_number",
+            remedy="give the table of this opening, or open the lens as the table says",
+        )
+    if camera.aperture.shape != "round":
+        raise InputError("is known of round openings", where=where, remedy='set camera.aperture.shape = "round"')
+    key = f"{where}.file"
+    columns, _ = columns_of(named_file(folder, table.file, key), _CONTRAST, _HEIGHT)
+    height = columns.get(_HEIGHT, np.zeros(len(columns["tangential"])))
+    heights = np.unique(height)
+    per_mm = np.unique(columns["frequency_per_mm"])
+    of_each = [np.argsort(columns["frequency_per_mm"] + np.where(height == one, 0.0, np.inf)) for one in heights]
+    if len(height) != len(heights) * len(per_mm) or any(
+        not np.array_equal(columns["frequency_per_mm"][order[: len(per_mm)]], per_mm) for order in of_each
+    ):
+        raise InputError("needs the same frequencies at each height, each once", where=key)
+    if per_mm[0] < 0 or heights[0] < 0 or not (per_mm > 0).any():
+        raise InputError("needs frequencies above 0, and heights from 0 on", where=key)
+    if len(heights) > 1 and (heights[0] != 0 or heights[-1] * _MM < corner):
+        raise InputError(
+            f"has heights from {heights[0]:g} to {heights[-1]:g} mm, the sensor from 0 to {corner * 1e3:.4g} mm from "
+            "the axis",
+            where=key,
+            remedy="add the axis and a height as large as that",
+        )
+    share = {
+        name: [
+            _share_of_limit(columns[name][order[: len(per_mm)]], per_mm / _MM, table, f"{key}: {name}")
+            for order in of_each
+        ]
+        for name in ("tangential", "sagittal")
+    }
+    tangential, sagittal = ([values for _, values in share[name]] for name in ("tangential", "sagittal"))
+    frequencies, _ = share["tangential"][0]
+    if np.abs(np.subtract(tangential[0], sagittal[0])).max() > 2 * _READING:
+        raise InputError(
+            f"differs on the axis by direction, where there is none, by more than {2 * _READING:g}",
+            where=key,
+            remedy="give the mean of both at the height 0",
+        )
+    assumed["camera.lens.mtf.phase"] = "none: a point spread that is alike from both sides"
+    assumed["camera.lens.mtf.beyond"] = f"above {frequencies[-1] * _MM:.4g} per mm the same share of the limit"
+    tangential[0] = sagittal[0] = tuple(np.mean([tangential[0], sagittal[0]], axis=0).tolist())
+    in_metres = tuple(float(one) * _MM for one in heights) if len(heights) > 1 else None
+    return ContrastTable(frequencies, tuple(tangential), tuple(sagittal), in_metres)
+
+
+def _share_of_limit(
+    contrast: Array, frequency: Array, table: ContrastModel, where: str
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Frequencies from 0 on [m^-1], and contrast over that of a perfect lens in the table's own light."""
+    s = np.minimum(frequency * table.wavelength * table.f_number, 1.0)
+    limit = 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s**2))
+    above = contrast - limit
+    worst = int(above.argmax())
+    if contrast.min() < 0 or above[worst] > _READING:
+        raise InputError(
+            f"is {contrast[worst]:.3g} at {frequency[worst] * _MM:g} per mm, and a perfect lens leaves "
+            f"{limit[worst]:.3g} at f/{table.f_number:g} and {table.wavelength * 1e9:g} nm; it lies from 0 to that",
+            where=where,
+        )
+    if (np.abs(contrast[frequency == 0] - 1) > _READING).any():
+        raise InputError("must be 1 at the frequency 0", where=where)
+    known = (frequency > 0) & (s < _TELLING)
+    if not known.any():
+        raise InputError("has no frequency that a perfect lens leaves contrast of", where=where)
+    share = np.minimum(contrast[known] / limit[known], 1.0)
+    return (0.0, *frequency[known].tolist()), (1.0, *share.tolist())

@@ -19,7 +19,12 @@ from radwrap.scene.file.border import (
 )
 
 FileName = Annotated[str, Field(strict=True, min_length=1, max_length=1000)]
+FNumber = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.1, le=1e6)]
 TermNumber = Annotated[str, Field(strict=True, pattern=r"^(0|[1-9][0-9]{0,2})$")]
+
+
+# Keys of a lens that say how it differs from a perfect one.
+GLASS = ("wavefront", "mtf")
 
 
 class WavefrontModel(Model):
@@ -40,6 +45,17 @@ class WavefrontModel(Model):
         return self
 
 
+class ContrastModel(Model):
+    """[camera.lens.mtf]: what contrast a data sheet says that the lens leaves in focus."""
+
+    file: FileName
+    """CSV table beside the scene: frequency_per_mm, tangential, sagittal, and field_height_mm where it has several."""
+    f_number: FNumber
+    """Of the opening at which it was measured or computed: the camera's own."""
+    wavelength: Wavelength
+    """Mean one of the light that it holds for."""
+
+
 class LensModel(Model):
     """[camera.lens]: a thin lens in the opening's plane."""
 
@@ -47,7 +63,7 @@ class LensModel(Model):
     """Name of a lens of the catalog; keys beside it, and camera.focal_length, replace its values."""
     focus_distance: Size
     """From the lens to the plane that is sharp, along the axis."""
-    f_number: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.1, le=1e6)] | None = None
+    f_number: FNumber | None = None
     """Focal length over the opening's diameter; in place of aperture.diameter."""
     transmission: PositiveShare = 1.0
     """Share of the light that the lens lets through, 0 to 1."""
@@ -57,6 +73,15 @@ class LensModel(Model):
     """Pairs of image height and share of the light on the axis, from ["0 mm", 1.0] on; in place of falloff."""
     wavefront: WavefrontModel | None = None
     """How the lens differs from a perfect one, by Zernike polynomials."""
+    mtf: ContrastModel | None = None
+    """The same by a data sheet's contrast; in place of wavefront."""
+
+    @model_validator(mode="after")
+    def _one_kind_of_glass(self) -> LensModel:
+        given = [key for key in GLASS if getattr(self, key) is not None]
+        if len(given) > 1:
+            raise ValueError(f"has {' and '.join(given)}, which say the same: give one of them")
+        return self
 
     @model_validator(mode="after")
     def _consistent(self) -> LensModel:
