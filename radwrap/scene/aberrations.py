@@ -1,4 +1,4 @@
-"""How a lens differs from a perfect one: what its glass adds to the path of light, or what contrast it leaves.
+"""How a lens differs from a perfect one: what its glass adds to the path of light, leaves of contrast, or spreads.
 
 Pupil axes are the camera's x, right, and y UP as the camera looks: the table of
 a lens is written so, though rows of an image go down. A positive path is a
@@ -10,7 +10,7 @@ the path grows upwards comes from higher up in the scene.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -93,3 +93,31 @@ class ContrastTable:
             for rows in (self.tangential, self.sagittal)
         )
         return tangential, sagittal
+
+
+@dataclass(frozen=True, slots=True)
+class PointSpread:
+    """Light of a point in focus as it falls on the sensor, measured without a pixel's box.
+
+    Attributes
+    ----------
+    sha256 : str
+        Of the light.
+    pitch : float
+        Between samples, on the sensor [m].
+    middle : tuple of float
+        Row and column of its middle, where a perfect lens puts the point.
+    reach : float
+        Radius about that which holds nearly all of the light [m].
+    rows : tuple of tuple of float
+        Samples of the erect picture, not negative, the top row first.
+    """
+
+    sha256: str
+    pitch: float
+    middle: tuple[float, float]
+    reach: float
+    rows: tuple[tuple[float, ...], ...] = field(compare=False, repr=False)
+
+
+LensGlass = Wavefront | ContrastTable | PointSpread

@@ -8,7 +8,7 @@ from typing import Any, Final, Literal
 
 from radwrap.frames import Pose
 from radwrap.manifest import ONLY_WHERE_USED
-from radwrap.scene.aberrations import ContrastTable, Wavefront
+from radwrap.scene.aberrations import LensGlass
 from radwrap.scene.distortion import Distortion
 from radwrap.scene.linear_sensor import LinearSensor
 from radwrap.scene.pixel_window import PixelWindow
@@ -151,14 +151,14 @@ class Lens:
     relative_illumination : tuple of tuple of float, optional
         (height on the sensor [m], illumination as a share of the axis'), as measured: vignetting and cos^4 together,
         in place of cos^4; straight between the heights, held beyond them.
-    glass : Wavefront or ContrastTable, optional
+    glass : Wavefront, ContrastTable or PointSpread, optional
         How its waves differ from those of a perfect lens.
     """
 
     focus_distance: float
     transmission: float = 1.0
     relative_illumination: tuple[tuple[float, float], ...] | None = None
-    glass: Wavefront | ContrastTable | None = field(default=None, metadata=ONLY_WHERE_USED)
+    glass: LensGlass | None = field(default=None, metadata=ONLY_WHERE_USED)
 
 
 @dataclass(frozen=True, slots=True)

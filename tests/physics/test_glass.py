@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from radwrap.imaging.optics.lens_field import glass_at, lens_field
+from radwrap.imaging.optics.measured_spread import MeasuredSpread
 from radwrap.imaging.optics.pupil_path import PupilPath
 from radwrap.imaging.optics.view import View
 from radwrap.imaging.optics.wave_footprint import wave_weights
 from radwrap.imaging.optics.waves import Waves
 from radwrap.imaging.tolerance.wave_parts import wave_parts
 from radwrap.imaging.tolerance.wave_plan import plan_waves
-from radwrap.scene.aberrations import ContrastTable, Wavefront
+from radwrap.scene.aberrations import ContrastTable, PointSpread, Wavefront
 from radwrap.scene.camera import Aperture, Camera, Lens
 from radwrap.scene.pixel_window import PixelWindow, box
 from radwrap.scene.zernike import Order, order_of, rms, zernike
@@ -364,3 +365,57 @@ def test_a_lens_of_low_contrast_sends_no_light_away() -> None:
     light = math.pi * LAMP**2
     assert abs(by_glass.sum() - change.sum()) < IN_FRAME * light
     assert moments(by_glass, (8.0, -8.0)) == pytest.approx((0.0, 0.0), abs=IN_FRAME * light)
+
+
+# A measured point spread: two Gaussian spots, .3 of the light in the one that lies right of and below the other.
+
+SIGMA, PITCH, BESIDE = 3.0e-6, 1.5e-6, (12e-6, 9e-6)
+
+
+def two_spots() -> PointSpread:
+    at = (np.arange(48) - 23.5) * PITCH
+    spots = [
+        share * np.exp(-((at - x) ** 2 + (at[:, np.newaxis] - y) ** 2) / (2 * SIGMA**2))
+        for share, x, y in ((0.7, 0.0, 0.0), (0.3, *BESIDE))
+    ]
+    light = sum(spots)
+    light = light / light.sum()
+    row, column = np.indices(light.shape)
+    middle = float((light * row).sum()), float((light * column).sum())
+    return PointSpread("", PITCH, middle, 20e-6, tuple(map(tuple, light.tolist())))
+
+
+@pytest.mark.parametrize("depth", [FOCUS, 0.502])
+def test_a_point_looks_as_it_was_measured_whichever_way_it_points(depth: float) -> None:
+    """Third moments of the light are those of two spots: lamp and opening, alike from both sides, add none.
+
+    With shares .7 and .3 about their common middle they are .7 (-.3)^3 + .3 .7^3 = .084 of the cube of the distance.
+    """
+    of = replace(
+        camera(Aperture("round", F / NUMBER), SIDE, SIDE, (PIXEL, PIXEL), F), lens=Lens(FOCUS, glass=two_spots())
+    )
+    change, _ = light_of(of, [(0.0, 0.0)], depth)
+    light = math.pi * LAMP**2
+    row, column = np.indices(change.shape) - (SIDE - 1) / 2
+    found = [float((change * at**3).sum()) / light for at in (column, row)]
+    assert found == pytest.approx([0.084 * (one / PIXEL) ** 3 for one in BESIDE], rel=0.03)
+    mixed = float((change * column * row).sum()) / light
+    assert mixed == pytest.approx(0.21 * BESIDE[0] * BESIDE[1] / PIXEL**2, rel=0.03)
+    assert moments(change, (0.0, 0.0)) == pytest.approx((0.0, 0.0), abs=0.01 * light)
+
+
+def test_a_measured_spread_takes_the_place_of_waves_and_is_folded_with_defocus() -> None:
+    at = (np.arange(33) - 16) * PITCH
+    light = np.exp(-(at**2 + at[:, np.newaxis] ** 2) / (2 * SIGMA**2))
+    spread = PointSpread("", PITCH, (16.0, 16.0), 15e-6, tuple(map(tuple, light.tolist())))
+    aperture = Aperture("round", F / NUMBER)
+    found = Waves(aperture, DISTANCE, WAVELENGTH, MeasuredSpread(spread))
+    frequency = np.linspace(-0.9, 0.9, 21) * found.highest_frequency / math.sqrt(2)
+    across, down = frequency[np.newaxis], frequency[:, np.newaxis]
+    gauss = np.exp(-2 * (np.pi * SIGMA) ** 2 * (across**2 + down**2))
+    for m in (0.0, 0.004):
+        rays = Waves(aperture, DISTANCE, 0.0).transfer(m, across, down)
+        assert np.abs(found.transfer(m, across, down) - gauss * rays).max() < SQUARES
+    one_by_one = found.transfer(0.004, *(one.ravel() for one in np.broadcast_arrays(across, down)))
+    assert np.abs(one_by_one - found.transfer(0.004, across, down).ravel()).max() < SQUARES
+    assert not found.transfer(0.0, np.array([1.01 * 0.5 / PITCH]), np.zeros(1)).any()

@@ -8,11 +8,15 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import radwrap
 from radwrap.errors import InputError
-from radwrap.scene.aberrations import ContrastTable, Wavefront
+from radwrap.scene.aberrations import ContrastTable, PointSpread, Wavefront
+
+Array = NDArray[np.float64]
 
 FOLDER = Path(__file__).parents[2] / "rad_scenes" / "real_lens"
 SCENE = FOLDER / "scene.toml"
@@ -174,3 +178,56 @@ def test_the_example_of_a_data_sheet_is_read() -> None:
     scene = radwrap.load_scene(FOLDER / "data_sheet.toml")
     assert scene.camera.lens is not None and isinstance(scene.camera.lens.glass, ContrastTable)
     assert scene.camera.lens.glass.tangential[2][-1] < scene.camera.lens.glass.sagittal[2][-1]
+
+
+def point(folder: Path, light: Array, **more: Any) -> PointSpread:
+    """A picture of 16 bits, as PGM has it."""
+    rows, columns = light.shape
+    head = f"P5\n{columns} {rows}\n65535\n".encode()
+    (folder / "point.pgm").write_bytes(head + np.round(light).astype(">u2").tobytes())
+    tables = json.loads(radwrap.load_scene(SCENE).document)
+    del tables["camera"]["lens"]["wavefront"]
+    told = {"file": "point.pgm", "pitch": "0.5 um", **more}
+    scene = radwrap.scene_from_document(tables, {"camera.lens.psf": told}, folder=folder)
+    assert scene.camera.lens is not None and isinstance(scene.camera.lens.glass, PointSpread)
+    assert "camera.lens.psf.middle" in scene.assumed
+    return scene.camera.lens.glass
+
+
+def spot(sigma: float, size: int = 41, middle: tuple[float, float] = (20.0, 20.0)) -> Array:
+    row, column = np.indices((size, size + 2))
+    return 60000 * np.exp(-((row - middle[0]) ** 2 + (column - middle[1]) ** 2) / (2 * sigma**2))
+
+
+def test_a_picture_of_a_point_is_its_light_about_its_middle(tmp_path: Path) -> None:
+    found = point(tmp_path, spot(3.0, middle=(19.3, 21.8)))
+    assert found.middle == pytest.approx((19.3, 21.8), abs=1e-3)
+    assert np.sum(found.rows) == pytest.approx(1.0)
+    # A Gaussian holds .999 within sqrt(2 ln 1000) of its deviations.
+    assert found.reach == pytest.approx(math.sqrt(2 * math.log(1000)) * 3.0 * 0.5e-6, rel=0.03)
+    assert found.pitch == 0.5e-6
+
+
+@pytest.mark.parametrize(
+    ("light", "told"),
+    [
+        (np.zeros((9, 9)), "needs values from 0 on, some above it"),
+        (spot(3.0) + 2000, "where the light must have ended"),
+        (spot(0.6), "at the highest frequency that its pixels tell"),
+    ],
+)
+def test_what_is_wrong_in_a_picture_of_a_point_is_named(tmp_path: Path, light: Array, told: str) -> None:
+    with pytest.raises(InputError, match=re.escape(told)):
+        point(tmp_path, light)
+
+
+def test_a_picture_that_is_none_is_named_with_its_key(tmp_path: Path) -> None:
+    (tmp_path / "point.pgm").write_text("nothing")
+    tables = json.loads(radwrap.load_scene(SCENE).document)
+    tables["camera"]["lens"] = {
+        "focus_distance": "500 mm",
+        "f_number": 4,
+        "psf": {"file": "point.pgm", "pitch": "1 um"},
+    }
+    with pytest.raises(InputError, match=r"camera\.lens\.psf\.file"):
+        radwrap.scene_from_document(tables, folder=tmp_path)

@@ -18,14 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.imaging.optics.contrast_share import ContrastShare
+from radwrap.imaging.optics.measured_spread import MeasuredSpread
 from radwrap.imaging.optics.pupil_path import PupilPath
-from radwrap.scene.aberrations import ContrastTable, Wavefront
+from radwrap.scene.aberrations import ContrastTable, PointSpread, Wavefront
 from radwrap.scene.camera import Camera
 
 Array = NDArray[np.float64]
 Rect = tuple[int, int, int, int]
 Place = tuple[float, float]
-Glass = PupilPath | ContrastShare
+Glass = PupilPath | ContrastShare | MeasuredSpread
 
 # Between neighbouring places a wavefront may change by so much of a wave, rms over the pupil: .63 rad. A mixture is
 # then off by a twentieth of the light that is moved. Shares of contrast may change by as much.
@@ -111,7 +112,7 @@ def lens_field(camera: Camera, wavelength: float, most: int = _MOST) -> LensFiel
     """
     sensor, lens = camera.sensor, camera.lens
     middle = LensField(((sensor.rows - 1) / 2,), ((sensor.columns - 1) / 2,))
-    if lens is None or lens.glass is None or lens.glass.heights is None:
+    if lens is None or lens.glass is None or getattr(lens.glass, "heights", None) is None:
         return middle
     for steps in range(min(_FEWEST, most), most + 1, 2):
         found = LensField(_nodes(sensor.rows, steps), _nodes(sensor.columns, steps))
@@ -127,7 +128,7 @@ def _nodes(pixels: int, steps: int) -> tuple[float, ...]:
 def _largest_step(camera: Camera, field: LensField, wavelength: float) -> float:
     """How far glass of neighbouring places differs: wavefronts rms over the pupil [waves], or shares of contrast."""
     each = [glass_at(camera, place) for place in field.places]
-    values = np.array([_as_numbers(glass, wavelength) for glass in each if glass is not None])
+    values = np.array([_as_numbers(glass, wavelength) for glass in each])
     grid = values.reshape(len(field.rows), len(field.columns), -1)
     steps = [np.diff(grid, axis=axis) for axis in (0, 1)]
     if isinstance(each[0], PupilPath):
@@ -135,10 +136,12 @@ def _largest_step(camera: Camera, field: LensField, wavelength: float) -> float:
     return max(float(np.abs(step).max()) for step in steps)
 
 
-def _as_numbers(glass: Glass, wavelength: float) -> Array:
+def _as_numbers(glass: Glass | None, wavelength: float) -> Array:
     """What changes over the field, in axes that do not turn with it."""
     if isinstance(glass, PupilPath):
         return np.array(glass.coefficients) / wavelength
+    if not isinstance(glass, ContrastShare):
+        return np.zeros(1)
     tangential, sagittal = np.array(glass.tangential), np.array(glass.sagittal)
     apart = (tangential - sagittal) / 2
     turned = (np.cos(2 * glass.azimuth) * apart, np.sin(2 * glass.azimuth) * apart)
@@ -151,6 +154,8 @@ def glass_at(camera: Camera, place: Place) -> Glass | None:
     if lens is None or lens.glass is None:
         return None
     x, y = (column - cu) * sensor.pixel_width, (cv - row) * sensor.pixel_height  # y up
+    if isinstance(lens.glass, PointSpread):
+        return MeasuredSpread(lens.glass)
     if isinstance(lens.glass, Wavefront):
         return PupilPath(lens.glass.pupil_diameter / 2, lens.glass.orders, lens.glass.at(x, y))
     return ContrastShare(lens.glass.frequencies, *lens.glass.at(x, y), math.atan2(y, x))
@@ -166,4 +171,6 @@ def glass_reach(camera: Camera) -> float:
         case ContrastTable():
             pairs = zip(glass.tangential, glass.sagittal, strict=True)
             return max(ContrastShare(glass.frequencies, *pair, 0.0).reach for pair in pairs)
+        case PointSpread():
+            return glass.reach
     return 0.0

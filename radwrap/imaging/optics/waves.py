@@ -32,6 +32,7 @@ from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
 from radwrap.imaging.optics.contrast_share import ContrastShare
+from radwrap.imaging.optics.measured_spread import MeasuredSpread
 from radwrap.imaging.optics.pupil_path import PupilPath
 from radwrap.imaging.optics.transfer import Transfer
 from radwrap.scene.camera import Aperture
@@ -68,14 +69,14 @@ class Waves:
         v, from the opening to the sensor [m].
     wavelength : float
         lambda [m]; 0 is the limit of rays.
-    glass : PupilPath or ContrastShare, optional
+    glass : PupilPath, ContrastShare or MeasuredSpread, optional
         What the lens does to waves, which rays do not know.
     """
 
     aperture: Aperture
     image_distance: float
     wavelength: float
-    glass: PupilPath | ContrastShare | None = None
+    glass: PupilPath | ContrastShare | MeasuredSpread | None = None
 
     @property
     def shift(self) -> float:
@@ -92,6 +93,8 @@ class Waves:
         """Above it nothing passes [m^-1]; infinite for rays."""
         if not self.shift:
             return math.inf
+        if isinstance(self.glass, MeasuredSpread):
+            return math.sqrt(2) * self.glass.highest_frequency
         return (2 * self.aperture.reach if self.aperture.shape == "square" else self.aperture.diameter) / self.shift
 
     def last_frequency(self, magnification: float, least: float) -> float:
@@ -138,9 +141,12 @@ class Waves:
     def transfer_up_to(self, highest: float, magnification: float) -> Transfer:
         """As `transfer`, of frequencies that come in parts, none above the highest: what they share is made once."""
         if self.glass is not None and self.wavelength:
-            perfect = partial(replace(self, glass=None).transfer_up_to, highest)
-            light = self.aperture, self.image_distance, self.wavelength
-            return self.glass.transfer_up_to(*light, magnification, perfect=perfect)
+            measured = isinstance(self.glass, MeasuredSpread)  # it stands in place of waves
+            light = replace(self, glass=None, wavelength=0.0 if measured else self.wavelength)
+            perfect = partial(light.transfer_up_to, highest)
+            return self.glass.transfer_up_to(
+                self.aperture, self.image_distance, self.wavelength, magnification, perfect=perfect
+            )
         match self.aperture.shape:
             case "square":
                 return partial(self._square, magnification)

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
-from radwrap.scene.aberrations import ContrastTable, Wavefront
+from radwrap.manifest import sha256_of_value
+from radwrap.scene.aberrations import ContrastTable, LensGlass, PointSpread, Wavefront
 from radwrap.scene.file.beside import named_file
 from radwrap.scene.file.border import LONGEST_PATH
 from radwrap.scene.file.material_files import columns_of
@@ -18,7 +19,7 @@ from radwrap.scene.zernike import HIGHEST_ORDER, Convention, Order, order_of, rm
 
 if TYPE_CHECKING:
     from radwrap.scene.file.document import CameraModel
-    from radwrap.scene.file.optics_tables import ContrastModel, LensModel, WavefrontModel
+    from radwrap.scene.file.optics_tables import ContrastModel, LensModel, PointSpreadModel, WavefrontModel
 
 Array = NDArray[np.float64]
 
@@ -34,12 +35,18 @@ _READING: Final = 0.02
 _SAME_OPENING: Final = 0.02
 # Of the highest frequency that passes: beyond it, contrast over the limit's says nothing.
 _TELLING: Final = 0.95
+# Of a picture of a point: pixels; light at its border over the brightest; light that its reach holds; contrast that
+# may be left at the highest frequency that its pixels tell.
+_MOST_PIXELS: Final = 512 * 512
+_AT_BORDER: Final = 0.02
+_HELD: Final = 0.999
+_AT_HIGHEST: Final = 0.05
 _SAME: Final = 1 + 1e-9  # diameters that rounding makes two of
 
 
 def glass_from_table(
     table: LensModel, camera: CameraModel, corner: float, where: str, *, folder: Path, assumed: dict[str, str]
-) -> Wavefront | ContrastTable | None:
+) -> LensGlass | None:
     """How a lens differs from a perfect one; None where its table does not say that.
 
     Parameters
@@ -64,6 +71,8 @@ def glass_from_table(
     """
     if table.mtf is not None:
         return _contrast(table.mtf, camera, corner, f"{where}.mtf", folder=folder, assumed=assumed)
+    if table.psf is not None:
+        return _point_spread(table.psf, f"{where}.psf", folder=folder, assumed=assumed)
     if table.wavefront is None:
         return None
     opening = camera.opening_diameter * (math.sqrt(2) if camera.aperture.shape == "square" else 1.0)
@@ -229,3 +238,41 @@ def _share_of_limit(
         raise InputError("has no frequency that a perfect lens leaves contrast of", where=where)
     share = np.minimum(contrast[known] / limit[known], 1.0)
     return (0.0, *frequency[known].tolist()), (1.0, *share.tolist())
+
+
+def _point_spread(table: PointSpreadModel, where: str, *, folder: Path, assumed: dict[str, str]) -> PointSpread:
+    """Of a validated ``[camera.lens.psf]``."""
+    from radwrap.images import read_gray
+
+    key = f"{where}.file"
+    try:
+        light = read_gray(named_file(folder, table.file, key), most_pixels=_MOST_PIXELS).values
+    except InputError as error:
+        raise InputError(str(error), where=key) from error
+    whole, brightest = float(light.sum()), float(light.max())
+    if light.min() < 0 or not whole > 0:
+        raise InputError("needs values from 0 on, some above it", where=key, remedy="subtract the background, cut at 0")
+    border = max(float(side.max()) for side in (light[0], light[-1], light[:, 0], light[:, -1]))
+    if border > _AT_BORDER * brightest:
+        raise InputError(
+            f"has {border / brightest:.2g} of its brightest at its border, where the light must have ended",
+            where=key,
+            remedy="subtract the background, or give a larger picture",
+        )
+    signs = (np.where(np.arange(size) % 2, -1.0, 1.0) for size in light.shape)
+    left = max(abs(float(sign @ light.sum(axis=axis))) / whole for axis, sign in zip((1, 0), signs, strict=True))
+    if left > _AT_HIGHEST:
+        raise InputError(
+            f"has a contrast of {left:.2g} at the highest frequency that its pixels tell",
+            where=f"{where}.pitch",
+            remedy="measure it by finer pixels",
+        )
+    row, column = np.indices(light.shape)
+    middle = float((light * row).sum() / whole), float((light * column).sum() / whole)
+    radius = np.hypot(row - middle[0], column - middle[1]).ravel()
+    order = np.argsort(radius, kind="stable")
+    reach = radius[order][int(np.searchsorted(np.cumsum(light.ravel()[order]), _HELD * whole))]
+    rows = tuple(map(tuple, (light / whole).tolist()))
+    assumed["camera.lens.psf.middle"] = "the middle of its light"
+    assumed["camera.lens.psf.light"] = "what it was measured by: the same for all light, all of the image"
+    return PointSpread(sha256_of_value(rows), table.pitch, middle, float(reach) * table.pitch, rows)

@@ -24,7 +24,7 @@ TermNumber = Annotated[str, Field(strict=True, pattern=r"^(0|[1-9][0-9]{0,2})$")
 
 
 # Keys of a lens that say how it differs from a perfect one.
-GLASS = ("wavefront", "mtf")
+GLASS = ("wavefront", "mtf", "psf")
 
 
 class WavefrontModel(Model):
@@ -56,6 +56,15 @@ class ContrastModel(Model):
     """Mean one of the light that it holds for."""
 
 
+class PointSpreadModel(Model):
+    """[camera.lens.psf]: how the lens was seen to spread the light of a point in focus."""
+
+    file: FileName
+    """Gray picture beside the scene, erect, linear in light, without a background: PNG, TIFF, PGM or EXR."""
+    pitch: Size
+    """Between its pixels, on the sensor."""
+
+
 class LensModel(Model):
     """[camera.lens]: a thin lens in the opening's plane."""
 
@@ -75,6 +84,8 @@ class LensModel(Model):
     """How the lens differs from a perfect one, by Zernike polynomials."""
     mtf: ContrastModel | None = None
     """The same by a data sheet's contrast; in place of wavefront."""
+    psf: PointSpreadModel | None = None
+    """The same by a measured point spread, which has diffraction in it; in place of both."""
 
     @model_validator(mode="after")
     def _one_kind_of_glass(self) -> LensModel:
