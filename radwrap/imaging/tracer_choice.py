@@ -27,6 +27,9 @@ from radwrap.tracers.tracer import Tracer
 
 # Rays times sources that Radiance traces in about the time that the compiled tracer takes to be loaded.
 WORTH_COMPILED: Final = 1_000_000
+# What the light of one source of a basis takes Radiance besides: it begins programs for each of its pieces, and
+# follows all primary rays anew. The compiled tracer tells sources apart in one pass, and is faster from five on.
+_BASIS_SOURCE: Final = 200_000
 # Rays that certify an image at least: of 512 pixels, four pairs each, twice, for one layer of depth.
 _CERTIFIED_PIXELS: Final = 512
 _CERTIFYING: Final = 16
@@ -98,13 +101,15 @@ def candidate(scene: Scene, options: RenderOptions) -> TracerUsed:
         return TracerUsed("radiance", cannot)
     sources, sensor = max(len(scene.emitters), 1), scene.camera.sensor
     walked = sensor.pixels * _walked(sources, sensor, options)
-    work = walked or sources * _fewest_rays(scene.camera, options)
+    work = walked or sources * (_fewest_rays(scene.camera, options) + options.basis * _BASIS_SOURCE)
     told = f"about {work} rays of walks times sources" if walked else f"{work} rays times sources at least"
+    if options.basis:
+        told = f"a basis of {sources} sources: as much as {work} rays times sources"
     whole = [source.name for source in scene.sources if isinstance(source, WideSource) and source.is_outline]
     if whole:  # to cut them takes longer than to load the compiled tracer, and each ray then asks hundreds of patches
         told = f"wide lights shine as a whole: {', '.join(whole)}"
     elif work < WORTH_COMPILED:
-        return TracerUsed("radiance", f"{told} are below {WORTH_COMPILED}")
+        return TracerUsed("radiance", f"{told}, below {WORTH_COMPILED}")
     if lacks:
         return TracerUsed("radiance", lacks)
     return TracerUsed("compiled", told)

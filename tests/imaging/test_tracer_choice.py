@@ -38,6 +38,17 @@ def small(**changes: Any) -> Scene:
 PANE: Final = {"type": "sheet", "name": "pane", "material": "pane", "size": ["9 mm", "9 mm"]}
 
 
+RING: Final[dict[str, Any]] = {
+    "type": "ring",
+    "name": "ring",
+    "position": ["0 mm", "0 mm", "400 mm"],
+    "look_at": ["0 mm", "0 mm", "0 mm"],
+    "diameter": "60 mm",
+    "radiance": "10 kW/m^2/sr",
+    "beam": {"profile": "lambertian"},
+}
+
+
 def with_pane(table: dict[str, Any]) -> Scene:
     """A sheet of that material above the board."""
     pane = {**PANE, "position": ["0 mm", "0 mm", "60 mm"]}
@@ -54,12 +65,22 @@ def test_a_small_scene_is_left_to_radiance_by_a_count() -> None:
     scene, work = small(), 20 * 24
     certified = 17 * work  # so few pixels are all looked at, by two of each of four pairs, twice
     assert candidate(scene, RenderOptions()) == TracerUsed(
-        "radiance", f"{certified} rays times sources at least are below {tracer_choice.WORTH_COMPILED}"
+        "radiance", f"{certified} rays times sources at least, below {tracer_choice.WORTH_COMPILED}"
     )
     assert candidate(scene, RenderOptions(viewpoints=37)).reason.startswith(f"{37 * work} rays")
     many = RenderOptions(viewpoints=2100)
     assert candidate(scene, many) == TracerUsed("compiled", f"{2100 * work} rays times sources at least")
     assert candidate(scene, replace(many, tracer="radiance")) == TracerUsed("radiance", "asked for")
+
+
+def test_sources_of_a_basis_count_by_themselves() -> None:
+    """Of each Radiance begins programs of its own and follows all primary rays anew."""
+    few, many = (small(sources=[RING | {"count": count}]) for count in (3, 5))
+    basis = RenderOptions(tolerance=8.0, basis=True)
+    assert candidate(few, basis).name == "radiance"
+    used = candidate(many, basis)
+    assert used.name == "compiled" and "a basis of 5 sources" in used.reason
+    assert candidate(many, replace(basis, basis=False)).name == "radiance"
 
 
 def test_of_a_small_image_its_certificate_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -109,7 +130,7 @@ def test_walks_are_counted_by_what_the_tolerance_asks_for() -> None:
         options = RenderOptions(bounces=bounces, tolerance=tolerance)
         work = pixels * walks * places * (sources + 2)
         assert candidate(scene, options).reason == (
-            f"about {work} rays of walks times sources are below {tracer_choice.WORTH_COMPILED}"
+            f"about {work} rays of walks times sources, below {tracer_choice.WORTH_COMPILED}"
         )
     sensor = scene.camera.sensor
     fine = math.ceil(((sensor.saturation_gray - sensor.dark_gray) / 2 / 0.5) ** 2)

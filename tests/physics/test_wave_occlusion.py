@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from radwrap.imaging.optics.view import View
-from radwrap.imaging.tolerance.wave_behind import as_seen, filled, going_on
+from radwrap.imaging.tolerance.wave_behind import Filling, Layout
 from radwrap.imaging.tolerance.wave_image import visible_gray, wave_error
 from radwrap.imaging.tolerance.wave_parts import wave_parts
 from radwrap.imaging.tolerance.wave_plan import plan_waves
@@ -121,9 +121,10 @@ def test_light_that_is_laid_out_adds_up_and_slopes_hide_nothing() -> None:
     layers = (0.0, 0.1, 0.2, 0.3)
     across = np.broadcast_to(np.linspace(0.0, 0.3, 64), (48, 64))
     values = 1 + across
-    assert going_on(values, across, layers) is None and sum(as_seen(values, across, layers)) == pytest.approx(values)
+    even = Layout.of(across, layers)
+    assert even.going_on(values) is None and sum(even.as_seen(values)) == pytest.approx(values)
     hiding = np.where(np.arange(64) < 20, 0.3, 0.1) * np.ones((48, 1))
-    behind = going_on(values, hiding, layers)
+    behind = Layout.of(hiding, layers).going_on(values)
     assert behind is not None and sum(behind) == pytest.approx(values)
     # What lies behind goes on to the border, and the near layer has what differs from it.
     assert (behind[1][:, 20:] == values[:, 20:]).all() and behind[1][:, 19] == pytest.approx(values[:, 20], rel=0.02)
@@ -133,11 +134,11 @@ def test_light_that_is_laid_out_adds_up_and_slopes_hide_nothing() -> None:
 def test_what_is_not_known_is_the_mean_around() -> None:
     known = np.zeros((21, 30), dtype=bool)
     known[:, 13:] = True
-    even = filled(np.where(known, 3.0, 99.0), known)
+    even = Filling.of(known).filled(np.where(known, 3.0, 99.0))
     assert even == pytest.approx(np.full(known.shape, 3.0))
-    slope = filled(np.where(known, np.arange(30.0), -1.0), known)
+    slope = Filling.of(known).filled(np.where(known, np.arange(30.0), -1.0))
     assert (slope[known] == np.broadcast_to(np.arange(30.0), known.shape)[known]).all()
     assert (slope[:, :13] >= 13).all() and (slope[:, :13] <= 29).all()
     one = np.zeros((5, 7), dtype=bool)
     one[2, 3] = True
-    assert filled(np.full(one.shape, 4.0), one) == pytest.approx(np.full(one.shape, 4.0))
+    assert Filling.of(one).filled(np.full(one.shape, 4.0)) == pytest.approx(np.full(one.shape, 4.0))

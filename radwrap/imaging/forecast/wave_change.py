@@ -26,7 +26,7 @@ from radwrap.imaging.optics.waves import Waves
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.tolerance.bounds import NOTHING, Bounded, stratified_mean
 from radwrap.imaging.tolerance.certificate import lacks_in_gray
-from radwrap.imaging.tolerance.wave_behind import as_seen, going_on
+from radwrap.imaging.tolerance.wave_behind import Layout
 from radwrap.random_streams import Rendering, generator
 from radwrap.scene.camera import Camera
 
@@ -336,7 +336,8 @@ def _gathered(
     grid: _Grid, rect: Rect, weights: dict[Place, list[tuple[Complex, Complex]]], light: Array, depth: Array
 ) -> tuple[Array, Array]:
     """What rays gather at those pixels of a part that lie alike in their cells, and what waves add."""
-    seen, behind = as_seen(light, depth, grid.layers), going_on(light, depth, grid.layers)
+    layout = Layout.of(depth, grid.layers)
+    seen, behind = layout.as_seen(light), layout.going_on(light)
     spectra = [np.fft.rfft2(one) for one in seen]
     of_behind = spectra if behind is None else [np.fft.rfft2(one) for one in behind]
     r0, r1, c0, c1 = rect

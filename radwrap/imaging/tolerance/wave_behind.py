@@ -12,6 +12,7 @@ being laid out where it is seen is how far this may be off.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -20,70 +21,103 @@ from numpy.typing import NDArray
 from radwrap.imaging.methods.kernel import layer_places, layer_shares
 
 Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 
 # Of the distance between layers: what differs by less from its neighbour goes on as a slope.
 _STEP: Final = 0.5
 
 
-def as_seen(values: Array, magnification: Array, layers: tuple[float, ...]) -> list[Array]:
-    """Light of each layer where it is seen; parameters as in `going_on`."""
-    return [values * share for share in layer_shares(layers, magnification)]
+@dataclass(frozen=True, slots=True, eq=False)
+class Layout:
+    """Which layers light belongs to that is seen by the same rays, whatever its source.
 
-
-def going_on(values: Array, magnification: Array, layers: tuple[float, ...]) -> list[Array] | None:
-    """Light of each layer, what lies behind laid out to go on.
-
-    Parameters
+    Attributes
     ----------
-    values, magnification : ndarray, shape (rows, columns)
-        Of the central image.
-    layers : tuple of float
-        Magnifications of the layers, from the farthest on.
-
-    Returns
-    -------
-    list of ndarray, shape (rows, columns), or None
-        They sum up to the values; None where nothing hides another thing.
+    shares : tuple of ndarray, shape (rows, columns)
+        Of each layer in the light where it is seen.
+    hiding : tuple of (ndarray of bool, Filling)
+        Where near things hide others, the farthest first, and what goes on there.
+    behind : tuple of ndarray, shape (rows, columns)
+        Of each layer in the light that goes on; none where nothing hides.
     """
-    if len(layers) == 1:
-        return None
-    place = layer_places(layers, magnification)
-    if not any((np.abs(np.diff(place, axis=axis)) > _STEP).any() for axis in (0, 1)):
-        return None
-    number = np.rint(place).astype(np.intp)
-    light, depth = np.zeros_like(values), magnification.copy()
-    for near in np.unique(number)[1:].tolist():
-        here, far = number == near, number < near
-        light[here], depth[here] = (filled(one, far)[here] for one in (values, magnification))
-    near_light, far_light = as_seen(values - light, magnification, layers), as_seen(light, depth, layers)
-    return [near + far for near, far in zip(near_light, far_light, strict=True)]
+
+    shares: tuple[Array, ...]
+    hiding: tuple[tuple[Flags, Filling], ...]
+    behind: tuple[Array, ...]
+
+    @classmethod
+    def of(cls, magnification: Array, layers: tuple[float, ...]) -> Layout:
+        """For magnifications of shape (rows, columns), and those of the layers, from the farthest on."""
+        shares = tuple(layer_shares(layers, magnification))
+        if len(layers) == 1:
+            return cls(shares, (), ())
+        place = layer_places(layers, magnification)
+        if not any((np.abs(np.diff(place, axis=axis)) > _STEP).any() for axis in (0, 1)):
+            return cls(shares, (), ())
+        number = np.rint(place).astype(np.intp)
+        hiding, depth = [], magnification.copy()
+        for near in np.unique(number)[1:].tolist():
+            here, far = number == near, Filling.of(number < near)
+            depth[here] = far.filled(magnification)[here]
+            hiding.append((here, far))
+        return cls(shares, tuple(hiding), tuple(layer_shares(layers, depth)))
+
+    def as_seen(self, values: Array) -> list[Array]:
+        """Light of each layer where it is seen, of values of shape (rows, columns)."""
+        return [values * share for share in self.shares]
+
+    def going_on(self, values: Array) -> list[Array] | None:
+        """The same, what lies behind laid out to go on; None where nothing hides another thing."""
+        if not self.behind:
+            return None
+        light = np.zeros_like(values)
+        for here, far in self.hiding:
+            light[here] = far.filled(values)[here]
+        return [near + light * share for near, share in zip(self.as_seen(values - light), self.behind, strict=True)]
 
 
-def filled(values: Array, known: NDArray[np.bool_]) -> Array:
-    """Values where they are known; elsewhere means of what is known around, the wider the farther that is.
+@dataclass(frozen=True, slots=True, eq=False)
+class Filling:
+    """Where values are known, and by what they are filled elsewhere: half the size, and so on until all is known.
 
-    Parameters
+    Attributes
     ----------
-    values : ndarray, shape (rows, columns)
-        Of any kind where they are not known.
     known : ndarray of bool, shape (rows, columns)
         Where they are; at least one of them.
-
-    Returns
-    -------
-    ndarray, shape (rows, columns)
+    weights : ndarray, shape (half the rows, half the columns)
+        How many of four are.
+    coarser : Filling, optional
+        Of means of four; None where all is known.
     """
-    if known.all():
-        return values
+
+    known: Flags
+    weights: Array
+    coarser: Filling | None
+
+    @classmethod
+    def of(cls, known: Flags) -> Filling:
+        """For what is known."""
+        if known.all():
+            return cls(known, np.empty((0, 0)), None)
+        weights = _fours(known.astype(np.float64))
+        return cls(known, weights, cls.of(weights > 0))
+
+    def filled(self, values: Array) -> Array:
+        """Values where they are known; elsewhere means of what is known around, the wider the farther that is."""
+        if self.coarser is None:
+            return values
+        totals = _fours(np.where(self.known, values, 0.0))
+        coarse = np.divide(totals, self.weights, out=np.zeros_like(totals), where=self.coarser.known)
+        fine = _twice(_twice(self.coarser.filled(coarse)).T).T[: values.shape[0], : values.shape[1]]
+        return np.where(self.known, values, fine)
+
+
+def _fours(values: Array) -> Array:
+    """Sums of squares of four."""
     rows, columns = (size + size % 2 for size in values.shape)
-    weight, total = np.zeros((2, rows, columns))
-    weight[: values.shape[0], : values.shape[1]] = known
-    total[: values.shape[0], : values.shape[1]] = np.where(known, values, 0.0)
-    weights, totals = (one.reshape(rows // 2, 2, columns // 2, 2).sum(axis=(1, 3)) for one in (weight, total))
-    there = weights > 0
-    coarse = filled(np.divide(totals, weights, out=np.zeros_like(totals), where=there), there)
-    fine = _twice(_twice(coarse).T).T[: values.shape[0], : values.shape[1]]
-    return np.where(known, values, fine)
+    whole = np.zeros((rows, columns))
+    whole[: values.shape[0], : values.shape[1]] = values
+    return np.asarray(whole.reshape(rows // 2, 2, columns // 2, 2).sum(axis=(1, 3)))
 
 
 def _twice(values: Array) -> Array:

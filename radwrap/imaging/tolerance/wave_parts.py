@@ -10,29 +10,31 @@ sources; the very same rays then tell what waves add to the light of each.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.imaging.methods.central import Cells, CentralImage, central_image
 from radwrap.imaging.methods.kernel import GRID_SHARE, coarsened, decide_tile, fast_length, lattice
-from radwrap.imaging.optics.lens_field import MIXED_SHARE
+from radwrap.imaging.optics.lens_field import MIXED_SHARE, Place
 from radwrap.imaging.optics.view import View
-from radwrap.imaging.tolerance.wave_behind import as_seen, going_on
+from radwrap.imaging.tolerance.wave_behind import Layout
 from radwrap.imaging.tolerance.wave_far import far_change, far_light
-from radwrap.imaging.tolerance.wave_plan import WavePlan, bare
+from radwrap.imaging.tolerance.wave_plan import WavePlan, WaveWeights, bare
 from radwrap.random_streams import Rendering
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 Rect = tuple[int, int, int, int]
 
 # Of what it changes to lay light out as if what lies behind went on: how far that may be off. By Fresnel's integral,
 # scripts/wave_occlusion.py, .01 to .11 where what lies behind is even. Where that has strong structure right beside the
 # edge it can be all of it and more, which is not held.
 OF_HIDING: Final = 0.25
+_MOST_KEPT: Final = 1 << 24  # numbers of transforms that are kept, 256 MiB
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,25 +156,68 @@ def wave_tile(
     summed = central if central.values.ndim == 2 else replace(central, values=central.values.sum(axis=0))
     coarser = replace(coarsened(central), magnification=coarsened(like or summed).magnification)
     place, cell = kernel.tiles[tile], kernel.grid.cell
+    layouts = [
+        None if depth is None else Layout.of(depth, kernel.layers)
+        for depth in (central.magnification, coarser.magnification)
+    ]
+    transforms = _Transforms(len(plans))
     each = (array.reshape(-1, *array.shape[-2:]) for array in (central.values, coarser.values))
     for of_source, fine, rough in zip(plans, *each, strict=True):
         # Cells that do not resolve what waves do say little of what smaller ones would change.
         share = GRID_SHARE if cell * plan.pitch <= of_source.waves.blur else 1.0
-        depth, rough_depth, layers = central.magnification, coarser.magnification, plan.kernel.layers
-        seen = [fine] if depth is None else as_seen(fine, depth, layers)
-        rough_seen = [rough] if rough_depth is None else as_seen(rough, rough_depth, layers)
-        behind = None if depth is None else going_on(fine, depth, layers)
-        found, of_field = _gathered(of_source, central, seen, cell, place)
+        seen, rough_seen = (
+            [light] if layout is None else layout.as_seen(light)
+            for layout, light in zip(layouts, (fine, rough), strict=True)
+        )
+        behind = None if layouts[0] is None else layouts[0].going_on(fine)
+        found, of_field = _gathered(of_source, central, seen, cell, place, transforms=transforms)
         seen_only = found
         if behind is not None:
-            found, of_field = _gathered(of_source, central, behind, cell, place)
-        of_cells = share * (_gathered(of_source, coarser, rough_seen, 2 * cell, place)[0] - seen_only)
+            found, of_field = _gathered(of_source, central, behind, cell, place, transforms=transforms)
+        of_cells = share * (
+            _gathered(of_source, coarser, rough_seen, 2 * cell, place, transforms=transforms)[0] - seen_only
+        )
         off = of_cells + OF_HIDING * (found - seen_only)
         yield found, off + np.copysign(of_field, off)
 
 
+class _Transforms:
+    """Transforms of what waves do to the light of each layer: sources of one wavelength share them.
+
+    Parameters
+    ----------
+    sources : int
+        How many ask for them; for a single one none is kept.
+    """
+
+    def __init__(self, sources: int) -> None:
+        self._left = _MOST_KEPT if sources > 1 else 0
+        self._kept: dict[tuple[Any, ...], list[Complex]] = {}
+
+    def of(
+        self, weights: WaveWeights, cell: float, shape: tuple[int, int], phase: tuple[int, int], place: Place
+    ) -> Iterable[Complex]:
+        """As `WaveWeights.laid_out`."""
+        key = (id(weights), cell, shape, phase, place)
+        if key in self._kept:
+            return self._kept[key]
+        size = len(weights.kernel.layers) * shape[0] * (shape[1] // 2 + 1)
+        made = weights.laid_out(cell, shape, phase, place)
+        if size > self._left:
+            return made
+        self._left -= size
+        self._kept[key] = list(made)
+        return self._kept[key]
+
+
 def _gathered(
-    plan: WavePlan, central: CentralImage, light: Sequence[Array], cell: float, place: Rect
+    plan: WavePlan,
+    central: CentralImage,
+    light: Sequence[Array],
+    cell: float,
+    place: Rect,
+    *,
+    transforms: _Transforms,
 ) -> tuple[Array, Array]:
     """What waves add to each pixel of a tile, by the light of each layer; and how far a mixture of places is off."""
     rows, columns = (fast_length(size) for size in light[0].shape)
@@ -183,7 +228,7 @@ def _gathered(
     for phase, (of_field, share, coarser) in itertools.product(
         np.ndindex(step, step), plan.weights.lens_field.shares(place)
     ):
-        at_phase = plan.weights.laid_out(cell, shape, (phase[0], phase[1]), of_field)
+        at_phase = transforms.of(plan.weights, cell, shape, (phase[0], phase[1]), of_field)
         field = np.fft.irfft2(
             sum(spectrum * np.conj(each) for spectrum, each in zip(spectra, at_phase, strict=True)), shape
         )
