@@ -88,7 +88,7 @@ def _lines(trade: Trade) -> Iterator[str]:
             f"{'*' if row.setting.name in front else ' '} {row.setting.options:{wide}} {row.rays:9.3g} "
             f"{duration(row.wall_s):>8} {error.rms_gray:7.2g} {error.p99_gray:7.2g} {error.max_gray:7.2g}"
         )
-    yield ("Errors are against rays, which know no waves: what diffraction and aberrations change is in none of them.")
+    yield "Errors are against rays, which know no waves: what diffraction and aberrations change is in none of them."
     for left in trade.left_out:
         yield f"  {left.setting.options:{wide}} left out: {left.why}"
     yield (

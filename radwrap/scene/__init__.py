@@ -4,7 +4,7 @@ The data's way::
 
     what a target is made of, what reflects, what shines    mesh, materials, wide_shapes, spectrum
     -> what the camera looks at, what lights it             targets, sources
-    -> what looks: pose, opening, lens, sensor              camera (distortion, pixel_window, linear_sensor)
+    -> what looks: pose, opening, lens, sensor              camera (aberrations, distortion, linear_sensor)
     -> how far these may be off                             tolerances
     -> the whole                                            scene
     -> sources under which all materials look alike         bands

@@ -112,7 +112,8 @@ def lens_field(camera: Camera, wavelength: float, most: int = _MOST) -> LensFiel
     """
     sensor, lens = camera.sensor, camera.lens
     middle = LensField(((sensor.rows - 1) / 2,), ((sensor.columns - 1) / 2,))
-    if lens is None or lens.glass is None or getattr(lens.glass, "heights", None) is None:
+    glass = None if lens is None else lens.glass
+    if glass is None or isinstance(glass, PointSpread) or glass.heights is None:
         return middle
     for steps in range(min(_FEWEST, most), most + 1, 2):
         found = LensField(_nodes(sensor.rows, steps), _nodes(sensor.columns, steps))
