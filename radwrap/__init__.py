@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from radwrap.calibrate.several_views import calibrate_views as calibrate_views
     from radwrap.calibrate.tsai import calibrate_camera as calibrate_camera
     from radwrap.calibrate.views import CalibrationView as CalibrationView
+    from radwrap.designing.run import design as design
+    from radwrap.designing.told import Designed as Designed
     from radwrap.errors import Cancelled as Cancelled
     from radwrap.errors import CheckFailed as CheckFailed
     from radwrap.errors import EnvironmentFailure as EnvironmentFailure
@@ -81,6 +83,7 @@ _HOMES = {
     "Cancelled": "radwrap.errors",
     "Captures": "radwrap.fitting.series",
     "CheckFailed": "radwrap.errors",
+    "Designed": "radwrap.designing.told",
     "EnvironmentFailure": "radwrap.errors",
     "Fit": "radwrap.fitting.told",
     "GrayImage": "radwrap.images",
@@ -100,6 +103,7 @@ _HOMES = {
     "projection_uncertainty": "radwrap.calibrate.projection_uncertainty",
     "compare": "radwrap.measure.compare",
     "contrast_of": "radwrap.measure.gauges",
+    "design": "radwrap.designing.run",
     "effects": "radwrap.imaging.forecast.effects",
     "explain": "radwrap.imaging.forecast.explain",
     "find_dots": "radwrap.measure.dots",

@@ -400,6 +400,10 @@ def _mean_gray(seen: Seen, _: Options) -> Answer:
     return Answer(float(seen.image.values.mean()), seen.error.rms)
 
 
+def _peak_gray(seen: Seen, _: Options) -> Answer:
+    return again(seen, lambda image: float(image.values.max()))
+
+
 def contrast(image: GrayImage) -> float:
     """(bright - dark)/(bright + dark) of the 99th and 1st percentile of the gray levels."""
     dark, bright = np.percentile(image.values, (1, 99))
@@ -441,6 +445,7 @@ KINDS: Final[Mapping[str, Kind]] = {
         period=math.pi,
     ),
     "mean_gray": Kind("mean gray level", None, "", {}, _mean_gray, copies=False),
+    "peak_gray": Kind("gray level of the brightest pixel", None, "", {}, _peak_gray),
     "contrast": Kind("Michelson contrast of 99th and 1st percentile", None, "", {}, _contrast),
     "saturated_share": Kind("share of saturated pixels", None, "", {}, _saturated_share),
     **GAUGES,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any, Final, Protocol
@@ -63,9 +63,19 @@ class Scheduler:
         Does the jobs; it stays open, and is to be closed also where this fails.
     progress : Progress
         Counts runs.
+    work : callable
+        How a worker does a job; a function of a module, so that other processes find it.
     """
 
-    def __init__(self, steps: Iterable[Step], sink: Sink, pool: Pool, progress: Progress) -> None:
+    def __init__(
+        self,
+        steps: Iterable[Step],
+        sink: Sink,
+        pool: Pool,
+        progress: Progress,
+        work: Callable[[Any], list[Outcome]] = carry_out,
+    ) -> None:
+        self._work = work
         self._sink = sink
         self._pool = pool
         self._progress = progress
@@ -117,7 +127,7 @@ class Scheduler:
                 return
             job = self._ready.popleft()
             try:
-                self._running[self._finished.watch(self._pool.submit(carry_out, job))] = job
+                self._running[self._finished.watch(self._pool.submit(self._work, job))] = job
             except RuntimeError as error:
                 if not self._pool.is_broken(error):
                     raise

@@ -96,7 +96,7 @@ def measure_uniformity(
             where="the image" if box is None else "region",
             remedy="shorten the exposure",
         )
-    means, counts, places = _cells(values, cells)
+    means, counts, places = cells_of(values, cells)
     mean = float(values.mean())
     if mean <= 0 or means.min() + means.max() <= 0:
         raise InputError("is not lit: its mean is not above dark", where="the image", remedy="see dark")
@@ -129,7 +129,7 @@ def measure_uniformity(
     )
 
 
-def _cells(values: Array, most: int) -> tuple[Array, Array, Array]:
+def cells_of(values: Array, most: int = CELLS) -> tuple[Array, Array, Array]:
     """Means of cells of about equal size, their pixels, and their middles (u, v)."""
     ends = [np.linspace(0, size, min(most, size) + 1).round().astype(np.intp) for size in values.shape]
     sums = np.add.reduceat(np.add.reduceat(values, ends[0][:-1], axis=0), ends[1][:-1], axis=1)

@@ -1,0 +1,68 @@
+"""From codes to a scene: what a candidate is, before anything of it is rendered."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from radwrap.designing.document import Problem, set_values
+from radwrap.designing.keys import Code
+from radwrap.designing.quantities import scenes_own
+from radwrap.errors import InputError
+from radwrap.scene.file.keys import set_key
+from radwrap.study.seen import Answer
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A scene that a design may come to.
+
+    Attributes
+    ----------
+    codes : tuple
+        Of each key that is searched.
+    document : Mapping
+        Tables of its scene.
+    values : Mapping
+        Key path -> value of all that is set.
+    own : Mapping of str to Answer
+        What is known of it without a ray.
+    fault : str
+        Why it is no scene; empty where it is one.
+    """
+
+    codes: tuple[Code, ...]
+    document: Mapping[str, Any]
+    values: Mapping[str, Any]
+    own: Mapping[str, Answer]
+    fault: str = ""
+
+
+def candidate_of(problem: Problem, codes: Sequence[Code], levels: Mapping[str, Any] | None = None) -> Candidate:
+    """The candidate of a code for each searched key.
+
+    Parameters
+    ----------
+    problem : Problem
+        Whose scene is changed.
+    codes : sequence
+        In the order of its keys.
+    levels : Mapping, optional
+        Key path -> level of a source that was found.
+    """
+    document: dict[str, Any] = json.loads(json.dumps(problem.study.document))
+    values: dict[str, Any] = {}
+    cost = 0.0
+    for key, code in zip(problem.keys, codes, strict=True):
+        values |= set_values(document, key, key.values(code), problem.study.scene_origin)
+        cost += key.cost(code)
+    for path, value in (levels or {}).items():
+        set_key(document, path, value, problem.study.scene_origin)
+        values[path] = value
+    try:
+        scene = problem.scene(document)
+    except InputError as error:
+        return Candidate(tuple(codes), document, values, {}, str(error))
+    return Candidate(tuple(codes), document, values, scenes_own(scene, cost))

@@ -1,0 +1,205 @@
+"""Levels of sources for the most even light, as convex programs in radiant exposure.
+
+Light of a place is linear in the levels x. Unevenness is a ratio, which stays where all light is scaled: in y = x t,
+where 1/t is the mean light, the mean is held at 1, and what is left to make small is the variance, a quadratic program,
+or max - min, a linear one (A. Charnes and W. W. Cooper, 1962). Limits of levels and of light stay linear in (y, t).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.errors import EnvironmentFailure, InputError
+
+Array = NDArray[np.float64]
+Measure = Literal["deviation", "extremes"]
+
+_EXACT: Final = 1e-11  # of the solver's gaps; uniformity is asked for to 1e-6
+_BROKEN: Final = 1e-9  # of a limit: by so little a place may lie beyond it
+_WORST: Final = 200  # places that are added to a program at a time
+_MOST_ROUNDS: Final = 100
+_SOLVED: Final = ("Solved", "AlmostSolved")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Limit:
+    """Limits of light at some places: low <= light <= high.
+
+    Attributes
+    ----------
+    light : ndarray, shape (places, sources + 1)
+        Of each source at level 1 [J m^-2]; the last column is light that does not change.
+    low, high : float
+        [J m^-2]; infinite where there is none.
+    """
+
+    light: Array
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EvenLight:
+    """What is to be lit evenly.
+
+    Attributes
+    ----------
+    cells : ndarray, shape (cells, sources + 1)
+        Mean light of each cell by each source at level 1 [J m^-2]; the last column is light that does not change.
+    weights : ndarray, shape (cells,)
+        Share of the region that each cell has; their sum is 1.
+    low, high : ndarray, shape (sources,)
+        Bounds of the levels, from 0 on.
+    limits : tuple of Limit
+        Of light.
+    """
+
+    cells: Array
+    weights: Array
+    low: Array
+    high: Array
+    limits: tuple[Limit, ...] = ()
+
+
+def unevenness(problem: EvenLight, levels: Array, measure: Measure) -> float:
+    """Standard deviation over mean, or (max - min)/(max + min), of the cells' light for some levels."""
+    light = problem.cells @ np.append(levels, 1.0)
+    if measure == "extremes":
+        return float((light.max() - light.min()) / (light.max() + light.min()))
+    mean = float(problem.weights @ light)
+    return float(np.sqrt(problem.weights @ (light - mean) ** 2)) / mean
+
+
+def most_even(problem: EvenLight, measure: Measure) -> Array:
+    """The levels of least unevenness; of those that differ by a factor only, the brightest.
+
+    Parameters
+    ----------
+    problem : EvenLight
+        With n sources.
+    measure : str
+        "deviation": standard deviation over mean; "extremes": (max - min)/(max + min).
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Levels within their bounds.
+
+    Raises
+    ------
+    InputError
+        If no levels keep all limits.
+    EnvironmentFailure
+        If the solver is not installed, or does not come to an end.
+    """
+    scale = float(problem.cells.sum(axis=1).mean())  # so that the numbers of the program are near 1
+    if not scale > 0:
+        raise InputError("no light reaches the region", where="levels")
+    limits = [Limit(limit.light / scale, limit.low / scale, limit.high / scale) for limit in problem.limits]
+    cells = problem.cells / scale
+    bounds = _bounds(problem)
+    used = [np.zeros(len(limit.light), dtype=bool) for limit in limits]
+    for _ in range(_MOST_ROUNDS):
+        rows = [bounds, *(_rows(limit, here) for limit, here in zip(limits, used, strict=True))]
+        point = _solved(cells, problem.weights, np.vstack(rows), measure)
+        broken = [_broken(limit, point) for limit in limits]
+        new = [~here & beyond for here, beyond in zip(used, broken, strict=True)]
+        if not any(one.any() for one in new):
+            return _levels(problem, limits, point)
+        used = [here | more for here, more in zip(used, new, strict=True)]
+    raise EnvironmentFailure("the convex program of the levels did not come to an end", where="levels")
+
+
+def _bounds(problem: EvenLight) -> Array:
+    """Rows r with r (y, t) <= 0 of the levels' bounds, and of t > 0."""
+    count = len(problem.low)
+    one = np.eye(count)
+    below = np.hstack([-one, problem.low[:, np.newaxis]])
+    above = np.hstack([one, -problem.high[:, np.newaxis]])
+    return np.vstack([below, above, np.append(np.zeros(count), -1.0)])
+
+
+def _rows(limit: Limit, used: NDArray[np.bool_]) -> Array:
+    """The same of places whose light is limited: the last column is times t, as the limit is."""
+    light = limit.light[used]
+    rows = []
+    if np.isfinite(limit.high):
+        rows.append(light - np.append(np.zeros(light.shape[1] - 1), limit.high))
+    if np.isfinite(limit.low):
+        rows.append(np.append(np.zeros(light.shape[1] - 1), limit.low) - light)
+    return np.vstack(rows) if rows else np.zeros((0, light.shape[1]))
+
+
+def _broken(limit: Limit, point: Array) -> NDArray[np.bool_]:
+    """The places where a limit is broken most, if anywhere."""
+    light = limit.light @ point
+    t = point[-1]
+    excess = np.zeros(len(light))
+    for bound, sign in ((limit.high, 1.0), (limit.low, -1.0)):
+        if np.isfinite(bound):
+            excess = np.maximum(excess, sign * (light - bound * t) - _BROKEN * max(abs(bound) * t, 1e-12))
+    found = np.zeros(len(light), dtype=bool)
+    found[np.argsort(-excess, kind="stable")[:_WORST]] = True
+    return found & (excess > 0)
+
+
+def _solved(cells: Array, weights: Array, rows: Array, measure: Measure) -> Array:
+    """(y, t) of the program: mean 1, rows (y, t) <= 0."""
+    mean = weights @ cells
+    count = cells.shape[1]
+    if measure == "deviation":
+        spread = np.sqrt(weights)[:, np.newaxis] * (cells - mean)
+        return _program(2 * spread.T @ spread, np.zeros(count), mean, rows)[:count]
+    # Two more variables: the brightest and the darkest cell, with sum 2.
+    more = len(cells)
+    ones, none = np.ones((more, 1)), np.zeros((more, 1))
+    above, below = np.hstack([cells, -ones, none]), np.hstack([-cells, none, ones])
+    wide = np.hstack([rows, np.zeros((len(rows), 2))])
+    cost = np.append(np.zeros(count), [1.0, -1.0])
+    held = np.append(np.zeros(count), [0.5, 0.5])
+    return _program(np.zeros((count + 2, count + 2)), cost, held, np.vstack([wide, above, below]))[:count]
+
+
+def _program(square: Array, cost: Array, held: Array, rows: Array) -> Array:
+    """Minimise z square z/2 + cost z with held z = 1 and rows z <= 0."""
+    try:
+        import clarabel
+    except ImportError as error:
+        raise EnvironmentFailure(
+            "clarabel is not installed", where="levels", remedy="pip install radwrap[design]"
+        ) from error
+    from scipy.sparse import csc_matrix
+
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.max_threads = 1
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = _EXACT
+    # Rows of one size: a limit of bright light counts as much as one of a level.
+    sizes = np.maximum(np.abs(rows).max(axis=1, keepdims=True), 1e-300)
+    left = csc_matrix(np.vstack([held, rows / sizes]))
+    right = np.append(1.0, np.zeros(len(rows)))
+    cones = [clarabel.ZeroConeT(1), clarabel.NonnegativeConeT(len(rows))]
+    found = clarabel.DefaultSolver(csc_matrix(np.triu(square)), cost, left, right, cones, settings).solve()
+    status = str(found.status)
+    if "Infeasible" in status:
+        raise InputError("no levels keep all limits", where="levels")
+    if status not in _SOLVED:
+        raise EnvironmentFailure(f"the convex program of the levels was not solved: {status}", where="levels")
+    return np.asarray(found.x, dtype=np.float64)
+
+
+def _levels(problem: EvenLight, limits: list[Limit], point: Array) -> Array:
+    """Levels of (y, t); without light that does not change, t may fall until a limit holds it."""
+    y, t = point[:-1], float(point[-1])
+    rows = [_bounds(problem), *(_rows(limit, np.ones(len(limit.light), dtype=bool)) for limit in limits)]
+    is_free = not problem.cells[:, -1].any() and not any(limit.light[:, -1].any() for limit in limits)
+    if is_free or t <= 0:
+        every = np.vstack(rows)
+        held = every[:, -1] < 0
+        t = float((every[held, :-1] @ y / -every[held, -1]).max())
+    levels: Array = np.clip(y / t, problem.low, problem.high)
+    return levels

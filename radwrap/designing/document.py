@@ -1,0 +1,296 @@
+"""A design as a user writes it: DESIGN.toml to frozen values, everything checked that can be without a ray.
+
+Errors name the file and the key, such as ``design.toml: keys.pinhole.low``.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from radwrap.designing.keys import SearchKey, read_key
+from radwrap.designing.light import levels_of
+from radwrap.designing.quantities import (
+    COST,
+    PEAK,
+    SCENES_OWN,
+    Constraint,
+    Objective,
+    Quantity,
+    limits_of,
+    quantity_of,
+)
+from radwrap.designing.tables import ConstraintModel, ObjectiveModel, ProblemModel
+from radwrap.errors import InputError
+from radwrap.imaging.forecast.cost import check_size
+from radwrap.reading import FileKind, read_text, read_toml
+from radwrap.scene.file.faults import validated
+from radwrap.scene.file.keys import expanded, set_key, steps_of, with_all_leds
+from radwrap.scene.file.load import load_scene, scene_from_document
+from radwrap.scene.scene import Scene
+from radwrap.study.design import Design, render_options
+from radwrap.study.design_responses import read_responses
+from radwrap.study.responses import Response, check_response
+
+_DESIGN_FILE: Final = FileKind("design file", 64 << 20)
+_SCENE_FILE: Final = FileKind("scene file", 16 << 20, "")
+_NOMINAL: Final = "nominal"
+_TAKEN: Final = {"trial", "stage", "seed", "image_error", "met", "feasible", "warnings", "error"}
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """A design problem, checked.
+
+    Attributes
+    ----------
+    study : Design
+        Scene, render options and responses, as a study without factors has them.
+    text : str
+        The scene's file, which the best scene keeps but for its values.
+    changes : Mapping
+        Keys that ``[set]`` changes.
+    keys : tuple of SearchKey
+        What a search varies.
+    levels : tuple of SearchKey
+        Levels of sources, which are solved for on a light basis.
+    objectives : tuple of Objective
+        One or two.
+    constraints : tuple of Constraint
+    budget : int
+        How many images may be rendered.
+    batch : int
+        How many candidates are asked for at a time.
+    coarse : float
+        How much coarser than the tolerance images are while it is searched.
+    """
+
+    study: Design
+    text: str
+    changes: Mapping[str, Any]
+    keys: tuple[SearchKey, ...]
+    levels: tuple[SearchKey, ...]
+    objectives: tuple[Objective, ...]
+    constraints: tuple[Constraint, ...]
+    budget: int
+    batch: int
+    coarse: float
+
+    @property
+    def origin(self) -> str:
+        """Its file, for messages."""
+        return self.study.origin
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """All that a trial tells: responses, and what is known of a scene without a ray."""
+        measured = tuple(quantity_of(one.name, self.study.responses) for one in self.study.responses)
+        return (*measured, *(quantity_of(name, ()) for name in SCENES_OWN))
+
+    def scene(self, document: Mapping[str, Any]) -> Scene:
+        """The scene of some tables."""
+        return scene_from_document(document, origin=self.study.scene_origin, folder=self.study.folder)
+
+    def documents(self) -> list[dict[str, Any]]:
+        """Tables of the scene with each end or choice of each key, the others as the scene has them."""
+        return [
+            with_values(self.study, key, key.values(code)) for key in (*self.keys, *self.levels) for code in key.ends()
+        ]
+
+
+def with_values(study: Design, key: SearchKey, values: Sequence[Any]) -> dict[str, Any]:
+    """Tables of the base scene in which one key has a value."""
+    document: dict[str, Any] = deepcopy(dict(study.document))
+    set_values(document, key, values, study.scene_origin)
+    return document
+
+
+def set_values(document: dict[str, Any], key: SearchKey, values: Sequence[Any], origin: str) -> dict[str, Any]:
+    """Set what a key stands for; returns path -> value."""
+    told: dict[str, Any] = {}
+    for path, value in zip(key.keys, values, strict=True):
+        for one in expanded(path, document):
+            set_key(document, one, value, origin)
+            told[one] = value
+    return told
+
+
+def read_problem(path: Path, *, trust: bool = False) -> Problem:
+    """Read a design file and its scene.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    trust : bool
+        Whether the user's own functions may be run as responses.
+
+    Raises
+    ------
+    InputError
+        What is wrong, with file and key; also where a bound or a choice gives no scene.
+    """
+    origin = path.name
+    told = validated(ProblemModel, read_toml(path, _DESIGN_FILE), origin, "docs/design.md shows a design file")
+    if told.case != _NOMINAL:
+        raise InputError(
+            f'is "{told.case}", and only "{_NOMINAL}" is in: the worst case within tolerances is not',
+            where=f"{origin}: case",
+            remedy="leave it out; `radwrap study tolerate` tells tolerances of the best scene",
+        )
+    scene_path = path.parent / told.scene
+    scene = load_scene(scene_path, told.set)
+    keys = tuple(read_key(name, table, f"{origin}: keys.{name}") for name, table in told.keys.items())
+    responses = read_responses(told.responses, path.parent, f"{origin}: responses") if told.responses else ()
+    asked = [one.of for one in told.objectives] + [one.of for one in told.constraints]
+    responses = _with_peak(responses, asked)
+    _check_names(keys, responses, origin)
+    render_options(told.render.given(), f"{origin}: render")
+    document = with_all_leds(json.loads(scene.document), [path for key in keys for path in key.keys])
+    study = Design(
+        title=told.title or path.stem,
+        origin=origin,
+        folder=scene.folder,
+        scene_origin=scene.origin,
+        document=document,
+        seed=told.seed,
+        replicates=1,
+        kind="list",
+        plan={},
+        render=told.render.given(),
+        basis=None,
+        factors=(),
+        responses=responses,
+        analysis="none",
+        home=path.parent,
+    )
+    is_fixed = render_options(study.render, origin).fixed_method is not None
+    problem = Problem(
+        study=study,
+        text=read_text(scene_path, _SCENE_FILE),
+        changes=told.set,
+        keys=tuple(key for key in keys if not key.is_level),
+        levels=tuple(key for key in keys if key.is_level),
+        objectives=_objectives(told.objectives, responses, origin),
+        constraints=_constraints(told.constraints, responses, origin),
+        budget=told.budget,
+        batch=told.batch,
+        coarse=1.0 if is_fixed else float(told.coarse),
+    )
+    _check(problem, keys, trust=trust, is_fixed=is_fixed)
+    return problem
+
+
+def _with_peak(responses: tuple[Response, ...], asked: Sequence[str]) -> tuple[Response, ...]:
+    """The peak gray level needs no table of its own."""
+    if PEAK not in asked or any(one.name == PEAK for one in responses):
+        return responses
+    return (*responses, Response(PEAK, PEAK))
+
+
+def _check_names(keys: Sequence[SearchKey], responses: Sequence[Response], origin: str) -> None:
+    names = [*(key.name for key in keys), *(response.name for response in responses)]
+    errors = {f"{response.name}_error" for response in responses}
+    for name in names:
+        if not name.isidentifier() or name in _TAKEN | errors | set(SCENES_OWN) or names.count(name) > 1:
+            raise InputError(
+                "cannot name a column, or names another one already",
+                where=f"{origin}: {name}",
+                remedy="use letters, digits and _, each name once",
+            )
+
+
+def _objectives(tables: Sequence[ObjectiveModel], responses: Sequence[Response], origin: str) -> tuple[Objective, ...]:
+    found = []
+    for number, table in enumerate(tables):
+        quantity = quantity_of(table.of, responses, f"{origin}: objectives[{number}].of")
+        found.append(Objective(quantity, table.aim == "maximise"))
+    if len({one.quantity.name for one in found}) < len(found):
+        raise InputError("are the same twice", where=f"{origin}: objectives")
+    return tuple(found)
+
+
+def _constraints(
+    tables: Sequence[ConstraintModel], responses: Sequence[Response], origin: str
+) -> tuple[Constraint, ...]:
+    found = []
+    for number, table in enumerate(tables):
+        where = f"{origin}: constraints[{number}]"
+        quantity = quantity_of(table.of, responses, f"{where}.of")
+        low, high = limits_of(quantity, table.at_least, table.at_most, where)
+        found.append(Constraint(quantity, low, high))
+    return tuple(found)
+
+
+# ------------------------------------------------------------------------------------------ checks before the first ray
+
+
+def _check(problem: Problem, keys: Sequence[SearchKey], *, trust: bool, is_fixed: bool) -> None:
+    study = problem.study
+    for response in study.responses:
+        if response.user is not None and not trust:
+            raise InputError(
+                f"{response.user.file} is code that would be run",
+                where=f"{study.origin}: responses.{response.table}.measure",
+                remedy="read it, then set `trust`",
+            )
+    if problem.levels and is_fixed:
+        raise InputError(
+            "levels of sources are solved for on a light basis, which is made to a tolerance",
+            where=f"{study.origin}: render.method",
+            remedy="leave the method out, or give the levels a step",
+        )
+    if problem.levels and len(problem.objectives) > 1:
+        raise InputError(
+            "levels of sources are solved for one objective, and there are two",
+            where=f"{study.origin}: objectives",
+            remedy="give the levels a step, or make one objective a limit",
+        )
+    base = problem.scene(study.document)
+    for response in study.responses:
+        check_response(response, base, f"{study.origin}: responses.{response.told_in}")
+    _check_apart(study, keys)
+    _check_costs(problem)
+    how = render_options(study.render, f"{study.origin}: render")
+    for key in keys:
+        for code in key.ends():
+            where = f"{study.origin}: keys.{key.name}, {key.label(code)}"
+            try:
+                scene = problem.scene(with_values(study, key, key.values(code)))
+                check_size(scene, how.max_pixels, 1, 1)
+            except InputError as error:
+                told = f"{error.where}: {error.what}" if error.where else error.what
+                raise InputError(told, where=where, remedy=error.remedy) from error
+    levels_of(problem.levels, study.document, base, study.origin)
+
+
+def _check_apart(study: Design, keys: Sequence[SearchKey]) -> None:
+    """Refuse two keys that set the same value, or one of which holds the other."""
+    set_by: dict[tuple[str | int, ...], str] = {}
+    for key in keys:
+        for path in key.keys:
+            try:
+                places = [steps_of(one) for one in expanded(path, study.document)]
+            except InputError as error:
+                raise InputError(
+                    error.what, where=f"{study.origin}: keys.{key.name}: {error.where}", remedy=error.remedy
+                ) from error
+            for steps in places:
+                for other, name in set_by.items():
+                    shorter = min(len(other), len(steps))
+                    if other[:shorter] == steps[:shorter]:
+                        raise InputError(
+                            f"sets {path}, which keys.{name} sets already", where=f"{study.origin}: keys.{key.name}"
+                        )
+                set_by[steps] = key.name
+
+
+def _check_costs(problem: Problem) -> None:
+    asked = [one.quantity.name for one in problem.objectives]
+    asked += [one.quantity.name for one in problem.constraints]
+    if COST in asked and not any(key.costs for key in problem.keys):
+        raise InputError("no choice has a cost", where=f"{problem.origin}: {COST}", remedy="give choices cost = [...]")

@@ -1,0 +1,331 @@
+"""Levels of sources on a light basis: by a convex program where the problem is one, else by a local search."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.designing.convex import EvenLight, Limit, Measure, most_even, unevenness
+from radwrap.designing.keys import SearchKey
+from radwrap.designing.quantities import SCENES_OWN, Constraint, Objective
+from radwrap.errors import InputError
+from radwrap.images import GrayImage
+from radwrap.imaging.relight.relit import Basis
+from radwrap.imaging.response.sensor import gray_levels, radiant_exposure_of
+from radwrap.measure.gauges import Box
+from radwrap.measure.gauges.uniformity import cells_of
+from radwrap.scene.camera import Sensor
+from radwrap.scene.file.keys import expanded, found
+from radwrap.scene.scene import Scene
+from radwrap.scene.sources import emitters
+from radwrap.study.factors import in_si, written
+from radwrap.study.image_error import ErrorFields, image_error
+from radwrap.study.placed_calipers import region_of
+from radwrap.study.responses import Response, answer
+from radwrap.study.seen import Seen
+
+Array = NDArray[np.float64]
+
+_LED: Final = re.compile(r"sources\[(\d+)\]\.leds\[(\d+)\]\.radiance_factor")
+_SOURCE: Final = re.compile(r"sources\[(\d+)\]\.")
+_MEASURES: Final[Mapping[str, Measure]] = {"uniformity": "deviation", "unevenness": "extremes"}
+_MEANS: Final = ("mean_gray", "region_mean")
+_AT_BOUND: Final = 1e-7  # of a level's range: what a solver leaves of a bound
+_LOOKS: Final = 60  # of a local search, for each level
+CONVEX: Final = "convex program"
+LOCAL: Final = "local search"
+
+
+@dataclass(frozen=True, slots=True)
+class Level:
+    """A level that is sought.
+
+    Attributes
+    ----------
+    path : str
+        Key path of the scene.
+    names : tuple of str
+        Sources of a light basis that it scales.
+    value : float
+        In the scene, in SI; above zero.
+    unit : str
+        In which it is told.
+    low, high : float
+        Bounds, as factors on `value`.
+    """
+
+    path: str
+    names: tuple[str, ...]
+    value: float
+    unit: str
+    low: float
+    high: float
+
+    def written(self, factor: float) -> Any:
+        """The level as the scene's file would hold it."""
+        return written(factor * self.value / (in_si(f"1 {self.unit}") or 1.0 if self.unit else 1.0), self.unit)
+
+
+@dataclass(frozen=True, slots=True)
+class LightAim:
+    """What levels are sought for.
+
+    Attributes
+    ----------
+    levels : tuple of Level
+    objective : Objective
+    constraints : tuple of Constraint
+    responses : tuple of Response
+        That these name.
+    """
+
+    levels: tuple[Level, ...]
+    objective: Objective
+    constraints: tuple[Constraint, ...]
+    responses: tuple[Response, ...]
+
+    def response(self, name: str) -> Response | None:
+        """The response of a name; None of what a scene tells without a ray."""
+        return next((one for one in self.responses if one.name == name), None)
+
+    def way(self, sensor: Sensor) -> str:
+        """`CONVEX` where the problem is a convex one in radiant exposure, else `LOCAL`."""
+        aimed = self.response(self.objective.quantity.name)
+        wanted = aimed is not None and not aimed.repeatability and aimed.user is None and aimed.kind in _MEASURES
+        if aimed is None or not wanted or self.objective.is_maximised != (aimed.kind == "uniformity"):
+            return LOCAL
+        return CONVEX if all(self._is_linear(one, sensor) for one in self.constraints) else LOCAL
+
+    def _is_linear(self, constraint: Constraint, sensor: Sensor) -> bool:
+        name = constraint.quantity.name
+        response = self.response(name)
+        if response is None:
+            return name != "leds"
+        if response.repeatability or response.user is not None:
+            return False
+        if response.kind == "peak_gray":
+            return math.isinf(constraint.low)
+        return response.kind in _MEANS and sensor.gamma == 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundLevels:
+    """Levels that were found.
+
+    Attributes
+    ----------
+    factors : Mapping of str to float
+        Source of the basis -> factor on its level in the scene.
+    levels : Mapping
+        Key path -> level, as the scene's file would hold it.
+    way : str
+        `CONVEX` or `LOCAL`.
+    value : float
+        Of the objective, of radiant exposure without rounding, in SI.
+    at_low, at_high : tuple of str
+        Key paths of levels that lie at a bound.
+    """
+
+    factors: Mapping[str, float]
+    levels: Mapping[str, Any]
+    way: str
+    value: float
+    at_low: tuple[str, ...] = ()
+    at_high: tuple[str, ...] = ()
+
+
+def levels_of(keys: Sequence[SearchKey], document: Mapping[str, Any], scene: Scene, origin: str) -> tuple[Level, ...]:
+    """The levels that some keys free.
+
+    Raises
+    ------
+    InputError
+        If one is dark in the scene, or two scale one source.
+    """
+    levels: list[Level] = []
+    seen: dict[str, str] = {}
+    for key in keys:
+        for path in (one for asked in key.keys for one in expanded(asked, document)):
+            level = _level(key, path, document, scene, f"{origin}: keys.{key.name}")
+            for name in level.names:
+                if name in seen:
+                    raise InputError(f"{path} scales {name}, as {seen[name]} does", where=f"{origin}: keys.{key.name}")
+                seen[name] = path
+            levels.append(level)
+    return tuple(levels)
+
+
+def _level(key: SearchKey, path: str, document: Mapping[str, Any], scene: Scene, where: str) -> Level:
+    assert key.span is not None  # noqa: S101  (a level has bounds)
+    led, source = _LED.fullmatch(path), _SOURCE.match(path)
+    assert source is not None  # noqa: S101  (asked before)
+    held = scene.sources[int(source[1])]
+    names = (f"{held.name}.led{int(led[2]):02d}",) if led else tuple(dict.fromkeys(e.source for e in emitters(held)))
+    told = found(document, path)
+    value = in_si(1.0 if told is None and led else told)
+    if value is None or not value > 0:
+        raise InputError(
+            f"{path} is dark in the scene, and a light basis begins with its light",
+            where=where,
+            remedy="give it a level above zero in the scene",
+        )
+    low, high = (in_si(key.span.written(end)) for end in (key.span.low, key.span.high))
+    if low is None or high is None or low < 0:
+        raise InputError("levels are not negative", where=f"{where}.low")
+    return Level(path, names, value, key.span.unit, low / value, high / value)
+
+
+def best_levels(aim: LightAim, basis: Basis, scene: Scene) -> FoundLevels:
+    """The best levels that a basis can tell.
+
+    Raises
+    ------
+    InputError
+        If no levels keep all limits.
+    """
+    missing = [name for level in aim.levels for name in level.names if name not in basis.sources]
+    if missing:
+        raise InputError(f"{missing[0]} is dark", where="levels")
+    light = _LitBy(aim, basis, scene)
+    way = aim.way(basis.sensor)
+    factors, value = light.convex() if way == CONVEX else light.local()
+    by_source = dict.fromkeys(basis.sources, 1.0)
+    levels: dict[str, Any] = {}
+    at_low: list[str] = []
+    at_high: list[str] = []
+    for level, found_factor in zip(aim.levels, factors.tolist(), strict=True):
+        near, factor = _AT_BOUND * (level.high - level.low), found_factor
+        if factor <= level.low + near:
+            factor, at_low = level.low, [*at_low, level.path]
+        elif factor >= level.high - near:
+            factor, at_high = level.high, [*at_high, level.path]
+        by_source |= dict.fromkeys(level.names, factor)
+        levels[level.path] = level.written(factor)
+    return FoundLevels(by_source, levels, way, value, tuple(at_low), tuple(at_high))
+
+
+class _LitBy:
+    """A basis as light of each sought level, and of all others together."""
+
+    def __init__(self, aim: LightAim, basis: Basis, scene: Scene) -> None:
+        self._aim, self._sensor, self._scene = aim, basis.sensor, scene
+        exposure = basis.images.mean(axis=1, dtype=np.float64) * basis.exposure_of_radiance
+        row = {name: number for number, name in enumerate(basis.sources)}
+        governed = [[row[name] for name in level.names] for level in aim.levels]
+        taken = {number for rows in governed for number in rows}
+        fixed = [number for number in range(len(basis.sources)) if number not in taken]
+        parts = [exposure[rows].sum(axis=0) for rows in (*governed, fixed)]
+        self._light: Array = np.stack(parts, axis=-1)  # (rows, columns, levels + 1) [J m^-2]
+        self._low = np.array([level.low for level in aim.levels])
+        self._high = np.array([level.high for level in aim.levels])
+
+    def _in(self, response: Response) -> Array:
+        """Light of the pixels of a response's region, shape (rows, columns, levels + 1)."""
+        rows, columns = self._light.shape[:2]
+        asked = response.options.get("region", (0, 0, columns - 1, rows - 1))
+        box = region_of(self._scene, asked) if isinstance(asked, str) else Box(*asked)
+        return self._light[box.v0 : box.v1 + 1, box.u0 : box.u1 + 1]
+
+    def even_light(self) -> EvenLight:
+        """The convex program."""
+        aimed = self._aim.response(self._aim.objective.quantity.name)
+        assert aimed is not None  # noqa: S101  (the way says so)
+        region = self._in(aimed)
+        parts = [cells_of(region[..., k]) for k in range(region.shape[-1])]
+        cells = np.stack([means.ravel() for means, _, _ in parts], axis=-1)
+        weights = parts[0][1].ravel() / parts[0][1].sum()
+        limits = [Limit(_flat(region), -math.inf, self._exposure(self._brightest()))]
+        for one in self._aim.constraints:
+            response = self._aim.response(one.quantity.name)
+            if response is None:
+                continue
+            if response.kind == "peak_gray":
+                limits.append(Limit(_flat(self._light), -math.inf, self._exposure(min(one.high, self._brightest()))))
+            else:
+                means = _flat(self._in(response))
+                limits.append(Limit(means, -math.inf, self._exposure(self._brightest())))
+                mean = means.mean(axis=0, keepdims=True)
+                limits.append(Limit(mean, self._exposure(one.low), self._exposure(one.high)))
+        return EvenLight(cells, weights, self._low, self._high, tuple(limits))
+
+    def _brightest(self) -> float:
+        """Gray level below which a pixel is not saturated, rounded or not."""
+        saturation = self._sensor.saturation_gray
+        return saturation - 0.5 if self._sensor.rounding else saturation * (1 - 1e-9)
+
+    def _exposure(self, gray: float) -> float:
+        """The inverse of Eq. 5, without end beyond what it has."""
+        if gray >= self._sensor.saturation_gray:
+            return math.inf
+        if gray <= self._sensor.dark_gray:
+            return -math.inf if math.isinf(gray) else 0.0
+        return float(radiant_exposure_of(np.array([gray]), self._sensor)[0])
+
+    def convex(self) -> tuple[Array, float]:
+        """Factors and the objective, exactly."""
+        problem = self.even_light()
+        aimed = self._aim.response(self._aim.objective.quantity.name)
+        assert aimed is not None  # noqa: S101  (the way says so)
+        measure = _MEASURES[aimed.kind]
+        factors = most_even(problem, measure)
+        uneven = unevenness(problem, factors, measure)
+        return factors, 1 - uneven if measure == "deviation" else uneven
+
+    def local(self) -> tuple[Array, float]:
+        """Factors and the objective near the scene's own levels."""
+        from scipy.optimize import Bounds, NonlinearConstraint, minimize
+
+        start = np.clip(np.ones(len(self._low)), self._low, self._high)
+        sign = self._aim.objective.sign
+        base = self._measured(self._aim.objective.quantity.name, start)
+        scale = abs(base) if base else 1.0
+        measured = [one for one in self._aim.constraints if one.quantity.name not in SCENES_OWN]
+        limits = [
+            NonlinearConstraint(
+                lambda x, one=one: self._measured(one.quantity.name, x) / _size(one),
+                one.low / _size(one),
+                one.high / _size(one),
+            )
+            for one in measured
+        ]
+        result = minimize(
+            lambda x: sign * self._measured(self._aim.objective.quantity.name, x) / scale,
+            start,
+            method="COBYQA",
+            bounds=Bounds(self._low, self._high),
+            constraints=limits,
+            options={"maxfev": _LOOKS * len(start)},
+        )
+        factors: Array = np.clip(result.x, self._low, self._high)
+        return factors, self._measured(self._aim.objective.quantity.name, factors)
+
+    def _measured(self, name: str, factors: Array) -> float:
+        """A quantity for some levels, on the image without error and rounding; NaN where it cannot be measured."""
+        response = self._aim.response(name)
+        if response is None:
+            return 0.0
+        exposure = np.maximum(self._light @ np.append(factors, 1.0), 0.0)
+        gray = gray_levels(exposure, self._sensor)
+        image = GrayImage(np.clip(gray, 0.0, self._sensor.saturation_gray), self._sensor.bit_depth)
+        none = ErrorFields(np.zeros((0, *gray.shape)))
+        seen = Seen(self._scene, image, gray, image_error(gray, 0.0, (0.5, 0.5)), none, exposure=exposure)
+        try:
+            return answer(response, seen).value
+        except InputError:
+            return math.nan
+
+
+def _flat(light: Array) -> Array:
+    return light.reshape(-1, light.shape[-1])
+
+
+def _size(constraint: Constraint) -> float:
+    """What a limit is measured by, so that all count alike."""
+    ends = [abs(one) for one in (constraint.low, constraint.high) if math.isfinite(one)]
+    return max(ends) or 1.0

@@ -1,0 +1,137 @@
+"""The most even light: against closed forms, and against another solver on the ratio itself."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.optimize import linprog, minimize
+
+from radwrap.designing.convex import EvenLight, Limit, Measure, most_even, unevenness
+from radwrap.errors import InputError
+
+Array = NDArray[np.float64]
+
+UNIFORMITY = 1e-6  # asked for
+CELLS = 40
+
+
+def random_problem(seed: int, sources: int, *, limits: bool) -> EvenLight:
+    """Spots of light on a line, their levels within random bounds, and perhaps limits of peak and mean."""
+    random = np.random.default_rng(seed)
+    x = np.linspace(-1, 1, CELLS)
+    middles, widths = random.uniform(-1.2, 1.2, sources), random.uniform(0.3, 1.0, sources)
+    spots = np.exp(-(((x[:, np.newaxis] - middles) / widths) ** 2)) * random.uniform(0.5, 2.0, sources) * 1e-3
+    cells = np.hstack([spots, np.full((CELLS, 1), random.choice([0.0, 1e-4]))])
+    weights = random.uniform(0.5, 1.5, CELLS)
+    low, high = random.uniform(0, 0.2, sources), random.uniform(0.6, 1.5, sources)
+    bright = cells @ np.append(high, 1.0)
+    mean = weights / weights.sum() @ cells
+    found = (
+        (
+            Limit(cells, -math.inf, 0.7 * float(bright.max())),
+            Limit(mean[np.newaxis], 0.3 * float(bright.mean()), math.inf),
+        )
+        if limits
+        else ()
+    )
+    return EvenLight(cells, weights / weights.sum(), low, high, found)
+
+
+def otherwise(problem: EvenLight) -> float:
+    """The least deviation by SLSQP on the ratio itself, from several beginnings."""
+
+    def ratio(levels: Array) -> float:
+        return 1e2 * unevenness(problem, levels, "deviation") ** 2
+
+    def slack(levels: Array) -> Array:
+        every = [np.array([1.0])]
+        for limit in problem.limits:
+            light = limit.light @ np.append(levels, 1.0)
+            every += [(limit.high - light) * 1e3] if math.isfinite(limit.high) else []
+            every += [(light - limit.low) * 1e3] if math.isfinite(limit.low) else []
+        return np.concatenate(every)
+
+    best = math.inf
+    for start in (0.3, 0.6, 0.9):
+        found = minimize(
+            ratio,
+            problem.low + start * (problem.high - problem.low),
+            method="SLSQP",
+            bounds=list(zip(problem.low, problem.high, strict=True)),
+            constraints={"type": "ineq", "fun": slack},
+            options={"ftol": 1e-15, "maxiter": 500},
+        )
+        if (slack(found.x) > -1e-9).all():
+            best = min(best, unevenness(problem, found.x, "deviation"))
+    return best
+
+
+@pytest.mark.parametrize("limits", [False, True])
+@pytest.mark.parametrize("seed", range(6))
+def test_the_deviation_is_the_quadratic_programs_optimum(seed: int, limits: bool) -> None:
+    problem = random_problem(seed, 4 + 2 * (seed % 3), limits=limits)
+    levels = most_even(problem, "deviation")
+    assert (levels >= problem.low).all() and (levels <= problem.high).all()
+    for limit in problem.limits:
+        light = limit.light @ np.append(levels, 1.0)
+        assert (light <= limit.high * (1 + 1e-7)).all() and (light >= limit.low * (1 - 1e-7)).all()
+    assert unevenness(problem, levels, "deviation") == pytest.approx(otherwise(problem), abs=UNIFORMITY)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_extremes_are_the_least_by_bisection(seed: int) -> None:
+    """For a ratio r, (1 - r) max <= (1 + r) min is linear in the levels: r is bisected by HiGHS."""
+    problem = random_problem(seed, 5, limits=False)
+    found = unevenness(problem, most_even(problem, "extremes"), "extremes")
+
+    def can(ratio: float) -> bool:
+        cells, fixed = problem.cells[:, :-1] * 1e3, problem.cells[:, -1] * 1e3
+        ones = np.ones((CELLS, 1))
+        above = np.hstack([cells, -(1 + ratio) * ones])  # light <= (1 + r) m
+        below = np.hstack([-cells, (1 - ratio) * ones])  # light >= (1 - r) m
+        bounds = [*zip(problem.low, problem.high, strict=True), (0, None)]
+        return bool(
+            linprog(
+                np.zeros(len(problem.low) + 1),
+                np.vstack([above, below]),
+                np.concatenate([-fixed, fixed]),
+                bounds=bounds,
+            ).success
+        )
+
+    low, high = 0.0, 1.0
+    while high - low > 1e-7:
+        middle = (low + high) / 2
+        low, high = (low, middle) if can(middle) else (middle, high)
+    assert found == pytest.approx(high, abs=UNIFORMITY)
+
+
+@pytest.mark.parametrize("measure", ["deviation", "extremes"])
+def test_two_slopes_make_even_light_and_of_all_such_levels_the_brightest(measure: Measure) -> None:
+    x = np.linspace(-1, 1, 21)
+    cells = np.stack([1 + 0.5 * x, 2 - x, np.zeros(21)], axis=-1)
+    problem = EvenLight(cells, np.full(21, 1 / 21), np.zeros(2), np.array([1.0, 0.4]))
+    levels = most_even(problem, measure)
+    assert levels == pytest.approx([0.8, 0.4], abs=1e-6)  # 0.8 (1 + x/2) + 0.4 (2 - x) = 1.6
+    held = EvenLight(cells, problem.weights, problem.low, problem.high, (Limit(cells, -math.inf, 1.2),))
+    assert most_even(held, measure) == pytest.approx([0.6, 0.3], abs=1e-6)
+
+
+def test_light_that_does_not_change_is_evened_out() -> None:
+    x = np.linspace(-1, 1, 21)
+    cells = np.stack([1 + x, 1 - 0.3 * x], axis=-1)
+    problem = EvenLight(cells, np.full(21, 1 / 21), np.zeros(1), np.array([5.0]))
+    assert most_even(problem, "deviation") == pytest.approx([0.3], abs=1e-6)
+
+
+def test_limits_that_no_levels_keep_are_refused() -> None:
+    problem = random_problem(1, 4, limits=False)
+    bright = float((problem.cells @ np.append(problem.high, 1.0)).max())
+    dark = EvenLight(
+        problem.cells, problem.weights, problem.low, problem.high, (Limit(problem.cells[:1], 2 * bright, math.inf),)
+    )
+    with pytest.raises(InputError, match="no levels keep all limits"):
+        most_even(dark, "deviation")
