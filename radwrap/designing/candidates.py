@@ -29,6 +29,8 @@ class Candidate:
         Key path -> value of all that is set.
     own : Mapping of str to Answer
         What is known of it without a ray.
+    levels : Mapping
+        Those among them that were found on a light basis.
     fault : str
         Why it is no scene; empty where it is one.
     """
@@ -37,6 +39,7 @@ class Candidate:
     document: Mapping[str, Any]
     values: Mapping[str, Any]
     own: Mapping[str, Answer]
+    levels: Mapping[str, Any]
     fault: str = ""
 
 
@@ -58,11 +61,12 @@ def candidate_of(problem: Problem, codes: Sequence[Code], levels: Mapping[str, A
     for key, code in zip(problem.keys, codes, strict=True):
         values |= set_values(document, key, key.values(code), problem.study.scene_origin)
         cost += key.cost(code)
-    for path, value in (levels or {}).items():
+    found = dict(levels or {})
+    for path, value in found.items():
         set_key(document, path, value, problem.study.scene_origin)
         values[path] = value
     try:
         scene = problem.scene(document)
     except InputError as error:
-        return Candidate(tuple(codes), document, values, {}, str(error))
-    return Candidate(tuple(codes), document, values, scenes_own(scene, cost))
+        return Candidate(tuple(codes), document, values, {}, found, str(error))
+    return Candidate(tuple(codes), document, values, scenes_own(scene, cost), found)

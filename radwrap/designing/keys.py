@@ -159,7 +159,7 @@ def _stepped(name: str, keys: tuple[str, ...], span: Span, step: Any, where: str
     count = math.floor((span.high - span.low) / found[0] + _WHOLE_STEPS) + 1
     if not 2 <= count <= _MOST_STEPS:
         raise InputError(f"gives {count} values between low and high", where=f"{where}.step", remedy="change the step")
-    # Whole numbers stay whole: a number of LEDs is no 12.0.
+    # Whole numbers stay whole: a number of LEDs is 12 and not 12.0.
     are_whole = not span.unit and all(float(one).is_integer() for one in (span.low, found[0]))
     numbers = [span.low + number * found[0] for number in range(count)]
     values = [int(one) if are_whole else written(one, span.unit) for one in numbers]

@@ -192,7 +192,7 @@ def best_levels(aim: LightAim, basis: Basis, scene: Scene) -> FoundLevels:
     missing = [name for level in aim.levels for name in level.names if name not in basis.sources]
     if missing:
         raise InputError(f"{missing[0]} is dark", where="levels")
-    light = _LitBy(aim, basis, scene)
+    light = LitBy(aim, basis, scene)
     way = aim.way(basis.sensor)
     factors, value = light.convex() if way == CONVEX else light.local()
     by_source = dict.fromkeys(basis.sources, 1.0)
@@ -210,7 +210,7 @@ def best_levels(aim: LightAim, basis: Basis, scene: Scene) -> FoundLevels:
     return FoundLevels(by_source, levels, way, value, tuple(at_low), tuple(at_high))
 
 
-class _LitBy:
+class LitBy:
     """A basis as light of each sought level, and of all others together."""
 
     def __init__(self, aim: LightAim, basis: Basis, scene: Scene) -> None:

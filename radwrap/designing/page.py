@@ -57,7 +57,8 @@ def _row(found: Designed, trial: Trial) -> str:
         error = "" if answer is None or not answer.error else f" +- {answer.error / one.scale:.2g}"
         cells.append("" if answer is None else f"{answer.value / one.scale:.6g}{error}")
     error = "" if trial.image_error is None else f"{trial.image_error:.2g}"
-    cells += [error, trial.error or trial.warnings or ("" if trial.met else "misses its tolerance")]
+    missed = "misses its tolerance" if trial.is_rendered else "not rendered: it breaks a limit"
+    cells += [error, trial.error or trial.warnings or ("" if trial.met else missed)]
     return f'<tr class="{_kind(found, trial)}">{_cells(cells)}</tr>'
 
 

@@ -15,7 +15,7 @@ from radwrap.designing.candidates import candidate_of
 from radwrap.designing.document import Problem, read_problem
 from radwrap.designing.judged import pareto_front, ranked, shortlist, ties_of
 from radwrap.designing.page import PAGE, write_page
-from radwrap.designing.sampler import AllOf, Asker, Tpe
+from radwrap.designing.sampler import AllOf, Asker, Codes, Tpe
 from radwrap.designing.told import BEST, DESIGN, Designed
 from radwrap.designing.trials import TRIALS, Trial, read_record, write_table
 from radwrap.errors import EnvironmentFailure, InputError
@@ -147,8 +147,7 @@ def _found(problem: Problem, bench: Bench) -> Designed:
     decided = max(1, min(_MOST_DECIDED, math.floor(_DECIDE_SHARE * problem.budget))) if is_coarse else 0
     trials, how = _searched(problem, bench, coarse, problem.budget - decided - 1)
     if is_coarse:
-        chosen = shortlist(problem, trials, decided)
-        trials = bench.look_at([candidate_of(problem, one.codes) for one in chosen], "decide", tolerance, seed)
+        trials = _decided(problem, bench, trials, decided)
     order = ranked(problem, trials)
     best = order[0] if order else None
     check = None
@@ -167,6 +166,21 @@ def _found(problem: Problem, bench: Bench) -> Designed:
         how=how,
         tolerance=tolerance,
     )
+
+
+def _decided(problem: Problem, bench: Bench, trials: Sequence[Trial], most: int) -> list[Trial]:
+    """Those that may be best, at the tolerance asked for; where none of them keeps all limits, those that follow."""
+    found: list[Trial] = []
+    tried: set[Codes] = set()
+    while len(tried) < most and not any(trial.is_feasible(problem) for trial in found):
+        left = [trial for trial in trials if trial.codes not in tried]
+        chosen = _each_once(shortlist(problem, left, most - len(tried)))
+        if not chosen:
+            break
+        tried |= {trial.codes for trial in chosen}
+        candidates = [candidate_of(problem, one.codes) for one in chosen]
+        found += bench.look_at(candidates, "decide", _tolerance(problem), problem.study.seed)
+    return found
 
 
 def _each_once(trials: Sequence[Trial]) -> list[Trial]:

@@ -72,10 +72,11 @@ class Designed:
             return ()
         told = []
         for one in self.problem.constraints:
-            answer = self.check.answers.get(one.quantity.name)
-            if answer is None or one.excess(answer.value):
-                value = "lost" if answer is None else one.quantity.told(answer.value)
-                told.append(f"by other rays {one.told()} is broken: {value}")
+            first, second = (trial.answers.get(one.quantity.name) for trial in (self.best, self.check))
+            if first is None or second is None:
+                told.append(f"by other rays {one.quantity.name} is lost")
+            elif one.excess(second.value) > TIE * combined(first, second):
+                told.append(f"by other rays {one.told()} is broken: {one.quantity.told(second.value)}")
         for aim in self.problem.objectives:
             first, second = (trial.answers.get(aim.quantity.name) for trial in (self.best, self.check))
             if first is None or second is None:

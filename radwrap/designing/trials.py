@@ -100,13 +100,12 @@ def trial_of(number: int, stage: str, seed: int, candidate: Candidate, record: M
     """A trial from its candidate and its record; without one it was not rendered."""
     told = record or {"answers": {}, "image_error": None, "met": False, "error": candidate.fault, "warnings": ""}
     measured = {name: Answer(*pair) for name, pair in told["answers"].items()}
-    levels = told.get("levels", {})
     return Trial(
         number=number,
         stage=stage,
         seed=seed,
         codes=candidate.codes,
-        values={**candidate.values, **levels},
+        values=candidate.values,
         answers={**measured, **candidate.own},
         image_error=told["image_error"],
         met=told["met"],
@@ -114,7 +113,7 @@ def trial_of(number: int, stage: str, seed: int, candidate: Candidate, record: M
         error=told["error"],
         warnings=told["warnings"],
         light=told.get("light", {}),
-        levels=levels,
+        levels=candidate.levels,
     )
 
 

@@ -16,11 +16,13 @@ import radwrap
 from radwrap.cli.main import main
 from radwrap.designing.convex import unevenness
 from radwrap.designing.document import read_problem
-from radwrap.designing.light import CONVEX, LOCAL, LightAim, _LitBy, best_levels, levels_of
+from radwrap.designing.light import CONVEX, LOCAL, LightAim, LitBy, best_levels, levels_of
+from radwrap.designing.trials import write_record
 from radwrap.files import sha256_of
 from radwrap.imaging.relight.relit import read_basis
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.synthesis import render
+from radwrap.study.worker import failed
 from tests.designing.conftest import COMMENT, Write, sheet, write_problem
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -128,6 +130,27 @@ def test_every_choice_is_looked_at_and_the_best_one_written(
     assert starts(out) == begun
 
 
+def test_a_render_that_failed_is_made_again_when_asked_for(
+    design_file: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, path = tmp_path / "out", design_file(TIMES)
+    command = ["design", "run", str(path), "--out", str(out)]
+    assert main(command) == 0
+    before, first = contents(out), rows(out)[0]
+    error = float(first["image_error"])
+    record = next(one for one in (out / "records").glob("*.json") if read(one)["image_error"] == error)
+    write_record(record, failed(0, "the tracer died"))
+    assert main(command) == 0
+    assert rows(out)[0]["error"] == "the tracer died" and rows(out)[0]["feasible"] == "0"
+    assert main([*command, "--retry-failed"]) == 0
+    assert contents(out) == before
+
+    record.write_text(record.read_text().replace('"met": true', '"met": false'))
+    capsys.readouterr()
+    assert main(command) == 2
+    assert "is not as it was written" in capsys.readouterr().err
+
+
 def test_what_keeps_no_limit_is_exit_code_1(
     design_file: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -195,6 +218,21 @@ def test_levels_are_the_quadratic_programs_and_the_scene_keeps_its_comments(tmp_
     ]
 
 
+def test_each_candidate_has_levels_of_its_own(tmp_path: Path) -> None:
+    """LEDs that stand wider apart light a sheet more evenly; each place of the ring has its own best levels."""
+    text = LEVELS.format(of="even", peak=200).replace("budget = 3", "budget = 6")
+    text += '[keys.wide]\nkey = "sources[0].diameter"\nchoices = ["20 mm", "90 mm"]\n'
+    out, path = tmp_path / "out", write_problem(tmp_path, text, sheet())
+    assert main(["design", "run", str(path), "--out", str(out)]) == 0
+    told = read(out / "design.json")
+    assert [row["stage"] for row in rows(out)] == ["search", "search", "decide", "check"]
+    assert told["best"]["values"]["sources[0].diameter"] == "90 mm"
+    even = {row["wide"]: float(row["even"]) for row in rows(out)[:2]}
+    assert even["90 mm"] > even["20 mm"] + 0.01
+    levels = [row["sources[0].leds[0].radiance_factor"] for row in rows(out)]
+    assert levels[0] != levels[1] and all(levels)
+
+
 @pytest.fixture(scope="module")
 def lit(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Any, Path]:
     """A problem, a basis of its scene and the folder of both."""
@@ -240,7 +278,7 @@ def test_the_uniformity_of_a_basis_is_the_optimum_to_a_millionth(lit: tuple[Any,
         )
         for start in (0.2, 0.5)
     ]
-    ways = _LitBy(aim_of(problem), basis, scene)
+    ways = LitBy(aim_of(problem), basis, scene)
     held = unevenness(ways.even_light(), np.array(list(found.factors.values())), "deviation")
     assert found.value == pytest.approx(1 - held, abs=1e-12)
     assert found.value == pytest.approx(1 - min(uneven(one.x) for one in ends), abs=1e-6)
