@@ -146,8 +146,11 @@ def _found(problem: Problem, bench: Bench) -> Designed:
     is_coarse = coarse != tolerance
     decided = max(1, min(_MOST_DECIDED, math.floor(_DECIDE_SHARE * problem.budget))) if is_coarse else 0
     trials, how = _searched(problem, bench, coarse, problem.budget - decided - 1)
+    undecided: list[Trial] = []
     if is_coarse:
-        trials = _decided(problem, bench, trials, decided)
+        searched, trials = trials, _decided(problem, bench, trials, decided)
+        tried = {trial.codes for trial in trials}
+        undecided = [one for one in _each_once(shortlist(problem, searched, len(searched))) if one.codes not in tried]
     order = ranked(problem, trials)
     best = order[0] if order else None
     check = None
@@ -161,6 +164,7 @@ def _found(problem: Problem, bench: Bench) -> Designed:
         check=check,
         ties=tuple(ties_of(problem, best, unique)) if best is not None else (),
         front=tuple(pareto_front(problem, unique)) if len(problem.objectives) == 2 else (),
+        undecided=tuple(undecided),
         trials=tuple(bench.trials),
         renders=bench.renders,
         how=how,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -16,7 +16,7 @@ from radwrap.study.seen import Answer
 
 DESIGN: Final = "design.json"
 BEST: Final = "best.toml"
-_MOST_NAMED: Final = 5  # ties in one line
+_MOST_NAMED: Final = 8  # trials in one line
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,6 +35,8 @@ class Designed:
         Others whose objectives differ from the best one's by no more than errors may explain.
     front : tuple of Trial
         With two objectives: trials that none beats in both.
+    undecided : tuple of Trial
+        Trials of the search that may be as good within its errors, and were not rendered finely, for lack of budget.
     trials : tuple of Trial
         All, in their order.
     renders : int
@@ -50,6 +52,7 @@ class Designed:
     check: Trial | None
     ties: tuple[Trial, ...]
     front: tuple[Trial, ...]
+    undecided: tuple[Trial, ...]
     trials: tuple[Trial, ...]
     renders: int
     how: str
@@ -98,16 +101,16 @@ class Designed:
         if self.best is None:
             return [*self._nothing(), self._work()]
         told = [f"{path} = {value}" for path, value in self.best.values.items()]
-        told += [f"{name}: {text}" for name, text in self._numbers(self.best)]
+        told += [f"{name}: {text}" for name, text in self._quantities(self.best)]
         if self.best.light:
             told.append(f"levels: {self.best.light['way']} on the light basis")
         told += [f"limited by {text}" for text in self.limits] or ["no limit and no bound holds it"]
         if self.ties:
-            named = ", ".join(str(trial.number) for trial in self.ties[:_MOST_NAMED])
-            more = f" and {len(self.ties) - _MOST_NAMED} more" if len(self.ties) > _MOST_NAMED else ""
-            told.append(f"a tie within errors: trial {named}{more}")
+            told.append(f"a tie within errors: trial {_numbers(self.ties)}")
+        if self.undecided:
+            told.append(f"not decided, as the budget is spent: trial {_numbers(self.undecided)} may be as good")
         if self.front:
-            told.append(f"Pareto front: trials {', '.join(str(trial.number) for trial in self.front)}")
+            told.append(f"Pareto front: trial {_numbers(self.front)}")
         return [*told, *self.doubts, self._work()]
 
     def _work(self) -> str:
@@ -133,7 +136,7 @@ class Designed:
                 found.append(f"{one.told()}, it is {one.quantity.told(answer.value)}")
         return found or ["only a finer image breaks a limit"]
 
-    def _numbers(self, trial: Trial) -> list[tuple[str, str]]:
+    def _quantities(self, trial: Trial) -> list[tuple[str, str]]:
         names = {one.quantity.name for one in self.problem.objectives}
         names |= {one.quantity.name for one in self.problem.constraints}
         found = []
@@ -143,6 +146,12 @@ class Designed:
                 error = f" +- {answer.error / one.scale:.2g}" if answer.error else ""
                 found.append((one.name, f"{answer.value / one.scale:.6g}{error} {one.unit}".strip()))
         return found
+
+
+def _numbers(trials: Sequence[Trial]) -> str:
+    """Trials by their numbers, some of them where they are many."""
+    named = ", ".join(str(trial.number) for trial in trials[:_MOST_NAMED])
+    return f"{named} and {len(trials) - _MOST_NAMED} more" if len(trials) > _MOST_NAMED else named
 
 
 def manifest_of(found: Designed) -> dict[str, Any]:
@@ -171,6 +180,7 @@ def manifest_of(found: Designed) -> dict[str, Any]:
         "doubts": list(found.doubts),
         "ties": [_told(found, trial) for trial in found.ties],
         "tie_errors": TIE,
+        "undecided": [trial.number for trial in found.undecided],
         "front": [_told(found, trial) for trial in found.front],
         "trials": len(found.trials),
         "renders": found.renders,

@@ -130,6 +130,7 @@ def test_every_choice_is_looked_at_and_the_best_one_written(
     assert starts(out) == begun
 
 
+@pytest.mark.long  # some twenty renders
 def test_a_render_that_failed_is_made_again_when_asked_for(
     design_file: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -161,6 +162,25 @@ def test_what_keeps_no_limit_is_exit_code_1(
     assert not read(out / "design.json")["feasible"] and not (out / "best.toml").exists()
 
 
+def test_what_the_budget_does_not_decide_is_told(
+    design_file: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A target that is larger than the field looks the same at any size."""
+    text = (
+        TIMES.replace("camera.exposure_time", "targets[0].size[0]")
+        .replace("ms", "mm")
+        .replace("budget = 8", "budget = 7")
+    )
+    text = text.replace(text[text.index("[[constraints]]") :], "")
+    text = text.replace('["50 mm", "100 mm", "150 mm", "200 mm", "400 mm"]', '["50 mm", "300 mm", "350 mm", "400 mm"]')
+    text = text.replace("[5, 4, 3, 2, 1]", "[4, 3, 2, 1]")
+    out = tmp_path / "out"
+    assert main(["design", "run", str(design_file(text)), "--out", str(out)]) == 0
+    told = read(out / "design.json")
+    assert told["best"]["values"] == {"targets[0].size[0]": "300 mm"} and told["undecided"] == [3, 4]
+    assert "not decided, as the budget is spent: trial 3, 4 may be as good" in capsys.readouterr().out
+
+
 def test_a_users_own_best_scene_is_not_replaced(design_file: Write, tmp_path: Path) -> None:
     path = design_file(TIMES)
     (tmp_path / "best.toml").write_text("mine")
@@ -168,6 +188,7 @@ def test_a_users_own_best_scene_is_not_replaced(design_file: Write, tmp_path: Pa
     assert (tmp_path / "best.toml").read_text() == "mine"
 
 
+@pytest.mark.long  # some twenty renders
 def test_two_objectives_have_a_front(design_file: Write, tmp_path: Path) -> None:
     """Longer times are brighter and cheaper here, so that the cost is turned round: then all are on the front."""
     out = tmp_path / "out"
