@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -55,12 +54,14 @@ def candidate_of(problem: Problem, codes: Sequence[Code], levels: Mapping[str, A
     levels : Mapping, optional
         Key path -> level of a source that was found.
     """
-    document: dict[str, Any] = json.loads(json.dumps(problem.study.document))
+    document: dict[str, Any] = dict(problem.study.document)
     values: dict[str, Any] = {}
-    cost = 0.0
-    for key, code in zip(problem.keys, codes, strict=True):
-        values |= set_values(document, key, key.values(code), problem.study.scene_origin)
-        cost += key.cost(code)
+    # Single LEDs last: how many there are may be a choice.
+    for key, code in sorted(zip(problem.keys, codes, strict=True), key=lambda pair: pair[0].names_leds):
+        document, told = set_values(document, key, key.values(code), problem.study.scene_origin)
+        values |= told
+    document = problem.with_leds(document)
+    cost = sum(key.cost(code) for key, code in zip(problem.keys, codes, strict=True))
     found = dict(levels or {})
     for path, value in found.items():
         set_key(document, path, value, problem.study.scene_origin)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -91,6 +90,10 @@ class Problem:
         measured = tuple(quantity_of(one.name, self.study.responses) for one in self.study.responses)
         return (*measured, *(quantity_of(name, ()) for name in SCENES_OWN))
 
+    def with_leds(self, document: Mapping[str, Any]) -> dict[str, Any]:
+        """Tables in which rings list every LED, where levels of LEDs are sought."""
+        return with_all_leds(document, [path for key in self.levels for path in key.keys])
+
     def scene(self, document: Mapping[str, Any]) -> Scene:
         """The scene of some tables."""
         return scene_from_document(document, origin=self.study.scene_origin, folder=self.study.folder)
@@ -104,19 +107,20 @@ class Problem:
 
 def with_values(study: Design, key: SearchKey, values: Sequence[Any]) -> dict[str, Any]:
     """Tables of the base scene in which one key has a value."""
-    document: dict[str, Any] = deepcopy(dict(study.document))
-    set_values(document, key, values, study.scene_origin)
-    return document
+    return set_values(study.document, key, values, study.scene_origin)[0]
 
 
-def set_values(document: dict[str, Any], key: SearchKey, values: Sequence[Any], origin: str) -> dict[str, Any]:
-    """Set what a key stands for; returns path -> value."""
+def set_values(
+    document: Mapping[str, Any], key: SearchKey, values: Sequence[Any], origin: str
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Tables in which a key is set, rings with all their LEDs where it names some; and path -> value."""
+    document = with_all_leds(document, key.keys)
     told: dict[str, Any] = {}
     for path, value in zip(key.keys, values, strict=True):
         for one in expanded(path, document):
             set_key(document, one, value, origin)
             told[one] = value
-    return told
+    return document, told
 
 
 def read_problem(path: Path, *, trust: bool = False) -> Problem:
@@ -150,13 +154,12 @@ def read_problem(path: Path, *, trust: bool = False) -> Problem:
     responses = _with_peak(responses, asked)
     _check_names(keys, responses, origin)
     render_options(told.render.given(), f"{origin}: render")
-    document = with_all_leds(json.loads(scene.document), [path for key in keys for path in key.keys])
     study = Design(
         title=told.title or path.stem,
         origin=origin,
         folder=scene.folder,
         scene_origin=scene.origin,
-        document=document,
+        document=json.loads(scene.document),
         seed=told.seed,
         replicates=1,
         kind="list",
@@ -270,11 +273,12 @@ def _check(problem: Problem, keys: Sequence[SearchKey], *, trust: bool, is_fixed
 
 def _check_apart(study: Design, keys: Sequence[SearchKey]) -> None:
     """Refuse two keys that set the same value, or one of which holds the other."""
+    document = with_all_leds(study.document, [path for key in keys for path in key.keys])
     set_by: dict[tuple[str | int, ...], str] = {}
     for key in keys:
         for path in key.keys:
             try:
-                places = [steps_of(one) for one in expanded(path, study.document)]
+                places = [steps_of(one) for one in expanded(path, document)]
             except InputError as error:
                 raise InputError(
                     error.what, where=f"{study.origin}: keys.{key.name}: {error.where}", remedy=error.remedy

@@ -80,6 +80,11 @@ class SearchKey:
     is_ordered: bool = False
 
     @property
+    def names_leds(self) -> bool:
+        """Whether it sets something of single LEDs: their number must be known before."""
+        return any(".leds[" in key for key in self.keys)
+
+    @property
     def is_level(self) -> bool:
         """Whether it only scales the light of sources, and may take any value between two bounds."""
         return self.span is not None and all(_LEVEL.fullmatch(key) for key in self.keys)
@@ -99,12 +104,13 @@ class SearchKey:
         return self.costs[int(code)] if self.costs else 0.0
 
     def ends(self) -> tuple[Code, ...]:
-        """Codes to be held against the scene before the first ray: bounds, or every choice; of levels the high one.
+        """Codes to be held against the scene before the first ray: bounds, or every choice; of levels the high bound.
 
         A scene in which no source shines is refused, and levels may fall to 0.
         """
         if self.span is None:
-            return tuple(range(len(self.choices)))
+            last = len(self.choices) - 1
+            return (0, last) if self.is_ordered else tuple(range(last + 1))
         return (self.span.high,) if self.is_level else (self.span.low, self.span.high)
 
 

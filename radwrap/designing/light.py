@@ -21,7 +21,7 @@ from radwrap.imaging.response.sensor import gray_levels, radiant_exposure_of
 from radwrap.measure.gauges import Box
 from radwrap.measure.gauges.uniformity import cells_of
 from radwrap.scene.camera import Sensor
-from radwrap.scene.file.keys import expanded, found
+from radwrap.scene.file.keys import expanded, found, with_all_leds
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import emitters
 from radwrap.study.factors import in_si, written
@@ -148,6 +148,7 @@ def levels_of(keys: Sequence[SearchKey], document: Mapping[str, Any], scene: Sce
     InputError
         If one is dark in the scene, or two scale one source.
     """
+    document = with_all_leds(document, [path for key in keys for path in key.keys])
     levels: list[Level] = []
     seen: dict[str, str] = {}
     for key in keys:

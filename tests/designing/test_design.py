@@ -242,16 +242,20 @@ def test_levels_are_the_quadratic_programs_and_the_scene_keeps_its_comments(tmp_
 def test_each_candidate_has_levels_of_its_own(tmp_path: Path) -> None:
     """LEDs that stand wider apart light a sheet more evenly; each place of the ring has its own best levels."""
     text = LEVELS.format(of="even", peak=200).replace("budget = 3", "budget = 6")
-    text += '[keys.wide]\nkey = "sources[0].diameter"\nchoices = ["20 mm", "90 mm"]\n'
+    text += '[keys.wide]\nkeys = ["sources[0].diameter", "sources[0].count"]\n'
+    text += 'choices = [["20 mm", 2], ["90 mm", 5]]\n'
     out, path = tmp_path / "out", write_problem(tmp_path, text, sheet())
     assert main(["design", "run", str(path), "--out", str(out)]) == 0
     told = read(out / "design.json")
     assert [row["stage"] for row in rows(out)] == ["search", "search", "decide", "check"]
     assert told["best"]["values"]["sources[0].diameter"] == "90 mm"
-    even = {row["wide"]: float(row["even"]) for row in rows(out)[:2]}
-    assert even["90 mm"] > even["20 mm"] + 0.01
+    even = [float(row["even"]) for row in rows(out)[:2]]
+    assert even[1] > even[0] + 0.01
     levels = [row["sources[0].leds[0].radiance_factor"] for row in rows(out)]
     assert levels[0] != levels[1] and all(levels)
+    last = [row["sources[0].leds[4].radiance_factor"] for row in rows(out)]
+    assert not last[0] and all(last[1:])
+    assert len(radwrap.load_scene(out / "best.toml").emitters) == 5
 
 
 @pytest.fixture(scope="module")
