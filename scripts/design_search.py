@@ -53,6 +53,7 @@ gain = "1e5 (J/m^2)^-1"
 gamma = 1.0
 dark_gray = 10
 saturation_gray = 255
+rounding = false
 
 [[sources]]
 type = "ring"

@@ -59,5 +59,3 @@ def test_the_best_pinhole_is_that_of_a_fine_sweep(tmp_path: Path) -> None:
     ties = [float(one.values["camera.aperture.diameter"].split()[0]) for one in (sweep.best, *sweep.ties)]
     assert min(ties) - 0.005 <= size <= max(ties) + 0.005
     assert min(ties) > 0.095 and max(ties) < 0.185  # the optimum lies within, as both ends are worse
-    print([(one.values["camera.aperture.diameter"], one.answers["blur"]) for one in sweep.trials])
-    print(found.lines(), size, ties)
