@@ -14,7 +14,7 @@ from radwrap.imaging.demand import Demand
 from radwrap.imaging.methods.pieces import CALL_LOG
 from radwrap.imaging.optics.view import View
 from radwrap.imaging.tolerance.planner import Outcome, render_to_tolerance
-from radwrap.imaging.tolerance.replicates import Work
+from radwrap.imaging.tolerance.replicates import Replicates, Work, noise_beside
 from radwrap.process import Programs
 from radwrap.progress import Progress
 from radwrap.scene.camera import Aperture
@@ -83,3 +83,15 @@ def test_a_piece_of_another_plan_is_not_taken(tmp_path: Path) -> None:
         piece.write_bytes(piece.read_bytes()[:200])
     third = search(base, tmp_path, Demand(0.2, method="kernel"))
     assert third.reused == 0 and third.radiance.tobytes() == second.radiance.tobytes()
+
+
+def test_noise_beside_what_rays_correct_is_that_of_the_rest() -> None:
+    """Errors of 2 gray everywhere and cells' errors of 3 on a quarter; of the upper half nothing counts."""
+    errors = np.full((1, 8, 8), 2.0)
+    squares = np.zeros((8, 8), dtype=np.float32)
+    squares[4:, :4] = 9.0
+    risky = np.zeros((8, 8), dtype=bool)
+    risky[:4] = True
+    made = Replicates(np.zeros((2, 8, 8), dtype=np.float32), squares, rays=0, reused=0, block=(1, 1))
+    assert noise_beside(made, errors, risky) == pytest.approx(4 / 2 + 9 / 4)
+    assert noise_beside(made, errors, ~risky) == pytest.approx(4 / 2)

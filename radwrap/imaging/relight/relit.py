@@ -24,9 +24,9 @@ from radwrap.imaging.relight.basis import BASIS, MAGNIFICATION, SEAL, WAVES, fil
 from radwrap.imaging.response.sensor import gray_levels, image_of_levels
 from radwrap.imaging.run_files import BasisFile, SampleFile
 from radwrap.imaging.tolerance.bounds import ALONE, NOTHING, Bounded, mean_squares, resampling
-from radwrap.imaging.tolerance.certificate import Certificate, PixelErrors, PixelSample, lacks_in_gray
+from radwrap.imaging.tolerance.certificate import Certificate, PixelErrors, PixelSample, certificate_of, lacks_in_gray
 from radwrap.imaging.tolerance.kept_replicates import KeptReplicates
-from radwrap.imaging.tolerance.planner import certificate_of, model_quantile, noise_quantile
+from radwrap.imaging.tolerance.planner import model_quantile, noise_quantile
 from radwrap.imaging.tolerance.replicates import looks, noise_of
 from radwrap.imaging.tolerance.wave_image import lasting_wave_error, visible_gray
 from radwrap.manifest import read_manifest

@@ -336,6 +336,21 @@ def _in_gray(
     return gray_levels(np.maximum(truth, 0.0) * scale, sensor) - gray_levels(image * scale, sensor)
 
 
+def certificate_of(model: Bounded, noise: Bounded, quantile: float | None, *, pixels: int, rays: int) -> Certificate:
+    """Certificate from mean squares [gray level^2]: of the model's error, and of what the number of rays adds."""
+    square = Bounded(max(model.mean, 0.0), max(model.upper, 0.0)) + noise
+    return Certificate(
+        rms_gray=root(square.mean),
+        rms_gray_upper95=root(square.upper),
+        p99_gray_upper95=quantile,
+        model_rms_gray=root(model.mean),
+        discretisation_rms_gray=root(noise.mean),
+        certificate_pixels=pixels,
+        certificate_rays=rays,
+        method="pairs and replicates" if pixels else "replicates",
+    )
+
+
 def certify_by_independent_rays(
     view: View, radiance: NDArray[np.float64], seed: int, pixels: int = 512, rays: int = 64
 ) -> Certificate:

@@ -27,6 +27,7 @@ from radwrap.imaging.tolerance.certificate import (
     Certificate,
     PixelErrors,
     PixelSample,
+    certificate_of,
     draw_pixels,
     model_errors,
     rays_of_lacks,
@@ -43,7 +44,7 @@ from radwrap.imaging.tolerance.plans import (
     kernel_of,
     method_of,
 )
-from radwrap.imaging.tolerance.replicates import Plan, Replicates, TooManyRays, Work, discretisation
+from radwrap.imaging.tolerance.replicates import Plan, Replicates, TooManyRays, Work, discretisation, noise_beside
 from radwrap.imaging.tolerance.search_record import Attempt, GivenUp, SearchRecord
 from radwrap.imaging.tolerance.survey import (
     AIM_SHARE,
@@ -340,12 +341,14 @@ class Search:
         if kernel is not None and kernel.grid.smooth and view.smooth is not None:
             noise += Bounded(view.smooth.square, view.smooth.upper)
         if isinstance(plan, KernelPlan):
-            self.plans.kernel = plan, len(replicates.images), noise
+            self.plans.kernel = plan, len(replicates.images), noise.mean
         if kernel is None or view.camera.aperture.is_infinitesimal:
             quantile = noise_quantile(errors, noise) if self.demand.max_error is not None else None
             return certificate_of(NOTHING, noise, quantile, pixels=0, rays=0), None
         gray = GrayWhereAsked(radiance, view.exposure_of_radiance, view.camera.sensor)
         risky = steps(view.camera, self.found.magnification, gray, RISK_SHARE * self.demand.tolerance)
+        if isinstance(plan, KernelPlan):
+            self.plans.kernel = plan, len(replicates.images), noise_beside(replicates, errors, risky)
         for effort in range(self.effort, len(EFFORTS)):
             pixels, pairs = self._pixels_and_pairs(effort)
             key = (seed, Rendering.MODEL_PIXELS, effort)
@@ -403,7 +406,8 @@ class Search:
         grid = math.sqrt(outcome.replicates.grid_square)
         coarse = grid > _GRID_SHARE * wanted and self.plans.finer < _FINEST
         model_fails = certificate.model_rms_gray > MODEL_SHARE * wanted
-        if coarse:
+        # Cells matter most where one thing hides another: rays that correct the model there need none of them.
+        if coarse and (outcome.method == "hybrid" or self.demand.method is not None or not model_fails):
             self.plans.finer += 1
             self.plans.kernel = None
             if not model_fails:
@@ -460,21 +464,6 @@ class Search:
             return "hybrid", aim, why
         method, aim, _ = self.instead_of_kernel()
         return method, aim, "the kernel's model fails away from steps in depth too"
-
-
-def certificate_of(model: Bounded, noise: Bounded, quantile: float | None, *, pixels: int, rays: int) -> Certificate:
-    """Certificate from mean squares [gray level^2]: of the model's error, and of what the number of rays adds."""
-    square = Bounded(max(model.mean, 0.0), max(model.upper, 0.0)) + noise
-    return Certificate(
-        rms_gray=root(square.mean),
-        rms_gray_upper95=root(square.upper),
-        p99_gray_upper95=quantile,
-        model_rms_gray=root(model.mean),
-        discretisation_rms_gray=root(noise.mean),
-        certificate_pixels=pixels,
-        certificate_rays=rays,
-        method="pairs and replicates" if pixels else "replicates",
-    )
 
 
 def noise_quantile(errors: NDArray[np.float64], noise: Bounded) -> float:

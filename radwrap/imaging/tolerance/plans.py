@@ -93,7 +93,8 @@ class Plans:
     everywhere : bool
         Whether a hybrid looks at all pixels, not only at those near steps in depth.
     kernel : tuple, optional
-        The last kernel that was made, its replicates, and their noise.
+        The last kernel that was made, its replicates, and the mean square of their noise where it would not be
+        corrected [gray level^2].
     rays : int
         What was traced to look at steps.
     """
@@ -104,7 +105,7 @@ class Plans:
         self.one_layer = root(found.one_layer.upper) <= _ONE_LAYER_SHARE * demand.tolerance
         self.fewest = FEWEST
         self.everywhere = False
-        self.kernel: tuple[KernelPlan, int, Bounded] | None = None
+        self.kernel: tuple[KernelPlan, int, float] | None = None
         self.rays = 0
         self._seed = seed
         self._seen: Seen | None = None
@@ -178,9 +179,9 @@ class Plans:
 
     def planned(self, method: ToleranceMethod, aim: float) -> tuple[Plan, int]:
         """A plan for an rms error of the result, and how many replicates of it."""
-        if method == "hybrid" and self.kernel is not None and self.kernel[2].mean <= _KERNEL_SHARE * aim**2:
+        if method == "hybrid" and self.kernel is not None and self.kernel[2] <= _KERNEL_SHARE * aim**2:
             plan, number, noise = self.kernel
-            return self._hybrid(plan, math.sqrt(aim**2 - noise.mean) * math.sqrt(number)), number
+            return self._hybrid(plan, math.sqrt(aim**2 - noise) * math.sqrt(number)), number
         number = replicates_needed(self._plan(method, aim))
         return self._plan(method, aim * math.sqrt(number)), number
 

@@ -404,6 +404,14 @@ def discretisation(view: View, replicates: Replicates) -> tuple[Bounded, NDArray
     return found + Bounded(0.0, kernel.upper - kernel.mean) + grid, errors
 
 
+def noise_beside(replicates: Replicates, errors: NDArray[np.float64], risky: NDArray[np.bool_]) -> float:
+    """Mean square of an image's noise [gray level^2], but for what risky pixels have: rays may stand in its place."""
+    rows, columns = looks(replicates.block)
+    safe = ~risky
+    noise = np.where(safe[::rows, ::columns], (errors**2).mean(axis=0), 0.0)
+    return float(noise.mean() + np.where(safe, replicates.grid_squares, 0.0).mean(dtype=np.float64))
+
+
 def _straight_gray(view: View, replicates: Replicates) -> NDArray[np.float64]:
     """Gray levels along the slope of Eq. 5 at the mean of all images, which end nowhere."""
     mean, scale, sensor = replicates.mean, view.exposure_of_radiance, view.camera.sensor
