@@ -26,6 +26,7 @@ from radwrap.scene.file.load import scene_from_document
 from radwrap.scene.scene import Scene
 from tests.cli.conftest import here, scene_text
 from tests.fitting.conftest import EXPOSURE, LEVELS, OPTIONS, changed, tables, taken
+from twin_captures import FOLDER, POSE, TRUTH
 
 EXACT: Final = 1e-9  # the solver's own precision, and rounding
 TIMES: Final = ("40 ms", "80 ms", "120 ms")
@@ -197,3 +198,17 @@ def test_images_and_states_do_not_mix(bench: Scene) -> None:
     image = GrayImage(np.zeros((20, 24)), 8)
     with pytest.raises(InputError, match="one list"):
         radwrap.fit(bench, [image, radwrap.Captures([image])], [EXPOSURE], options=OPTIONS)  # type: ignore[list-item]
+
+
+@pytest.mark.long
+def test_the_twin_is_found_in_its_four_captures() -> None:
+    """Levels and gamma of rad_scenes/twin, the pose of its board held at what is true: with it a fit takes minutes."""
+    scene = radwrap.load_scene(FOLDER / "scene.toml")
+    held = free_scene(scene, [POSE]).written(TRUTH[6:12])
+    there = radwrap.load_scene(FOLDER / "scene.toml", held)
+    series = read_series(FOLDER / "captures.toml")
+    found = radwrap.fit(there, series, [LEVELS, "camera.sensor.gamma=0.5:1.5"], options=OPTIONS)
+    assert found.converged and found.explained and len(found.keys) == 7
+    for key, true in zip(found.keys, (*TRUTH[:6], TRUTH[12]), strict=True):
+        assert key.interval is not None and key.interval[0] < true < key.interval[1]
+        assert key.sigma is not None and abs(key.value - true) < 5 * key.sigma < 0.05
