@@ -130,7 +130,7 @@ def parse_quantity(text: object, dimension: Dimension) -> float:
     units = ", ".join(dimension.units)
     if not isinstance(text, str) or re.fullmatch(_NUMBER, text):
         raise InputError(
-            f"{text!r} has no unit", remedy=f'write a {dimension.name} as "NUMBER UNIT", unit one of: {units}'
+            f"{text!r} has no unit", remedy=f'write it as "NUMBER UNIT"; units of {dimension.name}: {units}'
         )
     match = _QUANTITY.fullmatch(text)
     if match is None:

@@ -29,7 +29,7 @@ def test_links_of_a_page_resolve(page: Path) -> None:
         target = (page.parent / name) if name else page
         if not target.exists() or (anchor and anchor not in anchors(target)):
             wrong.append(link)
-    assert not wrong
+    assert not wrong, wrong
 
 
 def test_there_are_links_and_a_wrong_one_is_seen(tmp_path: Path) -> None:

@@ -81,7 +81,7 @@ def test_a_missing_dot_is_an_error_with_a_picture(tmp_path: Path, monkeypatch: p
         (["--grid", "5x-4"], "is no grid"),
         (["--grid", "1x4"], "2 rows and 2 columns at least"),
         (["--grid", "5x4", "--method", "conic"], "needs the pitch"),
-        (["--grid", "5x4", "--pitch", "20"], "--pitch: .* is not a length"),
+        (["--grid", "5x4", "--pitch", "20"], "--pitch: .* has no unit"),
         (["--grid", "5x3"], "dots go on"),
     ],
 )

@@ -142,7 +142,7 @@ def test_what_a_detector_misses_is_what_is_left(scene: Scene, seen: Seen) -> Non
     [
         ({"views": 2}, "from 3 to 500"),
         ({"views": 3.5}, "whole number"),
-        ({"tilt": "30"}, "not a"),
+        ({"tilt": "30"}, "has no unit"),
         ({"tilt": "85 deg"}, "from 0 to 80 deg"),
         ({"tilt": "0 deg"}, "apart"),
         ({"noise": "0 px"}, "above 0 px"),

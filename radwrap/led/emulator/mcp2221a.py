@@ -7,6 +7,7 @@ accepts is not done yet: the bus takes its time, and only status tells the end.
 
 from __future__ import annotations
 
+import threading
 import time
 from collections import deque
 from collections.abc import Callable
@@ -66,6 +67,7 @@ class Mcp2221Ring:
         self._state = _IDLE
         self._used = False
         self._transfer: _Transfer | None = None
+        self._advancing = threading.Lock()  # its light may be looked at while a heartbeat writes
         self._pending = bytearray()
         self._pending_length = 0
         self._data = b""
@@ -259,6 +261,7 @@ class Mcp2221Ring:
         self._transfer = _Transfer(time.monotonic() + bits * (self._divider + 3) / 12e6, carry_out)
 
     def _advance(self) -> None:
-        if self._transfer is not None and time.monotonic() >= self._transfer.ends:
-            transfer, self._transfer = self._transfer, None
-            self._state = transfer.carry_out()
+        with self._advancing:
+            if self._transfer is not None and time.monotonic() >= self._transfer.ends:
+                transfer, self._transfer = self._transfer, None
+                self._state = transfer.carry_out()
