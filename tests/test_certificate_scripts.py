@@ -10,7 +10,9 @@ SCRIPTS = Path(__file__).parents[1] / "scripts"
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", ["certificates", "lens_certificates", "wave_certificates", "wide_certificates"])
+@pytest.mark.parametrize(
+    "name", ["certificates", "cell_certificates", "lens_certificates", "wave_certificates", "wide_certificates"]
+)
 def test_a_scene_is_judged(name: str) -> None:
     words = [sys.executable, str(SCRIPTS / f"{name}.py"), "--scenes", "1"]
     done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=600)
