@@ -11,6 +11,7 @@ from radwrap.errors import EnvironmentFailure, InputError
 from radwrap.imaging.demand import SamplingPlan
 from radwrap.imaging.relight.relit import Basis, read_basis
 from radwrap.imaging.render_options import RenderOptions
+from radwrap.imaging.rendered import Rendered
 from radwrap.imaging.synthesis import render
 from radwrap.imaging.tolerance.lit_noise import with_gray_tolerance
 from radwrap.imaging.tolerance.sampling import strictest
@@ -69,16 +70,7 @@ class Light:
         if found is None:
             raise EnvironmentFailure("the pilot was lost", where=str(path))
         plan: SamplingPlan = strictest([found], self._demand(options))
-        options = replace(options, sampling=replace(plan, replicates=REPLICATES))
-        if options.tracer != "auto":
-            return options
-        # Many small images: our own tracer starts no process for each.
-        compiled = replace(options, tracer="compiled")
-        try:
-            render(scene, self._work / "tried", compiled)
-        except (InputError, EnvironmentFailure):
-            return replace(options, tracer="radiance")
-        return compiled
+        return replace(options, sampling=replace(plan, replicates=REPLICATES))
 
     @staticmethod
     def _demand(options: RenderOptions) -> Any:
@@ -89,9 +81,22 @@ class Light:
     def _basis(self, scene: Scene, seed: int) -> Basis:
         folder = self._work / str(self._count)
         self._count += 1
-        made = render(scene, folder, replace(self._options, seed=seed))
+        made = self._rendered(scene, folder, seed)
         self.rays += made.run.rays
         self.left_out = self.left_out or made.run.missing
         if self._options.method is None and made.run.method in ("kernel", "rays", "hybrid"):
             self._options = replace(self._options, method=made.run.method)
         return read_basis(folder)
+
+    def _rendered(self, scene: Scene, folder: Path, seed: int) -> Rendered:
+        """By the tracer that is held; where nobody asked for one, by our own, which starts no process for an image."""
+        options = replace(self._options, seed=seed)
+        if options.tracer != "auto":
+            return render(scene, folder, options)
+        try:
+            made = render(scene, folder, replace(options, tracer="compiled"))
+            self._options = replace(self._options, tracer="compiled")
+        except (InputError, EnvironmentFailure):  # it cannot show the scene, or differs there
+            self._options = replace(self._options, tracer="radiance")
+            made = render(scene, folder, replace(options, tracer="radiance"))
+        return made

@@ -192,3 +192,16 @@ def test_values_go_into_the_users_text() -> None:
     assert found["camera"]["sensor"]["offset"] == 4.0
     leds = {led["index"]: led["radiance_factor"] for led in found["sources"][0]["leds"]}
     assert leds == {2: 0.5, 1: 0.25}
+
+
+def test_what_the_compiled_tracer_cannot_show_is_fitted_by_radiance(bench: Scene) -> None:
+    """A mirror beside the target: the tracer is decided once, and told."""
+    document = json.loads(bench.document)
+    document["materials"]["shiny"] = {"type": "mirror", "reflectance": 0.5}
+    pane = {"type": "sheet", "name": "pane", "material": "shiny", "size": ["9 mm", "9 mm"]}
+    document["targets"].append(pane | {"position": ["0 mm", "150 mm", "20 mm"]})
+    scene = radwrap.scene_from_document(document)
+    capture = radwrap.render(scene, tolerance=4, seed=5, workers=1).frames(1)
+    coarse = radwrap.RenderOptions(tolerance=8.0, workers=1)
+    held = [radwrap.fit(one, capture, [EXPOSURE], options=coarse).manifest["held"]["tracer"] for one in (scene, bench)]
+    assert held == ["radiance", "compiled"]
