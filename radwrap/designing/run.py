@@ -104,8 +104,9 @@ def design(file: str | Path, out: str | Path, options: StudyOptions | None = Non
 def run_design(problem: Problem, out: Path, options: StudyOptions) -> Designed:
     """Carry out a design that was read; arguments and errors as of `design`."""
     check_results(out, FILES)
-    if (out / BEST).exists() and not (out / PLAN).exists():
-        raise InputError(f"holds a {BEST} that no design wrote", where=str(out), remedy="choose another `out`")
+    mine = next((name for name in FILES if (out / name).exists()), None)
+    if mine is not None and not (out / PLAN).exists():
+        raise InputError(f"holds {mine}, which no design wrote", where=str(out), remedy="choose another `out`")
     make_folder(out)
     with sole_owner(out):
         known = known_tracer(out) if options.tracer == "auto" else None

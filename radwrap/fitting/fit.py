@@ -20,7 +20,7 @@ from radwrap.fitting.covariance import GRAIN, RANK, PredictionErrors, Shared, Sp
 from radwrap.fitting.directions import in_words
 from radwrap.fitting.free_keys import FreeKey, FreeScene, free_scene
 from radwrap.fitting.light import Light
-from radwrap.fitting.page import FILES, RESIDUAL, SCENE, write_fit
+from radwrap.fitting.page import FILES, RESIDUAL, write_fit
 from radwrap.fitting.places import Places, need_renders
 from radwrap.fitting.poses import aimed_keys
 from radwrap.fitting.prediction import Prediction
@@ -144,9 +144,10 @@ def fit(
 
 
 def _check_not_lost(folder: Path) -> None:
-    """Refuse a folder with a scene of the user's own, which the scene that was found would replace."""
-    if (folder / SCENE).exists() and not (folder / RESIDUAL).exists():
-        raise InputError(f"holds a {SCENE} that no fit wrote", where=str(folder), remedy="choose another `out`")
+    """Refuse a folder with files of the user's own, which those of the fit would replace."""
+    mine = next((name for name in FILES if (folder / name).exists()), None)
+    if mine is not None and not (folder / RESIDUAL).exists():
+        raise InputError(f"holds {mine}, which no fit wrote", where=str(folder), remedy="choose another `out`")
 
 
 def _prediction(states: Sequence[State], rendered: Sequence[bool], light: Light) -> Prediction:

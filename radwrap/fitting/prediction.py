@@ -196,7 +196,7 @@ class Prediction:
             If a basis has other sources.
         """
         own = [predicted.parts[self._first(places)].basis for places in self.places]
-        if any(basis.sources != own[0].sources for bases in others for basis in bases):
+        if any(basis.sources != known.sources for known, bases in zip(own, others, strict=True) for basis in bases):
             raise InputError("has other sources", where="basis")
         rounds = [own, *zip(*others, strict=True)]
         count = min(basis.images.shape[1] for bases in rounds for basis in bases)

@@ -137,9 +137,12 @@ def _changed(free: FreeScene, changes: Mapping[str, Any], where: str) -> FreeSce
         for one in expanded(key, document):
             if any(_holds(one, other) or _holds(other, one) for other in told):
                 raise InputError("is free: a capture cannot have a value of its own", where=f"{where}.set: {key}")
-    scene = scene_from_document(
-        json.loads(free.scene.document), dict(changes), origin=free.scene.origin, folder=free.scene.folder
-    )
+    try:
+        scene = scene_from_document(
+            json.loads(free.scene.document), dict(changes), origin=free.scene.origin, folder=free.scene.folder
+        )
+    except InputError as error:  # the scene was whole before
+        raise InputError(f"the scene does not take it: {error}", where=f"{where}.set") from error
     return FreeScene(scene, free.keys, free.poses)
 
 

@@ -60,9 +60,14 @@ def test_a_twin_is_found_and_its_files_are_whole(
     assert found.emitters[1].radiance / bench.emitters[1].radiance == pytest.approx(told["keys"][1]["value"], rel=1e-12)
     page = (out / "index.html").read_text()
     assert "yes" in page and "http" not in page
-    # The user's own scene is not replaced.
+    # The user's own scene is not replaced, nor another file of theirs.
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "index.html").write_text("mine")
+    argv[argv.index("--out") + 1] = tmp_path / "mine"
+    assert "holds index.html, which no fit wrote" in here(argv, capsys).refusal(2)
+    argv[argv.index("--out") + 1] = tmp_path / "out"
     argv[argv.index("--out") + 1] = tmp_path
-    assert "holds a scene.toml that no fit wrote" in here(argv, capsys).refusal(2)
+    assert "holds scene.toml, which no fit wrote" in here(argv, capsys).refusal(2)
     assert path.read_text() == text
 
 

@@ -173,6 +173,18 @@ def test_a_series_is_fitted_as_a_user_would(folder: Path, capsys: pytest.Capture
     assert done.code == 1 and re.search("capture [01], rows", done.stdout)
 
 
+def test_one_led_at_a_time_is_a_state_each(bench: Scene) -> None:
+    """An LED that is off in the first state is on in the second: each has the light of its own LEDs."""
+    coarse = radwrap.RenderOptions(tolerance=8.0, tracer="compiled")
+    series = []
+    for on in (0, 1):
+        state = {f"sources[0].leds[{k}].radiance_factor": 0.0 for k in range(3) if k != on}
+        made = radwrap.render(changed(bench, {**state, OFFSET: 7.0}), options=coarse, seed=5)
+        series.append(radwrap.Captures(made.frames(1), state))
+    found = radwrap.fit(bench, series, [OFFSET], options=coarse)
+    assert found.manifest["places"] == 2 and abs(found.keys[0].value - 7.0) < 0.5
+
+
 def _files(text: str) -> Callable[[Path], list[object]]:
     def argv(folder: Path) -> list[object]:
         (folder / "bad.toml").write_text(text)
@@ -194,6 +206,8 @@ def _files(text: str) -> Callable[[Path], list[object]]:
         (_files("[[captures]]\nfiles = []"), "captures[0].files"),
         (_files('[[captures]]\nfiles = ["short.png"]\nset = { "camera.sensor.rows" = 21 }'), "24 x 20 pixels"),
         (_files('[[captures]]\nfiles = ["short.png"]\nset = { "camera.nothing" = 1 }'), "unknown key"),
+        (_files('[[captures]]\nfiles = ["short.png"]\nset = { "camera.exposure_tim" = 1 }'), "captures[0].set"),
+        (_files('[[captures]]\nfiles = ["short.png"]\nset = { "sources[0].radiance" = "0 W/m^2/sr" }'), "no light"),
     ],
 )
 def test_what_cannot_be_a_series_is_refused(
