@@ -146,7 +146,8 @@ def _found(problem: Problem, bench: Bench) -> Designed:
     coarse = None if tolerance is None else tolerance * (1.0 if is_one else problem.coarse)
     is_coarse = coarse != tolerance
     decided = max(1, min(_MOST_DECIDED, math.floor(_DECIDE_SHARE * problem.budget))) if is_coarse else 0
-    trials, how = _searched(problem, bench, coarse, problem.budget - decided - 1)
+    most = problem.budget - 1 - is_coarse  # one is checked, one decided
+    trials, how = _searched(problem, bench, coarse, (problem.budget - decided - 1, most))
     undecided: list[Trial] = []
     if is_coarse:
         searched, trials = trials, _decided(problem, bench, trials, decided)
@@ -200,10 +201,17 @@ def _tolerance(problem: Problem) -> float | None:
     return USUAL if how.tolerance is None else float(how.tolerance)
 
 
-def _searched(problem: Problem, bench: Bench, tolerance: float | None, budget: int) -> tuple[list[Trial], str]:
-    """Trials of the search, and how candidates were chosen."""
-    asker, how = _asker(problem, budget)
+def _searched(
+    problem: Problem, bench: Bench, tolerance: float | None, budgets: tuple[int, int]
+) -> tuple[list[Trial], str]:
+    """Trials of the search, and how candidates were chosen.
+
+    Of two budgets of renders the second, larger one holds as long as no trial keeps all limits: then there is nothing
+    to decide.
+    """
+    asker, how = _asker(problem, budgets[0])
     found: list[Trial] = []
+    budget = budgets[1]
     while bench.renders < budget and len(found) < _ASKED * problem.budget:
         codes = asker.ask(min(problem.batch, budget - bench.renders))
         if not codes:
@@ -215,6 +223,8 @@ def _searched(problem: Problem, bench: Bench, tolerance: float | None, budget: i
             values = None if answers is None else [one.value for one in answers]
             asker.tell(values, trial.violations(problem))
         found += trials
+        if any(trial.is_feasible(problem) for trial in found):
+            budget = budgets[0]
     return found, how
 
 

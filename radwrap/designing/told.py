@@ -117,7 +117,7 @@ class Designed:
         return f"{len(self.trials)} trials by {self.renders} renders; candidates by {self.how}"
 
     def _nothing(self) -> list[str]:
-        told = ["no trial keeps all limits"]
+        told = [f"no trial keeps all limits{self._unseen()}"]
         known = [trial for trial in self.trials if trial.objectives(self.problem) is not None]
         if known:
             nearest = min(known, key=lambda trial: (sum(trial.violations(self.problem)), trial.number))
@@ -125,6 +125,14 @@ class Designed:
         elif failed := [trial for trial in self.trials if trial.error]:
             told.append(f"trial {failed[0].number}: {failed[0].error}")
         return told
+
+    def _unseen(self) -> str:
+        """Whether another candidate may keep them, where there is no end of choices but by the budget."""
+        keys = self.problem.keys
+        if any(key.span is not None for key in keys):
+            return ""
+        left = math.prod(len(key.choices) for key in keys) - len({trial.codes for trial in self.trials})
+        return f"; {left} combinations were not looked at: raise the budget" if left else ""
 
     def _broken(self, trial: Trial) -> list[str]:
         found = []

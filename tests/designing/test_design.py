@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -160,6 +161,12 @@ def test_what_keeps_no_limit_is_exit_code_1(
     told = capsys.readouterr()
     assert "no trial keeps all limits" in told.out and "nearest is trial 4: mean at least 250, it is" in told.out
     assert not read(out / "design.json")["feasible"] and not (out / "best.toml").exists()
+    # With a smaller budget not all are looked at, and it says so; what is kept back for the next stages is used.
+    path = design_file(TIMES.replace("budget = 8", "budget = 5") + '[[constraints]]\nof = "mean"\nat_least = 250\n')
+    assert main(["design", "run", str(path), "--out", str(tmp_path / "few")]) == 1
+    told = capsys.readouterr()
+    assert re.search(r"limits; [1-9] combinations were not looked at", told.out), told.out
+    assert read(tmp_path / "few" / "design.json")["renders"] == 3
 
 
 def test_what_the_budget_does_not_decide_is_told(
