@@ -10,22 +10,24 @@ import pytest
 
 from radwrap.waiting import Finished
 
-# Interrupts at random moments of a wait for many jobs: concurrent.futures.wait in its place hung after one of 240.
+# Interrupts, as Ctrl-C sends them, at random moments of a wait for many jobs: concurrent.futures.wait in its place hung
+# after one of 240.
 # One that Python cannot raise where it comes, as in a finaliser, is sent again, as the command does. Where something
 # hangs all the same, all threads say where they stand.
 _INTERRUPTED = """
-import _thread, faulthandler, random, sys, threading, time
+import faulthandler, os, random, signal, sys, threading, time
 from concurrent.futures import ThreadPoolExecutor
 from radwrap.waiting import Finished
 faulthandler.dump_traceback_later({patience}, exit=True)
 def again(lost):
-    threading.Timer(0.01, _thread.interrupt_main).start()
+    threading.Timer(0.01, os.kill, (os.getpid(), signal.SIGINT)).start()
 sys.unraisablehook = again
+signal.signal(signal.SIGINT, signal.default_int_handler)
 random.seed(int({seed}))
 for _ in range(40):
     with ThreadPoolExecutor(2) as pool:
         finished, jobs = Finished(), []
-        timer = threading.Timer(random.uniform(0.001, 0.02), _thread.interrupt_main)
+        timer = threading.Timer(random.uniform(0.001, 0.02), os.kill, (os.getpid(), signal.SIGINT))
         try:
             jobs = [finished.watch(pool.submit(time.sleep, 0.001)) for _ in range(2000)]
             timer.start()
