@@ -84,6 +84,30 @@ def check_results(folder: Path, names: Iterable[str]) -> None:
         check_result(folder / name)
 
 
+def check_not_others(folder: Path, names: Iterable[str], mark: str, by: str) -> None:
+    """Refuse a folder with files of the user's own, which results of these names would replace.
+
+    Parameters
+    ----------
+    folder : Path
+        For the results.
+    names : iterable of str
+        Of the results.
+    mark : str
+        File by which a folder with such results is known.
+    by : str
+        What writes them, for the message.
+
+    Raises
+    ------
+    InputError
+        If one of the files is there, and the mark is not.
+    """
+    other = next((name for name in names if (folder / name).exists()), None)
+    if other is not None and not (folder / mark).exists():
+        raise InputError(f"holds {other}, which no {by} wrote", where=str(folder), remedy="choose another `out`")
+
+
 def publish(temporary: Path, final: Path) -> None:
     """Rename a whole, read-back file to its final name, durably.
 

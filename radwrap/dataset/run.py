@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from collections import Counter
 from collections.abc import Mapping
@@ -20,7 +19,7 @@ from radwrap.dataset.one_image import TRAIN, WORK, ImageJob, Place, is_whole, ma
 from radwrap.dataset.tables import BOP, COCO, YOLO
 from radwrap.dataset.yolo import DATA, LABELS, data_text, label_text
 from radwrap.errors import EnvironmentFailure, InputError
-from radwrap.files import make_folder, sha256_of, sole_owner, write_bytes
+from radwrap.files import make_folder, sole_owner, write_bytes
 from radwrap.imaging.render_options import RenderOptions, TracerName
 from radwrap.manifest import (
     COMPILER_PACKAGES,
@@ -34,9 +33,8 @@ from radwrap.manifest import (
 )
 from radwrap.process import MOST_WORKERS, available_cores
 from radwrap.progress import Progress
-from radwrap.scene.catalog.presets import hashes_of, with_presets
+from radwrap.scene.file.input_hashes import input_hashes
 from radwrap.scene.file.load import scene_from_document
-from radwrap.scene.file.named_files import named_files
 from radwrap.scene.targets import MeshPart
 from radwrap.study.pool import LocalPool
 
@@ -120,7 +118,13 @@ def _take_possession(dataset: Dataset, out: Path, options: RunOptions) -> dict[s
         "schema_version": SCHEMA_VERSION,
         "title": dataset.title,
         "dataset": _told_of(dataset),
-        "files": _hashes(dataset, options),
+        "files": input_hashes(
+            [dataset.document],
+            dataset.scene_origin,
+            dataset.folder,
+            trust=options.trust,
+            beside=[plain(one) for one in dataset.vary],
+        ),
         "tracer": options.tracer,
         "versions": versions(*COMPILER_PACKAGES),
     }
@@ -153,17 +157,6 @@ def _told_of(dataset: Dataset) -> dict[str, Any]:
     told: dict[str, Any] = plain(asdict(replace(dataset, folder=Path())))
     del told["folder"]
     return told
-
-
-def _hashes(dataset: Dataset, options: RunOptions) -> dict[str, str]:
-    """Hash of each file and of each component that its scenes may name."""
-    folder = dataset.folder.resolve()
-    strings = {"base": dataset.document, "vary": [plain(one) for one in dataset.vary]}
-    files = named_files(strings, folder, trust=options.trust)
-    components = hashes_of(with_presets(dict(dataset.document), dataset.scene_origin, dataset.folder)[1])
-    return {os.path.relpath(path, folder): sha256_of(path) for path in files} | {
-        f"catalog: {name}": one for name, one in components.items()
-    }
 
 
 def _make(dataset: Dataset, out: Path, how: RenderOptions, options: RunOptions, due: list[int]) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import asdict, replace
@@ -19,7 +18,7 @@ from radwrap.designing.sampler import AllOf, Asker, Codes, Tpe
 from radwrap.designing.told import BEST, DESIGN, Designed
 from radwrap.designing.trials import TRIALS, Trial, read_record, write_table
 from radwrap.errors import EnvironmentFailure, InputError
-from radwrap.files import check_results, make_folder, sha256_of, sole_owner, write_bytes
+from radwrap.files import check_not_others, check_results, make_folder, sole_owner, write_bytes
 from radwrap.fitting.scene_text import with_values
 from radwrap.imaging.asked_tolerance import USUAL
 from radwrap.imaging.tracing import laid_out
@@ -34,8 +33,7 @@ from radwrap.manifest import (
     write_manifest,
 )
 from radwrap.progress import Progress
-from radwrap.scene.catalog.presets import hashes_of, with_presets
-from radwrap.scene.file.named_files import named_files
+from radwrap.scene.file.input_hashes import input_hashes
 from radwrap.study.design import render_options
 from radwrap.study.one_tolerance import with_one_tolerance
 from radwrap.study.one_tracer import one_tracer
@@ -104,9 +102,7 @@ def design(file: str | Path, out: str | Path, options: StudyOptions | None = Non
 def run_design(problem: Problem, out: Path, options: StudyOptions) -> Designed:
     """Carry out a design that was read; arguments and errors as of `design`."""
     check_results(out, FILES)
-    mine = next((name for name in FILES if (out / name).exists()), None)
-    if mine is not None and not (out / PLAN).exists():
-        raise InputError(f"holds {mine}, which no design wrote", where=str(out), remedy="choose another `out`")
+    check_not_others(out, FILES, PLAN, "design")
     make_folder(out)
     with sole_owner(out):
         known = known_tracer(out) if options.tracer == "auto" else None
@@ -270,7 +266,12 @@ def _take_possession(problem: Problem, out: Path, options: StudyOptions) -> None
         "schema_version": SCHEMA_VERSION,
         "title": problem.study.title,
         "problem": _told_of(problem),
-        "files": _hashes(problem, options),
+        "files": input_hashes(
+            [problem.study.document, *problem.documents()],
+            problem.study.scene_origin,
+            problem.study.folder,
+            trust=options.trust,
+        ),
         "tracer": options.tracer,
         "trust": options.trust,
         "versions": versions(*STUDY_PACKAGES, *COMPILER_PACKAGES, *PACKAGES),
@@ -303,19 +304,6 @@ def _finite(value: Any) -> Any:
     if isinstance(value, list):
         return [_finite(item) for item in value]
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _hashes(problem: Problem, options: StudyOptions) -> dict[str, str]:
-    """Hash of each file and of each component that its scenes may name."""
-    study = problem.study
-    folder = study.folder.resolve()
-    documents = [dict(study.document), *problem.documents()]
-    files = named_files({"scenes": documents}, folder, trust=options.trust)
-    told = {os.path.relpath(path, folder): sha256_of(path) for path in files}
-    for document in documents:
-        components = hashes_of(with_presets(document, study.scene_origin, study.folder)[1])
-        told |= {f"catalog: {name}": one for name, one in components.items()}
-    return dict(sorted(told.items()))
 
 
 def _forget_failures(out: Path) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
-from radwrap.files import check_results, make_folder, sole_owner
+from radwrap.files import check_not_others, check_results, make_folder, sole_owner
 from radwrap.fitting.captured import read_mask
 from radwrap.fitting.covariance import GRAIN, RANK, PredictionErrors, Shared, Spread, spread
 from radwrap.fitting.directions import in_words
@@ -125,7 +125,7 @@ def fit(
             return _fitted(begun, rendered, states, options, Path(work), noise=noise, robust=robust)
     folder = Path(out)
     check_results(folder, FILES)
-    _check_not_lost(folder)
+    check_not_others(folder, FILES, RESIDUAL, "fit")
     make_folder(folder)
     with sole_owner(folder):
         # What was traced stays until the fit stands: one that was killed finds it, in the same order.
@@ -141,13 +141,6 @@ def fit(
         write_fit(made, written, folder)
         shutil.rmtree(traced)
     return made
-
-
-def _check_not_lost(folder: Path) -> None:
-    """Refuse a folder with files of the user's own, which those of the fit would replace."""
-    mine = next((name for name in FILES if (folder / name).exists()), None)
-    if mine is not None and not (folder / RESIDUAL).exists():
-        raise InputError(f"holds {mine}, which no fit wrote", where=str(folder), remedy="choose another `out`")
 
 
 def _prediction(states: Sequence[State], rendered: Sequence[bool], light: Light) -> Prediction:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import os
 import shutil
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,15 +11,14 @@ from pathlib import Path
 from typing import Any, Final
 
 from radwrap.errors import InputError
-from radwrap.files import make_folder, sha256_of, sole_owner
+from radwrap.files import make_folder, sole_owner
 from radwrap.imaging.asked_tolerance import USUAL
 from radwrap.imaging.render_options import TracerName
 from radwrap.imaging.tolerance.lit_noise import ToleranceAsked
 from radwrap.manifest import SCHEMA_VERSION, STUDY_PACKAGES, read_manifest, sha256_of_value, versions, write_manifest
 from radwrap.process import MOST_WORKERS, Programs, available_cores
 from radwrap.progress import Progress
-from radwrap.scene.catalog.presets import hashes_of, naming_presets, with_presets
-from radwrap.scene.file.named_files import named_files
+from radwrap.scene.file.input_hashes import input_hashes
 from radwrap.study.design import Design, render_options
 from radwrap.study.journal import RESULTS, Journal
 from radwrap.study.light import reference_levels, split_light, with_levels
@@ -213,7 +210,12 @@ def take_possession(
         "trust": options.trust,
         "tracer": options.tracer,
         **({} if asked is None else {"tolerance_asked": asdict(asked)}),
-        "files": _file_hashes(design, runs, options),
+        "files": input_hashes(
+            [design.document, *(run.document for run in runs)],
+            design.scene_origin,
+            design.folder,
+            trust=options.trust,
+        ),
     }
     told["study_sha256"] = _identity(told, runs)
     if (out / PLAN).exists():
@@ -247,34 +249,6 @@ def _identity(told: Mapping[str, Any], runs: Sequence[Run]) -> str:
 def _radiance_version(options: StudyOptions) -> str:
     with Programs() as programs:
         return radiance_version(find_radiance(options.radiance), programs)
-
-
-def _file_hashes(design: Design, runs: Sequence[Run], options: StudyOptions) -> dict[str, str]:
-    """Hash of each file that a run's scene names: rows of other meshes, tables and included files are other rows."""
-    folder = design.folder.resolve()
-    strings = {"base": design.document, "runs": [run.document for run in runs]}
-    return {
-        os.path.relpath(path, folder): _file_hash(path) for path in named_files(strings, folder, trust=options.trust)
-    } | {f"catalog: {name}": sha256 for name, sha256 in _component_hashes(design, runs).items()}
-
-
-def _component_hashes(design: Design, runs: Sequence[Run]) -> dict[str, str]:
-    """Hash of each component of the catalog that a run's scene names, wherever it lies."""
-    found: dict[str, str] = {}
-    seen: set[str] = set()
-    for document in (design.document, *(run.document for run in runs)):
-        tables = naming_presets(document)
-        if tables and (text := json.dumps(tables)) not in seen:
-            seen.add(text)
-            found |= hashes_of(with_presets(tables, design.scene_origin, design.folder)[1])
-    return dict(sorted(found.items()))
-
-
-def _file_hash(path: Path) -> str:
-    try:
-        return sha256_of(path)
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", where=str(path), remedy="the scene names it") from error
 
 
 # ---------------------------------------------------------------------------------------------------------------- plan
