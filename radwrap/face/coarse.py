@@ -15,7 +15,8 @@ from radwrap.scene.file.load import scene_from_document
 from radwrap.scene.scene import Scene
 
 TOLERANCE: Final = "2 %"  # of saturation minus dark: what the eye just sees
-MOST_PIXELS: Final = 1 << 17  # twelve sources of them are traced in one to two seconds of processor time
+MOST_PIXELS: Final = 1 << 15  # twelve sources of them are traced in a second of processor time
+LEAST_BLOCK: Final = 2  # as many pixels as the asked picture has take nearly as long, however wide the tolerance
 WORTH_IT: Final = 1 << 17  # pixels times sources, below which the asked picture takes hardly longer
 
 
@@ -52,25 +53,20 @@ def coarse_of(scene: Scene, options: Mapping[str, Any]) -> Coarse | None:
     if sensor.pixels * len({emitter.source for emitter in scene.emitters}) < WORTH_IT:
         return None
     block = _block(sensor.rows, sensor.columns)
-    asked = replace(RenderOptions(**options), tolerance=TOLERANCE)
-    wide = asked.asked_tolerance.in_gray(sensor)
-    if block == 1 and RenderOptions(**options).asked_tolerance.in_gray(sensor) >= wide:
+    document = json.loads(scene.document)
+    before = int((document["camera"]["sensor"].get("scale") or "1/1").removeprefix("1/"))
+    changes = {"camera.sensor.scale": f"1/{before * block}"}
+    try:
+        found = scene_from_document(document, changes, origin=scene.origin, folder=scene.folder)
+    except InputError:
         return None
-    found = scene
-    if block > 1:
-        document = json.loads(scene.document)
-        before = int((document["camera"]["sensor"].get("scale") or "1/1").removeprefix("1/"))
-        changes = {"camera.sensor.scale": f"1/{before * block}"}
-        try:
-            found = scene_from_document(document, changes, origin=scene.origin, folder=scene.folder)
-        except InputError:
-            return None
+    asked = replace(RenderOptions(**options), tolerance=TOLERANCE)
     return Coarse(found, {**options, "tolerance": TOLERANCE, "tracer": _tracer(found, asked)}, block)
 
 
 def _block(rows: int, columns: int) -> int:
     """Least that leaves few enough pixels; one that divides both sides where there is one of nearly that size."""
-    least = math.ceil(math.sqrt(max(1.0, rows * columns / MOST_PIXELS)))
+    least = max(LEAST_BLOCK, math.ceil(math.sqrt(rows * columns / MOST_PIXELS)))
     whole = (block for block in range(least, least + least // 2 + 1) if rows % block == 0 and columns % block == 0)
     return next(whole, least)
 

@@ -22,9 +22,10 @@ from radwrap.errors import Cancelled, InputError, RadwrapError
 from radwrap.face.coarse import Coarse, coarse_of
 from radwrap.face.recipe import Recipe, lines
 from radwrap.face.renderer import Renderer
-from radwrap.imaging.other_camera import SceneText, basis_in_other_camera
+from radwrap.imaging.forecast.effects import Effect
+from radwrap.imaging.other_camera import SceneText, basis_in_other_camera, growth_of
 from radwrap.imaging.output.run_manifest import MANIFEST, RunManifest, read_run_manifest
-from radwrap.imaging.page.described import described, told_of, told_thresholds
+from radwrap.imaging.page.described import described, told_left_out, told_of, told_thresholds
 from radwrap.imaging.page.thresholds import Thresholds, thresholds
 from radwrap.imaging.page.turn import Turn, changes_of
 from radwrap.imaging.relight.relit import Relighter, Relit, read_basis
@@ -156,9 +157,33 @@ class Traced:
             "basis": self.number,
             **told_of(image.relit, image.relighter.basis, image.sigma),
             "thresholds": told_thresholds(image.thresholds),
+            "left_out": None if (effects := self.left_out(turn, image)) is None else told_left_out(effects),
             "command": command,
             "python": python,
         }
+
+    def left_out(self, turn: Turn, image: Image) -> list[Effect] | None:
+        """What is left out of a turn's image, without a ray: it grows as gray levels do if all light has one factor.
+
+        Returns
+        -------
+        list of Effect or None
+            None where it is not known: with levels that differ, another gamma, and where what was saturated is so no
+            longer.
+        """
+        effects = list(self.run.left_out.values())
+        if not any(effect.rms_gray_upper95 or effect.rays for effect in effects):
+            return effects  # the scene alone says that there are none, in any light
+        level, *others = turn.factors
+        if any(other != level for other in others):
+            return None
+        basis, turned = self.relighter.basis, image.relighter.basis
+        times = level * turned.exposure_of_radiance / basis.exposure_of_radiance
+        if times == 0.0:
+            return [effect.grown(0.0, self.run.tolerance) for effect in effects]
+        before = image.relit.radiant_exposure.values / times
+        growth = growth_of(basis.sensor, turned.sensor, times, before, self.run.error.rms_gray_upper95)
+        return [effect.grown(growth, self.run.tolerance) for effect in effects] if math.isfinite(growth) else None
 
     def lines(self, turn: Turn, image: Image) -> tuple[str, str]:
         """The lines of a shell and of Python that make the same gray.png; empty for a coarse picture."""

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.images import ExposureImage, GrayImage
@@ -95,7 +96,7 @@ def in_other_camera(
     times = _times(old, new)
     made = ExposureImage(exposure.values * times, exposure.provenance)
     gray = image_of_levels(gray_levels(made.values, new.sensor), new.sensor, made.provenance)
-    growth = _growth(old.sensor, new.sensor, times, exposure, certificate)
+    growth = growth_of(old.sensor, new.sensor, times, exposure.values, certificate.rms_gray_upper95)
     return Developed(other, made, gray, _scaled(certificate, growth), growth)
 
 
@@ -182,15 +183,32 @@ def check_same_light(old: Camera, new: Camera) -> None:
         raise InputError("changes which light a pixel gets", where="camera", remedy="render that camera")
 
 
-def _growth(old: Sensor, new: Sensor, times: float, exposure: ExposureImage, certificate: Certificate) -> float:
-    """How many times as large an error of a gray level is, at most; infinite where that is not known."""
+def growth_of(old: Sensor, new: Sensor, times: float, exposure: NDArray[np.float64], bound: float) -> float:
+    """How many times as large an error of a gray level is, at most.
+
+    Parameters
+    ----------
+    old, new : Sensor
+        Their electronics may differ.
+    times : float
+        So many times as much light as before comes to each pixel.
+    exposure : ndarray
+        Radiant exposure before, of all pixels [J m^-2].
+    bound : float
+        Of the root mean square of its error [gray level].
+
+    Returns
+    -------
+    float
+        Infinite where that is not known: with another gamma, and where what was saturated is so no longer.
+    """
     if new.gamma != old.gamma:
         return math.inf
     growth: float = new.gain / old.gain * times**new.gamma
     span, reached = old.saturation_gray - old.dark_gray, new.saturation_gray - new.dark_gray
     if reached > growth * span * (1 + _SAME):
-        near = span - _MAY_SATURATE * certificate.rms_gray_upper95
-        if bool(np.any(gray_levels(exposure.values, old) - old.dark_gray >= near)):
+        near = span - _MAY_SATURATE * bound
+        if bool(np.any(gray_levels(exposure, old) - old.dark_gray >= near)):
             return math.inf
     return growth
 

@@ -22,7 +22,6 @@ from radwrap.imaging.relight.relit import read_basis
 from radwrap.imaging.response.noise import fixed_pattern, linear_of, noisy_frame
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.tolerance.certificate import Certificate
-from radwrap.imaging.tolerance.plans import NEGLIGIBLE_SHARE
 from radwrap.imaging.tolerance.uncertainty import uncertainty
 from radwrap.manifest import plain
 from radwrap.scene.look.faces import face_towards
@@ -254,11 +253,7 @@ def _grown(run: RunManifest, growth: float) -> tuple[dict[str, Effect], tuple[st
     warnings = tuple(line for line in run.warnings if line not in stale)
     if not math.isfinite(growth):
         return {}, warnings
-    left_out = {}
-    for name, effect in run.left_out.items():
-        upper = growth * effect.rms_gray_upper95
-        needed = effect.needed if run.tolerance is None else upper > NEGLIGIBLE_SHARE * run.tolerance
-        left_out[name] = replace(effect, rms_gray=growth * effect.rms_gray, rms_gray_upper95=upper, needed=needed)
+    left_out = {name: effect.grown(growth, run.tolerance) for name, effect in run.left_out.items()}
     return left_out, (*warnings, *(line for effect in left_out.values() for line in warnings_of_left_out(effect)))
 
 

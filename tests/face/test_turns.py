@@ -24,7 +24,7 @@ from radwrap.scene.file import turned as turned_module
 from radwrap.scene.file.load import with_camera
 from radwrap.scene.file.turned import with_levels
 from tests.cli.conftest import SMALL, here, run, scene_with
-from tests.face.conftest import Served
+from tests.face.conftest import TWO, Served
 
 EQ5: Final = Sensor(2, 2, 1e-4, 1e-4, gain=3.38e4, gamma=0.85, dark_gray=22, saturation_gray=181)
 LINEAR: Final = {
@@ -351,3 +351,40 @@ def test_saving_writes_a_folder_that_the_server_names(served: Served, tmp_path: 
     assert np.sqrt(((ours - anew) ** 2).mean()) < 2 * 2  # both keep the tolerance of 2
     shutil.rmtree(folder)
     (served.out / ".radwrap.lock").unlink()
+
+
+# ------------------------------------------------------------------------------------------------------------ Left out
+
+
+def left_out(served: Served, levels: list[float], **knobs: str) -> dict[str, float] | None:
+    """Root mean squares of what is left out of a turn [gray level]."""
+    turn = {"levels": levels, "knobs": knobs}
+    told, _ = served.post("/api/turn", {"basis": number(served), "turn": turn}).blocks()
+    return told["left_out"] and {effect["name"]: effect["rms_gray"] for effect in told["left_out"]}
+
+
+def test_what_is_left_out_grows_as_its_gray_levels(served: Served) -> None:
+    """By Eq. 5, K (t f)^gamma, as a render of that exposure measures it."""
+    own = {effect["name"]: effect["rms_gray"] for effect in served.ready()["left_out"]}
+    assert own["diffraction"] > 0.1 and own["bounces"] == 0.0
+    for levels, knobs, growth in (
+        ([1.0, 1.0], {}, 1.0),
+        ([0.5, 0.5], {}, 0.5**0.85),
+        ([0.5, 0.5], {"exposure_time": "387 ms", "gain": "1.5"}, 1.5 * 0.5**0.85),
+        ([1.0, 1.0], {"exposure_time": "193.5 ms", "dark_gray": "5"}, 0.5**0.85),
+        ([0.0, 0.0], {}, 0.0),
+        ([1.0, 1.0], {"bit_depth": "12"}, 4095 / 255),
+    ):
+        found = left_out(served, levels, **knobs)
+        assert found == {name: pytest.approx(growth * value, rel=1e-9) for name, value in own.items()}, knobs
+    fresh = radwrap.render(
+        radwrap.scene_from_document(scene_with({**TWO, "camera.exposure_time": "193.5 ms"})), tolerance=2.0
+    )
+    assert fresh.left_out["diffraction"].rms_gray == pytest.approx(0.5**0.85 * own["diffraction"], rel=1e-6)
+
+
+@pytest.mark.parametrize(("levels", "knobs"), [([1.0, 0.5], {}), ([1.0, 1.0], {"gamma": "0.7"})])
+def test_what_is_left_out_of_other_light_is_not_known(
+    served: Served, levels: list[float], knobs: dict[str, str]
+) -> None:
+    assert left_out(served, levels, **knobs) is None

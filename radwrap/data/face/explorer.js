@@ -231,8 +231,10 @@ export class Explorer {
   }
 
   tellLeftOut() {
-    const { left_out: effects, warnings } = this.described;
-    const as = sameTurn(this.history.now, this.history.start) ? "" : ", at the scene's own levels";
+    const { left_out: own, warnings } = this.described;
+    const turned = this.certified?.told.left_out;
+    const effects = turned ?? own;
+    const as = turned || sameTurn(this.history.now, this.history.start) ? "" : ", at the scene's own levels";
     const lines = effects.map(({ name, left_out: what, rms_gray: rms, rms_gray_upper95: bound, needed }) =>
       element("p", { class: "note" }, `${needed ? "⚠ " : ""}${name}: ${what}; ${bound < 1e-3 ? "less than 0.001 gray rms"
         : `${errorText(rms)} gray rms, at most ${errorText(bound)}`}${as}`));

@@ -31,8 +31,9 @@
  * @typedef {{error: {rms_gray: number | null, rms_gray_upper95: number | null, method: string}, keeps: boolean,
  *   saturated_fraction: number, gray: {min: number, max: number, mean: number}, sigma_rms: number,
  *   exposure_of_radiance: number, sensor: Sensor,
- *   thresholds: {first: number, count: number, saturated: number | null, lit: number | null},
+ *   thresholds: {first: number, count: number, saturated: number | null, lit: number | null}, left_out?: Effect[] | null,
  *   command: string, python?: string}} Told
+ * Nothing is known of what is left out where that is null.
  *
  * @typedef {{told: Told, thresholds: Thresholds, exposure: Float32Array, sigma: Float32Array}} Certified
  * An image as the server has made it.

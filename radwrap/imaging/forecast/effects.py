@@ -77,6 +77,12 @@ class Effect:
     needed: bool
     rays: int
 
+    def grown(self, growth: float, tolerance: float | None) -> Effect:
+        """The same effect where errors of gray levels are larger by a factor; without a tolerance needed as before."""
+        upper = growth * self.rms_gray_upper95
+        needed = self.needed if tolerance is None else upper > NEGLIGIBLE_SHARE * tolerance
+        return replace(self, rms_gray=growth * self.rms_gray, rms_gray_upper95=upper, needed=needed)
+
     def as_manifest(self) -> dict[str, Any]:
         """Its values by name."""
         return asdict(self)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.imaging.forecast.effects import warnings_of_left_out
+from radwrap.imaging.forecast.effects import Effect, warnings_of_left_out
 from radwrap.imaging.output.run_manifest import RunManifest
 from radwrap.imaging.page.thresholds import Thresholds
 from radwrap.imaging.page.turn import rings_of
@@ -34,12 +35,15 @@ def described(scene: Scene, basis: Basis, run: RunManifest) -> dict[str, Any]:
         "tolerance": basis.tolerance,
         "seed": run.seed,
         "rays": run.rays,
-        "left_out": [
-            {key: getattr(effect, key) for key in ("name", "left_out", "rms_gray", "rms_gray_upper95", "needed")}
-            for effect in run.left_out.values()
-        ],
+        "left_out": told_left_out(run.left_out.values()),
         "warnings": [line for line in run.warnings if line not in told],  # each effect is told once
     }
+
+
+def told_left_out(effects: Iterable[Effect]) -> list[dict[str, Any]]:
+    """What is left out of an image and of its error."""
+    keys = ("name", "left_out", "rms_gray", "rms_gray_upper95", "needed")
+    return [{key: getattr(effect, key) for key in keys} for effect in effects]
 
 
 def title_of(scene: Scene) -> str:

@@ -334,7 +334,15 @@ test("the header says what the error does not hold, and its place is no token", 
   t.after(() => own.process.kill("SIGTERM"));
   const { page } = await loaded(t, { at: own.link });
   await page.click("#lacks");
-  assert.match(await page.textContent("#lacks"), /not in it: diffraction \d\.\d gray rms$/);
+  const lacks = async () => page.textContent("#lacks");
+  assert.match(await lacks(), /not in it: diffraction \d\.\d gray rms$/);
+  const before = Number((await lacks()).match(/[\d.]+/)[0]);
+  await type(page, "gain", "0.5"); // no ray is needed: half the gray levels, half the lack
+  await measured(page);
+  assert.ok(Math.abs(Number((await lacks()).match(/diffraction ([\d.]+) gray rms$/)[1]) - before / 2) < 0.06);
+  await type(page, "level:ring.led03", "0.25");
+  await measured(page);
+  assert.match(await lacks(), /gray rms, at the scene's own levels$/);
   await page.reload();
   await measured(page);
 });
@@ -411,7 +419,7 @@ test("a coarse picture comes first, is marked, and hands its knobs on", async (t
   const own = await serve("--tolerance", "0.2", "--out", join(folder, "coarse"));
   t.after(() => own.process.kill("SIGTERM"));
   await page.goto(own.link);
-  await page.waitForFunction(() => document.getElementById("kept").textContent.startsWith("coarse picture: tolerance 3.1"));
+  await page.waitForFunction(() => document.getElementById("kept").textContent.startsWith("coarse picture: tolerance 3.1, 3 × 3 pixels as one"));
   assert.match(await page.textContent("#state"), /^coarse, tracing/);
   assert.match(await page.textContent("#error"), /^error .* gray rms, below .*95 %/);
   for (const id of ["png", "toml", "save", "copy", "trace"]) assert.ok(!(await page.locator(`#${id}`).isVisible()), id);
@@ -437,10 +445,10 @@ test("a coarse picture comes first, is marked, and hands its knobs on", async (t
   assert.equal(await page.locator("#image").getAttribute("data-empty"), null);
   assert.match(await page.textContent("#command"), /--level ring=0.5 --out turned/);
   assert.equal(await field(page, "level:all").inputValue(), "0.5");
-  assert.equal(await page.textContent("#zoom"), zoom);
+  assert.equal(await page.textContent("#zoom"), zoom.replace(/^\d+/, (into) => String(Number(into) / 3))); // of 3 x 3 pixels
   assert.ok((await page.evaluate(() => document.activeElement.id)).startsWith("knob-gain"));
   await page.waitForSelector("#csv:enabled");
-  assert.equal(await page.locator("#probe .code").getAttribute("data-u"), "97"); // 192 / 2, and one to the right
+  assert.equal(await page.locator("#probe .code").getAttribute("data-u"), "100"); // the middle of block 192 / 3 / 2, and one to the right
   for (const id of ["png", "toml", "save", "copy"]) assert.ok(await page.locator(`#${id}`).isVisible(), id);
   await page.click("#undo");
   assert.equal(await field(page, "level:all").inputValue(), "1");
