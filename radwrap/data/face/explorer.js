@@ -1,5 +1,6 @@
 // One basis on the page: knobs, picture, readings, and the server's word on each turn once the knobs rest.
 
+import { Comparison } from "./compare.js";
 import { byId, download, element } from "./dom.js";
 import { Field } from "./field.js";
 import { take } from "./handover.js";
@@ -7,10 +8,10 @@ import { KnobPanel } from "./knobs.js";
 import { coloursOf } from "./mix.js";
 import { HistogramPlot, ProfilePlot } from "./plots.js";
 import { Readings } from "./readings.js";
-import { grayOf, thresholdsOf, turnedSensor } from "./response.js";
+import { grayOf, rankOf, thresholdsOf, turnedSensor } from "./response.js";
 import { History, sameTurn, untouched } from "./state.js";
 import { linePixels, stripPixels } from "./statistics.js";
-import { parseTime, percent, shortNumber } from "./units.js";
+import { errorText, parseTime, percent, shortNumber } from "./units.js";
 import { NUMBERS_FROM, View } from "./view.js";
 
 /** @typedef {import("./types.js").Described} Described */
@@ -31,8 +32,9 @@ export class Explorer {
    * @param {Described} described
    * @param {{state: (text: string, kind?: string) => void, banner: (text: string | null) => void}} tell
    * @param {Kept | null} [kept] what the coarse picture leaves that stood for this one
+   * @param {import("./types.js").KeptPicture | null} [a] what is kept of a basis before, to compare
    */
-  constructor(source, described, tell, kept = null) {
+  constructor(source, described, tell, kept = null, a = null) {
     this.source = source;
     this.described = described;
     this.tell = tell;
@@ -62,6 +64,7 @@ export class Explorer {
     this.panel = new KnobPanel(described, places, () => this.history.now, (turn, what) => this.turn(turn, what),
       () => this.history.rest());
     this.readings = new Readings(this, this.leave.signal);
+    this.comparison = new Comparison(this, a, this.leave.signal);
     this.profile = new ProfilePlot(fresh("profile"), byId("profiletable"));
     this.histogram = new HistogramPlot(fresh("histogram"), byId("histogramtable"));
     this.listen();
@@ -125,6 +128,7 @@ export class Explorer {
     this.asking?.abort();
     this.setStale("measuring");
     this.respond();
+    this.comparison.refresh();
     this.draw();
     clearTimeout(this.timer);
     this.timer = setTimeout(() => { void this.certify(); }, REST);
@@ -152,7 +156,7 @@ export class Explorer {
   }
 
   respond() {
-    this.field.respond(this.thresholds, 2 ** this.sensor.bit_depth);
+    this.field.respond(this.thresholds, this.sensor);
     const bits = this.sensor.bit_depth;
     if (this.bits !== undefined && this.bits !== bits) this.resetWindow();
     this.bits = bits;
@@ -174,8 +178,9 @@ export class Explorer {
       this.certified = certified;
       this.panel.accept();
       this.respond();
-      this.field.certify(certified.exposure);
+      this.field.certify(certified.exposure, certified.sigma);
       this.tellError(certified);
+      this.comparison.refresh();
       this.draw();
       await this.readings.certify();
     } catch (error) {
@@ -279,19 +284,20 @@ export class Explorer {
   }
 
   draw() {
-    if (!this.view) return;
+    if (!this.comparison) return;
     byId("zoom").textContent = this.view.text;
     if (!this.planes && !this.certified) return;
     byId("picture").ariaBusy = "true";
     this.field.draw({
       factors: this.history.now.levels, scale: this.scale, certified: this.certified !== null,
-      section: this.view.section, look: this.look,
+      section: this.view.section, look: this.look, shown: this.comparison.shown, range: this.comparison.range,
     });
   }
 
   /** @param {Picture} picture */
   show(picture) {
-    this.view.show(picture);
+    this.view.show(picture, this.comparison.curtain);
+    if (picture.apart) this.comparison.tell(picture.apart);
     this.frames++;
     byId("picture").dataset.frames = String(this.frames);
     byId("picture").ariaBusy = String(this.field.wish !== null); // a newer frame follows
@@ -352,8 +358,8 @@ export class Explorer {
     /** @type {Pixel[]} */
     const pixels = [];
     for (let v = y0; v < y1; v++) for (let u = x0; u < x1; u++) pixels.push({ u, v });
-    const values = await this.values(pixels);
-    return values.map(({ code }, k) => ({ ...pixels[k], code }));
+    const codes = await this.comparison.codes(pixels);
+    return codes.map((code, k) => ({ ...pixels[k], code }));
   }
 
   /** An odd number of pixels. */
@@ -365,12 +371,13 @@ export class Explorer {
   /**
    * Of a wide profile, means over the pixels across the line; that of the deviation too, as pixels may err together.
    * @param {number[]} ends
+   * @param {(pixels: Pixel[]) => Value[] | Promise<Value[]>} [of] default the picture of the knobs
    */
-  async profileRows(ends) {
+  async profileRows(ends, of = (pixels) => this.values(pixels)) {
     const line = /** @type {[number, number, number, number]} */ (ends);
     const { rows, columns } = this.described;
     const strips = stripPixels(line, this.profileWidth, rows, columns);
-    const values = await this.values(strips.flat());
+    const values = await of(strips.flat());
     if (values.length === 0) return [];
     let next = 0;
     return linePixels(line).map((pixel, k) => {
@@ -451,25 +458,6 @@ export class Explorer {
       byId("saved").textContent = error instanceof Error ? error.message : String(error);
     }
   }
-}
-
-/** An error with two digits that count. @param {number | null} gray */
-function errorText(gray) {
-  return gray === null ? "without bound" : gray < 1e-3 ? "0.00" : gray.toPrecision(gray < 10 ? 2 : 3);
-}
-
-/**
- * @param {number} exposure
- * @param {import("./types.js").Thresholds} thresholds
- */
-function rankOf(exposure, { first, values }) {
-  let low = 0, high = values.length;
-  while (low < high) {
-    const middle = (low + high) >> 1;
-    if (values[middle] <= exposure) low = middle + 1;
-    else high = middle;
-  }
-  return first + low;
 }
 
 /** An empty place for a plot: that of a basis before has its own. @param {string} id */

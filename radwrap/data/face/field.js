@@ -1,12 +1,16 @@
 // The picture in bands of rows, each with a worker; one frame is in the making, and the newest wish wins.
 
+import { together } from "./difference.js";
+
 /** @typedef {import("./types.js").Thresholds} Thresholds */
 /** @typedef {import("./types.js").Section} Section */
 /** @typedef {import("./types.js").Look} Look */
 /** @typedef {import("./types.js").Frame} Frame */
-/** @typedef {{factors: number[], scale: number, certified: boolean, section: Section, look: Look}} Wish */
+/** @typedef {{factors: number[], scale: number, certified: boolean, section: Section, look: Look,
+ *   shown: import("./types.js").Shown, range: number}} Wish */
 /** @typedef {{parts: (Frame & {row: number})[], section: Section, counts: Float64Array, saturated: number,
- *   dark: number, flips: number, wish: Wish}} Picture */
+ *   dark: number, flips: number, wish: Wish, over: (Frame & {row: number})[] | null,
+ *   apart: import("./types.js").Apart | null}} Picture over is drawn up to the curtain of a wipe */
 
 const MOST_WORKERS = 8;
 const BAND = 240; // rows; bands begin at multiples of 2, 3, 4, 5, 6, 8, 10, 12, ..., the bins that a view may have
@@ -79,11 +83,21 @@ export class Field {
   }
 
   /**
-   * The radiant exposure as the server has made it.
+   * The radiant exposure as the server has made it, and its deviations.
    * @param {Float32Array} exposure
+   * @param {Float32Array} sigma
    */
-  certify(exposure) {
+  certify(exposure, sigma) {
     this.share(exposure, (part) => ({ kind: "certified", exposure: part }));
+    this.share(sigma, (part) => ({ kind: "deviations", sigma: part }));
+  }
+
+  /** What is kept to compare with. @param {import("./types.js").KeptPicture | null} a */
+  keep(a) {
+    if (!a) return;
+    const { thresholds, told: { sensor } } = a;
+    this.share(a.exposure, (part) => ({ kind: "kept", exposure: part, thresholds, sensor }));
+    this.share(a.sigma, (part) => ({ kind: "kept deviations", sigma: part }));
   }
 
   /**
@@ -99,10 +113,10 @@ export class Field {
 
   /**
    * @param {Thresholds} thresholds
-   * @param {number} codes
+   * @param {import("./types.js").Sensor} sensor
    */
-  respond(thresholds, codes) {
-    for (const { worker } of this.bands) worker.postMessage({ kind: "response", thresholds, codes });
+  respond(thresholds, sensor) {
+    for (const { worker } of this.bands) worker.postMessage({ kind: "response", thresholds, sensor });
   }
 
   /**
@@ -119,8 +133,12 @@ export class Field {
     while (this.wish) {
       const wish = this.wish;
       this.wish = null;
-      const told = await Promise.all(this.bands.map(({ worker }) => this.ask(worker, { kind: "frame", ...wish })));
-      const parts = told.map(({ frame }) => frame);
+      /** @param {import("./types.js").Shown} shown */
+      const frames = (shown) => Promise.all(this.bands.map(async ({ worker }) =>
+        (await this.ask(worker, { kind: "frame", ...wish, shown })).frame));
+      const over = wish.shown === "wipe" ? await frames("a") : null;
+      const parts = await frames(over ? "b" : wish.shown);
+      const apart = wish.shown === "difference" ? together(parts.map((part) => part.apart)) : null;
       const counts = parts[0].counts.slice();
       for (const part of parts.slice(1)) {
         for (let code = 0; code < counts.length; code++) counts[code] += part.counts[code];
@@ -130,6 +148,7 @@ export class Field {
       const { section } = wish;
       this.show({
         parts, section, counts, saturated: all("saturated"), dark: all("dark"), flips: all("flips"), wish,
+        over, apart,
       });
     }
     this.busy = false;

@@ -64,10 +64,10 @@ async function begin() {
           await pause(HAND);
           continue;
         }
-        const kept = keptOf(explorer, told.described);
+        const kept = keptOf(explorer, told.described), a = explorer?.comparison.a ?? null;
         explorer?.close();
         banner(null);
-        explorer = new Explorer(server, told.described, { state: told.described.coarse ? () => {} : state, banner }, kept);
+        explorer = new Explorer(server, told.described, { state: told.described.coarse ? () => {} : state, banner }, kept, a);
         void explorer.load();
       }
       if (told.state === "tracing") {

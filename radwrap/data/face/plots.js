@@ -72,20 +72,23 @@ export class ProfilePlot {
       scales: { x: { time: false } },
       axes: [axis("distance [px]", 22), axis("gray level", 38)],
       series: [{}, { stroke: colour("--accent"), width: 1.5, points: { show: false } },
-        { stroke: "transparent", points: { show: false } }, { stroke: "transparent", points: { show: false } }],
+        { stroke: "transparent", points: { show: false } }, { stroke: "transparent", points: { show: false } },
+        { stroke: colour("--text"), width: 1, dash: [5, 4], points: { show: false } }],
       bands: [{ series: [2, 3], fill: colour("--band") }],
     }));
   }
 
-  /** @param {ProfileRow[]} rows */
-  show(rows) {
+  /** @param {ProfileRow[]} rows @param {ProfileRow[]} before those of a picture to compare with, dashed; may be empty */
+  show(rows, before) {
     /** @param {number} sign */
     const edge = (sign) => rows.map(({ gray, sigma }) => (sigma === null ? gray : gray + sign * 1.96 * sigma));
-    this.plot.show([rows.map((row) => row.distance), rows.map((row) => row.gray), edge(1), edge(-1)]);
-    const cells = rows.slice(0, MOST_ROWS).map(({ distance, u, v, code, gray, sigma }) =>
-      [shortNumber(distance), u, v, shortNumber(code, 6), shortNumber(gray, 5), sigma === null ? "" : shortNumber(sigma, 2)]);
+    this.plot.show([rows.map((row) => row.distance), rows.map((row) => row.gray), edge(1), edge(-1),
+      rows.map((_, k) => before[k]?.gray ?? null)]);
+    const cells = rows.slice(0, MOST_ROWS).map(({ distance, u, v, code, gray, sigma }, k) =>
+      [shortNumber(distance), u, v, shortNumber(code, 6), shortNumber(gray, 5), sigma === null ? "" : shortNumber(sigma, 2),
+        ...before.slice(k, k + 1).map((row) => shortNumber(row.gray, 5))]);
     const more = rows.length > MOST_ROWS ? [element("p", { class: "note" }, `${rows.length} rows; all are in the CSV`)] : [];
-    this.table.replaceChildren(tableOf("Profile", ["distance [px]", "u", "v", "code", "gray", "± 1 σ"], cells), ...more);
+    this.table.replaceChildren(tableOf("Profile", ["distance [px]", "u", "v", "code", "gray", "± 1 σ", ...(before.length > 0 ? ["gray of A"] : [])], cells), ...more);
   }
 }
 

@@ -48,7 +48,10 @@ export class Readings {
     const { explorer } = this;
     explorer.view.mark({ ...this, codes: await explorer.numbers() });
     await this.showProbe();
-    if (this.line) explorer.profile.show(await explorer.profileRows(this.line));
+    if (this.line) {
+      const before = await explorer.profileRows(this.line, (pixels) => explorer.comparison.values(pixels));
+      explorer.profile.show(await explorer.profileRows(this.line), before);
+    }
     byId("csv", HTMLButtonElement).disabled = this.line === null;
   }
 
@@ -76,6 +79,7 @@ export class Readings {
       element("div", { class: "code", "data-u": String(u), "data-v": String(v) }, String(code)),
       element("div", { class: "gray" }, `gray ${gray.toFixed(2)} ${off} (1 σ)${full}`),
       element("div", { class: "exposure", title: `${exposure} J/m²` }, `H ${exposureText(exposure)}`),
+      ...explorer.comparison.probed(pixel, { ...value, gray, sigma }),
       ...(told ? [tableOf("Parts of the deviation", ["part of σ", "gray"],
         Object.entries(told.parts).map(([name, part]) => [name.replaceAll("_", " "), shortNumber(part, 2)]))] : []),
       ...parts,
@@ -91,10 +95,13 @@ export class Readings {
   async regionTable([u0, v0, u1, v1]) {
     const pixels = [];
     for (let v = v0; v <= v1; v++) for (let u = u0; u <= u1; u++) pixels.push({ u, v });
-    const values = await this.explorer.values(pixels);
+    const { explorer } = this;
+    const values = await explorer.values(pixels);
     const { n, mean, deviation, min, max } = summary(values.map(({ code }) => code));
+    const before = explorer.comparison.values(pixels);
+    const beside = before.length > 0 ? [["mean of A", shortNumber(summary(before.map(({ code }) => code)).mean, 6)]] : [];
     return tableOf("Region", ["region of codes", ""], [["pixels", n], ["mean", shortNumber(mean, 6)],
-      ["deviation", shortNumber(deviation, 4)], ["least", min], ["largest", max]]);
+      ["deviation", shortNumber(deviation, 4)], ["least", min], ["largest", max], ...beside]);
   }
 
   changed() {
@@ -191,6 +198,7 @@ export class Readings {
    */
   pressed(event, columns, rows) {
     const { view } = this.explorer;
+    const { comparison } = this.explorer;
     const step = event.shiftKey || event.altKey ? 10 : 1;
     const move = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
     const from = this.pin ?? this.hover ?? { u: columns >> 1, v: rows >> 1 };
@@ -214,6 +222,7 @@ export class Readings {
       h: () => { this.line = [0, from.v, columns - 1, from.v]; this.changed(); },
       v: () => { this.line = [from.u, 0, from.u, rows - 1]; this.changed(); },
       Enter: () => this.setPin(this.pin ? null : from),
+      a: () => comparison.keep(), b: () => comparison.flip(), t: () => comparison.choose("wipe"), g: () => comparison.choose("difference"),
       "?": () => toggle("help"),
     };
     if (!Object.hasOwn(keys, event.key)) return false;

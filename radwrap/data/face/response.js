@@ -59,6 +59,21 @@ export function grayOf(exposure, sensor) {
 }
 
 /**
+ * The code of a radiant exposure: how many thresholds it has reached.
+ * @param {number} exposure [J/m^2]
+ * @param {Thresholds} thresholds
+ */
+export function rankOf(exposure, { first, values }) {
+  let low = 0, high = values.length;
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (values[middle] <= exposure) low = middle + 1;
+    else high = middle;
+  }
+  return first + low;
+}
+
+/**
  * Radiant exposures at which codes begin.
  * @param {Sensor} sensor
  * @returns {Thresholds}

@@ -38,6 +38,16 @@
  * @typedef {{told: Told, thresholds: Thresholds, exposure: Float32Array, sigma: Float32Array}} Certified
  * An image as the server has made it.
  *
+ * @typedef {{rows: number, columns: number, basis: number, turn: Turn, exposure: Float32Array, sigma: Float32Array,
+ *   thresholds: Thresholds, told: Told}} KeptPicture
+ * A picture that is kept to compare with, as it was certified.
+ *
+ * @typedef {"a" | "b" | "wipe" | "difference"} Shown
+ * What the canvas shows: the kept picture, that of the knobs, both, or the second less the first.
+ *
+ * @typedef {{beyond: number, squares: number, least: number, largest: number}} Apart
+ * How many pixels differ by more than their errors, the sum of squares of all differences, and their extremes [gray level].
+ *
  * @typedef {{code: number, gray: number, sigma: number, radiant_exposure: number, parts: Record<string, number>,
  *   saturated: boolean}} PixelTold
  *

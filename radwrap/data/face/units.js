@@ -60,3 +60,8 @@ export function exposureText(exposure) {
   const [unit, size] = units.find(([, one]) => exposure >= one) ?? units[3];
   return `${shortNumber(exposure / size)} ${unit}`;
 }
+
+/** An error of gray levels with two digits that count. @param {number | null} gray */
+export function errorText(gray) {
+  return gray === null ? "without bound" : gray < 1e-3 ? "0.00" : gray.toPrecision(gray < 10 ? 2 : 3);
+}

@@ -33,6 +33,8 @@ export class View {
     this.off = new OffscreenCanvas(1, 1);
     /** @type {Picture | null} */
     this.picture = null;
+    /** @type {number | null} where a wipe ends, on the canvas */
+    this.edge = null;
     this.watch = new ResizeObserver(() => this.resize());
     this.watch.observe(frame);
     this.resize();
@@ -166,10 +168,35 @@ export class View {
     return u >= 0 && v >= 0 && u < this.columns && v < this.rows ? { u, v } : null;
   }
 
-  /** @param {Picture} picture */
-  show(picture) {
+  /**
+   * @param {Picture} picture
+   * @param {number} curtain up to this share of the frame what lies over the picture is seen
+   */
+  show(picture, curtain) {
     this.picture = picture;
-    const { parts, section } = picture;
+    const screen = /** @type {CanvasRenderingContext2D} */ (this.image.getContext("2d"));
+    const { width, height } = this.image;
+    screen.clearRect(0, 0, width, height);
+    this.paint(screen, picture.parts, picture.section);
+    this.edge = null;
+    if (!picture.over) return;
+    const edge = Math.round(curtain * width);
+    screen.save();
+    screen.beginPath();
+    screen.rect(0, 0, edge, height);
+    screen.clip();
+    screen.clearRect(0, 0, edge, height);
+    this.paint(screen, picture.over, picture.section);
+    screen.restore();
+    this.edge = edge;
+  }
+
+  /**
+   * @param {CanvasRenderingContext2D} screen
+   * @param {Picture["parts"]} parts
+   * @param {Section} section
+   */
+  paint(screen, parts, section) {
     const width = parts[0].width;
     const height = parts.reduce((sum, part) => sum + part.height, 0);
     if (width === 0 || height === 0) return;
@@ -178,9 +205,7 @@ export class View {
     for (const part of parts) {
       if (part.height > 0) off.putImageData(new ImageData(/** @type {any} */ (part.rgba), width, part.height), 0, part.row);
     }
-    const screen = /** @type {CanvasRenderingContext2D} */ (this.image.getContext("2d"));
     screen.imageSmoothingEnabled = false;
-    screen.clearRect(0, 0, this.image.width, this.image.height);
     const { x, y } = this.origin;
     screen.drawImage(this.off, x + section.x0 * this.size, y + section.y0 * this.size, width * this.into, height * this.into);
   }
@@ -205,6 +230,10 @@ export class View {
         pen.stroke();
       }
     };
+    if (this.edge !== null) {
+      const { edge } = this;
+      stroke(() => { pen.moveTo(edge, 0); pen.lineTo(edge, this.marks.height); });
+    }
     if (codes.length > 0) {
       pen.font = `${Math.min(14, size / 2.6)}px system-ui, sans-serif`;
       pen.textAlign = "center";

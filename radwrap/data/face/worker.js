@@ -1,5 +1,6 @@
 // A band of rows of the picture: holds the planes of light, mixes them, and draws what is asked for.
 
+import { differenceOf, graysOf } from "./difference.js";
 import { addPlane, frameOf, ranksOf, sumPlanes, timesOf } from "./mix.js";
 
 const MOST_STEPS = 64; // sums that are changed plane by plane, before they are made anew: float32 forgets
@@ -10,6 +11,14 @@ let planes = [];
 let sum = new Float32Array(0);
 /** @type {Float32Array | null} */
 let certified = null;
+/** @type {Float32Array} */
+let sigma = new Float32Array(0);
+/** @type {Float32Array | null} gray levels of what is certified, once they are needed */
+let grays = null;
+/** @type {{light: Float32Array, gray: Float32Array, sigma: Float32Array, ranks: ReturnType<typeof ranksOf>, codes: number} | null} */
+let kept = null;
+/** @type {any} */
+let sensor = null;
 /** @type {number[]} */
 let factors = [];
 /** @type {ReturnType<typeof ranksOf>} */
@@ -45,6 +54,7 @@ onmessage = (event) => {
       planes = [];
       factors = [];
       certified = null;
+      kept = null;
       sum = new Float32Array(told.rows * columns);
       break;
     case "plane":
@@ -52,12 +62,34 @@ onmessage = (event) => {
       break;
     case "certified":
       certified = told.exposure;
+      grays = null;
+      break;
+    case "deviations":
+      ({ sigma } = told);
+      break;
+    case "kept":
+      kept = { light: told.exposure, gray: graysOf(told.exposure, told.sensor), sigma: new Float32Array(0),
+        ranks: ranksOf(told.thresholds), codes: 2 ** told.sensor.bit_depth };
+      break;
+    case "kept deviations":
+      if (kept) kept.sigma = told.sigma;
       break;
     case "response":
-      codes = told.codes;
+      ({ sensor } = told);
+      codes = 2 ** sensor.bit_depth;
       ranks = ranksOf(told.thresholds);
       break;
     case "frame": {
+      if (told.shown === "a" && kept) {
+        reply(told.id, frameOf(kept.light, columns, top_, 1, kept.ranks, told.section, told.look, kept.codes));
+        break;
+      }
+      if (told.shown === "difference" && kept && certified) {
+        grays ??= graysOf(certified, sensor);
+        const now = { light: certified, gray: grays, sigma, ranks };
+        reply(told.id, differenceOf(kept, now, columns, top_, told.section, told.range, codes));
+        break;
+      }
       if (told.certified && certified) {
         const frame = frameOf(certified, columns, top_, 1, ranks, told.section, told.look, codes);
         reply(told.id, frame);

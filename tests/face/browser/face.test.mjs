@@ -285,6 +285,62 @@ test("a region has its statistics, a profile its band and its table", async (t) 
   assert.deepEqual([await page.inputValue("#low"), await page.inputValue("#high")], ["0", "255"]);
 });
 
+test("A and B: blink, wipe, and a difference against its error", async (t) => {
+  const { page } = await loaded(t);
+  const [rows, columns] = [165, 192];
+  const side = (name) => page.locator(`input[name=side][value=${name}]`);
+  assert.ok(await side("wipe").isDisabled());
+  const a = await picture(page, rows, columns);
+  await page.keyboard.press("a");
+  await type(page, "level:all", "0.5");
+  await measured(page);
+  const b = await picture(page, rows, columns);
+  await page.keyboard.press("b");
+  await redrawn(page);
+  assert.deepEqual(await picture(page, rows, columns), a);
+  await page.keyboard.press("b");
+  await redrawn(page);
+  assert.deepEqual(await picture(page, rows, columns), b);
+  // A wipe in the middle: 192 columns stand in the middle of the canvas.
+  await page.keyboard.press("t");
+  await redrawn(page);
+  const wiped = await picture(page, rows, columns);
+  assert.deepEqual(wiped.map((row) => row.slice(0, 95)), a.map((row) => row.slice(0, 95)));
+  assert.deepEqual(wiped.map((row) => row.slice(99)), b.map((row) => row.slice(99)));
+  // The difference is that of the gray levels before rounding: half a code from the codes at each end.
+  await page.focus("#picture");
+  await page.keyboard.press("g");
+  await page.waitForFunction(() => /B − A: /.test(document.getElementById("compared").textContent));
+  const told = await page.textContent("#compared");
+  const off = b.flatMap((row, v) => row.map((code, u) => code - a[v][u]));
+  const [, share, least, largest, rms] = told.match(/B − A: ([\d.]+) % .* from (\S+) to (\S+) gray, ([\d.]+) rms/);
+  assert.ok(Math.abs(Number(least) - Math.min(...off)) <= 1 && Math.abs(Number(largest) - Math.max(...off)) <= 1);
+  assert.ok(Math.abs(Number(rms) - Math.sqrt(off.reduce((sum, one) => sum + one * one, 0) / off.length)) < 0.2);
+  assert.ok(Number(share) > 10 && Number(share) <= (100 * off.filter((one) => one !== 0).length) / off.length + 0.1);
+  await page.keyboard.press("ArrowRight");
+  await page.waitForFunction(() => document.querySelectorAll("#probe .beside").length === 2);
+  assert.match((await page.locator("#probe .beside").allTextContents()).join("; "), /^A: \d+, gray [\d.]+ ± [\d.]+; B − A: -[\d.]+ ± [\d.]+/);
+  // Other bits are not compared; back at A's knobs there is no difference.
+  await type(page, "bit_depth", "10");
+  await measured(page);
+  assert.match(await page.textContent("#compared"), /other bits/);
+  await page.click("#toa");
+  await measured(page);
+  await page.waitForFunction(() => /0 % of .* from 0.00 to 0.00 gray, 0 rms/.test(document.getElementById("compared").textContent));
+  assert.equal(await field(page, "level:all").inputValue(), "1");
+  await side("blink").check();
+  await page.waitForTimeout(1600);
+  assert.ok(await side("blink").isChecked());
+});
+
+test("nothing blinks for who wants less motion", async (t) => {
+  const { page } = await loaded(t, { reducedMotion: "reduce" });
+  await page.focus("#picture");
+  await page.keyboard.press("a");
+  assert.ok(await page.locator("input[name=side][value=wipe]").isEnabled());
+  assert.ok(await page.locator("input[name=side][value=blink]").isDisabled());
+});
+
 test("a basis that is too large to mix: the picture follows when a knob rests", async (t) => {
   const code = "import radwrap.face.app as app, sys; app.MOST_PLANES = 1; from radwrap.cli.main import main; sys.exit(main())";
   const own = await served([join(ROOT, ".venv/bin/python"), "-c", code], ["--tolerance", "2"]);
@@ -458,6 +514,8 @@ test("a trace in the light of the knobs takes their place", async (t) => {
   const own = await serve("--tolerance", "2");
   t.after(() => own.process.kill("SIGTERM"));
   const { page } = await loaded(t, { at: own.link });
+  await page.focus("#picture");
+  await page.keyboard.press("a");
   await type(page, "level:all", "2");
   await measured(page);
   await page.click("#trace");
@@ -465,6 +523,11 @@ test("a trace in the light of the knobs takes their place", async (t) => {
   await page.waitForFunction(() => /basis_2/.test(document.getElementById("command").textContent), undefined, { timeout: PATIENCE });
   await measured(page);
   assert.equal(await field(page, "level:all").inputValue(), "1");
+  // A stays, to be compared with; its knobs were those of another trace.
+  await page.focus("#picture");
+  await page.keyboard.press("g");
+  await page.waitForFunction(() => /B − A: [1-9]/.test(document.getElementById("compared").textContent));
+  assert.ok(await page.locator("#toa").isDisabled());
 });
 
 test("the page in one file works from a folder and in a notebook's frame", async (t) => {

@@ -2,8 +2,9 @@
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
+import { colourOf, differenceOf, graysOf, together } from "../../../radwrap/data/face/difference.js";
 import { addPlane, codeOf, coloursOf, frameOf, MAPS, ranksOf, sumPlanes, timesOf } from "../../../radwrap/data/face/mix.js";
-import { grayOf, thresholdsOf, turnedSensor } from "../../../radwrap/data/face/response.js";
+import { grayOf, rankOf, thresholdsOf, turnedSensor } from "../../../radwrap/data/face/response.js";
 import { History, sameTurn, untouched, withKnob, withLevels } from "../../../radwrap/data/face/state.js";
 import { draggedWindow, grouped, linePixels, profileCsv, quantile, stripPixels, summary } from "../../../radwrap/data/face/statistics.js";
 import { exposureText, parseNumber, parseTime, percent, shortNumber, timeText } from "../../../radwrap/data/face/units.js";
@@ -56,6 +57,7 @@ test("codes are ranks among thresholds, at each of them and one float below", ()
     assert.equal(at, slow(values[k]));
     word[0]--;
     assert.equal(codeOf(float[0], ranks), slow(float[0]));
+    assert.equal(rankOf(float[0], { first: 3, values }), slow(float[0]));
   }
   assert.equal(codeOf(0, ranks), 3);
   assert.equal(codeOf(1e30, ranks), 3 + values.length);
@@ -245,4 +247,45 @@ test("dragging to the right narrows black and white, up makes brighter", () => {
   assert.deepEqual(draggedWindow([0, 200], 150, 0), [50, 150]);
   assert.deepEqual(draggedWindow([0, 200], 0, -150), [-100, 100]);
   assert.deepEqual(draggedWindow([10, 11], 3000, 0), [10, 11]);
+});
+
+test("a difference is that of gray levels, and sure beyond 1.96 deviations of both", () => {
+  const sensor = { ...EQ5, gamma: 1, gain: 1, dark_gray: 0, saturation_gray: 255 }; // gray = light
+  const ranks = ranksOf(thresholdsOf(sensor));
+  const side = (light, sigma) => ({ light: Float32Array.from(light), gray: graysOf(Float32Array.from(light), sensor),
+    sigma: Float32Array.from(sigma), ranks });
+  const a = side([10, 10, 10, 10, 10, 10], [3, 3, 3, 3, 0, 0]);
+  const b = side([10, 19.75, 20, 0, 10.5, 10], [4, 4, 4, 4, 0, 0]); // five together: 9.8 gray levels are sure
+  const all = { x0: 0, y0: 0, x1: 3, y1: 2, bin: 1 };
+  const { rgba, width, height, counts, apart } = differenceOf(a, b, 3, 0, all, 20, 256);
+  assert.deepEqual([width, height], [3, 2]);
+  assert.deepEqual(apart, { beyond: 3, squares: 9.75 ** 2 + 100 + 100 + 0.25, least: -10, largest: 10 });
+  assert.equal(counts[10], 2);
+  const colours = new Uint32Array(rgba.buffer);
+  const same = 0xff767676;
+  assert.deepEqual([...colours], [same, same, colourOf(0.5), colourOf(-0.5), colourOf(0.025), same]);
+  const bright = (colour) => (colour & 255) + ((colour >> 8) & 255) + ((colour >> 16) & 255);
+  assert.ok(bright(colourOf(0.05)) > bright(same) && bright(same) > bright(colourOf(-0.05))); // without colours too
+  assert.equal(colourOf(7), colourOf(1));
+});
+
+test("one pixel that differs is seen in a bin, and bands are one picture", () => {
+  const rows = 480, columns = 50, place = 300 * columns + 37;
+  const sensor = { ...EQ5, gamma: 1, gain: 1, dark_gray: 0, saturation_gray: 255 };
+  const ranks = ranksOf(thresholdsOf(sensor));
+  const light = new Float32Array(rows * columns).fill(100);
+  const other = light.slice();
+  other[place] = 150;
+  const sigma = new Float32Array(light.length).fill(1);
+  const section = { x0: 0, y0: 0, x1: columns, y1: rows, bin: 6 };
+  const bands = [0, 240].map((top) => {
+    const cut = (all) => all.subarray(top * columns, (top + 240) * columns);
+    const side = (all) => ({ light: cut(all), gray: graysOf(cut(all), sensor), sigma: cut(sigma), ranks });
+    return differenceOf(side(light), side(other), columns, top, section, 50, 256);
+  });
+  assert.deepEqual(together(bands.map(({ apart }) => apart)), { beyond: 1, squares: 2500, least: 0, largest: 50 });
+  assert.deepEqual(bands.map(({ row, width, height }) => [row, width, height]), [[0, 9, 40], [40, 9, 40]]);
+  const shown = bands.flatMap(({ rgba }) => [...new Uint32Array(rgba.buffer)]);
+  assert.deepEqual(shown.flatMap((colour, k) => (colour === colourOf(1) ? [k] : [])), [50 * 9 + 6]);
+  assert.equal(shown.filter((colour) => colour === 0xff767676).length, shown.length - 1);
 });
