@@ -5,10 +5,13 @@ from __future__ import annotations
 import asyncio
 import json
 import sys
+import threading
 import time
 import traceback
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
-from typing import Any, Final
+from contextlib import suppress
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 from starlette.applications import Starlette
@@ -24,6 +27,10 @@ from radwrap.face.saving import save, scene_text, turned_scene
 from radwrap.face.session import Image, Session, Status, Traced
 from radwrap.images import png_bytes
 from radwrap.imaging.page.turn import Turn, turn_of
+from radwrap.scene.file.load import with_camera
+
+if TYPE_CHECKING:
+    from radwrap.face.measuring import Measured
 
 _BLOCK: Final = 1 << 20  # byte; a client that reads slowly makes us hold no more than a few
 _LOOK: Final = 0.1  # s between looks at how far a trace is
@@ -33,6 +40,7 @@ MOST_PLANES: Final = 512 << 20  # byte; a page with more of them leaves mixing t
 _OCTETS: Final = "application/octet-stream"
 
 Numbers = np.ndarray[Any, Any]
+_T = TypeVar("_T")
 Answer = Callable[[Request], Awaitable[Response]]
 
 
@@ -50,6 +58,7 @@ def gated(session: Session, *, port: int, token: str) -> App:
             ("profile", answers.profile),
             ("png", answers.png),
             ("scene", answers.scene),
+            ("measure", answers.measure),
             ("save", answers.save),
             ("trace", answers.trace),
             ("stop", answers.stop),
@@ -78,6 +87,8 @@ def _careful(answer: Answer) -> Answer:
     async def careful(request: Request) -> Response:
         try:
             return await answer(request)
+        except _Gone:
+            return Response(status_code=499)
         except RadwrapError as error:
             told = {"error": error.what, "where": error.where, "remedy": error.remedy, "text": str(error)}
             return JSONResponse(told, status_code=422)
@@ -103,6 +114,7 @@ class _Answers:
     def __init__(self, session: Session) -> None:
         self._session = session
         self._one = asyncio.Lock()
+        self._measuring = asyncio.Lock()
         self._watchers = 0
         self._watched = 0.0
 
@@ -165,10 +177,7 @@ class _Answers:
         """An image: its error in a line of JSON, then thresholds, radiant exposure and deviations as float32."""
         traced, told = await self._asked(request)
         turn = _turn(told, traced)
-        try:
-            image = await self._image(request, traced, turn)
-        except _Gone:
-            return Response(status_code=499)
+        image = await self._image(request, traced, turn)
         blocks = (image.thresholds.values, image.relit.radiant_exposure.values, image.sigma)
 
         async def each() -> AsyncIterator[Numbers]:
@@ -193,6 +202,16 @@ class _Answers:
         ends = ends_of(told.get("profile"), *image.sigma.shape)
         table = profile_table(image, ends, width_of(told.get("width")))
         return Response(table, media_type="text/csv; charset=utf-8")
+
+    async def measure(self, request: Request) -> Response:
+        """What an algorithm reads from an image, with its error; one image at a time, beside those of the knobs."""
+        traced, told = await self._asked(request, kept=True)
+        image = await self._image(request, traced, _turn(told, traced))
+        async with self._measuring:
+            if await request.is_disconnected():
+                raise _Gone
+            found = await left_behind(lambda: _measured(traced, image))
+        return JSONResponse({"measured": [_finite(asdict(one)) for one in found]})
 
     async def png(self, request: Request) -> Response:
         """The image as gray.png has it."""
@@ -246,6 +265,33 @@ class _Answers:
             if await request.is_disconnected():
                 raise _Gone
             return await asyncio.to_thread(traced.image, turn)
+
+
+def _measured(traced: Traced, image: Image) -> list[Measured]:
+    from radwrap.face.measuring import measured  # with OpenCV and SciPy, which the first picture need not wait for
+
+    return measured(with_camera(traced.scene, image.changes), image.relit)
+
+
+async def left_behind(work: Callable[[], _T]) -> _T:
+    """Work in a thread that the server's end does not wait for."""
+    loop = asyncio.get_running_loop()
+    done: asyncio.Future[_T] = loop.create_future()
+
+    def tell(set_to: Callable[[Any], None], what: Any) -> None:
+        if not done.done():
+            set_to(what)
+
+    def carry_out() -> None:
+        try:
+            told: tuple[Callable[[Any], None], Any] = (done.set_result, work())
+        except Exception as error:  # noqa: BLE001  (raised where it is waited for)
+            told = (done.set_exception, error)
+        with suppress(RuntimeError):  # the server has ended
+            loop.call_soon_threadsafe(tell, *told)
+
+    threading.Thread(target=carry_out, daemon=True).start()
+    return await done
 
 
 def _told(body: bytes) -> dict[str, Any]:

@@ -32,7 +32,7 @@ from radwrap.errors import (
 from radwrap.files import make_folder
 from radwrap.images import GrayImage, write_png
 from radwrap.imaging.output.folder import is_whole
-from radwrap.imaging.relight.relit import read_basis, relit
+from radwrap.imaging.relight.relit import Relit, read_basis, relit
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.rendered import Rendered
 from radwrap.imaging.response.sensor import gray_levels
@@ -250,6 +250,18 @@ def seen_of(scene: Scene, result: Rendered, out: Path, fields: ErrorFields) -> S
     return replace(seen, replicates=kept, model=model)
 
 
+def seen_of_relit(scene: Scene, image: Relit, fields: ErrorFields) -> Seen:
+    """What is measured of an image that a light basis gives for some levels, in the scene's camera."""
+    gray = gray_levels(image.radiant_exposure.values, scene.camera.sensor)
+    certificate, radii = image.certificate, blur_radii(scene)
+    seen = Seen(scene, image.gray, gray, image_error(gray, certificate.rms_gray_upper95, radii), fields)
+    seen = replace(seen, exposure=image.radiant_exposure.values)
+    if image.replicates is None:
+        return seen
+    model = model_error(gray, certificate.model_rms_gray, certificate.discretisation_rms_gray, radii)
+    return replace(seen, replicates=image.replicates, model=model)
+
+
 def _known(job: Job) -> dict[str, Any]:
     """What decides frames and users' functions, besides the image."""
     return {"seed": job.options.seed, "home": Path(job.home or job.folder)}
@@ -264,22 +276,15 @@ def _relit(job: Job, scene: Scene, out: Path, start: float) -> Iterator[Outcome]
     assert job.reference is not None  # noqa: S101  (asked before)
     basis = read_basis(out)
     levels = [factors(run.levels, job.reference, basis.sources) for run in job.runs]
-    radii = blur_radii(scene)
-    fields = _fields(job, scene, radii)
+    fields = _fields(job, scene, blur_radii(scene))
     for run, shares, image in zip(job.runs, levels, relit(basis, levels), strict=True):
-        gray = gray_levels(image.radiant_exposure.values, scene.camera.sensor)
-        certificate = image.certificate
-        seen = Seen(scene, image.gray, gray, image_error(gray, certificate.rms_gray_upper95, radii), fields)
-        if image.replicates is not None:
-            model = model_error(gray, certificate.model_rms_gray, certificate.discretisation_rms_gray, radii)
-            seen = replace(seen, replicates=image.replicates, model=model)
         told = {
             "schema_version": SCHEMA_VERSION,
             "scene_sha256": basis.scene_sha256,
             "levels": dict(zip(basis.sources, map(float, shares), strict=True)),
-            "error": plain(certificate, named=False),
+            "error": plain(image.certificate, named=False),
         }
-        seen = replace(seen, exposure=image.radiant_exposure.values, told=told, **_known(job))
+        seen = replace(seen_of_relit(scene, image, fields), told=told, **_known(job))
         yield _outcome(job, run, seen, met=image.keeps(basis), wall_s=time.monotonic() - start)
         start = time.monotonic()
 

@@ -5,6 +5,7 @@ import { byId, download, element } from "./dom.js";
 import { Field } from "./field.js";
 import { take } from "./handover.js";
 import { KnobPanel } from "./knobs.js";
+import { Measurement } from "./measuring.js";
 import { coloursOf } from "./mix.js";
 import { HistogramPlot, ProfilePlot } from "./plots.js";
 import { Readings } from "./readings.js";
@@ -65,6 +66,7 @@ export class Explorer {
       () => this.history.rest());
     this.readings = new Readings(this, this.leave.signal);
     this.comparison = new Comparison(this, a, this.leave.signal);
+    this.measurement = new Measurement(this, this.leave.signal);
     this.profile = new ProfilePlot(fresh("profile"), byId("profiletable"));
     this.histogram = new HistogramPlot(fresh("histogram"), byId("histogramtable"));
     this.listen();
@@ -127,6 +129,7 @@ export class Explorer {
     this.certified = null;
     this.asking?.abort();
     this.setStale("measuring");
+    this.measurement.turned();
     this.respond();
     this.comparison.refresh();
     this.draw();

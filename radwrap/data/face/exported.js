@@ -6,7 +6,7 @@ import { Explorer } from "./explorer.js";
 /** @typedef {import("./types.js").Turn} Turn */
 
 const CANNOT = "This page has no server. It mixes light, exposure and sensor by itself, to one code in ten thousand pixels; "
-  + "the error is that of the scene's own levels, and is not measured for others. It cannot trace, save, compare, or give gray.png "
+  + "the error is that of the scene's own levels, and is not measured for others. It cannot trace, save, compare, measure, or give gray.png "
   + "and scene.toml: radwrap face does.";
 
 /** @param {string} text */
@@ -57,7 +57,7 @@ const page = new Explorer(new Exported(held), held.described, {
     byId("banner").textContent = text ?? "";
   },
 });
-for (const id of ["png", "toml", "comparing"]) byId(id).hidden = true;
+for (const id of ["png", "toml", "comparing", "measurement"]) byId(id).hidden = true;
 const { binned } = held.described;
 const coarse = binned > 1 ? ` ${binned} × ${binned} pixels are one here: codes are those of their mean light.` : "";
 byId("cannot").textContent = CANNOT + coarse;

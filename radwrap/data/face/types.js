@@ -51,6 +51,9 @@
  * @typedef {{code: number, gray: number, sigma: number, radiant_exposure: number, parts: Record<string, number>,
  *   saturated: boolean}} PixelTold
  *
+ * @typedef {{name: string, what: string, unit: string, value: number | null, error: number | null, notes: string[]}} Measured
+ * What an algorithm reads, with its standard uncertainty; null where the picture does not show it.
+ *
  * @typedef {{x0: number, y0: number, x1: number, y1: number, bin: number}} Section
  * Pixels of the image from x0, y0 up to before x1, y1, of which bin x bin become one.
  *

@@ -341,6 +341,23 @@ test("nothing blinks for who wants less motion", async (t) => {
   assert.ok(await page.locator("input[name=side][value=blink]").isDisabled());
 });
 
+test("what algorithms read is told with its error, and of which knobs it is", async (t) => {
+  const { page } = await loaded(t);
+  assert.equal(await page.locator("#measured table").count(), 0);
+  await page.click("#measure");
+  const rows = page.locator("#measured tbody tr");
+  await rows.first().waitFor();
+  assert.deepEqual(await page.locator("#measured th[scope=row]").allTextContents(), ["dot error", "focal length", "contrast"]);
+  assert.match(await rows.nth(1).textContent(), /^focal length12\.\d+ ± 0\.\d+ mm$/);
+  assert.match(await page.textContent("#measuredof"), /as it is shown/);
+  await type(page, "level:all", "0");
+  await measured(page);
+  assert.match(await page.textContent("#measuredof"), /before they were turned/);
+  await page.click("#measure");
+  await page.waitForFunction(() => /as it is shown/.test(document.getElementById("measuredof").textContent));
+  assert.match(await rows.first().textContent(), /not found$/);
+});
+
 test("a basis that is too large to mix: the picture follows when a knob rests", async (t) => {
   const code = "import radwrap.face.app as app, sys; app.MOST_PLANES = 1; from radwrap.cli.main import main; sys.exit(main())";
   const own = await served([join(ROOT, ".venv/bin/python"), "-c", code], ["--tolerance", "2"]);
