@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
             f"needs the package {error.name}", where="face", remedy="install it: pip install 'radwrap[face]'"
         ) from error
     browser = None if arguments.no_browser or not _has_screen() else _open
-    recipe = Recipe(_words(arguments), _python(arguments), _unusual(options))
+    recipe = Recipe(_words(arguments), arguments.scene, shared.overrides_of(arguments), _unusual(options))
     serve(scene, options, port=arguments.port, out=out, recipe=recipe, opened=browser)
     return 0
 
@@ -118,12 +118,6 @@ def _words_for_others(arguments: argparse.Namespace) -> tuple[str, ...]:
         return ()
     given = argparse.Namespace(**{**vars(arguments), "scene": Path(arguments.scene).name})
     return _words(given)
-
-
-def _python(arguments: argparse.Namespace) -> str:
-    """The scene as a Python expression."""
-    changes = shared.overrides_of(arguments)
-    return f"radwrap.load_scene({arguments.scene!r}{f', {changes!r}' if changes else ''})"
 
 
 def _unusual(options: dict[str, Any]) -> dict[str, Any]:

@@ -240,8 +240,12 @@ class _Answers:
         return JSONResponse({"folder": str(folder), "note": note})
 
     async def trace(self, request: Request) -> Response:
-        """Begin to trace: in the light of a turn where there is one, else the scene again."""
+        """Begin to trace: with other values where rays are needed, in the light of a turn, else the scene again."""
         told = _told(await request.body())
+        if "rays" in told:
+            self._session.traced(_number(told))
+            await asyncio.to_thread(self._session.trace_with, told["rays"])
+            return JSONResponse({})
         turn = None
         if told.get("turn") is not None:
             turn = turn_of(told["turn"], self._session.finished(_number(told)).sources)

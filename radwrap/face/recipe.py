@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from radwrap.imaging.page.turn import Turn, relight_python, relight_words, spelled
@@ -18,23 +19,36 @@ class Recipe:
     words : tuple of str
         Of the command, without its folder.
     scene : str
-        The scene as a Python expression.
+        The scene's file.
+    overrides : Mapping
+        Keys that the command changes -> values.
     options : Mapping
         Of `radwrap.render`, as far as they are not usual.
+    turned : Mapping
+        Keys that the page has changed since -> values as the scene file has them.
     """
 
     words: tuple[str, ...]
     scene: str
+    overrides: Mapping[str, Any]
     options: Mapping[str, Any]
+    turned: Mapping[str, Any] = field(default_factory=dict)
+
+    def changed(self, changes: Mapping[str, Any]) -> Recipe:
+        """With other values of some keys."""
+        return replace(self, turned={**self.turned, **changes})
 
     def command(self, folder: str) -> list[str]:
         """Words of the command that makes the basis in a folder."""
-        return [*self.words, "--out", folder]
+        sets = (f"{key}={json.dumps(value, ensure_ascii=False)}" for key, value in self.turned.items())
+        return [*self.words, *(word for text in sets for word in ("--set", text)), "--out", folder]
 
     def python(self, folder: str) -> str:
         """The expression that does the same."""
         options = "".join(f", {name}={value!r}" for name, value in self.options.items())
-        return f"radwrap.render({self.scene}, {folder!r}, basis=True{options})"
+        changes = {**self.overrides, **self.turned}
+        scene = f"radwrap.load_scene({self.scene!r}{f', {changes!r}' if changes else ''})"
+        return f"radwrap.render({scene}, {folder!r}, basis=True{options})"
 
 
 def lines(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 import threading
 from collections import OrderedDict
 from collections.abc import Mapping
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import Cancelled, InputError, RadwrapError
 from radwrap.face.coarse import Coarse, coarse_of
+from radwrap.face.ray_knobs import ray_changes, ray_knobs, with_rays
 from radwrap.face.recipe import Recipe, lines
 from radwrap.face.renderer import Renderer
 from radwrap.imaging.forecast.effects import Effect
@@ -91,7 +93,10 @@ class Traced:
     coarse : Coarse or None
         How it was traced where it stands for another that is not there yet.
     replaces : int
-        Number of the coarse basis that stood for this one; 0 where there was none.
+        Number of the basis whose knobs go on in this one: a coarse one that stood for it, or that of which rays have
+        changed; 0 where there was none.
+    ray_knobs : Mapping
+        See `ray_knobs`; of the scene without larger pixels.
     """
 
     number: int
@@ -103,6 +108,7 @@ class Traced:
     place: str = ""
     coarse: Coarse | None = None
     replaces: int = 0
+    ray_knobs: Mapping[str, str] = field(default_factory=dict)
     _images: OrderedDict[Turn, Image] = field(default_factory=OrderedDict)
     _one: threading.Lock = field(default_factory=threading.Lock)
 
@@ -148,7 +154,7 @@ class Traced:
         """What a page shows of it."""
         block = 0 if self.coarse is None else self.coarse.block
         told = described(self.scene, self.relighter.basis, self.run)
-        return {"basis": self.number, "coarse": block, "replaces": self.replaces, **told}
+        return {"basis": self.number, "coarse": block, "replaces": self.replaces, **told, "ray_knobs": self.ray_knobs}
 
     def told(self, turn: Turn, image: Image) -> dict[str, Any]:
         """What a page shows of an image."""
@@ -308,6 +314,8 @@ class Session:
     def trace(self, turn: Turn | None = None) -> None:
         """Begin to trace: the scene, or that of the present basis with its knobs turned; not while one is traced.
 
+        Its knobs then are at 1.
+
         Raises
         ------
         InputError
@@ -322,26 +330,49 @@ class Session:
                 changes = changes_of(turn, present.scene.camera)
                 scene = with_levels(present.scene, dict(zip(present.sources, turn.factors, strict=True)), changes)
                 recipe = None
-            self._traces += 1
-            self._renderer.begin()
-            self._status = Status("tracing")
-            self._thread = threading.Thread(target=self._carry_out, args=(scene, recipe, self._traces), daemon=True)
-            self._thread.start()
+            self._begin(scene, recipe)
+
+    def trace_with(self, told: Any) -> None:
+        """Begin to trace the scene with other values of knobs that need rays; what is traced is stopped before.
+
+        Raises
+        ------
+        InputError
+            As `ray_changes` and `load_scene`; what is traced then goes on.
+        """
+        with self._guard:
+            with_rays(self._scene, ray_changes(told, self._scene))
+            if self._thread is not None:
+                self._renderer.stop()
+                self._thread.join()
+            changes = ray_changes(told, self._scene)  # the trace may have come to its end
+            if not changes and self._traced is not None and self._traced.coarse is None:
+                self._status = Status("ready")
+                return
+            recipe = None if self._recipe is None else self._recipe.changed(changes)
+            self._begin(with_rays(self._scene, changes), recipe, anew=True)
+
+    def _begin(self, scene: Scene, recipe: Recipe | None, *, anew: bool = False) -> None:
+        self._traces += 1
+        self._renderer.begin()
+        self._status = Status("tracing")
+        self._thread = threading.Thread(target=self._carry_out, args=(scene, recipe, self._traces, anew), daemon=True)
+        self._thread.start()
 
     def stop(self) -> None:
         """Stop tracing."""
         self._renderer.stop()
 
-    def _carry_out(self, scene: Scene, recipe: Recipe | None, trace: int) -> None:
+    def _carry_out(self, scene: Scene, recipe: Recipe | None, trace: int, anew: bool) -> None:
         name = "basis" if trace == 1 else f"basis_{trace}"
         folder = (self.out or self._work) / name
         try:
-            if self._traced is None and not (folder / MANIFEST).exists():  # a finished one is read back at once
-                self._show_coarse(scene)
+            stood = self._traced.number if self._traced is not None and (anew or self._traced.coarse) else 0
+            if (self._traced is None or anew) and not (folder / MANIFEST).exists():  # a finished one is read at once
+                stood = self._show_coarse(scene, recipe, trace, stood)
             self._render(scene, self._options, folder)
             place = str(folder) if self.out else name
-            stood = self._traced.number if self._traced is not None and self._traced.coarse is not None else 0
-            self._traced = self._read(scene, folder, recipe=recipe, place=place, replaces=stood)
+            self._show(self._read(scene, folder, recipe=recipe, place=place, replaces=stood))
             self._scene, self._recipe = scene, recipe
             self._status = Status("ready")
         except Cancelled:
@@ -352,20 +383,36 @@ class Session:
             told = InputError(getattr(error, "strerror", None) or "not enough memory", where=str(folder))
             self._status = Status("failed", error=told)
 
-    def _show_coarse(self, scene: Scene) -> None:
-        """A coarse picture for the time until the asked one is there; what keeps it from being made is told by that."""
+    def _show_coarse(self, scene: Scene, recipe: Recipe | None, trace: int, replaces: int) -> int:
+        """A coarse picture for the time until the asked one is there; what keeps it from being made is told by that.
+
+        Returns
+        -------
+        int
+            Number of the basis that the next one replaces.
+        """
         coarse = coarse_of(scene, self._options)
         if coarse is None:
-            return
-        folder = self._work / "coarse"
+            return replaces
+        folder = self._work / f"coarse_{trace}"
         try:
             self._render(coarse.scene, coarse.options, folder)
-            self._traced = self._read(coarse.scene, folder, coarse=coarse)
+            found = self._read(coarse.scene, folder, coarse=coarse, replaces=replaces, ray_knobs=ray_knobs(scene))
         except Cancelled:
             raise
         except (RadwrapError, OSError, MemoryError):
-            pass
-        self._status = Status("tracing")
+            return replaces
+        finally:
+            self._status = Status("tracing")
+        self._show(found)
+        self._scene, self._recipe = scene, recipe  # a trace that is stopped now goes on with them
+        return found.number
+
+    def _show(self, found: Traced) -> None:
+        """A basis takes the place of the one before, whose folder is of no use if it is not for keeping."""
+        before, self._traced = self._traced, found
+        if before is not None and before.folder.parent == self._work:
+            shutil.rmtree(before.folder, ignore_errors=True)
 
     def _render(self, scene: Scene, options: Mapping[str, Any], folder: Path) -> None:
         request = {
@@ -380,6 +427,7 @@ class Session:
     def _read(self, scene: Scene, folder: Path, **more: Any) -> Traced:
         relighter = Relighter(read_basis(folder))
         self._number += 1
+        more = {"ray_knobs": ray_knobs(scene), **more}
         return Traced(self._number, scene, folder, read_run_manifest(folder), relighter, **more)
 
     def _progressed(self, done: int, of: int) -> None:

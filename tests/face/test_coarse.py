@@ -78,7 +78,7 @@ def session(worth_it: None, tmp_path: Path) -> Iterator[Session]:
         {"tolerance": 2.0, "tracer": "radiance"},
         work=tmp_path / "work",
         out=None,
-        recipe=Recipe(("x",), "s", {}),
+        recipe=Recipe(("x",), "s", {}, {}),
     )
     yield found
     found.close()

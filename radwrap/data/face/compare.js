@@ -17,6 +17,7 @@ export class Comparison {
   constructor(explorer, a, signal) {
     this.explorer = explorer;
     const { rows, columns, coarse } = explorer.described;
+    this.held = a; // a coarse picture hands it on
     /** @type {KeptPicture | null} */
     this.a = a && !coarse && a.rows === rows && a.columns === columns ? a : null;
     /** @type {Mode} */
@@ -50,6 +51,7 @@ export class Comparison {
     if (!certified || coarse) return;
     const { exposure, sigma, thresholds, told } = certified;
     this.a = { rows, columns, basis, turn: history.now, exposure, sigma, thresholds, told };
+    this.held = this.a;
     this.share();
     this.explorer.draw();
   }

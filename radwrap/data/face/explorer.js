@@ -1,13 +1,14 @@
 // One basis on the page: knobs, picture, readings, and the server's word on each turn once the knobs rest.
 
 import { Comparison } from "./compare.js";
-import { byId, download, element } from "./dom.js";
+import { byId, download, element, focusKnob } from "./dom.js";
 import { Field } from "./field.js";
 import { take } from "./handover.js";
 import { KnobPanel } from "./knobs.js";
 import { Measurement } from "./measuring.js";
 import { coloursOf } from "./mix.js";
 import { HistogramPlot, ProfilePlot } from "./plots.js";
+import { RayKnobs } from "./ray_knobs.js";
 import { Readings } from "./readings.js";
 import { grayOf, rankOf, thresholdsOf, turnedSensor } from "./response.js";
 import { History, sameTurn, untouched } from "./state.js";
@@ -73,7 +74,9 @@ export class Explorer {
     this.resetWindow();
     if (kept) take(this, kept);
     this.tellLeftOut();
-    byId("rays").textContent = "Pose, opening, focus, materials and targets need rays: change them in the scene file."
+    this.rayKnobs = new RayKnobs(this);
+    if (kept?.focus?.knob.startsWith("ray:")) focusKnob(kept.focus);
+    byId("rays").textContent = "Materials, and what else is not here, need rays too: change them in the scene file."
       + (described.dark_sources.length ? ` Dark in the scene, so without a knob: ${described.dark_sources.join(", ")}.` : "");
     if (!described.mixes) byId("rays").append(" This basis is too large to be mixed in the page: the picture follows when a knob rests.");
     byId("save").hidden = !described.saves || Boolean(described.coarse);

@@ -1,4 +1,4 @@
-// What a coarse picture leaves to the one that it stood for: knobs, probe, lines, view, focus.
+// What a picture leaves to the one that takes its place, of finer or coarser pixels, or with other rays: knobs, probe, lines, view, focus.
 
 import { byId, focusedKnob, focusKnob } from "./dom.js";
 
@@ -6,15 +6,16 @@ import { byId, focusedKnob, focusKnob } from "./dom.js";
 /** @typedef {import("./types.js").Kept} Kept */
 
 /**
- * What of a coarse picture goes on in the next one; null where that is another scene, or nothing was there.
+ * What of a picture goes on in the next one; null where that is another scene, or nothing was there.
  * @param {Explorer | null} before
  * @param {import("./types.js").Described} next
  * @returns {Kept | null}
  */
 export function keptOf(before, next) {
   if (!before) return null;
-  const { basis, coarse: block, sources } = before.described;
-  if (!block || next.replaces !== basis || sources.length !== next.sources.length) return null;
+  const { basis, coarse, sources } = before.described;
+  if (next.replaces !== basis || sources.length !== next.sources.length) return null;
+  const block = (coarse || 1) / (next.coarse || 1);
   const { view, readings: { pin, line, region } } = before;
   /** @param {number} place @param {number} most */
   const middle = (place, most) => Math.min(most - 1, Math.floor((place + 0.5) * block));

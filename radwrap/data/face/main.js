@@ -64,7 +64,7 @@ async function begin() {
           await pause(HAND);
           continue;
         }
-        const kept = keptOf(explorer, told.described), a = explorer?.comparison.a ?? null;
+        const kept = keptOf(explorer, told.described), a = explorer?.comparison.held ?? null;
         explorer?.close();
         banner(null);
         explorer = new Explorer(server, told.described, { state: told.described.coarse ? () => {} : state, banner }, kept, a);
@@ -84,6 +84,7 @@ async function begin() {
         state("failed", "bad");
         banner(told.error ?? "the trace failed");
       }
+      if (told.state !== "ready") explorer?.rayKnobs.back();
       if (told.state === "stopped") state(explorer?.described.coarse ? "stopped, coarse" : "stopped", "stale");
       const whole = explorer && !explorer.described.coarse ? explorer : null;
       trace.textContent = whole ? "Trace in this light" : "Trace";

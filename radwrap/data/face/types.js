@@ -19,7 +19,8 @@
  *
  * @typedef {{basis: number, title: string, rows: number, columns: number, sources: Source[], dark_sources: string[],
  *   exposure_time: number, exposure_of_radiance: number, sensor: Sensor, tolerance: number, left_out: Effect[],
- *   warnings: string[], mixes: boolean, saves: boolean, coarse?: number, replaces?: number}} Described
+ *   warnings: string[], mixes: boolean, saves: boolean, coarse?: number, replaces?: number,
+ *   ray_knobs?: Record<string, string>}} Described
  * A coarse picture tells how many pixels a side are one; the next one tells which coarse picture stood for it.
  *
  * @typedef {{history: import("./state.js").History, pin: {u: number, v: number} | null, line: number[] | null,

@@ -358,6 +358,51 @@ test("what algorithms read is told with its error, and of which knobs it is", as
   assert.match(await rows.first().textContent(), /not found$/);
 });
 
+test("a knob that needs rays traces anew, coarse first, with the other knobs where they are", async (t) => {
+  const own = await serve("--tolerance", "1");
+  t.after(() => own.process.kill("SIGTERM"));
+  const { page } = await loaded(t, { at: own.link, expected: /422/ });
+  await page.focus("#picture");
+  await page.keyboard.press("a");
+  await type(page, "level:ring.led03", "0.5");
+  await measured(page);
+  const opening = page.locator('[data-knob="ray:camera.aperture.diameter"] input');
+  assert.equal(await opening.inputValue(), "0.1 mm");
+  await opening.fill("0.1 deg");
+  await opening.press("Enter");
+  await page.waitForFunction(() => document.querySelector("#rayknobs .wrong").textContent !== "");
+  assert.match(await page.textContent("#rayknobs .wrong"), /camera.aperture.diameter/);
+  assert.equal(await opening.getAttribute("aria-invalid"), "true");
+  assert.equal(await page.textContent("#state"), "measured");
+  const frames = [];
+  await page.exposeFunction("told", (text) => { if (frames.at(-1) !== text) frames.push(text); });
+  await page.evaluate(() => {
+    const kept = document.getElementById("kept");
+    new MutationObserver(() => { void globalThis.told(kept.textContent.replace(/:.*/, "")); }).observe(kept, { childList: true });
+  });
+  await opening.fill("0.2 mm");
+  await opening.press("Enter");
+  await page.waitForFunction(() => /diameter="0.2 mm"/.test(document.getElementById("command").textContent), undefined, { timeout: PATIENCE });
+  await measured(page);
+  assert.ok(frames.indexOf("coarse picture") >= 0 && frames.indexOf("coarse picture") < frames.indexOf("tolerance 1 kept"), String(frames));
+  assert.equal(await opening.inputValue(), "0.2 mm");
+  assert.equal(await field(page, "level:ring.led03").inputValue(), "0.5");
+  assert.match(await page.textContent("#command"), /--level ring.led03=0.5 /);
+  // A is still there; so is the way back.
+  await page.focus("#picture");
+  await page.keyboard.press("g");
+  await page.waitForFunction(() => /B − A: [1-9]/.test(document.getElementById("compared").textContent));
+  // Esc ends the next trace within half a second, and leaves a picture.
+  await page.fill('[data-knob="ray:camera.aperture.diameter"] input', "0.3 mm");
+  await page.keyboard.press("Enter");
+  await page.waitForFunction(() => !document.getElementById("stop").hidden);
+  await page.keyboard.press("Escape");
+  await page.waitForFunction(() => document.getElementById("stop").hidden);
+  const shown = () => page.locator('[data-knob="ray:camera.aperture.diameter"] input').inputValue();
+  const coarse = (await page.textContent("#kept")).startsWith("coarse");
+  if (/^stopped/.test(await page.textContent("#state"))) assert.equal(await shown(), coarse ? "0.3 mm" : "0.2 mm");
+});
+
 test("a basis that is too large to mix: the picture follows when a knob rests", async (t) => {
   const code = "import radwrap.face.app as app, sys; app.MOST_PLANES = 1; from radwrap.cli.main import main; sys.exit(main())";
   const own = await served([join(ROOT, ".venv/bin/python"), "-c", code], ["--tolerance", "2"]);
