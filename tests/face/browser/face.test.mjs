@@ -519,6 +519,7 @@ test("accessible: axe finds nothing serious, in light and dark, and all is reach
 test("the server's end is said, and knobs go on", async (t) => {
   const own = await serve();
   const { page } = await loaded(t, { at: own.link, expected: /ERR_/ });
+  await redrawn(page); // the workers of the asked picture have come from the server
   own.process.kill("SIGKILL");
   const begin = Date.now();
   await page.waitForSelector("#banner:not([hidden])", { timeout: 5000 });
