@@ -132,6 +132,13 @@ DEFENCES: Final = (
         "",
         ("turns", "bad_requests"),
     ),
+    Defence(
+        "keys that are no knobs",
+        "face/ray_knobs.py",
+        "or not set(told) <= set(known):",
+        "or False:",
+        ("ray_knobs", "nothing_else or server_takes"),
+    ),
     Defence("coarse pictures", "face/session.py", "if found.coarse is not None:", "if False:", ("coarse", "stopped")),
     Defence(
         "stops between renders",
