@@ -215,12 +215,12 @@ def test_neighbours_and_notches_are_left_out() -> None:
     assert np.abs(errors).max() < 0.06 and abs(errors.mean()) < 0.03
 
 
-def sector(share: float) -> Callable[[Array, Array], Array]:
-    """Of a disc of 18 px, of whose rim a share is there: two straight sides run to its middle."""
+def sector(share: float, radius: float = 18.0) -> Callable[[Array, Array], Array]:
+    """Of a disc, of whose rim a share is there: two straight sides run to its middle."""
 
     def inside(u: Array, v: Array) -> Array:
         x, y = u - CENTRE[0], v - CENTRE[1]
-        return (np.hypot(x, y) < 18) & (np.abs(np.arctan2(y, x)) < math.pi * share)
+        return (np.hypot(x, y) < radius) & (np.abs(np.arctan2(y, x)) < math.pi * share)
 
     return inside
 
@@ -239,6 +239,33 @@ def test_a_sector_has_the_diameter_of_the_arc_that_is_there(share: float) -> Non
         assert -STRETCHES < one.left_out - (1 - share) < 2 * STRETCHES
         assert one.diameter == pytest.approx(36, abs=4 * one.diameter_sigma) and one.diameter_sigma < 0.2
         assert one.warnings == ()
+
+
+@pytest.mark.parametrize("share", [0.44, 0.75])
+def test_a_small_sector_is_right_or_refused(share: float) -> None:
+    """Of a rim of 38 px stretches are shorter: without, its diameter was 1.3 px too large, at a sigma of .15."""
+    light = any_picture(SHAPE, sector(share, 6.0), 0.8, np.array([30.0, 190.0]))
+    dice = np.random.default_rng(3)
+    for _ in range(6):
+        try:
+            found = measure_circle(GrayImage(noisy(light, dice)), Caliper((30, 31), 6.3, 4))
+        except InputError:
+            assert share < 0.5
+            continue
+        assert found.warnings or found.diameter == pytest.approx(12, abs=4 * found.diameter_sigma)
+
+
+def test_an_edge_that_ends_in_the_caliper_is_measured_where_it_is() -> None:
+    def inside(u: Array, v: Array) -> Array:
+        return (u > 30.3) & (v < 36.0)
+
+    light = any_picture(SHAPE, inside, 1.0, np.array([30.0, 190.0]))
+    dice = np.random.default_rng(3)
+    found = [measure_line(GrayImage(noisy(light, dice)), StraightCaliper((30, 30), 0.0, 36, 8)) for _ in range(6)]
+    for one in found:
+        # From v = 12 to 48; the edge ends at 36, and stretches are 4.5 px long.
+        assert one.left_out == pytest.approx(1 / 3, abs=2 * 4.5 / 36) and one.warnings == ()
+        assert one.offset == pytest.approx(30.3, abs=4 * one.position_sigma + 36 * one.angle_sigma)
 
 
 def test_of_less_of_the_rim_than_a_circle_needs_the_share_is_reported() -> None:

@@ -34,7 +34,7 @@ _SHORT_BLOCK: Final = 3.0  # px, that tells a polygon from a circle
 _SHORTEST_CONTOUR: Final = 8  # blocks of a short contour, which are then shorter
 _BAD_BLOCK: Final = 2.0  # times the usual rms of a block, from where on it shows something else
 _USUAL: Final = 0.35  # quantile of the blocks' rms that is usual, where some show something else
-_FULL_CONTRAST: Final = 0.8  # quantile of the stretches' contrasts that is the contour's, where some have none
+_FULL_CONTRAST: Final = 0.9  # quantile of the stretches' contrasts that is the contour's, where some have none
 _FLAT: Final = 0.3  # of it; a stretch of less does not show the contour
 _FLAT_SIGMAS: Final = 3.0  # so far below, or noise decides
 _BOTH_SIDES: Final = 0.02  # variance of the brightness, without which a stretch sees one side only
@@ -300,7 +300,7 @@ def _kept(shape: Shape, state: State) -> tuple[Flags, float]:
 
 def _blocks(shape: Shape, rims: Sequence[Rim], length: float = _BLOCK) -> tuple[NDArray[np.intp], int]:
     """Number of each pixel's stretch of the contour, and how many there are."""
-    count = max(1, round(shape.length / length))
+    count = max(_SHORTEST_CONTOUR, round(shape.length / length))
     share = np.clip(rims[0].along / shape.length, 0, 1 - 1e-9)
     return np.asarray((share * count).astype(np.intp) + count * nearest_of(rims)), count * len(rims)
 
@@ -357,7 +357,7 @@ def _levels(strip: Strip, state: State) -> tuple[float, float]:
 
 def _misfit(shape: Shape, strip: Strip, state: State, variance: float) -> tuple[float, bool]:
     """By how much stretches of the contour lie off the shape, rms beyond noise [px]; whether that is significant."""
-    block, count = _blocks(shape, state.rims, min(_SHORT_BLOCK, shape.length / _SHORTEST_CONTOUR))
+    block, count = _blocks(shape, state.rims, _SHORT_BLOCK)
     used = np.unique(block)
     if len(used) < _FEWEST_BLOCKS:
         return 0.0, False
