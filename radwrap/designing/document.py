@@ -6,6 +6,7 @@ Errors name the file and the key, such as ``design.toml: keys.pinhole.low``.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,7 @@ from radwrap.designing.quantities import (
     COST,
     PEAK,
     SCENES_OWN,
+    TIME_OF_EXPOSURE,
     Constraint,
     Objective,
     Quantity,
@@ -38,6 +40,8 @@ from radwrap.study.responses import Response, check_response
 _DESIGN_FILE: Final = FileKind("design file", 64 << 20)
 _SCENE_FILE: Final = FileKind("scene file", 16 << 20, "")
 _NOMINAL: Final = "nominal"
+_GRAY: Final = {"peak_gray", "mean_gray"}  # responses that go from black to white
+_ROUNDING: Final = 1e-9  # of a limit
 _TAKEN: Final = {"trial", "stage", "seed", "image_error", "met", "feasible", "warnings", "error"}
 
 
@@ -256,25 +260,68 @@ def _check(problem: Problem, keys: Sequence[SearchKey], *, trust: bool, is_fixed
     base = problem.scene(study.document)
     for response in study.responses:
         check_response(response, base, f"{study.origin}: responses.{response.told_in}")
-    _check_apart(study, keys)
+    _check_apart(study, keys, problem.changes)
     _check_costs(problem)
-    how = render_options(study.render, f"{study.origin}: render")
-    for key in keys:
-        for code in key.ends():
-            where = f"{study.origin}: keys.{key.name}, {key.label(code)}"
-            try:
-                scene = problem.scene(with_values(study, key, key.values(code)))
-                check_size(scene, how.max_pixels, 1, 1)
-            except InputError as error:
-                told = f"{error.where}: {error.what}" if error.where else error.what
-                raise InputError(told, where=where, remedy=error.remedy) from error
+    ends = [_ends(problem, key) for key in keys]
     levels_of(problem.levels, study.document, base, study.origin)
+    _check_reach(problem, base, ends)
 
 
-def _check_apart(study: Design, keys: Sequence[SearchKey]) -> None:
-    """Refuse two keys that set the same value, or one of which holds the other."""
+def _ends(problem: Problem, key: SearchKey) -> list[Scene]:
+    """Scenes at a key's bounds, or with each of its choices, of a size that may be rendered."""
+    study, found = problem.study, []
+    how = render_options(study.render, f"{study.origin}: render")
+    for code in key.ends():
+        where = f"{study.origin}: keys.{key.name}, {key.label(code)}"
+        try:
+            found.append(problem.scene(with_values(study, key, key.values(code))))
+            check_size(found[-1], how.max_pixels, 1, 1)
+        except InputError as error:
+            if key.span is not None and key.span.is_whole and _takes(problem, key, int(code)):
+                raise InputError(
+                    "takes whole numbers only", where=f"{study.origin}: keys.{key.name}", remedy="add step = 1"
+                ) from error
+            told = f"{error.where}: {error.what}" if error.where else error.what
+            raise InputError(told, where=where, remedy=error.remedy) from error
+    return found
+
+
+def _takes(problem: Problem, key: SearchKey, value: int) -> bool:
+    """Whether there is a scene with a whole number at a key's places."""
+    try:
+        problem.scene(with_values(problem.study, key, [value] * len(key.keys)))
+    except InputError:
+        return False
+    return True
+
+
+def _check_reach(problem: Problem, base: Scene, ends: Sequence[Sequence[Scene]]) -> None:
+    """Refuse limits that no values of the keys keep, where that is known without a ray."""
+    time = base.camera.exposure_time
+    times = [[scene.camera.exposure_time for scene in scenes] for scenes in ends]
+    # One key at most sets it.
+    exposures = next((one for one in times if any(value != time for value in one)), [time])
+    costs = [key.costs for key in problem.keys if key.costs]
+    whitest = max(scene.camera.sensor.saturation_gray for scene in (base, *(one for scenes in ends for one in scenes)))
+    reach = {
+        TIME_OF_EXPOSURE: (min(exposures), max(exposures)),
+        COST: (sum(map(min, costs)), sum(map(max, costs))),
+        **{one.name: (0.0, whitest) for one in problem.study.responses if one.kind in _GRAY},
+    }
+    for number, one in enumerate(problem.constraints):
+        least, most = reach.get(one.quantity.name, (-math.inf, math.inf))
+        if one.low > most * (1 + _ROUNDING) or one.high < least * (1 - _ROUNDING):
+            raise InputError(
+                f"nothing can keep {one.told()}: it goes from {one.quantity.told(least)} to {one.quantity.told(most)}",
+                where=f"{problem.origin}: constraints[{number}]",
+            )
+
+
+def _check_apart(study: Design, keys: Sequence[SearchKey], changes: Mapping[str, Any]) -> None:
+    """Refuse two keys that set the same value, or one of which holds the other; and a change of what a key sets."""
     document = with_all_leds(study.document, [path for key in keys for path in key.keys])
     set_by: dict[tuple[str | int, ...], str] = {}
+    changed = {steps_of(one): path for path in changes for one in expanded(path, document)}
     for key in keys:
         for path in key.keys:
             try:
@@ -291,6 +338,13 @@ def _check_apart(study: Design, keys: Sequence[SearchKey]) -> None:
                             f"sets {path}, which keys.{name} sets already", where=f"{study.origin}: keys.{key.name}"
                         )
                 set_by[steps] = key.name
+                within = next((path for other, path in changed.items() if other[: len(steps)] == steps), None)
+                if within is not None:
+                    raise InputError(
+                        f"keys.{key.name} searches it, and its value here would not count",
+                        where=f"{study.origin}: set: {within}",
+                        remedy="leave one of both out",
+                    )
 
 
 def _check_costs(problem: Problem) -> None:

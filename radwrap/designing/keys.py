@@ -44,6 +44,11 @@ class Span:
     unit: str
     is_log: bool = False
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether both bounds are whole numbers without a unit."""
+        return not self.unit and self.low.is_integer() and self.high.is_integer()
+
     def written(self, code: Code) -> Any:
         """The value as the scene's file would hold it."""
         return written(float(code), self.unit)
@@ -127,13 +132,31 @@ def read_key(name: str, told: KeyModel, where: str) -> SearchKey:
     keys = (told.key,) if told.key is not None else told.keys or ()
     if told.choices is not None:
         return _chosen(name, keys, told, where)
-    low, high = quantity(told.low, f"{where}.low"), quantity(told.high, f"{where}.high")
-    if low is None or high is None or low[1] != high[1] or not low[0] < high[0]:
-        raise InputError("must be two numbers or quantities of the same unit, low below high", where=where)
+    low, high = _bound(told.low, f"{where}.low"), _bound(told.high, f"{where}.high")
+    if low[1] != high[1]:
+        raise InputError(
+            f"low and high have different units, {_unit(low)} and {_unit(high)}",
+            where=where,
+            remedy="write both in the unit that the scene's file has",
+        )
+    if not low[0] < high[0]:
+        raise InputError("low must lie below high", where=where)
     if told.scale == "log" and low[0] <= 0:
         raise InputError("a logarithm needs bounds above zero", where=f"{where}.scale")
     span = Span(low[0], high[0], low[1], told.scale == "log")
     return SearchKey(name, keys, span) if told.step is None else _stepped(name, keys, span, told.step, where)
+
+
+def _bound(value: Any, where: str) -> tuple[float, str]:
+    """Number and unit."""
+    found = quantity(value, where)
+    if found is None:
+        raise InputError("must be a number, or a number with a unit", where=where, remedy='such as 3 or "3 mm"')
+    return found
+
+
+def _unit(bound: tuple[float, str]) -> str:
+    return bound[1] or "none"
 
 
 def _chosen(name: str, keys: tuple[str, ...], told: KeyModel, where: str) -> SearchKey:

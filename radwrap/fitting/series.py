@@ -121,10 +121,29 @@ def states_of(
         state = {"capture": number, "set": dict(one.changes)} if series else {}
         told = tuple({**_told(image, name), **state} for image, name in zip(images, names, strict=True))
         found.append(State(scene, taken, told))
+    _check_once([image for state in found for image in state.told if "file_sha256" in image])
     sensors = {(one.free.scene.camera.sensor.rows, one.free.scene.camera.sensor.columns) for one in found}
     if len(sensors) > 1:
         raise InputError("change the number of pixels", where="captures")
     return tuple(found)
+
+
+def _check_once(images: Sequence[Mapping[str, Any]]) -> None:
+    """Refuse a captured file that is there twice: noise makes any two differ, and what it says would count twice."""
+    seen: dict[str, Mapping[str, Any]] = {}
+    for image in images:
+        other = seen.setdefault(image["pixels_sha256"], image)
+        if other is not image:
+            raise InputError(
+                f"is {_in_state(other)} once more, pixel by pixel",
+                where=_in_state(image),
+                remedy="name each capture once, in the state that it is of",
+            )
+
+
+def _in_state(image: Mapping[str, Any]) -> str:
+    number = f" of captures[{image['capture']}]" if "capture" in image else ""
+    return f"{image['file']}{number}"
 
 
 def _changed(free: FreeScene, changes: Mapping[str, Any], where: str) -> FreeScene:

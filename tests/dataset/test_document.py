@@ -134,3 +134,13 @@ def test_what_is_wrong_is_told_with_its_key(dataset_file: Write, text: str, wher
     with pytest.raises(InputError) as told:
         read_dataset(dataset_file(text))
     assert told.value.where == f"dataset.toml: {where}"
+
+
+def test_of_a_misspelt_material_the_one_that_there_is_is_named(dataset_file: Write) -> None:
+    """A key path makes the tables on its way: what is missing then is the type of a material that nobody wanted."""
+    text = 'images = 1\n[[vary]]\nkey = "materials.gray.reflectance"\nuniform = [0.5, 0.6]'
+    with pytest.raises(InputError) as refused:
+        read_dataset(dataset_file(text))
+    assert str(refused.value) == (
+        'dataset.toml: vary[0]: scene.toml: materials.gray.type: is missing; give "gray" one; did you mean "grey"?'
+    )

@@ -39,8 +39,31 @@ FAULTS = {
     "unknown key": ('"camera.exposure_time"', '"camera.exposure"', "keys.time, 10.0 ms"),
     "no such entry": ('"camera.exposure_time"', '"sources[7].radiance"', "the scene has no such place"),
     "no such list": ('"camera.exposure_time"', '"lamps[*].radiance"', "names no entry of a list of the scene"),
-    "bounds crossed": ('low = "10 ms"', 'low = "200 ms"', "low below high"),
-    "other units": ('low = "10 ms"', 'low = "10 mm"', "the same unit"),
+    "bounds crossed": ('low = "10 ms"', 'low = "200 ms"', "keys.time: low must lie below high"),
+    "other units": ('low = "10 ms"', 'low = "10 mm"', "low and high have different units, mm and ms"),
+    "one bound without unit": ('high = "110 ms"', "high = 110", "low and high have different units, ms and none"),
+    "a bound of text": ('low = "10 ms"', 'low = "soon"', "keys.time.low: must be a number, or a number with a unit"),
+    "whole numbers without a step": (
+        'key = "camera.exposure_time"\nlow = "10 ms"\nhigh = "110 ms"',
+        'key = "camera.sensor.rows"\nlow = 40\nhigh = 60',
+        "keys.time: takes whole numbers only; add step = 1",
+    ),
+    "a value of what is searched": (
+        "[keys.time]",
+        '[set]\n"camera.exposure_time" = "30 ms"\n[keys.time]',
+        "set: camera.exposure_time: keys.time searches it",
+    ),
+    "a limit beyond the bounds": (
+        'of = "peak_gray"\nat_most = 200',
+        'of = "exposure_time"\nat_most = "5 ms"',
+        "constraints[0]: nothing can keep exposure_time at most 5 ms: it goes from 10 ms to 110 ms",
+    ),
+    "a limit beyond white": ("at_most = 200", "at_least = 256", "nothing can keep peak_gray at least 256"),
+    "a limit below all costs": (
+        'low = "10 ms"\nhigh = "110 ms"',
+        'choices = ["20 ms", "30 ms"]\ncost = [2, 3]\n[[constraints]]\nof = "cost"\nat_most = 1',
+        "constraints[0]: nothing can keep cost at most 1: it goes from 2 to 3",
+    ),
     "a bound that is no scene": ('low = "10 ms"', 'low = "-10 ms"', "keys.time, -10.0 ms"),
     "log from zero": ('low = "10 ms"', 'scale = "log"\nlow = "0 ms"', "a logarithm needs bounds above zero"),
     "step and log": ('low = "10 ms"', 'scale = "log"\nstep = "1 ms"\nlow = "1 ms"', "step goes with a linear scale"),
@@ -105,6 +128,14 @@ def test_a_good_file_is_read(design_file: Write) -> None:
     assert [one.quantity.name for one in problem.constraints] == ["peak_gray"]
     assert [one.name for one in problem.quantities] == ["u", "mean", "peak_gray", "exposure_time", "leds", "cost"]
     assert (problem.budget, problem.batch, problem.coarse) == (20, 8, 4.0)
+
+
+def test_limits_at_a_bound_and_changes_beside_a_key_are_kept(design_file: Write) -> None:
+    """The table that holds a searched key may be changed, and a limit may be what the longest exposure just keeps."""
+    text = GOOD.replace('of = "peak_gray"\nat_most = 200', 'of = "exposure_time"\nat_least = "110 ms"')
+    problem = read_problem(design_file(text.replace("[keys.time]", '[set]\n"camera.sensor.rows" = 40\n[keys.time]')))
+    assert problem.changes == {"camera.sensor.rows": 40}
+    assert problem.constraints[0].low == pytest.approx(0.110)
 
 
 def test_levels_are_told_from_what_is_searched(design_file: Write) -> None:

@@ -204,6 +204,11 @@ def _files(text: str) -> Callable[[Path], list[object]]:
         (_files('[[captures]]\nfiles = ["../short.png"]'), "outside"),
         (_files('[[captures]]\nfile = ["short.png"]'), "captures[0].file"),
         (_files("[[captures]]\nfiles = []"), "captures[0].files"),
+        (
+            _files('[[captures]]\nfiles = ["short.png"]\n[[captures]]\nfiles = ["near.png", "short.png"]'),
+            "short.png of captures[0] once more, pixel by pixel",
+        ),
+        (lambda folder: [folder / "short.png", folder / "short.png", "--free", OFFSET], "once more"),
         (_files('[[captures]]\nfiles = ["short.png"]\nset = { "camera.sensor.rows" = 21 }'), "24 x 20 pixels"),
         (_files('[[captures]]\nfiles = ["short.png"]\nset = { "camera.nothing" = 1 }'), "unknown key"),
         (_files('[[captures]]\nfiles = ["short.png"]\nset = { "camera.exposure_tim" = 1 }'), "captures[0].set"),

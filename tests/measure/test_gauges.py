@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import doctest
 import math
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import astuple
 from types import ModuleType
@@ -38,6 +39,8 @@ from radwrap.measure.gauges import region as region_gauge
 from radwrap.measure.gauges import straight as straight_gauge
 from radwrap.measure.gauges import uniformity as uniformity_gauge
 from radwrap.measure.gauges.narrow import lookalike, width_by_gaussian
+from radwrap.measure.gauges.response import light_of
+from radwrap.measure.gauges.round_shapes import circle_shape
 from tests.measure.pictures import any_picture, edge_picture, noisy, ring_picture, stripe_picture
 
 Array = NDArray[np.float64]
@@ -210,6 +213,72 @@ def test_neighbours_and_notches_are_left_out() -> None:
     assert all(0.1 < one.left_out < 0.5 and one.warnings == () for one in found)
     errors = np.array([one.diameter - 36 for one in found])
     assert np.abs(errors).max() < 0.06 and abs(errors.mean()) < 0.03
+
+
+def sector(share: float, radius: float = 18.0) -> Callable[[Array, Array], Array]:
+    """Of a disc, of whose rim a share is there: two straight sides run to its middle."""
+
+    def inside(u: Array, v: Array) -> Array:
+        x, y = u - CENTRE[0], v - CENTRE[1]
+        return (np.hypot(x, y) < radius) & (np.abs(np.arctan2(y, x)) < math.pi * share)
+
+    return inside
+
+
+# A stretch of 8 px is seen or not, which makes one uncertain at each end of the arc; beside the corner of blurred light
+# another one may look different.
+STRETCHES = 2 * 8 / (2 * math.pi * 18)
+
+
+@pytest.mark.parametrize("share", [0.55, pytest.param(0.75, marks=pytest.mark.long)])
+def test_a_sector_has_the_diameter_of_the_arc_that_is_there(share: float) -> None:
+    light = any_picture(SHAPE, sector(share), 1.2, np.array([30.0, 190.0]))
+    dice = np.random.default_rng(3)
+    found = [measure_circle(GrayImage(noisy(light, dice)), Caliper((30, 31), 18, 6)) for _ in range(6)]
+    for one in found:
+        assert -STRETCHES < one.left_out - (1 - share) < 2 * STRETCHES
+        assert one.diameter == pytest.approx(36, abs=4 * one.diameter_sigma) and one.diameter_sigma < 0.2
+        assert one.warnings == ()
+
+
+@pytest.mark.parametrize("share", [0.44, 0.75])
+def test_a_small_sector_is_right_or_refused(share: float) -> None:
+    """Of a rim of 38 px stretches are shorter: without, its diameter was 1.3 px too large, at a sigma of .15."""
+    light = any_picture(SHAPE, sector(share, 6.0), 0.8, np.array([30.0, 190.0]))
+    dice = np.random.default_rng(3)
+    for _ in range(6):
+        try:
+            found = measure_circle(GrayImage(noisy(light, dice)), Caliper((30, 31), 6.3, 4))
+        except InputError:
+            assert share < 0.5
+            continue
+        assert found.warnings or found.diameter == pytest.approx(12, abs=4 * found.diameter_sigma)
+
+
+def test_an_edge_that_ends_in_the_caliper_is_measured_where_it_is() -> None:
+    def inside(u: Array, v: Array) -> Array:
+        return (u > 30.3) & (v < 36.0)
+
+    light = any_picture(SHAPE, inside, 1.0, np.array([30.0, 190.0]))
+    dice = np.random.default_rng(3)
+    found = [measure_line(GrayImage(noisy(light, dice)), StraightCaliper((30, 30), 0.0, 36, 8)) for _ in range(6)]
+    for one in found:
+        # From v = 12 to 48; the edge ends at 36, and stretches are 4.5 px long.
+        assert one.left_out == pytest.approx(1 / 3, abs=2 * 4.5 / 36) and one.warnings == ()
+        assert one.offset == pytest.approx(30.3, abs=4 * one.position_sigma + 36 * one.angle_sigma)
+
+
+def test_of_less_of_the_rim_than_a_circle_needs_the_share_is_reported() -> None:
+    """Levels that change along the rim can fade to nothing where none is: what is flat was taken for seen."""
+    light = any_picture(SHAPE, sector(0.33), 1.2, np.array([30.0, 190.0]))
+    image = GrayImage(noisy(light, np.random.default_rng(3)))
+    shape = circle_shape(np.array([30.0, 31.0, 18.0]), 1.0, None)
+    with pytest.raises(InputError, match="of the contour looks like one") as refused:
+        contour.fit_contour(light_of(image, Response()), shape, 1.2, 8.0, 1.0)
+    (percent,) = re.findall(r"only (\d+)% of", str(refused.value))
+    assert int(percent) / 100 == pytest.approx(0.33, abs=STRETCHES)
+    with pytest.raises(InputError, match=r"looks like one|no rim"):
+        measure_circle(image, Caliper((30, 31), 18, 6))
 
 
 def thin_ring(radius: float, width: float, blur: float, levels: tuple[float, ...] = (30.0, 190.0, 40.0)) -> Array:

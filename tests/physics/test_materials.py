@@ -267,7 +267,7 @@ def test_a_print_lies_as_its_image(bench: Any, tmp_path: Path) -> None:
         ({"type": "print", "file": "x.png", "encoding": "gamma"}, "encoding"),
         ({"type": "retroreflective", "preset": "x"}, 'no sheeting "x"; known: astm_d4956_i_white'),
         ({"type": "retroreflective", "model": "coefficient", "file": "turned.csv"}, "the same angles at each rotation"),
-        ({"type": "retroreflective", "model": "coefficient", "file": "nan.csv"}, "finite numbers"),
+        ({"type": "retroreflective", "model": "coefficient", "file": "nan.csv"}, "finite number"),
         ({"type": "retroreflective", "model": "coefficient", "file": "huge.csv"}, r"from 1e-09 to 1e\+09 cd/lx/m\^2"),
         (
             {

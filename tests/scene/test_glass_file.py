@@ -95,8 +95,8 @@ def test_what_is_wrong_is_named(wavefront: dict[str, Any], told: str) -> None:
         ("0,4,1e-9\n0,4,2e-9\n0.5,4,2e-9", "a term twice at the height 0 mm"),
         ("0,4.5,1e-9\n0.5,4,2e-9", "whole numbers of terms"),
         ("0,999,1e-9\n0.5,4,2e-9", "999 is no number of a term"),
-        ("0,4,nan\n0.5,4,2e-9", "finite numbers"),
-        ("", "finite numbers"),
+        ("0,4,nan\n0.5,4,2e-9", "line 2: holds what is not a finite number"),
+        ("", "has no line of numbers"),
     ],
 )
 def test_what_is_wrong_in_a_table_is_named(tmp_path: Path, lines: str, told: str) -> None:
@@ -161,12 +161,23 @@ def test_contrast_over_the_field_is_read_in_any_order(tmp_path: Path) -> None:
         ("100,0.5,0.5\n100,0.6,0.6", {}, "the same frequencies at each height, each once"),
         ("-100,0.5,0.5", {}, "needs frequencies above 0"),
         ("600,0,0", {}, "no frequency that a perfect lens leaves contrast of"),
-        ("100,nan,0.5", {}, "finite numbers"),
+        ("100,nan,0.5", {}, "mtf.csv: line 2: holds what is not a finite number"),
+        ("100,0.5,0.5\n# beyond\n\n200,0.3,.l", {}, "mtf.csv: line 5: holds what is not a number"),
+        ("100,0.5,0.5\n200,0.3", {}, "mtf.csv: line 3: has 2 cells, and there are 3 columns"),
+        ("", {}, "has no line of numbers"),
+        # At 300 per mm contrast is right, and nearest to its limit.
+        ("100,-0.1,0.5\n200,0.4,0.4\n300,0.28,0.28", {}, "tangential: is -0.1 at 100 per mm"),
     ],
 )
 def test_what_is_wrong_in_a_data_sheet_is_named(tmp_path: Path, lines: str, more: dict[str, Any], told: str) -> None:
     with pytest.raises(InputError, match=re.escape(told)):
         contrast(tmp_path, lines, **more)
+
+
+def test_a_bad_row_is_named_with_its_height(tmp_path: Path) -> None:
+    lines = "100,0.5,0.5,0\n100,0.5,0.9,0.5"
+    with pytest.raises(InputError, match=r"sagittal at 0\.5 mm: is 0\.9 at 100 per mm"):
+        contrast(tmp_path, lines, "frequency_per_mm,tangential,sagittal,field_height_mm")
 
 
 def test_a_lens_has_one_kind_of_glass() -> None:
@@ -231,3 +242,7 @@ def test_a_picture_that_is_none_is_named_with_its_key(tmp_path: Path) -> None:
     }
     with pytest.raises(InputError, match=r"camera\.lens\.psf\.file"):
         radwrap.scene_from_document(tables, folder=tmp_path)
+    (tmp_path / "point.pgm").unlink()
+    with pytest.raises(InputError) as missing:
+        radwrap.scene_from_document(tables, folder=tmp_path)
+    assert str(missing.value) == 'scene: camera.lens.psf.file: no file "point.pgm" beside the scene'

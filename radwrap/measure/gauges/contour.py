@@ -8,7 +8,7 @@ that belong to something else, a neighbour or a burr, are left out and counted.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -19,8 +19,8 @@ from radwrap.errors import InputError
 from radwrap.measure.background import QUANTISATION
 from radwrap.measure.edges.correlation import variance_factor
 from radwrap.measure.gauges.response import Light
-from radwrap.measure.gauges.rims import Shape
-from radwrap.measure.gauges.strip import NARROWEST, ROUGH, State, Strip, jacobian_of, solved, terms_of
+from radwrap.measure.gauges.rims import Rim, Shape
+from radwrap.measure.gauges.strip import NARROWEST, ROUGH, State, Strip, jacobian_of, nearest_of, solved, terms_of
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -34,6 +34,10 @@ _SHORT_BLOCK: Final = 3.0  # px, that tells a polygon from a circle
 _SHORTEST_CONTOUR: Final = 8  # blocks of a short contour, which are then shorter
 _BAD_BLOCK: Final = 2.0  # times the usual rms of a block, from where on it shows something else
 _USUAL: Final = 0.35  # quantile of the blocks' rms that is usual, where some show something else
+_FULL_CONTRAST: Final = 0.9  # quantile of the stretches' contrasts that is the contour's, where some have none
+_FLAT: Final = 0.3  # of it; a stretch of less does not show the contour
+_FLAT_SIGMAS: Final = 3.0  # so far below, or noise decides
+_BOTH_SIDES: Final = 0.02  # variance of the brightness, without which a stretch sees one side only
 _FEWEST_BLOCKS: Final = 6
 _FEWEST_PIXELS: Final = 30  # of a side, for its noise
 LEAST_CONTOUR: Final = 0.4  # of it must be seen as the model has it
@@ -134,14 +138,13 @@ def _fitted(light: Light, shape: Shape, blur: float, band: float, aspect: float)
     for _ in range(_ROUNDS):
         before = parameters, blur
         strip = _strip(light, shape, parameters, min(blur + BEYOND, band), aspect)
+        steps, stepping = _stepping(shape, strip, before)
+        _check_seen(stepping)
+        strip = strip.only(steps)
         state = solved(shape, _weighted(strip, shape, before, noise), *before, done=ROUGH)
-        keep, left_out = _kept(shape, state)
-        if left_out > 1 - LEAST_CONTOUR:
-            raise InputError(
-                f"only {1 - left_out:.0%} of the contour looks like one",
-                where="the image",
-                remedy="place the caliper on it, with a narrower band, or give an arc",
-            )
+        keep, kept = _kept(shape, state)
+        left_out = 1 - stepping * kept
+        _check_seen(1 - left_out)
         first, noise = min(noise) == 0, _side_noise(strip, state, keep)
         strip = _weighted(strip, shape, (state.parameters, state.blur), noise).only(keep)
         state = solved(shape, strip, state.parameters, state.blur)
@@ -239,26 +242,67 @@ def _spread(values: Array) -> float:
     return max(1.4826 * float(np.median(np.abs(values))), 0.5 * float(np.sqrt(np.mean(values**2))))
 
 
+def _check_seen(share: float) -> None:
+    """Of less of the contour a shape is as good as a guess."""
+    if share < LEAST_CONTOUR:
+        raise InputError(
+            f"only {share:.0%} of the contour looks like one",
+            where="the image",
+            remedy="place the caliper on it, with a narrower band, or give an arc",
+        )
+
+
+def _stepping(shape: Shape, strip: Strip, at: tuple[Array, float]) -> tuple[Flags, float]:
+    """Pixels of stretches across which light steps, and the share of the contour that these are.
+
+    Levels of the model change along the contour. Where it is not there, a contrast of nothing would fit, and such a
+    stretch would count as seen and bend the levels of the others.
+    """
+    rims = shape.rims(at[0], strip.places)
+    bright = terms_of(shape, rims, at[1], strip.aspect).brightness
+    block, count = _blocks(shape, rims)
+    number = np.bincount(block, minlength=count)
+    some = np.maximum(number, 1)
+
+    def product(one: Array, other: Array) -> Array:
+        """Covariance in each stretch."""
+        sums = [np.bincount(block, values, minlength=count) / some for values in (one * other, one, other)]
+        return np.asarray(sums[0] - sums[1] * sums[2])
+
+    light = strip.light - strip.light.mean()
+    power, both = product(bright, bright), product(bright, light)
+    known = (number > 2) & (power > _BOTH_SIDES)
+    if known.sum() < _FEWEST_BLOCKS:
+        return np.ones(len(block), dtype=np.bool_), 1.0
+    # Of two rims the model has a sign: between them it may be dark.
+    contrast = math.copysign(1.0, float(both[known].sum())) * both / np.where(known, power, 1.0)
+    rest = np.maximum(product(light, light) - contrast**2 * power, 0.0)
+    sigma = np.sqrt(rest / np.maximum(number - 2, 1) / np.where(known, power, 1.0))
+    usual = float(np.quantile(contrast[known], _FULL_CONTRAST))
+    flat = known & (contrast + _FLAT_SIGMAS * sigma < _FLAT * usual)
+    return ~flat[block], 1 - float(flat.sum() / (number > 0).sum())
+
+
 def _kept(shape: Shape, state: State) -> tuple[Flags, float]:
-    """Pixels that show the contour, and the share of the contour that shows something else."""
+    """Pixels that show the contour, and the share of the stretches that do."""
     scale = max(_spread(state.residual), 1e-300)
     good = np.abs(state.residual) < _OUTLIER * scale
-    block, count = _blocks(shape, state)
+    block, count = _blocks(shape, state.rims)
     number = np.bincount(block, minlength=count)
     seen = number > 0
     if seen.sum() < _FEWEST_BLOCKS:
-        return good, 0.0
+        return good, 1.0
     square = np.bincount(block, np.minimum((state.residual / scale) ** 2, 100.0), minlength=count)
     rms = np.sqrt(square / np.maximum(number, 1))
     bad = seen & (rms > _BAD_BLOCK * float(np.quantile(rms[seen], _USUAL)))
-    return good & ~bad[block], float(bad.sum() / seen.sum())
+    return good & ~bad[block], 1 - float(bad.sum() / seen.sum())
 
 
-def _blocks(shape: Shape, state: State, length: float = _BLOCK) -> tuple[NDArray[np.intp], int]:
+def _blocks(shape: Shape, rims: Sequence[Rim], length: float = _BLOCK) -> tuple[NDArray[np.intp], int]:
     """Number of each pixel's stretch of the contour, and how many there are."""
-    count = max(1, round(shape.length / length))
-    share = np.clip(state.rims[0].along / shape.length, 0, 1 - 1e-9)
-    return np.asarray((share * count).astype(np.intp) + count * state.nearest), count * len(state.rims)
+    count = max(_SHORTEST_CONTOUR, round(shape.length / length))
+    share = np.clip(rims[0].along / shape.length, 0, 1 - 1e-9)
+    return np.asarray((share * count).astype(np.intp) + count * nearest_of(rims)), count * len(rims)
 
 
 def _told(shape: Shape, light: Light, strip: Strip, state: State, left_out: float) -> Contour:
@@ -313,7 +357,7 @@ def _levels(strip: Strip, state: State) -> tuple[float, float]:
 
 def _misfit(shape: Shape, strip: Strip, state: State, variance: float) -> tuple[float, bool]:
     """By how much stretches of the contour lie off the shape, rms beyond noise [px]; whether that is significant."""
-    block, count = _blocks(shape, state, min(_SHORT_BLOCK, shape.length / _SHORTEST_CONTOUR))
+    block, count = _blocks(shape, state.rims, _SHORT_BLOCK)
     used = np.unique(block)
     if len(used) < _FEWEST_BLOCKS:
         return 0.0, False

@@ -107,8 +107,13 @@ class State:
     @property
     def nearest(self) -> NDArray[np.intp]:
         """Which rim is nearer, pixel by pixel."""
-        number: NDArray[np.intp] = np.argmin([np.abs(rim.distance) for rim in self.rims], axis=0)
-        return number
+        return nearest_of(self.rims)
+
+
+def nearest_of(rims: Sequence[Rim]) -> NDArray[np.intp]:
+    """Which rim is nearer, pixel by pixel."""
+    number: NDArray[np.intp] = np.argmin([np.abs(rim.distance) for rim in rims], axis=0)
+    return number
 
 
 def terms_of(shape: Shape, rims: Sequence[Rim], blur: float, aspect: float) -> Terms:

@@ -138,10 +138,10 @@ def fault(error: ValidationError, origin: str, document: Mapping[str, Any], shap
     more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
     steps = _steps(first, document)
     what = _message(first, _written(document, steps)) + more
-    return InputError(what, where=f"{origin}: {_key_path(steps)}", remedy=_remedy(first, shape))
+    return InputError(what, where=f"{origin}: {_key_path(steps)}", remedy=_remedy(first, shape, document))
 
 
-def _remedy(detail: ErrorDetails, shape: type[Model]) -> str:
+def _remedy(detail: ErrorDetails, shape: type[Model], document: Mapping[str, Any]) -> str:
     """For a name that there is not: the one that may have been meant, else those that there are."""
     context: Mapping[str, Any] = detail.get("ctx", {})
     match detail["type"]:
@@ -151,6 +151,12 @@ def _remedy(detail: ErrorDetails, shape: type[Model]) -> str:
         case "literal_error" | "union_tag_invalid":
             allowed = str(context.get("expected", context.get("expected_tags", "")))
             return did_you_mean(context.get("tag", detail["input"]), re.findall(r"'([^']+)'", allowed))
+        case "union_tag_not_found":
+            # A key path makes the tables on its way, and so one of a misspelt material.
+            *way, name = detail["loc"]
+            beside = _written(document, way)
+            meant = did_you_mean(name, beside.keys() - {name}) if isinstance(beside, Mapping) else ""
+            return f'give "{name}" one; {meant}' if meant else ""
     return ""
 
 

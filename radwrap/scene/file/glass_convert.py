@@ -195,10 +195,11 @@ def _contrast(
             where=key,
             remedy="add the axis and a height as large as that",
         )
+    places = [f" at {one:g} mm" for one in heights] if len(heights) > 1 else [""]
     share = {
         name: [
-            _share_of_limit(columns[name][order[: len(per_mm)]], per_mm / _MM, table, f"{key}: {name}")
-            for order in of_each
+            _share_of_limit(columns[name][order[: len(per_mm)]], per_mm / _MM, table, f"{key}: {name}{place}")
+            for order, place in zip(of_each, places, strict=True)
         ]
         for name in ("tangential", "sagittal")
     }
@@ -223,9 +224,9 @@ def _share_of_limit(
     """Frequencies from 0 on [m^-1], and contrast over that of a perfect lens in the table's own light."""
     s = np.minimum(frequency * table.wavelength * table.f_number, 1.0)
     limit = 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s**2))
-    above = contrast - limit
-    worst = int(above.argmax())
-    if contrast.min() < 0 or above[worst] > _READING:
+    outside = np.maximum(contrast - limit - _READING, -contrast)
+    worst = int(outside.argmax())
+    if outside[worst] > 0:
         raise InputError(
             f"is {contrast[worst]:.3g} at {frequency[worst] * _MM:g} per mm, and a perfect lens leaves "
             f"{limit[worst]:.3g} at f/{table.f_number:g} and {table.wavelength * 1e9:g} nm; it lies from 0 to that",
@@ -245,8 +246,9 @@ def _point_spread(table: PointSpreadModel, where: str, *, folder: Path, assumed:
     from radwrap.images import read_gray
 
     key = f"{where}.file"
+    picture = named_file(folder, table.file, key)
     try:
-        light = read_gray(named_file(folder, table.file, key), most_pixels=_MOST_PIXELS).values
+        light = read_gray(picture, most_pixels=_MOST_PIXELS).values
     except InputError as error:
         raise InputError(str(error), where=key) from error
     whole, brightest = float(light.sum()), float(light.max())

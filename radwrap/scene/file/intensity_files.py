@@ -139,7 +139,12 @@ def table_rows(text: str, path: Path) -> list[list[str]]:
     InputError
         If it is no CSV.
     """
-    return [row for _, row in csv_rows(text, str(path)) if not row[0].lstrip().startswith("#")]
+    return [row for _, row in numbered_rows(text, path)]
+
+
+def numbered_rows(text: str, path: Path) -> list[tuple[int, list[str]]]:
+    """As `table_rows`, each with the line of the file, from 1, that it ends in."""
+    return [(line, row) for line, row in csv_rows(text, str(path)) if not row[0].lstrip().startswith("#")]
 
 
 class _Reader:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.manifest import sha256_of_value
-from radwrap.scene.file.intensity_files import table_rows, table_text
+from radwrap.scene.file.intensity_files import numbered_rows, table_text
 from radwrap.scene.materials import MeasuredBrdf, PrintedImage
 
 Array = NDArray[np.float64]
@@ -173,17 +173,27 @@ def columns_of(path: Path, names: tuple[str, ...], optional: str = "") -> tuple[
         If it is no table of finite numbers with these columns.
     """
     text, digest = table_text(path, _LARGEST_FILE)
-    rows = table_rows(text, path)
-    head = [cell.strip() for cell in rows[0]] if rows else []
+    rows = numbered_rows(text, path)
+    head = [cell.strip() for cell in rows[0][1]] if rows else []
     if sorted(head) not in (sorted(names), sorted((*names, optional))):
         raise InputError(f"its first line must name the columns {', '.join(names)}", where=str(path))
-    try:
-        values = np.array([[float(cell) for cell in row] for row in rows[1:]], dtype=np.float64)
-    except ValueError as error:
-        raise InputError("holds what is no number, or a line too short or too long", where=str(path)) from error
-    if values.ndim != 2 or values.shape[1] != len(head) or not np.isfinite(values).all():
-        raise InputError("needs lines of as many finite numbers as columns", where=str(path))
+    if len(rows) < 2:
+        raise InputError("has no line of numbers", where=str(path))
+    values = np.array([_finite(row, len(head), f"{path}: line {line}") for line, row in rows[1:]], dtype=np.float64)
     return dict(zip(head, values.T, strict=True)), digest
+
+
+def _finite(row: list[str], columns: int, where: str) -> list[float]:
+    """Numbers of a line."""
+    if len(row) != columns:
+        raise InputError(f"has {len(row)} cells, and there are {columns} columns", where=where)
+    try:
+        numbers = [float(cell) for cell in row]
+    except ValueError as error:
+        raise InputError("holds what is not a number", where=where) from error
+    if not np.isfinite(numbers).all():
+        raise InputError("holds what is not a finite number", where=where)
+    return numbers
 
 
 def _grid(columns: dict[str, Array], names: tuple[str, ...], path: Path) -> tuple[list[Array], Array]:
