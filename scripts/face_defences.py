@@ -133,7 +133,7 @@ DEFENCES: Final = (
         ("turns", "bad_requests"),
     ),
     Defence(
-        "keys that are no knobs",
+        "keys beside the knobs",
         "face/ray_knobs.py",
         "or not set(told) <= set(known):",
         "or False:",
