@@ -145,7 +145,7 @@ def test_a_page_that_is_closed_ends_its_trace(tmp_path: Path) -> None:
 
 
 def idle(served: Served, within: float) -> bool:
-    """Whether within a time nothing is traced or computed any more for a second: between two tracers a trace computes."""
+    """Whether within a time nothing is traced for a second, nor computed, as it is between two tracers."""
     end, seen, used = time.monotonic() + within, time.monotonic(), cpu_s(served)
     while time.monotonic() < end:
         if tracers(served) or cpu_s(served) > used + 0.1:

@@ -12,7 +12,7 @@ import radwrap
 from radwrap.images import ExposureImage, read_image
 from radwrap.imaging.response.noise import fixed_pattern, noisy_frame
 from radwrap.imaging.response.sensor import gray_levels
-from radwrap.imaging.tolerance.uncertainty import uncertainty
+from radwrap.imaging.tolerance.uncertainty import spread_of, uncertainty
 from radwrap.scene.camera import Camera, Lens
 from radwrap.scene.tolerances import Tolerances
 from radwrap.validate.closed_forms.aperture import share_beyond
@@ -214,3 +214,10 @@ def test_bad_tolerances_are_one_clear_error(name: str) -> None:
     table, message = BAD[name]
     with pytest.raises(radwrap.InputError, match=message):
         sheet(table)
+
+
+def test_where_nothing_is_seen_the_whole_image_tells_how_light_is_shared() -> None:
+    """Two equal shares, none, and one share alone; 3 and 1 parts of the whole have sqrt(3^2 + 1^2)/4."""
+    spread = spread_of([np.array([1.0, 0.0, 2.0]), np.array([1.0, 0.0, 0.0])])
+    assert spread == pytest.approx([math.sqrt(0.5), math.sqrt(10) / 4, 1.0])
+    assert spread_of([np.zeros(1), np.zeros(1)]) == 1.0
