@@ -24,6 +24,7 @@ _WORTH_A_WORD: Final = 1 << 30  # byte
 _LARGEST: Final = 1e12
 _LARGEST_WHOLE: Final = 2**63 - 1
 _WHOLE: Final = re.compile(r"[+-]?[0-9]{1,19}", re.ASCII)
+_ONE_IN: Final = re.compile(r"1/[1-9][0-9]{0,3}")
 
 
 def number(low: float = -_LARGEST, high: float = _LARGEST) -> Callable[[str], float]:
@@ -73,6 +74,13 @@ def whole(low: int = -_LARGEST_WHOLE, high: int = _LARGEST_WHOLE) -> Callable[[s
     return read
 
 
+def one_in(text: str) -> str:
+    """Reader of an option's 1/N."""
+    if _ONE_IN.fullmatch(text) is None:
+        raise ArgumentTypeError(f'must be 1/N with a whole number N, such as 1/4, not "{shortened(text)}"')
+    return text
+
+
 def tell_memory(verb: str, pixels: int, each: int, besides: int = 0) -> None:
     """Say beforehand what a large picture takes, bytes for each pixel and besides; what this machine lacks is refused.
 
@@ -110,7 +118,10 @@ def add_changes(parser: argparse.ArgumentParser) -> None:
         help='change one key of the scene, such as --set camera.exposure_time="64 ms"; may be repeated',
     )
     parser.add_argument(
-        "--scale", metavar="1/N", help="make one pixel of N x N, with their sum of electrons; gray levels stay"
+        "--scale",
+        metavar="1/N",
+        type=one_in,
+        help="make one pixel of N x N, with their sum of electrons; gray levels stay",
     )
     parser.add_argument(
         "--roi",

@@ -93,6 +93,11 @@ def test_what_is_left_out_is_said(path: Path, capsys: pytest.CaptureFixture[str]
     assert "camera.sensor.roi" not in fits.assumed
 
 
+def test_a_scale_that_is_none_is_the_options_fault(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    told = here(["explain", path, "--scale", "0.4"], capsys).refusal(2)
+    assert '--scale: must be 1/N with a whole number N, such as 1/4, not "0.4"' in told
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
