@@ -11,6 +11,7 @@ import pty
 import re
 import struct
 import subprocess
+import sys
 import termios
 from collections.abc import Iterator
 from importlib.metadata import version
@@ -69,6 +70,11 @@ def test_help_tells_verbs_options_and_exit_codes(capsys: pytest.CaptureFixture[s
         shown = [told, *(here([verb, word, "--help"], capsys).success() for word in below)]
         assert not [help_ for help_ in shown if "``" in help_.stdout]
     assert here(["--version"], capsys).success().stdout == f"radwrap {version('radwrap')}\n"
+
+
+def test_the_package_is_the_program_too() -> None:
+    done = subprocess.run([sys.executable, "-m", "radwrap", "rendre"], capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and "render" in done.stderr and "Traceback" not in done.stderr
 
 
 def test_readme_names_every_verb_and_no_other() -> None:
