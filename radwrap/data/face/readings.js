@@ -26,6 +26,9 @@ export class Readings {
     /** @type {import("./types.js").PixelTold | null} */
     this.told = null;
     this.spoken = 0;
+    // What was read off the picture before may be of other pixels.
+    byId("probe").replaceChildren();
+    byId("csv", HTMLButtonElement).disabled = true;
     this.listen(signal);
   }
 
