@@ -18,6 +18,7 @@ from typing import Final
 from radwrap.errors import InputError
 
 _NUMBER = r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
+ONE_IN: Final = r"1/[1-9][0-9]{0,3}"  # a scale
 _QUANTITY: Final = re.compile(rf"({_NUMBER}) (\S+)")
 
 

@@ -18,13 +18,12 @@ from radwrap.imaging.render_options import TRACERS
 from radwrap.reading import parse_toml, shortened
 from radwrap.scene.file.load import load_scene
 from radwrap.scene.scene import Scene
-from radwrap.units import TIME, parse_quantity
+from radwrap.units import ONE_IN, TIME, parse_quantity
 
 _WORTH_A_WORD: Final = 1 << 30  # byte
 _LARGEST: Final = 1e12
 _LARGEST_WHOLE: Final = 2**63 - 1
 _WHOLE: Final = re.compile(r"[+-]?[0-9]{1,19}", re.ASCII)
-_ONE_IN: Final = re.compile(r"1/[1-9][0-9]{0,3}")
 
 
 def number(low: float = -_LARGEST, high: float = _LARGEST) -> Callable[[str], float]:
@@ -76,7 +75,7 @@ def whole(low: int = -_LARGEST_WHOLE, high: int = _LARGEST_WHOLE) -> Callable[[s
 
 def one_in(text: str) -> str:
     """Reader of an option's 1/N."""
-    if _ONE_IN.fullmatch(text) is None:
+    if re.fullmatch(ONE_IN, text) is None:
         raise ArgumentTypeError(f'must be 1/N with a whole number N, such as 1/4, not "{shortened(text)}"')
     return text
 

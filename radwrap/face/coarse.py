@@ -11,7 +11,7 @@ from typing import Any, Final
 from radwrap.errors import EnvironmentFailure, InputError
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.tracer_choice import candidate
-from radwrap.scene.file.load import scene_from_document
+from radwrap.scene.file.load import with_value
 from radwrap.scene.scene import Scene
 
 TOLERANCE: Final = "2 %"  # of saturation minus dark: what the eye just sees
@@ -53,11 +53,9 @@ def coarse_of(scene: Scene, options: Mapping[str, Any]) -> Coarse | None:
     if sensor.pixels * len({emitter.source for emitter in scene.emitters}) < WORTH_IT:
         return None
     block = _block(sensor.rows, sensor.columns)
-    document = json.loads(scene.document)
-    before = int((document["camera"]["sensor"].get("scale") or "1/1").removeprefix("1/"))
-    changes = {"camera.sensor.scale": f"1/{before * block}"}
+    before = int((json.loads(scene.document)["camera"]["sensor"].get("scale") or "1/1").removeprefix("1/"))
     try:
-        found = scene_from_document(document, changes, origin=scene.origin, folder=scene.folder)
+        found = with_value(scene, "camera.sensor.scale", f"1/{before * block}")
     except InputError:
         return None
     asked = replace(RenderOptions(**options), tolerance=TOLERANCE)

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 from radwrap.errors import InputError
-from radwrap.scene.file.load import scene_from_document
 from radwrap.scene.scene import Scene
 
 # None of them names a file, and none changes which sources there are.
@@ -58,9 +57,3 @@ def ray_changes(told: Any, scene: Scene) -> dict[str, Value]:
         if value != before:
             found[key] = value
     return found
-
-
-def with_rays(scene: Scene, changes: Mapping[str, Value]) -> Scene:
-    """The scene with other values; raises as `load_scene`."""
-    document = json.loads(scene.document)
-    return scene_from_document(document, dict(changes), origin=scene.origin, folder=scene.folder)

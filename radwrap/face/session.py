@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import Cancelled, InputError, RadwrapError
 from radwrap.face.coarse import Coarse, coarse_of
-from radwrap.face.ray_knobs import ray_changes, ray_knobs, with_rays
+from radwrap.face.ray_knobs import ray_changes, ray_knobs
 from radwrap.face.recipe import Recipe, lines
 from radwrap.face.renderer import Renderer
 from radwrap.imaging.forecast.effects import Effect
@@ -35,6 +35,7 @@ from radwrap.imaging.relight.relit_uncertainty import relit_squares
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.tolerance.uncertainty import combined
 from radwrap.scene.catalog.places import SCENE
+from radwrap.scene.file.load import with_changes
 from radwrap.scene.file.turned import with_levels
 from radwrap.scene.scene import Scene
 
@@ -341,7 +342,7 @@ class Session:
             As `ray_changes` and `load_scene`; what is traced then goes on.
         """
         with self._guard:
-            with_rays(self._scene, ray_changes(told, self._scene))
+            with_changes(self._scene, ray_changes(told, self._scene))
             if self._thread is not None:
                 self._renderer.stop()
                 self._thread.join()
@@ -350,7 +351,7 @@ class Session:
                 self._status = Status("ready")
                 return
             recipe = None if self._recipe is None else self._recipe.changed(changes)
-            self._begin(with_rays(self._scene, changes), recipe, anew=True)
+            self._begin(with_changes(self._scene, changes), recipe, anew=True)
 
     def _begin(self, scene: Scene, recipe: Recipe | None, *, anew: bool = False) -> None:
         self._traces += 1

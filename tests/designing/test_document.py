@@ -28,6 +28,8 @@ of = "peak_gray"
 at_most = 200
 """
 
+TIME = 'key = "camera.exposure_time"\nlow = "10 ms"\nhigh = "110 ms"'
+
 FAULTS = {
     "no budget": ("budget = 20", "", "budget"),
     "budget too small": ("budget = 20", "budget = 2", "budget"),
@@ -44,7 +46,7 @@ FAULTS = {
     "one bound without unit": ('high = "110 ms"', "high = 110", "low and high have different units, ms and none"),
     "a bound of text": ('low = "10 ms"', 'low = "soon"', "keys.time.low: must be a number, or a number with a unit"),
     "whole numbers without a step": (
-        'key = "camera.exposure_time"\nlow = "10 ms"\nhigh = "110 ms"',
+        TIME,
         'key = "camera.sensor.rows"\nlow = 40\nhigh = 60',
         "keys.time: takes whole numbers only; add step = 1",
     ),
@@ -92,17 +94,17 @@ FAULTS = {
         "which keys.time sets already",
     ),
     "levels below zero": (
-        'key = "camera.exposure_time"\nlow = "10 ms"\nhigh = "110 ms"',
+        TIME,
         'key = "sources[0].radiance"\nlow = "-1 W/m^2/sr"\nhigh = "2 W/m^2/sr"',
         "levels are not negative",
     ),
     "levels by the paper's method": (
-        'key = "camera.exposure_time"\nlow = "10 ms"\nhigh = "110 ms"',
+        TIME,
         'key = "sources[0].radiance"\nlow = "1 W/m^2/sr"\nhigh = "2 W/m^2/sr"\n[render]\nmethod = "pinhole"',
         "solved for on a light basis",
     ),
     "a level twice": (
-        'key = "camera.exposure_time"\nlow = "10 ms"\nhigh = "110 ms"',
+        TIME,
         'key = "sources[0].radiance"\nlow = "1 W/m^2/sr"\nhigh = "2 W/m^2/sr"\n'
         '[keys.led]\nkey = "sources[0].leds[1].radiance_factor"\nlow = 0.0\nhigh = 1.0',
         "scales ring.led01",
@@ -145,7 +147,7 @@ def test_levels_are_told_from_what_is_searched(design_file: Write) -> None:
         ('key = "sources[0].leds[*].radiance_factor"\nlow = 0.0\nhigh = 1.0\nstep = 0.5', False),
         ('key = "sources[0].diameter"\nlow = "30 mm"\nhigh = "40 mm"', False),
     ):
-        changed = GOOD.replace('key = "camera.exposure_time"\nlow = "10 ms"\nhigh = "110 ms"', text)
+        changed = GOOD.replace(TIME, text)
         if text.endswith("step = 0.5"):  # a scene in which no LED shines is refused, as any other choice would be
             changed = changed.replace("low = 0.0", "low = 0.5")
         assert bool(read_problem(design_file(changed)).levels) == is_level

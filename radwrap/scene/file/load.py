@@ -244,7 +244,12 @@ def with_value(scene: Scene, key: str, value: Any) -> Scene:
     >>> radwrap.with_value(scene, "camera.exposure_time", "64 ms").camera.exposure_time
     0.064
     """
-    return scene_from_document(json.loads(scene.document), {key: value}, origin=scene.origin, folder=scene.folder)
+    return with_changes(scene, {key: value})
+
+
+def with_changes(scene: Scene, changes: Mapping[str, Any]) -> Scene:
+    """A scene that differs in some keys; see `with_value`."""
+    return scene_from_document(json.loads(scene.document), changes, origin=scene.origin, folder=scene.folder)
 
 
 def _checked_json(document: Mapping[str, Any], origin: str) -> str:

@@ -24,14 +24,14 @@ from radwrap.scene.file.border import (
     TemperatureDifference,
     default,
 )
-from radwrap.units import parse_gain
+from radwrap.units import ONE_IN, parse_gain
 
 Gamma = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.01, le=10)]
 GrayLevel = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
 # A fill factor: beyond this a pixel has no area worth the name.
 FillShare = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.01, le=1)]
 Column = Annotated[int, Field(strict=True, ge=0, lt=1_000_000)]
-_SCALE: Final = r"^1/[1-9][0-9]{0,3}$"
+_SCALE: Final = f"^{ONE_IN}$"
 
 Sensitivity = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=1e6)]
 Sensitivities = Annotated[tuple[Sensitivity, ...], Field(min_length=1, max_length=256)]
