@@ -4,22 +4,25 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+DOCS_READY := $(VENV)/.docs
 
 # Scripts of the paper's figures and tables; what is finished is taken as it is. ARGS=--quick is a coarse look at all.
 FIGURES := fig05_response fig08_09_field fig10_board fig11_edge fig12_transition fig13_oriented \
 	table1_ambient table3_focal_length table3_reason table4_lenth
 NUMBERED := fig05 fig08 fig09 fig10 fig11 fig12 fig13 table1 table3 table3_reason table4
 
-.PHONY: demo face test test-long test-hid test-report test-face coverage lint bench bias invariance crosscheck validate figures replication $(NUMBERED) povray chromium node clean help
+.PHONY: demo face docs test test-long test-hid test-report test-face test-docs coverage lint bench bias invariance crosscheck validate figures replication $(NUMBERED) povray chromium node clean help
 
 help:
 	@echo "make demo   set up, render the calibration board, say where the picture lies"
 	@echo "make face   set up, and turn the light of the calibration board in the browser"
+	@echo "make docs   build the site of the documentation, out/docs/index.html; it runs the tutorials and renders every scene"
 	@echo "make test   set up (POV-Ray by apt where missing), lint, run the tests"
 	@echo "make test-long  the whole samples of slow statistics, of which make test takes a part"
 	@echo "make test-hid  the LED cases on real HID devices, in two virtual machines (qemu by apt where missing)"
 	@echo "make test-report  open the report of a study in a real browser (Chromium by apt where missing)"
 	@echo "make test-face  check the types of the page's modules, and turn its knobs in a real browser (apt, npm)"
+	@echo "make test-docs  look at every page of the site in a real browser (make docs before; apt, npm)"
 	@echo "make coverage  lines and branches that the tests run, in all processes"
 	@echo "make lint   ruff and mypy --strict"
 	@echo "make bench  speed, overhead, memory, what a tolerance costs, and real cells beside Mitsuba (ARGS: bench_cells.py)"
@@ -37,6 +40,11 @@ demo: $(READY)
 
 face: $(READY)
 	@$(BIN)/radwrap face rad_scenes/bench_board/scene.toml $(ARGS)
+
+# No network: what pages show stands beside them. A warning is an error.
+docs: $(DOCS_READY)
+	@$(BIN)/python -m sphinx -W --keep-going -q -b html -d out/docs_tree docs out/docs
+	@echo "The site is out/docs/index.html"
 
 # Three processes, as the machine that the suite is timed on has two cores, and tests that kill or time something wait
 # for a sixth of the time; tests of a file share what they make, and the longest files are begun first (conftest.py).
@@ -66,6 +74,10 @@ FACE := tests/face/browser
 test-face: $(READY) chromium node
 	@cd $(FACE) && npm ci --no-audit --no-fund --silent && npx tsc -p tsconfig.json
 	@timeout 600 node --test $(FACE)/face.test.mjs
+
+test-docs: docs chromium node
+	@cd $(FACE) && npm ci --no-audit --no-fund --silent
+	@node tests/docs_site/site.mjs out/docs
 
 # ARGS are pytest's: a folder of tests, say.
 coverage: $(READY) povray
@@ -117,6 +129,10 @@ $(READY): requirements.lock pyproject.toml
 	@$(BIN)/python -m compileall -q radwrap scripts tests  # a command starts in 0.15 s less, also where Python may not write byte code
 	@$(BIN)/radwrap doctor --warm >/dev/null  # compiles our own tracer, some 30 s, once for each of its versions
 	@touch $(READY)
+
+$(DOCS_READY): requirements-docs.lock $(READY)
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -r requirements-docs.lock
+	@touch $(DOCS_READY)
 
 # POV-Ray is for cross-checks alone; where there is no apt, tests that need it say so.
 povray:

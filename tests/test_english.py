@@ -9,7 +9,11 @@ from typing import Final
 import pytest
 
 HERE: Final = Path(__file__).resolve().parent.parent
-PAGES: Final = [HERE / "README.md", *sorted((HERE / "docs").glob("*.md"))]
+PAGES: Final = [
+    HERE / "README.md",
+    *sorted((HERE / "docs").glob("*.md")),
+    *sorted((HERE / "docs").glob("tutorials/*.md")),
+]
 CODE: Final = re.compile(r"```.*?```|`[^`]*`|^ {4}.*$", re.DOTALL | re.MULTILINE)
 BANNED: Final = {
     r"\b(tell|tells|told)\b": "report, say, give or show",

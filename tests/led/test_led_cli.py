@@ -95,6 +95,28 @@ def test_levels_intensities_and_single_leds(bench: Path, capsys: pytest.CaptureF
     assert here(led(bench, "frame", "dark", "--for", "0 s", "--json"), capsys).json["held"] == [0] * LEDS
 
 
+def test_an_emulator_is_named_from_the_folder_of_the_command(
+    bench: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The guardian works in another folder."""
+    with EmulatorProcess("mcp2221a_pca9685", LEDS) as running:
+        socket = Path(running.socket)
+        monkeypatch.chdir(socket.parent)
+        argv = [
+            "led",
+            "set",
+            0.25,
+            "--emulator",
+            socket.name,
+            "--drive",
+            bench / "drive.toml",
+            "--for",
+            "0 s",
+            "--json",
+        ]
+        assert here(argv, capsys).success().json["held"] == [0.25] * LEDS
+
+
 def test_list_show_and_off(capsys: pytest.CaptureFixture[str]) -> None:
     assert "uaccess" in here(["led", "list", "--udev"], capsys).success().stdout
     assert here(["led", "show", "--emulate", "--json"], capsys).json["device"]["readback"] is True
