@@ -462,3 +462,12 @@ def test_a_command_that_begins_waits_for_no_library_that_it_may_not_need() -> No
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_a_small_image_with_diffraction_waits_for_scipy_no_more_than_one_without(tmp_path: Path) -> None:
+    """It takes a sixth of such a render to load."""
+    scene = PACKAGE.parent / "rad_scenes" / "bench_board" / "scene.toml"
+    argv = ["render", str(scene), "--scale", "1/8", "--tolerance", "8", "--out", str(tmp_path / "out")]
+    argv += ["--set", "camera.diffraction=on", "--tracer", "radiance"]
+    code = f"import sys; from radwrap.cli.main import main; assert main({argv}) == 0; assert 'scipy' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

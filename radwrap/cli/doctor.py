@@ -5,17 +5,21 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from importlib.metadata import PackageNotFoundError
 from importlib.metadata import version as distribution_version
-from typing import Any
+from typing import Any, Final
 
 from radwrap.errors import EnvironmentFailure, RadwrapError
+from radwrap.extras import EXTRAS, require
 from radwrap.imaging.forecast.speed import tracer_speed
 from radwrap.led.ports import modules as hidapi_modules
 from radwrap.manifest import STUDY_PACKAGES, json_text, versions
 from radwrap.process import Programs, available_cores
 from radwrap.tracers.expressible import compiler_lacks
 from radwrap.tracers.installation import find_radiance, version
+
+_LISTED: Final = tuple(name for name in EXTRAS if name not in ("fast", "led"))  # these have entries that say more
 
 
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
@@ -44,6 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
         ),
         _check("POV-Ray", False, "apt install povray (only for cross-checks)", _povray),
         _check("hidapi", False, "pip install hidapi (only for a real LED ring)", _hidapi),
+        *(_check(f"extra {name}", False, f'pip install "radwrap[{name}]"', partial(_extra, name)) for name in _LISTED),
     ]
     whole = all(check["found"] or not check["needed"] for check in checks)
     found = {"ok": whole, "checks": checks, "versions": versions(*STUDY_PACKAGES), "cores": available_cores()}
@@ -115,6 +120,12 @@ def _povray() -> tuple[str, str]:
     with Programs() as programs:
         found = find_povray(programs)
     return found.version, found.program
+
+
+def _extra(name: str) -> tuple[str, str]:
+    """That all of an extra's packages are there."""
+    require(name, name)
+    return ", ".join(EXTRAS[name]), ""
 
 
 def _hidapi() -> tuple[str, str]:

@@ -19,6 +19,7 @@ from radwrap.cli.address_space import check_address_space, is_lack_of_memory
 from radwrap.cli.interrupts import Interrupts, tell_interrupted
 from radwrap.cli.spelling import spell
 from radwrap.errors import EnvironmentFailure, InputError, RadwrapError, one_line
+from radwrap.extras import lack_of, require
 
 _EPILOG = (
     "Exit codes: 0 done, 1 a check failed, 2 bad input, 3 tolerance not met, 4 environment or tracer, 130 interrupted."
@@ -47,6 +48,11 @@ _VERBS: Final = {
     "catalog": ("catalog", "list, show and check sensors, lenses, lights and materials that scenes may name"),
     "doctor": ("doctor", "check programs and libraries"),
     "completion": ("completion", "print what a shell needs to complete this command"),
+}
+# The extra without which a verb cannot do its work; that of others shows where it is used.
+_EXTRA: Final = {
+    **dict.fromkeys(("measure", "calibrate", "compare"), "measure"),
+    **dict.fromkeys(("study", "trade", "crosscheck", "validate"), "study"),
 }
 
 
@@ -79,6 +85,8 @@ def _carried_out(given: list[str], interrupts: Interrupts) -> int:
     except SystemExit as end:  # --help and --version, which are told
         return int(end.code or 0)
     interrupts.begin_work()
+    if given[0] in _EXTRA:
+        require(_EXTRA[given[0]], given[0])
     try:
         code: int = parsed.run(parsed)
     except RadwrapError as error:
@@ -96,6 +104,8 @@ def _failed(error: BaseException) -> int:
         case BrokenPipeError():
             # Whoever read our output has gone; Python must not try to flush it again.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        case ModuleNotFoundError(name=str(module)) if not module.startswith("radwrap"):
+            _tell(str(lack_of(module, "")))
         case _ if is_lack_of_memory(error):
             _tell("not enough memory; see `radwrap render --dry-run`")
         case OSError():

@@ -25,14 +25,16 @@ from radwrap.tracers.engine import Engine, EngineName
 from radwrap.tracers.expressible import compiler_lacks, inexpressible
 from radwrap.tracers.tracer import Tracer
 
-# Rays times sources that Radiance traces in about the time that the compiled tracer takes to be loaded.
-WORTH_COMPILED: Final = 1_000_000
+# Rays times sources that Radiance traces in about the time that the compiled tracer takes to be loaded, .3 s.
+WORTH_COMPILED: Final = 500_000
 # What the light of one source of a basis takes Radiance besides: it begins programs for each of its pieces, and
 # follows all primary rays anew. The compiled tracer tells sources apart in one pass, and is faster from five on.
-_BASIS_SOURCE: Final = 200_000
+_BASIS_SOURCE: Final = 100_000
 # Rays that certify an image at least: of 512 pixels, four pairs each, twice, for one layer of depth.
 _CERTIFIED_PIXELS: Final = 512
 _CERTIFYING: Final = 16
+# Rays that tell what waves change, where a scene does not leave them out; an image that has them takes as many again.
+WAVE_RAYS: Final = 1 << 16
 # Rays of a pixel whose walks are the fewest that tell their noise: two replicates, each with a pilot of twice as many.
 _WALKS: Final = 2 * 3 * FEWEST
 # What each step of a walk asks Radiance besides a ray to each source: where the surface is, and whose.
@@ -139,7 +141,8 @@ def _fewest_rays(camera: Camera, options: RenderOptions) -> int:
         return pixels * samples * options.viewpoint_number
     if options.fixed_method is not None or camera.aperture.is_infinitesimal:
         return pixels * samples
-    return pixels * samples + _CERTIFYING * min(pixels, _CERTIFIED_PIXELS)
+    waves = WAVE_RAYS if camera.diffraction else 0
+    return pixels * samples + _CERTIFYING * min(pixels, _CERTIFIED_PIXELS) + waves
 
 
 def probed(reference: Tracer, other: Engine, scene: Scene, rays: NDArray[np.float64]) -> Agreement:

@@ -99,15 +99,26 @@ def far_change(plan: WavePlan, around: Array) -> tuple[Array, Array]:
     change, beyond : ndarray, shape (rows, columns)
         [W m^-2 sr^-1]
     """
-    from scipy.ndimage import map_coordinates
-
     sensor, share = plan.kernel.camera.sensor, plan.weights.share
     coarse = _Coarse.of(plan)
-    at = (np.arange(size) + 0.5 for size in (sensor.rows, sensor.columns))
-    places = np.meshgrid(*(place / coarse.block - 0.5 for place in at), indexing="ij")
-    mean = map_coordinates(around, places, order=1, mode="nearest")
+    mean = around
+    for axis, size in enumerate((sensor.rows, sensor.columns)):
+        mean = _interpolated(mean, (np.arange(size) + 0.5) / coarse.block - 0.5, axis)
     beyond = min(plan.waves.tail(coarse.far * plan.pitch), abs(share))
     return share * mean, beyond * mean
+
+
+def _interpolated(values: Array, places: Array, axis: int) -> Array:
+    """Values at places along an axis, by straight lines; beyond the ends those of the ends.
+
+    By numpy: to load scipy's image functions takes a sixth of a small render.
+    """
+    places = np.clip(places, 0, values.shape[axis] - 1)
+    low = np.minimum(np.floor(places).astype(np.intp), max(values.shape[axis] - 2, 0))
+    high = np.minimum(low + 1, values.shape[axis] - 1)
+    share = np.expand_dims(places - low, tuple(other for other in range(values.ndim) if other != axis))
+    found: Array = values.take(low, axis) * (1 - share) + values.take(high, axis) * share
+    return found
 
 
 @dataclass(frozen=True, slots=True)
