@@ -20,6 +20,7 @@ html_title = "radwrap"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_copy_source = False
+html_show_search_summary = False  # it is fetched, which browsers refuse to pages that were opened as files
 html_show_sourcelink = False
 html_math_renderer = "mathml"
 napoleon_google_docstring = False

@@ -8,10 +8,11 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
 
-from docs_site import gallery, lessons, reference
+from docs_site import gallery, lessons, pictures, reference
 
 GENERATED: Final = "generated"
 TUTORIALS: Final = "tutorials/"
+_AFTER_THEME: Final = 900  # furo makes the navigation at 500
 
 
 def _write(folder: Path, pages: Iterable[tuple[str, str]]) -> None:
@@ -50,15 +51,23 @@ def run_tutorial(app: Any, name: str, source: list[str]) -> None:
     with tempfile.TemporaryDirectory(prefix="radwrap-lesson-") as folder:
         done = lessons.run(source[0], Path(folder), f"{name}.md")
         for picture in Path(folder).glob("*.png"):
-            shutil.copy(picture, place)
+            pictures.shown(picture, place / picture.name)
     notebook = place / f"{Path(name).name}.ipynb"
     notebook.write_text(lessons.as_notebook(done), "utf-8")
     here = f"/{GENERATED}/{name}"
     source[0] = lessons.page(done, here, f"{here}/{notebook.name}")
 
 
+def make_accessible(_app: Any, _page: str, _template: str, context: dict[str, Any], _tree: Any) -> None:
+    """Let the keyboard scroll wide code, and say at which level captions of the navigation stand."""
+    context["body"] = context.get("body", "").replace("<pre>", '<pre tabindex="0">')
+    navigation = context.get("furo_navigation_tree", "")
+    context["furo_navigation_tree"] = navigation.replace('role="heading"', 'role="heading" aria-level="2"')
+
+
 def setup(app: Any) -> dict[str, bool]:
     """Register what is made when."""
     app.connect("builder-inited", make_pages)
     app.connect("source-read", run_tutorial)
+    app.connect("html-page-context", make_accessible, priority=_AFTER_THEME)
     return {"parallel_read_safe": False, "parallel_write_safe": True}

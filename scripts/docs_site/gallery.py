@@ -12,16 +12,14 @@ from pathlib import Path
 from typing import Any, Final
 
 import cv2
-import numpy as np
 
 import radwrap
+from docs_site.pictures import for_eyes
 from radwrap.errors import RadwrapError
 from radwrap.scene.scene import Scene
 
 # A picture of the gallery has so many pixels at most; larger sensors are read out with larger pixels.
 MOST_PIXELS: Final = 200_000
-# What is narrower is shown larger, each pixel as a square.
-SHOWN: Final = 640  # px
 _MADE: Final = "made.json"
 # Scenes that show nothing without an option; their files say so.
 OPTIONS: Final[dict[str, dict[str, Any]]] = {"white_tent": {"bounces": "all", "tolerance": 8.0}}
@@ -101,7 +99,7 @@ def _made(path: Path, name: str, there: Path) -> dict[str, object]:
     scene, scale = _scaled(radwrap.load_scene(path), path)
     options = OPTIONS.get(name, {})
     result = radwrap.render(scene, there / "out", **options)
-    _picture(result.gray.values, scene.camera.sensor.saturation_gray, there / "gray.png")
+    cv2.imwrite(str(there / "gray.png"), for_eyes(result.gray.values, scene.camera.sensor.saturation_gray))
     error = result.error
     facts = {
         "pixels": f"{scene.camera.sensor.columns} x {scene.camera.sensor.rows}",
@@ -125,13 +123,6 @@ def _made(path: Path, name: str, there: Path) -> dict[str, object]:
         "facts": facts,
         "live": live,
     }
-
-
-def _picture(gray: np.ndarray, saturation: float, file: Path) -> None:
-    """Eight bits of the sensor's range, enlarged by whole pixels."""
-    bits = np.clip(np.rint(gray * (255 / saturation)), 0, 255).astype(np.uint8)
-    times = max(1, SHOWN // bits.shape[1])
-    cv2.imwrite(str(file), np.kron(bits, np.ones((times, times), np.uint8)))
 
 
 def pages(home: Path, cache: Path, pictures: Path) -> Iterator[tuple[str, str]]:
