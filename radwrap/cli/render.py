@@ -14,10 +14,12 @@ from radwrap.errors import InputError, ToleranceNotMet
 from radwrap.imaging.forecast.cost import duration
 from radwrap.imaging.forecast.photo_realistic import check_drawable, write_beside
 from radwrap.imaging.forecasting import forecast
+from radwrap.imaging.output.colour_picture import write_colour
 from radwrap.imaging.output.run_manifest import RunManifest
 from radwrap.imaging.render_options import METHODS, RenderOptions
 from radwrap.imaging.synthesis import render
 from radwrap.manifest import json_text, plain
+from radwrap.scene.colour_planes import refuse_mosaic
 from radwrap.scene.look.checks import warnings_of
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import WideSource
@@ -108,6 +110,11 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         help="draw the scene the other way of Fig. 3 too (Lambert and Phong, one parallel or point light, no shadows, "
         "no sensor), and put both side by side with their difference",
     )
+    parser.add_argument(
+        "--demosaic",
+        action="store_true",
+        help="write colour.png too: the raw image of a colour camera, demosaiced by OpenCV",
+    )
     parser.add_argument("--dry-run", action="store_true", help="only say what rays, memory and time it would take")
     parser.add_argument(
         "--max-pixels", metavar="N", type=shared.number(), default=64e6, help="largest sensor (default 64e6 pixels)"
@@ -123,7 +130,11 @@ def run(arguments: argparse.Namespace) -> int:
     options = _options(arguments)
     if arguments.dry_run:
         return _dry_run(scene, options, as_json=arguments.json)
+    mosaic = scene.camera.sensor.mosaic
+    if arguments.demosaic and mosaic is None:
+        raise InputError("needs a colour camera, and the scene has no camera.sensor.mosaic", where="--demosaic")
     if arguments.photo_realistic:
+        refuse_mosaic(scene, "--photo-realistic")
         check_drawable(scene)
     # What no ray is needed for is said before the first; how wide lights shine is known once a tracer is chosen.
     early = warnings_of(scene, {source.name for source in scene.sources if isinstance(source, WideSource)})
@@ -131,6 +142,8 @@ def run(arguments: argparse.Namespace) -> int:
     result = render(scene, shared.out_folder(arguments, "images"), options)
     told: Mapping[str, Any] = result.manifest
     _warn(warning for warning in result.run.warnings if warning not in early)
+    if arguments.demosaic and mosaic is not None:
+        write_colour(Path(arguments.out), result.gray.codes, mosaic.pattern)
     drawn = None
     if arguments.photo_realistic:
         drawn = write_beside(
@@ -164,6 +177,10 @@ def _summarise(arguments: argparse.Namespace, made: RunManifest, drawn: Mapping[
         f"{error.rms_gray_upper95:.2g} (95 %), by {error.method}{_beside(made)}; method {made.method}, "
         f"{made.rays:.3g} rays"
     )
+    if made.mosaic is not None:
+        colours = made.mosaic.colours.items()
+        told = ", ".join(f"{colour} below {plane.error.rms_gray_upper95:.2g}" for colour, plane in colours)
+        print(f"raw mosaic {made.mosaic.pattern}: {told}")
     if drawn is not None:
         apart = drawn["gray_difference"]
         print(

@@ -34,9 +34,9 @@ from radwrap.images import GrayImage, write_png
 from radwrap.imaging.output.folder import is_whole
 from radwrap.imaging.relight.relit import Relit, read_basis, relit
 from radwrap.imaging.render_options import RenderOptions
-from radwrap.imaging.rendered import Rendered
+from radwrap.imaging.rendered import Rendered, load_result
 from radwrap.imaging.response.sensor import gray_levels
-from radwrap.imaging.synthesis import load_result, render
+from radwrap.imaging.synthesis import render
 from radwrap.imaging.tolerance.kept_replicates import REPLICATES, read_replicates
 from radwrap.lost_interrupts import interrupt_again
 from radwrap.manifest import SCHEMA_VERSION, plain
