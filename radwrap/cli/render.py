@@ -6,6 +6,7 @@ import argparse
 import sys
 import time
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from radwrap.errors import InputError, ToleranceNotMet
 from radwrap.imaging.forecast.cost import duration
 from radwrap.imaging.forecast.photo_realistic import check_drawable, write_beside
 from radwrap.imaging.forecasting import forecast
+from radwrap.imaging.mosaicked import plane_of, refuse_for_mosaic, rendered_colours
 from radwrap.imaging.output.colour_picture import write_colour
 from radwrap.imaging.output.run_manifest import RunManifest
 from radwrap.imaging.render_options import METHODS, RenderOptions
@@ -247,6 +249,8 @@ def _budget(text: str | None) -> dict[str, Any]:
 
 
 def _dry_run(scene: Scene, options: RenderOptions, *, as_json: bool) -> int:
+    if scene.camera.sensor.mosaic is not None:
+        return _dry_run_of_colours(scene, options, as_json=as_json)
     # All that this process has done so far, of which nearly all is to load libraries and the scene.
     cost = forecast(scene, options, started=time.process_time())
     if as_json:
@@ -257,4 +261,21 @@ def _dry_run(scene: Scene, options: RenderOptions, *, as_json: bool) -> int:
     print(", ".join(f"{part} {duration(seconds)}" for part, seconds in cost.parts.items()))
     for one in cost.cheaper:
         print(one)
+    return 0
+
+
+def _dry_run_of_colours(scene: Scene, options: RenderOptions, *, as_json: bool) -> int:
+    """What each plane of a mosaic costs that is rendered; pixels that saturate may need more planes."""
+    refuse_for_mosaic(scene, options)
+    single = replace(options, frames=0)
+    costs = {colour: forecast(plane_of(scene, colour), single) for colour in rendered_colours(scene)}
+    if as_json:
+        told = {
+            colour: {"rays": cost.rays, "memory_bytes": cost.memory_bytes, "timing": plain(cost.foretold, named=False)}
+            for colour, cost in costs.items()
+        }
+        print(json_text({"rays": sum(cost.rays for cost in costs.values()), "colours": told}), end="")
+        return 0
+    for colour, cost in costs.items():
+        print(f"{colour}: {cost}")
     return 0

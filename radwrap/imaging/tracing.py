@@ -101,7 +101,7 @@ class LaidOutScene:
         kept: Kept | None = None,
         compared_meanwhile: bool = False,
     ) -> None:
-        refuse_mosaic(scene, "this")
+        refuse_mosaic(scene)
         self._kept = kept
         self._options = options
         self._programs = programs

@@ -186,7 +186,7 @@ def one_band(scene: Scene, where: str) -> Scene:
     """
     if scene.spectral is None:
         return scene
-    refuse_mosaic(scene, "this")
+    refuse_mosaic(scene)
     found = scene_bands(scene, scene.spectral, ONE_BAND_ERROR)
     if len(found.bands) > 1:
         raise InputError(

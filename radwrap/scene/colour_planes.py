@@ -31,8 +31,8 @@ def mosaic_of(scene: Scene) -> Mosaic:
     return mosaic
 
 
-def refuse_mosaic(scene: Scene, where: str) -> None:
-    """For what knows one filter on all pixels.
+def refuse_mosaic(scene: Scene, what: str = "what is asked") -> None:
+    """For what knows one filter on all pixels; `what` names it.
 
     Raises
     ------
@@ -42,7 +42,7 @@ def refuse_mosaic(scene: Scene, where: str) -> None:
     mosaic = scene.camera.sensor.mosaic
     if mosaic is not None:
         raise InputError(
-            f'is "{mosaic.pattern}", and {where} knows no mosaic',
+            f'is "{mosaic.pattern}", and {what} knows one colour only',
             where=f"{scene.origin}: camera.sensor.mosaic",
             remedy='look at one colour: with "red", "green" or "blue" all pixels have its filter',
         )
