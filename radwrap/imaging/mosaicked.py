@@ -240,7 +240,15 @@ def _shares(scene: Scene) -> Mapping[Colour, float | None]:
 
 
 def _planes(scene: Scene, folder: Path, options: RenderOptions, render: PlaneRender) -> dict[Colour, _Plane]:
-    shares, (brightest, *_) = _shares(scene), rendered_colours(scene)
+    shares, (brightest, *others) = _shares(scene), rendered_colours(scene)
+    # A budget is that of all planes; pixels that saturate may need more.
+    parts = 1 + len(others)
+    rays, seconds = options.budget_rays, options.budget_seconds
+    options = replace(
+        options,
+        budget_rays=None if rays is None else max(rays / parts, 1.0),
+        budget_seconds=None if seconds is None else max(seconds / parts, 1e-3),
+    )
     make_folder(folder)
     first = _rendered_plane(scene, brightest, folder, options, render)
     found = {brightest: first}
