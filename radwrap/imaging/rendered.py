@@ -305,5 +305,6 @@ def _run_of(run: RunManifest, made: Developed) -> RunManifest:
         dark_fraction=float(np.mean(levels < sensor.dark_gray + 0.5)),
         error=made.certificate,
         uncertainty=None,
+        mosaic=None,  # it tells the errors of that image's colours
         files={},
     )

@@ -205,6 +205,7 @@ def test_another_exposure_needs_no_ray_and_other_filters_do() -> None:
     made = radwrap.render(scene_with(colour_camera()), **QUICK)
     half = made.with_exposure("500 ms")
     assert half.gray.values - 64 == pytest.approx((made.gray.values - 64) / 2, rel=STORED)
+    assert half.error.rms_gray_upper95 == pytest.approx(made.error.rms_gray_upper95 / 2) and half.run.mosaic is None
     for change in ({"mosaic": "BGGR"}, {"filters": FILTERS | {"red": {"quantum_efficiency": 0.3}}}):
         with pytest.raises(InputError, match="mosaic"):
             made.with_sensor(**change)
