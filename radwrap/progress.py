@@ -70,6 +70,12 @@ class Progress:
         with self._guard:
             self._total = max(total, 1)
 
+    def restart(self) -> None:
+        """Begin to count again, at another piece of the same work."""
+        with self._guard:
+            self._total, self._done, self._skipped = 1, 0, 0
+            self._start = time.monotonic()
+
     def left(self, amount: int) -> None:
         """Say how many units of work are left, where that is learnt on the way."""
         with self._guard:

@@ -38,7 +38,7 @@ ORDER = [
 ROOMS = {
     "scene": [
         "catalog",
-        *("zernike", "aberrations", "distortion", "linear_sensor", "pixel_window", "camera", "sensor_part"),
+        *("zernike", "aberrations", "distortion", "linear_sensor", "pixel_window", "mosaic", "camera", "sensor_part"),
         *(
             "materials",
             "mesh",
@@ -49,6 +49,7 @@ ROOMS = {
             "targets",
             "tolerances",
             "scene",
+            "colour_planes",
             "bands",
         ),
         *("mesh_files", "look", "file"),
@@ -78,6 +79,7 @@ ROOMS = {
             "relighting",
             "page",
             "rendered",
+            "mosaicked",
         ),
         "with_waves",
         *("synthesis", "warm"),
@@ -99,6 +101,7 @@ DOORS = {
     "cv2": {
         "calibrate/opencv_views.py": "projects, and calibrates from several views",
         "calibrate/opencv_solver.py": "the solver that Tsai's is held against, and whose models users have",
+        "imaging/output/colour_picture.py": "demosaics raw images as users' software does",
         "measure/compare.py": "registration of two images: phase correlation and ECC",
         "measure/targets/opencv_detectors.py": "detectors of calibration targets",
         "measure/dots/overlay.py": "draws what was found",
@@ -113,6 +116,7 @@ DOORS = {
         "scene/file/faults.py": "turns pydantic's errors into ours",
         "scene/file/load.py": "reads a scene's tables, and what they left out",
         "scene/file/material_tables.py": BORDER,
+        "scene/file/mosaic_tables.py": BORDER,
         "scene/file/optics_tables.py": BORDER,
         "scene/file/pattern_tables.py": BORDER,
         "scene/file/sensor_tables.py": BORDER,

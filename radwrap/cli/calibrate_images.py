@@ -9,8 +9,9 @@ from typing import Final
 import numpy as np
 
 from radwrap.calibrate.views import CalibrationView
+from radwrap.cli import raw_mosaic
 from radwrap.errors import InputError
-from radwrap.images import GrayImage, read_gray
+from radwrap.images import GrayImage
 from radwrap.measure.targets import PointsNotFound
 from radwrap.progress import Progress
 from radwrap.scene.file.target_file import load_target
@@ -54,7 +55,7 @@ def views_of(
     progress = Progress("looking for the target", len(images))
     try:
         for path in images:
-            image = read_gray(path)
+            image = raw_mosaic.one_colour(path)
             image_size = _same_size(path, image, images[0], image_size)
             try:
                 places, shown = find(image)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.cli import options as shared
+from radwrap.cli import raw_mosaic
 from radwrap.errors import CheckFailed, InputError
 from radwrap.figure_png import figure_png
 from radwrap.files import check_results, make_folder, write_bytes
@@ -78,6 +79,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         help="share of pixels that may (default 0)",
     )
     parser.add_argument("--out", metavar="DIR", help=f"folder for {RESULT}, {DIFFERENCE} and {REPORT}")
+    raw_mosaic.add_to(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)
 
@@ -95,7 +97,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError("is of pixels beyond a tolerance", where="--allow-beyond", remedy="give --tolerance")
     if arguments.out:
         check_results(Path(arguments.out), (RESULT, DIFFERENCE, REPORT))
-    captured, predicted = read_gray(Path(arguments.captured)), read_gray(Path(arguments.predicted))
+    captured, predicted = _images(arguments)
     shared.tell_memory("compare", captured.values.size, _BYTES)
     shape = (predicted.values.shape[0], predicted.values.shape[1])
     _check_saturated(captured, arguments.captured, arguments.saturation)
@@ -141,6 +143,23 @@ def run(arguments: argparse.Namespace) -> int:
             where=arguments.captured,
         )
     return 0
+
+
+def _images(arguments: argparse.Namespace) -> tuple[GrayImage, GrayImage]:
+    """Both images; of raw mosaics that of one colour, where one is asked for, else pixel by pixel as they are."""
+    paths = Path(arguments.captured), Path(arguments.predicted)
+    known = {pattern for path in paths if (pattern := raw_mosaic.known_pattern(path)) is not None}
+    if len(known) > 1:
+        raise InputError(f"and {paths[1]} are of two mosaics: {' and '.join(sorted(known))}", where=str(paths[0]))
+    if arguments.mosaic is None and known:
+        (arguments.mosaic,) = known  # a photograph has no manifest
+    if arguments.channel is not None:
+        return raw_mosaic.read(paths[0], arguments), raw_mosaic.read(paths[1], arguments)
+    if arguments.mosaic is not None and arguments.register != "none":
+        raise InputError(
+            f"would mix the colours of the raw mosaic {arguments.mosaic}", where="--register", remedy="give --channel"
+        )
+    return read_gray(paths[0]), read_gray(paths[1])
 
 
 def _highest(image: GrayImage, saturation: float | None) -> float:

@@ -19,6 +19,7 @@ from radwrap.imaging.page.one_file import one_file
 from radwrap.imaging.relight.relit import read_basis
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.synthesis import render
+from radwrap.scene.colour_planes import refuse_mosaic
 from radwrap.scene.scene import Scene
 
 _DESCRIPTION: Final = (
@@ -54,6 +55,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Carry out the verb."""
     scene = shared.load(arguments)
+    refuse_mosaic(scene, "the page")
     options = _options(arguments)
     RenderOptions(**options, basis=True)  # what is wrong is told now
     out = Path(arguments.out) if arguments.out else None

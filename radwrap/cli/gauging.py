@@ -13,8 +13,9 @@ import numpy as np
 
 from radwrap.calibrate.calibrated_plane import plane_from_calibration
 from radwrap.cli import options as shared
+from radwrap.cli import raw_mosaic
 from radwrap.errors import InputError
-from radwrap.images import GrayImage, read_gray
+from radwrap.images import GrayImage
 from radwrap.imaging.output.run_manifest import MANIFEST
 from radwrap.manifest import SCHEMA_VERSION, finite, read_manifest
 from radwrap.measure.gauges import WAYS, Plane, Response, Scale
@@ -188,6 +189,7 @@ def add_look(parser: argparse.ArgumentParser, *, plane: bool) -> None:
         "and what --truth and --plane name",
     )
     shared.add_changes(parser)
+    raw_mosaic.add_to(parser)
     if plane:
         parser.add_argument(
             "--calibration",
@@ -216,10 +218,10 @@ def add_look(parser: argparse.ArgumentParser, *, plane: bool) -> None:
 
 def look(arguments: argparse.Namespace, verb: str) -> Look:
     """Read what the options of `add_look` name."""
-    image = read_gray(arguments.image)
-    shared.tell_memory(verb, image.values.size, BYTES)
     changes = shared.overrides_of(arguments)
     scene = None if arguments.scene is None else load_scene(arguments.scene, changes)
+    image = raw_mosaic.read(arguments.image, arguments, scene)
+    shared.tell_memory(verb, image.values.size, BYTES)
     named = [name for name in ("truth", "plane", "pose_sigma") if getattr(arguments, name, None) is not None]
     if scene is None and (named or changes):
         raise InputError("needs a scene", where=(*named, "set")[0], remedy="give --scene")
@@ -352,13 +354,17 @@ def angle_of(text: str, where: str) -> float:
         raise InputError(error.what, where=where, remedy=error.remedy) from error
 
 
-def certified(path: Path) -> float | None:
-    """Certified bound of the rendered image's rms error [gray], where its manifest lies beside it."""
+def certified(path: Path, image: GrayImage | None = None) -> float | None:
+    """Certified bound of the rendered image's rms error [gray], where its manifest lies beside it.
+
+    Of one colour of a raw mosaic that colour's own.
+    """
     manifest = path.parent / MANIFEST
     if not manifest.is_file():
         return None
     told = read_manifest(manifest)
-    error = told.get("error")
+    colour = None if image is None else image.provenance.get("colour")
+    error = told["mosaic"]["colours"][colour].get("error") if colour and "mosaic" in told else told.get("error")
     if path.name not in told.get("files", {}) or not isinstance(error, dict):
         return None
     bound = error.get("rms_gray_upper95")
@@ -379,7 +385,7 @@ def head(found: Look, way: str) -> dict[str, Any]:
         "pixel_aspect": found.aspect,
         "scale_relative_sigma": found.relative_sigma,
         "scale_source": _source(found),
-        "certified_rms_gray": certified(found.path),
+        "certified_rms_gray": certified(found.path, found.image),
     }
     return told
 
@@ -401,7 +407,7 @@ def length_with_errors(found: Look, name: str, values: tuple[float, float, float
     `values` are the length, its standard error, and what an error of one gray level may change.
     """
     value, sigma, by_rendering = values
-    error = certified(found.path)
+    error = certified(found.path, found.image)
     told = {
         name: found.told(value, measured_in),
         f"{name}_sigma": found.told(sigma, measured_in),

@@ -113,7 +113,7 @@ def _from_table(arguments: argparse.Namespace) -> tuple[RingCalibration, list[di
 
 
 def _from_captures(arguments: argparse.Namespace) -> tuple[RingCalibration, list[dict[str, Any]]]:
-    from radwrap.images import read_gray
+    from radwrap.cli import raw_mosaic
     from radwrap.imaging.output.run_manifest import read_run_manifest
     from radwrap.imaging.relight.relit import read_basis, relit
     from radwrap.led.from_scene import leds_of
@@ -136,7 +136,7 @@ def _from_captures(arguments: argparse.Namespace) -> tuple[RingCalibration, list
 
     def captured(name: str) -> Any:
         path = folder / f"{name}{arguments.suffix}"
-        values = read_gray(path).values
+        values = raw_mosaic.one_colour(path).values
         if values.shape != (basis.sensor.rows, basis.sensor.columns):
             raise InputError(f"has {values.shape} pixels, the scene's sensor another number", where=str(path))
         return values

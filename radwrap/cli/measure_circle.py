@@ -130,7 +130,7 @@ def _told(found: gauging.Look, place: RimPlace, circle: Circle) -> dict[str, Any
             (circle.diameters[number], circle.diameters_sigma[number], circle.diameters_by_rendering[number]),
             circle.unit,
         )
-    error = gauging.certified(found.path)
+    error = gauging.certified(found.path, found.image)
     told |= {
         "centre": list(circle.centre),
         "centre_sigma": list(circle.centre_sigma),

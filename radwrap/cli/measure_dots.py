@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from radwrap.cli import options as shared
+from radwrap.cli import raw_mosaic
 from radwrap.errors import InputError
 from radwrap.files import write_bytes
-from radwrap.images import GrayImage, read_gray
+from radwrap.images import GrayImage
 from radwrap.manifest import json_text
 from radwrap.measure.dots import METHODS, Dots, DotsNotFound, find_dots
 from radwrap.measure.dots.overlay import overlay_png
@@ -39,6 +40,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument("--dot-diameter", metavar="LENGTH", help='such as "15.875 mm"')
     parser.add_argument("--overlay", metavar="PNG", help="picture of what was found, also where dots are missing")
     parser.add_argument("--csv", metavar="FILE", help="table of the dots")
+    raw_mosaic.add_to(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)
 
@@ -54,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
     overlay = shared.file_to_write(arguments.overlay, "--overlay", ".png", others=[arguments.image])
     table = shared.file_to_write(arguments.csv, "--csv", others=[arguments.image, overlay])
     path = Path(arguments.image)
-    image = read_gray(path)
+    image = raw_mosaic.read(path, arguments)
     shared.tell_memory("measure dots", image.values.size, _BYTES)
     progress = Progress("measuring dots", 1)
     try:

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from radwrap.cli import options as shared
+from radwrap.cli import raw_mosaic
 from radwrap.cli.gauging import two_digits, with_sigma
 from radwrap.errors import InputError
-from radwrap.images import read_gray
 from radwrap.manifest import SCHEMA_VERSION, finite, json_text
 from radwrap.measure.edges import MOST_BYTES, Edge, measure_edge
 from radwrap.progress import Progress
@@ -61,13 +61,14 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         type=shared.GRAY_LEVEL,
         help="pixels of this gray level and above are left out (default: full scale)",
     )
+    raw_mosaic.add_to(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out the verb."""
-    image = read_gray(arguments.image)
+    image = raw_mosaic.read(arguments.image, arguments)
     shared.tell_memory("measure edge", image.values.size, _BYTES, min(image.values.size * _STRIP_BYTES, MOST_BYTES))
     progress = Progress("measuring the edge", 1)
     try:

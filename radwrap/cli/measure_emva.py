@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from radwrap.cli import options as shared
-from radwrap.cli import written_sensor
+from radwrap.cli import raw_mosaic, written_sensor
 from radwrap.errors import InputError
 from radwrap.files import write_bytes
 from radwrap.manifest import SCHEMA_VERSION, json_text
@@ -48,7 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
     picture = shared.file_to_write(arguments.plot, "--plot", ".png", others=[arguments.frames])
     component = written_sensor.file_of(arguments)
     path = Path(arguments.frames)
-    kind, stacks = read_stacks(path, trust=arguments.trust)
+    kind, stacks = read_stacks(path, trust=arguments.trust, read=lambda file: raw_mosaic.one_colour(file).values)
     try:
         found = photon_transfer(kind, stacks, _photons(arguments, kind))
     except InputError as error:

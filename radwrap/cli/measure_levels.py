@@ -8,11 +8,11 @@ from dataclasses import asdict, astuple
 from pathlib import Path
 from typing import Any
 
-from radwrap.cli import gauging
+from radwrap.cli import gauging, raw_mosaic
 from radwrap.cli import options as shared
 from radwrap.cli.gauging import two_digits, with_sigma
 from radwrap.errors import InputError
-from radwrap.images import GrayImage, read_gray
+from radwrap.images import GrayImage
 from radwrap.manifest import SCHEMA_VERSION, finite, json_text
 from radwrap.measure.gauges import Box, Contrast, contrast_of, measure_region, measure_uniformity
 from radwrap.measure.gauges.uniformity import CELLS
@@ -122,7 +122,7 @@ def _box_of(arguments: argparse.Namespace, scene: Scene | None, box: str, truth:
 
 def run_region(arguments: argparse.Namespace) -> int:
     """Carry out ``measure region``."""
-    frames = [read_gray(path) for path in arguments.images]
+    frames = [raw_mosaic.one_colour(path) for path in arguments.images]
     rows, columns = frames[0].values.shape
     scene = _scene(arguments, frames[0], arguments.images[0])
     dark = arguments.dark
@@ -205,7 +205,7 @@ def _rendering(by: float | None, least: int) -> str:
 
 def run_uniformity(arguments: argparse.Namespace) -> int:
     """Carry out ``measure uniformity``."""
-    image = read_gray(arguments.image)
+    image = raw_mosaic.one_colour(arguments.image)
     scene = _scene(arguments, image, arguments.image)
     box = _box_of(arguments, scene, "region", "truth")
     try:

@@ -11,10 +11,10 @@ from typing import Any, Final
 import numpy as np
 
 from radwrap.cli import options as shared
+from radwrap.cli import raw_mosaic
 from radwrap.cli.gauging import with_sigma
 from radwrap.errors import InputError
 from radwrap.files import write_bytes
-from radwrap.images import read_gray
 from radwrap.manifest import SCHEMA_VERSION, json_text
 from radwrap.measure.parts import DEFAULT_MIN_AREA, Part, Parts, find_parts, overlay_png
 from radwrap.progress import Progress
@@ -54,6 +54,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     )
     parser.add_argument("--contours", action="store_true", help="with --json: the lines about each part and its holes")
     parser.add_argument("--overlay", metavar="PNG", type=Path, help="picture of what was found")
+    raw_mosaic.add_to(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)
 
@@ -61,7 +62,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Carry out the verb."""
     overlay = shared.file_to_write(arguments.overlay, "--overlay", ".png", others=[arguments.image])
-    image = read_gray(arguments.image)
+    image = raw_mosaic.read(arguments.image, arguments)
     shared.tell_memory("measure parts", image.values.size, _BYTES)
     progress = Progress("measuring parts", 1)
     try:

@@ -147,7 +147,7 @@ def _told_width(found: gauging.Look, width: Width) -> dict[str, Any]:
 
 
 def _told_line(found: gauging.Look, line: Line) -> dict[str, Any]:
-    error = gauging.certified(found.path)
+    error = gauging.certified(found.path, found.image)
     told: dict[str, Any] = {
         "line": "u cos(angle) + v sin(angle) = offset [px]",
         "angle": line.angle,

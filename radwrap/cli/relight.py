@@ -11,10 +11,12 @@ from typing import Any, Final
 import numpy as np
 
 from radwrap.cli import options as shared
+from radwrap.cli import raw_mosaic
 from radwrap.errors import InputError, ToleranceNotMet
 from radwrap.files import check_result, make_folder, sha256_of, sole_owner
 from radwrap.images import PREVIEW_BITS, preview_codes, write_exr, write_png
 from radwrap.imaging.other_camera import basis_in_other_camera
+from radwrap.imaging.output.image_files import GRAY
 from radwrap.imaging.output.run_manifest import RunManifest, read_run_manifest
 from radwrap.imaging.relight.levels import Levels, levels_of, read_levels
 from radwrap.imaging.relight.relit import Basis, Relit, read_basis, relit
@@ -75,6 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.levels and arguments.level:
         raise InputError("goes without --levels", where="--level", remedy="give one of the two")
     folder = Path(arguments.basis)
+    raw_mosaic.refuse(folder / GRAY)
     basis = read_basis(folder)
     changes = shared.changes_of(arguments.overrides)
     if changes:

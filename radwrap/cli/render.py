@@ -6,6 +6,7 @@ import argparse
 import sys
 import time
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,13 @@ from radwrap.errors import InputError, ToleranceNotMet
 from radwrap.imaging.forecast.cost import duration
 from radwrap.imaging.forecast.photo_realistic import check_drawable, write_beside
 from radwrap.imaging.forecasting import forecast
+from radwrap.imaging.mosaicked import plane_of, refuse_for_mosaic, rendered_colours
+from radwrap.imaging.output.colour_picture import write_colour
 from radwrap.imaging.output.run_manifest import RunManifest
 from radwrap.imaging.render_options import METHODS, RenderOptions
 from radwrap.imaging.synthesis import render
 from radwrap.manifest import json_text, plain
+from radwrap.scene.colour_planes import refuse_mosaic
 from radwrap.scene.look.checks import warnings_of
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import WideSource
@@ -108,6 +112,11 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         help="draw the scene the other way of Fig. 3 too (Lambert and Phong, one parallel or point light, no shadows, "
         "no sensor), and put both side by side with their difference",
     )
+    parser.add_argument(
+        "--demosaic",
+        action="store_true",
+        help="write colour.png too: the raw image of a colour camera, demosaiced by OpenCV",
+    )
     parser.add_argument("--dry-run", action="store_true", help="only say what rays, memory and time it would take")
     parser.add_argument(
         "--max-pixels", metavar="N", type=shared.number(), default=64e6, help="largest sensor (default 64e6 pixels)"
@@ -123,7 +132,11 @@ def run(arguments: argparse.Namespace) -> int:
     options = _options(arguments)
     if arguments.dry_run:
         return _dry_run(scene, options, as_json=arguments.json)
+    mosaic = scene.camera.sensor.mosaic
+    if arguments.demosaic and mosaic is None:
+        raise InputError("needs a colour camera, and the scene has no camera.sensor.mosaic", where="--demosaic")
     if arguments.photo_realistic:
+        refuse_mosaic(scene, "--photo-realistic")
         check_drawable(scene)
     # What no ray is needed for is said before the first; how wide lights shine is known once a tracer is chosen.
     early = warnings_of(scene, {source.name for source in scene.sources if isinstance(source, WideSource)})
@@ -131,6 +144,8 @@ def run(arguments: argparse.Namespace) -> int:
     result = render(scene, shared.out_folder(arguments, "images"), options)
     told: Mapping[str, Any] = result.manifest
     _warn(warning for warning in result.run.warnings if warning not in early)
+    if arguments.demosaic and mosaic is not None:
+        write_colour(Path(arguments.out), result.gray.codes, mosaic.pattern)
     drawn = None
     if arguments.photo_realistic:
         drawn = write_beside(
@@ -164,6 +179,10 @@ def _summarise(arguments: argparse.Namespace, made: RunManifest, drawn: Mapping[
         f"{error.rms_gray_upper95:.2g} (95 %), by {error.method}{_beside(made)}; method {made.method}, "
         f"{made.rays:.3g} rays"
     )
+    if made.mosaic is not None:
+        colours = made.mosaic.colours.items()
+        told = ", ".join(f"{colour} below {plane.error.rms_gray_upper95:.2g}" for colour, plane in colours)
+        print(f"raw mosaic {made.mosaic.pattern}: {told}")
     if drawn is not None:
         apart = drawn["gray_difference"]
         print(
@@ -230,6 +249,8 @@ def _budget(text: str | None) -> dict[str, Any]:
 
 
 def _dry_run(scene: Scene, options: RenderOptions, *, as_json: bool) -> int:
+    if scene.camera.sensor.mosaic is not None:
+        return _dry_run_of_colours(scene, options, as_json=as_json)
     # All that this process has done so far, of which nearly all is to load libraries and the scene.
     cost = forecast(scene, options, started=time.process_time())
     if as_json:
@@ -240,4 +261,21 @@ def _dry_run(scene: Scene, options: RenderOptions, *, as_json: bool) -> int:
     print(", ".join(f"{part} {duration(seconds)}" for part, seconds in cost.parts.items()))
     for one in cost.cheaper:
         print(one)
+    return 0
+
+
+def _dry_run_of_colours(scene: Scene, options: RenderOptions, *, as_json: bool) -> int:
+    """What each plane of a mosaic costs that is rendered; pixels that saturate may need more planes."""
+    refuse_for_mosaic(scene, options)
+    single = replace(options, frames=0)
+    costs = {colour: forecast(plane_of(scene, colour), single) for colour in rendered_colours(scene)}
+    if as_json:
+        told = {
+            colour: {"rays": cost.rays, "memory_bytes": cost.memory_bytes, "timing": plain(cost.foretold, named=False)}
+            for colour, cost in costs.items()
+        }
+        print(json_text({"rays": sum(cost.rays for cost in costs.values()), "colours": told}), end="")
+        return 0
+    for colour, cost in costs.items():
+        print(f"{colour}: {cost}")
     return 0

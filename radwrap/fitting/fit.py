@@ -35,6 +35,7 @@ from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.response.sensor import gray_levels, image_of_levels
 from radwrap.manifest import SCHEMA_VERSION, sha256_of_value, versions
 from radwrap.reading import FileKind, read_text
+from radwrap.scene.colour_planes import refuse_mosaic
 from radwrap.scene.file.load import load_scene
 from radwrap.scene.scene import Scene
 
@@ -116,6 +117,7 @@ def fit(
         raise InputError("goes with a scene file", where="changes", remedy="use `with_value`")
     if noise is not None and not (math.isfinite(noise) and noise >= 0):
         raise InputError("must be a number from 0 on", where="noise")
+    refuse_mosaic(scene, "a fit")
     begun = free_scene(scene, free)
     counted = read_mask(mask) if isinstance(mask, str | Path) else mask
     states = states_of(begun, captures, counted, noise)

@@ -32,7 +32,7 @@ from radwrap.scene.scene import Scene
 _SAME: Final = 1e-9  # of a level; rounding alone
 # So many times the certified rms below saturation a pixel may be saturated in truth.
 _MAY_SATURATE: Final = 3.0
-_SHAPE: Final = ("rows", "columns", "pixel_width", "pixel_height", "window", "channel")
+_SHAPE: Final = ("rows", "columns", "pixel_width", "pixel_height", "window", "channel", "mosaic")
 _BOUNDS: Final = (
     "rms_gray",
     "rms_gray_upper95",
@@ -97,7 +97,7 @@ def in_other_camera(
     made = ExposureImage(exposure.values * times, exposure.provenance)
     gray = image_of_levels(gray_levels(made.values, new.sensor), new.sensor, made.provenance)
     growth = growth_of(old.sensor, new.sensor, times, exposure.values, certificate.rms_gray_upper95)
-    return Developed(other, made, gray, _scaled(certificate, growth), growth)
+    return Developed(other, made, gray, scaled(certificate, growth), growth)
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,7 +213,8 @@ def growth_of(old: Sensor, new: Sensor, times: float, exposure: NDArray[np.float
     return growth
 
 
-def _scaled(certificate: Certificate, growth: float) -> Certificate:
+def scaled(certificate: Certificate, growth: float) -> Certificate:
+    """How far gray levels may be off whose errors are so many times as large; no bound where that is infinite."""
     found: dict[str, Any] = {}
     for name in _BOUNDS:
         value = getattr(certificate, name)

@@ -12,18 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
-from radwrap.images import ExposureImage, GrayImage, png_bytes, preview_codes
+from radwrap.images import ExposureImage, GrayImage, png_bytes, preview_codes, read_image
 from radwrap.imaging.forecast.effects import Effect, warnings_of_left_out
 from radwrap.imaging.other_camera import Developed, in_other_camera
 from radwrap.imaging.output.assumed_values import assumed_effects, warnings_of_assumed
-from radwrap.imaging.output.run_manifest import Extent, RunManifest, components_used
+from radwrap.imaging.output.image_files import read_exposure, read_gray_levels
+from radwrap.imaging.output.run_manifest import MANIFEST, Extent, RunManifest, components_used, run_manifest_of
+from radwrap.imaging.output.sigma_file import SIGMA
+from radwrap.imaging.output.truth_files import TRUTH, read_truth
 from radwrap.imaging.page.one_file import Page, one_file
+from radwrap.imaging.relight.basis import BASIS
 from radwrap.imaging.relight.relit import read_basis
 from radwrap.imaging.response.noise import fixed_pattern, linear_of, noisy_frame
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.tolerance.certificate import Certificate
 from radwrap.imaging.tolerance.uncertainty import uncertainty
-from radwrap.manifest import plain
+from radwrap.manifest import plain, read_manifest
 from radwrap.scene.look.faces import face_towards
 from radwrap.scene.scene import Scene
 from radwrap.scene.tolerances import Tolerances
@@ -144,6 +148,10 @@ class Rendered:
             return self.stated_sigma
         if self.scene.tolerances is not None:
             raise InputError("is known of rendered images only, as the scene states tolerances", where="sigma")
+        if self.scene.camera.sensor.mosaic is not None:
+            raise InputError(
+                "is known of rendered mosaics with a linear sensor only", where="sigma", remedy="look at one colour"
+            )
         if not math.isfinite(self.error.rms_gray):
             raise InputError("has no bound: pixels were saturated when it was rendered", where="sigma")
         return uncertainty(self.radiant_exposure, self.scene.camera, Tolerances(), self.error.rms_gray).sigma
@@ -242,6 +250,24 @@ class Rendered:
         return Rendered(made.radiant_exposure, made.gray, manifest, run, self.truth, made.scene)
 
 
+def load_result(scene: Scene, out: Path) -> Rendered:
+    """Read back what a run left in its folder."""
+    manifest = read_manifest(out / MANIFEST)
+    run = run_manifest_of(manifest, str(out / MANIFEST))
+    # Else it follows from the image, but for a mosaic, whose neighbours are of different colours.
+    stated = SIGMA in run.files and (scene.tolerances is not None or run.mosaic is not None)
+    return Rendered(
+        radiant_exposure=read_exposure(out, manifest),
+        gray=read_gray_levels(out, scene.camera.sensor, manifest),
+        manifest=manifest,
+        run=run,
+        truth=read_truth(out) if TRUTH in run.files else None,
+        scene=scene,
+        stated_sigma=read_image(out / SIGMA)[0].astype(np.float64) if stated else None,
+        basis_folder=out if BASIS in run.files else None,
+    )
+
+
 def _finite(value: Any) -> Any:
     """JSON knows no infinity."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
@@ -279,5 +305,6 @@ def _run_of(run: RunManifest, made: Developed) -> RunManifest:
         dark_fraction=float(np.mean(levels < sensor.dark_gray + 0.5)),
         error=made.certificate,
         uncertainty=None,
+        mosaic=None,  # it tells the errors of that image's colours
         files={},
     )

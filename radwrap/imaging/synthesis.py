@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.files import TEMPORARY_SUFFIX, check_result, disk_failure, make_folder, sha256_of, sole_owner
-from radwrap.images import read_image
 from radwrap.imaging.demand import SamplingPlan
 from radwrap.imaging.forecast.cost import check_size
 from radwrap.imaging.forecast.effects import Effect, bounces, bounces_beyond
@@ -31,26 +30,25 @@ from radwrap.imaging.forecasting import Announcement, cores, usual_rays
 from radwrap.imaging.mean_radiance import Made, fixed_method, make, viewpoint_plan
 from radwrap.imaging.methods.pieces import Pieces, remove_log, remove_pieces
 from radwrap.imaging.methods.viewpoints import missing_viewpoints
+from radwrap.imaging.mosaicked import make_mosaic, refuse_for_mosaic
 from radwrap.imaging.optics.aperture import Layout
 from radwrap.imaging.optics.diffraction import light_of_all
 from radwrap.imaging.optics.view import PixelSampling, View
 from radwrap.imaging.output.folder import ALWAYS, is_whole, publish
 from radwrap.imaging.output.frame_files import write_frames
 from radwrap.imaging.output.identity import Identity, identity_of
-from radwrap.imaging.output.image_files import read_exposure, read_gray_levels, write_images
+from radwrap.imaging.output.image_files import write_images
 from radwrap.imaging.output.run_manifest import (
-    MANIFEST,
     Bounces,
     Timing,
-    run_manifest_of,
     write_run_manifest,
 )
-from radwrap.imaging.output.sigma_file import SIGMA, write_sigma
+from radwrap.imaging.output.sigma_file import write_sigma
 from radwrap.imaging.output.traced_run import TracedRun
-from radwrap.imaging.output.truth_files import TRUTH, read_truth, write_truth
-from radwrap.imaging.relight.basis import BASIS, FOLDER, shining, write_basis
+from radwrap.imaging.output.truth_files import write_truth
+from radwrap.imaging.relight.basis import FOLDER, shining, write_basis
 from radwrap.imaging.render_options import Method, RenderOptions, TracerName
-from radwrap.imaging.rendered import Rendered
+from radwrap.imaging.rendered import Rendered, load_result
 from radwrap.imaging.tolerance.kept_replicates import kept, write_replicates
 from radwrap.imaging.tolerance.lit_noise import with_gray_tolerance
 from radwrap.imaging.tolerance.replicates import Work
@@ -58,7 +56,7 @@ from radwrap.imaging.tolerance.uncertainty import seen_magnifications, share_spr
 from radwrap.imaging.tracing import LaidOutScene
 from radwrap.imaging.with_waves import WithWaves, refuse_waves, with_waves
 from radwrap.kept import Kept
-from radwrap.manifest import plain, read_manifest, sha256_of_value
+from radwrap.manifest import plain, sha256_of_value
 from radwrap.process import Programs, children_cpu_time
 from radwrap.progress import Progress, Progressed
 from radwrap.scene.scene import Scene
@@ -217,6 +215,7 @@ def rendered(
     options = replace(options, **changes)
     options.asked_tolerance.needs_noise(scene.camera.sensor)
     refuse_waves(scene, options)
+    refuse_for_mosaic(scene, options)
     rays, replicates = usual_rays(scene, options), _kept_replicates(options)
     check_size(scene, options.max_pixels, rays, cores(options), replicates=replicates)
     if out is None:
@@ -264,11 +263,15 @@ def _render_into(
         for name in ALWAYS:
             check_result(out / name)
         work = out / _WORK
+        plane = partial(_plane_into, programs=programs, progress=progress, warmth=warmth)
         shutil.rmtree(work, ignore_errors=True)
         for leftover in out.glob(f".*{TEMPORARY_SUFFIX}.*"):  # of a killed run
             leftover.unlink(missing_ok=True)
         make_folder(work)
         try:
+            if scene.camera.sensor.mosaic is not None:
+                make_mosaic(scene, out, options, work=work / _MADE, render_plane=plane, check=programs.check)
+                return load_result(scene, out)
             for meanwhile in (warmth is not None, False):
                 kept = None if warmth is None else warmth.kept
                 traced = LaidOutScene(scene, options, programs, work, kept=kept, compared_meanwhile=meanwhile)
@@ -286,21 +289,13 @@ def _render_into(
         return load_result(scene, out)
 
 
-def load_result(scene: Scene, out: Path) -> Rendered:
-    """Read back what a run left in its folder."""
-    manifest = read_manifest(out / MANIFEST)
-    run = run_manifest_of(manifest, str(out / MANIFEST))
-    stated = scene.tolerances is not None and SIGMA in run.files  # else it follows from the image
-    return Rendered(
-        radiant_exposure=read_exposure(out, manifest),
-        gray=read_gray_levels(out, scene.camera.sensor, manifest),
-        manifest=manifest,
-        run=run,
-        truth=read_truth(out) if TRUTH in run.files else None,
-        scene=scene,
-        stated_sigma=read_image(out / SIGMA)[0].astype(np.float64) if stated else None,
-        basis_folder=out if BASIS in run.files else None,
-    )
+def _plane_into(
+    scene: Scene, out: Path, options: RenderOptions, *, programs: Programs, progress: Progress, warmth: Warmth | None
+) -> Rendered:
+    """One colour of a mosaic."""
+    make_folder(out)
+    progress.restart()
+    return _render_into(scene, out, options, programs=programs, progress=progress, warmth=warmth)
 
 
 class _TracersDiffer(Exception):

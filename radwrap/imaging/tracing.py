@@ -34,6 +34,7 @@ from radwrap.manifest import sha256_of_value
 from radwrap.process import Limits, Programs, available_cores
 from radwrap.progress import note
 from radwrap.scene.camera import ColourChannel
+from radwrap.scene.colour_planes import refuse_mosaic
 from radwrap.scene.look.wide_sources import divided
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Source, WideSource, emitters
@@ -100,6 +101,7 @@ class LaidOutScene:
         kept: Kept | None = None,
         compared_meanwhile: bool = False,
     ) -> None:
+        refuse_mosaic(scene)
         self._kept = kept
         self._options = options
         self._programs = programs

@@ -17,6 +17,7 @@ from typing import Final, assert_never
 
 from radwrap.errors import InputError
 from radwrap.scene.camera import Sensor
+from radwrap.scene.colour_planes import refuse_mosaic
 from radwrap.scene.materials import (
     Anisotropic,
     CoefficientTable,
@@ -181,10 +182,11 @@ def one_band(scene: Scene, where: str) -> Scene:
     Raises
     ------
     InputError
-        If one is not enough.
+        If one is not enough, or there is one for each colour of a mosaic.
     """
     if scene.spectral is None:
         return scene
+    refuse_mosaic(scene)
     found = scene_bands(scene, scene.spectral, ONE_BAND_ERROR)
     if len(found.bands) > 1:
         raise InputError(

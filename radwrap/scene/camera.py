@@ -11,6 +11,7 @@ from radwrap.manifest import ONLY_WHERE_USED
 from radwrap.scene.aberrations import LensGlass
 from radwrap.scene.distortion import Distortion
 from radwrap.scene.linear_sensor import LinearSensor
+from radwrap.scene.mosaic import Mosaic
 from radwrap.scene.pixel_window import PixelWindow
 
 # Of light of which a scene says nothing [m].
@@ -101,6 +102,8 @@ class Sensor:
         Where in its pitch a pixel is sensitive; default all of it, alike.
     linear : LinearSensor, optional
         The linear camera whose mean response the values above are; it has noise.
+    mosaic : Mosaic, optional
+        The colour filters on its pixels, where they are not all alike.
     """
 
     rows: int
@@ -116,6 +119,7 @@ class Sensor:
     channel: ColourChannel = "equal"
     window: PixelWindow | None = field(default=None, metadata=ONLY_WHERE_USED)
     linear: LinearSensor | None = field(default=None, metadata=ONLY_WHERE_USED)
+    mosaic: Mosaic | None = field(default=None, metadata=ONLY_WHERE_USED)
 
     @property
     def pixels(self) -> int:

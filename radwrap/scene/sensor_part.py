@@ -21,7 +21,8 @@ def cropped(camera: Camera, region: Region) -> Camera:
         First column and row, last column and row; inside the sensor.
     """
     left, top, right, bottom = region
-    sensor = replace(camera.sensor, rows=bottom - top + 1, columns=right - left + 1)
+    mosaic = camera.sensor.mosaic and camera.sensor.mosaic.moved(left, top)
+    sensor = replace(camera.sensor, rows=bottom - top + 1, columns=right - left + 1, mosaic=mosaic)
     u, v = camera.principal_point
     return replace(camera, sensor=sensor, principal_point=(u - left, v - top))
 

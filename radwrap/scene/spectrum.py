@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from radwrap.errors import InputError
 from radwrap.reading import FileKind, csv_rows, read_text, shortened
 from radwrap.scene.materials import Material
+from radwrap.scene.mosaic import Colour
 
 Array = NDArray[np.float64]
 
@@ -117,6 +118,8 @@ class Spectral:
         As `wavelength_spread`, where a source's own mean stands for its light.
     counts_electrons : bool
         Whether `counts` hold a linear sensor's quantum efficiency, over that at its own wavelength.
+    planes : Mapping[str, Spectral]
+        Behind a mosaic the same of each colour, of which this is the one that gets most light; else empty.
     """
 
     sources: tuple[str, ...]
@@ -129,6 +132,7 @@ class Spectral:
     wavelengths: tuple[float, ...] = field(default=(), compare=False)
     wavelength_spreads: tuple[float, ...] = field(default=(), compare=False)
     counts_electrons: bool = field(default=False, compare=False)
+    planes: Mapping[Colour, Spectral] = field(default_factory=dict, compare=False)
 
     def wavelength_groups(self) -> tuple[WavelengthGroup, ...]:
         """Put the sources that shine in groups of about one wavelength, by increasing wavelength."""

@@ -16,6 +16,7 @@ from radwrap.imaging.forecast.cost import check_size
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.manifest import sha256_of_value
 from radwrap.random_streams import generator
+from radwrap.scene.colour_planes import refuse_mosaic
 from radwrap.scene.file.keys import expanded, set_key, steps_of
 from radwrap.scene.file.load import scene_from_document
 from radwrap.scene.scene import Scene
@@ -298,6 +299,7 @@ def _check_level(design: Design, factor: Factor, level: Level, options: Mapping[
 
 def _check_decided(scene: Scene, how: RenderOptions) -> None:
     """See that it is decided once for all runs whether they have diffraction: pilots do that, and the scene."""
+    refuse_mosaic(scene, "a study")
     camera = scene.camera
     if how.fixed_method == "viewpoints" and camera.diffraction == "auto" and not camera.aperture.is_infinitesimal:
         raise InputError(

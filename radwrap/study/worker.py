@@ -34,12 +34,13 @@ from radwrap.images import GrayImage, write_png
 from radwrap.imaging.output.folder import is_whole
 from radwrap.imaging.relight.relit import Relit, read_basis, relit
 from radwrap.imaging.render_options import RenderOptions
-from radwrap.imaging.rendered import Rendered
+from radwrap.imaging.rendered import Rendered, load_result
 from radwrap.imaging.response.sensor import gray_levels
-from radwrap.imaging.synthesis import load_result, render
+from radwrap.imaging.synthesis import render
 from radwrap.imaging.tolerance.kept_replicates import REPLICATES, read_replicates
 from radwrap.lost_interrupts import interrupt_again
 from radwrap.manifest import SCHEMA_VERSION, plain
+from radwrap.scene.colour_planes import refuse_mosaic
 from radwrap.scene.file.load import scene_from_document
 from radwrap.scene.scene import Scene
 from radwrap.study.image_error import COPIES, ErrorFields, blur_radii, error_fields, image_error, model_error
@@ -208,6 +209,7 @@ def _log(job: Job) -> None:
 
 def _outcomes(job: Job, start: float) -> Iterator[Outcome]:
     scene = scene_from_document(job.document, origin=job.origin, folder=Path(job.folder))
+    refuse_mosaic(scene, "a study")
     out = Path(job.study) / job.image
     if job.pilot:
         write_pilot(out, scene, job.options)

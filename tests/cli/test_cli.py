@@ -351,6 +351,11 @@ LINEAR: Final = (
     'camera.sensor={model="linear", rows=20, columns=24, pixel_width="0.1 mm", pixel_height="0.1 mm", offset=4, '
     'wavelength="650 nm", quantum_efficiency=0.5, system_gain="0.01 DN/e", full_well="20 ke", read_noise="9 e"}'
 )
+MOSAIC: Final = LINEAR.replace(
+    "quantum_efficiency=0.5",
+    'mosaic="RGGB", filters={red={quantum_efficiency=0.5}, green={quantum_efficiency=0.3}, '
+    "blue={quantum_efficiency=0.1}}",
+)
 # Each option that takes part, with what its use must change in the manifest.
 OPTIONS: Final[dict[str, tuple[list[object], dict[str, Any]]]] = {
     "--set": (["--set", "camera.exposure_time=100 ms"], {"camera.exposure_time": 0.1}),
@@ -372,6 +377,7 @@ OPTIONS: Final[dict[str, tuple[list[object], dict[str, Any]]]] = {
     "--bounces": (["--method", "rays", "--bounces", 1, "--tolerance", 5], {"method": "rays", "bounces.orders": 1}),
     "--basis": (["--method", "kernel", "--basis"], {"method": "kernel"}),
     "--frames": (["--frames", 2, "--set", LINEAR], {"camera.sensor.linear.read_noise": 9.0}),
+    "--demosaic": (["--demosaic", "--set", MOSAIC], {"mosaic.pattern": "RGGB"}),
     "--photo-realistic": (["--photo-realistic", "point"], {}),
     "--dry-run": (["--dry-run"], {}),
     "--max-pixels": (["--max-pixels", "1e3"], {}),
@@ -419,6 +425,7 @@ def test_every_option_of_render_works(tmp_path: Path, capsys: pytest.CaptureFixt
         assert len(list(out.glob("frame_*.png"))) == (2 if name == "--frames" else 0)
         assert (out / "viewpoints").is_dir() == (name == "--keep-viewpoints")
         assert (out / "truth.json").exists() == (out / "depth.exr").exists() == (name == "--truth")
+        assert (out / "colour.png").exists() == (name == "--demosaic")
         assert (out / "comparison.png").exists() == (name == "--photo-realistic")
         assert done.stdout.startswith("{") == (name == "--json")
     # What was kept is not in the manifest, and goes with the next run that keeps nothing; both are told.

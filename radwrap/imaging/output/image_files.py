@@ -54,7 +54,7 @@ class ImageSummary:
 def write_images(
     folder: Path, radiance: NDArray[np.float64], camera: Camera, check: Callable[[], None] | None = None
 ) -> tuple[ImageSummary, list[str]]:
-    """Write both, gray levels in full where the sensor does not round, and of more than 8 bits a preview.
+    """Write both as `write_exposure`, of radiance.
 
     Parameters
     ----------
@@ -63,6 +63,32 @@ def write_images(
     radiance : ndarray, shape (rows, columns)
         Mean of L cos^4(theta) [W m^-2 sr^-1].
     camera : Camera
+        Whose image.
+    check : callable, optional
+        As of `write_exposure`.
+
+    Returns
+    -------
+    summary : ImageSummary
+        What they hold.
+    files : list of str
+        Their names.
+    """
+    return write_exposure(folder, radiant_exposure(RadianceImage(radiance), camera).values, camera.sensor, check)
+
+
+def write_exposure(
+    folder: Path, exact: NDArray[np.float64], sensor: Sensor, check: Callable[[], None] | None = None
+) -> tuple[ImageSummary, list[str]]:
+    """Write both, gray levels in full where the sensor does not round, and of more than 8 bits a preview.
+
+    Parameters
+    ----------
+    folder : Path
+        Where to.
+    exact : ndarray, shape (rows, columns)
+        Radiant exposure [J m^-2].
+    sensor : Sensor
         Whose image.
     check : callable, optional
         Asked between the steps, each of which takes some tenths of a second of large sensors; it raises to end them.
@@ -74,10 +100,8 @@ def write_images(
     files : list of str
         Their names.
     """
-    sensor = camera.sensor
-    exact = radiant_exposure(RadianceImage(radiance), camera)
     # The gray image is Eq. 5 of the exposure as the file holds it, so that anybody can compute it again.
-    stored = exact.values.astype(np.float32)
+    stored = exact.astype(np.float32)
     exposure = ExposureImage(stored.astype(np.float64))
     with ThreadPoolExecutor() as pool:  # one file is compressed while the other one's levels are computed
         exr = pool.submit(write_exr, folder / EXPOSURE, stored, channel="radiant_exposure", metadata=_UNIT)

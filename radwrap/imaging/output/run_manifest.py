@@ -23,6 +23,7 @@ from radwrap.imaging.tolerance.search_record import SearchRecord
 from radwrap.imaging.tolerance.uncertainty import UncertaintySummary
 from radwrap.imaging.tracer_choice import TracerUsed
 from radwrap.manifest import ONLY_WHERE_USED, SCHEMA_VERSION, plain, read_manifest, write_manifest
+from radwrap.scene.mosaic import Colour, Pattern
 from radwrap.scene.scene import Scene
 from radwrap.written import Count, Hashes, NotNegative, Positive, Rays, Sha256, Share, read_back
 
@@ -80,6 +81,47 @@ class ComponentUsed:
     sha256: Sha256
     used: tuple[str, ...]
     values: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class PlaneMade:
+    """The pixels of one colour of a mosaic.
+
+    Attributes
+    ----------
+    pixels : int
+        How many.
+    light_of : str
+        Colour of the render that their light is taken from.
+    share : float
+        Their radiant exposure over that render's.
+    run_sha256, scene_sha256 : str
+        Of that render.
+    tolerance : float or None
+        That it was made to [gray level].
+    gray : Extent
+        Of the pixels' gray levels.
+    error : Certificate
+        How far they may be off, before rounding.
+    """
+
+    pixels: Count
+    light_of: Colour
+    share: NotNegative
+    run_sha256: Sha256
+    scene_sha256: Sha256
+    tolerance: Positive | None
+    gray: Extent
+    error: Certificate
+
+
+@dataclass(frozen=True, slots=True)
+class MosaicMade:
+    """The mosaic of a raw image: its pattern, a hash of its filters, and what was made of each colour."""
+
+    pattern: Pattern
+    filters_sha256: Sha256
+    colours: Mapping[Colour, PlaneMade]
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,6 +187,8 @@ class RunManifest:
         Where light from surface to surface was traced.
     diffraction : DiffractionTaken or None
         Where the image has it.
+    mosaic : MosaicMade or None
+        Where the pixels have different colour filters.
     files : Mapping[str, str]
         File -> its SHA-256.
     timing : Timing
@@ -185,6 +229,7 @@ class RunManifest:
     left_out: Mapping[str, Effect]
     bounces: BouncesTraced | None = field(default=None, metadata=ONLY_WHERE_USED)
     diffraction: DiffractionTaken | None = field(default=None, metadata=ONLY_WHERE_USED)
+    mosaic: MosaicMade | None = field(default=None, metadata=ONLY_WHERE_USED)
     files: Hashes
     timing: Timing
 

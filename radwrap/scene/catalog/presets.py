@@ -226,6 +226,6 @@ def _beside(component: Component, table: Mapping[str, Any], where: str) -> dict[
     if component.kind == "sensors":
         if "data_sheet" in table:
             raise InputError("stands beside preset", where=f"{where}.data_sheet", remedy="leave one of them out")
-        if any(key in table for key in _EFFICIENCY):
+        if any(key in table for key in (*_EFFICIENCY, "filters")):
             values = {key: value for key, value in values.items() if key not in _EFFICIENCY}
     return values

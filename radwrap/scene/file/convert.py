@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from typing import Final
@@ -15,13 +16,14 @@ from radwrap.scene.distortion import Distortion, bounded, opencv_distortion
 from radwrap.scene.file import document as tables
 from radwrap.scene.file.glass_convert import glass_from_table
 from radwrap.scene.file.material_convert import check_places, material_from_table
+from radwrap.scene.file.mosaic_convert import mosaic_from_table
 from radwrap.scene.file.optics_tables import LensModel
 from radwrap.scene.file.pattern_convert import pattern_target
 from radwrap.scene.file.poses import placed_pose, pose_of
 from radwrap.scene.file.sensor_tables import PixelsModel
 from radwrap.scene.file.sensor_values import sensor_from_table
 from radwrap.scene.file.source_convert import sources_from_tables
-from radwrap.scene.file.spectral import with_spectra
+from radwrap.scene.file.spectral import tells_spectra, with_spectra
 from radwrap.scene.mesh import mesh_of
 from radwrap.scene.scene import Scene
 from radwrap.scene.sensor_part import binned, cropped, whole_region
@@ -55,7 +57,7 @@ def scene_from_model(
         Where values that are right one by one do not go together.
     """
     names: set[str] = set()
-    camera = camera_from_table(model.camera, f"{origin}: camera", assumed, folder)
+    camera = camera_from_table(model.camera, f"{origin}: camera", assumed, folder, spectral=tells_spectra(model))
     sources = sources_from_tables(model.sources, camera.pose, assumed=assumed, origin=origin, folder=folder)
     target_names = _target_names(model, assumed)
     targets = tuple(
@@ -155,8 +157,10 @@ def _target_names(model: tables.SceneModel, assumed: dict[str, str]) -> list[str
     return names
 
 
-def camera_from_table(table: tables.CameraModel, where: str, assumed: dict[str, str], folder: Path) -> Camera:
-    """Convert a validated ``[camera]``, whose files lie in a folder.
+def camera_from_table(
+    table: tables.CameraModel, where: str, assumed: dict[str, str], folder: Path, *, spectral: bool
+) -> Camera:
+    """Convert a validated ``[camera]``, whose files lie in a folder, of a scene that tells spectra or does not.
 
     Raises
     ------
@@ -187,7 +191,10 @@ def camera_from_table(table: tables.CameraModel, where: str, assumed: dict[str, 
             rotation=opening.rotation,
             exposure_diameter=opening.exposure_diameter or _DEFAULT_EXPOSURE_DIAMETER,
         ),
-        sensor=sensor_from_table(sensor, table.exposure_time, f"{where}.sensor"),
+        sensor=replace(
+            sensor_from_table(sensor, table.exposure_time, f"{where}.sensor", spectral=spectral),
+            mosaic=mosaic_from_table(sensor, f"{where}.sensor", folder),
+        ),
         distortion=_distortion(table, centre, where),
         lens=None
         if table.lens is None

@@ -18,6 +18,7 @@ KEY = "data_sheet"
 _DATA_SHEET: Final = FileKind("data sheet", 1 << 20)
 _ONE: Final = "quantum_efficiency"
 _TABLE: Final = "quantum_efficiencies"
+_FILTERS: Final = "filters"
 _ROUNDING: Final = 1e-9  # "650 nm" and "0.65 um" are one
 
 
@@ -69,7 +70,7 @@ def in_sheet(error: InputError, document: Mapping[str, Any], whole: Mapping[str,
 
 def _without_replaced(sheet: Mapping[str, Any], sensor: Mapping[str, Any], where: str) -> dict[str, Any]:
     """The sheet without the efficiency that the scene tells its own way; one number holds at its wavelength alone."""
-    if _ONE in sensor or _TABLE in sensor:
+    if _ONE in sensor or _TABLE in sensor or _FILTERS in sensor:
         return {key: value for key, value in sheet.items() if key not in {_ONE, _TABLE}}
     if _ONE in sheet and "wavelength" in sheet and "wavelength" in sensor:
         try:

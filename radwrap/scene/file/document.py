@@ -174,6 +174,12 @@ class CameraModel(Aimed):
         return self
 
     @model_validator(mode="after")
+    def _one_response(self) -> CameraModel:
+        if self.spectral_response is not None and self.sensor.filters is not None:
+            raise ValueError("spectral_response: sensor.filters tell it already; leave this one out")
+        return self
+
+    @model_validator(mode="after")
     def _an_opening_for_waves(self) -> CameraModel:
         if self.diffraction == "on" and not self.opening_diameter:
             raise ValueError('diffraction: "on" needs an opening, and the aperture\'s diameter is 0; leave it out')

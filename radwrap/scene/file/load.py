@@ -226,7 +226,9 @@ def camera_with(
         found = in_sheet(fault(error, origin, whole, _CameraModel), tables, whole, origin)
         raise in_file(found, taken, origin) from error
     told = dict(_assumed(model)) | _unpublished(taken)
-    return OtherCamera(camera_from_table(model.camera, f"{origin}: camera", told, folder), told, text, taken)
+    return OtherCamera(
+        camera_from_table(model.camera, f"{origin}: camera", told, folder, spectral=spectral), told, text, taken
+    )
 
 
 def with_value(scene: Scene, key: str, value: Any) -> Scene:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from typing import Annotated, Any, ClassVar, Final, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal, get_args
 
 from pydantic import BeforeValidator, ConfigDict, Discriminator, Field, Tag, model_validator
 
@@ -24,6 +24,8 @@ from radwrap.scene.file.border import (
     TemperatureDifference,
     default,
 )
+from radwrap.scene.file.mosaic_tables import FiltersModel, MosaicName
+from radwrap.scene.mosaic import COLOURS, Colour, Pattern
 from radwrap.units import ONE_IN, parse_gain
 
 Gamma = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.01, le=10)]
@@ -71,6 +73,10 @@ class PixelsModel(Model):
     """Whether gray levels are whole."""
     channel: Literal["equal", "red", "green", "blue"] = "equal"
     """Which of the tracer's three channels is seen; equal demands that all three agree."""
+    mosaic: MosaicName | None = None
+    """Colour filters of the first two pixels of the first row, then of the second; one colour: all have its filter."""
+    filters: FiltersModel | None = None
+    """The colour filters of a mosaic."""
     fill_width: FillShare | None = None
     """Middle share of the pitch along a row that sees light, 0.01 to 1."""
     fill_height: FillShare | None = None
@@ -95,6 +101,20 @@ class PixelsModel(Model):
         return self
 
     @model_validator(mode="after")
+    def _whole_mosaic(self) -> PixelsModel:
+        if (self.mosaic is None) != (self.filters is None):
+            missing = "filters.red, filters.green and filters.blue" if self.filters is None else "mosaic"
+            raise ValueError(f"{missing}: mosaic and filters go together, and this is missing")
+        if self.mosaic is not None and self.channel != "equal":
+            raise ValueError("channel: the filters of the mosaic tell what a pixel sees; leave this one out")
+        if self.pattern is not None and self.binned_pixels > 1:
+            raise ValueError("scale: pixels of a mosaic have different filters and are not added up; leave it out")
+        left, top, right, bottom = self.region
+        if self.pattern is not None and min(right - left, bottom - top) < 1:
+            raise ValueError("mosaic: needs two rows and two columns of pixels at least")
+        return self
+
+    @model_validator(mode="after")
     def _some_pixels(self) -> PixelsModel:
         left, top, right, bottom = self.region
         if not (left <= right < self.columns and top <= bottom < self.rows):
@@ -109,6 +129,16 @@ class PixelsModel(Model):
     def region(self) -> tuple[int, int, int, int]:
         """First column and row, last column and row of what is read out."""
         return self.roi or (0, 0, self.columns - 1, self.rows - 1)
+
+    @property
+    def pattern(self) -> Pattern | None:
+        """The pattern of a mosaic of several colours."""
+        return next((known for known in get_args(Pattern) if known == self.mosaic), None)
+
+    @property
+    def colour(self) -> Colour | None:
+        """The one colour whose filter all pixels have."""
+        return next((known for known in COLOURS if known == self.mosaic), None)
 
     @property
     def binned_pixels(self) -> int:
@@ -144,6 +174,8 @@ class SensorModel(PixelsModel):
             raise ValueError("gain: must be above zero")
         if exponent != self.gamma:
             raise ValueError(f"gain: its unit says gamma {exponent:g}, but gamma is {self.gamma:g}")
+        if self.filters is not None:
+            self.filters.check_kind(linear=False)
         if not self.dark_gray < self.saturation_gray <= 2**self.bit_depth - 1:
             raise ValueError(f"needs dark_gray < saturation_gray <= {2**self.bit_depth - 1} ({self.bit_depth} bits)")
         return self
@@ -212,7 +244,12 @@ class LinearSensorModel(PixelsModel):
 
     @model_validator(mode="after")
     def _consistent(self) -> LinearSensorModel:
-        if self.quantum_efficiency is None and self.quantum_efficiencies is None:
+        told = self.quantum_efficiency is not None or self.quantum_efficiencies is not None
+        if self.filters is not None:
+            if told:
+                raise ValueError("needs one of filters and quantum_efficiency or quantum_efficiencies, not both")
+            self.filters.check_kind(linear=True)
+        elif not told:
             raise ValueError("needs quantum_efficiency, or quantum_efficiencies with wavelengths")
         if self.quantum_efficiency is not None and self.quantum_efficiencies is not None:
             raise ValueError("needs one of quantum_efficiency and quantum_efficiencies, not both")
@@ -227,7 +264,9 @@ class LinearSensorModel(PixelsModel):
         return self
 
     def efficiency(self) -> float:
-        """Quantum efficiency at the wavelength, linear between the wavelengths of the table."""
+        """Quantum efficiency at the wavelength, linear between those of the table; of filters the largest of three."""
+        if self.filters is not None:
+            return max(self.filters.efficiencies(self.wavelength))
         if self.quantum_efficiency is not None:
             return self.quantum_efficiency
         table = self.quantum_efficiencies or ()

@@ -6,11 +6,14 @@ from radwrap.errors import InputError
 from radwrap.scene.camera import Sensor
 from radwrap.scene.file.sensor_tables import LinearSensorModel, PixelsModel, SensorModel
 from radwrap.scene.linear_sensor import LinearSensor, dark_current_at
+from radwrap.scene.mosaic import COLOURS
 from radwrap.scene.pixel_window import WHOLE, PixelWindow, Profile, box, strips
 from radwrap.units import parse_gain
 
 
-def sensor_from_table(table: SensorModel | LinearSensorModel, exposure_time: float, where: str) -> Sensor:
+def sensor_from_table(
+    table: SensorModel | LinearSensorModel, exposure_time: float, where: str, *, spectral: bool = False
+) -> Sensor:
     """Make a sensor of either kind.
 
     Parameters
@@ -21,14 +24,16 @@ def sensor_from_table(table: SensorModel | LinearSensorModel, exposure_time: flo
         tau, during which dark current flows [s].
     where : str
         Place of the table, for messages.
+    spectral : bool
+        Whether the scene tells spectra, which weigh the light by what a colour filter lets through.
 
     Raises
     ------
     InputError
-        If the dark signal alone fills the pixels.
+        If the dark signal alone fills the pixels, or nothing is seen behind the one filter that all pixels have.
     """
     if isinstance(table, LinearSensorModel):
-        return _linear(table, exposure_time, where)
+        return _linear(table, exposure_time, where, spectral=spectral)
     return Sensor(
         rows=table.rows,
         columns=table.columns,
@@ -45,14 +50,14 @@ def sensor_from_table(table: SensorModel | LinearSensorModel, exposure_time: flo
     )
 
 
-def _linear(table: LinearSensorModel, exposure_time: float, where: str) -> Sensor:
+def _linear(table: LinearSensorModel, exposure_time: float, where: str, *, spectral: bool) -> Sensor:
     current = table.dark_current
     heat = (table.temperature, table.dark_current_temperature, table.doubling_temperature)
     if None not in heat:
         current = dark_current_at(current, *(value for value in heat if value is not None))
     linear = LinearSensor(
         wavelength=table.wavelength,
-        quantum_efficiency=table.efficiency(),
+        quantum_efficiency=table.efficiency() if spectral else _own_efficiency(table, where),
         system_gain=table.system_gain,
         offset=table.offset,
         full_well=table.full_well,
@@ -89,6 +94,19 @@ def _linear(table: LinearSensorModel, exposure_time: float, where: str) -> Senso
         window=_window(table),
         linear=linear,
     )
+
+
+def _own_efficiency(table: LinearSensorModel, where: str) -> float:
+    """Quantum efficiency at the wavelength of the light, where all pixels have one filter that of the filter."""
+    if table.filters is None or table.colour is None:
+        return table.efficiency()
+    found = table.filters.efficiencies(table.wavelength)[COLOURS.index(table.colour)]
+    if not found > 0:
+        raise InputError(
+            f"the {table.colour} filter lets nothing through at {table.wavelength * 1e9:g} nm",
+            where=f"{where}.filters.{table.colour}",
+        )
+    return found
 
 
 def _window(table: PixelsModel) -> PixelWindow | None:

@@ -12,9 +12,11 @@ import numpy as np
 
 from radwrap.errors import InputError
 from radwrap.scene.bands import scaled
-from radwrap.scene.file.beside import named_file
+from radwrap.scene.file.curve_files import curve_beside
 from radwrap.scene.file.material_tables import Coloured
+from radwrap.scene.file.mosaic_convert import filter_curve
 from radwrap.scene.file.sensor_tables import LinearSensorModel
+from radwrap.scene.mosaic import COLOURS, Colour
 from radwrap.scene.sources import Beam, Source, TableBeam, WideSource, dimmed, emitters
 from radwrap.scene.spectrum import (
     Curve,
@@ -24,7 +26,6 @@ from radwrap.scene.spectrum import (
     lumens_per_watt,
     normalised_power,
     preset,
-    read_curve,
 )
 from radwrap.scene.wide_shapes import area
 
@@ -45,14 +46,6 @@ _ROUNDING: Final = 1e-9
 _UNKNOWN: Final = 1e-3
 
 
-def _file(name: str, folder: Path, where: str, largest: float = math.inf) -> Curve:
-    path = named_file(folder, name, where)
-    try:
-        return read_curve(path, largest=largest)
-    except InputError as error:
-        raise InputError(str(error), where=where) from error
-
-
 def source_spectrum(table: SpectrumModel, folder: Path, where: str) -> Curve:
     """Spectral power of a source, its integral 1 [m^-1].
 
@@ -65,7 +58,7 @@ def source_spectrum(table: SpectrumModel, folder: Path, where: str) -> Curve:
         return normalised_power(line(table.line, table.width), where)
     if table.preset is not None:
         return normalised_power(preset(table.preset), where)
-    return normalised_power(_file(table.file or "", folder, f"{where}.file"), where)
+    return normalised_power(curve_beside(table.file or "", folder, f"{where}.file"), where)
 
 
 def axial_radiance(table: Shining, area: float, beam: Beam, folder: Path, where: str) -> float:
@@ -124,16 +117,15 @@ def with_spectra(scene: Scene, model: tables.SceneModel) -> Scene:
     """The scene with its integrals over wavelength, where it tells spectra.
 
     Radiances become what counts of them, and reflectances means over the
-    sources: what knows no bands is right where one is enough.
+    sources: what knows no bands is right where one is enough. Behind a mosaic
+    they are those of the filter that passes most.
 
     Raises
     ------
     InputError
         If a source has no spectrum where one is needed, a table ends where there is light, or the sensor sees nothing.
     """
-    camera = model.camera
-    told = (camera.spectral_response, camera.filter, *(_colour(table) for table in model.materials.values()))
-    if all(table is None for table in (*told, *(table.spectrum for table in model.sources))):
+    if not tells_spectra(model):
         return scene
     powers = []
     for number, table in enumerate(model.sources):
@@ -151,22 +143,59 @@ def with_spectra(scene: Scene, model: tables.SceneModel) -> Scene:
         raise InputError(
             "picks a colour channel, but the scene has spectra", where=f"{scene.origin}: camera.sensor.channel"
         )
-    return _counted(scene, _integrals(scene, model, powers))
+    sensor = model.camera.sensor
+    colour = sensor.colour
+    if sensor.pattern is None:
+        found = _integrals(scene, model, powers, colour)
+    else:
+        planes = {name: _integrals(scene, model, powers, name) for name in COLOURS}
+        colour, found = max(planes.items(), key=lambda plane: _whole(scene, plane[1]))
+        found = replace(found, planes=planes)
+    if not any(found.counts):
+        raise _nothing_seen(scene, powers, _path(scene, model, colour))
+    return _counted(scene, found)
 
 
-def _integrals(scene: Scene, model: tables.SceneModel, powers: list[Curve]) -> Spectral:
+def tells_spectra(model: tables.SceneModel) -> bool:
+    """Whether a scene tells the spectrum of anything, or what its sensor makes of them."""
+    camera = model.camera
+    told = (camera.spectral_response, camera.filter, *(_colour(table) for table in model.materials.values()))
+    by_filters = camera.sensor.filters is not None and not isinstance(camera.sensor, LinearSensorModel)
+    return by_filters or any(table is not None for table in (*told, *(table.spectrum for table in model.sources)))
+
+
+def _whole(scene: Scene, plane: Spectral) -> float:
+    """All light that counts behind a filter [W sr^-1]."""
+    return math.fsum(_intensity(source) * count for source, count in zip(scene.sources, plane.counts, strict=True))
+
+
+def _path(scene: Scene, model: tables.SceneModel, colour: Colour | None) -> dict[str, Curve]:
+    """What light passes before it counts, by the key that tells it; quantum efficiencies come besides."""
     places = {
         "camera.spectral_response": (model.camera.spectral_response, math.inf),
         "camera.filter": (model.camera.filter, 1.0),
     }
-    path = {key: _factor(table, scene, key, largest) for key, (table, largest) in places.items() if table is not None}
-    response, glass = path.get("camera.spectral_response"), path.get("camera.filter")
+    found = {key: _factor(table, scene, key, largest) for key, (table, largest) in places.items() if table is not None}
+    filters = model.camera.sensor.filters
+    if filters is not None and colour is not None and not isinstance(model.camera.sensor, LinearSensorModel):
+        key = f"camera.sensor.filters.{colour}"
+        curve = filter_curve(getattr(filters, colour), f"{scene.origin}: {key}", scene.folder)
+        if curve is not None:
+            found[f"{key}.spectral_response"] = curve
+    return found
+
+
+def _integrals(scene: Scene, model: tables.SceneModel, powers: list[Curve], colour: Colour | None) -> Spectral:
+    """The integrals over wavelength, of pixels with one filter or none; all counts are 0 where nothing is seen."""
+    path = _path(scene, model, colour)
+    glass = path.get("camera.filter")
+    response = next((curve for key, curve in path.items() if key.endswith("spectral_response")), None)
     # What a dark source would send need not be told.
     shining = [power for source, power in zip(scene.sources, powers, strict=True) if _intensity(source) > 0]
     if glass is not None:
         _check_cover(glass, shining, [response] if response else [], f"{scene.origin}: camera.filter")
     passed = list(path.values())
-    electrons = [] if response else _efficiencies(scene, model, shining, [glass] if glass else [])
+    electrons = [] if response else _efficiencies(scene, model, shining, [glass] if glass else [], colour)
     passed += electrons
     used = [name for name in scene.materials if name in _used(scene)]
     curves: dict[str, Curve] = {}
@@ -175,8 +204,6 @@ def _integrals(scene: Scene, model: tables.SceneModel, powers: list[Curve]) -> S
             curves[name] = _factor(table, scene, f"materials.{name}.spectrum", 1.0)
             _check_cover(curves[name], shining, passed, f"{scene.origin}: materials.{name}.spectrum")
     counts = [integral(power, *passed) for power in powers]
-    if not any(counts):
-        raise _nothing_seen(scene, powers, path)
     rows = [
         tuple(integral(power, *passed, curves[name]) / count if name in curves and count > 0 else 1.0 for name in used)
         for power, count in zip(powers, counts, strict=True)
@@ -187,23 +214,31 @@ def _integrals(scene: Scene, model: tables.SceneModel, powers: list[Curve]) -> S
     return replace(found, counts_electrons=bool(electrons))
 
 
-def _efficiencies(scene: Scene, model: tables.SceneModel, shining: list[Curve], glass: list[Curve]) -> list[Curve]:
+def _efficiencies(
+    scene: Scene, model: tables.SceneModel, shining: list[Curve], glass: list[Curve], colour: Colour | None
+) -> list[Curve]:
     """What of the exposure counts by a linear sensor's table: electrons, over those at its own wavelength.
 
     A quantum efficiency counts photons, of which a joule holds as many more as the wavelength is longer.
     """
     sensor = model.camera.sensor
-    if not isinstance(sensor, LinearSensorModel) or sensor.quantum_efficiencies is None:
+    if not isinstance(sensor, LinearSensorModel):
         return []
-    places, shares = zip(*sensor.quantum_efficiencies, strict=True)
+    behind = getattr(sensor.filters, colour) if colour else sensor
+    where = f"{scene.origin}: camera.sensor{f'.filters.{colour}' if colour else ''}.quantum_efficiencies"
+    if behind.quantum_efficiencies is None:
+        if colour is None:
+            return []
+        raise InputError("is missing: the scene's spectra need it, in place of quantum_efficiency", where=where)
+    places, shares = zip(*behind.quantum_efficiencies, strict=True)
     known = Curve((places[0], places[-1]), (1.0, 1.0))
     for power in shining:
         whole = integral(power, *glass)
         if integral(power, *glass, known) < (1 - _UNKNOWN) * whole:
             raise InputError(
                 f"its table, {places[0] * 1e9:g} to {places[-1] * 1e9:g} nm, does not cover the light",
-                where=f"{scene.origin}: camera.sensor.quantum_efficiencies",
-                remedy="give camera.spectral_response, a longer table, or camera.filter",
+                where=where,
+                remedy=f"give {'' if colour else 'camera.spectral_response, '}a longer table, or camera.filter",
             )
     own = sensor.efficiency()
     photons = Curve(known.ends, (places[0] / sensor.wavelength, places[-1] / sensor.wavelength))
@@ -234,7 +269,7 @@ def _colour(material: MaterialModel) -> CurveModel | None:
 
 
 def _factor(table: CurveModel, scene: Scene, key: str, largest: float) -> Curve:
-    return _file(table.file, scene.folder, f"{scene.origin}: {key}", largest)
+    return curve_beside(table.file, scene.folder, f"{scene.origin}: {key}", largest)
 
 
 def _used(scene: Scene) -> set[str]:
