@@ -314,7 +314,7 @@ def _opened(path: Path, most_pixels: int) -> Any:
     oiio = _reader_and_writer()
     source = oiio.ImageInput.open(str(path))
     if source is None:
-        raise InputError(f"is no image: {_reason(oiio)}", where=str(path))
+        raise InputError(f"is not an image: {_reason(oiio)}", where=str(path))
     spec = source.spec()
     if not 0 < spec.width * spec.height <= most_pixels or spec.depth > 1:
         source.close()
@@ -334,7 +334,7 @@ def _reason(reader: Any) -> str:
     try:
         return str(reader.geterror())
     except UnicodeDecodeError:
-        return "its parts cannot be told apart"
+        return "its parts cannot be separated"
 
 
 def _bands(source: Any, path: Path, channels: int, kind: str) -> Iterator[tuple[slice, NDArray[Any]]]:

@@ -177,7 +177,7 @@ def test_results_that_cannot_be_written_are_refused_before_the_work(
 def test_long_values_are_shortened_in_messages() -> None:
     long = "x" * 100_000
     for error in (
-        InputError(f'"{long}" is no length', where="camera.distance"),
+        InputError(f'"{long}" is not a length', where="camera.distance"),
         InputError("unknown key", where=f"scene.toml: {long}"),
         InputError(f"argument --only: invalid choice: '{long}'"),
     ):

@@ -71,7 +71,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         "--free",
         metavar="NAMES",
         help="of one view: what to find beside the pose, by commas: focal_length, distortion, centre, sx (default "
-        'focal_length; "" for the pose alone)',
+        'focal_length; "" for the pose only)',
     )
     parser.add_argument("--focal-length", metavar="LENGTH", help="its value where it is not free")
     parser.add_argument(
@@ -86,7 +86,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         metavar=("COLUMNS", "ROWS"),
         nargs=2,
         type=int,
-        help="of several views: the sensor's pixels; images tell theirs",
+        help="of several views: the sensor's pixels; images have their own",
     )
     parser.add_argument(
         "--picture",
@@ -221,7 +221,7 @@ def _number(text: str, name: str, where: str, remedy: str = "leave the point out
     try:
         value = float(text)
     except ValueError as error:
-        raise InputError(f'{name} "{shortened(text)}" is no number', where=where) from error
+        raise InputError(f'{name} "{shortened(text)}" is not a number', where=where) from error
     if why := unusable(value):
         raise InputError(f"{name} {shortened(text)} {why}", where=where, remedy=remedy)
     return value
@@ -261,7 +261,7 @@ def _lines(found: CameraCalibration) -> Iterator[str]:
         f"minimum: gradient norm {found.gradient_norm:.2g} px, condition {found.condition:.3g}, solver {found.solver}"
     )
     if (linear := found.linear_stage) is not None:
-        yield f"linear stage alone: focal length {linear.focal_length * 1e3:.6g} mm, {linear.rms:.4g} px rms"
+        yield f"linear stage only: focal length {linear.focal_length * 1e3:.6g} mm, {linear.rms:.4g} px rms"
     for note in found.notes:
         yield f"note: {note}"
 

@@ -26,7 +26,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     """Add the verb."""
     parser = verbs.add_parser(
         "explain",
-        description="Tells what a scene amounts to, and by a few thousand rays which effects it needs: the error in "
+        description="Shows what a scene amounts to, and by a few thousand rays which effects it needs: the error in "
         "gray levels of leaving each out.",
     )
     shared.add_scene(parser)
@@ -37,7 +37,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument(
         "--assumed", action="store_true", help="list all values that were taken because the scene is silent"
     )
-    parser.add_argument("--no-rays", action="store_true", help="closed forms alone; needs no Radiance")
+    parser.add_argument("--no-rays", action="store_true", help="closed forms only; needs no Radiance")
     shared.add_tracer(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)

@@ -23,7 +23,7 @@ from radwrap.scene.scene import Scene
 
 _DESCRIPTION: Final = (
     "Shows a scene in the browser: turn light levels, exposure and sensor, and see gray levels with their error. The "
-    "page is served on this machine alone, until Ctrl-C."
+    "page is served on this machine only, until Ctrl-C."
 )
 _LARGEST_PORT: Final = 65535
 _PLACE: Final = re.compile(r"""[=\s"'\[,](/|~|\.\./|\\\\|[A-Za-z]:[\\/])""")  # where a path of this machine may begin

@@ -288,7 +288,7 @@ def _scale(text: str | None) -> Scale | None:
             raise ValueError
         length, sigma = float(match[1]), float(match[2] or 0.0)
     except ValueError as error:
-        raise InputError(f'"{text}" is no scale', where="mm_per_px", remedy='write "0.0512 +- 0.0001"') from error
+        raise InputError(f'"{text}" is not a scale', where="mm_per_px", remedy='write "0.0512 +- 0.0001"') from error
     return Scale(length * MM, sigma * MM)
 
 

@@ -73,12 +73,12 @@ def _when(arguments: argparse.Namespace) -> tuple[str, float | None]:
     try:
         datetime.fromisoformat(date)
     except ValueError as error:
-        raise InputError(f'"{date}" is no date of ISO 8601', where="--date") from error
+        raise InputError(f'"{date}" is not a date of ISO 8601', where="--date") from error
     if arguments.temperature is None:
         return date, None
     kelvin = arguments.temperature + _FREEZING
     if not (math.isfinite(kelvin) and kelvin > 0):
-        raise InputError(f"{arguments.temperature} is no temperature in degrees Celsius", where="--temperature")
+        raise InputError(f"{arguments.temperature} is not a temperature in degrees Celsius", where="--temperature")
     return date, kelvin
 
 

@@ -25,10 +25,10 @@ from radwrap.scene.scene import Scene
 
 _TICK: Final = 0.1  # s between looks at the ring while it shines
 _DESCRIPTION = (
-    "Shows a dark frame, with --alone each LED alone, then each row of the table or run of the study, and waits each "
-    "time: for Enter, or for the command of --camera, in which {name} and {number} stand for the frame's. The command "
-    "works in DIR. Writes play.json, and played.csv with what the ring showed, which radwrap relight reads. An "
-    "interrupted play goes on where it was."
+    "Shows a dark frame, with --alone each LED by itself, then each row of the table or run of the study, and waits "
+    "each time: for Enter, or for the command of --camera, in which {name} and {number} stand for the frame's. The "
+    "command works in DIR. Writes play.json, and played.csv with what the ring showed, which radwrap relight reads. "
+    "An interrupted play goes on where it was."
 )
 
 
@@ -45,7 +45,7 @@ def add_to(what: argparse._SubParsersAction[Any]) -> None:
     what_is_shown.add_argument(
         "--design", metavar="DESIGN.toml", help="the runs of this study, which changes nothing but the LEDs' light"
     )
-    parser.add_argument("--alone", action="store_true", help="show each LED alone too, for led calibrate")
+    parser.add_argument("--alone", action="store_true", help="show each LED by itself too, for led calibrate")
     parser.add_argument("--out", metavar="DIR", required=True, help="folder for the record, and for the camera's files")
     parser.add_argument("--settle", metavar="TIME", default="20 ms", help='from frame to trigger (default "20 ms")')
     add_device(parser)

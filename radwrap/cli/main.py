@@ -34,7 +34,7 @@ _VERBS: Final = {
     "face": ("face", "turn light and exposure in the browser, and see gray levels with their error"),
     "fit": ("fit", "find values of a scene that explain captured images, and say whether they do"),
     "design": ("design", "find the values of a scene that make a measurement best within limits"),
-    "explain": ("explain", "tell what a scene amounts to"),
+    "explain": ("explain", "show what a scene amounts to"),
     "trade": ("trade", "measure what accuracy costs on a scene"),
     "study": ("study", "change a scene by a design, measure, and say what matters"),
     "dataset": ("dataset", "make images with truth to learn from: masks, boxes, depth, poses"),

@@ -90,7 +90,7 @@ def _write(path: Path, arguments: argparse.Namespace, found: PhotonTransfer, sha
     """Write what was measured as a component of the catalog."""
     if found.quantum_efficiency is None:
         raise InputError(
-            "needs the quantum efficiency, and exposure times do not tell it",
+            "needs the quantum efficiency, and exposure times do not give it",
             where="--write",
             remedy="give frames with radiant_exposure or photons",
         )

@@ -226,7 +226,9 @@ def _budget(text: str | None) -> dict[str, Any]:
     try:
         return {"budget_rays": float(text)}
     except ValueError as error:
-        raise InputError(f'"{text}" is no number', where="--budget", remedy='say "1e7" for rays or "30 s"') from error
+        raise InputError(
+            f'"{text}" is not a number', where="--budget", remedy='say "1e7" for rays or "30 s"'
+        ) from error
 
 
 def _dry_run(scene: Scene, options: RenderOptions, *, as_json: bool) -> int:

@@ -121,7 +121,7 @@ class Gate:
             tokens = all_of(b"authorization")
             given = tokens[0] if len(tokens) == 1 else b""
             if not hmac.compare_digest(given, self._token):
-                return 401, "open the link that the command has told"
+                return 401, "open the link that the command printed"
             if [kind.split(b";")[0].strip().lower() for kind in all_of(b"content-type")] != [JSON]:
                 return 403, "send application/json"
         lengths = all_of(b"content-length")

@@ -107,7 +107,7 @@ def asked_tolerance(value: Any, where: str = "tolerance") -> AskedTolerance:
         return AskedTolerance(float(number_of(value, where, FINEST, COARSEST, whole=False)), "gray")
     found = _SPELLED.fullmatch(value)
     if found is None:
-        raise InputError(f'"{value[:_LONGEST]}" is no tolerance', where=where, remedy=_REMEDY)
+        raise InputError(f'"{value[:_LONGEST]}" is not a tolerance', where=where, remedy=_REMEDY)
     amount = float(f"{found[1]}e{found[2] or 0}")
     unit: Literal["%", "noise"] = "%" if found[3] == "%" else "noise"
     if not _SMALLEST <= amount <= _LARGEST:

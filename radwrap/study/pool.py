@@ -286,7 +286,7 @@ def _check_scheduler(address: str) -> None:
     except ValueError:
         host, port = None, None
     if host is None or port is None:
-        raise InputError(f'"{address}" is no address', where="dask", remedy='write "tcp://HOST:8786"')
+        raise InputError(f'"{address}" is not an address', where="dask", remedy='write "tcp://HOST:8786"')
     silence = EnvironmentFailure(
         f"no answer from {address} within {_GRACE:g} s", where="dask", remedy="see whether it is a scheduler"
     )

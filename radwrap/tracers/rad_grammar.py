@@ -431,7 +431,7 @@ def _primitive(reader: _Reader, defined: set[str]) -> Primitive:
     kind = reader.word("a type")
     form = ALLOWED.get(kind)
     if form is None:
-        reason = _REFUSED.get(kind, "is no type of primitive that may stand here")
+        reason = _REFUSED.get(kind, "is not a type of primitive that is allowed here")
         raise reader.fault(f"{shown(kind)} {reason}", "remove it, or pass `trust=True` if you trust the file")
     if modifier not in defined and (modifier, kind) != (_INHERIT, _ALIAS):
         raise reader.fault(

@@ -77,8 +77,8 @@ def test_a_missing_dot_is_an_error_with_a_picture(tmp_path: Path, monkeypatch: p
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--grid", "5"], '--grid: "5" is no grid; write rows x columns'),
-        (["--grid", "5x-4"], "is no grid"),
+        (["--grid", "5"], '--grid: "5" is not a grid; write rows x columns'),
+        (["--grid", "5x-4"], "is not a grid"),
         (["--grid", "1x4"], "2 rows and 2 columns at least"),
         (["--grid", "5x4", "--method", "conic"], "needs the pitch"),
         (["--grid", "5x4", "--pitch", "20"], "--pitch: .* has no unit"),

@@ -335,9 +335,9 @@ def test_the_command_tells_what_the_function_finds(tmp_path: Path, capsys: pytes
     assert run(str(path)) == 0
     told_plainly = capsys.readouterr().out
     assert "gamma: 1.0" in told_plainly
-    assert "place and gamma can hardly be told apart" in told_plainly
+    assert "place and gamma can hardly be separated" in told_plainly
     assert run(str(path), "--gamma", "1") == 0
-    assert "told apart" not in capsys.readouterr().out
+    assert "can hardly be separated" not in capsys.readouterr().out
 
 
 def test_a_plateau_below_full_scale_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

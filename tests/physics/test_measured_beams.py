@@ -171,7 +171,7 @@ def test_bad_luminaires_are_told_with_the_key(bench: Any, tmp_path: Path, text: 
         ("angle_deg,relative_intensity\n0,1\n10,0.5\n", "ends at 10 deg with 50%"),
         ("angle_deg,relative_intensity\n0,0\n10,1\n20,0\n", "on the axis above 0"),
         ("angle_deg,relative_intensity\n0,1\n10,inf\n", "NaN or infinity"),
-        ("angle_deg,relative_intensity\n0,1\n10,x\n", "no number"),
+        ("angle_deg,relative_intensity\n0,1\n10,x\n", "not a number"),
         ("angle_deg,relative_intensity\n1,1\n10,0\n", "from 0"),
         ("angle_deg,relative_intensity\n0,1e-320\n10,1e300\n20,0\n", "numbers beyond"),
         ("angle_deg,relative_intensity\n0,1e-9\n10,1\n20,0\n", "times as bright aside"),

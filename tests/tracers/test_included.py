@@ -530,9 +530,9 @@ def test_ten_million_numbers_are_the_most(tmp_path: Path, monkeypatch: pytest.Mo
         ("1\n0 1 -5\n5\n", "where a size is due"),
         ("1\n0 x 2\n5 5\n", "where a number is due"),
         ("1\n0 nan 2\n5 5\n", "where a number is due"),
-        ("2\n1 1.00000001 3 2 3 65536\n0 1 2\n1 1 1 1 1 1\n", "cannot tell apart"),  # equal in float32
-        ("1\n0 1e-50 2\n5 5\n", "cannot tell apart"),
-        ("2\n1e999 1e999 5\n0 1 2\n5 5 5 5 5\n", "cannot tell apart"),
+        ("2\n1 1.00000001 3 2 3 65536\n0 1 2\n1 1 1 1 1 1\n", "cannot distinguish"),  # equal in float32
+        ("1\n0 1e-50 2\n5 5\n", "cannot distinguish"),
+        ("2\n1e999 1e999 5\n0 1 2\n5 5 5 5 5\n", "cannot distinguish"),
         ("# nothing", "where a size is due"),
     ],
 )

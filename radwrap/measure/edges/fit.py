@@ -367,7 +367,7 @@ def _edge(model: Model, parameters: Array, free: NDArray[np.bool_], saturated: i
         )
     if free[3] and covariance[3, 3] > LARGEST_GAMMA_ERROR**2:
         raise InputError(
-            f"tells nothing about gamma ({parameters[3]:.2g} +- {math.sqrt(covariance[3, 3]):.2g})",
+            f"shows nothing about gamma ({parameters[3]:.2g} +- {math.sqrt(covariance[3, 3]):.2g})",
             where="the edge",
             remedy="give the camera's, or gamma 1",
         )

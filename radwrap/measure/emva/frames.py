@@ -177,12 +177,12 @@ def _exposure(cell: str, kind: str, where: str) -> float:
         value = float(cell)
     except ValueError as error:
         raise InputError(
-            f'{kind} "{shortened(cell)}" is no number', where=where, remedy="write 0.016, with a point"
+            f'{kind} "{shortened(cell)}" is not a number', where=where, remedy="write 0.016, with a point"
         ) from error
     if why := unusable(value):
         raise InputError(f'{kind} "{shortened(cell)}" {why}', where=where)
     if value < 0:
-        raise InputError(f'{kind} "{shortened(cell)}" is no number from 0 on', where=where)
+        raise InputError(f'{kind} "{shortened(cell)}" is not a number from 0 on', where=where)
     return value
 
 

@@ -100,7 +100,7 @@ def _check_wavelength(scene: Scene, assumed: dict[str, str]) -> None:
     camera = scene.camera
     if scene.spectral is not None and camera.wavelength is not None:
         raise InputError(
-            "the scene's spectra tell the wavelength already",
+            "the scene's spectra give the wavelength already",
             where=f"{scene.origin}: camera.wavelength",
             remedy="leave it out",
         )

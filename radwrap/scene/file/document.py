@@ -142,7 +142,7 @@ class CameraModel(Aimed):
     lens: LensModel | None = None
     """Without it the camera is a pinhole."""
     wavelength: Wavelength | None = None
-    """Of the light, where neither spectra nor a linear sensor tell it."""
+    """Of the light, where neither spectra nor a linear sensor give it."""
     diffraction: Literal["auto", "on", "off"] = "auto"
     """Whether images have diffraction: where it matters, always, or never."""
     spectral_response: CurveModel | None = None
@@ -170,7 +170,7 @@ class CameraModel(Aimed):
     @model_validator(mode="after")
     def _one_wavelength(self) -> CameraModel:
         if self.wavelength is not None and self.sensor.model == "linear":
-            raise ValueError("wavelength: sensor.wavelength tells it already; leave this one out")
+            raise ValueError("wavelength: sensor.wavelength gives it already; leave this one out")
         return self
 
     @model_validator(mode="after")

@@ -89,7 +89,7 @@ def _wavefront(
         assumed["camera.lens.wavefront.pupil_diameter"] = f"{opening * 1e3:.6g} mm"
     elif opening > pupil * _SAME:
         raise InputError(
-            f"is smaller than the opening of {opening * 1e3:.4g} mm, and no polynomial is told beyond it",
+            f"is smaller than the opening of {opening * 1e3:.4g} mm, and the polynomial is not known beyond it",
             where=f"{where}.pupil_diameter",
             remedy="stop the lens down, or give the diameter that the coefficients belong to",
         )
@@ -129,7 +129,7 @@ def _by_order(
             order = order_of(convention, index)
             if order is None:
                 raise InputError(
-                    f"{index} is no number of a term of the convention {convention}, up to order {HIGHEST_ORDER}",
+                    f"{index} is not the number of a term of the convention {convention}, up to order {HIGHEST_ORDER}",
                     where=where,
                 )
             by_order[order] = path * (rms(order) if convention == "fringe" else 1.0)
@@ -265,7 +265,7 @@ def _point_spread(table: PointSpreadModel, where: str, *, folder: Path, assumed:
     left = max(abs(float(sign @ light.sum(axis=axis))) / whole for axis, sign in zip((1, 0), signs, strict=True))
     if left > _AT_HIGHEST:
         raise InputError(
-            f"has a contrast of {left:.2g} at the highest frequency that its pixels tell",
+            f"has a contrast of {left:.2g} at the highest frequency that its pixels resolve",
             where=f"{where}.pitch",
             remedy="measure it by finer pixels",
         )

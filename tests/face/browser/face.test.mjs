@@ -443,7 +443,7 @@ test("a bad link says what to do, and the token leaves the address", async (t) =
   assert.match(await other.textContent("#banner"), /needs its link/);
   const { page: wrong } = await opened(t, { at: `http://127.0.0.1:${port}/#wrong`, expected: /401/ });
   await wrong.waitForSelector("#banner:not([hidden])");
-  assert.match(await wrong.textContent("#banner"), /open the one that radwrap face has told last/);
+  assert.match(await wrong.textContent("#banner"), /open the last one that radwrap face printed/);
   assert.deepEqual(faults, []);
 });
 
