@@ -35,7 +35,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         "--seed", metavar="S", type=shared.whole(), default=0, help="seed of all that is drawn (default 0)"
     )
     parser.add_argument(
-        "--assumed", action="store_true", help="list all values that were taken because the scene is silent"
+        "--assumed", action="store_true", help="list all values that were assumed because the scene does not give them"
     )
     parser.add_argument("--no-rays", action="store_true", help="closed forms only; needs no Radiance")
     shared.add_tracer(parser)

@@ -37,7 +37,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument(
         "--port", metavar="N", type=shared.whole(0, _LARGEST_PORT), default=0, help="default any free one"
     )
-    parser.add_argument("--no-browser", action="store_true", help="open no browser, only say where the link is")
+    parser.add_argument("--no-browser", action="store_true", help="do not open a browser, only show where the link is")
     parser.add_argument("--out", metavar="DIR", help="folder in which the page's Save leaves its files, and the basis")
     parser.add_argument(
         "--export",

@@ -28,7 +28,7 @@ _DESCRIPTION = (
     "Shows a dark frame, with --alone each LED by itself, then each row of the table or run of the study, and waits "
     "each time: for Enter, or for the command of --camera, in which {name} and {number} stand for the frame's. The "
     "command works in DIR. Writes play.json, and played.csv with what the ring showed, which radwrap relight reads. "
-    "An interrupted play goes on where it was."
+    "An interrupted play continues where it stopped."
 )
 
 
@@ -61,7 +61,7 @@ def add_to(what: argparse._SubParsersAction[Any]) -> None:
         "--camera",
         metavar="COMMAND ...",
         nargs=argparse.REMAINDER,
-        help="program that captures, and its arguments: all that stands behind this option",
+        help="program that captures, and its arguments: everything after this option",
     )
     parser.set_defaults(run=run)
 

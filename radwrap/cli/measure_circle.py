@@ -89,7 +89,7 @@ def _places(arguments: argparse.Namespace, found: gauging.Look) -> dict[RimName,
     if arguments.at is None:
         return _true_places(found)
     if arguments.radius is None:
-        raise InputError("is missing", where="radius", remedy="say about how large the circle is")
+        raise InputError("is missing", where="radius", remedy="give the approximate radius of the circle")
     at = (arguments.at[0], arguments.at[1])
     places: dict[RimName, RimPlace] = {"outer": RimPlace(at, found.pixels(arguments.radius, "radius", at))}
     if arguments.inner_radius is not None:

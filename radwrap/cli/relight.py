@@ -57,7 +57,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         default=[],
         dest="overrides",
         help='change the exposure time or a key of the sensor, such as --set camera.exposure_time="64 ms", with the '
-        "error measured anew; may be repeated",
+        "error measured again; may be repeated",
     )
     parser.add_argument(
         "--scene-folder",

@@ -24,7 +24,7 @@ from radwrap.scene.sources import WideSource
 
 _DESCRIPTION = (
     "Predicts the gray image of a scene. Writes gray.png, radiant_exposure.exr and manifest.json into DIR; a killed "
-    "run goes on where it was when it is started again."
+    "run continues where it stopped when it is started again."
 )
 
 
@@ -108,7 +108,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         help="draw the scene the other way of Fig. 3 too (Lambert and Phong, one parallel or point light, no shadows, "
         "no sensor), and put both side by side with their difference",
     )
-    parser.add_argument("--dry-run", action="store_true", help="only say what rays, memory and time it would take")
+    parser.add_argument("--dry-run", action="store_true", help="only show what rays, memory and time it would take")
     parser.add_argument(
         "--max-pixels", metavar="N", type=shared.number(), default=64e6, help="largest sensor (default 64e6 pixels)"
     )
@@ -227,7 +227,7 @@ def _budget(text: str | None) -> dict[str, Any]:
         return {"budget_rays": float(text)}
     except ValueError as error:
         raise InputError(
-            f'"{text}" is not a number', where="--budget", remedy='say "1e7" for rays or "30 s"'
+            f'"{text}" is not a number', where="--budget", remedy='write "1e7" for rays or "30 s"'
         ) from error
 
 

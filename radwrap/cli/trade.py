@@ -16,7 +16,7 @@ from radwrap.study.trade_report import FILES, as_json, pareto_front, recommendat
 
 _DESCRIPTION = (
     "Runs every method with several settings on a scene, and measures time, rays and error in gray levels against rays "
-    "of its own. Writes trade.csv, trade.json and trade.png into DIR; a killed run goes on where it was."
+    "of its own. Writes trade.csv, trade.json and trade.png into DIR; a killed run continues where it stopped."
 )
 
 

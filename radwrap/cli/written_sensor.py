@@ -105,7 +105,7 @@ def write_sensor(
         raise InputError(problems[0], where="--write", remedy="see docs/catalog.md")
     content = text.encode()
     if path.exists() and not arguments.replace and content_of(path, path.parent, str(path)) != content:
-        raise InputError("is there and says something else", where=str(path), remedy="name another file, or --replace")
+        raise InputError("exists and has other content", where=str(path), remedy="name another file, or --replace")
     write_bytes(path, content)
 
 

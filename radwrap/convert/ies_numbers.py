@@ -32,7 +32,7 @@ def fault_of_numbers(text: str, *, tilted: bool) -> str | None:
     except ValueError as error:
         return str(error)
     left = sum(1 for _ in numbers)
-    return f"{left} numbers stand after its last candela value" if left else None
+    return f"{left} numbers follow its last candela value" if left else None
 
 
 def _number(word: str) -> float:

@@ -168,7 +168,7 @@ def decimal(text: str, where: str = "") -> float:
     """
     value = float(text) if _DECIMAL.fullmatch(text) else math.nan
     if not math.isfinite(value):
-        raise InputError(f'"{text}" is not a number from 0 on: write 0.25', where=where)
+        raise InputError(f'"{text}" is not a number of 0 or more: write 0.25', where=where)
     return value
 
 

@@ -120,7 +120,7 @@ def check_contrasts(count: int) -> None:
     if count < FEWEST_CONTRASTS:
         raise InputError(
             f"{count} contrasts are too few for Lenth's method, which needs {FEWEST_CONTRASTS} (8 runs)",
-            remedy='repeat the runs (replicates = 2), or say analysis = "none"',
+            remedy='repeat the runs (replicates = 2), or set analysis = "none"',
         )
 
 

@@ -62,9 +62,9 @@ def read_bound(design: Design, response: str, within: str) -> Bound:
             relative = None
             absolute = float(text) if dimension is None else parse_quantity(text, dimension) / one.scale
     except ValueError as error:
-        raise InputError(f'"{within}" is not a bound', where="within", remedy='say "0.1%"') from error
+        raise InputError(f'"{within}" is not a bound', where="within", remedy='write "0.1%"') from error
     except InputError as error:
-        raise InputError(f"{error.what}", where="within", remedy=f'{error.remedy}, or say "0.1%"') from error
+        raise InputError(f"{error.what}", where="within", remedy=f'{error.remedy}, or write "0.1%"') from error
     size = relative if absolute is None else absolute
     if size is None or not (math.isfinite(size) and size > 0):
         raise InputError("must be above zero", where="within")

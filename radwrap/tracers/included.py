@@ -243,14 +243,14 @@ def _data_dimensions(content: bytes) -> int:
 def _data_count(words: Iterator[bytes], least: int, most: int) -> int:
     word = next(words, b"nothing")
     if not _DATA_COUNT.fullmatch(word) or not least <= int(word) <= most:
-        raise ValueError(f"is not a data file: {shown(word.decode(errors='replace'))} stands where a size is due")
+        raise ValueError(f"is not a data file: found {shown(word.decode(errors='replace'))}, expected a size")
     return int(word)
 
 
 def _data_number(words: Iterator[bytes]) -> float:
     word = next(words, b"nothing")
     if not _DATA_NUMBER.fullmatch(word):
-        raise ValueError(f"is not a data file: {shown(word.decode(errors='replace'))} stands where a number is due")
+        raise ValueError(f"is not a data file: found {shown(word.decode(errors='replace'))}, expected a number")
     return float(word)
 
 

@@ -126,7 +126,7 @@ def test_centre_that_is_none() -> None:
 def test_names() -> None:
     assert "cannot be free" in refused(BOARD, IMAGE, free=("focus",))
     assert "twice" in refused(BOARD, IMAGE, free=("focal_length", "focal_length"))
-    assert "no solver" in refused(BOARD, IMAGE, solver="best")
+    assert "not a solver" in refused(BOARD, IMAGE, solver="best")
 
 
 def test_held_values() -> None:

@@ -70,9 +70,9 @@ SAYS = {
     "one.png": "1 x 1|gray level 30 everywhere",
     "colour.ppm": "is in colour",
     "nan.exr": "holds NaN or infinity",
-    "cut.png": "is not whole",
-    "cut.pgm": "is not whole",
-    "cut.exr": "is not whole",
+    "cut.png": "is not complete",
+    "cut.pgm": "is not complete",
+    "cut.exr": "is not complete",
     "empty.png": "is not an image",
     "text.png": "is not an image",
     "folder.png": "is not a regular file",
@@ -191,7 +191,7 @@ def test_a_cut_jpeg_is_no_image(tmp_path: Path, capfd: pytest.CaptureFixture[str
     (tmp_path / "cut.jpg").write_bytes(whole[: len(whole) * 2 // 3])
     read_gray(tmp_path / "whole.jpg")
     assert main(["measure", "edge", str(tmp_path / "cut.jpg")]) == 2
-    assert "cut.jpg: is not whole: its end is missing" in capfd.readouterr().err
+    assert "cut.jpg: is not complete: its end is missing" in capfd.readouterr().err
 
 
 OPTIONS = {

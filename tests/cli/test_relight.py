@@ -106,8 +106,8 @@ def test_one_image_in_another_camera(basis: Path, tmp_path: Path, capsys: pytest
     [
         (("--level", "lump=1"), 'level "lump": unknown source "lump"; known are'),
         (("--level", "lamp"), '"lamp" is not NAME=FACTOR'),
-        (("--level", "lamp=-1"), 'level lamp: "-1" is not a number from 0 on'),
-        (("--level", "lamp=1e999"), "is not a number from 0 on"),
+        (("--level", "lamp=-1"), 'level lamp: "-1" is not a number of 0 or more'),
+        (("--level", "lamp=1e999"), "is not a number of 0 or more"),
         (("--level", "lamp=1", "--levels", "levels.csv"), "--level: goes without --levels"),
         (("--set", "camera.position=[]"), "camera.position"),
         (("--set", "camera.focal_length=13 mm"), "changes which light a pixel gets"),
@@ -176,7 +176,7 @@ BAD: Final[dict[str, tuple[str, str]]] = {
     "too few cells": ("name,lamp,second\na,1\n", "line 2: has 2 cells, the first line has 3"),
     "too many cells": ("name,lamp,second\na,1,1\nb,1,1,1\n", "line 3: has 4 cells"),
     "empty cell": ("name,lamp,second\na,1, \n", 'line 2, column "second": is empty'),
-    "negative": ("name,lamp,second\na,-0.1,1\n", 'line 2, column "lamp": "-0.1" is not a number from 0 on'),
+    "negative": ("name,lamp,second\na,-0.1,1\n", 'line 2, column "lamp": "-0.1" is not a number of 0 or more'),
     "nan": ("name,lamp,second\na,1,nan\n", 'line 2, column "second": "nan" is not a number'),
     "infinite": ("name,lamp,second\na,1,inf\n", 'column "second": "inf" is not a number'),
     "overflow": ("name,lamp,second\na,1,1e999\n", 'column "second": "1e999" is not a number'),
@@ -234,7 +234,7 @@ def test_a_file_in_the_way_of_the_basis_is_told_before_tracing(
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "basis").touch()
     argv = ["render", write_scene(tmp_path, TWO), "--basis", "--tolerance", 5, "--out", tmp_path / "out"]
-    assert "a file stands where a folder is needed" in here(argv, capsys).refusal(2)
+    assert "a file is where a folder is needed" in here(argv, capsys).refusal(2)
     assert not list((tmp_path / "out").rglob("*.exr"))
 
 

@@ -68,7 +68,7 @@ def changed(word: str, other: str) -> str:
         (changed("1 1 50", "0 1 50"), "a multiplier is not above 0"),
         (changed("15 30", "30 15"), "vertical angles must increase"),
         (changed("75 90", "75 190"), "vertical angles must increase"),
-        (changed("0.2588190 0", "0.2588190 0 0"), "1 numbers stand after its last"),
+        (changed("0.2588190 0", "0.2588190 0 0"), "1 numbers follow its last"),
         (changed("0.2588190 0", "0.2588190"), "ends too early"),
         (changed("1 1 2 0", "1 1 3 0"), "unit of length is 3"),
         (changed("1 1 2 0", "1 2 2 0"), "of type B; only type C is read"),

@@ -304,7 +304,7 @@ def _text(path: Path) -> None:
     ("write", "name", "message"),
     [
         (_colour, "c.ppm", "is in colour"),
-        (_truncated, "t.bin", "is not whole|is not an image"),
+        (_truncated, "t.bin", "is not complete|is not an image"),
         (_nan, "n.pfm", "holds NaN"),
         (_nothing, "missing.png", "no such image"),
         (_text, "text.png", "is not an image"),

@@ -150,7 +150,7 @@ def test_the_lamps_factor_is_that_of_its_edition(tmp_path: Path, edition: str, t
         (GOOD.replace("TILT=NONE", "TILT=../x"), "names another file"),
         (GOOD.replace("TILT=NONE", "no"), "no TILT"),
         (GOOD[:-30], "ends too early|no number"),
-        (GOOD + "1 2", "goes on after"),
+        (GOOD + "1 2", "continues after"),
         (GOOD.replace("1 1 50", "1 nan 50"), "NaN"),
         (GOOD.replace("0.0 15.0", "15.0 0.0"), "must be two or more, and increase|vertical angles"),
         (GOOD.replace("1 -1 1 7 1 1", "1 -1 1 1e9 1 1"), "from 1 to 1000"),

@@ -225,7 +225,7 @@ def test_a_picture_of_a_point_is_its_light_about_its_middle(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("light", "told"),
     [
-        (np.zeros((9, 9)), "needs values from 0 on, some above it"),
+        (np.zeros((9, 9)), "needs values of 0 or more, some above 0"),
         (spot(3.0) + 2000, "where the light must have ended"),
         (spot(0.6), "at the highest frequency that its pixels resolve"),
     ],

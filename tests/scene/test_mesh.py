@@ -156,7 +156,7 @@ HOSTILE = {
     "more.off": (b"OFF\n4 1 0\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 1 2\n3 0 1 3\n", "holds more than it claims"),
     "less.ply": (TEXT_PLY.format(5).encode() + b"3 0 1 2\n", "holds less than it claims"),
     "more.ply": (TEXT_PLY.format(1).encode() + b"3 0 1 2\n3 0 2 1\n", "claims 4 rows, and holds 5"),
-    "mixed.ply": (MIXED_PLY, "read from text alone"),
+    "mixed.ply": (MIXED_PLY, "read only from text"),
     "junk.glb": (b"glTF\x02\x00\x00\x00\xff\xff\xff\x7f", "not a complete GLB"),
     "name.3ds": (b"x", "not a mesh file"),
 }

@@ -143,7 +143,7 @@ BAD = [
     ("[0.9, 1.1]", "[-0.5, 1.1]", "must be above 0"),
     ("[0.9, 1.1]", "[1.1, 0.9]", "lower value first"),
     ("[0.9, 1.1]", '[0.9, "1.1 mm"]', "same unit"),
-    ("uniform", "cauchy", "no draw"),
+    ("uniform", "cauchy", "not a draw"),
     ('kind = "full"', 'kind = "latin"', "design.kind: 'latin' is not one of 'full', 'fractional'"),
     ('kind = "full"', 'kind = "fractional"\ngenerators = "a"', "1 generators for 2 factors"),
     ('kind = "full"', 'kind = "list"\nruns = [["3 mm", "L"]]', "no level"),

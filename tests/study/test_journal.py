@@ -53,7 +53,7 @@ CHANGES = [
     ("26.5,0.03,", ",,", "a response is missing"),
     ("26.5,", ",", "without its value"),
     (",0.6,0,", ",0.6,maybe,", "met is"),
-    ("\n2,1,5,1 mm,H", "\n1,1,5,1 mm,L", "stands twice"),
+    ("\n2,1,5,1 mm,H", "\n1,1,5,1 mm,L", "appears twice"),
     ("run,replicate", "\ufeffrun,replicate", "not the table of this study"),
 ]
 

@@ -78,7 +78,7 @@ def test_another_version_is_noticed(version: str, tmp_path: Path) -> None:
         ("echo 'Parse Warning: degenerate triangle' >&2; cp {right} view.exr", "degenerate triangle"),
         ("cp {small} view.exr", "has 4 x 3 pixels, not 60 x 50"),
         ("cp {wrong} view.exr", "NaN or negative"),
-        ("head -c 3000 {right} > view.exr", "its picture is not whole"),
+        ("head -c 3000 {right} > view.exr", "its picture is not complete"),
         ("sleep 30", "did not end within"),
     ],
 )

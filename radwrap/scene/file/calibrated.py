@@ -43,7 +43,7 @@ def with_calibration(document: Mapping[str, Any], origin: str, folder: Path) -> 
     for key in _TOLD:
         if key in camera:
             raise InputError(
-                "stands in the calibration too", where=f"{origin}: camera.{key}", remedy=f"leave it or {KEY} out"
+                "is in the calibration too", where=f"{origin}: camera.{key}", remedy=f"leave it or {KEY} out"
             )
     found = read_intrinsics(named_file(folder, camera[KEY], where), where)
     sensor = _table(camera.get("sensor"), f"{origin}: camera.sensor")

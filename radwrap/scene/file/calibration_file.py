@@ -184,7 +184,7 @@ def _size(storage: cv2.FileStorage, key: str) -> int | None:
     # OpenCV gives 2^1023 or so for the number of what is none.
     if not node.isInt() or node.real() < 1:
         raise InputError(
-            f"its {key} is not a whole number from 1 on", remedy=f"write {key}: 640, without quotes or point"
+            f"its {key} is not a whole number of 1 or more", remedy=f"write {key}: 640, without quotes or point"
         )
     return int(node.real())
 

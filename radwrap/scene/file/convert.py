@@ -65,7 +65,7 @@ def scene_from_model(
     for kind, things in (("sources", sources), ("targets", targets)):
         for index, thing in enumerate(things):
             if thing.name in names:
-                raise InputError(f'the name "{thing.name}" stands there twice', where=f"{origin}: {kind}[{index}].name")
+                raise InputError(f'the name "{thing.name}" is given twice', where=f"{origin}: {kind}[{index}].name")
             names.add(thing.name)
     _check_materials(targets, model.materials, origin)
     materials = {

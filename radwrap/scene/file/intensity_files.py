@@ -71,7 +71,7 @@ def read_beam(path: Path) -> TableBeam:
         raise InputError(
             f"ends at {angle[-1]:g} deg with {value[-1] / value.max():.0%} of its peak",
             where=str(path),
-            remedy="go on to 90 deg, or end with a line of intensity 0",
+            remedy="continue to 90 deg, or end with a line of intensity 0",
         )
     grid = np.arange(0, 90 + _BEAM_STEP / 2, _BEAM_STEP)
     smooth, doubt = _resampled(angle, value[np.newaxis], grid)
@@ -163,12 +163,14 @@ class _Reader:
     def count(self) -> int:
         (value,) = self.take(1)
         if value != int(value) or not 1 <= value <= _MOST_ANGLES:
-            raise InputError(f"says {value:g} where a number from 1 to {_MOST_ANGLES} is due", where=str(self._path))
+            raise InputError(
+                f"gives {value:g} where a number from 1 to {_MOST_ANGLES} is expected", where=str(self._path)
+            )
         return int(value)
 
     def end(self) -> None:
         if len(self._values):
-            raise InputError("goes on after its last intensity", where=str(self._path))
+            raise InputError("continues after its last intensity", where=str(self._path))
 
 
 def _tilt(reader: _Reader, path: Path) -> float:

@@ -215,7 +215,7 @@ def camera_with(
         if not key.startswith("camera."):
             raise InputError("is not a key of the camera", where=f"{origin}: {key}")
         if spectral and key != "camera.exposure_time":
-            raise InputError("may weigh the scene's spectra otherwise", where=key, remedy="render that camera")
+            raise InputError("may weigh the scene's spectra differently", where=key, remedy="render that camera")
         tables = set_all(tables, key, value, origin)
     text = _checked_json(tables, origin)
     filled, taken = with_presets({"camera": tables["camera"]}, origin, folder)

@@ -318,7 +318,7 @@ class RingModel(Shining, Aimed):
     def _leds_exist(self) -> RingModel:
         indices = [led.index for led in self.leds]
         if len(set(indices)) < len(indices):
-            raise ValueError("leds: an index stands there twice")
+            raise ValueError("leds: an index appears twice")
         if indices and max(indices) >= self.count:
             raise ValueError(f"leds: index {max(indices)} is too large, the ring has LEDs 0 to {self.count - 1}")
         return self
