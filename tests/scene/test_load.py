@@ -402,7 +402,9 @@ def test_each_key_of_the_schema_has_one_line_and_its_units() -> None:
     assert keys["LensModel.focus_distance"]["description"].endswith("one unit of m, cm, mm, um, nm, km, in, ft.")
     assert keys["SheetModel.size"]["description"].count("one unit of") == 1
     assert keys["SpecularModel.type"]["description"] == "Kind of material.", "once, whatever its bases"
-    assert keys["RingModel.radiance"]["description"].startswith("Along the axis"), "of the class that it is made of"
+    assert keys["RingModel.radiance"]["description"].startswith("Radiance along the axis"), (
+        "of the class that it is made of"
+    )
 
 
 def test_the_schema_describes_quantities_and_presets() -> None:

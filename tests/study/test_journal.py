@@ -39,9 +39,9 @@ def test_what_was_written_is_read_back(opened: Opened) -> None:
 
 
 CHANGES = [
-    ("\n1,1,5,", "\n99,1,5,", "none of the study's"),
+    ("\n1,1,5,", "\n99,1,5,", "not one of the study's"),
     ("\n1,1,5,", "\n2,1,5,", "s is"),
-    ("\n1,1,5,", "\nabc,1,5,", "none of the study's"),
+    ("\n1,1,5,", "\nabc,1,5,", "not one of the study's"),
     ("\n1,1,5,", "\n01,1,5,", "run is"),
     ("\n1,1,5,", "\n1,2,5,", "replicate is"),
     ("\n1,1,5,", "\n1,1,6,", "seed is"),
