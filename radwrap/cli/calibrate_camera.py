@@ -52,26 +52,26 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         nargs="+",
         help="a table with columns x,y,z,u,v, or view,x,y,z,u,v; with --target images",
     )
-    parser.add_argument("--target", metavar="FILE.toml", help="for images: what is seen in them")
+    parser.add_argument("--target", metavar="FILE.toml", help="for images: the target that they show")
     parser.add_argument(
         "--detector",
         choices=DETECTORS,
-        help="for images: refined (default), sb or corners of a chessboard, charuco, dots (ours, default of a "
-        "symmetric grid) or circles (OpenCV's)",
+        help="for images: the detector: refined (default), sb or corners of a chessboard, charuco, dots (ours, default "
+        "of a symmetric grid) or circles (OpenCV's)",
     )
     parser.add_argument("--csv", metavar="FILE", help="for images: table of the points that were found")
-    parser.add_argument("--pixel-width", metavar="LENGTH", help='for one view: such as "13.75 um"')
-    parser.add_argument("--pixel-height", metavar="LENGTH", help='for one view: such as "16 um"')
+    parser.add_argument("--pixel-width", metavar="LENGTH", help='for one view: width of a pixel, such as "13.75 um"')
+    parser.add_argument("--pixel-height", metavar="LENGTH", help='for one view: height of a pixel, such as "16 um"')
     parser.add_argument(
         "--centre", metavar=("U", "V"), nargs=2, help="for one view: image centre [px]; a start value where free"
     )
     parser.add_argument("--length-unit", choices=LENGTH.units, help="for tables: unit of x, y, z (default m)")
-    parser.add_argument("--solver", choices=SOLVERS, help="for one view: default tsai")
+    parser.add_argument("--solver", choices=SOLVERS, help="for one view: the solver (default tsai)")
     parser.add_argument(
         "--free",
         metavar="NAMES",
-        help="for one view: what to find beside the pose, by commas: focal_length, distortion, centre, sx (default "
-        'focal_length; "" for the pose only)',
+        help="for one view: what to find beside the pose, separated by commas: focal_length, distortion, centre, sx "
+        '(default focal_length; "" for the pose only)',
     )
     parser.add_argument("--focal-length", metavar="LENGTH", help="its value where it is not free")
     parser.add_argument(

@@ -26,7 +26,7 @@ def add_to(kinds: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument("--columns", metavar="N", type=shared.whole(1, 65535), help="of the sensor")
     parser.add_argument("--pixel-width", metavar="LENGTH", help='such as "3.45 um"')
     parser.add_argument("--pixel-height", metavar="LENGTH", help="likewise")
-    parser.add_argument("--wavelength", metavar="LENGTH", help='of the measurement, such as "525 nm"')
+    parser.add_argument("--wavelength", metavar="LENGTH", help='wavelength of the measurement, such as "525 nm"')
     parser.add_argument("--offset", metavar="G", type=shared.GRAY_LEVEL, help="gray level without light")
     written_sensor.add_options(parser)
     shared.add_json(parser)

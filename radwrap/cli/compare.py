@@ -69,13 +69,13 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument(
         "--saturation", metavar="G", type=shared.GRAY_LEVEL, help="highest gray level (default: full scale)"
     )
-    parser.add_argument("--tolerance", metavar="G", type=shared.number(), help="fail where a pixel differs by more")
+    parser.add_argument("--tolerance", metavar="G", type=shared.number(), help="fail if a pixel differs by more")
     parser.add_argument(
         "--allow-beyond",
         metavar="SHARE",
         type=shared.number(),
         default=0.0,
-        help="share of pixels that may (default 0)",
+        help="share of pixels that may differ by more (default 0)",
     )
     parser.add_argument("--out", metavar="DIR", help=f"folder for {RESULT}, {DIFFERENCE} and {REPORT}")
     shared.add_json(parser)

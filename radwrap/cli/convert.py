@@ -47,8 +47,8 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument(
         "--polygons", action="store_true", help="a mesh as polygons in place of Radiance's compiled mesh"
     )
-    parser.add_argument("--paper", choices=("a4", "letter"), help="of a target to print (default a4)")
-    parser.add_argument("--target", metavar="NAME", help="to print, where a scene has several")
+    parser.add_argument("--paper", choices=("a4", "letter"), help="paper of a target to print (default a4)")
+    parser.add_argument("--target", metavar="NAME", help="target to print, where a scene has several")
     shared.add_radiance(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)

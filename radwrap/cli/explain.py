@@ -32,7 +32,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     shared.add_scene(parser)
     shared.add_tolerance(parser, "rms error that is wanted")
     parser.add_argument(
-        "--seed", metavar="S", type=shared.whole(), default=0, help="seed of all that is drawn (default 0)"
+        "--seed", metavar="S", type=shared.whole(), default=0, help="seed of all random draws (default 0)"
     )
     parser.add_argument(
         "--assumed", action="store_true", help="list all values that were assumed because the scene does not give them"

@@ -45,7 +45,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         help="serve nothing, but write the page and its basis as one file of at most 4 MB, which needs no server",
     )
     parser.add_argument(
-        "--seed", metavar="S", type=shared.whole(), default=0, help="seed of all that is drawn (default 0)"
+        "--seed", metavar="S", type=shared.whole(), default=0, help="seed of all random draws (default 0)"
     )
     shared.add_tracer(parser)
     parser.set_defaults(run=run)

@@ -197,7 +197,9 @@ def add_look(parser: argparse.ArgumentParser, *, plane: bool) -> None:
             "covariance gives the scale's error",
         )
         parser.add_argument(
-            "--height", metavar="LENGTH", help="of what is measured above that board, along its z axis (default 0)"
+            "--height",
+            metavar="LENGTH",
+            help="height of what is measured above that board, along its z axis (default 0)",
         )
     parser.add_argument("--truth", metavar="TARGET", help="place the caliper on this target of the scene")
     if plane:

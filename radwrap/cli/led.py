@@ -53,9 +53,11 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         shared.add_json(one)
         one.set_defaults(run=run)
     one = what.add_parser("set", help="light the ring, until Enter, Ctrl-C, --for or the drive's max_on_time")
-    one.add_argument("levels", metavar="LEVEL", nargs="*", help='one for all LEDs or one each: 0.25, or "12 mW/sr"')
-    one.add_argument("--scene", metavar="SCENE.toml", help="as this scene's ring shines")
-    one.add_argument("--factor", metavar="F", help="on the scene's radiant intensities (default 1)")
+    one.add_argument(
+        "levels", metavar="LEVEL", nargs="*", help='one level for all LEDs or one for each: 0.25, or "12 mW/sr"'
+    )
+    one.add_argument("--scene", metavar="SCENE.toml", help="light the ring as this scene's ring shines")
+    one.add_argument("--factor", metavar="F", help="factor on the scene's radiant intensities (default 1)")
     _add_light(one)
     one.set_defaults(run=run_set)
     one = what.add_parser("frame", help="only one LED, or none, for a capture")

@@ -39,13 +39,13 @@ def add_to(what: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument(
         "--basis", metavar="DIR", help="folder of a radwrap render --basis of the scene, for --captures"
     )
-    parser.add_argument("--suffix", metavar="S", default=".png", help="of the captures' names (default .png)")
+    parser.add_argument("--suffix", metavar="S", default=".png", help="suffix of the captures' names (default .png)")
     parser.add_argument("--drive", metavar="DRIVE.toml", help="for --table: the current at which it was measured")
-    parser.add_argument("--serial", metavar="S", default="", help="for --table: of the device that drove the LEDs")
+    parser.add_argument("--serial", metavar="S", default="", help="for --table: name of the device that drove the LEDs")
     parser.add_argument(
-        "--temperature", metavar="C", type=shared.number(), help="of the surroundings [degrees Celsius]"
+        "--temperature", metavar="C", type=shared.number(), help="temperature of the surroundings [degrees Celsius]"
     )
-    parser.add_argument("--date", metavar="D", help="of the measurement, ISO 8601 (default: now)")
+    parser.add_argument("--date", metavar="D", help="date of the measurement, ISO 8601 (default: now)")
     parser.add_argument("--out", metavar="FILE", required=True, help="calibration to write")
     shared.add_json(parser)
     parser.set_defaults(run=run)

@@ -35,7 +35,7 @@ _DESCRIPTION = (
 def add_to(what: argparse._SubParsersAction[Any]) -> None:
     """Add the verb."""
     parser = what.add_parser("play", help="show a study's rows, frame by frame", description=_DESCRIPTION)
-    parser.add_argument("scene", metavar="SCENE.toml", help="whose ring the factors are on")
+    parser.add_argument("scene", metavar="SCENE.toml", help="scene whose ring the factors belong to")
     what_is_shown = parser.add_mutually_exclusive_group()
     what_is_shown.add_argument(
         "--rows",
@@ -47,7 +47,9 @@ def add_to(what: argparse._SubParsersAction[Any]) -> None:
     )
     parser.add_argument("--alone", action="store_true", help="show each LED by itself too, for led calibrate")
     parser.add_argument("--out", metavar="DIR", required=True, help="folder for the record, and for the camera's files")
-    parser.add_argument("--settle", metavar="TIME", default="20 ms", help='from frame to trigger (default "20 ms")')
+    parser.add_argument(
+        "--settle", metavar="TIME", default="20 ms", help='time from frame to trigger (default "20 ms")'
+    )
     add_device(parser)
     add_light(parser)
     shared.add_json(parser)

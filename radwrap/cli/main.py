@@ -30,7 +30,7 @@ _VERBS: Final = {
     "init": ("start", "write a commented scene to start from"),
     "schema": ("start", "print the JSON schema of scene files"),
     "render": ("render", "predict the gray image of a scene"),
-    "relight": ("relight", "images for any levels of the sources"),
+    "relight": ("relight", "make images for any levels of the sources"),
     "face": ("face", "turn light and exposure in the browser, and see gray levels with their error"),
     "fit": ("fit", "find values of a scene that explain captured images, and say whether they do"),
     "design": ("design", "find the values of a scene that make a measurement best within limits"),

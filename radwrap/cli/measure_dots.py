@@ -30,7 +30,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument("--grid", metavar="RxC", required=True, help="rows and columns of dots, such as 5x5")
     parser.add_argument("--method", choices=METHODS, default="gray", help="definition of the centre (default gray)")
     parser.add_argument(
-        "--dark", metavar="G", type=shared.GRAY_LEVEL, help="gray level without light, taken away from bright dots"
+        "--dark", metavar="G", type=shared.GRAY_LEVEL, help="gray level without light, subtracted from bright dots"
     )
     parser.add_argument(
         "--saturation", metavar="G", type=shared.GRAY_LEVEL, help="gray level at which the sensor saturates"

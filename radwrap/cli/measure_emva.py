@@ -35,7 +35,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument("frames", metavar="FRAMES.csv", help="a row for each frame")
     parser.add_argument("--pixel-width", metavar="LENGTH", help='with radiant_exposure, such as "13.8 um"')
     parser.add_argument("--pixel-height", metavar="LENGTH", help="likewise")
-    parser.add_argument("--wavelength", metavar="LENGTH", help='likewise, such as "650 nm"')
+    parser.add_argument("--wavelength", metavar="LENGTH", help='with radiant_exposure, such as "650 nm"')
     parser.add_argument("--trust", action="store_true", help="let FRAMES.csv name files outside its folder")
     parser.add_argument("--plot", metavar="PNG", help="draw photon transfer, signal, SNR and linearity")
     written_sensor.add_options(parser)

@@ -37,7 +37,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         metavar="A",
         type=shared.number(),
         default=DEFAULT_MIN_AREA,
-        help=f"smaller ones are left out [px^2] (default {DEFAULT_MIN_AREA:g})",
+        help=f"smaller parts are left out [px^2] (default {DEFAULT_MIN_AREA:g})",
     )
     parser.add_argument(
         "--dark", metavar="G", type=shared.GRAY_LEVEL, help="gray level without light; needed with --gamma"

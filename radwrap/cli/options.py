@@ -120,7 +120,7 @@ def add_changes(parser: argparse.ArgumentParser) -> None:
         "--scale",
         metavar="1/N",
         type=one_in,
-        help="make one pixel of N x N, with their sum of electrons; gray levels stay",
+        help="make one pixel of N x N, with their sum of electrons; gray levels stay the same",
     )
     parser.add_argument(
         "--roi",

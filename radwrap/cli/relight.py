@@ -65,7 +65,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         help="folder of the scene file; needed with --set where its camera names a data sheet or a calibration",
     )
     parser.add_argument("--out", metavar="DIR", required=True, help="folder for the images and relight.json")
-    parser.add_argument("--exposure", action="store_true", help="write radiant exposures too, as NAME.exr [J/m^2]")
+    parser.add_argument("--exposure", action="store_true", help="also write radiant exposures, as NAME.exr [J/m^2]")
     shared.add_json(parser)
     parser.set_defaults(run=run)
 
