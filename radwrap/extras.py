@@ -54,5 +54,5 @@ def lack_of(module: str, where: str, extra: str | None = None) -> EnvironmentFai
     """The error for a module that is not installed; without an extra the first one that brings it."""
     extra = extra or next((name for name, modules in EXTRAS.items() if module in modules), None)
     if extra is None:
-        return EnvironmentFailure(f"{module} is not installed", where=where, remedy="install radwrap anew")
+        return EnvironmentFailure(f"{module} is not installed", where=where, remedy="reinstall radwrap")
     return EnvironmentFailure(f"{module} is not installed", where=where, remedy=f'pip install "radwrap[{extra}]"')

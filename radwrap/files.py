@@ -156,7 +156,7 @@ def write_bytes(path: Path, content: bytes) -> None:
         temporary.write_bytes(content)
         flush_to_disk(temporary)
         if temporary.read_bytes() != content:
-            raise EnvironmentFailure("the disk gave back other bytes than were written", where=str(path))
+            raise EnvironmentFailure("the disk returned bytes other than those written", where=str(path))
         publish(temporary, path)
     except OSError as error:
         raise disk_failure(path, error) from error
@@ -194,7 +194,7 @@ def make_folder(path: Path) -> None:
 
 
 def _no_folder(path: Path) -> InputError:
-    return InputError("a file stands where a folder is needed", where=str(path), remedy="choose another `out`")
+    return InputError("a file is where a folder is needed", where=str(path), remedy="choose another `out`")
 
 
 @contextmanager

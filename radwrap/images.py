@@ -235,7 +235,7 @@ def _write(
         # Success is not to be believed: PNG on a full disk reports it.
         if not _holds(temporary, pixels):
             raise EnvironmentFailure(
-                "the disk gave back another image than was written",
+                "the disk returned an image other than the one written",
                 where=str(path),
                 remedy="free disk space or choose another folder",
             )
@@ -302,10 +302,10 @@ def _opened(path: Path, most_pixels: int) -> Any:
     """
     content = read_bytes(path, _PICTURE)
     if broken := broken_png(content, most_pixels):
-        raise InputError(f"is not whole: {broken}", where=str(path))
+        raise InputError(f"is not complete: {broken}", where=str(path))
     # The reader fills up what is missing of a JPEG, and says nothing.
     if content[:2] == _JPEG and _END_OF_JPEG not in content[-_JPEG_PADDING:]:
-        raise InputError("is not whole: its end is missing", where=str(path))
+        raise InputError("is not complete: its end is missing", where=str(path))
     del content
     try:
         str(path).encode()
@@ -314,7 +314,7 @@ def _opened(path: Path, most_pixels: int) -> Any:
     oiio = _reader_and_writer()
     source = oiio.ImageInput.open(str(path))
     if source is None:
-        raise InputError(f"is no image: {_reason(oiio)}", where=str(path))
+        raise InputError(f"is not an image: {_reason(oiio)}", where=str(path))
     spec = source.spec()
     if not 0 < spec.width * spec.height <= most_pixels or spec.depth > 1:
         source.close()
@@ -334,7 +334,7 @@ def _reason(reader: Any) -> str:
     try:
         return str(reader.geterror())
     except UnicodeDecodeError:
-        return "its parts cannot be told apart"
+        return "its parts cannot be separated"
 
 
 def _bands(source: Any, path: Path, channels: int, kind: str) -> Iterator[tuple[slice, NDArray[Any]]]:
@@ -348,7 +348,7 @@ def _bands(source: Any, path: Path, channels: int, kind: str) -> Iterator[tuple[
         else:
             band = source.read_scanlines(0, 0, spec.y + first, spec.y + last, 0, 0, channels, kind)
         if band is None:
-            raise InputError(f"is not whole: {_reason(source)}", where=str(path))
+            raise InputError(f"is not complete: {_reason(source)}", where=str(path))
         yield slice(first, last), np.reshape(band, (last - first, spec.width, channels))
 
 

@@ -123,7 +123,7 @@ def read_manifest(path: Path) -> dict[str, Any]:
     """
     manifest = read_json(path, _MANIFEST)
     if not isinstance(manifest, dict) or manifest.get("schema_version") != SCHEMA_VERSION:
-        raise InputError(f"is no manifest of schema version {SCHEMA_VERSION}", where=str(path))
+        raise InputError(f"is not a manifest of schema version {SCHEMA_VERSION}", where=str(path))
     return manifest
 
 

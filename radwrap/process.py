@@ -307,7 +307,8 @@ def _output(program: _Program, feeder: Feeder, limits: Limits) -> Iterator[bytes
             now = time.monotonic()
             if ended:
                 raise TracerError(
-                    "ended, but went on in the background with its output open; that was ended", where=program.name
+                    "ended, but continued in the background with its output open; that was ended too",
+                    where=program.name,
                 )
             ended = program.process.poll() is not None
             if now - start > limits.total:

@@ -142,7 +142,7 @@ def parse_quantity(text: object, dimension: Dimension) -> float:
         )
     number, unit = match.groups()
     if unit not in dimension.units:
-        raise InputError(f'"{unit}" is no unit of {dimension.name}', remedy=f"use one of: {units}")
+        raise InputError(f'"{unit}" is not a unit of {dimension.name}', remedy=f"use one of: {units}")
     value = _finite(number)
     # In decimal, so that "13.75 um" becomes the double nearest to 13.75e-6.
     converted = float(Decimal(number) * Decimal(repr(dimension.units[unit])))

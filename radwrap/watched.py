@@ -80,4 +80,4 @@ def _attended(
 
 
 def _ended() -> Cancelled:
-    return Cancelled("was told to end before the image was whole", where="render", remedy="call it again")
+    return Cancelled("was ended before the image was complete", where="render", remedy="call it again")

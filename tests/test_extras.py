@@ -54,7 +54,7 @@ def test_what_is_missing_is_named_with_the_line_that_installs_it(monkeypatch: py
     with pytest.raises(EnvironmentFailure, match=r'cv2 is not installed; pip install "radwrap\[study\]"') as error:
         require("study", "study")
     assert error.value.where == "study" and error.value.exit_code == 4
-    assert "install radwrap anew" in str(lack_of("numpy", ""))
+    assert "reinstall radwrap" in str(lack_of("numpy", ""))
 
 
 VERBS = {

@@ -30,7 +30,7 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.
         return b"other"
 
     monkeypatch.setattr(Path, "read_bytes", refuse)
-    with pytest.raises(EnvironmentFailure, match="gave back"):
+    with pytest.raises(EnvironmentFailure, match="returned"):
         write_bytes(path, b"new")
     monkeypatch.undo()
     assert path.read_bytes() == b"old"
@@ -51,7 +51,7 @@ def test_a_folder_has_one_owner_across_processes(tmp_path: Path) -> None:
 
 def test_a_file_in_the_way_of_a_folder_is_bad_input(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="a file stands"):
+    with pytest.raises(InputError, match="a file is where"):
         make_folder(tmp_path / "file" / "out")
 
 
@@ -171,13 +171,13 @@ def test_results_that_cannot_be_written_are_refused_before_the_work(
     out.rmdir()
     out.write_text("a file")
     assert main([*command[:-1], "out/inner"]) == 2
-    assert "out: a file stands where a folder is needed" in capsys.readouterr().err
+    assert "out: a file is where a folder is needed" in capsys.readouterr().err
 
 
 def test_long_values_are_shortened_in_messages() -> None:
     long = "x" * 100_000
     for error in (
-        InputError(f'"{long}" is no length', where="camera.distance"),
+        InputError(f'"{long}" is not a length', where="camera.distance"),
         InputError("unknown key", where=f"scene.toml: {long}"),
         InputError(f"argument --only: invalid choice: '{long}'"),
     ):

@@ -55,7 +55,7 @@ def test_a_cut_png_is_one_clear_error(tmp_path: Path, kept: int, capfd: pytest.C
     write_png(path, np.arange(4096, dtype=np.uint16).reshape(64, 64))
     path.write_bytes(path.read_bytes()[:kept])
     for read in (read_gray, read_image):
-        with pytest.raises(InputError, match=r"cut\.png: is not whole: it ends after \d+ bytes"):
+        with pytest.raises(InputError, match=r"cut\.png: is not complete: it ends after \d+ bytes"):
             read(path)
     assert capfd.readouterr() == ("", "")
 
@@ -66,7 +66,7 @@ def test_a_png_with_a_wrong_byte_is_one_clear_error(tmp_path: Path, capfd: pytes
     content = bytearray(path.read_bytes())
     content[-30] ^= 1
     path.write_bytes(content)
-    with pytest.raises(InputError, match="is not whole: a checksum is wrong"):
+    with pytest.raises(InputError, match="is not complete: a checksum is wrong"):
         read_gray(path)
     assert capfd.readouterr() == ("", "")
 
@@ -104,7 +104,7 @@ def test_a_png_that_libpng_cannot_read_is_one_clear_error(
     chunks, expected = BROKEN[fault]
     path = tmp_path / "wrong.png"
     path.write_bytes(_png(*chunks))
-    with pytest.raises(InputError, match=f"wrong\\.png: is not whole: .*{expected}"):
+    with pytest.raises(InputError, match=f"wrong\\.png: is not complete: .*{expected}"):
         read_gray(path)
     assert capfd.readouterr() == ("", "")
 

@@ -220,7 +220,7 @@ def test_what_goes_into_the_background_ends_with_its_program(kept: str, tmp_path
     code = DAEMON.format(closed=PIPES[kept], last="sys.stdout.write('done'); sys.stdout.flush()")
     begin = time.monotonic()
     if kept in {"stdout", "all"}:
-        with pytest.raises(TracerError, match="went on in the background with its output open"):
+        with pytest.raises(TracerError, match="continued in the background with its output open"):
             run(code, tmp_path, stdin=(bytes(1 << 20) for _ in range(4)))
     else:
         assert run(code, tmp_path, stdin=(bytes(1 << 20) for _ in range(4))) == (b"done", "")
@@ -251,7 +251,7 @@ def test_a_background_process_that_hides_is_waited_for_no_longer_than_the_others
         "time.sleep(100)", "os.execve(sys.executable, [sys.executable, '-c', 'import time; time.sleep(30)'], {})"
     )
     begin = time.monotonic()
-    with pytest.raises(TracerError, match="went on in the background"):
+    with pytest.raises(TracerError, match="continued in the background"):
         run(wiped, tmp_path, stdin=(bytes(1 << 20) for _ in range(4)))
     assert time.monotonic() - begin < PATIENCE / 6
     psutil.Process(int((tmp_path / "pid").read_text())).kill()

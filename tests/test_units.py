@@ -61,9 +61,9 @@ def test_everything_else_is_refused(text: object) -> None:
 
 
 def test_steradian_counts() -> None:
-    with pytest.raises(InputError, match="no unit of radiant intensity"):
+    with pytest.raises(InputError, match="not a unit of radiant intensity"):
         parse_quantity("47.1 mW", RADIANT_INTENSITY)
-    with pytest.raises(InputError, match="no unit of radiance"):
+    with pytest.raises(InputError, match="not a unit of radiance"):
         parse_quantity("47.1 W/m^2", RADIANCE)
 
 

@@ -90,7 +90,7 @@ def plane_from_calibration(told: Any, where: str, at: tuple[float, float], heigh
     slopes = np.array([_change(camera, number, np.array(at), height) for number in range(len(COLUMNS))])
     variance = float(slopes @ covariance @ slopes)
     if not math.isfinite(variance) or variance < 0:
-        raise InputError("is no covariance of a plane before the camera", where=f"{where}: covariance")
+        raise InputError("is not a covariance of a plane before the camera", where=f"{where}: covariance")
     return Plane(
         lambda uv: _to_plane(camera, uv, height),
         lambda xy: project(camera, np.column_stack([xy, np.full(len(xy), height)])),

@@ -197,7 +197,7 @@ def calibrate_views(
     cost = float(sum(np.sum(part**2) for part in residuals))
     if not tangent <= _REACHED * math.sqrt(cost) + _ROUND_OFF:
         raise InputError(
-            "no minimum was reached: views that are hardly tilted do not tell the focal length from the distance",
+            "no minimum was reached: hardly tilted views do not separate the focal length from the distance",
             where="views",
             remedy="give tilted views that fill the image, or a model with fewer coefficients; look for wrong points",
         )
@@ -258,9 +258,9 @@ def _check_views(views: Sequence[CalibrationView], image_size: tuple[int, int]) 
             )
         rows = np.column_stack([view.points, view.image])
         if len(np.unique(rows, axis=0)) < len(rows):
-            raise InputError("holds a point twice", where=where, remedy="leave one out: it tells nothing new")
+            raise InputError("holds a point twice", where=where, remedy="leave one out: it adds nothing new")
         if (same := seen.setdefault(rows.tobytes(), view.name)) != view.name:
-            raise InputError(f"is view {same} again", where=where, remedy="leave one out: it tells nothing new")
+            raise InputError(f"is view {same} again", where=where, remedy="leave one out: it adds nothing new")
         away = np.linalg.norm(view.points - np.median(view.points, axis=0), axis=1)
         if (far := float(away.max())) > _FAR * float(np.median(away)):
             raise InputError(f"holds a point {far:g} m from the others", where=where, remedy="leave it out")
@@ -292,7 +292,7 @@ def _frame(views: Sequence[CalibrationView]) -> tuple[Array, Array, bool]:
 def _check_determined(sizes: Array, names: Sequence[str]) -> None:
     if len(sizes) < len(names) or not sizes[-1] > _DETERMINED * sizes[0]:
         raise InputError(
-            f"the points do not tell {', '.join(names)} apart",
+            f"the points do not separate {', '.join(names)}",
             where="views",
             remedy="give tilted views that fill the image, or a model with fewer coefficients",
         )
@@ -302,13 +302,13 @@ def _notes(sizes: Array, model: DistortionModel, covariance: Array, camera: Arra
     share = float(np.max(np.sqrt(np.diag(covariance)[:2]) / camera[:2]))
     if share > _HARDLY_KNOWN:
         yield (
-            f"the focal length is known to {share:.0%} only, and may be farther off: views that are not tilted tell it "
-            "from the distance by distortion only"
+            f"the focal length is known to {share:.0%} only, and may be farther off: without tilted views only "
+            "distortion separates it from the distance"
         )
     if sizes[-1] < _TOLD_APART * sizes[0]:
         yield (
-            f"the coefficients of {model} are hardly told apart: their standard errors hold together, not one by one; "
-            "see the uncertainty of the projection, or take a model with fewer coefficients"
+            f"the coefficients of {model} can hardly be separated: their standard errors hold together, not one by "
+            "one; see the uncertainty of the projection, or take a model with fewer coefficients"
         )
 
 

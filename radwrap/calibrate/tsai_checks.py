@@ -54,7 +54,7 @@ def check_request(free: Iterable[str], solver: str, solvers: tuple[str, ...], **
         If a name is unknown or comes twice, a value is given for what is free, or none for a held focal length.
     """
     if solver not in solvers:
-        raise InputError(f'"{solver}" is no solver', where="solver", remedy=f"use one of: {', '.join(solvers)}")
+        raise InputError(f'"{solver}" is not a solver', where="solver", remedy=f"use one of: {', '.join(solvers)}")
     names = [free] if isinstance(free, str) else list(free)
     for name in names:
         if name not in FREE:
@@ -67,7 +67,7 @@ def check_request(free: Iterable[str], solver: str, solvers: tuple[str, ...], **
                 raise InputError(f"is free, so that the value {value:g} has no effect", where=name, remedy="drop one")
             if not math.isfinite(value) or (name != "kappa1" and value <= 0.0):
                 raise InputError(
-                    f"{value:g} is no {'finite number' if name == 'kappa1' else 'number above 0'}", where=name
+                    f"{value:g} is not a {'finite number' if name == 'kappa1' else 'number above 0'}", where=name
                 )
     if "focal_length" not in names and held["focal_length"] is None:
         raise InputError("is not free and has no value", where="focal_length", remedy="give its value, or free it")
@@ -129,7 +129,7 @@ def check_points(
     unknowns = len(physical_columns(free))
     if 2 * count <= unknowns:
         raise InputError(
-            f"{count} give {2 * count} equations for {unknowns} unknowns, which leaves nothing to tell their errors by",
+            f"{count} give {2 * count} equations for {unknowns} unknowns, too few to estimate their errors",
             where="points",
             remedy="give more points, or free less",
         )
@@ -243,7 +243,7 @@ def _check_told(found: Minimum, camera: Camera, free: frozenset[str], flat: bool
         )
     if not found.condition < LARGEST_CONDITION:
         raise InputError(
-            f"cannot tell {', '.join(sorted(free)) or 'the pose'} apart: the condition number is {found.condition:.1e}",
+            f"cannot determine {', '.join(sorted(free)) or 'the pose'}: the condition number is {found.condition:.1e}",
             where="points",
             remedy="free less, or use more points, farther from one plane and from fronto-parallel",
         )

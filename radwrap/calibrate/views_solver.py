@@ -142,7 +142,7 @@ def descended(views: Sequence[CalibrationView], start: State, free: Sequence[int
             moves = _moves(parts, step)
         except np.linalg.LinAlgError as error:
             raise InputError(
-                "the points of a view do not tell its pose", where="views", remedy="spread them over the target"
+                "the points of a view do not determine its pose", where="views", remedy="spread them over the target"
             ) from error
         if _tangent(parts, step, moves) <= _CONVERGED * math.sqrt(cost) + _ROUND_OFF:
             break

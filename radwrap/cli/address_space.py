@@ -28,7 +28,7 @@ def check_address_space() -> None:
     needed = _LIBRARIES + _THREAD * available_cores()
     if limit is not None and limit < needed:
         raise EnvironmentFailure(
-            f"the address space is limited to {limit >> 20} MiB, and {needed >> 20} MiB are needed to begin with",
+            f"the address space is limited to {limit >> 20} MiB, and {needed >> 20} MiB are needed to start",
             remedy="raise ulimit -v",
         )
 

@@ -52,26 +52,26 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         nargs="+",
         help="a table with columns x,y,z,u,v, or view,x,y,z,u,v; with --target images",
     )
-    parser.add_argument("--target", metavar="FILE.toml", help="of images: what is seen in them")
+    parser.add_argument("--target", metavar="FILE.toml", help="for images: the target that they show")
     parser.add_argument(
         "--detector",
         choices=DETECTORS,
-        help="of images: refined (default), sb or corners of a chessboard, charuco, dots (ours, default of a symmetric "
-        "grid) or circles (OpenCV's)",
+        help="for images: the detector: refined (default), sb or corners of a chessboard, charuco, dots (ours, default "
+        "of a symmetric grid) or circles (OpenCV's)",
     )
-    parser.add_argument("--csv", metavar="FILE", help="of images: table of the points that were found")
-    parser.add_argument("--pixel-width", metavar="LENGTH", help='of one view: such as "13.75 um"')
-    parser.add_argument("--pixel-height", metavar="LENGTH", help='of one view: such as "16 um"')
+    parser.add_argument("--csv", metavar="FILE", help="for images: table of the points that were found")
+    parser.add_argument("--pixel-width", metavar="LENGTH", help='for one view: width of a pixel, such as "13.75 um"')
+    parser.add_argument("--pixel-height", metavar="LENGTH", help='for one view: height of a pixel, such as "16 um"')
     parser.add_argument(
-        "--centre", metavar=("U", "V"), nargs=2, help="of one view: image centre [px]; a start value where free"
+        "--centre", metavar=("U", "V"), nargs=2, help="for one view: image centre [px]; a start value where free"
     )
-    parser.add_argument("--length-unit", choices=LENGTH.units, help="of tables: unit of x, y, z (default m)")
-    parser.add_argument("--solver", choices=SOLVERS, help="of one view: default tsai")
+    parser.add_argument("--length-unit", choices=LENGTH.units, help="for tables: unit of x, y, z (default m)")
+    parser.add_argument("--solver", choices=SOLVERS, help="for one view: the solver (default tsai)")
     parser.add_argument(
         "--free",
         metavar="NAMES",
-        help="of one view: what to find beside the pose, by commas: focal_length, distortion, centre, sx (default "
-        'focal_length; "" for the pose alone)',
+        help="for one view: what to find beside the pose, separated by commas: focal_length, distortion, centre, sx "
+        '(default focal_length; "" for the pose only)',
     )
     parser.add_argument("--focal-length", metavar="LENGTH", help="its value where it is not free")
     parser.add_argument(
@@ -80,24 +80,24 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument(
         "--sx", metavar="S", type=shared.number(1e-3, 1e3), help="horizontal scale where it is not free (default 1)"
     )
-    parser.add_argument("--model", choices=MODELS, help="of several views: distortion (default brown)")
+    parser.add_argument("--model", choices=MODELS, help="for several views: distortion (default brown)")
     parser.add_argument(
         "--image-size",
         metavar=("COLUMNS", "ROWS"),
         nargs=2,
         type=int,
-        help="of several views: the sensor's pixels; images tell theirs",
+        help="for several views: the sensor's pixels; images have their own",
     )
     parser.add_argument(
         "--picture",
         metavar="FILE.png",
-        help="of several views: maps of the projection's standard error over the image",
+        help="for several views: maps of the projection's standard error over the image",
     )
     parser.add_argument(
         "--noise",
         metavar="PX",
         type=shared.number(1e-6, 1e3),
-        help="of several views: standard deviation of u and v (default: by the residuals)",
+        help="for several views: standard deviation of u and v (default: by the residuals)",
     )
     shared.add_json(parser)
     parser.set_defaults(run=run)
@@ -209,7 +209,7 @@ def _row(cells: Sequence[str], order: Sequence[int], due: Sequence[str], where: 
     """The view's name, if it is due, and the numbers."""
     if len(cells) != len(due):
         count = "five" if len(due) == len(_COLUMNS) else "six"
-        raise InputError(f"holds {len(cells)} values", where=where, remedy=f"{count} are due: {','.join(due)}")
+        raise InputError(f"holds {len(cells)} values", where=where, remedy=f"{count} are needed: {','.join(due)}")
     told = [cells[index] for index in order]
     name = told.pop(0).strip() if due[0] == _VIEW else ""
     if due[0] == _VIEW and not name:
@@ -221,7 +221,7 @@ def _number(text: str, name: str, where: str, remedy: str = "leave the point out
     try:
         value = float(text)
     except ValueError as error:
-        raise InputError(f'{name} "{shortened(text)}" is no number', where=where) from error
+        raise InputError(f'{name} "{shortened(text)}" is not a number', where=where) from error
     if why := unusable(value):
         raise InputError(f"{name} {shortened(text)} {why}", where=where, remedy=remedy)
     return value
@@ -261,7 +261,7 @@ def _lines(found: CameraCalibration) -> Iterator[str]:
         f"minimum: gradient norm {found.gradient_norm:.2g} px, condition {found.condition:.3g}, solver {found.solver}"
     )
     if (linear := found.linear_stage) is not None:
-        yield f"linear stage alone: focal length {linear.focal_length * 1e3:.6g} mm, {linear.rms:.4g} px rms"
+        yield f"linear stage only: focal length {linear.focal_length * 1e3:.6g} mm, {linear.rms:.4g} px rms"
     for note in found.notes:
         yield f"note: {note}"
 

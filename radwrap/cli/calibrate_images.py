@@ -80,7 +80,7 @@ def _check_once(images: Sequence[Path]) -> None:
     seen: set[Path] = set()
     for path in images:
         if (place := path.resolve()) in seen:
-            raise InputError("stands there twice", where=str(path), remedy="give each image once")
+            raise InputError("is given twice", where=str(path), remedy="give each image once")
         seen.add(place)
 
 

@@ -36,8 +36,10 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         "(the paper's Eq. 6: an energy). Rows of equal exposure are repeats and give the noise.",
     )
     parser.add_argument("frames", metavar="FRAMES.csv", help="a row for each frame")
-    parser.add_argument("--radiant-intensity", metavar="P", help='of the source, such as "47.1 mW/sr"')
-    parser.add_argument("--distance", metavar="D", help='source to sensor, such as "1 m"')
+    parser.add_argument(
+        "--radiant-intensity", metavar="P", help='radiant intensity of the source, such as "47.1 mW/sr"'
+    )
+    parser.add_argument("--distance", metavar="D", help='distance from source to sensor, such as "1 m"')
     parser.add_argument(
         "--cone-angle", metavar="A", help='full angle of the cone, such as "7 deg", for Eq. 6 as printed'
     )

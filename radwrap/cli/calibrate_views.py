@@ -97,7 +97,7 @@ def _placed(origin: str) -> Iterator[None]:
     except NoPlace as error:
         raise InputError(
             "was calibrated, but its distortion runs back on itself within the image, where the projection's error "
-            "then has no value: the views do not tell the distortion",
+            "then has no value: the views do not determine the distortion",
             where=origin,
             remedy="take more views, up to the image's corners, or a model of fewer coefficients",
         ) from error

@@ -24,16 +24,22 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     """Add the verb."""
     parser = verbs.add_parser("catalog", description=__doc__)
     kinds: argparse._SubParsersAction[Any] = parser.add_subparsers(title="what", required=True, metavar="WHAT")
-    one = kinds.add_parser("list", help="names of all components", description="Names, where they lie, what they are.")
+    one = kinds.add_parser(
+        "list",
+        help="names of all components",
+        description="Shows the components' names, where they are stored and what they are.",
+    )
     one.add_argument("kind", metavar="CLASS", nargs="?", choices=tuple(CLASSES), help=", ".join(CLASSES))
     _finish(one, run_list)
-    one = kinds.add_parser("show", help="values and sources of a component", description="All that a component says.")
+    one = kinds.add_parser(
+        "show", help="values and sources of a component", description="Shows all that a component states."
+    )
     one.add_argument("name", metavar="NAME", help="NAME or NAME@DATE; CLASS/NAME where several classes have it")
     _finish(one, run_show)
     one = kinds.add_parser(
         "check",
-        help="see that each number has a source, and that totals follow from the numbers",
-        description="Looks at all components, or at the named ones: each key has its basis and source, a scene takes "
+        help="check that each number has a source, and that totals follow from the numbers",
+        description="Checks all components, or the named ones: each key has its basis and source, a scene takes "
         "all keys, published totals follow from them within rounding and 1 dB. Exit code 1 where something is wrong.",
     )
     one.add_argument("names", metavar="NAME", nargs="*", help="names or files; default all")
@@ -50,7 +56,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
 def _finish(parser: argparse.ArgumentParser, run: Any) -> None:
     shared.add_json(parser)
     if run is not run_add:
-        parser.add_argument("--folder", metavar="DIR", help="a scene's folder, which is looked into first")
+        parser.add_argument("--folder", metavar="DIR", help="a scene's folder, which is searched first")
     parser.set_defaults(run=run)
 
 
@@ -98,7 +104,7 @@ def run_check(arguments: argparse.Namespace) -> int:
             print(f"{kind}: {row['components']} components; keys: {', '.join(f'{row[b]} {b}' for b in BASES)}")
         totals = [total for _, result in checked for total in result.totals]
         largest = max((abs(total.difference_db) for total in totals), default=0.0)
-        print(f"{len(totals)} published totals computed anew, at most {largest:.2f} dB off; {len(problems)} problems")
+        print(f"{len(totals)} published totals recomputed, at most {largest:.2f} dB off; {len(problems)} problems")
     return _CHECK_FAILED if problems else 0
 
 
@@ -122,7 +128,7 @@ def run_add(arguments: argparse.Namespace) -> int:
         if old.sha256 != one.sha256:
             if old.revision == one.revision and not arguments.replace:
                 raise InputError(
-                    f"is there with the revision {old.revision} and other values",
+                    f"exists with the revision {old.revision} and other values",
                     where=str(target),
                     remedy="give yours a new revision, or --replace",
                 )

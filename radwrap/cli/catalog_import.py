@@ -18,15 +18,15 @@ def add_to(kinds: argparse._SubParsersAction[Any]) -> None:
     parser = kinds.add_parser(
         "import",
         help="a sensor from the XML of an EMVA 1288 measurement",
-        description="Reads the XML that the EMVA's reference implementation writes. It tells neither size nor pitch, "
-        "wavelength, bits and dark level: give them.",
+        description="Reads the XML that the EMVA's reference implementation writes. It gives neither size, pitch, "
+        "wavelength, bits nor dark level: give them as options.",
     )
     parser.add_argument("file", metavar="EMVA.xml", help="results of a measurement")
     parser.add_argument("--rows", metavar="N", type=shared.whole(1, 65535), help="of the sensor")
     parser.add_argument("--columns", metavar="N", type=shared.whole(1, 65535), help="of the sensor")
     parser.add_argument("--pixel-width", metavar="LENGTH", help='such as "3.45 um"')
     parser.add_argument("--pixel-height", metavar="LENGTH", help="likewise")
-    parser.add_argument("--wavelength", metavar="LENGTH", help='of the measurement, such as "525 nm"')
+    parser.add_argument("--wavelength", metavar="LENGTH", help='wavelength of the measurement, such as "525 nm"')
     parser.add_argument("--offset", metavar="G", type=shared.GRAY_LEVEL, help="gray level without light")
     written_sensor.add_options(parser)
     shared.add_json(parser)
@@ -40,7 +40,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError("is missing", where="--write", remedy="name the file to write")
     for option in ("rows", "columns"):
         if getattr(arguments, option) is None:
-            raise InputError("is missing", where=f"--{option}", remedy="the XML does not tell it")
+            raise InputError("is missing", where=f"--{option}", remedy="the XML does not give it")
     source = Path(arguments.file)
     found = read_emva_xml(source)
     measured: dict[str, Any] = {
@@ -59,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
         measured["prnu"] = round(found["prnu1288"] / 100, 8)
     assumed: dict[str, tuple[Any, str]] = {}
     if arguments.offset is None:
-        assumed["offset"] = (0.0, "the XML does not tell the dark level")
+        assumed["offset"] = (0.0, "the XML does not give the dark level")
     else:
         measured["offset"] = arguments.offset
     totals = {

@@ -44,7 +44,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     """Add the verb."""
     parser = verbs.add_parser(
         "compare",
-        description="Tells by how much a captured image differs from the predicted one, where, and whether exposure, "
+        description="Shows by how much a captured image differs from the predicted one, where, and whether exposure, "
         "dark level or geometry explains it. Differences are captured - predicted, on the predicted image's pixels.",
     )
     parser.add_argument("captured", metavar="CAPTURED", help="photograph: PNG, TIFF, PGM, EXR")
@@ -70,13 +70,13 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument(
         "--saturation", metavar="G", type=shared.GRAY_LEVEL, help="highest gray level (default: full scale)"
     )
-    parser.add_argument("--tolerance", metavar="G", type=shared.number(), help="fail where a pixel differs by more")
+    parser.add_argument("--tolerance", metavar="G", type=shared.number(), help="fail if a pixel differs by more")
     parser.add_argument(
         "--allow-beyond",
         metavar="SHARE",
         type=shared.number(),
         default=0.0,
-        help="share of pixels that may (default 0)",
+        help="share of pixels that may differ by more (default 0)",
     )
     parser.add_argument("--out", metavar="DIR", help=f"folder for {RESULT}, {DIFFERENCE} and {REPORT}")
     raw_mosaic.add_to(parser)
@@ -168,7 +168,7 @@ def _highest(image: GrayImage, saturation: float | None) -> float:
 
 def _check_saturated(image: GrayImage, file: str, saturation: float | None) -> None:
     if (image.values >= _highest(image, saturation)).all():
-        raise InputError("is saturated all over: it tells nothing", where=file, remedy="shorten the exposure")
+        raise InputError("is saturated all over: it shows nothing", where=file, remedy="shorten the exposure")
 
 
 def _rectangle(text: str, shape: tuple[int, int]) -> Region:
@@ -186,7 +186,9 @@ def _mask(path: Path, truth: str | None) -> list[Region]:
     """Regions of a mask, with their names from truth.json where there is one."""
     mask, _ = read_image(path)
     if mask.dtype.kind != "u":
-        raise InputError(f"is no mask: it holds {mask.dtype}", where=str(path), remedy="use mask.png of render --truth")
+        raise InputError(
+            f"is not a mask: it holds {mask.dtype}", where=str(path), remedy="use mask.png of render --truth"
+        )
     beside = path.with_name("truth.json")
     names: dict[int, str] = {}
     if truth or beside.is_file():
@@ -211,7 +213,7 @@ def _warnings(
         if share > 0:
             yield f"{share:.2%} of the {name} image is saturated and left out of gain and causes"
     if comparison.levels.gain is None:
-        yield "gain and offset cannot be told: the predicted image is even"
+        yield "gain and offset cannot be determined: the predicted image is even"
 
 
 def report(comparison: Comparison, register: str, tolerance: float | None, allowed: float = 0.0) -> dict[str, Any]:
@@ -278,12 +280,12 @@ def _lines(found: Mapping[str, Any]) -> Iterator[str]:
     causes = found["causes"]
     shift = "" if causes["shift"] is None else " by {:.2f}, {:.2f} px".format(*causes["shift"])
     factor = "" if causes["exposure_factor"] is None else f" x {causes['exposure_factor']:.3f}"
-    geometry = "not told" if causes["geometry"] is None else f"{causes['geometry']:.3g}"
+    geometry = "not known" if causes["geometry"] is None else f"{causes['geometry']:.3g}"
     yield (
         f"rms that stays: as is {causes['as_is']:.3g}, after dark level {causes['dark_level']:.3g}, "
         f"exposure{factor} {causes['exposure']:.3g}, geometry{shift} {geometry}, all {causes['all_together']:.3g}"
     )
-    yield f"mainly: {causes['mainly'] or 'none of the three alone'}"
+    yield f"mainly: {causes['mainly'] or 'none of the three by itself'}"
     for name, region in found["regions"].items():
         yield _statistics_line(f'region "{name}"', region)
     for warning in found["warnings"]:
@@ -341,7 +343,7 @@ def plot(comparison: Comparison) -> bytes:
     overall, causes = comparison.overall, comparison.causes
     figure.suptitle(
         f"difference: rms {overall.rms:.3g}, mean {overall.mean:+.3g}, largest {overall.maximum:.3g} gray"
-        f" at ({u}, {v}); mainly: {causes.mainly or 'none of dark level, exposure, shift alone'}",
+        f" at ({u}, {v}); mainly: {causes.mainly or 'none of dark level, exposure, shift by itself'}",
         fontsize=11,
     )
     return figure_png(figure)

@@ -20,8 +20,8 @@ from radwrap.units import LENGTH, parse_quantity
 _DESCRIPTION = (
     "A scene becomes OUT.rad with its function and data files beside it, named OUT.* (oconv OUT.rad works in that "
     "folder), OUT.vf (its central view), OUT.pov for POV-Ray 3.7, or OUT.glb, a preview of its shapes. Of a scene, "
-    "or a file of one target alone, OUT.svg and OUT.pdf are the target to print, at its true size. A mesh (.stl, "
-    ".obj, .ply, .off, .glb, .step) becomes OUT.rad, and what was repaired is told. So does a luminaire (.ies)."
+    "or a file of only one target, OUT.svg and OUT.pdf are the target to print, at its true size. A mesh (.stl, "
+    ".obj, .ply, .off, .glb, .step) becomes OUT.rad, and its repairs are listed. So does a luminaire (.ies)."
 )
 _PRINTS: Final = (".svg", ".pdf")
 _OF_SCENES: Final = (".rad", ".vf", ".pov", ".glb")
@@ -47,8 +47,8 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument(
         "--polygons", action="store_true", help="a mesh as polygons in place of Radiance's compiled mesh"
     )
-    parser.add_argument("--paper", choices=("a4", "letter"), help="of a target to print (default a4)")
-    parser.add_argument("--target", metavar="NAME", help="to print, where a scene has several")
+    parser.add_argument("--paper", choices=("a4", "letter"), help="paper of a target to print (default a4)")
+    parser.add_argument("--target", metavar="NAME", help="target to print, where a scene has several")
     shared.add_radiance(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)
@@ -62,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
         return _convert_mesh(arguments)
     for option in ("length_unit", "materials", "polygons"):
         if getattr(arguments, option):
-            raise InputError("goes with a mesh alone", where=f"--{option.replace('_', '-')}", remedy="leave it out")
+            raise InputError("goes only with a mesh", where=f"--{option.replace('_', '-')}", remedy="leave it out")
     out = Path(arguments.out)
     if suffix == ".ies":
         from radwrap.convert.ies_files import write_luminaire

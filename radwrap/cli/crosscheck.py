@@ -15,7 +15,7 @@ from radwrap.study.crosscheck_report import as_json, write_crosscheck
 
 _DESCRIPTION = (
     "Traces a scene by Radiance and by POV-Ray 3.7, merges and exposes both by the same code, and compares them pixel "
-    "by pixel. Writes crosscheck.json and crosscheck.png into DIR; a killed run goes on where it was."
+    "by pixel. Writes crosscheck.json and crosscheck.png into DIR; a killed run continues where it stopped."
 )
 
 

@@ -11,9 +11,9 @@ from radwrap.errors import ToleranceNotMet
 from radwrap.manifest import json_text
 
 _DESCRIPTION = (
-    "Draws values of a scene anew for each image, renders it to a tolerance, and writes it with its truth: masks, "
+    "Draws new values of a scene for each image, renders it to a tolerance, and writes it with its truth: masks, "
     "boxes, depth, poses, visible shares and edges. The same seed gives the same bytes, whatever the number of "
-    "workers; a killed run goes on where it was."
+    "workers; a killed run continues where it stopped."
 )
 
 

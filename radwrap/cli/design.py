@@ -13,10 +13,11 @@ from radwrap.manifest import json_text
 
 _DESCRIPTION = (
     "Changes keys of a scene between bounds, in steps or by choice, until a measurement is as small or as large as "
-    "limits allow: the sharpest edge by the size of the opening, the most even field by the levels of LEDs. Candidates "
-    "are rendered coarsely first, those that may be best at the tolerance asked for, and the best one again by other "
-    "rays. Writes design.json, trials.csv, best.toml and index.html into DIR. A killed run goes on where it was, and "
-    "the same seed gives the same result, whatever the number of workers. Exit code 1: no candidate keeps all limits."
+    "limits allow: the sharpest edge by the size of the opening, the most even field by the levels of LEDs. "
+    "Candidates are rendered coarsely first, those that may be best at the tolerance asked for, and the best one "
+    "again by other rays. Writes design.json, trials.csv, best.toml and index.html into DIR. A killed run continues "
+    "where it stopped, and the same seed gives the same result, whatever the number of workers. Exit code 1: no "
+    "candidate keeps all limits."
 )
 
 
@@ -33,7 +34,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     )
     made.add_argument("--out", metavar="DIR", help="folder for design.json, trials.csv, best.toml, index.html")
     add_workers(made)
-    made.add_argument("--retry-failed", action="store_true", help="make the renders again that failed before")
+    made.add_argument("--retry-failed", action="store_true", help="repeat the renders that failed before")
     shared.add_tracer(made)
     shared.add_json(made)
     made.set_defaults(run=run)

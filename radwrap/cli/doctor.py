@@ -26,7 +26,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     """Add the verb."""
     parser = verbs.add_parser(
         "doctor",
-        description="Tells what is installed, what is missing, and how to get it, and how fast rays are traced here.",
+        description="Shows what is installed, what is missing and how to get it, and how fast rays are traced here.",
     )
     parser.add_argument("--radiance", metavar="DIR", help="folder with another Radiance's bin and lib")
     parser.add_argument("--warm", action="store_true", help="compile our own tracer now, if it is not compiled yet")

@@ -26,18 +26,18 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     """Add the verb."""
     parser = verbs.add_parser(
         "explain",
-        description="Tells what a scene amounts to, and by a few thousand rays which effects it needs: the error in "
+        description="Shows what a scene amounts to, and by a few thousand rays which effects it needs: the error in "
         "gray levels of leaving each out.",
     )
     shared.add_scene(parser)
     shared.add_tolerance(parser, "rms error that is wanted")
     parser.add_argument(
-        "--seed", metavar="S", type=shared.whole(), default=0, help="seed of all that is drawn (default 0)"
+        "--seed", metavar="S", type=shared.whole(), default=0, help="seed of all random draws (default 0)"
     )
     parser.add_argument(
-        "--assumed", action="store_true", help="list all values that were taken because the scene is silent"
+        "--assumed", action="store_true", help="list all values that were assumed because the scene does not give them"
     )
-    parser.add_argument("--no-rays", action="store_true", help="closed forms alone; needs no Radiance")
+    parser.add_argument("--no-rays", action="store_true", help="closed forms only; needs no Radiance")
     shared.add_tracer(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)

@@ -24,7 +24,7 @@ from radwrap.scene.scene import Scene
 
 _DESCRIPTION: Final = (
     "Shows a scene in the browser: turn light levels, exposure and sensor, and see gray levels with their error. The "
-    "page is served on this machine alone, until Ctrl-C."
+    "page is served on this machine only, until Ctrl-C."
 )
 _LARGEST_PORT: Final = 65535
 _PLACE: Final = re.compile(r"""[=\s"'\[,](/|~|\.\./|\\\\|[A-Za-z]:[\\/])""")  # where a path of this machine may begin
@@ -38,7 +38,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument(
         "--port", metavar="N", type=shared.whole(0, _LARGEST_PORT), default=0, help="default any free one"
     )
-    parser.add_argument("--no-browser", action="store_true", help="open no browser, only say where the link is")
+    parser.add_argument("--no-browser", action="store_true", help="do not open a browser, only show where the link is")
     parser.add_argument("--out", metavar="DIR", help="folder in which the page's Save leaves its files, and the basis")
     parser.add_argument(
         "--export",
@@ -46,7 +46,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         help="serve nothing, but write the page and its basis as one file of at most 4 MB, which needs no server",
     )
     parser.add_argument(
-        "--seed", metavar="S", type=shared.whole(), default=0, help="seed of all that is drawn (default 0)"
+        "--seed", metavar="S", type=shared.whole(), default=0, help="seed of all random draws (default 0)"
     )
     shared.add_tracer(parser)
     parser.set_defaults(run=run)

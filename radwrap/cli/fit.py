@@ -50,13 +50,15 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         help="standard deviation of one capture, before rounding [gray level] (default: that of the linear sensor, or "
         "the scatter of repeats)",
     )
-    parser.add_argument("--mask", metavar="MASK.png", help="picture of the pixels that count: those that are not black")
-    parser.add_argument("--robust", action="store_true", help="let single pixels that are far off count less")
     parser.add_argument(
-        "--seed", metavar="S", type=shared.whole(), default=0, help="seed of all that is drawn (default 0)"
+        "--mask", metavar="MASK.png", help="picture that marks the pixels to use: those that are not black"
+    )
+    parser.add_argument("--robust", action="store_true", help="give less weight to single pixels that are far off")
+    parser.add_argument(
+        "--seed", metavar="S", type=shared.whole(), default=0, help="seed of all random draws (default 0)"
     )
     parser.add_argument(
-        "--workers", metavar="W", type=shared.whole(), help="tracer processes at a time (default: all cores)"
+        "--workers", metavar="W", type=shared.whole(), help="number of tracer processes (default: all cores)"
     )
     shared.add_tracer(parser)
     shared.add_json(parser)

@@ -199,7 +199,9 @@ def add_look(parser: argparse.ArgumentParser, *, plane: bool) -> None:
             "covariance gives the scale's error",
         )
         parser.add_argument(
-            "--height", metavar="LENGTH", help="of what is measured above that board, along its z axis (default 0)"
+            "--height",
+            metavar="LENGTH",
+            help="height of what is measured above that board, along its z axis (default 0)",
         )
     parser.add_argument("--truth", metavar="TARGET", help="place the caliper on this target of the scene")
     if plane:
@@ -290,7 +292,7 @@ def _scale(text: str | None) -> Scale | None:
             raise ValueError
         length, sigma = float(match[1]), float(match[2] or 0.0)
     except ValueError as error:
-        raise InputError(f'"{text}" is no scale', where="mm_per_px", remedy='write "0.0512 +- 0.0001"') from error
+        raise InputError(f'"{text}" is not a scale', where="mm_per_px", remedy='write "0.0512 +- 0.0001"') from error
     return Scale(length * MM, sigma * MM)
 
 

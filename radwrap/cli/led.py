@@ -45,7 +45,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     shared.add_json(one)
     one.set_defaults(run=run_list)
     for name, text, run in (
-        ("show", "turn the ring off and tell what it can do", run_show),
+        ("show", "turn the ring off and show what it can do", run_show),
         ("off", "turn the ring off, and end a program that drives it", run_off),
     ):
         one = what.add_parser(name, help=text)
@@ -53,12 +53,14 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         shared.add_json(one)
         one.set_defaults(run=run)
     one = what.add_parser("set", help="light the ring, until Enter, Ctrl-C, --for or the drive's max_on_time")
-    one.add_argument("levels", metavar="LEVEL", nargs="*", help='one for all LEDs or one each: 0.25, or "12 mW/sr"')
-    one.add_argument("--scene", metavar="SCENE.toml", help="as this scene's ring shines")
-    one.add_argument("--factor", metavar="F", help="on the scene's radiant intensities (default 1)")
+    one.add_argument(
+        "levels", metavar="LEVEL", nargs="*", help='one level for all LEDs or one for each: 0.25, or "12 mW/sr"'
+    )
+    one.add_argument("--scene", metavar="SCENE.toml", help="light the ring as this scene's ring shines")
+    one.add_argument("--factor", metavar="F", help="factor on the scene's radiant intensities (default 1)")
     _add_light(one)
     one.set_defaults(run=run_set)
-    one = what.add_parser("frame", help="one LED alone, or none, for a capture")
+    one = what.add_parser("frame", help="only one LED, or none, for a capture")
     one.add_argument("led", metavar="LED", help='number of the LED, from 0, or "dark"')
     one.add_argument("--level", metavar="L", default="0.1", help="its level (default 0.1)")
     _add_light(one)
@@ -114,7 +116,7 @@ def run_show(arguments: argparse.Namespace) -> int:
         return 0
     for key, value in device.items():
         print(f"{key}: {value}")
-    print(f"held: {'the device does not tell' if held is None else ' '.join(f'{level:g}' for level in held)}")
+    print(f"held: {'the device does not report it' if held is None else ' '.join(f'{level:g}' for level in held)}")
     return 0
 
 
@@ -127,7 +129,7 @@ def run_off(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json_text(told), end="")
     else:
-        print("off" if held is not None else "off, as commanded: the device does not tell")
+        print("off" if held is not None else "off, as commanded: the device does not report it")
     return 0
 
 
@@ -204,7 +206,7 @@ def _hold(ring: LedRing, frame: Frame, duration: float | None, *, as_json: bool)
     if as_json:
         print(json_text(told), end="")
     else:
-        state = "verified" if frame.verified else "commanded; the device does not tell"
+        state = "verified" if frame.verified else "commanded; the device does not report it"
         print(f"{' '.join(f'{level:.4f}' for level in frame.held)} ({state})")
     sys.stdout.flush()
     end = None if duration is None else time.monotonic() + duration

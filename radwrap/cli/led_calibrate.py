@@ -39,13 +39,13 @@ def add_to(what: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument(
         "--basis", metavar="DIR", help="folder of a radwrap render --basis of the scene, for --captures"
     )
-    parser.add_argument("--suffix", metavar="S", default=".png", help="of the captures' names (default .png)")
+    parser.add_argument("--suffix", metavar="S", default=".png", help="suffix of the captures' names (default .png)")
     parser.add_argument("--drive", metavar="DRIVE.toml", help="for --table: the current at which it was measured")
-    parser.add_argument("--serial", metavar="S", default="", help="for --table: of the device that drove the LEDs")
+    parser.add_argument("--serial", metavar="S", default="", help="for --table: name of the device that drove the LEDs")
     parser.add_argument(
-        "--temperature", metavar="C", type=shared.number(), help="of the surroundings [degrees Celsius]"
+        "--temperature", metavar="C", type=shared.number(), help="temperature of the surroundings [degrees Celsius]"
     )
-    parser.add_argument("--date", metavar="D", help="of the measurement, ISO 8601 (default: now)")
+    parser.add_argument("--date", metavar="D", help="date of the measurement, ISO 8601 (default: now)")
     parser.add_argument("--out", metavar="FILE", required=True, help="calibration to write")
     shared.add_json(parser)
     parser.set_defaults(run=run)
@@ -73,12 +73,12 @@ def _when(arguments: argparse.Namespace) -> tuple[str, float | None]:
     try:
         datetime.fromisoformat(date)
     except ValueError as error:
-        raise InputError(f'"{date}" is no date of ISO 8601', where="--date") from error
+        raise InputError(f'"{date}" is not a date of ISO 8601', where="--date") from error
     if arguments.temperature is None:
         return date, None
     kelvin = arguments.temperature + _FREEZING
     if not (math.isfinite(kelvin) and kelvin > 0):
-        raise InputError(f"{arguments.temperature} is no temperature in degrees Celsius", where="--temperature")
+        raise InputError(f"{arguments.temperature} is not a temperature in degrees Celsius", where="--temperature")
     return date, kelvin
 
 

@@ -44,7 +44,7 @@ def add_device(parser: argparse.ArgumentParser) -> None:
         help="drive a ring in software: mcp2221a_pca9685 (default) or lamparray",
     )
     parser.add_argument(
-        "--emulator", metavar="SOCKET", action="append", default=[], help="drive an emulator that runs already"
+        "--emulator", metavar="SOCKET", action="append", default=[], help="drive an emulator that is already running"
     )
     parser.add_argument(
         "--count",
@@ -60,7 +60,7 @@ def add_light(parser: argparse.ArgumentParser) -> None:
         "--drive", metavar="DRIVE.toml", help="the LEDs' rated current and limits, without which there is no light"
     )
     light = parser.add_mutually_exclusive_group()
-    light.add_argument("--calibration", metavar="FILE", help="what radwrap led calibrate wrote")
+    light.add_argument("--calibration", metavar="FILE", help="calibration that radwrap led calibrate wrote")
     light.add_argument(
         "--full-scale", metavar="I", help='radiant intensity of every LED at level 1, such as "47.1 mW/sr"'
     )

@@ -25,17 +25,17 @@ from radwrap.scene.scene import Scene
 
 _TICK: Final = 0.1  # s between looks at the ring while it shines
 _DESCRIPTION = (
-    "Shows a dark frame, with --alone each LED alone, then each row of the table or run of the study, and waits each "
-    "time: for Enter, or for the command of --camera, in which {name} and {number} stand for the frame's. The command "
-    "works in DIR. Writes play.json, and played.csv with what the ring showed, which radwrap relight reads. An "
-    "interrupted play goes on where it was."
+    "Shows a dark frame, with --alone each LED by itself, then each row of the table or run of the study, and waits "
+    "each time: for Enter, or for the command of --camera, in which {name} and {number} stand for the frame's. The "
+    "command works in DIR. Writes play.json, and played.csv with what the ring showed, which radwrap relight reads. "
+    "An interrupted play continues where it stopped."
 )
 
 
 def add_to(what: argparse._SubParsersAction[Any]) -> None:
     """Add the verb."""
     parser = what.add_parser("play", help="show a study's rows, frame by frame", description=_DESCRIPTION)
-    parser.add_argument("scene", metavar="SCENE.toml", help="whose ring the factors are on")
+    parser.add_argument("scene", metavar="SCENE.toml", help="scene whose ring the factors belong to")
     what_is_shown = parser.add_mutually_exclusive_group()
     what_is_shown.add_argument(
         "--rows",
@@ -45,9 +45,11 @@ def add_to(what: argparse._SubParsersAction[Any]) -> None:
     what_is_shown.add_argument(
         "--design", metavar="DESIGN.toml", help="the runs of this study, which changes nothing but the LEDs' light"
     )
-    parser.add_argument("--alone", action="store_true", help="show each LED alone too, for led calibrate")
+    parser.add_argument("--alone", action="store_true", help="show each LED by itself too, for led calibrate")
     parser.add_argument("--out", metavar="DIR", required=True, help="folder for the record, and for the camera's files")
-    parser.add_argument("--settle", metavar="TIME", default="20 ms", help='from frame to trigger (default "20 ms")')
+    parser.add_argument(
+        "--settle", metavar="TIME", default="20 ms", help='time from frame to trigger (default "20 ms")'
+    )
     add_device(parser)
     add_light(parser)
     shared.add_json(parser)
@@ -61,7 +63,7 @@ def add_to(what: argparse._SubParsersAction[Any]) -> None:
         "--camera",
         metavar="COMMAND ...",
         nargs=argparse.REMAINDER,
-        help="program that captures, and its arguments: all that stands behind this option",
+        help="program that captures, and its arguments: everything after this option",
     )
     parser.set_defaults(run=run)
 

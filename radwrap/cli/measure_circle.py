@@ -21,11 +21,9 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         "circle", help="diameter and centre of a circle, a ring or an ellipse", description=__doc__
     )
     gauging.add_look(parser, plane=True)
-    parser.add_argument(
-        "--at", metavar=("U", "V"), nargs=2, type=shared.number(), help="about where the centre is [px]"
-    )
-    parser.add_argument("--radius", metavar="R", help='about how large: pixels, or "3.4 mm" where there is a scale')
-    parser.add_argument("--inner-radius", metavar="R", help="the same of a ring's hole")
+    parser.add_argument("--at", metavar=("U", "V"), nargs=2, type=shared.number(), help="approximate centre [px]")
+    parser.add_argument("--radius", metavar="R", help='approximate radius: pixels, or "3.4 mm" where there is a scale')
+    parser.add_argument("--inner-radius", metavar="R", help="approximate radius of a ring's hole, in the same units")
     parser.add_argument(
         "--band", metavar="B", help="rims lie within so much of their radius (default a fifth of it, 4 to 16 px)"
     )
@@ -89,7 +87,7 @@ def _places(arguments: argparse.Namespace, found: gauging.Look) -> dict[RimName,
     if arguments.at is None:
         return _true_places(found)
     if arguments.radius is None:
-        raise InputError("is missing", where="radius", remedy="say about how large the circle is")
+        raise InputError("is missing", where="radius", remedy="give the approximate radius of the circle")
     at = (arguments.at[0], arguments.at[1])
     places: dict[RimName, RimPlace] = {"outer": RimPlace(at, found.pixels(arguments.radius, "radius", at))}
     if arguments.inner_radius is not None:

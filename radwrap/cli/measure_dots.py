@@ -31,7 +31,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument("--grid", metavar="RxC", required=True, help="rows and columns of dots, such as 5x5")
     parser.add_argument("--method", choices=METHODS, default="gray", help="definition of the centre (default gray)")
     parser.add_argument(
-        "--dark", metavar="G", type=shared.GRAY_LEVEL, help="gray level without light, taken away from bright dots"
+        "--dark", metavar="G", type=shared.GRAY_LEVEL, help="gray level without light, subtracted from bright dots"
     )
     parser.add_argument(
         "--saturation", metavar="G", type=shared.GRAY_LEVEL, help="gray level at which the sensor saturates"
@@ -52,7 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
     diameter = _length(arguments.dot_diameter, "--dot-diameter")
     for name, gray in (("--dark", arguments.dark), ("--saturation", arguments.saturation)):
         if gray is not None and not (math.isfinite(gray) and (gray > 0 or name == "--dark")):
-            raise InputError(f"{gray} is no gray level", where=name)
+            raise InputError(f"{gray} is not a gray level", where=name)
     overlay = shared.file_to_write(arguments.overlay, "--overlay", ".png", others=[arguments.image])
     table = shared.file_to_write(arguments.csv, "--csv", others=[arguments.image, overlay])
     path = Path(arguments.image)
@@ -95,7 +95,7 @@ def _with_overlay(error: DotsNotFound, image: GrayImage, path: Path, overlay: Pa
 def _grid(text: str) -> tuple[int, int]:
     match = re.fullmatch(r"([0-9]{1,5})[xX]([0-9]{1,5})", text.strip())
     if match is None:
-        raise InputError(f'"{text}" is no grid', where="--grid", remedy="write rows x columns, such as 5x5")
+        raise InputError(f'"{text}" is not a grid', where="--grid", remedy="write rows x columns, such as 5x5")
     return int(match[1]), int(match[2])
 
 

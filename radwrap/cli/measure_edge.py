@@ -158,7 +158,7 @@ def _lines(edge: Edge) -> Iterator[str]:
     yield f"gamma: {edge.gamma:.4f} ({fitted})"
     if edge.sigma_gamma > 0 and abs(edge.position_gamma_correlation) > HARDLY_APART:
         yield (
-            f"place and gamma can hardly be told apart (correlation {edge.position_gamma_correlation:+.2f}): "
+            f"place and gamma can hardly be separated (correlation {edge.position_gamma_correlation:+.2f}): "
             "with --gamma the place is better known"
         )
     yield from (f"warning: {text}" for text in _warnings(edge))

@@ -35,7 +35,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument("frames", metavar="FRAMES.csv", help="a row for each frame")
     parser.add_argument("--pixel-width", metavar="LENGTH", help='with radiant_exposure, such as "13.8 um"')
     parser.add_argument("--pixel-height", metavar="LENGTH", help="likewise")
-    parser.add_argument("--wavelength", metavar="LENGTH", help='likewise, such as "650 nm"')
+    parser.add_argument("--wavelength", metavar="LENGTH", help='with radiant_exposure, such as "650 nm"')
     parser.add_argument("--trust", action="store_true", help="let FRAMES.csv name files outside its folder")
     parser.add_argument("--plot", metavar="PNG", help="draw photon transfer, signal, SNR and linearity")
     written_sensor.add_options(parser)
@@ -90,7 +90,7 @@ def _write(path: Path, arguments: argparse.Namespace, found: PhotonTransfer, sha
     """Write what was measured as a component of the catalog."""
     if found.quantum_efficiency is None:
         raise InputError(
-            "needs the quantum efficiency, and exposure times do not tell it",
+            "needs the quantum efficiency, and exposure times do not give it",
             where="--write",
             remedy="give frames with radiant_exposure or photons",
         )

@@ -27,7 +27,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         "region",
         help="mean, spread, contrast and contrast-to-noise of regions",
         description="Mean and spread of gray levels in a rectangle, and what sets it apart from another one. Several "
-        "frames of the same scene tell temporal noise from structure.",
+        "frames of the same scene separate temporal noise from structure.",
     )
     region.add_argument(
         "images",
@@ -40,7 +40,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     _add_box(region, "--against", "the region to hold it against")
     _add_scene(region)
     region.add_argument(
-        "--against-truth", metavar="TARGET", help="hold it against the largest rectangle that shows this target alone"
+        "--against-truth", metavar="TARGET", help="hold it against the largest rectangle that shows only this target"
     )
     region.add_argument(
         "--dark",
@@ -90,7 +90,7 @@ def _add_scene(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scene", metavar="SCENE.toml", help="scene that the image was rendered from")
     shared.add_changes(parser)
     parser.add_argument(
-        "--truth", metavar="TARGET", help="measure the largest rectangle of pixels that shows this target alone"
+        "--truth", metavar="TARGET", help="measure the largest rectangle of pixels that shows only this target"
     )
 
 

@@ -37,7 +37,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         metavar="A",
         type=shared.number(),
         default=DEFAULT_MIN_AREA,
-        help=f"smaller ones are left out [px^2] (default {DEFAULT_MIN_AREA:g})",
+        help=f"smaller parts are left out [px^2] (default {DEFAULT_MIN_AREA:g})",
     )
     parser.add_argument(
         "--dark", metavar="G", type=shared.GRAY_LEVEL, help="gray level without light; needed with --gamma"
@@ -97,7 +97,7 @@ def _json(found: Parts, arguments: argparse.Namespace) -> dict[str, Any]:
         "image": str(arguments.image),
         "pixel_convention": "u is the column, v the row; the centre of the first pixel is (0, 0)",
         "angles": "rad, from u towards v, in -pi/2 to pi/2",
-        "axes": "of the ellipse with equal second moments, which are no diameters",
+        "axes": "of the ellipse with equal second moments; they are not diameters",
         "pixel_aspect": arguments.pixel_aspect,
         "contrast": found.kind,
         "count": len(found.parts),

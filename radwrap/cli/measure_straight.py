@@ -47,9 +47,11 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
 def _add_caliper(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--at", metavar=("U", "V"), nargs=2, type=shared.number(), help="the caliper's middle [px]")
     parser.add_argument(
-        "--angle", metavar="A", help="of the edges' normal, from u towards v, in degrees or with a unit (default 0)"
+        "--angle",
+        metavar="A",
+        help="angle of the edges' normal, from u towards v, in degrees or with a unit (default 0)",
     )
-    parser.add_argument("--length", metavar="L", help="along the edges: pixels, or mm where there is a scale")
+    parser.add_argument("--length", metavar="L", help="length along the edges: pixels, or mm where there is a scale")
     parser.add_argument("--band", metavar="B", help="edges lie within so much of the middle, along the normal")
 
 

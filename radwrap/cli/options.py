@@ -120,7 +120,7 @@ def add_changes(parser: argparse.ArgumentParser) -> None:
         "--scale",
         metavar="1/N",
         type=one_in,
-        help="make one pixel of N x N, with their sum of electrons; gray levels stay",
+        help="make one pixel of N x N, with their sum of electrons; gray levels stay the same",
     )
     parser.add_argument(
         "--roi",
@@ -188,7 +188,7 @@ def file_to_write(
     if not path.name or path.is_dir() or (suffix and path.suffix.lower() != suffix):
         kind = f"{suffix[1:].upper()} file" if suffix else "file"
         raise InputError(
-            f'"{name}" is no name of a {kind}', where=where, remedy=f"end it in {suffix}" if suffix else ""
+            f'"{name}" is not the name of a {kind}', where=where, remedy=f"end it in {suffix}" if suffix else ""
         )
     if not path.parent.is_dir():
         raise InputError(f'there is no folder "{path.parent}"', where=where, remedy="make it first")

@@ -59,7 +59,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         default=[],
         dest="overrides",
         help='change the exposure time or a key of the sensor, such as --set camera.exposure_time="64 ms", with the '
-        "error measured anew; may be repeated",
+        "error measured again; may be repeated",
     )
     parser.add_argument(
         "--scene-folder",
@@ -67,7 +67,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         help="folder of the scene file; needed with --set where its camera names a data sheet or a calibration",
     )
     parser.add_argument("--out", metavar="DIR", required=True, help="folder for the images and relight.json")
-    parser.add_argument("--exposure", action="store_true", help="write radiant exposures too, as NAME.exr [J/m^2]")
+    parser.add_argument("--exposure", action="store_true", help="also write radiant exposures, as NAME.exr [J/m^2]")
     shared.add_json(parser)
     parser.set_defaults(run=run)
 

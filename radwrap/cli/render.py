@@ -28,7 +28,7 @@ from radwrap.scene.sources import WideSource
 
 _DESCRIPTION = (
     "Predicts the gray image of a scene. Writes gray.png, radiant_exposure.exr and manifest.json into DIR; a killed "
-    "run goes on where it was when it is started again."
+    "run continues where it stopped when it is started again."
 )
 
 
@@ -56,7 +56,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         "--layout",
         choices=("rings", "hexagonal", "sunflower", "uneven"),
         default="rings",
-        help="how sub-viewpoints lie (default rings)",
+        help="arrangement of the sub-viewpoints (default rings)",
     )
     parser.add_argument(
         "--pixel-samples",
@@ -72,29 +72,29 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         help="rays at the centres of the pixel's strata, or drawn inside them",
     )
     parser.add_argument(
-        "--seed", metavar="S", type=shared.whole(), default=0, help="seed of all that is drawn (default 0)"
+        "--seed", metavar="S", type=shared.whole(), default=0, help="seed of all random draws (default 0)"
     )
     parser.add_argument(
-        "--workers", metavar="W", type=shared.whole(), help="tracer processes at a time (default: all cores)"
+        "--workers", metavar="W", type=shared.whole(), help="number of tracer processes (default: all cores)"
     )
     parser.add_argument(
         "--keep-viewpoints",
         action="store_true",
         help="keep the images of the sub-viewpoints in DIR/viewpoints: not listed in manifest.json, and deleted by a "
-        "later run into DIR that goes without this option",
+        "later run into DIR without this option",
     )
-    parser.add_argument("--truth", action="store_true", help="write depth, parts and true positions too")
+    parser.add_argument("--truth", action="store_true", help="also write depth, parts and true positions")
     parser.add_argument(
         "--basis",
         action="store_true",
-        help="write an image for each source too; radwrap relight makes any levels of it",
+        help="also write an image for each source; radwrap relight makes any levels from them",
     )
     parser.add_argument(
         "--frames",
         metavar="N",
         type=shared.whole(),
         default=0,
-        help="write N frames with the noise of a linear camera too: frame_0000.png and on",
+        help="write N frames with the noise of a linear camera too: frame_0000.png and so on",
     )
     parser.add_argument(
         "--bounces",
@@ -117,7 +117,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         action="store_true",
         help="write colour.png too: the raw image of a colour camera, demosaiced by OpenCV",
     )
-    parser.add_argument("--dry-run", action="store_true", help="only say what rays, memory and time it would take")
+    parser.add_argument("--dry-run", action="store_true", help="only show what rays, memory and time it would take")
     parser.add_argument(
         "--max-pixels", metavar="N", type=shared.number(), default=64e6, help="largest sensor (default 64e6 pixels)"
     )
@@ -245,7 +245,9 @@ def _budget(text: str | None) -> dict[str, Any]:
     try:
         return {"budget_rays": float(text)}
     except ValueError as error:
-        raise InputError(f'"{text}" is no number', where="--budget", remedy='say "1e7" for rays or "30 s"') from error
+        raise InputError(
+            f'"{text}" is not a number', where="--budget", remedy='write "1e7" for rays or "30 s"'
+        ) from error
 
 
 def _dry_run(scene: Scene, options: RenderOptions, *, as_json: bool) -> int:

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 _DESCRIPTION = (
     "Changes a scene by a design, predicts every image, and measures it. Writes results.csv, a row for each run as "
-    "soon as it is finished, study.json and index.html into DIR. A killed study goes on where it was; a run that fails "
-    "is a row with its error."
+    "soon as it is finished, study.json and index.html into DIR. A killed study continues where it stopped; a run "
+    "that fails is a row with its error."
 )
 
 _MOST_NAMED: Final = 8  # runs, in one line
@@ -32,7 +32,7 @@ def add_to(kinds: argparse._SubParsersAction[Any]) -> None:
     )
     parser.add_argument("--out", metavar="DIR", help="folder for results.csv, study.json, index.html")
     add_workers(parser)
-    parser.add_argument("--retry-failed", action="store_true", help="do the runs again that failed before")
+    parser.add_argument("--retry-failed", action="store_true", help="repeat the runs that failed before")
     parser.add_argument("--no-report", action="store_true", help="leave out index.html")
     shared.add_tracer(parser)
     shared.add_json(parser)
@@ -102,7 +102,7 @@ def _check(study: Study) -> None:
         raise CheckFailed(
             f"{told['failed']} of {told['runs']} runs failed, first run {first['run']}: {first['error']}",
             where=where,
-            remedy="--retry-failed does them again",
+            remedy="--retry-failed repeats them",
         )
     if told["not_met"]:
         raise ToleranceNotMet(f"{_missed(told['missed'])}; their error bars say so", where=where)

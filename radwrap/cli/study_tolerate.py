@@ -24,7 +24,7 @@ def add_to(kinds: argparse._SubParsersAction[Any]) -> None:
     parser = kinds.add_parser(
         "tolerate", help="tolerances that keep a response within bounds", description=_DESCRIPTION
     )
-    parser.add_argument("design", metavar="DESIGN.toml", type=Path, help="the study; see docs/study.md")
+    parser.add_argument("design", metavar="DESIGN.toml", type=Path, help="file of the study; see docs/study.md")
     parser.add_argument("--out", metavar="DIR", help="folder of the study (default: study beside DESIGN.toml)")
     parser.add_argument("--response", metavar="NAME", required=True, help="a response of the design")
     parser.add_argument("--within", metavar="BOUND", required=True, help='"0.1%%" of its nominal value, or "0.05 mm"')
@@ -36,10 +36,10 @@ def add_to(kinds: argparse._SubParsersAction[Any]) -> None:
         metavar="S",
         type=shared.number(),
         default=0.95,
-        help="random systems that are to stay within (default 0.95)",
+        help="share of random systems that must stay within (default 0.95)",
     )
     parser.add_argument(
-        "--systems", metavar="N", type=shared.whole(), default=8, help="random systems that are looked at (default 8)"
+        "--systems", metavar="N", type=shared.whole(), default=8, help="number of random systems to look at (default 8)"
     )
     add_workers(parser)
     shared.add_tracer(parser)

@@ -16,7 +16,7 @@ from radwrap.study.trade_report import FILES, as_json, pareto_front, recommendat
 
 _DESCRIPTION = (
     "Runs every method with several settings on a scene, and measures time, rays and error in gray levels against rays "
-    "of its own. Writes trade.csv, trade.json and trade.png into DIR; a killed run goes on where it was."
+    "of its own. Writes trade.csv, trade.json and trade.png into DIR; a killed run continues where it stopped."
 )
 
 
@@ -27,7 +27,10 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument("--out", metavar="DIR", help="folder for trade.csv, trade.json and trade.png")
     shared.add_tolerance(parser, "rms error that is wanted, which the settings lie around")
     parser.add_argument(
-        "--longest", metavar="TIME", default="60 s", help='leave out what is expected to take longer (default "60 s")'
+        "--longest",
+        metavar="TIME",
+        default="60 s",
+        help='leave out settings that are expected to take longer (default "60 s")',
     )
     parser.add_argument(
         "--reference-pixels",
@@ -44,10 +47,10 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         help="rays of each of its two values (default 1024)",
     )
     parser.add_argument(
-        "--seed", metavar="S", type=shared.whole(), default=0, help="seed of all that is drawn (default 0)"
+        "--seed", metavar="S", type=shared.whole(), default=0, help="seed of all random draws (default 0)"
     )
     parser.add_argument(
-        "--workers", metavar="W", type=shared.whole(), help="tracer processes at a time (default: all cores)"
+        "--workers", metavar="W", type=shared.whole(), help="number of tracer processes (default: all cores)"
     )
     shared.add_tracer(parser)
     shared.add_json(parser)

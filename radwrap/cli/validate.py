@@ -33,10 +33,10 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     )
     parser.add_argument("--out", metavar="DIR", help="folder for index.html, with plots, and validate.json")
     parser.add_argument(
-        "--seed", metavar="S", type=shared.whole(), default=0, help="seed of all that is drawn (default 0)"
+        "--seed", metavar="S", type=shared.whole(), default=0, help="seed of all random draws (default 0)"
     )
     parser.add_argument(
-        "--workers", metavar="W", type=shared.whole(), help="tracer processes at a time (default: all cores)"
+        "--workers", metavar="W", type=shared.whole(), help="number of tracer processes (default: all cores)"
     )
     shared.add_radiance(parser)
     shared.add_json(parser)

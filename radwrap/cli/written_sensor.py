@@ -22,8 +22,10 @@ _LENGTHS: Final = ("pixel_width", "pixel_height", "wavelength")
 def add_options(parser: argparse.ArgumentParser) -> None:
     """--write and what goes with it."""
     parser.add_argument("--write", metavar="NAME.toml", help="write the sensor as a component of the catalog")
-    parser.add_argument("--bit-depth", metavar="N", type=shared.whole(1, 16), help="with --write: of the converter")
-    parser.add_argument("--title", metavar="TEXT", help="with --write: what camera it is, and how it was set")
+    parser.add_argument(
+        "--bit-depth", metavar="N", type=shared.whole(1, 16), help="with --write: bits of the converter"
+    )
+    parser.add_argument("--title", metavar="TEXT", help="with --write: the camera and its settings")
     parser.add_argument("--revision", metavar="DATE", help="with --write: date of the file (default today)")
     parser.add_argument("--replace", action="store_true", help="with --write: replace a file that says something else")
 
@@ -105,7 +107,7 @@ def write_sensor(
         raise InputError(problems[0], where="--write", remedy="see docs/catalog.md")
     content = text.encode()
     if path.exists() and not arguments.replace and content_of(path, path.parent, str(path)) != content:
-        raise InputError("is there and says something else", where=str(path), remedy="name another file, or --replace")
+        raise InputError("exists and has other content", where=str(path), remedy="name another file, or --replace")
     write_bytes(path, content)
 
 

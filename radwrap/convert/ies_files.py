@@ -82,10 +82,10 @@ def write_luminaire(path: Path, out: Path, options: RadianceOptions) -> tuple[Pa
 def _content(path: Path) -> bytes:
     content = read_bytes(path, _LUMINAIRE)
     if b"\0" in content:
-        raise InputError("is no luminaire file: it holds a NUL byte", where=str(path))
+        raise InputError("is not a luminaire file: it holds a NUL byte", where=str(path))
     tilt = _TILT.search(content)
     if tilt is None:
-        raise InputError("is no luminaire file: it has no TILT", where=str(path), remedy="name an IES LM-63 file")
+        raise InputError("is not a luminaire file: it has no TILT", where=str(path), remedy="name an IES LM-63 file")
     if tilt[1].strip().upper() not in (b"NONE", b"INCLUDE"):
         raise InputError("names another file for its tilt", where=str(path), remedy="write TILT=NONE or TILT=INCLUDE")
     fault = fault_of_numbers(content[tilt.end() :].decode("latin-1"), tilted=tilt[1].strip().upper() == b"INCLUDE")
@@ -95,7 +95,7 @@ def _content(path: Path) -> bytes:
 
 
 def _no_luminaire(path: Path, why: str) -> InputError:
-    return InputError(f"is no luminaire file: {why}", where=str(path), remedy="correct it")
+    return InputError(f"is not a luminaire file: {why}", where=str(path), remedy="correct it")
 
 
 def _plain(text: bytes, path: Path) -> str:
@@ -105,5 +105,5 @@ def _plain(text: bytes, path: Path) -> str:
     found = primitives(words, Source(str(path), path))
     pieces = [p.text([word.removeprefix("./").replace("%", _TILT_MARK) for word in p.words]) for p in found]
     if not pieces:
-        raise InputError("is no luminaire file: no source came of it", where=str(path))
+        raise InputError("is not a luminaire file: no source came of it", where=str(path))
     return "\n".join(pieces)

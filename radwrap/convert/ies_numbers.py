@@ -32,7 +32,7 @@ def fault_of_numbers(text: str, *, tilted: bool) -> str | None:
     except ValueError as error:
         return str(error)
     left = sum(1 for _ in numbers)
-    return f"{left} numbers stand after its last candela value" if left else None
+    return f"{left} numbers follow its last candela value" if left else None
 
 
 def _number(word: str) -> float:
@@ -41,7 +41,7 @@ def _number(word: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise ValueError(f'"{word[:40]}" is no number')
+        raise ValueError(f'"{word[:40]}" is not a number')
     return value
 
 
@@ -56,7 +56,7 @@ def _check(numbers: Iterator[float], *, tilted: bool) -> None:
     ballast, future, _ = _taken(numbers, 3)
     number, columns = _count(vertical, "vertical angles"), _count(horizontal, "horizontal angles")
     if kind != 1:
-        raise ValueError(f"its photometry is of type {_TYPES.get(int(kind), 'unknown')}; type C alone is read")
+        raise ValueError(f"its photometry is of type {_TYPES.get(int(kind), 'unknown')}; only type C is read")
     if unit not in _UNITS:
         raise ValueError(f"its unit of length is {unit:g}, neither 1 (feet) nor 2 (metres)")
     if min(multiplier, ballast, future) <= 0:

@@ -51,7 +51,7 @@ def write_preview(scene: Scene, path: Path) -> tuple[Path, ...]:
         raise InputError(
             f'the shapes of "{scene.included[0].name}", a Radiance file, are not known',
             where=scene.origin,
-            remedy="a preview shows targets of the scene file alone",
+            remedy="a preview shows only targets of the scene file",
         )
     scene = divided(scene)
     preview = trimesh.Scene()

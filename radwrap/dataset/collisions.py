@@ -88,7 +88,7 @@ def require_fcl() -> None:
     """
     if importlib.util.find_spec("fcl") is None:
         raise EnvironmentFailure(
-            "parts must not stand inside each other, and python-fcl is not installed",
+            "parts must not overlap, and python-fcl is not installed",
             where="parts",
             remedy='pip install "radwrap[dataset]"',
         )

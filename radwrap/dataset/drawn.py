@@ -87,7 +87,7 @@ def drawn_image(dataset: Dataset, number: int, places: Places = lambda *_: True)
             categories[target["name"]] = target["name"]
             if not places(target, target["name"]):
                 raise InputError(
-                    f'image {number}: "{target["name"]}" stands in another part', where=f"{dataset.origin}: scene"
+                    f'image {number}: "{target["name"]}" overlaps another part', where=f"{dataset.origin}: scene"
                 )
     taken = {target["name"] for target in document["targets"]}
     for table, parts in enumerate(dataset.parts):
@@ -127,7 +127,7 @@ def _placed(copy: Table, parts: Parts, random: np.random.Generator, places: Plac
         if places(copy, parts.target):
             return copy
     raise InputError(
-        f'image {number}: "{copy["name"]}" found no place in {MOST_TRIES} tries in which it stands in no other part',
+        f'image {number}: "{copy["name"]}" found no place in {MOST_TRIES} tries where it overlaps no other part',
         where=parts.where,
         remedy="give it more room, or fewer parts",
     )

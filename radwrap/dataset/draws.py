@@ -121,7 +121,7 @@ def read_rotation(told: Any, where: str) -> RandomRotation:
         return RandomRotation()
     remedy = 'write "any" or { axis = [0, 0, 1] }'
     if not isinstance(told, Mapping) or set(told) != {"axis"} or not _is_direction(told["axis"]):
-        raise InputError("is no rotation", where=where, remedy=remedy)
+        raise InputError("is not a rotation", where=where, remedy=remedy)
     length = math.hypot(*told["axis"])
     if not 0 < length < math.inf:
         raise InputError("an axis needs a length above zero", where=where, remedy=remedy)
@@ -156,5 +156,5 @@ def read_interval(told: Any, where: str) -> Draw | str:
         return read_draw({"uniform": told}, where)
     found = quantity(told, where)
     if found is None or not found[1]:
-        raise InputError("is no length", where=where, remedy='write "5 mm" or ["-40 mm", "40 mm"]')
+        raise InputError("is not a length", where=where, remedy='write "5 mm" or ["-40 mm", "40 mm"]')
     return str(told)

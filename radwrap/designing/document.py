@@ -148,7 +148,7 @@ def read_problem(path: Path, *, trust: bool = False) -> Problem:
         raise InputError(
             f'is "{told.case}", and only "{_NOMINAL}" is in: the worst case within tolerances is not',
             where=f"{origin}: case",
-            remedy="leave it out; `radwrap study tolerate` tells tolerances of the best scene",
+            remedy="leave it out; `radwrap study tolerate` finds tolerances of the best scene",
         )
     scene_path = path.parent / told.scene
     scene = load_scene(scene_path, told.set)

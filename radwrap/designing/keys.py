@@ -172,7 +172,7 @@ def _chosen(name: str, keys: tuple[str, ...], told: KeyModel, where: str) -> Sea
     costs: tuple[float, ...] = ()
     if told.cost is not None:
         if len(told.cost) != len(choices) or not all(_is_cost(one) for one in told.cost):
-            raise InputError(f"must be {len(choices)} numbers from 0 on, one for each choice", where=f"{where}.cost")
+            raise InputError(f"must be {len(choices)} numbers of 0 or more, one for each choice", where=f"{where}.cost")
         costs = tuple(map(float, told.cost))
     return SearchKey(name, keys, None, tuple(choices), costs, labels)
 

@@ -109,9 +109,9 @@ class Gate:
             return 403, "name a path"
         origins = all_of(b"origin")
         if origins and origins != [b"http://" + hosts[0]]:
-            return 403, "another site's page asks"
+            return 403, "was asked by another site's page"
         if not _same_site(scope, all_of):
-            return 403, "another site's page asks"
+            return 403, "was asked by another site's page"
         door = self._table.get(scope["path"]) if b"%" not in raw and raw == scope["path"].encode() else None
         if door is None:
             return 404, "there is nothing"
@@ -121,7 +121,7 @@ class Gate:
             tokens = all_of(b"authorization")
             given = tokens[0] if len(tokens) == 1 else b""
             if not hmac.compare_digest(given, self._token):
-                return 401, "open the link that the command has told"
+                return 401, "open the link that the command printed"
             if [kind.split(b";")[0].strip().lower() for kind in all_of(b"content-type")] != [JSON]:
                 return 403, "send application/json"
         lengths = all_of(b"content-length")

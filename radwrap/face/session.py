@@ -301,7 +301,7 @@ class Session:
         """
         found = self._traced
         if found is None or (number is not None and number != found.number):
-            raise InputError("was traced anew, or is not traced yet", where="basis", remedy="load the page again")
+            raise InputError("was traced again, or is not traced yet", where="basis", remedy="load the page again")
         return found
 
     def finished(self, number: int | None = None) -> Traced:

@@ -116,7 +116,7 @@ def fit(
     elif changes:
         raise InputError("goes with a scene file", where="changes", remedy="use `with_value`")
     if noise is not None and not (math.isfinite(noise) and noise >= 0):
-        raise InputError("must be a number from 0 on", where="noise")
+        raise InputError("must be a number of 0 or more", where="noise")
     refuse_mosaic(scene, "a fit")
     begun = free_scene(scene, free)
     counted = read_mask(mask) if isinstance(mask, str | Path) else mask

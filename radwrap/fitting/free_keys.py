@@ -174,7 +174,7 @@ def _begun(scene: Scene, document: dict[str, Any], key: str, bounds: str) -> tup
         high = _in_unit(high_text.strip(), unit, where)
         return FreeKey(key, (low + high) / 2, unit, low, high), set_all(document, key, _toml(low, unit), scene.origin)
     if isinstance(value, bool) or not isinstance(value, str | int | float):
-        raise InputError("is no number: only numbers can be fitted", where=where)
+        raise InputError("is not a number: only numbers can be fitted", where=where)
     number, unit = _number(str(value), where)
     if not bounds:
         return FreeKey(key, number, unit), document
@@ -211,7 +211,7 @@ def _current(scene: Scene, document: dict[str, Any], key: str) -> tuple[Any, dic
 def _number(text: str, where: str) -> tuple[float, str]:
     match = _QUANTITY.fullmatch(text)
     if match is None:
-        raise InputError(f'"{shortened(text)}" is no number: only numbers can be fitted', where=where)
+        raise InputError(f'"{shortened(text)}" is not a number: only numbers can be fitted', where=where)
     return float(match[1]), match[2] or ""
 
 

@@ -29,7 +29,7 @@ _LARGEST: Final = 100.0  # %, or times the noise
 _SMALLEST: Final = 1e-6
 _SPELLED: Final = re.compile(r"\s*([0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE]([+-]?[0-9]{1,3}))?\s*(%|noise)\s*", re.ASCII)
 _LONGEST: Final = 60  # characters of a text that are repeated in a message
-_REMEDY: Final = 'say gray levels (0.5), a share of the range ("0.2 %") or of the noise ("0.5 noise")'
+_REMEDY: Final = 'give gray levels (0.5), a share of the range ("0.2 %") or of the noise ("0.5 noise")'
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +63,7 @@ class AskedTolerance:
             raise InputError(
                 "the power law has no noise to be a share of",
                 where="tolerance",
-                remedy='say gray levels (0.5) or a share of the range ("0.2 %"), or describe the camera with '
+                remedy='give gray levels (0.5) or a share of the range ("0.2 %"), or describe the camera with '
                 'model = "linear"',
             )
         return sensor.linear is not None and self.unit in {"noise", "default"}
@@ -107,7 +107,7 @@ def asked_tolerance(value: Any, where: str = "tolerance") -> AskedTolerance:
         return AskedTolerance(float(number_of(value, where, FINEST, COARSEST, whole=False)), "gray")
     found = _SPELLED.fullmatch(value)
     if found is None:
-        raise InputError(f'"{value[:_LONGEST]}" is no tolerance', where=where, remedy=_REMEDY)
+        raise InputError(f'"{value[:_LONGEST]}" is not a tolerance', where=where, remedy=_REMEDY)
     amount = float(f"{found[1]}e{found[2] or 0}")
     unit: Literal["%", "noise"] = "%" if found[3] == "%" else "noise"
     if not _SMALLEST <= amount <= _LARGEST:

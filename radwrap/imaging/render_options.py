@@ -175,7 +175,7 @@ class RenderOptions:
             raise InputError(
                 f"{method} has one ray at each place, which does not average walks of light: bounces need rays",
                 where="bounces",
-                remedy='leave out the method and its options, or say `method="rays"`',
+                remedy='leave out the method and its options, or give `method="rays"`',
             )
         if self.basis:
             raise InputError("does not go with bounces yet", where="basis", remedy="render each light by itself")

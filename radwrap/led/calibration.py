@@ -90,7 +90,7 @@ def _row(header: Sequence[str], row: Sequence[str], where: str) -> tuple[int, fl
         raise InputError("has another number of cells than the first line", where=where)
     cells = dict(zip(header, (cell.strip() for cell in row), strict=True))
     if not _LED_NUMBER.fullmatch(cells["led"]) or int(cells["led"]) >= 4096:
-        raise InputError(f'"{shortened(cells["led"])}" is no number of an LED', where=f'{where}, column "led"')
+        raise InputError(f'"{shortened(cells["led"])}" is not the number of an LED', where=f'{where}, column "led"')
     level = decimal(cells["level"], f'{where}, column "level"')
     try:
         intensity = parse_quantity(cells["radiant_intensity"], RADIANT_INTENSITY)

@@ -90,7 +90,7 @@ class Drive:
                 raise InputError("must be above zero", where=name)
         if not _SHORTEST <= self.wavelength <= _LONGEST_WAVE:
             raise InputError(
-                f"{self.wavelength:g} m is no wavelength of an LED", where="wavelength", remedy='such as "850 nm"'
+                f"{self.wavelength:g} m is not a wavelength of an LED", where="wavelength", remedy='such as "850 nm"'
             )
         if not 0 < self.max_level <= 1:
             raise InputError(f"must lie above 0 and not above 1, not {self.max_level}", where="max_level")
@@ -118,7 +118,7 @@ class Drive:
             raise InputError(f"{len(levels)} levels for {self.count} LEDs")
         for number, level in enumerate(levels):
             if not (math.isfinite(level) and 0 <= level <= 1):
-                raise InputError(f"{level:g} is no level: they go from 0 to 1", where=f"LED {number}")
+                raise InputError(f"{level:g} is not a level: they go from 0 to 1", where=f"LED {number}")
             if level > self.max_level + _ROUNDING:
                 raise InputError(f"level {level:.4g} is above max_level, {self.max_level:g}", where=f"LED {number}")
         total = math.fsum(levels)
@@ -151,7 +151,7 @@ class Drive:
         for led, level in enumerate(levels):
             if level > 0 and not steps[led]:
                 raise InputError(
-                    f"level {level:.4g} is no whole step of this device, 1/{full}: it would be dark",
+                    f"level {level:.4g} is not a whole step of this device, 1/{full}: it would be dark",
                     where=f"LED {led}",
                     remedy=f"give 0, or {1 / full:.2g} or more within the limits",
                 )
@@ -168,7 +168,7 @@ def decimal(text: str, where: str = "") -> float:
     """
     value = float(text) if _DECIMAL.fullmatch(text) else math.nan
     if not math.isfinite(value):
-        raise InputError(f'"{text}" is no number from 0 on: write 0.25', where=where)
+        raise InputError(f'"{text}" is not a number of 0 or more: write 0.25', where=where)
     return value
 
 
@@ -219,7 +219,7 @@ def check_ripple(levels: Sequence[float], pwm_frequency: float | None, exposure_
     """
     if pwm_frequency is None:
         if any(0 < level < 1 for level in levels):
-            return "the device does not tell its PWM frequency: how even an exposure is, is not known"
+            return "the device does not report its PWM frequency, so it is not known how even an exposure is"
         return None
     error = ripple(levels, pwm_frequency, exposure_time)
     if error > _RIPPLE_REFUSED:

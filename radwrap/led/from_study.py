@@ -46,7 +46,7 @@ def rows_of(design: Design, scene: Scene) -> Levels:
             raise InputError(
                 f"differs from {scene.origin} in more than the light of the ring's LEDs",
                 where=where,
-                remedy="a bench is played with what stands on it: one play for each scene",
+                remedy="a bench is played with the parts that are on it: one play for each scene",
             )
         intensities = [led.radiant_intensity for led in leds_of(shown)]
         for led, (wanted, given) in enumerate(zip(intensities, nominal, strict=True)):

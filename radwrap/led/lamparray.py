@@ -176,7 +176,7 @@ class LampArray:
             self._set(_REQUEST, lamp.to_bytes(2, "little"))
             values = struct.unpack("<H5I6B", self._get(_RESPONSE))
             if values[0] != lamp:
-                raise DeviceFailure(f"was asked for lamp {lamp} and told of {values[0]}", where="LampArray")
+                raise DeviceFailure(f"was asked for lamp {lamp} and reported lamp {values[0]}", where="LampArray")
             positions.append((values[1] * _MICRO, values[2] * _MICRO, values[3] * _MICRO))
             by_intensity = by_intensity and values[9] > 1
             if not values[10]:

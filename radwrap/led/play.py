@@ -194,7 +194,7 @@ def _done(out: Path, record: Mapping[str, Any], ring: LedRing, frames: Sequence[
         if shown == {name: _without_time(entry) for name, entry in done.items()}:
             return done
     raise InputError(
-        "is no whole record of this play", where=str(out / RECORD), remedy="remove it, or choose another `out`"
+        "is not a complete record of this play", where=str(out / RECORD), remedy="remove it, or choose another `out`"
     )
 
 

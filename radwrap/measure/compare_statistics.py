@@ -128,7 +128,7 @@ def rectangle(name: str, corners: tuple[int, int, int, int], shape: tuple[int, i
     u0, v0, u1, v1 = corners
     if not (0 <= u0 < u1 <= shape[1] and 0 <= v0 < v1 <= shape[0]):
         raise InputError(
-            f"{u0},{v0},{u1},{v1} is no part of {shape[1]} x {shape[0]} pixels",
+            f"{u0},{v0},{u1},{v1} is not a part of {shape[1]} x {shape[0]} pixels",
             where=f'region "{name}"',
             remedy="give U0,V0,U1,V1 with U0 < U1, V0 < V1; the last column and row are not in it",
         )

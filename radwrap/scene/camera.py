@@ -189,7 +189,7 @@ class Camera:
     lens : Lens, optional
         Without it the opening is a pinhole.
     wavelength : float, optional
-        At which diffraction is looked at, where neither spectra nor a linear sensor tell it [m].
+        At which diffraction is looked at, where neither spectra nor a linear sensor give it [m].
     diffraction : str, optional
         "on", or "auto" where images have it if it matters; without it light is rays.
     """

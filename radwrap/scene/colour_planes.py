@@ -59,7 +59,7 @@ def shares_of_light(scene: Scene) -> Mapping[Colour, float | None]:
         waves = scene.camera.diffraction is not None
         return {colour: _share(whole.planes[colour], whole, waves=waves) for colour in COLOURS}
     if mosaic.relative is None:
-        raise ValueError("filters by the power law tell spectra")
+        raise ValueError("filters by the power law count with spectra")
     return dict(zip(COLOURS, mosaic.relative, strict=True))
 
 

@@ -261,9 +261,9 @@ def _parsed(text: str, where: str) -> Curve:
         try:
             node, value = (float(cell) for cell in row)
         except ValueError as error:
-            raise InputError("is no pair of numbers", where=place) from error
+            raise InputError("is not a pair of numbers", where=place) from error
         if not (math.isfinite(node) and math.isfinite(value) and node > 0 and value >= 0):
-            raise InputError("needs a wavelength above 0 and a value from 0 on", where=place)
+            raise InputError("needs a wavelength above 0 and a value of 0 or more", where=place)
         if not low <= round(node * _UNITS[head] * 1e6, 9) <= high:
             other = next(unit for unit in _UNITS if unit != head)
             raise InputError(

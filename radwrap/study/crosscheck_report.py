@@ -30,7 +30,7 @@ EXPLAINED: Final = 0.2
 _MIXED: Final = frozenset({"aperture", "edges", "mirror", "shadow"})
 WAVES_NOTE: Final = "the geometric part is compared: both trace rays, and neither has diffraction or aberrations"
 SHEETING_NOTE: Final = (
-    "POV-Ray has no retroreflection: sheeting is not checked here; corner cubes check the geometry alone"
+    "POV-Ray has no retroreflection: sheeting is not checked here; corner cubes check only the geometry"
 )
 
 

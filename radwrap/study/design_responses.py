@@ -65,7 +65,7 @@ def _known(name: str, kind: Any, table: dict[str, Any], place: str) -> Response:
 def _of_user(name: str, measure: str, table: dict[str, Any], home: Path, place: str) -> list[Response]:
     unit = table.pop("unit", "")
     if not isinstance(unit, str) or not unit.isprintable() or len(unit) > _LONGEST_UNIT or set(unit) & set("[],"):
-        raise InputError(f"{unit!r} cannot stand in a column's heading", where=f"{place}.unit")
+        raise InputError(f"{unit!r} cannot be used in a column's heading", where=f"{place}.unit")
     function = read_user_function(measure, table, home, place)
     return [Response(key, function.name, unit, table=name, user=function) for key in function.keys]
 

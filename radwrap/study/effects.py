@@ -112,7 +112,7 @@ def analyse(data: Data, alpha: float = 0.05) -> Analysis:
         If alpha is no share, or the response is the same everywhere.
     """
     if not 0 < alpha < 1:
-        raise InputError(f"{alpha:g} is no share between 0 and 1", where="alpha")
+        raise InputError(f"{alpha:g} is not a share between 0 and 1", where="alpha")
     if np.ptp(data.values) == 0:
         raise InputError("is the same in all runs", where=data.response, remedy="choose another response")
     notes = list(_notes(data))
@@ -124,7 +124,7 @@ def analyse(data: Data, alpha: float = 0.05) -> Analysis:
         return _regression(data, alpha, notes)
     effects = tuple(_contrast(data, column) for column in columns)
     if any(effect.aliases for effect in effects):
-        notes.append("the design is a fraction of all combinations: aliased effects cannot be told apart")
+        notes.append("the design is a fraction of all combinations: aliased effects cannot be separated")
     if repeated and data.analysis != "lenth":
         return _replicated(data, alpha, effects, notes)
     return _unreplicated(data, alpha, effects, notes)
@@ -255,7 +255,7 @@ def _replicated(data: Data, alpha: float, effects: tuple[Effect, ...], notes: li
     error = 2 * math.sqrt(variance / len(data.values))
     limit = float(student.ppf(1 - alpha / 2, freedom))
     if error == 0:
-        notes.append("the replicates are equal: nothing tells how sure an effect is")
+        notes.append("the replicates are equal: nothing shows how certain an effect is")
         return Analysis(data, "none", alpha, effects, None, None, None, (), tuple(notes))
     judged = tuple(_judged(one, one.effect / error, abs(one.effect / error) > limit) for one in effects)
     return Analysis(data, "replicates", alpha, judged, None, error, limit, anova(data, notes), tuple(notes))
@@ -273,7 +273,7 @@ def _regression(data: Data, alpha: float, notes: list[str]) -> Analysis:
     wanted = data.analysis == "anova" or _has_few_levels(data)
     table = anova(data, notes) if wanted else ()
     if np.linalg.matrix_rank(design) < design.shape[1]:
-        notes.append("the runs cannot tell the factors apart")
+        notes.append("the runs cannot separate the factors")
         return Analysis(data, "none", alpha, (), None, None, None, table, tuple(notes))
     inverse = np.linalg.pinv(design)
     residual = data.values - design @ (inverse @ data.values)
@@ -357,8 +357,10 @@ def sentences(analysis: Analysis) -> tuple[str, ...]:
     if told:
         return tuple(told)
     if analysis.margin is None:
-        return (f"Nothing tells how sure the effects on {data.response} are.",)
-    return (f"No effect on {data.response} exceeds {analysis.margin:.2g}{unit}, which chance alone would reach.",)
+        return (f"Nothing shows how certain the effects on {data.response} are.",)
+    return (
+        f"No effect on {data.response} exceeds {analysis.margin:.2g}{unit}, a size that chance by itself would reach.",
+    )
 
 
 def _by_variance(analysis: Analysis) -> Iterator[str]:

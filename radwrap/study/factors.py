@@ -176,7 +176,7 @@ def _number(value: float) -> float:
     except OverflowError:
         number = math.inf
     if not math.isfinite(number):
-        raise InputError("is no number that a computer holds")
+        raise InputError("is not a number that a computer holds")
     return number
 
 
@@ -201,7 +201,9 @@ def read_draw(table: Mapping[str, Any], where: str) -> Draw:
         If it is none.
     """
     if len(table) != 1 or next(iter(table)) not in _DRAWS:
-        raise InputError("is no draw", where=where, remedy='write { uniform = ["1 deg", "2 deg"] } or { normal = ... }')
+        raise InputError(
+            "is not a draw", where=where, remedy='write { uniform = ["1 deg", "2 deg"] } or { normal = ... }'
+        )
     ((kind, pair),) = table.items()
     if not isinstance(pair, list) or len(pair) != 2:
         raise InputError(f"{kind} needs two values", where=where)

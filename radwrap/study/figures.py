@@ -76,7 +76,7 @@ def half_normal(analysis: Analysis) -> bytes:
             )
     if analysis.standard_error is not None:
         ends = np.array([0.0, quantiles[-1] * 1.05])
-        axes.plot(ends, ends * analysis.standard_error, "-", color="0.6", label="noise alone")
+        axes.plot(ends, ends * analysis.standard_error, "-", color="0.6", label="noise only")
         axes.legend(fontsize="small")
     axes.set_xlabel("half-normal quantile")
     axes.set_ylabel(_axis(analysis, "size of effect on"))

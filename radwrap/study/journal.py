@@ -63,7 +63,7 @@ class Journal:
         for number, row in enumerate(read_table(self.path).rows, 1):
             index = whole_number(row["run"]) or 0
             run = self._runs.get(index)
-            fault = "its run is none of the study's, or stands twice"
+            fault = "its run is not one of the study's, or appears twice"
             if run is None or index in found or (fault := self._fault(run, row)):
                 raise InputError(
                     f"row {number} is not as the study wrote it: {fault}",

@@ -92,7 +92,7 @@ def lenth(contrasts: ArrayLike, alpha: float = 0.05) -> Lenth:
     values = np.asarray(contrasts, dtype=np.float64)
     check_contrasts(len(values))
     if not 0 < alpha < 1:
-        raise InputError(f"{alpha:g} is no share between 0 and 1", where="alpha")
+        raise InputError(f"{alpha:g} is not a share between 0 and 1", where="alpha")
     if not np.isfinite(values).all():
         raise InputError("an effect is not finite", where="the responses")
     pse = float(pseudo_standard_error(values))
@@ -120,7 +120,7 @@ def check_contrasts(count: int) -> None:
     if count < FEWEST_CONTRASTS:
         raise InputError(
             f"{count} contrasts are too few for Lenth's method, which needs {FEWEST_CONTRASTS} (8 runs)",
-            remedy='repeat the runs (replicates = 2), or say analysis = "none"',
+            remedy='repeat the runs (replicates = 2), or set analysis = "none"',
         )
 
 

@@ -192,7 +192,9 @@ def _number(text: str, path: Path, column: str) -> float:
     except ValueError:
         value = math.nan
     if why := unusable(value):
-        raise InputError(f'"{text}" {"is no finite number" if math.isnan(value) else why}', where=f"{path}: {column}")
+        raise InputError(
+            f'"{text}" {"is not a finite number" if math.isnan(value) else why}', where=f"{path}: {column}"
+        )
     return value
 
 

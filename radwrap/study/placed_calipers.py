@@ -241,7 +241,7 @@ def line_caliper(scene: Scene, name: str, aspect: float) -> StraightCaliper:
     target = next((one for one in scene.targets if isinstance(one, EdgeTarget) and one.name == name), None)
     line = None if target is None else edge_line(scene.camera, target)
     if line is None:
-        raise InputError("is no target of type edge before the camera")
+        raise InputError("is not a target of type edge before the camera")
     sensor = scene.camera.sensor
     between = np.linspace(line.ends[0], line.ends[1], _ALONG)
     seen = between[

@@ -228,7 +228,7 @@ class DaskPool:
             raise EnvironmentFailure(
                 f"no worker for {self._patience:g} s",
                 where=self._address,
-                remedy="start one: dask worker; the same command goes on; or raise `worker_timeout`",
+                remedy="start one: dask worker; the same command then continues; or raise `worker_timeout`",
             )
         self._tell(f"no worker is there; waiting {self._patience:g} s for one at {self._address}")
 
@@ -245,7 +245,7 @@ class DaskPool:
 
     def _gone(self) -> EnvironmentFailure:
         return EnvironmentFailure(
-            "the scheduler is gone", where=self._address, remedy="start it again; the same command goes on"
+            "the scheduler is gone", where=self._address, remedy="start it again; the same command then continues"
         )
 
     def _tell(self, what: str) -> None:
@@ -286,7 +286,7 @@ def _check_scheduler(address: str) -> None:
     except ValueError:
         host, port = None, None
     if host is None or port is None:
-        raise InputError(f'"{address}" is no address', where="dask", remedy='write "tcp://HOST:8786"')
+        raise InputError(f'"{address}" is not an address', where="dask", remedy='write "tcp://HOST:8786"')
     silence = EnvironmentFailure(
         f"no answer from {address} within {_GRACE:g} s", where="dask", remedy="see whether it is a scheduler"
     )

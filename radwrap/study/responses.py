@@ -468,6 +468,8 @@ def unit_of(kind: str, unit: str | None, where: str) -> str:
         raise InputError(f"{kind} has no unit", where=where, remedy="leave it out")
     if not isinstance(unit, str) or unit not in dimension.units:
         raise InputError(
-            f'"{unit}" is no unit of {dimension.name}', where=where, remedy=f"use one of: {', '.join(dimension.units)}"
+            f'"{unit}" is not a unit of {dimension.name}',
+            where=where,
+            remedy=f"use one of: {', '.join(dimension.units)}",
         )
     return unit

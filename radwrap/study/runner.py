@@ -148,7 +148,7 @@ class Scheduler:
             future = done.pop()
             if future.cancelled():
                 self._pool.look()  # which may know why
-                raise EnvironmentFailure("its work was cancelled by somebody else", remedy="the same command goes on")
+                raise EnvironmentFailure("its work was cancelled by somebody else", remedy="the same command continues")
             error = future.exception()
             if error is not None and self._pool.is_broken(error):
                 broken.append(future)

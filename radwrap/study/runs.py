@@ -144,7 +144,7 @@ def _fractional(design: Design) -> list[tuple[Level, ...]]:
         signs = fracfact(generators)
     except Exception as error:  # the library tells of bad generators by errors of many kinds
         raise InputError(
-            f'"{generators}" are no generators: {error}', where=where, remedy='such as "a b c abc"'
+            f'"{generators}" are not generators: {error}', where=where, remedy='such as "a b c abc"'
         ) from error
     if signs.shape[1] != len(design.factors):
         raise InputError(f"{signs.shape[1]} generators for {len(design.factors)} factors", where=where)

@@ -77,7 +77,7 @@ class Deviation:
 def _numbers(value: Any) -> tuple[float, str]:
     known = number_and_unit(value)
     if known is None:
-        raise InputError(f"{value!r} is no number")
+        raise InputError(f"{value!r} is not a number")
     return known
 
 
@@ -230,7 +230,7 @@ def fit(design: Design, deviations: tuple[Deviation, ...], rows: Sequence[Mappin
             powers.append(more)
     design_matrix = _terms(x, powers, others)
     if np.linalg.matrix_rank(design_matrix) < design_matrix.shape[1]:
-        raise InputError("the runs of the study cannot tell the factors apart", where=design.origin)
+        raise InputError("the runs of the study cannot separate the factors", where=design.origin)
     solution = np.linalg.lstsq(design_matrix, y, rcond=None)[0]
     return Model(deviations, tuple(powers), solution[: len(powers)])
 

@@ -37,9 +37,9 @@ def sentences(result: Tolerances) -> Iterator[str]:
             + ("." if both.met else ": too few, the scale is not confirmed.")
         )
     if result.left_out:
-        yield f"Without a tolerance, as their levels are words or draws alone: {', '.join(result.left_out)}."
+        yield f"Without a tolerance, as their levels are only words or draws: {', '.join(result.left_out)}."
     if result.images_not_met:
-        yield f"{result.images_not_met} images do not keep the tolerance of [render], and tell less than was asked."
+        yield f"{result.images_not_met} images do not keep the tolerance of [render]: they are less exact than asked."
     yield from (f"Note: {note}." for note in result.notes)
 
 

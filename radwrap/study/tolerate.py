@@ -62,9 +62,9 @@ def read_bound(design: Design, response: str, within: str) -> Bound:
             relative = None
             absolute = float(text) if dimension is None else parse_quantity(text, dimension) / one.scale
     except ValueError as error:
-        raise InputError(f'"{within}" is no bound', where="within", remedy='say "0.1%"') from error
+        raise InputError(f'"{within}" is not a bound', where="within", remedy='write "0.1%"') from error
     except InputError as error:
-        raise InputError(f"{error.what}", where="within", remedy=f'{error.remedy}, or say "0.1%"') from error
+        raise InputError(f"{error.what}", where="within", remedy=f'{error.remedy}, or write "0.1%"') from error
     size = relative if absolute is None else absolute
     if size is None or not (math.isfinite(size) and size > 0):
         raise InputError("must be above zero", where="within")
@@ -116,7 +116,7 @@ class Search:
         self.fresh = fresh
         self._nominal = fresh.measured([(self.base, FRESH_ROW)])[0]
         if len(self._nominal) == 1:
-            self.notes.append("one seed for each system does not tell how far fresh renders scatter; say --repeats 3")
+            self.notes.append("one seed for each system does not show how far fresh renders scatter; use --repeats 3")
         return float(np.mean(self._nominal))
 
     def changes(self, factor: Factor, levels: Sequence[Level]) -> list[Confirmed]:

@@ -143,7 +143,7 @@ def _time(given: Any, where: str) -> float:
 def _memory(given: Any, where: str) -> int:
     found = _MEMORY.fullmatch(given) if isinstance(given, str) else None
     if found is None:
-        raise InputError(f"{given!r} is no amount of memory", where=where, remedy='write "4 GiB" or "512 MiB"')
+        raise InputError(f"{given!r} is not an amount of memory", where=where, remedy='write "4 GiB" or "512 MiB"')
     size = int(found[1]) * _MEMORY_UNITS[found[2]]
     if size < _LEAST_MEMORY:
         raise InputError(f"must be {_LEAST_MEMORY >> 20} MiB at least", where=where)

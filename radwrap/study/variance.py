@@ -59,12 +59,12 @@ def anova(data: Data, notes: list[str]) -> tuple[AnovaRow, ...]:
         return ()
     columns = np.column_stack([np.ones(runs), *(indicators(data, k) for k in range(count))])
     if np.linalg.matrix_rank(columns) < columns.shape[1]:
-        notes.append("the runs cannot tell the factors apart: there is no analysis of variance")
+        notes.append("the runs cannot separate the factors: there is no analysis of variance")
         return ()
     pairs = _told_apart(data, columns)
     left_out = [name_of(data, pair) for pair in combinations(range(count), 2) if pair not in pairs]
     if left_out:
-        notes.append(f"the analysis of variance is without {', '.join(left_out)}, which the runs cannot tell")
+        notes.append(f"the analysis of variance is without {', '.join(left_out)}, which the runs cannot separate")
     frame = pandas.DataFrame({f"x{k}": data.codes[:, k].astype(str) for k in range(count)})
     frame["y"] = data.values
     terms = [f"x{k}" for k in range(count)] + [f"x{a}:x{b}" for a, b in pairs]

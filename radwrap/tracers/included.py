@@ -153,7 +153,7 @@ class _NamedFiles:
         own = "/".join(part for part in name.split("/") if part != ".")
         if not _FILE_NAME.fullmatch(name) or ".." in name.split("/") or not own:
             what = f"{shown(name)} may not be a file name"
-            remedy = "name a file in this file's folder, with letters, digits and _.+- alone"
+            remedy = "name a file in this file's folder, with only letters, digits and _.+-"
             raise self._source.fault(what, line=line, remedy=remedy)
         if own.casefold().endswith(_OCTREES):
             what = f"{shown(name)} is a prebuilt octree or mesh, which may run commands"
@@ -231,7 +231,7 @@ def _data_dimensions(content: bytes) -> int:
         # Radiance compares in float32. Equal limits announce that every coordinate follows.
         largest = max(abs(first), abs(last), 1e-24)
         if largest > 1e30 or 0 < abs(first - last) <= 1e-6 * largest:
-            raise ValueError(f"has limits {first!r} and {last!r}, which Radiance cannot tell apart")
+            raise ValueError(f"has limits {first!r} and {last!r}, which Radiance cannot distinguish")
         if first == last:
             for _ in range(size):
                 _data_number(words)
@@ -243,14 +243,14 @@ def _data_dimensions(content: bytes) -> int:
 def _data_count(words: Iterator[bytes], least: int, most: int) -> int:
     word = next(words, b"nothing")
     if not _DATA_COUNT.fullmatch(word) or not least <= int(word) <= most:
-        raise ValueError(f"is no data file: {shown(word.decode(errors='replace'))} stands where a size is due")
+        raise ValueError(f"is not a data file: found {shown(word.decode(errors='replace'))}, expected a size")
     return int(word)
 
 
 def _data_number(words: Iterator[bytes]) -> float:
     word = next(words, b"nothing")
     if not _DATA_NUMBER.fullmatch(word):
-        raise ValueError(f"is no data file: {shown(word.decode(errors='replace'))} stands where a number is due")
+        raise ValueError(f"is not a data file: found {shown(word.decode(errors='replace'))}, expected a number")
     return float(word)
 
 
@@ -265,10 +265,10 @@ def _check_picture(content: bytes) -> None:
     header, blank, rest = content.partition(b"\n\n")
     strange = b"\0" in header or b"\r" in header or max(map(len, header.split(b"\n"))) > _HEADER_LINE
     if not header.startswith(b"#?") or not blank or strange:
-        raise ValueError("is no Radiance picture")
+        raise ValueError("is not a Radiance picture")
     match = _RESOLUTION.match(rest[:_RESOLUTION_LINE])
     if match is None or match[1] == match[3]:
-        raise ValueError("is no Radiance picture: its size is missing")
+        raise ValueError("is not a Radiance picture: its size is missing")
     if not 0 < int(match[2]) * int(match[4]) <= _MOST_PIXELS:
         raise ValueError(f"has {match[2].decode()} x {match[4].decode()} pixels, more than {_MOST_PIXELS} or none")
 

@@ -104,7 +104,7 @@ def _checked(folder: Path, origin: str) -> Installation:
         missing.append(_LIBRARY_MARK)
     if missing:
         raise EnvironmentFailure(
-            f"holds no whole Radiance: bin and lib lack {', '.join(missing)}",
+            f"does not hold a complete Radiance: bin and lib lack {', '.join(missing)}",
             where=str(folder),
             remedy="name the folder that holds Radiance's bin and lib",
         )

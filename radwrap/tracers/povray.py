@@ -178,12 +178,12 @@ class PovrayTracer:
             yield self._answer(opening, places)
 
     def trace_with_distances(self, rays: Iterable[Array]) -> NoReturn:
-        """POV-Ray tells no distances."""
-        raise InputError("POV-Ray tells no distances", remedy="use sub-viewpoints")
+        """POV-Ray does not give distances."""
+        raise InputError("POV-Ray does not give distances", remedy="use sub-viewpoints")
 
     def distances(self, rays: Iterable[Array]) -> NoReturn:
-        """POV-Ray tells no distances."""
-        raise InputError("POV-Ray tells no distances", remedy="use sub-viewpoints")
+        """POV-Ray does not give distances."""
+        raise InputError("POV-Ray does not give distances", remedy="use sub-viewpoints")
 
     def _places(self, block: Array) -> tuple[tuple[float, float], NDArray[np.intp]]:
         """The opening's point that rays come from, and the place of each in the picture."""
@@ -201,7 +201,7 @@ class PovrayTracer:
         places = np.rint(exact)
         size = np.array([camera.sensor.columns, camera.sensor.rows]) * k
         if np.abs(exact - places).max() > _CENTRED * k or (places < 0).any() or (places >= size).any():
-            raise ValueError("POV-Ray answers rays through the centres of pixels' strata alone")
+            raise ValueError("POV-Ray answers only rays through the centres of pixels' strata")
         return opening, (places[:, 1] * size[0] + places[:, 0]).astype(np.intp)
 
     def _answer(self, opening: tuple[float, float], places: NDArray[np.intp]) -> Array:

@@ -344,19 +344,19 @@ class _Reader:
         match = _WORD.match(self._text, self._at)
         if match is None:
             self._at = len(self._text)
-            raise self.fault(f"the file ends where {due} is due")
+            raise self.fault(f"the file ends where {due} is expected")
         self._at = match.end()
         word = match[1]
         if len(word) > _LONGEST_WORD:
             raise self.fault(f"the word {shown(word)} is longer than {_LONGEST_WORD} characters")
         if word.startswith("#"):
             raise self.fault(
-                f"a comment stands where {due} is due",
+                f"a comment is found where {due} is expected",
                 "put comments between primitives: Radiance reads them only there",
             )
         if not _PLAIN.fullmatch(word):
             raise self.fault(
-                f"{shown(word)} holds a character that may not stand in a scene",
+                f"{shown(word)} holds a character that is not allowed in a scene",
                 "use printable ASCII without quotes, $, ` and @",
             )
         return word
@@ -365,7 +365,7 @@ class _Reader:
         """Next word, the number of arguments that follow."""
         word = self.word(due)
         if not _COUNT.fullmatch(word):
-            raise self.fault(f"{shown(word)} stands where {due} is due", "write an integer, 0 or more")
+            raise self.fault(f"{shown(word)} is found where {due} is expected", "write an integer, 0 or more")
         if int(word) > most:
             raise self.fault(f"{due} is {int(word)}, more than {most}", "split the primitive")
         return int(word)
@@ -378,7 +378,7 @@ class _Reader:
             if match is None or len(match[1]) > _LONGEST_WORD:
                 word = self.word(f"real {index + 1} of {count}")
                 raise self.fault(
-                    f"{shown(word)} stands where real {index + 1} of {count} is due", "write a decimal number"
+                    f"{shown(word)} is found where real {index + 1} of {count} is expected", "write a decimal number"
                 )
             self._at = match.end()
             value = float(match[1])
@@ -426,12 +426,12 @@ def _primitive(reader: _Reader, defined: set[str]) -> Primitive:
     line = reader.line()
     if not _NAME.fullmatch(modifier):
         raise reader.fault(
-            f"{shown(modifier)} stands where a modifier is due", "look whether the counts before it are right"
+            f"{shown(modifier)} is found where a modifier is expected", "look whether the counts before it are right"
         )
     kind = reader.word("a type")
     form = ALLOWED.get(kind)
     if form is None:
-        reason = _REFUSED.get(kind, "is no type of primitive that may stand here")
+        reason = _REFUSED.get(kind, "is not a type of primitive that is allowed here")
         raise reader.fault(f"{shown(kind)} {reason}", "remove it, or pass `trust=True` if you trust the file")
     if modifier not in defined and (modifier, kind) != (_INHERIT, _ALIAS):
         raise reader.fault(
@@ -441,7 +441,7 @@ def _primitive(reader: _Reader, defined: set[str]) -> Primitive:
     if not _NAME.fullmatch(name) or name in (VOID, _INHERIT):
         raise reader.fault(
             f"{shown(name)} may not be an identifier",
-            "begin it with a letter or _, go on with letters, digits and _.+-, 128 characters at most",
+            "begin it with a letter or _ and continue with letters, digits and _.+-, 128 characters at most",
         )
     words, reals = _arguments(reader, kind, name)
     roles = form.roles(len(words))

@@ -351,7 +351,7 @@ class RadianceTracer:
             raise InputError(
                 "the scene is coloured: the tracer's three channels differ",
                 where="camera.sensor.channel",
-                remedy='say which one the sensor sees: "red", "green" or "blue"',
+                remedy='choose the one that the sensor sees: "red", "green" or "blue"',
             )
         return values[:, 0]
 

@@ -82,7 +82,7 @@ def test_the_scales_error_is_that_of_repeated_calibrations(number: int) -> None:
         ({"covariance": None}, "covariance"),
         ({"covariance": [[0.0] * 11] * 10}, "covariance: is not a square of 11 rows"),
         ({"focal_length": -1.0}, "focal_length"),
-        ({"translation": [0.0, 0.0, -0.4]}, "is no covariance of a plane before the camera"),
+        ({"translation": [0.0, 0.0, -0.4]}, "is not a covariance of a plane before the camera"),
     ],
 )
 def test_what_is_no_calibration_is_refused(change: dict[str, Any], message: str) -> None:

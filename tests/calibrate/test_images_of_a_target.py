@@ -85,7 +85,7 @@ def test_what_does_not_serve_is_one_clear_error(
     assert "circles0.png: has 320 x 256 pixels, not 64 x 48 as --image-size says" in said(
         one, "--target", board, "--image-size", "64", "48"
     )
-    assert "stands there twice" in said(one, one, "--target", board)
+    assert "is given twice" in said(one, one, "--target", board)
     assert "SiemensStar has no points" in said(one, "--target", star)
     assert '--detector: "sb" does not look for a CircleGrid; use dots or circles' in said(
         one, "--target", board, "--detector", "sb"

@@ -126,7 +126,7 @@ def test_centre_that_is_none() -> None:
 def test_names() -> None:
     assert "cannot be free" in refused(BOARD, IMAGE, free=("focus",))
     assert "twice" in refused(BOARD, IMAGE, free=("focal_length", "focal_length"))
-    assert "no solver" in refused(BOARD, IMAGE, solver="best")
+    assert "not a solver" in refused(BOARD, IMAGE, solver="best")
 
 
 def test_held_values() -> None:
@@ -247,7 +247,7 @@ def test_columns_may_stand_in_any_order(tmp_path: Path) -> None:
         ("x,y,z,u,v\n1,2,3,4,5\n1,2,3,4,five\n", ':3: v "five"'),
         ("x,y,z,u,v\n1,2,3,nan,5\n", ":2: u nan is not a finite number"),
         ("x,y,z,u,v\n1,2,-inf,4,5\n", ":2: z -inf is not a finite number"),
-        ("x,y,z,u,v\n1,2,,4,5\n", ':2: z "" is no number'),
+        ("x,y,z,u,v\n1,2,,4,5\n", ':2: z "" is not a number'),
         ("x,y,z,u,v\n1,2,3,4,5\n\n1,2,3,4,5\n", ":3: holds 0 values"),
         ("x,y,z,u,v\n", "points: 0 are too few"),
         ("x;y;z;u;v\n1;2;3;4;5\n", ":1: the header"),

@@ -70,11 +70,11 @@ SAYS = {
     "one.png": "1 x 1|gray level 30 everywhere",
     "colour.ppm": "is in colour",
     "nan.exr": "holds NaN or infinity",
-    "cut.png": "is not whole",
-    "cut.pgm": "is not whole",
-    "cut.exr": "is not whole",
-    "empty.png": "is no image",
-    "text.png": "is no image",
+    "cut.png": "is not complete",
+    "cut.pgm": "is not complete",
+    "cut.exr": "is not complete",
+    "empty.png": "is not an image",
+    "text.png": "is not an image",
     "folder.png": "is not a regular file",
     "missing.png": "no such image",
 }
@@ -124,7 +124,7 @@ TABLES: dict[str, tuple[str | bytes | None, str]] = {
     "another column": ("x,y,z,u,v,w\n1,2,3,4,5,6\n", "the header is"),
     "a column twice": ("x,y,z,u,u\n1,2,3,4,5\n", "the header is"),
     "a short line": (HEADER + "1,2,3,4\n", "points.csv:2: holds 4 values"),
-    "no number": (HEADER + "1,2,3,4,five\n", 'v "five" is no number'),
+    "no number": (HEADER + "1,2,3,4,five\n", 'v "five" is not a number'),
     "NaN": (HEADER + "1,2,3,4,nan\n", "v nan is not a finite number"),
     "a blank line inside": (HEADER + BOARD[0] + "\n" + "".join(BOARD[1:]), "points.csv:3: holds 0 values"),
     "a point twice": (HEADER + "".join([*BOARD, BOARD[0]]), "point"),
@@ -173,7 +173,7 @@ def test_a_file_that_cannot_be_written_is_told_first(
     argv: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    for name, told in (("nowhere/x.png", "there is no folder"), (".", "is no name of a")):
+    for name, told in (("nowhere/x.png", "there is no folder"), (".", "is not the name of a")):
         assert main([*argv, name]) == 2
         line = capfd.readouterr().err
         assert line.startswith(f"radwrap: {argv[-1]}: ") and told in line
@@ -191,7 +191,7 @@ def test_a_cut_jpeg_is_no_image(tmp_path: Path, capfd: pytest.CaptureFixture[str
     (tmp_path / "cut.jpg").write_bytes(whole[: len(whole) * 2 // 3])
     read_gray(tmp_path / "whole.jpg")
     assert main(["measure", "edge", str(tmp_path / "cut.jpg")]) == 2
-    assert "cut.jpg: is not whole: its end is missing" in capfd.readouterr().err
+    assert "cut.jpg: is not complete: its end is missing" in capfd.readouterr().err
 
 
 OPTIONS = {
@@ -226,7 +226,7 @@ def test_a_file_that_the_reader_cannot_quote_is_one_clear_error(
         (tmp_path / name).write_bytes(written)
         assert main(["measure", "edge", str(tmp_path / name)]) == 2
         told = capsys.readouterr().err
-        assert told.count("\n") == 1 and ("is no image" in told or "not UTF-8" in told)
+        assert told.count("\n") == 1 and ("is not an image" in told or "not UTF-8" in told)
 
 
 def test_a_wild_pixel_is_compared_as_any_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

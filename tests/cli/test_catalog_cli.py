@@ -155,9 +155,9 @@ def test_results_that_cannot_be_relied_on_are_refused(
 def test_a_file_that_is_there_is_not_replaced_unasked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert imported(tmp_path, XML) == 0
     first = (tmp_path / "own.toml").read_bytes()
-    assert imported(tmp_path, XML) == 0, "the same again is no loss"
+    assert imported(tmp_path, XML) == 0, "the same again is not a loss"
     assert imported(tmp_path, XML.replace("2.44", "2.43")) == 2
-    assert "own.toml: is there and says something else" in capsys.readouterr().err
+    assert "own.toml: exists and has other content" in capsys.readouterr().err
     assert (tmp_path / "own.toml").read_bytes() == first
     assert imported(tmp_path, XML.replace("2.44", "2.43"), "--replace") == 0
     assert (tmp_path / "own.toml").read_bytes() != first

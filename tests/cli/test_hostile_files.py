@@ -149,7 +149,7 @@ def test_results_go_to_regular_files_or_new_names(
     TAKEN[kind](bench / name)
     before = _identity(bench / name)
     line = here(argv, capsys).refusal(2)
-    assert "result" in line and ("regular file" in line or "is no name of a" in line)
+    assert "result" in line and ("regular file" in line or "is not the name of a" in line)
     assert _identity(bench / name) == before
 
 
@@ -272,7 +272,7 @@ def test_a_mesh_names_sound_material_files(name: str, tmp_path: Path, capsys: py
     (tmp_path / "a.obj").write_bytes(f"mtllib {name}\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n".encode())
     done = here(["convert", tmp_path / "a.obj", tmp_path / "a.rad", "--length-unit", "1 mm"], capsys)
     assert done.code in (0, 2) and "Traceback" not in done.stderr
-    assert done.code == 0 or "no file in its folder" in done.stderr
+    assert done.code == 0 or "not a file in its folder" in done.stderr
 
 
 def test_the_damaged_plan_of_a_study_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -100,7 +100,7 @@ def test_a_scene_that_renders_at_once(tmp_path: Path, capsys: pytest.CaptureFixt
     [
         (WORDS, "--light: is missing"),
         ([*WORDS, "--light", "generic_ring_90mm"], 'no light "generic_ring_90mm"'),
-        ([*WORDS, "--light", "generic_ring_90mm_24led=50 lux", "--length-unit", "mm"], "is no level of a light"),
+        ([*WORDS, "--light", "generic_ring_90mm_24led=50 lux", "--length-unit", "mm"], "is not a level of a light"),
         ([*WORDS, "--light", "generic_ring_90mm_24led", "--length-unit", "miles"], "--length-unit"),
         ([*WORDS, "--light", "generic_ring_90mm_24led"], "--length-unit"),
         ([*WORDS, "--light", "generic_ring_90mm_24led", "--template", "ring"], "goes without --template"),

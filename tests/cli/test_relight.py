@@ -106,12 +106,12 @@ def test_one_image_in_another_camera(basis: Path, tmp_path: Path, capsys: pytest
     [
         (("--level", "lump=1"), 'level "lump": unknown source "lump"; known are'),
         (("--level", "lamp"), '"lamp" is not NAME=FACTOR'),
-        (("--level", "lamp=-1"), 'level lamp: "-1" is no number from 0 on'),
-        (("--level", "lamp=1e999"), "is no number from 0 on"),
+        (("--level", "lamp=-1"), 'level lamp: "-1" is not a number of 0 or more'),
+        (("--level", "lamp=1e999"), "is not a number of 0 or more"),
         (("--level", "lamp=1", "--levels", "levels.csv"), "--level: goes without --levels"),
         (("--set", "camera.position=[]"), "camera.position"),
         (("--set", "camera.focal_length=13 mm"), "changes which light a pixel gets"),
-        (("--set", "sources.0.radiance=1 W/m^2/sr"), "is no key of the camera"),
+        (("--set", "sources.0.radiance=1 W/m^2/sr"), "is not a key of the camera"),
         (("--set", "camera.exposure_time=5"), "camera.exposure_time"),
         (("--set", "camera.exposure_time=1e300 s"), "must be at most 1e+09"),
         (("--set", "camera.sensor.data_sheet=x.toml", "--set", 'camera.sensor.model="linear"'), "x.toml"),
@@ -176,13 +176,13 @@ BAD: Final[dict[str, tuple[str, str]]] = {
     "too few cells": ("name,lamp,second\na,1\n", "line 2: has 2 cells, the first line has 3"),
     "too many cells": ("name,lamp,second\na,1,1\nb,1,1,1\n", "line 3: has 4 cells"),
     "empty cell": ("name,lamp,second\na,1, \n", 'line 2, column "second": is empty'),
-    "negative": ("name,lamp,second\na,-0.1,1\n", 'line 2, column "lamp": "-0.1" is no number from 0 on'),
-    "nan": ("name,lamp,second\na,1,nan\n", 'line 2, column "second": "nan" is no number'),
-    "infinite": ("name,lamp,second\na,1,inf\n", 'column "second": "inf" is no number'),
-    "overflow": ("name,lamp,second\na,1,1e999\n", 'column "second": "1e999" is no number'),
-    "word": ("name,lamp,second\na,on,1\n", 'column "lamp": "on" is no number'),
-    "decimal comma": ('name,lamp,second\na,"1,5",1\n', 'column "lamp": "1,5" is no number'),
-    "underscore": ("name,lamp,second\na,1_0,1\n", 'column "lamp": "1_0" is no number'),
+    "negative": ("name,lamp,second\na,-0.1,1\n", 'line 2, column "lamp": "-0.1" is not a number of 0 or more'),
+    "nan": ("name,lamp,second\na,1,nan\n", 'line 2, column "second": "nan" is not a number'),
+    "infinite": ("name,lamp,second\na,1,inf\n", 'column "second": "inf" is not a number'),
+    "overflow": ("name,lamp,second\na,1,1e999\n", 'column "second": "1e999" is not a number'),
+    "word": ("name,lamp,second\na,on,1\n", 'column "lamp": "on" is not a number'),
+    "decimal comma": ('name,lamp,second\na,"1,5",1\n', 'column "lamp": "1,5" is not a number'),
+    "underscore": ("name,lamp,second\na,1_0,1\n", 'column "lamp": "1_0" is not a number'),
     "foreign digits": ("name,lamp,second\na,٣,1\n", 'column "lamp":'),
     "name twice": ("name,lamp,second\na,1,1\nA,1,1\n", 'line 3, column "name": "A" is taken by line 2'),
     "path": ("name,lamp,second\n../a,1,1\n", 'line 2, column "name": "../a" cannot name a file'),
@@ -234,7 +234,7 @@ def test_a_file_in_the_way_of_the_basis_is_told_before_tracing(
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "basis").touch()
     argv = ["render", write_scene(tmp_path, TWO), "--basis", "--tolerance", 5, "--out", tmp_path / "out"]
-    assert "a file stands where a folder is needed" in here(argv, capsys).refusal(2)
+    assert "a file is where a folder is needed" in here(argv, capsys).refusal(2)
     assert not list((tmp_path / "out").rglob("*.exr"))
 
 

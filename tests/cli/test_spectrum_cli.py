@@ -70,7 +70,7 @@ def toml(tables: dict[str, Any]) -> str:
             "camera.filter: the sensor sees nothing of the light: sources[0].spectrum",
         ),
         ({"camera.filter.file": "black.csv"}, "camera.filter is 0 everywhere"),
-        ({"camera.spectral_response.file": "words.csv"}, "line 2: is no pair of numbers"),
+        ({"camera.spectral_response.file": "words.csv"}, "line 2: is not a pair of numbers"),
         ({"materials.red.spectrum.file": "large.csv"}, "materials.red.spectrum"),
         ({"camera.sensor.channel": "red"}, "camera.sensor.channel"),
     ],

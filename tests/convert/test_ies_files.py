@@ -63,16 +63,16 @@ def changed(word: str, other: str) -> str:
         (changed("100 7 1 1", "100 1000000000 1000000000 1"), "number of vertical angles must lie between"),
         (changed("0.9659258", "-0.9659258"), "candela values must lie between 0 and"),
         (changed("0.9659258", "1e30"), "candela values must lie between 0 and"),
-        (changed("0.9659258", "nan"), '"nan" is no number'),
+        (changed("0.9659258", "nan"), '"nan" is not a number'),
         (changed("1 -1 100 7", "1 -1 -100 7"), "a multiplier is not above 0"),
         (changed("1 1 50", "0 1 50"), "a multiplier is not above 0"),
         (changed("15 30", "30 15"), "vertical angles must increase"),
         (changed("75 90", "75 190"), "vertical angles must increase"),
-        (changed("0.2588190 0", "0.2588190 0 0"), "1 numbers stand after its last"),
+        (changed("0.2588190 0", "0.2588190 0 0"), "1 numbers follow its last"),
         (changed("0.2588190 0", "0.2588190"), "ends too early"),
         (changed("1 1 2 0", "1 1 3 0"), "unit of length is 3"),
-        (changed("1 1 2 0", "1 2 2 0"), "of type B; type C alone is read"),
-        (changed("1 1 2 0", "1 3 2 0"), "of type A; type C alone is read"),
+        (changed("1 1 2 0", "1 2 2 0"), "of type B; only type C is read"),
+        (changed("1 1 2 0", "1 3 2 0"), "of type A; only type C is read"),
         (LAMP.format(note="x", tilt=TILTED.replace("0.9", "-0.9")), "a tilt's factor is negative"),
     ],
 )
@@ -90,7 +90,7 @@ def test_what_ies2rad_refuses_is_the_file_s_fault(
     monkeypatch.setattr("radwrap.convert.ies_files.fault_of_numbers", lambda *_, **__: None)
     (tmp_path / "lamp.ies").write_text("TILT=NONE\n1 2 3\n")
     assert main(["convert", str(tmp_path / "lamp.ies"), str(tmp_path / "lamp.rad")]) == 2
-    assert f"{tmp_path / 'lamp.ies'}: is no luminaire file: ended with exit code 1" in capsys.readouterr().err
+    assert f"{tmp_path / 'lamp.ies'}: is not a luminaire file: ended with exit code 1" in capsys.readouterr().err
 
 
 def test_nothing_of_the_header_reaches_the_scene(tmp_path: Path) -> None:

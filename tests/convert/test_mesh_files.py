@@ -254,7 +254,7 @@ def test_a_mesh_is_written_as_rad_alone(tmp_path: Path, capsys: pytest.CaptureFi
     assert main(["convert", str(path), str(tmp_path / "out.stl"), *options]) == 2
     assert "end the name in .rad" in capsys.readouterr().err
     assert main(["convert", str(LAMBERTIAN), str(tmp_path / "out.rad"), "--polygons"]) == 2
-    assert "--polygons: goes with a mesh alone" in capsys.readouterr().err
+    assert "--polygons: goes only with a mesh" in capsys.readouterr().err
 
 
 def test_a_scene_for_povray(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -66,7 +66,7 @@ FAULTS = {
         'choices = ["20 ms", "30 ms"]\ncost = [2, 3]\n[[constraints]]\nof = "cost"\nat_most = 1',
         "constraints[0]: nothing can keep cost at most 1: it goes from 2 to 3",
     ),
-    "a bound that is no scene": ('low = "10 ms"', 'low = "-10 ms"', "keys.time, -10.0 ms"),
+    "a bound that is not a scene": ('low = "10 ms"', 'low = "-10 ms"', "keys.time, -10.0 ms"),
     "log from zero": ('low = "10 ms"', 'scale = "log"\nlow = "0 ms"', "a logarithm needs bounds above zero"),
     "step and log": ('low = "10 ms"', 'scale = "log"\nstep = "1 ms"\nlow = "1 ms"', "step goes with a linear scale"),
     "choices and bounds": ('low = "10 ms"', 'choices = ["1 ms", "2 ms"]\nlow = "10 ms"', "keys.time"),

@@ -224,7 +224,7 @@ def test_what_is_wrong_is_told_before_anything_is_served(tmp_path: Path, capsys:
     assert "tolerance" in here(["face", scene, "--tolerance", -1], capsys).refusal(2)
     assert "--port" in here(["face", scene, "--port", 70000], capsys).refusal(2)
     (tmp_path / "file").write_text("")
-    assert "a file stands" in here(["face", scene, "--out", tmp_path / "file"], capsys).refusal(2)
+    assert "a file is where" in here(["face", scene, "--out", tmp_path / "file"], capsys).refusal(2)
 
 
 def test_a_port_that_is_taken_is_told(served: Served, capsys: pytest.CaptureFixture[str]) -> None:

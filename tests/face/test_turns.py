@@ -188,7 +188,7 @@ def test_leds_of_a_ring_are_turned_one_by_one() -> None:
 def test_a_level_that_did_not_arrive_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever kind of source comes to a scene file: one that is not turned in it is refused, not silently lost."""
     monkeypatch.setattr(turned_module, "_turn", lambda *_: None)
-    with pytest.raises(InputError, match="cannot be told by another number"):
+    with pytest.raises(InputError, match="cannot be given by another number"):
         with_levels(camera(), {"lamp": 0.5}, {})
 
 
@@ -299,7 +299,7 @@ def test_planes_add_up_to_the_picture(served: Served) -> None:
     [
         ("turn", {"basis": 99}, "load the page again"),
         ("turn", {"basis": True}, "number of a basis"),
-        ("turn", {"basis": 1, "turn": {"knobs": {"exposure_time": "5 mm"}}}, '"mm" is no unit of time'),
+        ("turn", {"basis": 1, "turn": {"knobs": {"exposure_time": "5 mm"}}}, '"mm" is not a unit of time'),
         ("turn", {"basis": 1, "turn": {"knobs": {"exposure_time": "nan s"}}}, "exposure_time"),
         ("turn", {"basis": 1, "turn": {"levels": [1]}}, "there must be 2 numbers"),
         ("turn", {"basis": 1, "turn": {"levels": [1, None]}}, "must be a number"),

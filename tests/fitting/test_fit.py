@@ -90,8 +90,8 @@ def test_a_wrong_model_exits_with_1_and_says_where(
     [
         ([], "is missing"),
         (["camera.sensor.rows"], "whole numbers"),
-        (["sources[0].type"], "no number"),
-        (["camera.sensor.rounding"], "no number"),
+        (["sources[0].type"], "not a number"),
+        (["camera.sensor.rounding"], "not a number"),
         (["pose:nobody"], "nothing that has a pose"),
         (["pose:camera=0 mm:1 mm"], "no bounds"),
         (["pose:camera", "pose:camera"], "twice"),

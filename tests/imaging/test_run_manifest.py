@@ -64,7 +64,7 @@ def test_a_key_of_a_later_radwrap_is_left_out_and_another_schema_is_refused(
 ) -> None:
     assert run_manifest_of({**told, "later": {"more": 1}}, MANIFEST) == run_manifest_of(told, MANIFEST)
     (tmp_path / MANIFEST).write_text(json.dumps({**told, "schema_version": SCHEMA_VERSION + 1}))
-    with pytest.raises(InputError, match=f"is no manifest of schema version {SCHEMA_VERSION}"):
+    with pytest.raises(InputError, match=f"is not a manifest of schema version {SCHEMA_VERSION}"):
         read_run_manifest(tmp_path)
 
 

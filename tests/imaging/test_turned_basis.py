@@ -91,7 +91,7 @@ def test_a_picture_in_another_camera_is_the_same_picture(made: Made) -> None:
         ("camera.focal_length", "13 mm", "changes which light a pixel gets"),
         ("camera.sensor.rows", 10, "changes which light a pixel gets"),
         ("camera.aperture.diameter", "1 mm", "changes which light a pixel gets"),
-        ("sources[0].radiance", "1 W/m^2/sr", "is no key of the camera"),
+        ("sources[0].radiance", "1 W/m^2/sr", "is not a key of the camera"),
         ("camera.exposure_time", "nan s", "camera.exposure_time"),
         ("camera.sensor.gamma", 2.0, "gain"),
     ],

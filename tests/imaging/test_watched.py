@@ -48,7 +48,7 @@ class _Ended:
 @pytest.mark.parametrize("how", [LONG, {"method": "kernel", "tolerance": 0.002}, {"method": "rays", "tolerance": 0.01}])
 def test_a_cancelled_render_ends_at_once_and_leaves_nothing(tracer: str, how: dict[str, Any], tmp_path: Path) -> None:
     caller = _Ended()
-    with pytest.raises(radwrap.Cancelled, match="was told to end"):
+    with pytest.raises(radwrap.Cancelled, match="was ended before"):
         radwrap.render(
             scene(**LARGE), tmp_path, tracer=tracer, cancelled=caller.wish.is_set, progress=caller.told, **how
         )

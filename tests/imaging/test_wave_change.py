@@ -160,13 +160,13 @@ def test_a_wavelength_is_told_once() -> None:
     }
     assert "camera.wavelength" not in radwrap.scene_from_document(linear).assumed
     linear["camera"]["wavelength"] = "630 nm"
-    with pytest.raises(InputError, match=r"sensor\.wavelength tells it already"):
+    with pytest.raises(InputError, match=r"sensor\.wavelength gives it already"):
         radwrap.scene_from_document(linear)
     spectra = tomllib.loads(BENCH.read_text())
     spectra["sources"][0]["spectrum"] = {"line": "630 nm", "width": "20 nm"}
     assert "camera.wavelength" not in radwrap.scene_from_document(spectra).assumed
     spectra["camera"]["wavelength"] = "630 nm"
-    with pytest.raises(InputError, match=r"spectra tell the wavelength already"):
+    with pytest.raises(InputError, match=r"spectra give the wavelength already"):
         radwrap.scene_from_document(spectra)
     pinhole = tomllib.loads(BENCH.read_text())
     pinhole["camera"]["aperture"] = {"diameter": "0 mm"}

@@ -41,7 +41,7 @@ BAD: Final = {
     '"20 s"': ("20", "max_on_time: 20 has no unit"),
     "count = 12": ("count = 12.0", "count: must be an integer"),
     '"850 nm"': ('"850 nm"\ncolour = 1', "colour: unknown key"),
-    'wavelength = "850 nm"': ('wavelength = "850 mm"', "wavelength: 0.85 m is no wavelength of an LED"),
+    'wavelength = "850 nm"': ('wavelength = "850 mm"', "wavelength: 0.85 m is not a wavelength of an LED"),
     "max_sum = 3": ("max_sum = -3", "max_sum: must be above zero"),
     "= 0.5": ('= "0.5"', "max_level: must be a number, not '0.5'"),
     '"50 mA"\nmax': ('"0 mA"\nmax', "drive_current: must be above zero"),
@@ -70,8 +70,8 @@ def test_levels_beyond_the_limits_are_refused() -> None:
         ((0.6, 0, 0, 0), "LED 0: level 0.6 is above max_level"),
         ((0.4, 0.4, 0.4, 0.1), "sum, 1.3, is above max_sum"),
         ((0, 0, 0), "3 levels for 4 LEDs"),
-        ((0, float("nan"), 0, 0), "LED 1: nan is no level"),
-        ((0, 0, -0.1, 0), "LED 2: -0.1 is no level"),
+        ((0, float("nan"), 0, 0), "LED 1: nan is not a level"),
+        ((0, 0, -0.1, 0), "LED 2: -0.1 is not a level"),
     ):
         with pytest.raises(InputError) as caught:
             drive.check(levels)
@@ -93,7 +93,7 @@ def test_steps_are_the_nearest_that_exceed_no_limit() -> None:
 @pytest.mark.parametrize("text", ["1_0e-2", "\uff10.2", "nan", "inf", "1e999", "-0.1", "", " 0.1", "٣"])
 def test_numbers_that_not_everybody_reads_alike_are_refused(text: str) -> None:
     assert decimal("2.5e-1") == 0.25
-    with pytest.raises(InputError, match=r"--level: .* is no number from 0 on"):
+    with pytest.raises(InputError, match=r"--level: .* is not a number of 0 or more"):
         decimal(text, "--level")
 
 

@@ -149,10 +149,10 @@ BAD: Final = {
     "nothing to play": (["play", "SCENE", "--out", "OUT"], "there is nothing to play"),
     "ripple": (["set", "--scene", "BRIEF"], "makes an exposure of 0.001 s uncertain"),
     "factor of nothing": (["set", 0.25, "--factor", 3], "--factor: is on the radiant intensities of a scene"),
-    "negative factor": (["set", "--scene", "SCENE", "--factor=-1"], '--factor: "-1" is no number from 0 on'),
-    "less than a step": (["set", 1e-5], "LED 0: level 1e-05 is no whole step"),
+    "negative factor": (["set", "--scene", "SCENE", "--factor=-1"], '--factor: "-1" is not a number of 0 or more'),
+    "less than a step": (["set", 1e-5], "LED 0: level 1e-05 is not a whole step"),
     "foreign digits": (["frame", "٣"], "neither an LED, 0 to 3"),
-    "an underscore": (["frame", 1, "--level", "1_0e-2"], '--level: "1_0e-2" is no number from 0 on'),
+    "an underscore": (["frame", 1, "--level", "1_0e-2"], '--level: "1_0e-2" is not a number of 0 or more'),
     "light backwards": (["set", 0.25, "--for", "-1 s"], '--for: "-1 s" is negative'),
     "light for ever": (["set", 0.25, "--for", "1e300 s"], '--for: "1e300 s" is more than a year'),
     "settling backwards": (["play", "SCENE", "--alone", "--out", "OUT", "--settle", "-1 s"], '--settle: "-1 s"'),
@@ -322,7 +322,7 @@ def test_a_table_becomes_a_calibration(bench: Path, tmp_path: Path, capsys: pyte
     argv = ["led", "calibrate", "--table", tmp_path / "table.csv", "--out", tmp_path / "ring.json"]
     assert "needs the current" in here(argv, capsys).refusal(2)
     argv += ["--drive", bench / "drive.toml", "--serial", "EMULATED01", "--temperature", 23, "--date", "2026-01-01"]
-    cold = "no temperature in degrees Celsius"
+    cold = "not a temperature in degrees Celsius"
     for degrees, told in {"nan": "must be a number", "inf": "must be a number", "-273.15": cold, "-500": cold}.items():
         words = [degrees if word == 23 else word for word in argv]
         words[words.index("--temperature") : words.index("--date")] = [f"--temperature={degrees}"]

@@ -100,7 +100,7 @@ def test_a_record_that_was_changed_is_not_believed(whole: Path, tmp_path: Path, 
     told = json.loads((whole / "play.json").read_text())
     CHANGES[what](told)
     (tmp_path / "play.json").write_text(json.dumps(told))
-    with pytest.raises(InputError, match=r"play\.json: is no whole record of this play"):
+    with pytest.raises(InputError, match=r"play\.json: is not a complete record of this play"):
         played(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["play.json"]
 

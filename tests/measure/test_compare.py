@@ -201,7 +201,7 @@ def test_a_region_of_another_size_or_beyond_the_photograph() -> None:
 
 @pytest.mark.parametrize("corners", [(0, 0, 0, 5), (5, 0, 4, 5), (-1, 0, 4, 5), (0, 0, 161, 5), (0, 0, 5, 121)])
 def test_rectangles_lie_within_the_image(corners: tuple[int, int, int, int]) -> None:
-    with pytest.raises(InputError, match="is no part of"):
+    with pytest.raises(InputError, match="is not a part of"):
         rectangle("r", corners, SHAPE)
 
 
@@ -304,10 +304,10 @@ def _text(path: Path) -> None:
     ("write", "name", "message"),
     [
         (_colour, "c.ppm", "is in colour"),
-        (_truncated, "t.bin", "is not whole|is no image"),
+        (_truncated, "t.bin", "is not complete|is not an image"),
         (_nan, "n.pfm", "holds NaN"),
         (_nothing, "missing.png", "no such image"),
-        (_text, "text.png", "is no image"),
+        (_text, "text.png", "is not an image"),
     ],
 )
 def test_images_that_cannot_be_compared(

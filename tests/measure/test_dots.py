@@ -316,8 +316,8 @@ def test_a_missing_dot_is_an_error_that_names_it(picture: Picture) -> None:
 @pytest.mark.parametrize(
     ("grid", "message"),
     [
-        ((4, 5), "found 4 x 5 dots, but dots go on"),
-        pytest.param((5, 4), "found 5 x 4 dots, but dots go on", marks=pytest.mark.long),
+        ((4, 5), "found 4 x 5 dots, but dots continue"),
+        pytest.param((5, 4), "found 5 x 4 dots, but dots continue", marks=pytest.mark.long),
         ((4, 4), "found .* dots"),
         ((6, 6), "found 25 of 36 dots"),
         pytest.param((5, 6), "found 25 of 30 dots", marks=pytest.mark.long),
@@ -335,7 +335,7 @@ def test_a_wrong_grid_is_an_error(grid: tuple[int, int], message: str, blur: flo
 def test_a_wrong_grid_of_dots_that_run_together_is_an_error() -> None:
     """One of six, which are long above."""
     picture = drawn(tilt=30, turn=10, blur=4.0, noise=0.5, rounded=True)
-    with pytest.raises(DotsNotFound, match="found 4 x 5 dots, but dots go on"):
+    with pytest.raises(DotsNotFound, match="found 4 x 5 dots, but dots continue"):
         by(picture, rows=4, columns=5)
 
 

@@ -77,12 +77,12 @@ def test_a_missing_dot_is_an_error_with_a_picture(tmp_path: Path, monkeypatch: p
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--grid", "5"], '--grid: "5" is no grid; write rows x columns'),
-        (["--grid", "5x-4"], "is no grid"),
+        (["--grid", "5"], '--grid: "5" is not a grid; write rows x columns'),
+        (["--grid", "5x-4"], "is not a grid"),
         (["--grid", "1x4"], "2 rows and 2 columns at least"),
         (["--grid", "5x4", "--method", "conic"], "needs the pitch"),
         (["--grid", "5x4", "--pitch", "20"], "--pitch: .* has no unit"),
-        (["--grid", "5x3"], "dots go on"),
+        (["--grid", "5x3"], "dots continue"),
     ],
 )
 def test_wrong_options_are_told_in_one_line(
@@ -112,7 +112,7 @@ def test_pictures_that_are_none_are_told_in_one_line(tmp_path: Path, monkeypatch
     expected = {
         blank: "gray level 22 everywhere",
         single: "gray level 22 everywhere",
-        cut: "not whole",
+        cut: "not complete",
         colour: "is in colour",
         nan: "NaN or infinity",
         none: "no such image",

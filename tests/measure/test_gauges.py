@@ -326,7 +326,7 @@ def test_standard_errors_of_a_thin_ring_are_those_of_repeated_frames() -> None:
 
 def test_a_ring_whose_width_looks_like_another_is_refused() -> None:
     light = thin_ring(21.0, 5.6, 2.5, (30.0, 50.0, 30.0))
-    with pytest.raises(InputError, match="does not tell how wide the ring is"):
+    with pytest.raises(InputError, match="does not show how wide the ring is"):
         both_rims(GrayImage(noisy(light, np.random.default_rng(4))), 21.0, 5.6)
     with pytest.raises(InputError, match="two rims in each other's blur"):
         both_rims(GrayImage(light, 16), 21.0, 5.6, form="ellipse")
@@ -530,7 +530,7 @@ def test_a_stripe_that_looks_like_another_has_no_width_but_a_middle() -> None:
         assert "the width is not known" in line.warnings[-1] and line.inside == "bright"
         middle = line.centre[0] * math.cos(0.3) + line.centre[1] * math.sin(0.3)
         assert middle == pytest.approx(42, abs=5 * line.position_sigma)
-    with pytest.raises(InputError, match="does not tell the width"):
+    with pytest.raises(InputError, match="does not show the width"):
         measure_width(faint[0], caliper)
     # Of more light the same stripe is known.
     for image in stripe_frames(7.4, 3.3, 220.0, 3):

@@ -129,7 +129,7 @@ BAD = [
     (["circle", "ring.png", "--at", "30", "31", "--radius", "2 mm"], "--radius: needs a scale"),
     (["circle", "ring.png", "--at", "30", "31", "--radius", "two"], '--radius: "two" is neither pixels nor a length'),
     ([*CIRCLE, "--inner-radius", "21"], "--inner-radius: must be smaller"),
-    ([*CIRCLE, "--mm-per-px", "much"], '--mm-per-px: "much" is no scale'),
+    ([*CIRCLE, "--mm-per-px", "much"], '--mm-per-px: "much" is not a scale'),
     ([*CIRCLE, "--mm-per-px", "-1"], "--mm-per-px"),
     ([*CIRCLE, "--gamma", "0.8"], "--gamma: needs the gray level without light"),
     ([*CIRCLE, "--truth", "washer"], "--truth: needs a scene"),

@@ -360,7 +360,7 @@ def test_a_command_that_fails_leaves_no_overlay(tmp_path: Path) -> None:
     write_png(path, np.full((20, 20), 7, np.uint8))
     with pytest.raises(InputError, match="blank"):
         run(str(path), "--overlay", str(overlay))
-    with pytest.raises(InputError, match="no name of a PNG"):
+    with pytest.raises(InputError, match="not the name of a PNG"):
         run(str(path), "--overlay", str(tmp_path / "seen.jpg"))
     cut = tmp_path / "cut.png"
     cut.write_bytes(path.read_bytes()[:-30])

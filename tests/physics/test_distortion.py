@@ -334,14 +334,14 @@ def test_our_own_calibration_overlays_its_points_pose_included(
 
 BAD_FILES: dict[str, tuple[dict[str, Any], str]] = {
     "size": ({"image_width": 640}, "is of pictures of 640 x 120 pixels, the sensor has 160 x 120"),
-    "size as text": ({"image_width": "640"}, '"camera.yml": its image_width is no whole number from 1 on; write'),
-    "size with a point": ({"image_height": 120.0}, "its image_height is no whole number from 1 on"),
-    "size of nothing": ({"image_height": 0}, "its image_height is no whole number from 1 on"),
+    "size as text": ({"image_width": "640"}, '"camera.yml": its image_width is not a whole number of 1 or more; write'),
+    "size with a point": ({"image_height": 120.0}, "its image_height is not a whole number of 1 or more"),
+    "size of nothing": ({"image_height": 0}, "its image_height is not a whole number of 1 or more"),
     "shape": ({"camera_matrix": np.diag([300.0, 200.0, 1.0])}, "times as wide as high"),
     "skew": ({"camera_matrix": np.array([[200.0, 1, 80], [0, 200, 60], [0, 0, 1]])}, "has a skew"),
     "matrix": ({"camera_matrix": np.eye(2)}, r"camera matrix is not \[fx 0 cx"),
     "none": ({"camera_matrix": None}, "holds no camera_matrix"),
-    "text": ({"camera_matrix": "wide"}, "is no matrix of numbers"),
+    "text": ({"camera_matrix": "wide"}, "is not a matrix of numbers"),
     "nan": ({"camera_matrix": np.array([[np.nan, 0, 80], [0, 200, 60], [0, 0, 1]])}, "not finite"),
     "negative": ({"camera_matrix": np.array([[-200.0, 0, 80], [0, -200, 60], [0, 0, 1]])}, "not above zero"),
     "tilt": ({"distortion_coefficients": np.full((1, 14), 0.01)}, "a tilted sensor"),
@@ -350,7 +350,7 @@ BAD_FILES: dict[str, tuple[dict[str, Any], str]] = {
     "no fisheye": ({"fisheye_model": 0, "distortion_coefficients": np.array([[-3.0, 0, 0, 0, 0]])}, "folds the image"),
     "other name": (
         {"distortion_coefficients": None, "dist_coeffs": np.zeros((1, 5))},
-        '"dist_coeffs" is no known name',
+        '"dist_coeffs" is not a known name',
     ),
     "fold": ({"distortion_coefficients": np.array([[-3.0, 0, 0, 0, 0]])}, "folds the image over"),
 }
@@ -373,8 +373,8 @@ def test_what_is_no_calibration_is_one_clear_error(text: str, tmp_path: Path) ->
 
 
 BAD_SCENES: dict[str, tuple[dict[str, Any], str]] = {
-    "both": ({"focal_length": "10 mm"}, r"camera\.focal_length: stands in the calibration too"),
-    "bend": ({"distortion": BARREL}, r"camera\.distortion: stands in the calibration too"),
+    "both": ({"focal_length": "10 mm"}, r"camera\.focal_length: is in the calibration too"),
+    "bend": ({"distortion": BARREL}, r"camera\.distortion: is in the calibration too"),
     "absent": ({"calibration": "none.yml"}, r'camera\.calibration: no file "none\.yml"'),
     "outside": ({"calibration": "/etc/passwd"}, r"camera\.calibration: .*outside the scene's folder"),
 }

@@ -229,7 +229,7 @@ def test_a_power_law_has_no_frames(tmp_path: Path) -> None:
 
 BAD: dict[str, tuple[dict[str, Any], str]] = {
     "no unit": ({"read_noise": 8}, r"camera\.sensor\.read_noise: 8 has no unit"),
-    "wrong unit": ({"system_gain": "0.25 e/DN"}, r"camera\.sensor\.system_gain: .*no unit of system gain"),
+    "wrong unit": ({"system_gain": "0.25 e/DN"}, r"camera\.sensor\.system_gain: .*not a unit of system gain"),
     "no efficiency": ({"quantum_efficiency": None}, r"camera\.sensor: needs quantum_efficiency"),
     "too efficient": ({"quantum_efficiency": 1.2}, r"camera\.sensor\.quantum_efficiency: must be at most 1"),
     "no well": ({"full_well": None}, r"camera\.sensor\.full_well: is missing"),

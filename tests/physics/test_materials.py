@@ -335,5 +335,5 @@ def test_brushing_along_a_face_is_refused(bench: Any) -> None:
 
 def test_curved_mirrors_and_prints_are_refused(bench: Any) -> None:
     ball = {"type": "sphere", "material": "m", "diameter": "50 mm"}
-    with pytest.raises(InputError, match=r"targets\[0\].material: sources are followed in flat mirrors alone"):
+    with pytest.raises(InputError, match=r"targets\[0\].material: sources are followed only in flat mirrors"):
         lit(bench, {"type": "mirror", "reflectance": 0.9}, targets=[ball])

@@ -70,10 +70,13 @@ def test_a_table_of_heights_is_read_in_any_order(tmp_path: Path) -> None:
         ({"convention": "osa", "coefficients": {"7": 45e-9}}, "camera.lens.wavefront.coefficients"),
         ({"convention": "osa", "coefficients": {"seven": "45 nm"}}, "camera.lens.wavefront.coefficients"),
         ({"convention": "osa", "coefficients": {"7": "45 mm"}}, "camera.lens.wavefront.coefficients.7"),
-        ({"convention": "noll", "coefficients": {"0": "45 nm"}}, "0 is no number of a term of the convention noll"),
+        (
+            {"convention": "noll", "coefficients": {"0": "45 nm"}},
+            "0 is not the number of a term of the convention noll",
+        ),
         (
             {"convention": "fringe", "coefficients": {"38": "45 nm"}},
-            "38 is no number of a term of the convention fringe",
+            "38 is not the number of a term of the convention fringe",
         ),
         ({**INLINE, "pupil_diameter": "5 mm"}, "is smaller than the opening of 6.25 mm"),
         ({"convention": "osa", "file": "../lens.csv"}, "lies outside the scene's folder"),
@@ -94,7 +97,7 @@ def test_what_is_wrong_is_named(wavefront: dict[str, Any], told: str) -> None:
         ("0,7,4e-8\n0.5,7,5e-8", "not alike from all sides, 40 nm rms"),
         ("0,4,1e-9\n0,4,2e-9\n0.5,4,2e-9", "a term twice at the height 0 mm"),
         ("0,4.5,1e-9\n0.5,4,2e-9", "whole numbers of terms"),
-        ("0,999,1e-9\n0.5,4,2e-9", "999 is no number of a term"),
+        ("0,999,1e-9\n0.5,4,2e-9", "999 is not the number of a term"),
         ("0,4,nan\n0.5,4,2e-9", "line 2: holds what is not a finite number"),
         ("", "has no line of numbers"),
     ],
@@ -222,9 +225,9 @@ def test_a_picture_of_a_point_is_its_light_about_its_middle(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("light", "told"),
     [
-        (np.zeros((9, 9)), "needs values from 0 on, some above it"),
+        (np.zeros((9, 9)), "needs values of 0 or more, some above 0"),
         (spot(3.0) + 2000, "where the light must have ended"),
-        (spot(0.6), "at the highest frequency that its pixels tell"),
+        (spot(0.6), "at the highest frequency that its pixels resolve"),
     ],
 )
 def test_what_is_wrong_in_a_picture_of_a_point_is_named(tmp_path: Path, light: Array, told: str) -> None:

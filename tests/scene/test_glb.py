@@ -76,8 +76,8 @@ REFUSED: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "morphs": (lambda t: primitive(t).update(targets=[{"POSITION": 0}]), "morph targets"),
     "many": (lambda t: t["nodes"][0].update(extensions={"EXT_mesh_gpu_instancing": {}}), "node 0 has the extension"),
     "skin": (lambda t: t["nodes"][0].update(skin=0), "node 0 has a skin"),
-    "no tree": (lambda t: t.update(meshes=[{}]), "no whole GLB"),
-    "not there": (lambda t: primitive(t).update(indices=7), "no whole GLB"),
+    "no tree": (lambda t: t.update(meshes=[{}]), "not a complete GLB"),
+    "not there": (lambda t: primitive(t).update(indices=7), "not a complete GLB"),
 }
 
 

@@ -175,13 +175,13 @@ def test_camera_poses_agree_however_they_are_written(document: dict[str, Any]) -
     [
         ({"camera.focal_length": "12,5 mm"}, "camera.focal_length", "NUMBER UNIT"),
         ({"camera.focal_length": 12.5}, "camera.focal_length", "no unit"),
-        ({"camera.focal_length": "12.5 deg"}, "camera.focal_length", "no unit of length"),
+        ({"camera.focal_length": "12.5 deg"}, "camera.focal_length", "not a unit of length"),
         ({"camera.focal_length": "0 mm"}, "camera.focal_length", "at least 1e-09 (in SI units), not '0 mm'"),
         ({"camera.focal_length": "-1 mm"}, "camera.focal_length", "at least"),
         ({"camera.exposure_time": "-1 ms"}, "camera.exposure_time", "at least"),
         ({"camera.focus": "1 mm"}, "camera.focus", "unknown key"),
         ({"camera.aperture.colour": "red"}, "camera.aperture.colour", "unknown key"),
-        ({"sources[0].beam.width": "7.6 mm"}, "sources[0].beam.width", "no unit of angle"),
+        ({"sources[0].beam.width": "7.6 mm"}, "sources[0].beam.width", "not a unit of angle"),
         ({"sources[0].beam": {"profile": "cosine_power", "width": "1e-6 deg"}}, "sources[0].beam.width", "narrowest"),
         (
             {
@@ -191,7 +191,7 @@ def test_camera_poses_agree_however_they_are_written(document: dict[str, Any]) -
             "sources[0].leds[0].beam_width_factor",
             "0.001 deg is the narrowest",
         ),
-        ({"sources[0].radiance": "2324 W/m^2"}, "sources[0].radiance", "no unit of radiance"),
+        ({"sources[0].radiance": "2324 W/m^2"}, "sources[0].radiance", "not a unit of radiance"),
         ({"sources[0].radiant_intensity": "1 W/sr"}, "sources[0]", "exactly one"),
         ({"sources[0].type": "laser"}, "sources[0].type", "not one of"),
         ({"targets[0]": {"name": "board"}}, "targets[0].type: is missing", ""),
@@ -229,7 +229,7 @@ def test_camera_poses_agree_however_they_are_written(document: dict[str, Any]) -
         ({"title": 3}, "title: ", "must be a string, not 3"),
         ({"targets[0].dot_diameter": "20 mm"}, "targets[0]", "overlap"),
         ({"targets[0].material": "gold"}, "targets[0].material", "no material"),
-        ({"targets[0].name": "two words"}, "targets[0].name", "is no name"),
+        ({"targets[0].name": "two words"}, "targets[0].name", "is not a name"),
         ({"targets[0].name": "ring"}, "targets[0].name", "twice"),
         ({"materials.black.reflectance": 1.5}, "materials.black.reflectance: must be at most 1, not 1.5", ""),
         ({"materials.black.reflectance": math.nan}, "materials.black.reflectance", "finite"),
@@ -402,7 +402,9 @@ def test_each_key_of_the_schema_has_one_line_and_its_units() -> None:
     assert keys["LensModel.focus_distance"]["description"].endswith("one unit of m, cm, mm, um, nm, km, in, ft.")
     assert keys["SheetModel.size"]["description"].count("one unit of") == 1
     assert keys["SpecularModel.type"]["description"] == "Kind of material.", "once, whatever its bases"
-    assert keys["RingModel.radiance"]["description"].startswith("Along the axis"), "of the class that it is made of"
+    assert keys["RingModel.radiance"]["description"].startswith("Radiance along the axis"), (
+        "of the class that it is made of"
+    )
 
 
 def test_the_schema_describes_quantities_and_presets() -> None:

@@ -130,22 +130,22 @@ MIXED_PLY = (
     + struct.pack("<B4iB3iB5i", 4, 0, 1, 2, 3, 3, 0, 1, 2, 5, 0, 1, 2, 3, 4)
 )
 HOSTILE = {
-    "empty.stl": (b"", "no whole STL"),
-    "claims.stl": (STL[:80] + struct.pack("<I", 10**9) + STL[84:], "no whole STL"),
-    "cut.stl": (STL[:-7], "no whole STL"),
+    "empty.stl": (b"", "not a complete STL"),
+    "claims.stl": (STL[:80] + struct.pack("<I", 10**9) + STL[84:], "not a complete STL"),
+    "cut.stl": (STL[:-7], "not a complete STL"),
     "nothing.stl": (STL[:80] + struct.pack("<I", 0), "no triangles"),
     "nan.stl": (STL[:96] + struct.pack("<f", math.nan) + STL[100:], "NaN or infinity"),
     "infinite.stl": (STL[:96] + struct.pack("<f", math.inf) + STL[100:], "NaN or infinity"),
     "far.stl": (STL[:96] + struct.pack("<f", 1e30) + STL[100:], "reaches beyond"),
     "claims.ply": (PLY_HEAD.format(10**9).encode(), "claims 1000000000"),
-    "broken.ply": (b"ply\nformat ascii 1.0\nelement vertex x\n", "no whole PLY|no triangles"),
+    "broken.ply": (b"ply\nformat ascii 1.0\nelement vertex x\n", "not a complete PLY|no triangles"),
     "claims.off": (b"OFF\n1000000000 1000000000 0\n0 0 0\n", "claims 1000000000"),
-    "broken.off": (b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n", "no whole OFF|does not hold"),
+    "broken.off": (b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n", "not a complete OFF|does not hold"),
     "nan.obj": (b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "NaN or infinity"),
     "index.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "does not hold"),
-    "empty.obj": (b"# nothing\n", "no triangles|no whole OBJ"),
-    "up.obj": (b"mtllib ../../secret.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "no file in its folder"),
-    "root.obj": (b"mtllib /etc/passwd\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "no file in its folder"),
+    "empty.obj": (b"# nothing\n", "no triangles|not a complete OBJ"),
+    "up.obj": (b"mtllib ../../secret.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not a file in its folder"),
+    "root.obj": (b"mtllib /etc/passwd\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not a file in its folder"),
     "back.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl a\nf\t-4\t-2\t-1\nv 0 0 1\n", "line 5: there is no vertex -4"),
     "zero.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\nf 1 2 3\n", "line 4: vertices are counted from 1"),
     "side.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2\n", "less than three corners"),
@@ -156,9 +156,9 @@ HOSTILE = {
     "more.off": (b"OFF\n4 1 0\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 1 2\n3 0 1 3\n", "holds more than it claims"),
     "less.ply": (TEXT_PLY.format(5).encode() + b"3 0 1 2\n", "holds less than it claims"),
     "more.ply": (TEXT_PLY.format(1).encode() + b"3 0 1 2\n3 0 2 1\n", "claims 4 rows, and holds 5"),
-    "mixed.ply": (MIXED_PLY, "read from text alone"),
-    "junk.glb": (b"glTF\x02\x00\x00\x00\xff\xff\xff\x7f", "no whole GLB"),
-    "name.3ds": (b"x", "no mesh file"),
+    "mixed.ply": (MIXED_PLY, "read only from text"),
+    "junk.glb": (b"glTF\x02\x00\x00\x00\xff\xff\xff\x7f", "not a complete GLB"),
+    "name.3ds": (b"x", "not a mesh file"),
 }
 
 
@@ -280,7 +280,7 @@ def test_a_mesh_outside_the_folder_is_refused(tmp_path: Path) -> None:
 def test_step_files_need_cascadio(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("cascadio", reason="cascadio is not installed: STEP files were not read")
     (tmp_path / "junk.step").write_text("ISO-10303-21;\n")
-    with pytest.raises(InputError, match=r"no whole STEP|no triangles"):
+    with pytest.raises(InputError, match=r"not a complete STEP|no triangles"):
         read(tmp_path / "junk.step", None)
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
     with pytest.raises(EnvironmentFailure, match="need cascadio"):

@@ -45,7 +45,7 @@ def test_a_seal_is_for_the_same_programs_and_the_same_folder(tmp_path: Path) -> 
     break_seal(seal)
     with pytest.raises(Unfit, match="does not see"):
         check_fit(seal)
-    assert "holds no whole Radiance" in why_unfit(replace(seal, radiance=str(tmp_path)))
+    assert "does not hold a complete Radiance" in why_unfit(replace(seal, radiance=str(tmp_path)))
 
 
 def test_a_folder_with_an_owner_is_told_from_a_broken_one(tmp_path: Path) -> None:

@@ -135,7 +135,7 @@ LED = "sources[0].leds[0].beam_width_factor"
 BAD = [
     ('key = "targets[0].edge_position"', 'key = "targets[0].place"', "unknown key"),
     ('key = "targets[0].edge_position"', 'key = "targets[7].edge_position"', "no such place"),
-    ('["1 mm", "2 mm"]', '["1 mm", "2 deg"]', "no unit of length"),
+    ('["1 mm", "2 mm"]', '["1 mm", "2 deg"]', "not a unit of length"),
     ('["1 mm", "2 mm"]', "[1, 2]", "has no unit"),
     ('["1 mm", "2 mm"]', '["1 mm", "900 mm"]', "outside the target"),
     ('["1 mm", "2 mm"]', '["1 mm"]', "two or more"),
@@ -143,7 +143,7 @@ BAD = [
     ("[0.9, 1.1]", "[-0.5, 1.1]", "must be above 0"),
     ("[0.9, 1.1]", "[1.1, 0.9]", "lower value first"),
     ("[0.9, 1.1]", '[0.9, "1.1 mm"]', "same unit"),
-    ("uniform", "cauchy", "no draw"),
+    ("uniform", "cauchy", "not a draw"),
     ('kind = "full"', 'kind = "latin"', "design.kind: 'latin' is not one of 'full', 'fractional'"),
     ('kind = "full"', 'kind = "fractional"\ngenerators = "a"', "1 generators for 2 factors"),
     ('kind = "full"', 'kind = "list"\nruns = [["3 mm", "L"]]', "no level"),
@@ -171,7 +171,7 @@ BAD = [
     ("seed = 5", '[render]\nmethod = "magic"', "render.method: 'magic' is not one of 'pinhole'"),
     ("seed = 5", '[render]\nbasis = "yes"', "render.basis: must be true or false"),
     ("[0.9, 1.1]", f"[0.9, 1{'0' * 400}]", "more than 64 bits"),
-    ("[0.9, 1.1]", "[0.9, inf]", "no number that a computer holds"),
+    ("[0.9, 1.1]", "[0.9, inf]", "not a number that a computer holds"),
     ("{ L = 1.0, H", '{ "" = 1.0, H', "cannot name a level"),
     ("{ L = 1.0, H", '{ " H" = 1.0, H', "cannot name a level"),
     ("seed = 5", f"[render]\ntolerance = 1{'0' * 400}", "more than 64 bits"),
@@ -215,14 +215,14 @@ def test_bad_designs_are_refused_before_the_first_ray(
 
 BAD_RESPONSES = [
     ('[responses.u]\nmeasure = "edge"', "must be one of"),
-    ('[responses.u]\nmeasure = "edge_position"\nunit = "mm"', "no unit of position"),
+    ('[responses.u]\nmeasure = "edge_position"\nunit = "mm"', "not a unit of position"),
     ('[responses.u]\nmeasure = "edge_position"\ngamma = "high"', "must be a number"),
     ('[responses.u]\nmeasure = "mean_gray"\nunit = "mm"', "has no unit"),
     ('[responses.f]\nmeasure = "focal_length"', "no board of dots"),
     ('[responses.f]\nmeasure = "focal_length"\nmethod = "best"', "not one of"),
     ('[responses.x]\nmeasure = "mean_gray"', "cannot name a column"),
     ('[responses.f]\nmeasure = ["mean_gray"]', "must be one of"),
-    ('[responses.u]\nmeasure = "edge_position"\nunit = ["px"]', "no unit of position"),
+    ('[responses.u]\nmeasure = "edge_position"\nunit = ["px"]', "not a unit of position"),
     (f'[responses.u]\nmeasure = "edge_position"\ngamma = 1{"0" * 400}', "more than 64 bits"),
     ('[responses.m]\nmeasure = "mean_gray"\n[responses.m_error]\nmeasure = "contrast"', "column already"),
 ]

@@ -39,9 +39,9 @@ def test_what_was_written_is_read_back(opened: Opened) -> None:
 
 
 CHANGES = [
-    ("\n1,1,5,", "\n99,1,5,", "none of the study's"),
+    ("\n1,1,5,", "\n99,1,5,", "not one of the study's"),
     ("\n1,1,5,", "\n2,1,5,", "s is"),
-    ("\n1,1,5,", "\nabc,1,5,", "none of the study's"),
+    ("\n1,1,5,", "\nabc,1,5,", "not one of the study's"),
     ("\n1,1,5,", "\n01,1,5,", "run is"),
     ("\n1,1,5,", "\n1,2,5,", "replicate is"),
     ("\n1,1,5,", "\n1,1,6,", "seed is"),
@@ -53,7 +53,7 @@ CHANGES = [
     ("26.5,0.03,", ",,", "a response is missing"),
     ("26.5,", ",", "without its value"),
     (",0.6,0,", ",0.6,maybe,", "met is"),
-    ("\n2,1,5,1 mm,H", "\n1,1,5,1 mm,L", "stands twice"),
+    ("\n2,1,5,1 mm,H", "\n1,1,5,1 mm,L", "appears twice"),
     ("run,replicate", "\ufeffrun,replicate", "not the table of this study"),
 ]
 

@@ -74,11 +74,11 @@ def test_another_version_is_noticed(version: str, tmp_path: Path) -> None:
         ("echo 'Fatal error in parser' >&2; exit 1", "exit code 1: Fatal error in parser"),
         ("kill -SEGV $$", "exit code -11"),
         ("exit 0", "wrote no picture"),
-        ("echo junk > view.exr", "its picture is no image"),
+        ("echo junk > view.exr", "its picture is not an image"),
         ("echo 'Parse Warning: degenerate triangle' >&2; cp {right} view.exr", "degenerate triangle"),
         ("cp {small} view.exr", "has 4 x 3 pixels, not 60 x 50"),
         ("cp {wrong} view.exr", "NaN or negative"),
-        ("head -c 3000 {right} > view.exr", "its picture is not whole"),
+        ("head -c 3000 {right} > view.exr", "its picture is not complete"),
         ("sleep 30", "did not end within"),
     ],
 )
@@ -213,7 +213,7 @@ def test_it_answers_rays_of_its_camera_alone(tmp_path: Path) -> None:
         for block in ray_blocks(scene.camera, (0.0, 0.0), PixelPlan(2)):
             with pytest.raises(ValueError, match="centres of pixels' strata"):
                 list(tracer.trace([block.rays]))
-        with pytest.raises(InputError, match="tells no distances"):
+        with pytest.raises(InputError, match="does not give distances"):
             tracer.distances([])
 
 

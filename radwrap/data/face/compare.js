@@ -167,7 +167,7 @@ export class Comparison {
     const lines = [`A: ${before.code}, gray ${before.gray.toFixed(2)} ± ${shortNumber(before.sigma, 2)}`];
     if (this.alike && sigma !== null) {
       const off = gray - before.gray, error = Math.hypot(sigma, before.sigma);
-      lines.push(`B − A: ${off.toFixed(2)} ± ${shortNumber(error, 2)}${Math.abs(off) > SURE * error ? "" : ", may be error alone"}`);
+      lines.push(`B − A: ${off.toFixed(2)} ± ${shortNumber(error, 2)}${Math.abs(off) > SURE * error ? "" : ", may be error only"}`);
     }
     return lines.map((text) => element("div", { class: "beside" }, text));
   }

@@ -32,7 +32,7 @@ async function begin() {
   const token = takeToken();
   if (!token) {
     state("no link", "bad");
-    banner("This page needs its link: open the one that radwrap face has told, with all that stands behind #.");
+    banner("This page needs its link: open the one that radwrap face printed, with everything after #.");
     return;
   }
   const server = new Server(token);
@@ -94,7 +94,7 @@ async function begin() {
     } catch (error) {
       if (error instanceof Refused && error.status === 401) {
         state("no link", "bad");
-        banner("The link is of another server: open the one that radwrap face has told last.");
+        banner("This link belongs to another server: open the last one that radwrap face printed.");
         return;
       }
       if (server.live) {

@@ -59,7 +59,7 @@ def turn_of(told: Any, sources: Sequence[str]) -> Turn:
         If anything is not as it must be; its `where` is the knob's name.
     """
     if not isinstance(told, Mapping) or not set(told) <= {"levels", "knobs"}:
-        raise InputError("is no turn of knobs", where="turn")
+        raise InputError("is not a turn of knobs", where="turn")
     levels, knobs = told.get("levels", [1.0] * len(sources)), told.get("knobs", {})
     if not isinstance(levels, list) or len(levels) != len(sources):
         raise InputError(f"there must be {len(sources)} numbers", where="levels")

@@ -148,5 +148,5 @@ def _factor(cell: str, where: str) -> float:
         raise InputError("is empty", where=where, remedy="write 0 for a source that is off")
     value = float(text) if _NUMBER.fullmatch(text) else math.nan
     if not (math.isfinite(value) and value >= 0):
-        raise InputError(f'"{shortened(text)}" is no number from 0 on', where=where)
+        raise InputError(f'"{shortened(text)}" is not a number of 0 or more', where=where)
     return value

@@ -166,7 +166,7 @@ def read_basis(folder: Path) -> Basis:
     try:
         return _basis(folder, told_by)
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError("is no light basis", where=str(folder / BASIS), remedy="make it again") from error
+        raise InputError("is not a light basis", where=str(folder / BASIS), remedy="make it again") from error
 
 
 def _basis(folder: Path, told: BasisFile) -> Basis:

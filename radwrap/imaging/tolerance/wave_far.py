@@ -103,7 +103,7 @@ def far_change(plan: WavePlan, around: Array) -> tuple[Array, Array]:
     coarse = _Coarse.of(plan)
     mean = around
     for axis, size in enumerate((sensor.rows, sensor.columns)):
-        mean = _interpolated(mean, (np.arange(size) + 0.5) / coarse.block - 0.5, axis)
+        mean = _interpolated(mean, (np.arange(size, dtype=np.float64) + 0.5) / coarse.block - 0.5, axis)
     beyond = min(plan.waves.tail(coarse.far * plan.pitch), abs(share))
     return share * mean, beyond * mean
 

@@ -247,8 +247,8 @@ def measured_dots(sought: SoughtDots, method: Method) -> Dots:
     if (saturated > SATURATED).any():
         warnings.append(f"{int((saturated > SATURATED).sum())} of {len(whole)} dots are saturated: their centres shift")
     if found.touching.any():
-        how = "by a model of the board's light" if found.model is not None else "by windows alone"
-        warnings.append(f"{int(found.touching.sum())} of {len(whole)} dots ran together and were parted {how}")
+        how = "by a model of the board's light" if found.model is not None else "by windows only"
+        warnings.append(f"{int(found.touching.sum())} of {len(whole)} dots ran together and were separated {how}")
     dots = tuple(
         Dot(
             row=index // columns,
@@ -268,7 +268,7 @@ def measured_dots(sought: SoughtDots, method: Method) -> Dots:
 
 def _check_method(method: str, pitch: float | None, dot_diameter: float | None) -> None:
     if method not in METHODS:
-        raise InputError(f'"{method}" is no method', remedy=f"use one of: {', '.join(METHODS)}")
+        raise InputError(f'"{method}" is not a method', remedy=f"use one of: {', '.join(METHODS)}")
     if method == "conic" and (pitch is None or dot_diameter is None):
         raise InputError("the method conic needs the pitch and the dots' diameter")
 

@@ -131,7 +131,7 @@ def missing(places: Field, shape: tuple[int, int], good: NDArray[np.bool_], why:
 def too_many(shape: tuple[int, int], side: str, places: Field) -> DotsNotFound:
     """The error for dots outside the grid: on which side, and (u, v) of all that are seen [px]."""
     return DotsNotFound(
-        f"found {shape[0]} x {shape[1]} dots, but dots go on {side} the grid",
+        f"found {shape[0]} x {shape[1]} dots, but dots continue {side} the grid",
         places,
         np.empty((0, 2)),
         remedy="give the whole board's rows and columns",

@@ -301,7 +301,7 @@ def _check_gaps(grid: Grid) -> None:
     aside = np.einsum("nk,kx->nx", darkness[seen], around) / weight[seen, None]
     if not seen.any() or float(np.hypot(*np.median(aside, axis=0))) > LARGEST_ASIDE:
         raise DotsNotFound(
-            f"found no {rows} x {columns} dots that can be told apart: they run together",
+            f"found no {rows} x {columns} separate dots: they run together",
             np.empty((0, 2)),
             np.empty((0, 2)),
             remedy="shorten the exposure if the picture is saturated, or sharpen it",

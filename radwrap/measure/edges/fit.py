@@ -236,7 +236,7 @@ def _strip(values: Array, usable: NDArray[np.bool_], line: Line) -> Pixels:
     sides = min((d > line.radius).sum(), (d < -line.radius).sum())
     if length < SMALLEST_SIDE / 2 or sides < LEVEL_PIXELS * length:
         raise InputError(
-            "shows no whole edge: too few pixels on one of its sides",
+            "does not show a complete edge: too few pixels on one of its sides",
             where="the image",
             remedy="bring the edge and both of its sides into the image or region",
         )
@@ -367,7 +367,7 @@ def _edge(model: Model, parameters: Array, free: NDArray[np.bool_], saturated: i
         )
     if free[3] and covariance[3, 3] > LARGEST_GAMMA_ERROR**2:
         raise InputError(
-            f"tells nothing about gamma ({parameters[3]:.2g} +- {math.sqrt(covariance[3, 3]):.2g})",
+            f"shows nothing about gamma ({parameters[3]:.2g} +- {math.sqrt(covariance[3, 3]):.2g})",
             where="the edge",
             remedy="give the camera's, or gamma 1",
         )

@@ -133,7 +133,7 @@ def _groups(path: Path) -> tuple[str, dict[tuple[bool, float], list[tuple[str, i
         exposure = _exposure(cells[kind], kind, where)
         name = cells[FILE]
         if name in named:
-            raise InputError(f'"{name}" stands in line {named[name]} too', where=where)
+            raise InputError(f'"{name}" is in line {named[name]} too', where=where)
         if not name:
             raise InputError("names no file", where=where)
         named[name] = line
@@ -177,12 +177,12 @@ def _exposure(cell: str, kind: str, where: str) -> float:
         value = float(cell)
     except ValueError as error:
         raise InputError(
-            f'{kind} "{shortened(cell)}" is no number', where=where, remedy="write 0.016, with a point"
+            f'{kind} "{shortened(cell)}" is not a number', where=where, remedy="write 0.016, with a point"
         ) from error
     if why := unusable(value):
         raise InputError(f'{kind} "{shortened(cell)}" {why}', where=where)
     if value < 0:
-        raise InputError(f'{kind} "{shortened(cell)}" is no number from 0 on', where=where)
+        raise InputError(f'{kind} "{shortened(cell)}" is not a number of 0 or more', where=where)
     return value
 
 

@@ -300,7 +300,7 @@ def _dark(dark: Sequence[Stack]) -> tuple[float, float, float | None]:
 
 def _read_noise(dark_variance: float, gain: float, notes: list[str]) -> float:
     if dark_variance < _LEAST_DARK_VARIANCE:
-        notes.append("rounding hides the read noise: it is at most what is told")
+        notes.append("rounding hides the read noise: it is at most the value given")
         return math.sqrt(_LEAST_DARK_VARIANCE - ROUNDING_VARIANCE) / gain
     return math.sqrt(dark_variance - ROUNDING_VARIANCE) / gain
 

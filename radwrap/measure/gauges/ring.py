@@ -92,7 +92,7 @@ def fit_ring(light: Light, shapes: tuple[Shape, Shape], blur: float, aspect: flo
     )
     if found.in_doubt is not None:
         raise InputError(
-            f"does not tell how wide the ring is: {found.in_doubt}",
+            f"does not show how wide the ring is: {found.in_doubt}",
             where="the image",
             remedy="measure the blur at a single edge near it, or average frames",
         )

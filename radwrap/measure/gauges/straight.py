@@ -248,7 +248,7 @@ def measure_width(
         if isinstance(fit, PointFit):
             return _width(gauge, [fit], both.inside, None, way)
         if fit.in_doubt is not None:
-            raise InputError(f"does not tell the width: {fit.in_doubt}", where="the image", remedy=_REMEDY)
+            raise InputError(f"does not show the width: {fit.in_doubt}", where="the image", remedy=_REMEDY)
         return _width(gauge, [fit.fit], both.inside, None, way)
     fits = [gauge.edge_fit(one, way, min(caliper.band, gap / 2)) for one in (both.low, both.high)]
     return _width(gauge, fits, both.inside, plane, way)

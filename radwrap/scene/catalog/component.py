@@ -214,7 +214,7 @@ def leaves(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
 def _from(catalog: Mapping[str, Any], where: str) -> Iterator[tuple[str, Any]]:
     told = catalog.get("from")
     if not isinstance(told, dict):
-        raise InputError("is missing", where=f"{where}: catalog.from", remedy="say of each key where it comes from")
+        raise InputError("is missing", where=f"{where}: catalog.from", remedy="state where each key comes from")
     yield from told.items()
 
 
@@ -232,7 +232,7 @@ def _entry(told: Any, where: str) -> Entry:
             raise InputError("must be an array of two values", where=f"{where}.{key}")
     factors = told.get("range_factor")
     if factors is not None and not all(isinstance(one, int | float) and one >= 0 for one in factors):
-        raise InputError("must be two numbers from 0 on", where=f"{where}.range_factor")
+        raise InputError("must be two numbers of 0 or more", where=f"{where}.range_factor")
     if "range" in told and "range_factor" in told:
         raise InputError("needs one of range and range_factor, not both", where=where)
     pairs = {key: tuple(told[key]) for key in ("range", "range_factor") if key in told}

@@ -66,7 +66,7 @@ def read_emva_xml(path: Path) -> dict[str, float]:
                 empty.add(name)
                 continue
             if found.setdefault(name, number) != number:
-                raise InputError("stands there twice, with two values", where=f"{path}: {element.tag}")
+                raise InputError("appears twice, with two values", where=f"{path}: {element.tag}")
     for name, needed in NAMES.items():
         if needed and name not in found:
             told = "has no value above zero" if name in empty else "is missing"

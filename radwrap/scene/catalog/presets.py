@@ -225,7 +225,7 @@ def _beside(component: Component, table: Mapping[str, Any], where: str) -> dict[
         values = {key: value for key, value in values.items() if key not in LEVELS}
     if component.kind == "sensors":
         if "data_sheet" in table:
-            raise InputError("stands beside preset", where=f"{where}.data_sheet", remedy="leave one of them out")
+            raise InputError("is given beside preset", where=f"{where}.data_sheet", remedy="leave one of them out")
         if any(key in table for key in (*_EFFICIENCY, "filters")):
             values = {key: value for key, value in values.items() if key not in _EFFICIENCY}
     return values

@@ -87,7 +87,7 @@ def threshold(read_noise: float, system_gain: float) -> float:
 def _total(key: str, published: object, values: Mapping[str, Any], where: str) -> Total:
     known = _KNOWN.get(key)
     if known is None:
-        raise InputError("is a total that nothing is known of", where=where, remedy=f"known: {', '.join(_KNOWN)}")
+        raise InputError("is not a known total", where=where, remedy=f"known: {', '.join(_KNOWN)}")
     unit, formula = known
     number, space, written = published.partition(" ") if isinstance(published, str) else ("", "", "")
     try:

@@ -143,9 +143,9 @@ class Placed(Model):
     """Something with a position and a rotation about fixed world axes."""
 
     position: Point = default(("0 m", "0 m", "0 m"))
-    """Of its origin, in the world."""
+    """Position of its origin in the world."""
     rotation: tuple[Angle, Angle, Angle] = default(("0 deg", "0 deg", "0 deg"))
-    """About the world's fixed x, y and z axes."""
+    """Rotation about the world's fixed x, y and z axes."""
     rotation_order: RotationOrder = "xyz"
     """Order of the three turns, the first one first."""
 
@@ -161,13 +161,13 @@ class Aimed(Model):
     """Something that looks along its own z axis: by look_at (and up), or by rotation."""
 
     position: Point | None = None
-    """Of its origin, in the world."""
+    """Position of its origin in the world."""
     look_at: Point | None = None
     """A point in the world that its z axis goes through; in place of rotation."""
     up: Direction | None = None
     """Direction in the world that is up in the image or on the source; without unit."""
     rotation: tuple[Angle, Angle, Angle] | None = None
-    """About the world's fixed x, y and z axes; in place of look_at."""
+    """Rotation about the world's fixed x, y and z axes; in place of look_at."""
     rotation_order: RotationOrder | None = None
     """Order of the three turns, the first one first."""
 

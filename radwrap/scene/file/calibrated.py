@@ -43,7 +43,7 @@ def with_calibration(document: Mapping[str, Any], origin: str, folder: Path) -> 
     for key in _TOLD:
         if key in camera:
             raise InputError(
-                "stands in the calibration too", where=f"{origin}: camera.{key}", remedy=f"leave it or {KEY} out"
+                "is in the calibration too", where=f"{origin}: camera.{key}", remedy=f"leave it or {KEY} out"
             )
     found = read_intrinsics(named_file(folder, camera[KEY], where), where)
     sensor = _table(camera.get("sensor"), f"{origin}: camera.sensor")
@@ -53,7 +53,7 @@ def with_calibration(document: Mapping[str, Any], origin: str, folder: Path) -> 
 
 def _table(sensor: Any, where: str) -> dict[str, Any]:
     if not isinstance(sensor, dict):
-        raise InputError("is missing", where=where, remedy="a calibration tells no sensor")
+        raise InputError("is missing", where=where, remedy="a calibration does not describe a sensor")
     return sensor
 
 
@@ -90,7 +90,7 @@ def _image(found: Intrinsics, sensor: dict[str, Any], where: str, focus: float) 
         f, across = found.focal_length or 0.0, width / found.sx
     if abs(across / width - 1) > _SAME_SHAPE:
         raise InputError(
-            f"tells pixels {across / height:.4g} times as wide as high, the sensor's are {width / height:.4g}",
+            f"gives pixels {across / height:.4g} times as wide as high, the sensor's are {width / height:.4g}",
             where=where,
             remedy="check pixel_width and pixel_height, or the calibration",
         )

@@ -98,7 +98,9 @@ def read_intrinsics(path: Path, where: str) -> Intrinsics:
         raise InputError(f'"{path.name}": {error.what}', where=where, remedy=error.remedy) from error
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         lacking = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
-        raise InputError(f'"{path.name}" is no whole calibration: {lacking}', where=where, remedy=_REMEDY) from error
+        raise InputError(
+            f'"{path.name}" is not a complete calibration: {lacking}', where=where, remedy=_REMEDY
+        ) from error
     _check(found, path.name, where)
     return found
 
@@ -157,7 +159,7 @@ def _opencv(text: str) -> Intrinsics:
         names = storage.root().keys()  # a node is no mapping, and cannot be gone through
         unknown = [key for key in names if key.lower().startswith("dist") and key != _MODEL]
         if unknown and not bend:
-            raise InputError(f'"{unknown[0]}" is no known name', remedy=f"call the coefficients {_COEFFICIENTS[0]}")
+            raise InputError(f'"{unknown[0]}" is not a known name', remedy=f"call the coefficients {_COEFFICIENTS[0]}")
         width, height = (_size(storage, key) for key in ("image_width", "image_height"))
         size = None if width is None or height is None else (width, height)
     finally:
@@ -181,7 +183,9 @@ def _size(storage: cv2.FileStorage, key: str) -> int | None:
         return None
     # OpenCV gives 2^1023 or so for the number of what is none.
     if not node.isInt() or node.real() < 1:
-        raise InputError(f"its {key} is no whole number from 1 on", remedy=f"write {key}: 640, without quotes or point")
+        raise InputError(
+            f"its {key} is not a whole number of 1 or more", remedy=f"write {key}: 640, without quotes or point"
+        )
     return int(node.real())
 
 
@@ -203,7 +207,7 @@ def _numbers(storage: cv2.FileStorage, names: tuple[str, ...], *, required: bool
             if items and all(item.isSeq() for item in items):
                 items = [row.at(k) for row in items for k in range(row.size())]
             if not items or not all(item.isReal() or item.isInt() for item in items):
-                raise InputError(f"its {name} is no matrix of numbers")
+                raise InputError(f"its {name} is not a matrix of numbers")
             return [float(np.float64(item.real())) for item in items]
     if required:
         raise InputError(f"holds no {' or '.join(names)}", remedy=_REMEDY)

@@ -67,7 +67,7 @@ def scene_from_model(
     for kind, things in (("sources", sources), ("targets", targets)):
         for index, thing in enumerate(things):
             if thing.name in names:
-                raise InputError(f'the name "{thing.name}" stands there twice', where=f"{origin}: {kind}[{index}].name")
+                raise InputError(f'the name "{thing.name}" is given twice', where=f"{origin}: {kind}[{index}].name")
             names.add(thing.name)
     _check_materials(targets, model.materials, origin)
     materials = {
@@ -102,7 +102,7 @@ def _check_wavelength(scene: Scene, assumed: dict[str, str]) -> None:
     camera = scene.camera
     if scene.spectral is not None and camera.wavelength is not None:
         raise InputError(
-            "the scene's spectra tell the wavelength already",
+            "the scene's spectra give the wavelength already",
             where=f"{scene.origin}: camera.wavelength",
             remedy="leave it out",
         )

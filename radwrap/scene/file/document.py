@@ -44,15 +44,15 @@ class ApertureModel(Model):
     """[camera.aperture]."""
 
     shape: Literal["round", "square", "annular", "half_disc"] = "round"
-    """Of the opening."""
+    """Shape of the opening."""
     diameter: SizeOrZero = default("0.1 mm")
-    """Of the opening; of a square its side. 0 is an infinitesimal pinhole."""
+    """Diameter of the opening, or the side of a square one. 0 is an infinitesimal pinhole."""
     inner_diameter: SizeOrZero | None = None
-    """Of the stop in the middle of an annular opening."""
+    """Diameter of the stop in the middle of an annular opening."""
     rotation: Angle = default("0 deg")
-    """Of the opening, from the camera's x right towards its y down."""
+    """Rotation of the opening, from the camera's x right towards its y down."""
     exposure_diameter: Size | None = None
-    """Whose area sets the level of the exposure where diameter is 0."""
+    """Diameter of the opening whose area sets the level of the exposure where diameter is 0."""
 
     @model_validator(mode="after")
     def _consistent(self) -> ApertureModel:
@@ -72,7 +72,7 @@ class DistortionModel(Model):
     """[camera.distortion]: OpenCV's coefficients, or Tsai's."""
 
     model: Literal["opencv", "tsai"]
-    """Whose formula: that of OpenCV distorts, that of Tsai undistorts."""
+    """Formula of the distortion: OpenCV's distorts, Tsai's undistorts."""
     k1: BendNumber | None = None
     """Radial coefficient of r^2, in units of the focal length."""
     k2: BendNumber | None = None
@@ -126,15 +126,15 @@ class CameraModel(Aimed):
     calibration: Annotated[str, Field(strict=True, min_length=1, max_length=1000)] | None = None
     """File of a calibration beside the scene: OpenCV's, or JSON of `radwrap calibrate camera`."""
     distortion: DistortionModel | None = None
-    """Of the lens."""
+    """Distortion of the lens."""
     translation: Point | None = None
     """Another name of position."""
     focal_length: Size
-    """Of the lens; of a pinhole its distance from the sensor."""
+    """Focal length of the lens; for a pinhole, its distance from the sensor."""
     principal_point: tuple[PixelPosition, PixelPosition] | None = None
     """Column and row where the optical axis meets the sensor; default the sensor's middle."""
     exposure_time: Duration
-    """Of one frame."""
+    """Exposure time of one frame."""
     aperture: ApertureModel = default({})
     """The opening."""
     sensor: AnySensorModel
@@ -142,7 +142,7 @@ class CameraModel(Aimed):
     lens: LensModel | None = None
     """Without it the camera is a pinhole."""
     wavelength: Wavelength | None = None
-    """Of the light, where neither spectra nor a linear sensor tell it."""
+    """Wavelength of the light, where neither spectra nor a linear sensor give it."""
     diffraction: Literal["auto", "on", "off"] = "auto"
     """Whether images have diffraction: where it matters, always, or never."""
     spectral_response: CurveModel | None = None
@@ -170,13 +170,13 @@ class CameraModel(Aimed):
     @model_validator(mode="after")
     def _one_wavelength(self) -> CameraModel:
         if self.wavelength is not None and self.sensor.model == "linear":
-            raise ValueError("wavelength: sensor.wavelength tells it already; leave this one out")
+            raise ValueError("wavelength: sensor.wavelength gives it already; leave this one out")
         return self
 
     @model_validator(mode="after")
     def _one_response(self) -> CameraModel:
         if self.spectral_response is not None and self.sensor.filters is not None:
-            raise ValueError("spectral_response: sensor.filters tell it already; leave this one out")
+            raise ValueError("spectral_response: sensor.filters give it already; leave this one out")
         return self
 
     @model_validator(mode="after")
@@ -230,11 +230,11 @@ class BoardModel(TargetBase):
     columns: Annotated[int, Field(strict=True, ge=1, le=1000)]
     """How many columns of dots."""
     pitch: Size
-    """Between neighbouring dots' centres."""
+    """Distance between the centres of neighbouring dots."""
     dot_diameter: Size
-    """Of each dot."""
+    """Diameter of each dot."""
     margin: SizeOrZero = default("10 mm")
-    """From the outermost dots' rims to the board's edges."""
+    """Distance from the outermost dots' rims to the board's edges."""
 
     @model_validator(mode="after")
     def _dots_apart(self) -> BoardModel:
@@ -296,7 +296,7 @@ class DiscModel(TargetBase):
     material: Name
     """Name of a material."""
     diameter: Size
-    """Of the disc."""
+    """Diameter of the disc."""
 
 
 class SphereModel(TargetBase):
@@ -307,7 +307,7 @@ class SphereModel(TargetBase):
     material: Name
     """Name of a material."""
     diameter: Size
-    """Of the sphere."""
+    """Diameter of the sphere."""
 
 
 class CylinderModel(TargetBase):
@@ -318,9 +318,9 @@ class CylinderModel(TargetBase):
     material: Name
     """Name of a material."""
     diameter: Size
-    """Of the cylinder."""
+    """Diameter of the cylinder."""
     length: Size
-    """Along its z axis, half to each side of its origin."""
+    """Length along its z axis, half to each side of its origin."""
 
 
 class BoxModel(TargetBase):
@@ -331,7 +331,7 @@ class BoxModel(TargetBase):
     material: Name
     """Name of a material."""
     size: tuple[Size, Size, Size]
-    """Along its x, y and z axes."""
+    """Lengths along its x, y and z axes."""
 
 
 class RadModel(TargetBase):
@@ -392,17 +392,17 @@ class TolerancesModel(Model):
     """[tolerances]: half-widths of 95 % intervals; shares where they have no unit."""
 
     source_radiance: Share = 0.0
-    """Of all sources together, as a share, 0 to 1."""
+    """Radiance of all sources together, as a share, 0 to 1."""
     each_source_radiance: Share = 0.0
-    """Of each source for itself, as a share, 0 to 1."""
+    """Radiance of each source by itself, as a share, 0 to 1."""
     aperture_diameter: SizeOrZero = default("0 mm")
-    """Of the opening."""
+    """Diameter of the opening."""
     exposure_time: Duration = default("0 ms")
-    """Of one frame."""
+    """Exposure time of one frame."""
     sensor_gain: Share = 0.0
-    """Of K, or of the responsivity of a linear camera, as a share, 0 to 1."""
+    """Gain K, or the responsivity of a linear camera, as a share, 0 to 1."""
     dark_gray: GrayLevel = 0.0
-    """Of the dark gray level."""
+    """Dark gray level."""
 
 
 class SceneModel(Model):
@@ -415,7 +415,7 @@ class SceneModel(Model):
     sources: tuple[SourceModel, ...] = ()
     """What shines."""
     materials: dict[Name, MaterialModel] = default({})
-    """By name: how surfaces reflect."""
+    """Materials by name: how surfaces reflect."""
     targets: tuple[TargetModel, ...] = ()
     """What is seen."""
     tolerances: TolerancesModel | None = None

@@ -211,7 +211,7 @@ def _message(detail: ErrorDetails, written: Any) -> str:
         case "union_tag_not_found":
             return "is missing"
         case "string_pattern_mismatch":
-            return f"{given!r} is no name: a letter, then letters, digits, _ or -, at most 64"
+            return f"{given!r} is not a name: a letter, then letters, digits, _ or -, at most 64"
         case "finite_number":
             return "is not a finite number"
     return f"{detail['msg'][0].lower()}{detail['msg'][1:]}"

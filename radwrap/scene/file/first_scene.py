@@ -244,7 +244,7 @@ def _level_key(level: str, one: Component) -> str:
     key = _UNITS.get(unit)
     if key is None:
         raise InputError(
-            f'"{level}" is no level of a light', where=f"light={one.name}", remedy=f"units: {', '.join(_UNITS)}"
+            f'"{level}" is not a level of a light', where=f"light={one.name}", remedy=f"units: {', '.join(_UNITS)}"
         )
     return key
 

@@ -89,7 +89,7 @@ def _wavefront(
         assumed["camera.lens.wavefront.pupil_diameter"] = f"{opening * 1e3:.6g} mm"
     elif opening > pupil * _SAME:
         raise InputError(
-            f"is smaller than the opening of {opening * 1e3:.4g} mm, and no polynomial is told beyond it",
+            f"is smaller than the opening of {opening * 1e3:.4g} mm, and the polynomial is not known beyond it",
             where=f"{where}.pupil_diameter",
             remedy="stop the lens down, or give the diameter that the coefficients belong to",
         )
@@ -129,7 +129,7 @@ def _by_order(
             order = order_of(convention, index)
             if order is None:
                 raise InputError(
-                    f"{index} is no number of a term of the convention {convention}, up to order {HIGHEST_ORDER}",
+                    f"{index} is not the number of a term of the convention {convention}, up to order {HIGHEST_ORDER}",
                     where=where,
                 )
             by_order[order] = path * (rms(order) if convention == "fringe" else 1.0)
@@ -143,7 +143,7 @@ def _read(path: Path, where: str) -> tuple[tuple[float, ...], list[dict[int, flo
     columns, _ = columns_of(path, _COLUMNS)
     height, index, path_of = (columns[name] for name in _COLUMNS)
     if (height < 0).any() or (index != np.round(index)).any():
-        raise InputError("needs heights from 0 on, and whole numbers of terms", where=where)
+        raise InputError("needs heights of 0 or more, and whole numbers of terms", where=where)
     if (np.abs(path_of) > LONGEST_PATH).any():
         raise InputError(
             f"has a coefficient of {path_of[np.abs(path_of).argmax()]:g} m",
@@ -187,7 +187,7 @@ def _contrast(
     ):
         raise InputError("needs the same frequencies at each height, each once", where=key)
     if per_mm[0] < 0 or heights[0] < 0 or not (per_mm > 0).any():
-        raise InputError("needs frequencies above 0, and heights from 0 on", where=key)
+        raise InputError("needs frequencies above 0, and heights of 0 or more", where=key)
     if len(heights) > 1 and (heights[0] != 0 or heights[-1] * _MM < corner):
         raise InputError(
             f"has heights from {heights[0]:g} to {heights[-1]:g} mm, the sensor from 0 to {corner * 1e3:.4g} mm from "
@@ -253,7 +253,9 @@ def _point_spread(table: PointSpreadModel, where: str, *, folder: Path, assumed:
         raise InputError(str(error), where=key) from error
     whole, brightest = float(light.sum()), float(light.max())
     if light.min() < 0 or not whole > 0:
-        raise InputError("needs values from 0 on, some above it", where=key, remedy="subtract the background, cut at 0")
+        raise InputError(
+            "needs values of 0 or more, some above 0", where=key, remedy="subtract the background, cut at 0"
+        )
     border = max(float(side.max()) for side in (light[0], light[-1], light[:, 0], light[:, -1]))
     if border > _AT_BORDER * brightest:
         raise InputError(
@@ -265,7 +267,7 @@ def _point_spread(table: PointSpreadModel, where: str, *, folder: Path, assumed:
     left = max(abs(float(sign @ light.sum(axis=axis))) / whole for axis, sign in zip((1, 0), signs, strict=True))
     if left > _AT_HIGHEST:
         raise InputError(
-            f"has a contrast of {left:.2g} at the highest frequency that its pixels tell",
+            f"has a contrast of {left:.2g} at the highest frequency that its pixels resolve",
             where=f"{where}.pitch",
             remedy="measure it by finer pixels",
         )

@@ -71,7 +71,7 @@ def read_beam(path: Path) -> TableBeam:
         raise InputError(
             f"ends at {angle[-1]:g} deg with {value[-1] / value.max():.0%} of its peak",
             where=str(path),
-            remedy="go on to 90 deg, or end with a line of intensity 0",
+            remedy="continue to 90 deg, or end with a line of intensity 0",
         )
     grid = np.arange(0, 90 + _BEAM_STEP / 2, _BEAM_STEP)
     smooth, doubt = _resampled(angle, value[np.newaxis], grid)
@@ -89,7 +89,7 @@ def read_luminaire(path: Path) -> IntensityTable:
     text, digest = table_text(path, _LARGEST_FILE)
     tilt = _TILT.search(text)
     if tilt is None:
-        raise InputError("is no luminaire file: it has no TILT", where=str(path), remedy="name an IES LM-63 file")
+        raise InputError("is not a luminaire file: it has no TILT", where=str(path), remedy="name an IES LM-63 file")
     kind = tilt[1].strip().upper()
     if kind not in ("NONE", "INCLUDE"):
         raise InputError("names another file for its tilt", where=str(path), remedy="write TILT=NONE or TILT=INCLUDE")
@@ -100,7 +100,7 @@ def read_luminaire(path: Path) -> IntensityTable:
     vertical_count, horizontal_count, form = (reader.count() for _ in range(3))
     if form != 1:
         known = f"is photometry of Type {_TYPES[form]}" if form in _TYPES else f"is of no known type ({form})"
-        raise InputError(f"{known}: Type C alone is read", where=str(path), remedy="convert it to Type C")
+        raise InputError(f"{known}: only Type C is read", where=str(path), remedy="convert it to Type C")
     reader.take(4)  # units, width, length, height: light comes from the middle
     ballast, photometric, _ = reader.take(3)
     vertical, horizontal = reader.take(vertical_count), reader.take(horizontal_count)
@@ -118,7 +118,7 @@ def _lamp_factor(text: str, told: float, path: Path) -> float:
     """The ballast-lamp photometric factor, which the editions of 1986 and 1991 have."""
     edition = _EDITION.match(text)
     if edition and len(edition[1]) > _YEAR_DIGITS:
-        raise InputError(f'"{shortened(edition[1])}" is no year of an edition', where=str(path))
+        raise InputError(f'"{shortened(edition[1])}" is not a year of an edition', where=str(path))
     year = int(edition[1]) if edition else 1986
     if year in (1986, 1991, 91):
         return told
@@ -163,12 +163,14 @@ class _Reader:
     def count(self) -> int:
         (value,) = self.take(1)
         if value != int(value) or not 1 <= value <= _MOST_ANGLES:
-            raise InputError(f"says {value:g} where a number from 1 to {_MOST_ANGLES} is due", where=str(self._path))
+            raise InputError(
+                f"gives {value:g} where a number from 1 to {_MOST_ANGLES} is expected", where=str(self._path)
+            )
         return int(value)
 
     def end(self) -> None:
         if len(self._values):
-            raise InputError("goes on after its last intensity", where=str(self._path))
+            raise InputError("continues after its last intensity", where=str(self._path))
 
 
 def _tilt(reader: _Reader, path: Path) -> float:
@@ -219,7 +221,7 @@ def _all_round(horizontal: Array, candela: Array, path: Path) -> tuple[Array, Ar
     if ends[0] == 0 and ends[1] == 360:
         return horizontal, candela
     raise InputError(
-        "horizontal angles must be 0 alone, or go from 0 to 90, 0 to 180, 90 to 270, or 0 to 360", where=str(path)
+        "horizontal angles must be 0 only, or go from 0 to 90, 0 to 180, 90 to 270, or 0 to 360", where=str(path)
     )
 
 
@@ -267,7 +269,7 @@ def _numbers(words: list[str], path: Path) -> Array:
         try:
             values[place] = float(word)
         except ValueError as error:
-            raise InputError(f'"{word[:40]}" is no number', where=str(path)) from error
+            raise InputError(f'"{word[:40]}" is not a number', where=str(path)) from error
     if not np.isfinite(values).all():
         raise InputError("holds NaN or infinity", where=str(path))
     if np.abs(values).max(initial=0.0) > _LARGEST:

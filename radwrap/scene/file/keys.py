@@ -47,7 +47,7 @@ def set_key(document: Any, key: str, value: Any, origin: str) -> None:
         numbers = [number for index in indices if (number := whole_number(index)) is not None]
         if not name or len(numbers) < len(indices):
             raise InputError(
-                "is no key path",
+                "is not a key path",
                 where=where,
                 remedy='write it as "camera.exposure_time" or "targets[0].pitch"',
             )

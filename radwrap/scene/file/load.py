@@ -213,9 +213,9 @@ def camera_with(
     tables: dict[str, Any] = json.loads(document)
     for key, value in overrides.items():
         if not key.startswith("camera."):
-            raise InputError("is no key of the camera", where=f"{origin}: {key}")
+            raise InputError("is not a key of the camera", where=f"{origin}: {key}")
         if spectral and key != "camera.exposure_time":
-            raise InputError("may weigh the scene's spectra otherwise", where=key, remedy="render that camera")
+            raise InputError("may weigh the scene's spectra differently", where=key, remedy="render that camera")
         tables = set_all(tables, key, value, origin)
     text = _checked_json(tables, origin)
     filled, taken = with_presets({"camera": tables["camera"]}, origin, folder)
@@ -259,7 +259,7 @@ def _checked_json(document: Mapping[str, Any], origin: str) -> str:
     check_tree(document, origin, finite=True)
     for key, value in _leaves(document, ""):
         if not isinstance(value, str | int | float | bool | dict | list):
-            raise InputError(f"a {type(value).__name__} is no value of a scene", where=f"{origin}: {key}")
+            raise InputError(f"a {type(value).__name__} is not a value of a scene", where=f"{origin}: {key}")
     return json.dumps(document, ensure_ascii=False)
 
 

@@ -30,8 +30,8 @@ from radwrap.scene.targets import Box, Disc, MeshPart, Polygon, Sheet, Target
 
 # Materials that only some targets can have, and why.
 _PLACES: Final[tuple[tuple[type, tuple[type, ...], str], ...]] = (
-    (PrintedImage, (Sheet,), "an image can be printed on a sheet alone"),
-    (Mirror, (Sheet, Polygon, Disc, Box), "sources are followed in flat mirrors alone"),
+    (PrintedImage, (Sheet,), "an image can be printed only on a sheet"),
+    (Mirror, (Sheet, Polygon, Disc, Box), "sources are followed only in flat mirrors"),
     (Glass, (Sheet, Polygon, Disc), "glass is a thin flat pane"),
 )
 

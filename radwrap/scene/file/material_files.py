@@ -96,7 +96,7 @@ def read_brdf(path: Path) -> MeasuredBrdf:
     """
     columns, digest = columns_of(path, _BRDF)
     if min(float(columns[name].min(initial=0.0)) for name in _BRDF[:-1]) < 0:
-        raise InputError("angles must be at least 0", where=str(path), remedy="tell the side by the azimuth, 0 to 180")
+        raise InputError("angles must be at least 0", where=str(path), remedy="give the side by the azimuth, 0 to 180")
     axes, values = _grid(columns, _BRDF, path)
     incidence, viewing, azimuth = axes
     if incidence[0] != 0 or viewing[0] != 0 or min(incidence[-1], viewing[-1]) < _LEAST_REACH:

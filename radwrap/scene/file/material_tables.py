@@ -74,9 +74,9 @@ class RetroreflectiveModel(Coloured):
     model: Literal["perturbed_normal", "coefficient"]
     """How retroreflection is described."""
     reflectance: Share | None = None
-    """Of the perturbed normal: share of the light that goes back, 0 to 1."""
+    """Share of the light that the perturbed normal sends back, 0 to 1."""
     roughness: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-4, le=0.5)] | None = None
-    """Of the perturbed normal: width of the Gaussian lobe that goes back, without unit."""
+    """Width of the Gaussian lobe that the perturbed normal sends back, without unit."""
     function: Literal["glass_beads"] | None = None
     """R_A by a formula."""
     anchor: Coefficient | None = None
@@ -88,7 +88,7 @@ class RetroreflectiveModel(Coloured):
     coefficients: tuple[tuple[Coefficient, ...], ...] | None = None
     """The table of R_A: a row for each observation angle."""
     interpolation: Literal["linear", "log"] | None = None
-    """Between the angles of a table: of R_A or of its logarithm."""
+    """Interpolation between the angles of a table: of R_A or of its logarithm."""
     outside: Literal["refuse", "hold"] | None = None
     """Angles beyond the data: refuse them, or hold the outermost value."""
     file: FileName | None = None
@@ -154,7 +154,7 @@ class GlassModel(FromCatalog):
     transmittance: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=1)]
     """Share of the light that goes straight through the pane, 0 to 1."""
     refractive_index: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1, le=4)] = 1.52
-    """Of the glass; decides what its faces mirror."""
+    """Refractive index of the glass; it decides what its faces mirror."""
 
     @model_validator(mode="after")
     def _reflects_too(self) -> GlassModel:

@@ -37,7 +37,7 @@ class WavefrontModel(Model):
     file: FileName | None = None
     """CSV table beside the scene, in place of coefficients: field_height_mm, index, coefficient [m]."""
     pupil_diameter: Size | None = None
-    """Of the disc that the polynomials belong to; default the opening's."""
+    """Diameter of the disc that the polynomials belong to; default the opening's."""
 
     @model_validator(mode="after")
     def _one_place(self) -> WavefrontModel:
@@ -51,7 +51,7 @@ class ContrastModel(Model):
     file: FileName
     """CSV table beside the scene: frequency_per_mm, tangential, sagittal, and field_height_mm where it has several."""
     f_number: FNumber
-    """Of the opening at which it was measured or computed: the camera's own."""
+    """F-number at which the contrast was measured or computed: the camera's own."""
     wavelength: Wavelength
     """Mean one of the light that it holds for."""
 
@@ -62,7 +62,7 @@ class PointSpreadModel(Model):
     file: FileName
     """Gray picture beside the scene, erect, linear in light, without a background: PNG, TIFF, PGM or EXR."""
     pitch: Size
-    """Between its pixels, on the sensor."""
+    """Distance between its pixels on the sensor."""
 
 
 class LensModel(Model):
@@ -71,13 +71,13 @@ class LensModel(Model):
     preset: ComponentName | None = None
     """Name of a lens of the catalog; keys beside it, and camera.focal_length, replace its values."""
     focus_distance: Size
-    """From the lens to the plane that is sharp, along the axis."""
+    """Distance along the axis from the lens to the plane that is sharp."""
     f_number: FNumber | None = None
     """Focal length over the opening's diameter; in place of aperture.diameter."""
     transmission: PositiveShare = 1.0
     """Share of the light that the lens lets through, 0 to 1."""
     falloff: Literal["cos4", "none"] | None = None
-    """Towards the corners: cos^4 of the field angle, or none."""
+    """Falloff of the light towards the corners: cos^4 of the field angle, or none."""
     relative_illumination: tuple[tuple[SizeOrZero, PositiveShare], ...] | None = None
     """Pairs of image height and share of the light on the axis, from ["0 mm", 1.0] on; in place of falloff."""
     wavefront: WavefrontModel | None = None
@@ -122,7 +122,7 @@ class SpectrumModel(Model):
     line: Wavelength | None = None
     """Mean wavelength of a Gaussian line."""
     width: Wavelength | None = None
-    """Of that line, full width at half maximum."""
+    """Full width of that line at half maximum."""
     preset: Literal["A", "D65", "E"] | None = None
     """A CIE standard illuminant."""
     file: FileName | None = None

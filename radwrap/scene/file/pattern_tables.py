@@ -22,7 +22,7 @@ class PatternModel(TargetBase):
     pattern_material: Name
     """Name of the material of the pattern's dark parts."""
     margin: SizeOrZero = default("10 mm")
-    """From the pattern to the plate's edges."""
+    """Distance from the pattern to the plate's edges."""
 
 
 class ChessboardModel(PatternModel):
@@ -69,15 +69,15 @@ class CirclesModel(PatternModel):
     type: Literal["circles"]
     """Kind of target."""
     grid: Literal["symmetric", "asymmetric"] = "symmetric"
-    """In an asymmetric grid every other row stands one pitch to the right."""
+    """Kind of grid: in an asymmetric one every other row is shifted one pitch to the right."""
     rows: _Discs
     """How many rows of discs."""
     columns: _Discs
     """How many discs in each row."""
     pitch: Size
-    """Between rows, and between columns of a symmetric grid; discs of an asymmetric row are two pitches apart."""
+    """Distance between rows, and between columns of a symmetric grid; an asymmetric row has discs 2 pitches apart."""
     dot_diameter: Size
-    """Of each disc."""
+    """Diameter of each disc."""
 
     @model_validator(mode="after")
     def _discs_apart(self) -> CirclesModel:
@@ -95,9 +95,9 @@ class SiemensStarModel(PatternModel):
     spokes: Annotated[int, Field(strict=True, ge=4, le=500)]
     """How many dark spokes."""
     diameter: Size
-    """Of the circle on which the spokes end."""
+    """Diameter of the circle on which the spokes end."""
     inner_diameter: SizeOrZero = default("0 mm")
-    """Of the circle on which they begin; 0 where they meet in the middle."""
+    """Diameter of the circle on which they begin; 0 where they meet in the middle."""
 
     @model_validator(mode="after")
     def _has_spokes(self) -> SiemensStarModel:

@@ -170,7 +170,7 @@ def read_calibration(path: Path) -> RingCalibration:
     """
     told = read_json(path, _CALIBRATION)
     if not isinstance(told, dict) or told.get("is") != IS or told.get("schema_version") != SCHEMA_VERSION:
-        raise InputError(f"is no ring calibration of schema version {SCHEMA_VERSION}", where=str(path))
+        raise InputError(f"is not a ring calibration of schema version {SCHEMA_VERSION}", where=str(path))
     read_back(told, _RingFile, str(path))
     try:
         return _calibration(told)
@@ -178,7 +178,7 @@ def read_calibration(path: Path) -> RingCalibration:
         where = f"{path}: {error.where}" if error.where else str(path)
         raise InputError(error.what, where=where, remedy=error.remedy) from error
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"is no whole calibration: {error!r}", where=str(path)) from error
+        raise InputError(f"is not a complete calibration: {error!r}", where=str(path)) from error
 
 
 def _calibration(told: dict[str, Any]) -> RingCalibration:

@@ -106,7 +106,7 @@ class PixelsModel(Model):
             missing = "filters.red, filters.green and filters.blue" if self.filters is None else "mosaic"
             raise ValueError(f"{missing}: mosaic and filters go together, and this is missing")
         if self.mosaic is not None and self.channel != "equal":
-            raise ValueError("channel: the filters of the mosaic tell what a pixel sees; leave this one out")
+            raise ValueError("channel: the filters of the mosaic say what a pixel sees; leave this one out")
         if self.pattern is not None and self.binned_pixels > 1:
             raise ValueError("scale: pixels of a mosaic have different filters and are not added up; leave it out")
         left, top, right, bottom = self.region
@@ -208,7 +208,7 @@ class LinearSensorModel(PixelsModel):
     data_sheet: Annotated[str, Field(strict=True, min_length=1, max_length=1000)] | None = None
     """TOML file beside the scene that holds what the scene does not say of the sensor."""
     wavelength: Size
-    """Of the light whose photons are counted."""
+    """Wavelength of the light whose photons are counted."""
     quantum_efficiency: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=1)] | None = None
     """Electrons for each photon at the wavelength, 0 to 1; fill factor and microlens included."""
     quantum_efficiencies: Annotated[tuple[tuple[Size, Share], ...], Field(min_length=2, max_length=10_000)] | None = (
@@ -220,17 +220,17 @@ class LinearSensorModel(PixelsModel):
     offset: GrayLevel
     """Gray level without light and dark current."""
     full_well: Electrons
-    """At which a pixel is full."""
+    """Number of electrons at which a pixel is full."""
     read_noise: Electrons
     """Standard deviation of a pixel in the dark, for each frame."""
     dark_current: ElectronRate = default("0 e/s")
-    """Of a pixel, at the temperature of the sensor or as it is."""
+    """Dark current of a pixel, at the temperature of the sensor or as it is."""
     dark_current_temperature: Temperature | None = None
-    """At which the dark current was measured."""
+    """Temperature at which the dark current was measured."""
     doubling_temperature: TemperatureDifference | None = None
-    """By which the dark current doubles."""
+    """Temperature difference that doubles the dark current."""
     temperature: Temperature | None = None
-    """Of the sensor."""
+    """Temperature of the sensor."""
     dsnu: Electrons = default("0 e")
     """Standard deviation of the dark signal between pixels."""
     prnu: Share = 0.0

@@ -44,7 +44,7 @@ class BeamModel(Model):
     profile: Literal["gaussian", "cosine_power", "cone", "lambertian", "table"]
     """Shape of the angular distribution."""
     width: PositiveAngle | None = None
-    """Of the beam, as width_definition says."""
+    """Width of the beam, as width_definition says."""
     width_definition: WidthDefinition | None = None
     """What the width is."""
     file: FileName | None = None
@@ -75,24 +75,24 @@ class Spectral(Model):
     preset: ComponentName | None = None
     """Name of a light of the catalog, of a lamp where that is the type; keys beside it replace its values."""
     spectrum: SpectrumModel | None = None
-    """Of its light; every source has one, or none."""
+    """Spectrum of its light; every source has one, or none."""
 
 
 class Shining(Spectral):
     """What sources have in common whose level may be told in several ways."""
 
     radiance: RadianceValue | None = None
-    """Along the axis; one of the levels is given."""
+    """Radiance along the axis; one of the levels is given."""
     radiant_intensity: RadiantIntensityValue | None = None
-    """Along the axis; in place of radiance."""
+    """Radiant intensity along the axis; in place of radiance."""
     radiant_flux: RadiantFluxValue | None = None
-    """In all directions; in place of radiance."""
+    """Radiant flux in all directions; in place of radiance."""
     luminance: LuminanceValue | None = None
-    """Along the axis; in place of radiance, and needs a spectrum."""
+    """Luminance along the axis; in place of radiance, and needs a spectrum."""
     luminous_intensity: LuminousIntensityValue | None = None
-    """Along the axis; in place of radiance, and needs a spectrum."""
+    """Luminous intensity along the axis; in place of radiance, and needs a spectrum."""
     luminous_flux: LuminousFluxValue | None = None
-    """In all directions; in place of radiance, and needs a spectrum."""
+    """Luminous flux in all directions; in place of radiance, and needs a spectrum."""
 
     @model_validator(mode="after")
     def _one_level(self) -> Shining:
@@ -115,7 +115,7 @@ class LedModel(Shining, Aimed):
     type: Literal["led"]
     """Kind of source."""
     diameter: Size = default("5.08 mm")
-    """Of the disc that shines."""
+    """Diameter of the disc that shines."""
     beam: BeamModel
     """Angular distribution."""
 
@@ -128,7 +128,7 @@ class LampModel(Shining, Aimed):
     type: Literal["lamp"]
     """Kind of source."""
     diameter: Size
-    """Of the disc that shines."""
+    """Diameter of the disc that shines."""
     beam: BeamModel
     """Angular distribution."""
 
@@ -141,7 +141,7 @@ class IesModel(Spectral, Aimed):
     file: FileName
     """IES LM-63 file beside the scene."""
     diameter: Size = default("10 mm")
-    """Of the sphere that shines."""
+    """Diameter of the sphere that shines."""
     luminous_efficacy: EfficacyValue = default("179 lm/W")
     """How many lumens a watt is."""
 
@@ -152,11 +152,11 @@ class DiscSourceModel(Shining, Aimed):
     type: Literal["disc"]
     """Kind of source."""
     diameter: Size
-    """Of the disc that shines."""
+    """Diameter of the disc that shines."""
     irradiance_error: AskedError | None = None
     """Largest relative error of irradiance by patches; without it the disc shines from its middle."""
     least_patches: Patches | None = None
-    """So many patches at least, for finer half shadows."""
+    """Least number of patches, for finer half shadows."""
 
     @model_validator(mode="after")
     def _patches_of_a_wide_one(self) -> DiscSourceModel:
@@ -171,7 +171,7 @@ class WideModel(Spectral):
     irradiance_error: AskedError = 0.01
     """Largest relative error of irradiance where it shines from patches."""
     least_patches: Patches = 1
-    """So many patches at least, for finer half shadows."""
+    """Least number of patches, for finer half shadows."""
 
 
 class RectangleSourceModel(WideModel, Shining, Aimed):
@@ -210,11 +210,11 @@ class DomeModel(WideModel, Aimed):
     type: Literal["dome"]
     """Kind of source."""
     radiance: RadianceValue
-    """Of its inside, in all directions."""
+    """Radiance of its inside, in all directions."""
     diameter: Size
-    """Of the hemisphere."""
+    """Diameter of the hemisphere."""
     opening_diameter: SizeOrZero = default("0 mm")
-    """Of the hole at its top."""
+    """Diameter of the hole at its top."""
 
     @model_validator(mode="after")
     def _has_area(self) -> DomeModel:
@@ -229,9 +229,9 @@ class CoaxialModel(WideModel):
     type: Literal["coaxial"]
     """Kind of source."""
     radiance: RadianceValue
-    """Of the lamp, before the splitter."""
+    """Radiance of the lamp, before the splitter."""
     diameter: Size
-    """Of the lamp."""
+    """Diameter of the lamp."""
     distance: Size
     """How much longer the lamp's way to the target is than the camera's."""
     splitter_reflectance: Share = 0.5
@@ -254,7 +254,7 @@ class SurroundModel(WideModel):
     type: Literal["surround"]
     """Kind of source."""
     radiance: RadianceValue
-    """From all sides."""
+    """Radiance from all sides."""
 
 
 class LedChangeModel(Model):
@@ -276,9 +276,9 @@ class MisalignmentModel(Model):
     """Turn of a whole ring, about the world's y axis, then about its z axis."""
 
     about_y: Angle = default("0 deg")
-    """About the world's y axis, through the ring's centre."""
+    """Angle about the world's y axis, through the ring's centre."""
     about_z: Angle = default("0 deg")
-    """About the world's z axis, afterwards."""
+    """Angle about the world's z axis, applied second."""
 
 
 class RingModel(Shining, Aimed):
@@ -289,11 +289,11 @@ class RingModel(Shining, Aimed):
     count: Annotated[int, Field(strict=True, ge=1, le=4096)]
     """How many LEDs."""
     diameter: Size
-    """Of the circle through the LEDs' centres."""
+    """Diameter of the circle through the LEDs' centres."""
     first_angle: Angle = default("0 deg")
-    """Of LED 0, from the ring's x towards its y."""
+    """Angle of LED 0, from the ring's x towards its y."""
     led_diameter: Size = default("5.08 mm")
-    """Of the disc of each LED."""
+    """Diameter of the disc of each LED."""
     beam: BeamModel
     """Angular distribution of each LED."""
     misalignment: MisalignmentModel = default({})
@@ -303,7 +303,7 @@ class RingModel(Shining, Aimed):
     calibration: Annotated[str, Field(strict=True, min_length=1, max_length=1000)] | None = None
     """JSON beside the scene that says what each drive level shines; in place of radiance."""
     drive_levels: Share | tuple[Share, ...] | None = None
-    """Of all LEDs, or of each: share of full drive, 0 to 1; goes with calibration."""
+    """Drive level of all LEDs, or of each, as a share of full drive, 0 to 1; goes with calibration."""
 
     @model_validator(mode="after")
     def _one_level(self) -> RingModel:
@@ -318,7 +318,7 @@ class RingModel(Shining, Aimed):
     def _leds_exist(self) -> RingModel:
         indices = [led.index for led in self.leds]
         if len(set(indices)) < len(indices):
-            raise ValueError("leds: an index stands there twice")
+            raise ValueError("leds: an index appears twice")
         if indices and max(indices) >= self.count:
             raise ValueError(f"leds: index {max(indices)} is too large, the ring has LEDs 0 to {self.count - 1}")
         return self

@@ -68,7 +68,7 @@ def axial_radiance(table: Shining, area: float, beam: Beam, folder: Path, where:
     if table.spectrum is not None and any(level is not None for level in photometric):
         per_watt = lumens_per_watt(source_spectrum(table.spectrum, folder, f"{where}.spectrum"))
         if per_watt <= 0:
-            raise InputError("no eye sees this light", where=f"{where}.spectrum", remedy="tell its level in watts")
+            raise InputError("no eye sees this light", where=f"{where}.spectrum", remedy="give its level in watts")
     if table.radiance is not None:
         return table.radiance
     if table.luminance is not None:

@@ -45,7 +45,7 @@ def with_levels(scene: Scene, factors: Mapping[str, float], changes: Mapping[str
         wanted = before * factors.get(name, 1.0)
         if abs(after - wanted) > _SAME * max(wanted, before):
             raise InputError(
-                "its level cannot be told by another number", where=f'source "{name}"', remedy="relight the basis"
+                "its level cannot be given by another number", where=f'source "{name}"', remedy="relight the basis"
             )
     return made
 

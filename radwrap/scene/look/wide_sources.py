@@ -150,7 +150,7 @@ def _enclosing(scene: Scene, source: WideSource, index: int) -> WideSource:
     for surface in scene.surfaces:
         if isinstance(scene.materials[surface.material], Sheeting | PrintedSheeting):
             raise InputError(
-                f'light from all sides falls on "{surface.material}", sheeting whose data tell of '
+                f'light from all sides falls on "{surface.material}", sheeting whose data cover '
                 "small observation angles only",
                 where=where,
                 remedy="light it by sources of known place",

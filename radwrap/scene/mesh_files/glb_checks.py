@@ -31,7 +31,7 @@ def check_glb(content: bytes, where: str) -> None:
         count = len(tree.get("nodes", ()))
         found = next(_faults(tree), None)
     except (ValueError, TypeError, KeyError, IndexError, AttributeError, RecursionError, struct.error) as error:
-        raise InputError(f"is no whole GLB file: {str(error)[:100]}", where=where) from error
+        raise InputError(f"is not a complete GLB file: {str(error)[:100]}", where=where) from error
     if count > MOST_NODES:
         raise InputError(
             f"holds {count} nodes, the limit is {MOST_NODES}", where=where, remedy="join its nodes into fewer meshes"

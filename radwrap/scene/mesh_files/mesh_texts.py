@@ -74,7 +74,7 @@ def read_obj(content: bytes, where: str) -> tuple[Array, dict[str, Polygons]]:
                 case word if word in _FREE_FORM:
                     raise InputError(f"line {number} begins a free-form surface", where=where, remedy="mesh it before")
         except (ValueError, OverflowError) as error:
-            raise InputError(f"is no whole OBJ file: line {number}: {str(error)[:80]}", where=where) from error
+            raise InputError(f"is not a complete OBJ file: line {number}: {str(error)[:80]}", where=where) from error
     return np.array(vertices).reshape(-1, 3), groups
 
 
@@ -136,7 +136,7 @@ def read_off(content: bytes, where: str) -> tuple[Array, Polygons]:
         if next(lines, None) is not None:
             raise ValueError("it holds more than it claims")
     except StopIteration as error:
-        raise InputError("is no whole OFF file: it holds less than it claims", where=where) from error
+        raise InputError("is not a complete OFF file: it holds less than it claims", where=where) from error
     except (ValueError, OverflowError) as error:
-        raise InputError(f"is no whole OFF file: {str(error)[:100]}", where=where) from error
+        raise InputError(f"is not a complete OFF file: {str(error)[:100]}", where=where) from error
     return np.array(vertices).reshape(-1, 3), faces

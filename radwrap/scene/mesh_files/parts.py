@@ -98,7 +98,7 @@ def read_part_file(path: Path, *, folder: Path, length_unit: float | None, where
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
-        raise InputError(f'"{path.name}" is no mesh file', where=where, remedy=f"use {', '.join(SUFFIXES)}")
+        raise InputError(f'"{path.name}" is not a mesh file', where=where, remedy=f"use {', '.join(SUFFIXES)}")
     unit = _unit(suffix, length_unit, path, where)
     content = _content(path, folder, where)
     _check_counts(suffix, content, where)
@@ -165,7 +165,7 @@ def _check_inside(name: str, path: Path, where: str) -> None:
         inside = False
     if Path(name).is_absolute() or not inside:
         raise InputError(
-            f'"{path.name}" names the material file "{shortened(name)}", which is no file in its folder',
+            f'"{path.name}" names the material file "{shortened(name)}", which is not a file in its folder',
             where=where,
             remedy="correct it",
         )
@@ -178,7 +178,7 @@ def _check_counts(suffix: str, content: bytes, where: str) -> None:
         case ".stl" if not _is_text_stl(content):
             claimed = struct.unpack("<I", content[80:84])[0] if len(content) >= 84 else -1
             if len(content) != 84 + 50 * claimed:
-                raise InputError("is no whole STL file: its size does not fit its number of faces", where=where)
+                raise InputError("is not a complete STL file: its size does not fit its number of faces", where=where)
             counts = [claimed]
         case ".ply":
             found = _PLY_COUNT.findall(content[: content.find(b"end_header")])
@@ -266,7 +266,7 @@ def _ply_faces(data: Any) -> Polygons:
     if isinstance(data, np.ndarray):
         lengths, lists = lists["f0"], lists["f1"].reshape(len(lists), -1)
         if (lengths != lists.shape[1]).any():
-            raise ValueError("faces of different numbers of corners are read from text alone")
+            raise ValueError("faces of different numbers of corners are read only from text")
     faces = Polygons()
     for corners in lists.tolist():
         faces.add(corners if isinstance(corners, list) else np.ravel(corners).tolist())
@@ -282,7 +282,7 @@ def _library(kind: str, where: str) -> Iterator[None]:
     except (MemoryError, RecursionError) as error:
         raise InputError("is too large for this machine's memory", where=where) from error
     except Exception as error:  # the library's parsers raise whatever a broken file makes them stumble over
-        raise InputError(f"is no whole {kind.upper()} file: {str(error)[:100]}", where=where) from error
+        raise InputError(f"is not a complete {kind.upper()} file: {str(error)[:100]}", where=where) from error
 
 
 def _glb_of_step(content: bytes, where: str) -> bytes:
@@ -296,9 +296,9 @@ def _glb_of_step(content: bytes, where: str) -> bytes:
         try:
             programs.run([sys.executable, "-c", code], folder=Path(folder), environment={"LC_ALL": "C"})
         except TracerError as error:
-            raise InputError(f"is no whole STEP file: {error.what[-100:]}", where=where) from error
+            raise InputError(f"is not a complete STEP file: {error.what[-100:]}", where=where) from error
         if not made.is_file():
-            raise InputError("is no whole STEP file: it holds no shape", where=where)
+            raise InputError("is not a complete STEP file: it holds no shape", where=where)
         return made.read_bytes()
 
 

@@ -207,7 +207,7 @@ test("a knob by mouse, by keys and by its text is one state", async (t) => {
 test("what is wrong is said at its field, and the picture stays", async (t) => {
   const { page } = await loaded(t, { expected: /422/ }); // the browser's own word on a refusal
   const before = await picture(page, 20, 20);
-  for (const [name, text, says] of [["exposure_time", "5 mm", '"mm" is no unit of time'], ["exposure_time", "nan s", "exposure_time"],
+  for (const [name, text, says] of [["exposure_time", "5 mm", '"mm" is not a unit of time'], ["exposure_time", "nan s", "exposure_time"],
     ["exposure_time", "1e300 s", "must be at most"], ["gain", "NaN", "gain factor is a number"], ["gain", "1e300", "gain factor is a number"],
     ["gamma", "1 mm", "gamma is a number"], ["bit_depth", "8.5", "whole number"], ["level:ring.led01", "-1", "a level is a number"]]) {
     await type(page, name, text);
@@ -443,7 +443,7 @@ test("a bad link says what to do, and the token leaves the address", async (t) =
   assert.match(await other.textContent("#banner"), /needs its link/);
   const { page: wrong } = await opened(t, { at: `http://127.0.0.1:${port}/#wrong`, expected: /401/ });
   await wrong.waitForSelector("#banner:not([hidden])");
-  assert.match(await wrong.textContent("#banner"), /open the one that radwrap face has told last/);
+  assert.match(await wrong.textContent("#banner"), /open the last one that radwrap face printed/);
   assert.deepEqual(faults, []);
 });
 
