@@ -105,7 +105,9 @@ def check_not_others(folder: Path, names: Iterable[str], mark: str, by: str) -> 
     """
     other = next((name for name in names if (folder / name).exists()), None)
     if other is not None and not (folder / mark).exists():
-        raise InputError(f"holds {other}, which no {by} wrote", where=str(folder), remedy="choose another `out`")
+        raise InputError(
+            f"holds {other}, which was not written by any {by}", where=str(folder), remedy="choose another `out`"
+        )
 
 
 def publish(temporary: Path, final: Path) -> None:

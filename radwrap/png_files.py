@@ -76,11 +76,11 @@ def broken_png(content: bytes, most_pixels: int) -> str:
             return f"a checksum is wrong {place} bytes from its start"
         is_named = kind.isalpha() and kind[2:3].isupper() and (kind in _KNOWN or kind[0] & _ANCILLARY)
         if not is_named or (header is None) != (kind == b"IHDR"):
-            return f"a part is not as a PNG file has it {place} bytes from its start"
+            return f"a part does not follow the PNG format {place} bytes from its start"
         if kind == b"IHDR":
             header = _header(data)
             if header is None or not header.is_sound:
-                return "its header makes no sense"
+                return "its header is not valid"
         elif kind == b"PLTE":
             colours = len(data)
         elif kind == b"IDAT":

@@ -90,9 +90,9 @@ BROKEN: Final = {
     "half a picture": ([HEADER, (b"IDAT", zlib.compress(PICTURE[:25])), END], "ends too early"),
     "7 bits": ([(b"IHDR", HEADER[1][:8] + bytes([7, 0, 0, 0, 0])), (b"IDAT", zlib.compress(PICTURE)), END], "header"),
     "no pixels": ([(b"IHDR", bytes(4) + HEADER[1][4:]), (b"IDAT", zlib.compress(PICTURE)), END], "header"),
-    "no header": ([(b"IDAT", zlib.compress(PICTURE)), END], "a part is not as"),
+    "no header": ([(b"IDAT", zlib.compress(PICTURE)), END], "a part does not follow"),
     "no palette": ([(b"IHDR", HEADER[1][:9] + bytes([3, 0, 0, 0])), (b"IDAT", zlib.compress(PICTURE)), END], "palette"),
-    "an unknown part": ([HEADER, (b"IDAX", zlib.compress(PICTURE)), END], "a part is not as"),
+    "an unknown part": ([HEADER, (b"IDAX", zlib.compress(PICTURE)), END], "a part does not follow"),
 }
 
 

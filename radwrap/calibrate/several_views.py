@@ -277,7 +277,7 @@ def _check_in_front(views: Sequence[CalibrationView], state: State) -> None:
             raise InputError(
                 "its points are found behind the camera",
                 where=f"view {view.name}",
-                remedy="look whether u and v are swapped, or an axis is mirrored",
+                remedy="check whether u and v are swapped, or an axis is mirrored",
             )
 
 

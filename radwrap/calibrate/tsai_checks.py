@@ -112,7 +112,7 @@ def check_points(
     _check_duplicates(world, "points")
     sizes = cloud_of(world).sizes
     if sizes[1] <= COLLINEAR * sizes[0]:
-        raise InputError("lie on one line, which leaves the turn about it open", where="points")
+        raise InputError("lie on one line, which leaves the rotation about it undetermined", where="points")
     flat = bool(sizes[2] <= COPLANAR * sizes[0])
     if not flat and count < FEWEST_SPATIAL:
         raise InputError(
@@ -161,7 +161,7 @@ def _check_flat(free: frozenset[str], kappa1: float) -> None:
     """What one view of one plane can never tell."""
     if "sx" in free:
         raise InputError(
-            "cannot be had from coplanar points: it trades against the board's pose",
+            "cannot be determined from coplanar points: it trades off against the board's pose",
             where="sx",
             remedy="hold it, or use points in space",
         )
@@ -195,7 +195,7 @@ def check_found(
     behind = np.flatnonzero(to_camera(camera, points)[:, 2] <= 0.0) + 1
     if behind.size:
         raise InputError(
-            f"{behind.size} of them, such as point {behind[0]}, come to lie behind the camera",
+            f"{behind.size} of them, such as point {behind[0]}, would lie behind the camera",
             where="points",
             remedy="check that u runs to the right and v down, the units, and which image belongs to which point",
         )
@@ -229,7 +229,7 @@ def misfit(found: Minimum, image: Array) -> float:
 def _check_told(found: Minimum, camera: Camera, free: frozenset[str], flat: bool, kappa1_error: float) -> None:
     if flat and {"centre", "focal_length", "distortion"} <= free and abs(camera.kappa1) < SIGNIFICANT * kappa1_error:
         raise InputError(
-            f"cannot be had from one view of a plane whose distortion, kappa1 {camera.kappa1:.3g} +- "
+            f"cannot be determined from one view of a plane whose distortion, kappa1 {camera.kappa1:.3g} +- "
             f"{kappa1_error:.2g} /m^2, does not differ from 0: undistorted, the Jacobian is singular",
             where="centre",
             remedy="hold the centre, or use points in space",

@@ -159,7 +159,7 @@ def run(arguments: argparse.Namespace) -> int:
     if missing := result.run.missing:
         sys.stdout.flush()
         bound = f"below {result.error.rms_gray_upper95:.2g} gray rms (95 %)"
-        print(f"radwrap: the error, {bound}, does not hold what is left out: {missing} gray rms", file=sys.stderr)
+        print(f"radwrap: the error, {bound}, does not include what is left out: {missing} gray rms", file=sys.stderr)
     if not result.run.met:
         raise ToleranceNotMet("the tolerance was not met; this is the best image that was found")
     return 0

@@ -134,7 +134,7 @@ def _take_possession(dataset: Dataset, out: Path, options: RunOptions) -> dict[s
             return told
         if not options.force:
             raise InputError(
-                "holds another dataset, or one whose files or programs were others",
+                "holds another dataset, or one made with other files or programs",
                 where=str(out),
                 remedy="choose another `out`, or remove it by `force`",
             )

@@ -111,7 +111,7 @@ def most_even(problem: EvenLight, measure: Measure) -> Array:
         if not any(one.any() for one in new):
             return _levels(problem, limits, point)
         used = [here | more for here, more in zip(used, new, strict=True)]
-    raise EnvironmentFailure("the convex program of the levels did not come to an end", where="levels")
+    raise EnvironmentFailure("the convex program of the levels did not finish", where="levels")
 
 
 def _bounds(problem: EvenLight) -> Array:

@@ -283,7 +283,7 @@ def _take_possession(problem: Problem, out: Path, options: StudyOptions) -> None
     if (out / PLAN).exists():
         if read_manifest(out / PLAN).get("design_sha256") != told["design_sha256"]:
             raise InputError(
-                "holds another design, or one whose files or programs were others",
+                "holds another design, or one made with other files or programs",
                 where=str(out),
                 remedy="choose another `out`",
             )

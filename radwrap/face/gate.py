@@ -114,7 +114,7 @@ class Gate:
             return 403, "was asked by another site's page"
         door = self._table.get(scope["path"]) if b"%" not in raw and raw == scope["path"].encode() else None
         if door is None:
-            return 404, "there is nothing"
+            return 404, "there is nothing here"
         if scope["method"] != door.method:
             return 403, f"ask by {door.method}"
         if door.guarded:

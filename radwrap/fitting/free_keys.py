@@ -168,7 +168,7 @@ def _begun(scene: Scene, document: dict[str, Any], key: str, bounds: str) -> tup
             raise InputError(
                 "has no number in the scene, nor a default",
                 where=where,
-                remedy="see that the key is spelled as `radwrap schema` has it; give it a value there, or KEY=low:high",
+                remedy="check the spelling against `radwrap schema`; give it a value there, or KEY=low:high",
             )
         low, unit = _number(low_text.strip(), where)
         high = _in_unit(high_text.strip(), unit, where)

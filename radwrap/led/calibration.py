@@ -87,7 +87,7 @@ def _table(led: int, rows: Sequence[tuple[int, float, float, float]], where: str
 
 def _row(header: Sequence[str], row: Sequence[str], where: str) -> tuple[int, float, float, float]:
     if len(row) != len(header):
-        raise InputError("has another number of cells than the first line", where=where)
+        raise InputError("has a different number of cells from the first line", where=where)
     cells = dict(zip(header, (cell.strip() for cell in row), strict=True))
     if not _LED_NUMBER.fullmatch(cells["led"]) or int(cells["led"]) >= 4096:
         raise InputError(f'"{shortened(cells["led"])}" is not the number of an LED', where=f'{where}, column "led"')

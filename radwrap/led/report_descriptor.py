@@ -98,7 +98,7 @@ def feature_reports(descriptor: bytes) -> list[FeatureReport]:
                 collections.append(usages[0] if usages else 0)
             case 0xC0:  # end of collection
                 if not collections:
-                    raise ValueError("a collection ends that did not begin")
+                    raise ValueError("a collection ends without a beginning")
                 collections.pop()
             case 0xB0:  # feature
                 report = reports.setdefault(

@@ -230,7 +230,7 @@ class DaskPool:
                 where=self._address,
                 remedy="start one: dask worker; the same command then continues; or raise `worker_timeout`",
             )
-        self._tell(f"no worker is there; waiting {self._patience:g} s for one at {self._address}")
+        self._tell(f"no worker is available; waiting {self._patience:g} s for one at {self._address}")
 
     def _executor_of(self, fit: Collection[str]) -> Executor:
         """Of equal jobs each is done. Those who came since may refuse one, and are then known to be unfit."""

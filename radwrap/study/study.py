@@ -221,7 +221,7 @@ def take_possession(
     if (out / PLAN).exists():
         if read_manifest(out / PLAN).get("study_sha256") != told["study_sha256"]:
             raise InputError(
-                "holds another study, or one whose files were others, or its programs",
+                "holds another study, or one made with other files or programs",
                 where=str(out),
                 remedy="choose another `out`",
             )

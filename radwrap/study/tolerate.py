@@ -385,7 +385,7 @@ def largest_change(bound: Bound, nominal: float) -> float:
     if not largest > 0:
         unit = f" {bound.response.unit}" if bound.response.unit else ""
         raise InputError(
-            f"{bound.response.name} is {nominal:g} nominally, of which no share is a bound",
+            f"{bound.response.name} is {nominal:g} nominally, so a share of it cannot be a bound",
             where="within",
             remedy=f'give the change itself, such as "0.05{unit}"',
         )

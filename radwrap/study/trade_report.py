@@ -45,7 +45,7 @@ def recommendation(rows: Sequence[Row], tolerance: float) -> str:
     if not good:
         best = min(rows, key=lambda row: row.error.rms_gray_upper)
         return (
-            f"No setting that was tried came surely below {tolerance:g} gray rms; the most exact is "
+            f"No setting that was tried was certain to come below {tolerance:g} gray rms; the most exact is "
             f"`{best.setting.options}` with {_told(best)}."
         )
     best = min(good, key=lambda row: row.wall_s)
@@ -54,7 +54,7 @@ def recommendation(rows: Sequence[Row], tolerance: float) -> str:
     if best.setting.method == "viewpoints":
         return f"{text}; no other method that was tried is as fast."
     if not paper:
-        return f"{text}; sub-viewpoints, as far as they were tried, did not come so far."
+        return f"{text}; the sub-viewpoints that were tried did not reach it."
     other = min(paper, key=lambda row: row.wall_s)
     return (
         f"{text}; the cheapest sub-viewpoints that come below it, `{other.setting.options}`, took "

@@ -43,7 +43,7 @@ ABOVE: Final = 1e-6
 # Behind a surface that is seen from its back, from where its front is asked for its number, in the distance.
 _BEHIND: Final = 1e-6
 _BLOCKS_TOGETHER: Final = 16
-ENDLESS: Final = "light goes on and on between the surfaces"
+ENDLESS: Final = "light never stops going between the surfaces"
 DRAWS: Final = 4  # numbers that each step of a walk takes at most
 
 # Of SplitMix64, whose hash makes keys and draws.

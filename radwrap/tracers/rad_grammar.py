@@ -426,7 +426,7 @@ def _primitive(reader: _Reader, defined: set[str]) -> Primitive:
     line = reader.line()
     if not _NAME.fullmatch(modifier):
         raise reader.fault(
-            f"{shown(modifier)} is found where a modifier is expected", "look whether the counts before it are right"
+            f"{shown(modifier)} is found where a modifier is expected", "check whether the counts before it are right"
         )
     kind = reader.word("a type")
     form = ALLOWED.get(kind)

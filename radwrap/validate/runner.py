@@ -91,7 +91,7 @@ def chosen(names: Sequence[str]) -> tuple[Check, ...]:
         if not fitting:
             known = ", ".join(check.name for check in CHECKS)
             raise InputError(
-                f'nothing is called "{name}"', where="names", remedy=f"name a section, 1 to 8 or 10, or {known}"
+                f'there is no "{name}" to run', where="names", remedy=f"name a section, 1 to 8 or 10, or {known}"
             )
         found += fitting
     return tuple(check for check in CHECKS if not names or check in found)

@@ -68,7 +68,7 @@ def test_the_full_well_that_a_vendor_printed_ten_times_too_high_is_found(
         ('full_well = "20800 e"', 'full_well = "20800 V"', "full_well"),
         ('full_well = "20800 e"', 'ful_well = "20800 e"', "unknown key"),
         ('dynamic_range = "74 dB"', 'dynamic_range = "74"', "in dB"),
-        ('dynamic_range = "74 dB"', 'width = "74 dB"', "nothing is known of"),
+        ('dynamic_range = "74 dB"', 'width = "74 dB"', "is not a known total"),
     ],
 )
 def test_what_is_wrong_is_said(

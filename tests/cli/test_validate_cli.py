@@ -77,7 +77,7 @@ def test_what_is_off_missing_or_broken_is_a_miss(capsys: pytest.CaptureFixture[s
 
 
 def test_a_name_that_is_none_is_told() -> None:
-    with pytest.raises(InputError, match="nothing is called"):
+    with pytest.raises(InputError, match="there is no"):
         chosen(["9"])
     assert [check.name for check in chosen(["4.merge_linear"])] == ["4.merging"]
 

@@ -64,10 +64,10 @@ def test_a_twin_is_found_and_its_files_are_whole(
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "index.html").write_text("mine")
     argv[argv.index("--out") + 1] = tmp_path / "mine"
-    assert "holds index.html, which no fit wrote" in here(argv, capsys).refusal(2)
+    assert "holds index.html, which was not written by any fit" in here(argv, capsys).refusal(2)
     argv[argv.index("--out") + 1] = tmp_path / "out"
     argv[argv.index("--out") + 1] = tmp_path
-    assert "holds scene.toml, which no fit wrote" in here(argv, capsys).refusal(2)
+    assert "holds scene.toml, which was not written by any fit" in here(argv, capsys).refusal(2)
     assert path.read_text() == text
 
 

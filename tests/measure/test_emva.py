@@ -222,7 +222,7 @@ BAD = {
     "cells": ("file,photons\na.png\n", "line 2: has 1 cells"),
     "dark": ("file,photons,dark\na.png,1,yes\n", 'line 2: dark "yes" is not 0 or 1'),
     "absent": ("file,photons\nc.png,0\nd.png,0\n", "c.png: no such image"),
-    "size": ("file,photons\na.png,0\nb.png,0\n", '"b.png" has another size'),
+    "size": ("file,photons\na.png,0\nb.png,0\n", '"b.png" differs in size'),
     "no dark": ("file,photons\na.png,1\na2.png,1\n", "no dark frames"),
     "elsewhere": (
         "file,photons\na.png,0\n../frames.png,0\n",

@@ -159,7 +159,11 @@ def test_contrast_over_the_field_is_read_in_any_order(tmp_path: Path) -> None:
         ("100,0.9,0.5", {}, "is 0.9 at 100 per mm, and a perfect lens leaves 0.747 at f/4 and 500 nm"),
         ("100,-0.1,0.5", {}, "is -0.1 at 100 per mm"),
         ("0,0.9,1\n100,0.5,0.5", {}, "must be 1 at the frequency 0"),
-        ("100,0.5,0.5", {"f_number": 2.8}, "is 2.8, and the camera's 4: contrast of another opening says nothing"),
+        (
+            "100,0.5,0.5",
+            {"f_number": 2.8},
+            "is 2.8, and the camera's 4: contrast of another opening does not apply",
+        ),
         ("100,0.7,0.5", {}, "differs on the axis by direction"),
         ("100,0.5,0.5\n100,0.6,0.6", {}, "the same frequencies at each height, each once"),
         ("-100,0.5,0.5", {}, "needs frequencies above 0"),

@@ -116,7 +116,7 @@ def test_workers_may_come_late_and_go_early(tmp_path: Path) -> None:
             first.kill()
             stack.enter_context(_worker(address, tmp_path / "w2"))
             _, told = study.communicate(timeout=PATIENCE)
-        assert study.returncode == 0 and "no worker is there" in told, told
+        assert study.returncode == 0 and "no worker is available" in told, told
         assert not mark.exists()
     run_study(read_design(design), tmp_path / "here", StudyOptions())
     assert (out / "results.csv").read_bytes() == (tmp_path / "here" / "results.csv").read_bytes()
@@ -199,7 +199,7 @@ def test_a_study_whose_last_worker_is_killed_ends(tmp_path: Path) -> None:
 
 def _says_once_that_it_waits(told: str, address: str, seconds: int) -> None:
     waits, ends = told.splitlines()
-    assert waits == f"radwrap: no worker is there; waiting {seconds} s for one at {address}"
+    assert waits == f"radwrap: no worker is available; waiting {seconds} s for one at {address}"
     assert ends.startswith(f"radwrap: {address}: no worker for {seconds} s; start one") and "--worker-timeout" in ends
 
 

@@ -304,7 +304,7 @@ def test_a_study_does_not_go_on_with_other_files(tmp_path: Path) -> None:
     for _ in range(2):
         take_possession(out, design, runs_of(design), StudyOptions())
     (tmp_path / "panel.rad").write_text("void plastic grey\n0\n0\n5 .4 .4 .4 0 0\n")
-    with pytest.raises(InputError, match="holds another study, or one whose files were others"):
+    with pytest.raises(InputError, match="holds another study, or one made with other files"):
         take_possession(out, design, runs_of(design), StudyOptions())
 
 

@@ -103,8 +103,8 @@ def test_image_errors_are_carried_into_effects(tmp_path: Path) -> None:
     ("text", "complaint"),
     [
         ("A,y\n1,2\n1,3\n", "one level only"),
-        ("A,y\n1,2\n2,x\n", "no finite number"),
-        ("A,y\n1,nan\n2,3\n", "no finite number"),
+        ("A,y\n1,2\n2,x\n", "not a finite number"),
+        ("A,y\n1,nan\n2,3\n", "not a finite number"),
         ("A,z\n1,2\n2,3\n", 'no column "y"'),
         ("A,y\n1,2\n2,2\n", "same in all runs"),
         ("A,y\n1,2\n2\n", "cells"),

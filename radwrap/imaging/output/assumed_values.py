@@ -88,7 +88,7 @@ def warnings_of_assumed(effects: tuple[AssumedEffect, ...]) -> Iterator[str]:
         f"{effect.key} from {effect.low} to {effect.high}: {_changes(effect)}" for effect in effects if effect.notable
     ]
     if told:
-        yield f"the image hangs on values that nobody published: {'; '.join(told)}"
+        yield f"the image depends on values that nobody published: {'; '.join(told)}"
 
 
 def _changes(effect: AssumedEffect) -> str:

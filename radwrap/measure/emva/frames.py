@@ -199,7 +199,7 @@ def _stack(
             first, sums, squares = frame, np.zeros_like(frame), np.zeros_like(frame)
         if frame.shape != first.shape:
             where = f"{table}: line {line}"
-            raise InputError(f'"{file.name}" has another size than the frames before it', where=where)
+            raise InputError(f'"{file.name}" differs in size from the frames before it', where=where)
         levels += level
         # From the first frame, so that the squares are small; each frame's own level is no noise of its pixels.
         difference = frame - first - (level - float(first.mean()))

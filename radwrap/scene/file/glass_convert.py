@@ -170,7 +170,7 @@ def _contrast(
     number = camera.focal_length / camera.opening_diameter
     if abs(table.f_number / number - 1) > _SAME_OPENING:
         raise InputError(
-            f"is {table.f_number:g}, and the camera's {number:.4g}: contrast of another opening says nothing",
+            f"is {table.f_number:g}, and the camera's {number:.4g}: contrast of another opening does not apply",
             where=f"{where}.f_number",
             remedy="give the table of this opening, or open the lens as the table says",
         )
