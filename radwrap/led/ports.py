@@ -146,7 +146,7 @@ def found(
 
 
 def _emulated(path: str) -> Found:
-    path = str(Path(path).absolute())  # the guardian opens it too, and works in another folder
+    path = str(Path(path).resolve())  # the guardian opens it too, and works in another folder
     port = EmulatedPort(path)
     try:
         told = port.told()

@@ -144,7 +144,7 @@ def test_what_a_detector_misses_is_what_is_left(scene: Scene, seen: Seen) -> Non
         ({"views": 3.5}, "whole number"),
         ({"tilt": "30"}, "has no unit"),
         ({"tilt": "85 deg"}, "from 0 to 80 deg"),
-        ({"tilt": "0 deg"}, "apart"),
+        ({"tilt": "0 deg"}, "do not separate"),
         ({"noise": "0 px"}, "above 0 px"),
         ({"noise": "1 px", "detector": "sb"}, "exclude each other"),
         ({"at": "-1 m"}, "above 0 m"),
