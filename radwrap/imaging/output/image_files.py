@@ -54,25 +54,14 @@ class ImageSummary:
 def write_images(
     folder: Path, radiance: NDArray[np.float64], camera: Camera, check: Callable[[], None] | None = None
 ) -> tuple[ImageSummary, list[str]]:
-    """Write both as `write_exposure`, of radiance.
+    """Write both as `write_exposure`, of radiance; folder, check and what is returned are its own.
 
     Parameters
     ----------
-    folder : Path
-        Where to.
     radiance : ndarray, shape (rows, columns)
         Mean of L cos^4(theta) [W m^-2 sr^-1].
     camera : Camera
         Whose image.
-    check : callable, optional
-        As of `write_exposure`.
-
-    Returns
-    -------
-    summary : ImageSummary
-        What they hold.
-    files : list of str
-        Their names.
     """
     return write_exposure(folder, radiant_exposure(RadianceImage(radiance), camera).values, camera.sensor, check)
 
