@@ -119,8 +119,15 @@ def brute(name: str, material: Material, v: tuple[float, float, float]) -> float
     return float(source.radiance * area(source.shape) * np.mean(each * leaving / away**2))
 
 
-@pytest.mark.parametrize("material", ALL)
-@pytest.mark.parametrize("name", LIGHTS)
+# Each light and each material with every second of the others; the rest is long.
+@pytest.mark.parametrize(
+    ("name", "material"),
+    [
+        pytest.param(name, material, marks=[pytest.mark.long] if (i + j) % 2 else [])
+        for i, name in enumerate(LIGHTS)
+        for j, material in enumerate(ALL)
+    ],
+)
 def test_lobe_against_quadrature(name: str, material: str) -> None:
     v = SLANTED if material in GLOSSY or name == "dome" else TO_LIGHT
     values = shines(name, ALL[material], v)
