@@ -15,6 +15,7 @@ html_show_copyright = False
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "docs_site.mathml", "docs_site.extension"]
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 4
+smartquotes = False  # options begin with two hyphens
 html_theme = "furo"
 html_title = "radwrap"
 html_static_path = ["_static"]

@@ -12,7 +12,12 @@ _WIDE: Final = re.compile(r"\s+")
 _QUANTITY: Final = re.compile(r"(?:^|(?<=\s))([A-Z][\w ]*): one number, one blank, one unit of ([^.]+)\.$")
 _INDEX: Final = """# Keys of a scene file
 
-A scene is a TOML file. These are its parts, each with all of its keys; `radwrap schema` prints the same for editors.
+A scene is a TOML file. These are its parts, each with all of its keys. `radwrap schema` prints the same as a JSON
+schema, from which editors complete and check scene files.
+
+A key that is not in these tables is an error that names it, and so is a number where a quantity with a unit is due.
+Keys are `required`, have the default that the table gives, or may be left out. Of some only one is given, as the text
+says.
 
 | key | what it is |
 |---|---|
@@ -76,14 +81,15 @@ def _help(parser: argparse.ArgumentParser, action: argparse.Action) -> str:
 
 def _plain(text: str) -> str:
     """Text as MyST shows it as it stands: a name between asterisks or underscores is not emphasised."""
-    return re.sub(r"(?<!\\)([*_|<>\[\]])", r"\\\1", _WIDE.sub(" ", text)).replace("``", "`")
+    return re.sub(r"(?<!\\)([*_|<>\[\]$])", r"\\\1", _WIDE.sub(" ", text)).replace("``", "`")
 
 
 def scene_pages(schema: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Name and MyST text of a page for each part of a scene file, first that of all parts."""
     tables, homes = schema["$defs"], _homes(schema)
     parts = "\n".join(
-        f"| [`{page}`]({page}.md) | {_plain(tables[names[0]]['description'])} |" for page, names in homes.items()
+        f"| {f'[`{key}`]({key}.md)' if key in homes else f'`{key}`'} | {_plain(value['description'])} |"
+        for key, value in schema["properties"].items()
     )
     units = "\n".join(f"| {name} | {_plain(told)} |" for name, told in sorted(_units(tables).items()))
     yield "index", _INDEX.format(parts=parts, units=units, toc="\n".join(homes))
@@ -153,7 +159,7 @@ def _table(table: Mapping[str, Any]) -> Iterator[str]:
         if quantity:
             text, kind = _QUANTITY.sub("", text).strip(), kind.replace("quantity", quantity[1].lower())
             kind = f"list, each one {quantity[1].lower()}" if kind == "list" else kind
-        default = "required" if key in table.get("required", []) else _default(value)
+        default = "required" if key in table.get("required", []) else _default(value) or "optional"
         yield f"| `{key}` | {kind} | {default} | {_plain(text)} |"
 
 
