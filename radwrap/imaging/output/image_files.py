@@ -54,10 +54,12 @@ class ImageSummary:
 def write_images(
     folder: Path, radiance: NDArray[np.float64], camera: Camera, check: Callable[[], None] | None = None
 ) -> tuple[ImageSummary, list[str]]:
-    """Write both as `write_exposure`, of radiance; folder, check and what is returned are its own.
+    """Write both as `write_exposure`, of radiance; what is returned is its own.
 
     Parameters
     ----------
+    folder, check
+        As of `write_exposure`.
     radiance : ndarray, shape (rows, columns)
         Mean of L cos^4(theta) [W m^-2 sr^-1].
     camera : Camera
