@@ -115,9 +115,7 @@ def plane_of(scene: Scene, colour: Colour) -> Scene:
 
 def rendered_colours(scene: Scene) -> tuple[Colour, ...]:
     """Colours that need a render of their own, that with most light first; saturated pixels may need more."""
-    shares = _shares(scene)
-    brightest = max(COLOURS, key=lambda colour: shares[colour] or 0.0)
-    return (brightest, *(colour for colour in COLOURS if shares[colour] is None))
+    return _rendered(_shares(scene))
 
 
 def make_mosaic(
@@ -235,12 +233,19 @@ def _shares(scene: Scene) -> Mapping[Colour, float | None]:
     shares = shares_of_light(scene)
     if scene.tolerances is None:
         return shares
-    brightest = max(COLOURS, key=lambda colour: shares[colour] or 0.0)
+    brightest, *_ = _rendered(shares)
     return {colour: share if colour == brightest or share == 0 else None for colour, share in shares.items()}
 
 
+def _rendered(shares: Mapping[Colour, float | None]) -> tuple[Colour, ...]:
+    """The colour with most light, and those whose light is not a share of it."""
+    brightest = max(COLOURS, key=lambda colour: shares[colour] or 0.0)
+    return (brightest, *(colour for colour in COLOURS if shares[colour] is None))
+
+
 def _planes(scene: Scene, folder: Path, options: RenderOptions, render: PlaneRender) -> dict[Colour, _Plane]:
-    shares, (brightest, *others) = _shares(scene), rendered_colours(scene)
+    shares = _shares(scene)
+    brightest, *others = _rendered(shares)
     # A budget is that of all planes; pixels that saturate may need more.
     parts = 1 + len(others)
     rays, seconds = options.budget_rays, options.budget_seconds

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import shutil
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -56,39 +57,45 @@ def scenes(folder: Path) -> list[Path]:
     return sorted(folder.rglob("scene.toml"))
 
 
-def shown(path: Path, home: Path, cache: Path) -> Exhibit:
-    """Picture and live page of a scene, rendered where the cache does not have them.
+def shown(path: Path, name: str, there: Path) -> Exhibit:
+    """Picture and live page of a scene in a folder, rendered where that does not have them.
 
     Parameters
     ----------
-    path, home : path
-        Scene file; the folder of all scenes.
-    cache : path
-        Folder with a folder for each key of `_key`.
+    path : path
+        Scene file.
+    name : str
+        Of the scene.
+    there : path
+        Folder for this state of scene and package, see `_key`.
     """
-    name = path.parent.relative_to(home).as_posix()
-    there = cache / _key(path)
     if not (there / _MADE).is_file():
         made = _made(path, name, there)
         (there / _MADE).write_text(json.dumps(made, indent=1))
     return Exhibit(name, **json.loads((there / _MADE).read_text()))
 
 
-def _key(path: Path) -> str:
-    """Hash of all that the exhibit hangs on: files of the scene's folder, and radwrap's own."""
+def _hashed(files: Iterable[Path]) -> str:
     digest = hashlib.sha256()
-    package = Path(radwrap.__file__).parent
-    for file in (*sorted(path.parent.iterdir()), *sorted(package.rglob("*.py")), Path(__file__)):
+    for file in files:
         if file.is_file() and file.suffix != ".png":
             digest.update(file.read_bytes())
     return digest.hexdigest()[:24]
 
 
+def _package() -> str:
+    """Hash of what makes exhibits: radwrap's own modules, and this one."""
+    return _hashed((*sorted(Path(radwrap.__file__).parent.rglob("*.py")), Path(__file__)))
+
+
+def _key(path: Path, package: str) -> str:
+    """Name for all that an exhibit hangs on: the files of the scene's folder, and the package."""
+    return f"{_hashed(sorted(path.parent.iterdir()))}-{package}"
+
+
 def _scaled(scene: Scene, path: Path) -> tuple[Scene, int]:
     """The scene with pixels large enough."""
-    sensor, scale = scene.camera.sensor, 1
-    while sensor.rows * sensor.columns / scale**2 > MOST_PIXELS:
-        scale += 1
+    scale = max(1, math.ceil(math.sqrt(scene.camera.sensor.pixels / MOST_PIXELS)))
     if scale == 1:
         return scene, 1
     return radwrap.load_scene(path, {"camera.sensor.scale": f"1/{scale}"}), scale
@@ -137,12 +144,13 @@ def pages(home: Path, cache: Path, pictures: Path) -> Iterator[tuple[str, str]]:
     pictures : path
         Folder of the pages.
     """
-    exhibits = []
+    exhibits, package = [], _package()
     for path in scenes(home):
-        exhibit = shown(path, home, cache)
+        there = cache / _key(path, package)
+        exhibit = shown(path, path.parent.relative_to(home).as_posix(), there)
         exhibits.append(exhibit)
         for ending in (".png", ".html"):
-            for file in (cache / _key(path)).glob(f"*{ending}"):
+            for file in there.glob(f"*{ending}"):
                 pictures.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(file, pictures / f"{_page(exhibit.name)}{ending}")
     together: dict[str, list[Exhibit]] = {}

@@ -121,12 +121,13 @@ def run(text: str, folder: Path, name: str) -> list[Part]:
     for part in parts(text):
         try:
             done.append(_done(part, space, folder))
-        except Exception as error:
+        except Exception as error:  # whatever is wrong with a tutorial is located
             raise LessonFailed(f"{name}:{part.line}: {type(error).__name__}: {error}") from error
     return done
 
 
 def _done(part: Part, space: dict[str, Any], folder: Path) -> Part:
+    # To run the text is what a tutorial is for: it is our own, from the repository.
     match part.kind:
         case "text":
             return replace(part, text=_VALUE.sub(lambda found: str(eval(found[1], space)), part.text))  # noqa: S307

@@ -42,12 +42,7 @@ A quantity is text: one number, one blank, one unit, such as `"12.5 mm"`.
 def verb_pages(parser: argparse.ArgumentParser) -> Iterator[tuple[str, str]]:
     """Name and MyST text of a page for each verb, with the verbs below it."""
     for name, verb in _verbs(parser).items():
-        lines = [f"# radwrap {name}", "", *_sections(verb, 2)]
-        for below, deeper in _verbs(verb).items():
-            lines += ["", f"## radwrap {name} {below}", "", *_sections(deeper, 3)]
-            for last, deepest in _verbs(deeper).items():
-                lines += ["", f"### radwrap {name} {below} {last}", "", *_sections(deepest, 4)]
-        yield name, "\n".join(lines) + "\n"
+        yield name, "\n".join(_sections(f"radwrap {name}", verb, 1)) + "\n"
 
 
 def _verbs(parser: argparse.ArgumentParser) -> Mapping[str, argparse.ArgumentParser]:
@@ -57,8 +52,16 @@ def _verbs(parser: argparse.ArgumentParser) -> Mapping[str, argparse.ArgumentPar
     return {}
 
 
-def _sections(parser: argparse.ArgumentParser, _level: int) -> Iterator[str]:
-    yield from ("```text", parser.format_usage().removeprefix("usage: ").rstrip(), "```", "")
+def _sections(name: str, parser: argparse.ArgumentParser, level: int) -> Iterator[str]:
+    """Lines of a verb under a heading of a level, and of all verbs below it."""
+    yield from (
+        f"{'#' * level} {name}",
+        "",
+        "```text",
+        parser.format_usage().removeprefix("usage: ").rstrip(),
+        "```",
+        "",
+    )
     if parser.description:
         yield from (_plain(parser.description.replace("``", "`")), "")
     rows = [action for action in parser._actions if not isinstance(action, argparse._SubParsersAction)]
@@ -66,6 +69,9 @@ def _sections(parser: argparse.ArgumentParser, _level: int) -> Iterator[str]:
         yield from ("| argument | what it does |", "|---|---|")
         for action in rows:
             yield f"| {_names(parser, action)} | {_help(parser, action)} |"
+    for below, verb in _verbs(parser).items():
+        yield ""
+        yield from _sections(f"{name} {below}", verb, level + 1)
 
 
 def _names(parser: argparse.ArgumentParser, action: argparse.Action) -> str:

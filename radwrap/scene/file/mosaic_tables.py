@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Annotated, Literal
 
@@ -12,6 +13,15 @@ from radwrap.scene.file.optics_tables import CurveModel
 from radwrap.scene.mosaic import COLOURS
 
 MosaicName = Literal["RGGB", "BGGR", "GRBG", "GBRG", "red", "green", "blue"]
+
+
+def efficiency_between(table: Sequence[tuple[float, float]], wavelength: float) -> float:
+    """Quantum efficiency at a wavelength [m], linear between those of a table of both."""
+    for (a, low), (b, high) in pairwise(table):
+        if a <= wavelength <= b:
+            return low + (high - low) * (wavelength - a) / (b - a)
+    reach = f"{table[0][0] * 1e9:g} to {table[-1][0] * 1e9:g} nm" if table else "nowhere"
+    raise ValueError(f"quantum_efficiencies: reach from {reach}, the wavelength is {wavelength * 1e9:g} nm")
 
 
 class FilterModel(Model):
@@ -37,12 +47,7 @@ class FilterModel(Model):
         """Quantum efficiency at a wavelength [m], linear between those of the table."""
         if self.quantum_efficiency is not None:
             return self.quantum_efficiency
-        table = self.quantum_efficiencies or ()
-        for (a, low), (b, high) in pairwise(table):
-            if a <= wavelength <= b:
-                return low + (high - low) * (wavelength - a) / (b - a)
-        reach = f"{table[0][0] * 1e9:g} to {table[-1][0] * 1e9:g} nm" if table else "nowhere"
-        raise ValueError(f"quantum_efficiencies: reach from {reach}, the wavelength is {wavelength * 1e9:g} nm")
+        return efficiency_between(self.quantum_efficiencies or (), wavelength)
 
 
 class FiltersModel(Model):

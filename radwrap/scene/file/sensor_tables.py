@@ -24,7 +24,7 @@ from radwrap.scene.file.border import (
     TemperatureDifference,
     default,
 )
-from radwrap.scene.file.mosaic_tables import FiltersModel, MosaicName
+from radwrap.scene.file.mosaic_tables import FiltersModel, MosaicName, efficiency_between
 from radwrap.scene.mosaic import COLOURS, Colour, Pattern
 from radwrap.units import ONE_IN, parse_gain
 
@@ -272,15 +272,7 @@ class LinearSensorModel(PixelsModel):
         table = self.quantum_efficiencies or ()
         if any(a[0] >= b[0] for a, b in itertools.pairwise(table)):
             raise ValueError("quantum_efficiencies: wavelengths must increase")
-        if not table[0][0] <= self.wavelength <= table[-1][0]:
-            reach = f"{table[0][0] * 1e9:g} to {table[-1][0] * 1e9:g} nm"
-            raise ValueError(
-                f"quantum_efficiencies: reach from {reach}, the wavelength is {self.wavelength * 1e9:g} nm"
-            )
-        (a, low), (b, high) = next(
-            pair for pair in itertools.pairwise(table) if pair[0][0] <= self.wavelength <= pair[1][0]
-        )
-        found = low + (high - low) * (self.wavelength - a) / (b - a)
+        found = efficiency_between(table, self.wavelength)
         if not (math.isfinite(found) and found > 0):
             raise ValueError("quantum_efficiencies: nothing is seen at the wavelength")
         return found
