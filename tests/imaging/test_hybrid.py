@@ -328,7 +328,7 @@ def test_what_the_survey_missed_is_corrected_too(tmp_path: Path) -> None:
     assert outcome.record.attempts[0].method == "kernel"
     assert "away from steps" in outcome.record.why
     some = np.arange(0, seen.camera.sensor.pixels, 7)
-    truth = independent_errors(seen, some, outcome.radiance.ravel()[some], rays=1024, seed=(9,))
+    truth = independent_errors(seen, some, outcome.radiance.ravel()[some], rays=512, seed=(9,))
     square = float((truth.first * truth.second).mean())
     assert math.sqrt(max(square, 0.0)) < outcome.certificate.rms_gray_upper95 + 0.05
 
