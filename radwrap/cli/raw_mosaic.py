@@ -5,16 +5,13 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import Final
 
 from radwrap.errors import InputError
 from radwrap.images import GrayImage, read_gray
 from radwrap.imaging.output.run_manifest import MANIFEST
 from radwrap.manifest import read_manifest
-from radwrap.measure.mosaic import COLOURS, PATTERNS, Colour, Pattern, colour_image
+from radwrap.measure.mosaic import COLOURS, PATTERNS, USUAL_COLOUR, Colour, Pattern, colour_image
 from radwrap.scene.scene import Scene
-
-_USUAL: Final[Colour] = "green"
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
@@ -28,7 +25,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         "--channel",
         choices=COLOURS,
         help="colour of such an image that is looked at; between its pixels the mean of their neighbours (default "
-        f"{_USUAL})",
+        f"{USUAL_COLOUR})",
     )
 
 
@@ -45,7 +42,7 @@ def read(path: str | Path, arguments: argparse.Namespace, scene: Scene | None = 
     image = read_gray(path)
     if pattern is None:
         return image
-    colour: Colour = arguments.channel or _USUAL
+    colour: Colour = arguments.channel or USUAL_COLOUR
     try:
         made = colour_image(image, pattern, colour)
     except InputError as error:

@@ -8,6 +8,7 @@ neighbours hangs together.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final, Literal, get_args
 
 import numpy as np
@@ -20,9 +21,18 @@ Pattern = Literal["RGGB", "BGGR", "GRBG", "GBRG"]
 Colour = Literal["red", "green", "blue"]
 PATTERNS: Final[tuple[Pattern, ...]] = get_args(Pattern)
 COLOURS: Final[tuple[Colour, ...]] = get_args(Colour)
+USUAL_COLOUR: Final[Colour] = "green"  # half of the pixels, where nobody says which
 # A straight line between neighbours: 1 at the pixel, 1/2 beside it, 1/4 across the corner.
 _WEIGHTS: Final = (0.5, 1.0, 0.5)
 _FEWEST: Final = 2  # rows and columns
+
+
+@dataclass(frozen=True, slots=True)
+class RawChannel:
+    """A colour of raw images, and the mosaic that says which pixels have its filter."""
+
+    pattern: Pattern
+    colour: Colour
 
 
 def colour_image(image: GrayImage, pattern: Pattern, colour: Colour) -> GrayImage:
@@ -44,13 +54,18 @@ def colour_image(image: GrayImage, pattern: Pattern, colour: Colour) -> GrayImag
     """
     if min(image.values.shape) < _FEWEST:
         raise InputError("is too small for a mosaic of colours: needs two rows and two columns")
-    own = _own(image.values.shape, pattern, colour)
-    known = own.astype(np.float64)
-    values = _summed(image.values * known) / _summed(known)
+    values = colour_levels(image.values, RawChannel(pattern, colour))
     if bool((image.values == np.rint(image.values)).all()):
         np.rint(values, out=values)  # as software does, and as whoever measures expects: gray levels stay whole
-    values[own] = image.values[own]
     return GrayImage(values, image.bit_depth, {**image.provenance, "colour": colour})
+
+
+def colour_levels(values: NDArray[np.float64], channel: RawChannel) -> NDArray[np.float64]:
+    """The same of levels that need not be whole, shape (rows, columns); two rows and two columns at least."""
+    own = _own(values.shape, channel.pattern, channel.colour)
+    known = own.astype(np.float64)
+    between: NDArray[np.float64] = _summed(values * known) / _summed(known)
+    return np.where(own, values, between)
 
 
 def _own(shape: tuple[int, ...], pattern: Pattern, colour: Colour) -> NDArray[np.bool_]:

@@ -13,10 +13,12 @@ from typing import Any, Final, Literal, cast
 
 from radwrap.errors import InputError
 from radwrap.imaging.render_options import RenderOptions
+from radwrap.measure.mosaic import USUAL_COLOUR, Colour, RawChannel
 from radwrap.reading import FileKind, read_toml
 from radwrap.scene.file.faults import validated
 from radwrap.scene.file.keys import with_all_leds
-from radwrap.scene.file.load import load_scene
+from radwrap.scene.file.load import load_scene, with_value
+from radwrap.scene.scene import Scene
 from radwrap.study.design_responses import read_responses
 from radwrap.study.design_tables import DesignModel, FactorModel, RenderModel
 from radwrap.study.factors import Factor, Level, quantity, read_draw
@@ -62,6 +64,8 @@ class Design:
         "lenth", "anova" or "none".
     home : Path
         Folder of the design's own file, below which the user's functions lie.
+    channel : RawChannel, optional
+        Of a colour camera the colour whose pixels are measured; the base scene then has that filter on all pixels.
     """
 
     title: str
@@ -79,6 +83,7 @@ class Design:
     responses: tuple[Response, ...]
     analysis: Analysis | None
     home: Path = Path()
+    channel: RawChannel | None = None
 
 
 def read_design(path: Path) -> Design:
@@ -91,7 +96,7 @@ def read_design(path: Path) -> Design:
     """
     origin = path.name
     told = validated(DesignModel, read_toml(path, _DESIGN_FILE), origin, "docs/study.md shows a design file")
-    scene = load_scene(path.parent / told.scene, told.set)
+    scene, channel = _of_one_colour(load_scene(path.parent / told.scene, told.set), told.channel, origin)
     plan = told.design.model_dump(exclude={"kind"})
     responses = read_responses(told.responses, path.parent, f"{origin}: responses")
     factors = _factors(told.factors, told.design.kind, f"{origin}: factors")
@@ -113,7 +118,23 @@ def read_design(path: Path) -> Design:
         responses=responses,
         analysis=cast("Analysis | None", told.analysis),
         home=path.parent,
+        channel=channel,
     )
+
+
+def _of_one_colour(scene: Scene, colour: Colour | None, origin: str) -> tuple[Scene, RawChannel | None]:
+    """The scene with one filter on all pixels, as its pixels of that colour see it, and which these are."""
+    mosaic = scene.camera.sensor.mosaic
+    if mosaic is None:
+        if colour is not None:
+            raise InputError(
+                "is a colour of a raw mosaic, and the scene's sensor has none",
+                where=f"{origin}: channel",
+                remedy="leave it out, or set camera.sensor.mosaic",
+            )
+        return scene, None
+    channel = RawChannel(mosaic.pattern, colour or USUAL_COLOUR)
+    return with_value(scene, "camera.sensor.mosaic", channel.colour), channel
 
 
 # ---------------------------------------------------------------------------------------------------------- the design

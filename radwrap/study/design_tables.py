@@ -126,6 +126,7 @@ class DesignModel(Model):
     title: Text | None = None
     scene: Text
     set: Table = default({})
+    channel: Literal["red", "green", "blue"] | None = None
     seed: Annotated[int, BeforeValidator(_whole(0, _LARGEST_SEED))] = 0
     replicates: Annotated[int, BeforeValidator(_whole(1, MOST_RUNS))] = 1
     design: Combinations

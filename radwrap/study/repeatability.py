@@ -29,7 +29,7 @@ def frames_of(seen: Seen, number: int) -> Iterator[GrayImage]:
     sensor = seen.scene.camera.sensor
     pattern, exposure = fixed_pattern(sensor), ExposureImage(seen.exposure)
     for frame in range(number):
-        yield noisy_frame(exposure, sensor, pattern, seen.seed, frame)
+        yield seen.raw_seen(noisy_frame(exposure, sensor, pattern, seen.seed, frame))
 
 
 def repeatability(seen: Seen, kind: Kind, options: Options, frames: int) -> Answer:

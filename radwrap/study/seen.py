@@ -19,6 +19,7 @@ from radwrap.images import GrayImage
 from radwrap.imaging.tolerance.kept_replicates import KeptReplicates
 from radwrap.measure.dots import SoughtDots
 from radwrap.measure.edges import Edge
+from radwrap.measure.mosaic import RawChannel, colour_image, colour_levels
 from radwrap.scene.scene import Scene
 from radwrap.study.image_error import Cause, Changed, ErrorFields, ImageError, changed_by_replicates, copies_of
 from radwrap.study.target_points import Detector
@@ -50,6 +51,9 @@ class Seen:
         Its own [J m^-2].
     model : ImageError, optional
         Of an image with replicates: what the kernel's model may add to what they show.
+    channel : RawChannel, optional
+        Where what is measured is that colour of the raw image of a colour camera: `image` and `gray` have its filter on
+        all pixels, and pixels of other colours are passed over for means of neighbours before anything is measured.
     sought : dict
         Dots that were found on it and its copies, by copy, board and dark level: several responses measure the same.
     edges : dict
@@ -76,6 +80,7 @@ class Seen:
     replicates: KeptReplicates | None = None
     exposure: Array | None = None
     model: ImageError | None = None
+    channel: RawChannel | None = None
     sought: dict[tuple[int, str | None, float | None], SoughtDots] = field(default_factory=dict)
     edges: dict[tuple[int, float | None, float | None], Edge] = field(default_factory=dict)
     points: dict[tuple[int, str, Detector], float] = field(default_factory=dict)
@@ -87,6 +92,25 @@ class Seen:
 
     def changed(self) -> Iterator[Changed]:
         """The image with errors as they may be."""
+        for copy in self._changed():
+            if self.channel is None:
+                yield copy
+            else:
+                yield replace(copy, gray=colour_levels(copy.gray, self.channel), image=self.raw_seen(copy.image))
+
+    def raw_seen(self, image: GrayImage) -> GrayImage:
+        """An image as a colour camera's raw image shows it, where that is measured; else the image."""
+        return image if self.channel is None else colour_image(image, self.channel.pattern, self.channel.colour)
+
+    def as_raw(self, channel: RawChannel | None) -> Seen:
+        """Itself as the raw image of a colour camera shows it in one colour; all pixels have that colour's filter."""
+        if channel is None:
+            return self
+        raw = replace(self, channel=channel, gray=colour_levels(self.gray, channel))
+        return replace(raw, image=raw.raw_seen(self.image))
+
+    def _changed(self) -> Iterator[Changed]:
+        """The image with errors as they may be, of all pixels."""
         sensor = self.scene.camera.sensor
         if self.replicates is None or self.exposure is None:
             yield from copies_of(self.gray, self.error, self.fields, sensor)

@@ -235,6 +235,8 @@ def _told_of(design: Design) -> dict[str, Any]:
     """A design as JSON, without the places where it lies."""
     told = asdict(replace(design, folder=Path(), home=Path()))
     del told["home"]
+    if design.channel is None:
+        del told["channel"]  # studies of one colour keep their hash
     return told | {"folder": design.folder.name}
 
 
@@ -326,6 +328,7 @@ def _job(design: Design, run: Run, out: Path, options: StudyOptions, *, name: st
         options=render,
         runs=(),
         home=str(design.home.absolute()),
+        channel=design.channel,
     )
 
 
@@ -405,6 +408,7 @@ def _summary(design: Design, rows: Sequence[Mapping[str, str]], made: Made, out:
             for response in design.responses
         },
         "analysis": analysis_of(design),
+        **({} if design.channel is None else {"channel": asdict(design.channel)}),
         "versions": versions(*STUDY_PACKAGES),
     }
 

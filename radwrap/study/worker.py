@@ -40,6 +40,7 @@ from radwrap.imaging.synthesis import render
 from radwrap.imaging.tolerance.kept_replicates import REPLICATES, read_replicates
 from radwrap.lost_interrupts import interrupt_again
 from radwrap.manifest import SCHEMA_VERSION, plain
+from radwrap.measure.mosaic import RawChannel
 from radwrap.scene.colour_planes import refuse_mosaic
 from radwrap.scene.file.load import scene_from_document
 from radwrap.scene.scene import Scene
@@ -88,6 +89,8 @@ class Job:
         Folder of the design, below which the user's functions lie.
     reference : Mapping
         Where the images come from a light basis: emitter -> level that the basis was rendered with.
+    channel : RawChannel, optional
+        Colour of a colour camera's raw image that is measured; the document has its filter on all pixels.
     """
 
     name: str
@@ -101,6 +104,7 @@ class Job:
     reference: Mapping[str, float] | None = None
     pilot: bool = False
     home: str = ""
+    channel: RawChannel | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,7 +225,7 @@ def _outcomes(job: Job, start: float) -> Iterator[Outcome]:
     if not job.runs:
         return
     seen = seen_of(scene, result, out, _fields(job, scene, blur_radii(scene)))
-    seen = replace(seen, told={**_lasting(result.manifest)}, **_known(job))
+    seen = replace(seen, told={**_lasting(result.manifest)}, **_known(job)).as_raw(job.channel)
     for run in job.runs:
         yield _outcome(job, run, seen, met=result.run.met, wall_s=time.monotonic() - start)
 
@@ -286,7 +290,7 @@ def _relit(job: Job, scene: Scene, out: Path, start: float) -> Iterator[Outcome]
             "levels": dict(zip(basis.sources, map(float, shares), strict=True)),
             "error": plain(image.certificate, named=False),
         }
-        seen = replace(seen_of_relit(scene, image, fields), told=told, **_known(job))
+        seen = replace(seen_of_relit(scene, image, fields), told=told, **_known(job)).as_raw(job.channel)
         yield _outcome(job, run, seen, met=image.keeps(basis), wall_s=time.monotonic() - start)
         start = time.monotonic()
 
