@@ -76,6 +76,7 @@ ROOMS = {
             "output",
             "forecasting",
             "other_camera",
+            "raw_relighting",
             "relighting",
             "page",
             "rendered",

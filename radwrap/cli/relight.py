@@ -11,17 +11,14 @@ from typing import Any, Final
 import numpy as np
 
 from radwrap.cli import options as shared
-from radwrap.cli import raw_mosaic
 from radwrap.errors import InputError, ToleranceNotMet
 from radwrap.files import check_result, make_folder, sha256_of, sole_owner
 from radwrap.images import PREVIEW_BITS, preview_codes, write_exr, write_png
-from radwrap.imaging.other_camera import basis_in_other_camera
-from radwrap.imaging.output.image_files import GRAY
 from radwrap.imaging.output.run_manifest import RunManifest, read_run_manifest
+from radwrap.imaging.raw_relighting import RawBasis
 from radwrap.imaging.relight.levels import Levels, levels_of, read_levels
-from radwrap.imaging.relight.relit import Basis, Relit, read_basis, relit
-from radwrap.imaging.relight.relit_uncertainty import relit_uncertainty
-from radwrap.imaging.relighting import scene_text_of
+from radwrap.imaging.relight.relit import Basis
+from radwrap.imaging.relighting import Shown, basis_of, images_of
 from radwrap.manifest import SCHEMA_VERSION, json_text, plain, write_manifest
 
 RESULT: Final = "relight.json"
@@ -77,12 +74,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.levels and arguments.level:
         raise InputError("goes without --levels", where="--level", remedy="give one of the two")
     folder = Path(arguments.basis)
-    raw_mosaic.refuse(folder / GRAY)
-    basis = read_basis(folder)
     changes = shared.changes_of(arguments.overrides)
-    if changes:
-        place = None if arguments.scene_folder is None else Path(arguments.scene_folder)
-        basis = basis_in_other_camera(basis, scene_text_of(folder, basis, place), changes)
+    basis = basis_of(folder, changes, None if arguments.scene_folder is None else Path(arguments.scene_folder))
     if arguments.levels:
         levels = read_levels(Path(arguments.levels), basis.sources, basis.dark)
     else:
@@ -111,7 +104,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _run_of(folder: Path, basis: Basis) -> RunManifest | None:
+def _run_of(folder: Path, basis: Basis | RawBasis) -> RunManifest | None:
     """The manifest of the run that made a basis, where it still lies beside it: it tells what images lack."""
     try:
         run = read_run_manifest(folder)
@@ -122,7 +115,7 @@ def _run_of(folder: Path, basis: Basis) -> RunManifest | None:
 
 def _write(
     out: Path,
-    basis: Basis,
+    basis: Basis | RawBasis,
     levels: Levels,
     changes: Mapping[str, Any],
     run: RunManifest | None,
@@ -133,7 +126,8 @@ def _write(
     check_result(out / RESULT)
     (out / RESULT).unlink(missing_ok=True)
     images: dict[str, Any] = {}
-    for name, factors, image in zip(levels.names, levels.factors, relit(basis, levels.factors), strict=True):
+    for name, factors, shown in zip(levels.names, levels.factors, images_of(basis, levels.factors), strict=True):
+        image = shown.image
         files = [f"{name}.png"]
         write_png(out / files[0], image.gray.codes)
         if image.gray.bit_depth > PREVIEW_BITS:
@@ -144,15 +138,14 @@ def _write(
             files.append(f"{name}.exr")
             stored = image.radiant_exposure.values.astype(np.float32)
             write_exr(out / files[-1], stored, channel="radiant_exposure", metadata={"radwrap:unit": "J m^-2"})
-        unsure = relit_uncertainty(basis, factors, image)
         files.append(f"{SIGMAS}/{name}.exr")
         make_folder(out / SIGMAS)
-        write_exr(out / files[-1], unsure.sigma.astype(np.float32), channel="gray_sigma")
+        write_exr(out / files[-1], shown.uncertainty.sigma.astype(np.float32), channel="gray_sigma")
         images[name] = {
             "levels": dict(zip(basis.sources, factors.tolist(), strict=True)),
-            **_summary(image),
-            "uncertainty": plain(unsure.summary(), named=False),
-            "met": image.keeps(basis),
+            **_summary(shown),
+            "uncertainty": plain(shown.uncertainty.summary(), named=False),
+            "met": shown.met,
             "files": {file: sha256_of(out / file) for file in files},
         }
     result = {
@@ -169,10 +162,12 @@ def _write(
     return result
 
 
-def _summary(image: Relit) -> dict[str, Any]:
-    gray = image.gray.values
+def _summary(shown: Shown) -> dict[str, Any]:
+    gray = shown.image.gray.values
+    colours = {colour: plain(one.certificate, named=False) for colour, one in shown.colours.items()}
     return {
         "gray": {"min": float(gray.min()), "max": float(gray.max()), "mean": float(gray.mean())},
-        "saturated_fraction": image.saturated_fraction,
-        "error": plain(image.certificate, named=False),
+        "saturated_fraction": shown.image.saturated_fraction,
+        "error": plain(shown.image.certificate, named=False),
+        **({"error_of_colours": colours} if colours else {}),
     }

@@ -270,7 +270,7 @@ def _dry_run_of_colours(scene: Scene, options: RenderOptions, *, as_json: bool) 
     """What each plane of a mosaic costs that is rendered; pixels that saturate may need more planes."""
     refuse_for_mosaic(scene, options)
     single = replace(options, frames=0)
-    costs = {colour: forecast(plane_of(scene, colour), single) for colour in rendered_colours(scene)}
+    costs = {colour: forecast(plane_of(scene, colour), single) for colour in rendered_colours(scene, options)}
     if as_json:
         told = {
             colour: {"rays": cost.rays, "memory_bytes": cost.memory_bytes, "timing": plain(cost.foretold, named=False)}

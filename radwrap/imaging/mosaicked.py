@@ -39,11 +39,12 @@ from radwrap.imaging.rendered import Rendered
 from radwrap.imaging.response.noise import linear_of
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.tolerance.certificate import Certificate
-from radwrap.imaging.tolerance.uncertainty import UncertaintySummary, uncertainty
+from radwrap.imaging.tolerance.raw_error import error_of_all, uncertainty_of_all, without_error
+from radwrap.imaging.tolerance.uncertainty import Uncertainty, UncertaintySummary, uncertainty
 from radwrap.manifest import plain, sha256_of_value
 from radwrap.scene.colour_planes import mosaic_of, shares_of_light
 from radwrap.scene.file.load import with_value
-from radwrap.scene.mosaic import COLOURS, Colour, Mosaic
+from radwrap.scene.mosaic import COLOURS, Colour, Mosaic, composed
 from radwrap.scene.scene import Scene
 from radwrap.scene.tolerances import Tolerances
 
@@ -51,8 +52,6 @@ Array = NDArray[np.float64]
 PlaneRender = Callable[[Scene, Path, RenderOptions], Rendered]
 
 _TRUTH_FILES: Final = (TRUTH, DEPTH, PARTS)
-# Where a bound that covers no error at all stands.
-_NOTHING_OFF: Final = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,13 +96,12 @@ def refuse_for_mosaic(scene: Scene, options: RenderOptions) -> None:
     mosaic = scene.camera.sensor.mosaic
     if mosaic is None:
         return
-    for name in ("basis", "sampling"):
-        if getattr(options, name):
-            raise InputError(
-                f'is made of one colour at a time, and camera.sensor.mosaic is "{mosaic.pattern}"',
-                where=name,
-                remedy='render the colours one by one: set camera.sensor.mosaic to "red", "green" or "blue"',
-            )
+    if options.sampling is not None:
+        raise InputError(
+            f'is of one colour at a time, and camera.sensor.mosaic is "{mosaic.pattern}"',
+            where="sampling",
+            remedy='render the colours one by one: set camera.sensor.mosaic to "red", "green" or "blue"',
+        )
     if options.frames:
         linear_of(scene.camera.sensor)
 
@@ -113,9 +111,9 @@ def plane_of(scene: Scene, colour: Colour) -> Scene:
     return with_value(scene, "camera.sensor.mosaic", colour)
 
 
-def rendered_colours(scene: Scene) -> tuple[Colour, ...]:
+def rendered_colours(scene: Scene, options: RenderOptions) -> tuple[Colour, ...]:
     """Colours that need a render of their own, that with most light first; saturated pixels may need more."""
-    return _rendered(_shares(scene))
+    return _rendered(_shares(scene, options))
 
 
 def make_mosaic(
@@ -143,7 +141,7 @@ def make_mosaic(
     planes = _planes(scene, out / PLANES, replace(options, frames=0), render_plane)
     check()
     make_folder(work)
-    exposure = composed(mosaic, {colour: plane.exposure for colour, plane in planes.items()})
+    exposure = composed(mosaic.pattern, {colour: plane.exposure for colour, plane in planes.items()})
     images, files = write_exposure(work, exposure, sensor, check)
     summary, more = _write_sigma(work, mosaic, planes)
     files += more
@@ -219,19 +217,13 @@ class _Told:
         )
 
 
-def composed(mosaic: Mosaic, planes: Mapping[Colour, Array]) -> Array:
-    """An image each of whose pixels is that of its own colour, shape (rows, columns)."""
-    made = np.empty_like(planes["green"])
-    for colour in COLOURS:
-        for place in mosaic.places(colour):
-            made[place] = planes[colour][place]
-    return made
+def _shares(scene: Scene, options: RenderOptions) -> Mapping[Colour, float | None]:
+    """As `shares_of_light`.
 
-
-def _shares(scene: Scene) -> Mapping[Colour, float | None]:
-    """As `shares_of_light`; where inputs have tolerances each colour is rendered, as its slopes are its own."""
+    Each colour is rendered where inputs have tolerances, as its slopes are its own, and for a basis of its own.
+    """
     shares = shares_of_light(scene)
-    if scene.tolerances is None:
+    if scene.tolerances is None and not options.basis:
         return shares
     brightest, *_ = _rendered(shares)
     return {colour: share if colour == brightest or share == 0 else None for colour, share in shares.items()}
@@ -244,7 +236,7 @@ def _rendered(shares: Mapping[Colour, float | None]) -> tuple[Colour, ...]:
 
 
 def _planes(scene: Scene, folder: Path, options: RenderOptions, render: PlaneRender) -> dict[Colour, _Plane]:
-    shares = _shares(scene)
+    shares = _shares(scene, options)
     brightest, *others = _rendered(shares)
     # A budget is that of all planes; pixels that saturate may need more.
     parts = 1 + len(others)
@@ -289,26 +281,13 @@ def _scaled_plane(scene: Scene, first: _Plane, share: float) -> _Plane | None:
             return None
         certificate = scaled(first.certificate, growth)
     else:
-        certificate = _without_error(first.certificate)
+        certificate = without_error(first.certificate)
     exposure = first.exposure * share
     sigma, parts = None, {}
     if camera.sensor.linear is not None:
         found = uncertainty(ExposureImage(exposure), camera, Tolerances(), certificate.rms_gray)
         sigma, parts = found.sigma, dict(found.parts)
     return _Plane(exposure, certificate, sigma, parts, first.light_of, share, first.run)
-
-
-def _without_error(certificate: Certificate) -> Certificate:
-    """Of pixels that get no light."""
-    kept = ("certificate_pixels", "certificate_rays", "method")
-    return Certificate(
-        rms_gray=_NOTHING_OFF,
-        rms_gray_upper95=_NOTHING_OFF,
-        p99_gray_upper95=_NOTHING_OFF,
-        model_rms_gray=_NOTHING_OFF,
-        discretisation_rms_gray=_NOTHING_OFF,
-        **{name: getattr(certificate, name) for name in kept},
-    )
 
 
 def _plane_made(plane: _Plane, mosaic: Mosaic, colour: Colour, exposure: Array, scene: Scene) -> PlaneMade:
@@ -327,34 +306,10 @@ def _plane_made(plane: _Plane, mosaic: Mosaic, colour: Colour, exposure: Array, 
 
 
 def _error_of_all(colours: Mapping[Colour, PlaneMade]) -> Certificate:
-    """How far the raw image may be off: mean squares over the colours' pixels, and their largest quantile."""
-    pixels = sum(plane.pixels for plane in colours.values())
-    weights = [plane.pixels / pixels for plane in colours.values()]
-    errors = [plane.error for plane in colours.values()]
-
-    def rms(values: Sequence[float]) -> float:
-        return math.sqrt(math.fsum(weight * value**2 for weight, value in zip(weights, values, strict=True)))
-
-    def where_any(name: str) -> list[float] | None:
-        values = [getattr(error, name) for error in errors]
-        return None if all(value is None for value in values) else [value or 0.0 for value in values]
-
-    quantiles = [error.p99_gray_upper95 for error in errors]
-    known = [quantile for quantile in quantiles if quantile is not None]
-    bands, waves = where_any("bands_gray"), where_any("diffraction_gray")
-    own = {plane.light_of: plane.error for plane in colours.values()}.values()
-    return Certificate(
-        rms_gray=rms([error.rms_gray for error in errors]),
-        rms_gray_upper95=rms([error.rms_gray_upper95 for error in errors]),
-        p99_gray_upper95=max(known) if len(known) == len(errors) else None,
-        model_rms_gray=rms([error.model_rms_gray for error in errors]),
-        discretisation_rms_gray=rms([error.discretisation_rms_gray for error in errors]),
-        certificate_pixels=sum(error.certificate_pixels for error in own),
-        certificate_rays=sum(error.certificate_rays for error in own),
-        method=", ".join(sorted({error.method for error in errors})),
-        bands_gray=None if bands is None else max(bands),
-        diffraction_gray=None if waves is None else rms(waves),
-    )
+    """How far the raw image may be off."""
+    pixels = {colour: plane.pixels for colour, plane in colours.items()}
+    own = {plane.light_of: plane.error for plane in colours.values()}
+    return error_of_all(pixels, {colour: plane.error for colour, plane in colours.items()}, own.values())
 
 
 def _left_out(runs: Sequence[RunManifest]) -> dict[str, Any]:
@@ -372,17 +327,9 @@ def _write_sigma(
     folder: Path, mosaic: Mosaic, planes: Mapping[Colour, _Plane]
 ) -> tuple[UncertaintySummary | None, list[str]]:
     """The planes' standard deviations, each at its own pixels; nothing where they are not known."""
-    known = {colour: plane.sigma for colour, plane in planes.items() if plane.sigma is not None}
+    known = {c: Uncertainty(plane.sigma, plane.sigma_parts) for c, plane in planes.items() if plane.sigma is not None}
     if len(known) < len(planes):
         return None, []
-    sigma = composed(mosaic, known)
-    write_exr(folder / SIGMA, sigma.astype(np.float32), channel="gray_sigma")
-    pixels = {colour: sum(sigma[place].size for place in mosaic.places(colour)) for colour in COLOURS}
-    causes = dict.fromkeys(cause for plane in planes.values() for cause in plane.sigma_parts)
-    parts = {
-        cause: math.sqrt(
-            math.fsum(pixels[c] * plane.sigma_parts.get(cause, 0.0) ** 2 for c, plane in planes.items()) / sigma.size
-        )
-        for cause in causes
-    }
-    return UncertaintySummary(float(np.sqrt(np.mean(sigma**2))), parts), [SIGMA]
+    found = uncertainty_of_all(mosaic.pattern, known)
+    write_exr(folder / SIGMA, found.sigma.astype(np.float32), channel="gray_sigma")
+    return found.summary(), [SIGMA]

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.imaging.other_camera import SceneText, basis_in_other_camera
-from radwrap.imaging.output.run_manifest import MANIFEST, read_run_manifest
+from radwrap.imaging.output.run_manifest import MANIFEST, RunManifest, read_run_manifest
+from radwrap.imaging.raw_relighting import RawBasis, raw_basis_in_other_camera, raw_relit, read_raw_basis
 from radwrap.imaging.relight.levels import levels_of
 from radwrap.imaging.relight.relit import Basis, Relit, read_basis, relit
+from radwrap.imaging.relight.relit_uncertainty import relit_uncertainty
+from radwrap.imaging.tolerance.uncertainty import Uncertainty
+from radwrap.scene.mosaic import Colour
 
 _NOTHING: Final[Mapping[str, Any]] = {}
 
@@ -61,12 +67,64 @@ def relight(
     for name, told in (("levels", levels), ("changes", changes)):
         if not isinstance(told, Mapping):
             raise InputError("must be a dict", where=name, remedy='such as {"ring": 0.5}' if name == "levels" else None)
-    basis = read_basis(folder)
+    basis = basis_of(folder, changes, None if scene_folder is None else Path(scene_folder))
     factors = levels_of([_told(name, factor) for name, factor in levels.items()], basis.sources, basis.dark)
-    if changes:
-        text = scene_text_of(folder, basis, None if scene_folder is None else Path(scene_folder))
-        basis = basis_in_other_camera(basis, text, changes)
-    return next(relit(basis, [factors]))
+    return next(images_of(basis, np.array([factors]))).image
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shown:
+    """An image of a basis, and what is known of it.
+
+    Attributes
+    ----------
+    image : Relit
+    uncertainty : Uncertainty
+        How far a captured frame may be off.
+    met : bool
+        Whether it keeps the tolerance that the basis was made for.
+    colours : Mapping of str to Relit
+        Of a raw image those it is composed of.
+    """
+
+    image: Relit
+    uncertainty: Uncertainty
+    met: bool
+    colours: Mapping[Colour, Relit]
+
+
+def basis_of(folder: Path, changes: Mapping[str, Any] = _NOTHING, scene_folder: Path | None = None) -> Basis | RawBasis:
+    """The basis in a folder, or those of a mosaic's colours, in another camera where keys are changed.
+
+    Raises
+    ------
+    InputError
+        As `relight`.
+    """
+    run = _run_in(folder)
+    if run is not None and run.mosaic is not None:
+        raw = read_raw_basis(folder, run)
+        return raw_basis_in_other_camera(raw, folder, changes, scene_folder) if changes else raw
+    basis = read_basis(folder)
+    return basis_in_other_camera(basis, scene_text_of(folder, basis, scene_folder), changes) if changes else basis
+
+
+def images_of(basis: Basis | RawBasis, factors: NDArray[np.float64]) -> Iterator[Shown]:
+    """Images for any levels of the sources, shape (images, sources); errors as `relit`."""
+    if isinstance(basis, RawBasis):
+        for raw in raw_relit(basis, factors):
+            yield Shown(raw.image, raw.uncertainty, raw.keeps(basis), raw.colours)
+        return
+    for levels, image in zip(factors, relit(basis, factors), strict=True):
+        yield Shown(image, relit_uncertainty(basis, levels, image), image.keeps(basis), {})
+
+
+def _run_in(folder: Path) -> RunManifest | None:
+    """The run that left a folder, where its manifest is there and can be read."""
+    try:
+        return read_run_manifest(folder)
+    except InputError:
+        return None
 
 
 def _told(name: str, factor: float) -> str:

@@ -6,8 +6,12 @@ each pixel is taken from one.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
 
 Colour = Literal["red", "green", "blue"]
 Pattern = Literal["RGGB", "BGGR", "GRBG", "GBRG"]
@@ -42,11 +46,7 @@ class Mosaic:
 
     def places(self, colour: Colour) -> tuple[tuple[slice, slice], ...]:
         """Where the pixels of a colour are: slices of rows and columns."""
-        return tuple(
-            (slice(i // _CELL, None, _CELL), slice(i % _CELL, None, _CELL))
-            for i, letter in enumerate(self.pattern)
-            if _LETTERS[letter] == colour
-        )
+        return places_of(self.pattern, colour)
 
     def moved(self, left: int, top: int) -> Mosaic:
         """The same filters on a part of the sensor that begins at another column and row."""
@@ -56,3 +56,28 @@ class Mosaic:
             for column in range(_CELL)
         )
         return replace(self, pattern=next(known for known in get_args(Pattern) if known == letters))
+
+
+def places_of(pattern: Pattern, colour: Colour) -> tuple[tuple[slice, slice], ...]:
+    """Where the pixels of a colour are: slices of rows and columns."""
+    return tuple(
+        (slice(i // _CELL, None, _CELL), slice(i % _CELL, None, _CELL))
+        for i, letter in enumerate(pattern)
+        if _LETTERS[letter] == colour
+    )
+
+
+def pixels_of(pattern: Pattern, colour: Colour, shape: tuple[int, ...]) -> int:
+    """How many pixels of an image of so many rows and columns have the filter of a colour."""
+    rows, columns = shape
+    places = places_of(pattern, colour)
+    return sum(len(range(rows)[down]) * len(range(columns)[right]) for down, right in places)
+
+
+def composed(pattern: Pattern, planes: Mapping[Colour, NDArray[np.float64]]) -> NDArray[np.float64]:
+    """An image each of whose pixels is that of its own colour, shape (rows, columns)."""
+    made = np.empty_like(planes["green"])
+    for colour in COLOURS:
+        for place in places_of(pattern, colour):
+            made[place] = planes[colour][place]
+    return made

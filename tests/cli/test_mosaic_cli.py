@@ -88,14 +88,12 @@ REFUSED = {
     "region": ("measure", "region", "{chart}/gray.png"),
     "uniformity": ("measure", "uniformity", "{chart}/gray.png"),
     "explain": ("explain", "{scene}"),
-    "basis": ("render", "{scene}", "--out", "{out}", "--basis"),
     "photo-realistic": ("render", "{scene}", "--out", "{out}", "--photo-realistic"),
     "face": ("face", "{scene}", "--port", "0", "--no-browser"),
     "crosscheck": ("crosscheck", "{scene}", "--out", "{out}"),
     "trade": ("trade", "{scene}", "--out", "{out}"),
     "fit": ("fit", "{scene}", "{chart}/gray.png", "--free", "camera.exposure_time=1 ms:2 ms", "--out", "{out}"),
     "convert": ("convert", "{scene}", "{out}.rad"),
-    "relight": ("relight", "{chart}", "--out", "{out}"),
 }
 
 
