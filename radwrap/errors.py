@@ -89,7 +89,10 @@ class ToleranceNotMet(RadwrapError):
 
 
 class Cancelled(RadwrapError):
-    """A render was told to end by the program that asked for it; it left no file and no process."""
+    """A render ended because the program that started it asked for that.
+
+    No process is left. In a folder that was named finished pieces stay, and the same call goes on from them.
+    """
 
     exit_code = INTERRUPTED
 
