@@ -8,10 +8,13 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Final
 
 from radwrap.cli import options as shared
+from radwrap.errors import InputError
 from radwrap.imaging.forecast.effects import effects
 from radwrap.imaging.forecast.explain import explain
+from radwrap.imaging.mosaicked import brightest_colour, plane_of
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.manifest import json_text
+from radwrap.scene.mosaic import COLOURS
 
 # Depths of a target that differ by less are one [share].
 _FLAT: Final = 1e-4
@@ -37,6 +40,11 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     parser.add_argument(
         "--assumed", action="store_true", help="list all values that were assumed because the scene does not give them"
     )
+    parser.add_argument(
+        "--channel",
+        choices=COLOURS,
+        help="colour of a colour camera whose pixels are looked at (default: that with most light)",
+    )
     parser.add_argument("--no-rays", action="store_true", help="closed forms only; needs no Radiance")
     shared.add_tracer(parser)
     shared.add_json(parser)
@@ -46,6 +54,14 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Carry out the verb."""
     scene = shared.load(arguments)
+    mosaic, colour = scene.camera.sensor.mosaic, arguments.channel
+    if mosaic is not None:
+        colour = colour or brightest_colour(scene)
+        scene = plane_of(scene, colour)
+    elif colour is not None:
+        raise InputError(
+            "is a colour of a raw mosaic, and the scene's sensor has none", where="--channel", remedy="leave it out"
+        )
     measured: dict[str, Any] = {}
     if not arguments.no_rays:
         options = RenderOptions(
@@ -55,6 +71,8 @@ def run(arguments: argparse.Namespace) -> int:
         )
         measured = effects(scene, options)
     found = explain(scene, measured.get("tracer", {}).get("whole") or ()) | measured
+    if mosaic is not None:
+        found = {"mosaic": mosaic.pattern, "channel": colour} | found
     print(
         json_text(found) if arguments.json else "\n".join(_lines(found, all_assumed=arguments.assumed)) + "\n", end=""
     )
@@ -63,6 +81,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _asked_first(found: Mapping[str, Any]) -> Iterator[str]:
     """What an engineer asks: millimetres, sharpness, levels and noise, bits, exposure."""
+    if "channel" in found:
+        yield f"the {found['channel']} pixels of the raw mosaic {found['mosaic']}, as if all had their filter"
     for seen in found["in_sight"]:
         width, height = (f"{size * 1e3:.4g}" for size in seen["field_of_view"])
         across, down = (f"{size * 1e3:.3g}" for size in seen["pixel"])

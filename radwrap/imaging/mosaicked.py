@@ -116,6 +116,11 @@ def rendered_colours(scene: Scene, options: RenderOptions) -> tuple[Colour, ...]
     return _rendered(_shares(scene, options))
 
 
+def brightest_colour(scene: Scene) -> Colour:
+    """The colour whose pixels get most light; the first of them to saturate."""
+    return _rendered(shares_of_light(scene))[0]
+
+
 def make_mosaic(
     scene: Scene, out: Path, options: RenderOptions, *, work: Path, render_plane: PlaneRender, check: Callable[[], None]
 ) -> None:

@@ -87,7 +87,6 @@ def test_raw_images_are_compared_as_they_are_or_in_one_colour(chart: Path, tmp_p
 REFUSED = {
     "region": ("measure", "region", "{chart}/gray.png"),
     "uniformity": ("measure", "uniformity", "{chart}/gray.png"),
-    "explain": ("explain", "{scene}"),
     "photo-realistic": ("render", "{scene}", "--out", "{out}", "--photo-realistic"),
     "face": ("face", "{scene}", "--port", "0", "--no-browser"),
     "crosscheck": ("crosscheck", "{scene}", "--out", "{out}"),
@@ -103,6 +102,17 @@ def test_what_knows_one_colour_refuses_by_name(name: str, chart: Path, tmp_path:
     done = radwrap(*(word.format(**places) for word in REFUSED[name]))
     assert done.returncode == 2, (done.stdout, done.stderr)
     assert "mosaic" in done.stderr and "Traceback" not in done.stderr, done.stderr
+
+
+def test_explain_looks_at_the_colour_with_most_light_or_the_one_that_is_asked_for() -> None:
+    words = ("explain", CHART / "scene.toml", "--no-rays", "--json")
+    green, red = (json.loads(radwrap(*words, *more).stdout) for more in ((), ("--channel", "red")))
+    assert (green["mosaic"], green["channel"], red["channel"]) == ("RGGB", "green", "red")
+    plane = json.loads(radwrap(*words, "--set", "camera.sensor.mosaic=red").stdout)
+    assert red["in_sight"] == plane["in_sight"] != green["in_sight"] and "channel" not in plane
+    assert "the green pixels of the raw mosaic RGGB" in radwrap("explain", CHART / "scene.toml", "--no-rays").stdout
+    wrong = radwrap(*words, "--set", "camera.sensor.mosaic=red", "--channel", "red")
+    assert wrong.returncode == 2 and "--channel: is a colour of a raw mosaic" in wrong.stderr
 
 
 def test_demosaic_needs_a_mosaic(tmp_path: Path) -> None:
