@@ -12,7 +12,7 @@ FIGURES := fig05_response fig08_09_field fig10_board fig11_edge fig12_transition
 	table1_ambient table3_focal_length table3_reason table4_lenth
 NUMBERED := fig05 fig08 fig09 fig10 fig11 fig12 fig13 table1 table3 table3_reason table4
 
-.PHONY: demo face docs test test-long test-hid test-report test-face test-docs coverage lint bench bias invariance crosscheck validate figures replication $(NUMBERED) povray chromium node lock clean help
+.PHONY: demo face docs test test-long test-hid test-report test-face test-docs test-wheel coverage lint bench bias invariance crosscheck validate figures replication $(NUMBERED) povray chromium node lock clean help
 
 help:
 	@echo "make demo   set up, render the calibration board, say where the picture lies"
@@ -24,6 +24,7 @@ help:
 	@echo "make test-report  open the report of a study in a real browser (Chromium by apt where missing)"
 	@echo "make test-face  check the types of the page's modules, and turn its knobs in a real browser (apt, npm)"
 	@echo "make test-docs  look at every page of the site in a real browser (make docs before; apt, npm)"
+	@echo "make test-wheel  the first tutorials from the wheel, in empty environments for each Python that is there"
 	@echo "make lock   write the lock files anew from pyproject.toml, versions as they are where they fit"
 	@echo "make coverage  lines and branches that the tests run, in all processes"
 	@echo "make lint   ruff and mypy --strict"
@@ -150,6 +151,10 @@ lock: $(RELEASE_READY)
 	@$(COMPILED) pyproject.toml --extra dev -o requirements.lock $(ARGS) >/dev/null
 	@$(COMPILED) --group docs -c requirements.lock -o requirements-docs.lock $(ARGS) >/dev/null
 	@$(COMPILED) --group release -c requirements.lock -c requirements-docs.lock -o requirements-release.lock $(ARGS) >/dev/null
+
+# Tutorials from the wheel in empty environments, for each Python from 3.11 on that is there (ARGS names others).
+test-wheel: $(READY)
+	@$(BIN)/python scripts/test_wheel.py $(ARGS)
 
 # POV-Ray is for cross-checks alone; where there is no apt, tests that need it say so.
 povray:
