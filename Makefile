@@ -12,7 +12,7 @@ FIGURES := fig05_response fig08_09_field fig10_board fig11_edge fig12_transition
 	table1_ambient table3_focal_length table3_reason table4_lenth
 NUMBERED := fig05 fig08 fig09 fig10 fig11 fig12 fig13 table1 table3 table3_reason table4
 
-.PHONY: demo face docs test test-long test-hid test-report test-face test-docs test-wheel coverage lint bench bias invariance crosscheck validate figures replication $(NUMBERED) povray chromium node lock clean help
+.PHONY: demo face docs test test-long test-hid test-report test-face test-docs test-wheel coverage lint bench bias invariance crosscheck validate figures replication $(NUMBERED) povray chromium node packages lock clean help
 
 help:
 	@echo "make demo   set up, render the calibration board, say where the picture lies"
@@ -25,6 +25,7 @@ help:
 	@echo "make test-face  check the types of the page's modules, and turn its knobs in a real browser (apt, npm)"
 	@echo "make test-docs  look at every page of the site in a real browser (make docs before; apt, npm)"
 	@echo "make test-wheel  the first tutorials from the wheel, in empty environments for each Python that is there"
+	@echo "make packages  wheel and sdist into out/dist, built twice and compared"
 	@echo "make lock   write the lock files anew from pyproject.toml, versions as they are where they fit"
 	@echo "make coverage  lines and branches that the tests run, in all processes"
 	@echo "make lint   ruff and mypy --strict"
@@ -143,6 +144,10 @@ $(DOCS_READY): requirements-docs.lock $(READY)
 $(RELEASE_READY): requirements-release.lock $(READY)
 	@$(BIN)/python $(LOCKED) -r requirements-release.lock
 	@touch $(RELEASE_READY)
+
+# Builds wheel and sdist twice and compares them, says what an index would say; uploads nothing.
+packages: $(RELEASE_READY)
+	@$(BIN)/python scripts/packages.py
 
 # What the ranges of pyproject.toml bring, for Python 3.11 and newer at once. Versions stay as they are where they fit:
 # ARGS="--upgrade-package numpy" takes the newest of one. The three files agree, as one environment may have them all.
