@@ -25,10 +25,10 @@ help:
 	@echo "make test-face  check the types of the page's modules, and turn its knobs in a real browser (apt, npm)"
 	@echo "make test-docs  look at every page of the site in a real browser (make docs before; apt, npm)"
 	@echo "make test-wheel  the first tutorials from the wheel, in empty environments for each Python that is there"
-	@echo "make packages  wheel and sdist into out/dist, built twice and compared"
+	@echo "make packages  wheel and sdist into out/dist, built twice and compared; workflow files against their schema"
 	@echo "make lock   write the lock files anew from pyproject.toml, versions as they are where they fit"
 	@echo "make coverage  lines and branches that the tests run, in all processes"
-	@echo "make lint   ruff and mypy --strict"
+	@echo "make lint   ruff, codespell and mypy --strict"
 	@echo "make bench  speed, overhead, memory, what a tolerance costs, and real cells beside Mitsuba (ARGS: bench_cells.py)"
 	@echo "make crosscheck   Radiance against POV-Ray on rad_scenes/crosscheck"
 	@echo "make figures       figures and tables of the paper, ours beside the printed, into out/figures (ARGS=--quick)"
@@ -92,6 +92,7 @@ coverage: $(READY) povray
 lint: $(READY)
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
+	@$(BIN)/codespell
 	@$(BIN)/mypy
 
 bench: $(READY)
@@ -145,9 +146,10 @@ $(RELEASE_READY): requirements-release.lock $(READY)
 	@$(BIN)/python $(LOCKED) -r requirements-release.lock
 	@touch $(RELEASE_READY)
 
-# Builds wheel and sdist twice and compares them, says what an index would say; uploads nothing.
+# Builds wheel and sdist twice and compares them, says what an index and the forge would say; uploads nothing.
 packages: $(RELEASE_READY)
 	@$(BIN)/python scripts/packages.py
+	@$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
 
 # What the ranges of pyproject.toml bring, for Python 3.11 and newer at once. Versions stay as they are where they fit:
 # ARGS="--upgrade-package numpy" takes the newest of one. The three files agree, as one environment may have them all.
