@@ -5,13 +5,14 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 DOCS_READY := $(VENV)/.docs
+RELEASE_READY := $(VENV)/.release
 
 # Scripts of the paper's figures and tables; what is finished is taken as it is. ARGS=--quick is a coarse look at all.
 FIGURES := fig05_response fig08_09_field fig10_board fig11_edge fig12_transition fig13_oriented \
 	table1_ambient table3_focal_length table3_reason table4_lenth
 NUMBERED := fig05 fig08 fig09 fig10 fig11 fig12 fig13 table1 table3 table3_reason table4
 
-.PHONY: demo face docs test test-long test-hid test-report test-face test-docs coverage lint bench bias invariance crosscheck validate figures replication $(NUMBERED) povray chromium node clean help
+.PHONY: demo face docs test test-long test-hid test-report test-face test-docs test-wheel coverage lint bench bias invariance crosscheck validate figures replication $(NUMBERED) povray chromium node packages lock clean help
 
 help:
 	@echo "make demo   set up, render the calibration board, say where the picture lies"
@@ -23,8 +24,11 @@ help:
 	@echo "make test-report  open the report of a study in a real browser (Chromium by apt where missing)"
 	@echo "make test-face  check the types of the page's modules, and turn its knobs in a real browser (apt, npm)"
 	@echo "make test-docs  look at every page of the site in a real browser (make docs before; apt, npm)"
+	@echo "make test-wheel  the first tutorials from the wheel, in empty environments for each Python that is there"
+	@echo "make packages  wheel and sdist into out/dist, built twice and compared; workflow files against their schema"
+	@echo "make lock   write the lock files anew from pyproject.toml, versions as they are where they fit"
 	@echo "make coverage  lines and branches that the tests run, in all processes"
-	@echo "make lint   ruff and mypy --strict"
+	@echo "make lint   ruff, codespell and mypy --strict"
 	@echo "make bench  speed, overhead, memory, what a tolerance costs, and real cells beside Mitsuba (ARGS: bench_cells.py)"
 	@echo "make crosscheck   Radiance against POV-Ray on rad_scenes/crosscheck"
 	@echo "make figures       figures and tables of the paper, ours beside the printed, into out/figures (ARGS=--quick)"
@@ -88,6 +92,7 @@ coverage: $(READY) povray
 lint: $(READY)
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
+	@$(BIN)/codespell
 	@$(BIN)/mypy
 
 bench: $(READY)
@@ -116,6 +121,9 @@ $(NUMBERED): $(READY)
 validate: $(READY)
 	@$(BIN)/radwrap validate --out out/validate
 
+# Files whose hashes are not in the lock file are not installed.
+LOCKED := -m pip install --quiet --disable-pip-version-check --require-hashes
+
 # A changed lock file or project file sets the environment up again; otherwise this is done at once.
 $(READY): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || \
@@ -124,15 +132,36 @@ $(READY): requirements.lock pyproject.toml
 		{ echo "error: Python's venv module is missing; on Debian: apt install python3-venv"; exit 1; }
 	@echo "setting up $(VENV) ..."
 	@$(PYTHON) -m venv --clear $(VENV)
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	@$(BIN)/python $(LOCKED) -r requirements.lock
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@$(BIN)/python -m compileall -q radwrap scripts tests  # a command starts in 0.15 s less, also where Python may not write byte code
 	@$(BIN)/radwrap doctor --warm >/dev/null  # compiles our own tracer, some 30 s, once for each of its versions
 	@touch $(READY)
 
 $(DOCS_READY): requirements-docs.lock $(READY)
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -r requirements-docs.lock
+	@$(BIN)/python $(LOCKED) -r requirements-docs.lock
 	@touch $(DOCS_READY)
+
+$(RELEASE_READY): requirements-release.lock $(READY)
+	@$(BIN)/python $(LOCKED) -r requirements-release.lock
+	@touch $(RELEASE_READY)
+
+# Builds wheel and sdist twice and compares them, says what an index and the forge would say; uploads nothing.
+packages: $(RELEASE_READY)
+	@$(BIN)/python scripts/packages.py
+	@$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
+
+# What the ranges of pyproject.toml bring, for Python 3.11 and newer at once. Versions stay as they are where they fit:
+# ARGS="--upgrade-package numpy" takes the newest of one. The three files agree, as one environment may have them all.
+COMPILED := $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --custom-compile-command "make lock" --no-annotate
+lock: $(RELEASE_READY)
+	@$(COMPILED) pyproject.toml --extra dev -o requirements.lock $(ARGS) >/dev/null
+	@$(COMPILED) --group docs -c requirements.lock -o requirements-docs.lock $(ARGS) >/dev/null
+	@$(COMPILED) --group release -c requirements.lock -c requirements-docs.lock -o requirements-release.lock $(ARGS) >/dev/null
+
+# Tutorials from the wheel in empty environments, for each Python from 3.11 on that is there (ARGS names others).
+test-wheel: $(READY)
+	@$(BIN)/python scripts/test_wheel.py $(ARGS)
 
 # POV-Ray is for cross-checks alone; where there is no apt, tests that need it say so.
 povray:

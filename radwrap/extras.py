@@ -53,6 +53,10 @@ def require(extra: str, where: str) -> None:
 def lack_of(module: str, where: str, extra: str | None = None) -> EnvironmentFailure:
     """The error for a module that is not installed; without an extra the first one that brings it."""
     extra = extra or next((name for name, modules in EXTRAS.items() if module in modules), None)
-    if extra is None:
-        return EnvironmentFailure(f"{module} is not installed", where=where, remedy="reinstall radwrap")
-    return EnvironmentFailure(f"{module} is not installed", where=where, remedy=f'pip install "radwrap[{extra}]"')
+    remedy = "reinstall radwrap" if extra is None else installing(extra)
+    return EnvironmentFailure(f"{module} is not installed", where=where, remedy=remedy)
+
+
+def installing(extra: str) -> str:
+    """The line that installs an extra."""
+    return f'pip install "radwrap[{extra}]"'

@@ -6,7 +6,7 @@ import hashlib
 import os
 import stat
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -193,6 +193,32 @@ def make_folder(path: Path) -> None:
         raise _no_folder(path) from error
     except OSError as error:
         raise disk_failure(path, error) from error
+
+
+def write_new(folder: Path, contents: Mapping[str, bytes]) -> None:
+    """Write files into a folder, none of them where one of them is there already.
+
+    Parameters
+    ----------
+    folder : Path
+        Is made where it is not there.
+    contents : mapping of str to bytes
+        By the files' paths in it, in the order of writing.
+
+    Raises
+    ------
+    InputError
+        If a file is there already; also as `make_folder`.
+    EnvironmentFailure
+        If the disk refuses.
+    """
+    make_folder(folder)
+    for name in contents:
+        if (folder / name).exists():
+            raise InputError("is there already", where=str(folder / name), remedy="choose another folder")
+    for name, content in contents.items():
+        make_folder((folder / name).parent)
+        write_bytes(folder / name, content)
 
 
 def _no_folder(path: Path) -> InputError:

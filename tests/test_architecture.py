@@ -185,6 +185,7 @@ SHIPPED = "files('radwrap')"  # files of the package itself, which nobody names
 OPENERS = {"open", "fdopen", "read_bytes", "read_text", "fromfile", "genfromtxt", "loadtxt", "memmap", "imread"}
 READ_ELSEWHERE = {
     "cli/face.py": {"webbrowser.open": "the page's own link"},
+    "cli/init_examples.py": {"one.read_bytes": "the package's own examples"},
     "cli/main.py": {"os.open": "the null device, for a stdout that is gone"},
     "cli/streams.py": {
         "os.fdopen": "the process's own streams",

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+import radwrap
 from radwrap.errors import EnvironmentFailure
 from radwrap.extras import EXTRAS, lack_of, missing, require
 from tests.cli.conftest import here
@@ -55,6 +56,12 @@ def test_what_is_missing_is_named_with_the_line_that_installs_it(monkeypatch: py
         require("study", "study")
     assert error.value.where == "study" and error.value.exit_code == 4
     assert "reinstall radwrap" in str(lack_of("numpy", ""))
+
+
+def test_only_one_piece_knows_how_to_install_an_extra() -> None:
+    package = Path(radwrap.__file__).parent
+    texts = {path.relative_to(package).as_posix(): path.read_text("utf-8") for path in package.rglob("*.py")}
+    assert {name for name, text in texts.items() if re.search(r"pip install .{0,3}radwrap", text)} == {"extras.py"}
 
 
 VERBS = {

@@ -11,7 +11,7 @@ from importlib.metadata import version as distribution_version
 from typing import Any, Final
 
 from radwrap.errors import EnvironmentFailure, RadwrapError
-from radwrap.extras import EXTRAS, require
+from radwrap.extras import EXTRAS, installing, require
 from radwrap.imaging.forecast.speed import tracer_speed
 from radwrap.led.ports import modules as hidapi_modules
 from radwrap.manifest import STUDY_PACKAGES, json_text, versions
@@ -43,12 +43,12 @@ def run(arguments: argparse.Namespace) -> int:
             lambda: tracer_speed("radiance", folder),
         ),
         _with_speed(
-            _check("compiled tracer", False, 'pip install "radwrap[fast]"', lambda: _compiled(warm=arguments.warm)),
+            _check("compiled tracer", False, installing("fast"), lambda: _compiled(warm=arguments.warm)),
             lambda: _compiled_speed(folder),
         ),
         _check("POV-Ray", False, "apt install povray (only for cross-checks)", _povray),
-        _check("hidapi", False, "pip install hidapi (only for a real LED ring)", _hidapi),
-        *(_check(f"extra {name}", False, f'pip install "radwrap[{name}]"', partial(_extra, name)) for name in _LISTED),
+        _check("hidapi", False, f"{installing('led')} (only for a real LED ring)", _hidapi),
+        *(_check(f"extra {name}", False, installing(name), partial(_extra, name)) for name in _LISTED),
     ]
     whole = all(check["found"] or not check["needed"] for check in checks)
     found = {"ok": whole, "checks": checks, "versions": versions(*STUDY_PACKAGES), "cores": available_cores()}

@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from radwrap.cli import options as shared
-from radwrap.errors import EnvironmentFailure, InputError, ToleranceNotMet
+from radwrap.errors import InputError, ToleranceNotMet
+from radwrap.extras import require
 from radwrap.files import make_folder
 from radwrap.imaging.page.one_file import one_file
 from radwrap.imaging.relight.relit import read_basis
@@ -65,13 +66,10 @@ def run(arguments: argparse.Namespace) -> int:
         make_folder(out)
     if arguments.export is not None:
         return _export(arguments, scene, options)
-    try:
-        from radwrap.face.recipe import Recipe
-        from radwrap.face.serve import serve
-    except ModuleNotFoundError as error:
-        raise EnvironmentFailure(
-            f"needs the package {error.name}", where="face", remedy="install it: pip install 'radwrap[face]'"
-        ) from error
+    require("face", "face")
+    from radwrap.face.recipe import Recipe
+    from radwrap.face.serve import serve
+
     browser = None if arguments.no_browser or not _has_screen() else _open
     recipe = Recipe(_words(arguments), arguments.scene, shared.overrides_of(arguments), _unusual(options))
     serve(scene, options, port=arguments.port, out=out, recipe=recipe, opened=browser)

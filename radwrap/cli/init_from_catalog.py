@@ -53,8 +53,9 @@ def is_asked(arguments: argparse.Namespace) -> bool:
         if arguments.length_unit is not None:
             raise InputError("goes with --part", where="--length-unit")
         return False
-    if arguments.template is not None:
-        raise InputError("goes without --template", where=f"--{given[0]}", remedy="leave one of them out")
+    for other in ("template", "example"):
+        if getattr(arguments, other) is not None:
+            raise InputError(f"goes without --{other}", where=f"--{given[0]}", remedy="leave one of them out")
     for name in OPTIONS:
         if name not in given:
             raise InputError(

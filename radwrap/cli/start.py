@@ -8,9 +8,9 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
-from radwrap.cli import init_from_catalog
+from radwrap.cli import init_examples, init_from_catalog
 from radwrap.errors import InputError
-from radwrap.files import make_folder, write_bytes
+from radwrap.files import write_new
 from radwrap.manifest import json_text
 from radwrap.scene.file.described import described_schema
 
@@ -22,7 +22,7 @@ TEMPLATES: Final = ("ring", "dome", "backlight", "darkfield", "coaxial", "calibr
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     """Add the verbs."""
     init = verbs.add_parser("init", description="Writes DIR/scene.toml.")
-    init.add_argument("folder", metavar="DIR", help="folder for the scene")
+    init.add_argument("folder", metavar="DIR", nargs="?", help="folder for the scene")
     init.add_argument(
         "--template",
         choices=TEMPLATES,
@@ -30,6 +30,8 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         "coaxial light, a calibration board (all with a lens and a linear sensor), or the paper's retroreflective "
         "board behind a pinhole (default)",
     )
+    init.add_argument("--example", metavar="NAME", help="an example of the documentation, see --list")
+    init.add_argument("--list", action="store_true", help="name all templates and examples, and write nothing")
     init_from_catalog.add_options(init)
     init.set_defaults(run=run_init)
     schema = verbs.add_parser("schema", description="Editors complete scene files from it.")
@@ -39,6 +41,8 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
 
 def run_init(arguments: argparse.Namespace) -> int:
     """Write the starting scene, never over an existing one."""
+    if arguments.list:
+        return _list(arguments)
     if not arguments.folder:
         raise InputError("has no name", where="DIR", remedy='name a folder; "." is this one')
     folder = Path(arguments.folder)
@@ -48,14 +52,35 @@ def run_init(arguments: argparse.Namespace) -> int:
             print(f"assumed: {line}")
         _tell_next(path, folder, look=True)
         return 0
-    make_folder(folder)
-    written = _files_of(arguments.template or _PAPER)
-    for name in written:
-        if (folder / name).exists():
-            raise InputError("is there already", where=str(folder / name), remedy="choose another folder")
-    for name, content in written.items():
-        write_bytes(folder / name, content)
+    if arguments.example is not None:
+        return _write_example(arguments, folder)
+    write_new(folder, _files_of(arguments.template or _PAPER))
     _tell_next(folder / _SCENE, folder, look=arguments.template not in (None, _PAPER))
+    return 0
+
+
+def _list(arguments: argparse.Namespace) -> int:
+    """Names for --template and --example."""
+    if arguments.folder:
+        raise InputError("goes without DIR", where="--list", remedy="leave one of them out")
+    print("templates:")
+    for name in TEMPLATES:
+        print(f"  {name}")
+    print("examples:")
+    known = init_examples.names()
+    width = max(map(len, known))
+    for name, title in known.items():
+        print(f"  {name:{width}}  {title}")
+    return 0
+
+
+def _write_example(arguments: argparse.Namespace, folder: Path) -> int:
+    if arguments.template is not None:
+        raise InputError("goes without --template", where="--example", remedy="leave one of them out")
+    written, verb = init_examples.write_example(arguments.example, folder)
+    for path in written:
+        print(path)
+    print(f"begin with: radwrap {verb} {written[0]} --out {folder / 'out'}")
     return 0
 
 

@@ -7,7 +7,6 @@ inside: its box in its own frame stands for it.
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -15,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.errors import EnvironmentFailure
+from radwrap.extras import require
 from radwrap.frames import Pose, rotation_about_fixed_axes
 from radwrap.scene.mesh import Mesh, contains, mesh_of
 from radwrap.scene.targets import MeshPart
@@ -23,6 +22,7 @@ from radwrap.units import ANGLE, LENGTH, parse_quantity
 
 Array = NDArray[np.float64]
 
+OVERLAPS: Final = "parts that must not overlap"  # what needs FCL, for messages
 _MM: Final = 1e3  # FCL's own limits are of numbers about 1: it gets millimetres
 _BOX_FACES: Final = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
 
@@ -78,22 +78,6 @@ def _piece_corners(mesh: Mesh) -> NDArray[np.intp]:
     return np.unique(mesh.faces)[corners]
 
 
-def require_fcl() -> None:
-    """Say so where the library that finds collisions is not there.
-
-    Raises
-    ------
-    EnvironmentFailure
-        If python-fcl is not installed.
-    """
-    if importlib.util.find_spec("fcl") is None:
-        raise EnvironmentFailure(
-            "parts must not overlap, and python-fcl is not installed",
-            where="parts",
-            remedy='pip install "radwrap[dataset]"',
-        )
-
-
 class Standing:
     """Parts that stand in an image, none of which crosses or holds another.
 
@@ -109,7 +93,7 @@ class Standing:
     """
 
     def __init__(self, bodies: Mapping[str, Body]) -> None:
-        require_fcl()
+        require("dataset", OVERLAPS)
         import trimesh.collision
 
         untyped: Any = trimesh.collision

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import EnvironmentFailure, InputError
+from radwrap.extras import installing
 from radwrap.imaging.optics.view import rays_through
 from radwrap.scene.camera import Camera
 from radwrap.scene.look.geometry import project
@@ -135,7 +136,7 @@ class FirstHits:
     def __init__(self, scene: Scene) -> None:
         if lack := compiler_lacks():
             raise EnvironmentFailure(
-                f"truth of datasets needs the compiled tracer, and {lack}", remedy='pip install "radwrap[fast]"'
+                f"truth of datasets needs the compiled tracer, and {lack}", remedy=installing("fast")
             )
         if shown := inexpressible(scene):
             raise InputError(f"truth of datasets needs the compiled tracer, and {shown}", where=scene.origin)

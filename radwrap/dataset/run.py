@@ -13,12 +13,13 @@ from typing import Any, Final
 
 from radwrap.dataset.bop import MODELS, scene_files, write_models
 from radwrap.dataset.coco import COCO_FILE, coco_file
-from radwrap.dataset.collisions import require_fcl
+from radwrap.dataset.collisions import OVERLAPS
 from radwrap.dataset.document import Dataset
 from radwrap.dataset.one_image import TRAIN, WORK, ImageJob, Place, is_whole, make_image
 from radwrap.dataset.tables import BOP, COCO, YOLO
 from radwrap.dataset.yolo import DATA, LABELS, data_text, label_text
 from radwrap.errors import EnvironmentFailure, InputError
+from radwrap.extras import require
 from radwrap.files import make_folder, sole_owner, write_bytes
 from radwrap.imaging.render_options import RenderOptions, TracerName
 from radwrap.manifest import (
@@ -90,7 +91,7 @@ def run_dataset(dataset: Dataset, out: Path, options: RunOptions) -> dict[str, A
         If a library, a tracer or the disk fails.
     """
     if dataset.most_objects > 1:
-        require_fcl()
+        require("dataset", OVERLAPS)
     how = RenderOptions(
         tolerance=dataset.tolerance,
         workers=1,

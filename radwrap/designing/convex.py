@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import EnvironmentFailure, InputError
+from radwrap.extras import require
 
 Array = NDArray[np.float64]
 Measure = Literal["deviation", "extremes"]
@@ -166,12 +167,8 @@ def _solved(cells: Array, weights: Array, rows: Array, measure: Measure) -> Arra
 
 def _program(square: Array, cost: Array, held: Array, rows: Array) -> Array:
     """Minimise z square z/2 + cost z with held z = 1 and rows z <= 0."""
-    try:
-        import clarabel
-    except ImportError as error:
-        raise EnvironmentFailure(
-            "clarabel is not installed", where="levels", remedy="pip install radwrap[design]"
-        ) from error
+    require("design", "levels")
+    import clarabel
     from scipy.sparse import csc_matrix
 
     settings = clarabel.DefaultSettings()

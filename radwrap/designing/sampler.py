@@ -11,7 +11,7 @@ from itertools import islice, product
 from typing import Any, Final, Protocol
 
 from radwrap.designing.keys import Code, SearchKey
-from radwrap.errors import EnvironmentFailure
+from radwrap.extras import require
 
 _RANDOM_BATCHES: Final = 1  # before TPE has anything to go by
 
@@ -61,12 +61,9 @@ class Tpe:
     """
 
     def __init__(self, keys: Sequence[SearchKey], maximised: Sequence[bool], seed: int, batch: int) -> None:
-        try:
-            import optuna
-        except ImportError as error:
-            raise EnvironmentFailure(
-                "optuna is not installed", where="design", remedy="pip install radwrap[design]"
-            ) from error
+        require("design", "design")
+        import optuna
+
         optuna.logging.set_verbosity(optuna.logging.ERROR)
         self._spaces = {key.name: _space(optuna, key) for key in keys}
         sampler = optuna.samplers.TPESampler(

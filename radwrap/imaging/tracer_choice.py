@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import EnvironmentFailure, InputError
+from radwrap.extras import installing
 from radwrap.imaging.demand import FEWEST
 from radwrap.imaging.optics.view import rays_through
 from radwrap.imaging.render_options import RenderOptions
@@ -44,7 +45,7 @@ _PROBE: Final = 512
 # of a body's rim Radiance loses grazing light to the rim itself, which no image shows.
 _NEAR: Final = 0.03
 _LOOKED_AT: Final = 4096
-_REMEDY: Final = 'pip install "radwrap[fast]", or trace by Radiance'
+_REMEDY: Final = f"{installing('fast')}, or trace by Radiance"
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Final, Protocol
 
+from radwrap.extras import installing
 from radwrap.led.backend import PortFailure
 from radwrap.led.emulated_port import EmulatedPort
 
@@ -127,7 +128,7 @@ def found(
     if module is None:
         if there:
             return there
-        raise PortFailure("hidapi cannot be loaded", remedy="pip install hidapi, or use an emulated ring")
+        raise PortFailure("hidapi cannot be loaded", remedy=f"{installing('led')}, or use an emulated ring")
     for entry in module.enumerate():
         own = entry["path"].decode(errors="surrogateescape")
         there.append(

@@ -24,6 +24,7 @@ from typing import Any, Final, Protocol
 from urllib.parse import urlsplit
 
 from radwrap.errors import INTERRUPTED, EnvironmentFailure, InputError, one_line
+from radwrap.extras import require
 from radwrap.progress import note
 from radwrap.study.seal import Seal, break_seal, check_fit, seal_of, why_unfit
 
@@ -154,12 +155,9 @@ class DaskPool:
     def __init__(
         self, address: str, folder: Path, radiance: str | None, worker_timeout: float = WORKER_TIMEOUT
     ) -> None:
-        try:
-            from distributed import Client
-        except ImportError as error:
-            raise EnvironmentFailure(
-                "Dask is not installed", where=f"dask={address}", remedy="pip install radwrap[cluster]"
-            ) from error
+        require("cluster", f"dask={address}")
+        from distributed import Client
+
         _silence_dask()
         _check_scheduler(address)
         try:

@@ -21,7 +21,8 @@ from radwrap.tracers.installation import find_radiance
 from radwrap.tracers.installation import version as radiance_version
 
 _MARK: Final = ".radwrap.cluster"
-_COMPILED: Final = "__pycache__"
+# Byte code, and scenes to copy, of which a clone has more files than a wheel: neither changes a result.
+_NOT_RUN: Final = ("__pycache__", "examples")
 
 
 class Unfit(EnvironmentFailure):
@@ -106,7 +107,7 @@ def _programs(radiance: str | None) -> dict[str, str]:
 def _add(digest: hashlib._Hash, folder: Traversable) -> None:
     for entry in sorted(folder.iterdir(), key=lambda entry: entry.name):
         if entry.is_dir():
-            if entry.name != _COMPILED:
+            if entry.name not in _NOT_RUN:
                 _add(digest, entry)
         else:
             digest.update(entry.name.encode())

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 
+from radwrap.extras import missing
 from radwrap.scene.materials import Glass, Mirror
 from radwrap.scene.scene import Scene
 
@@ -24,8 +24,8 @@ def inexpressible(scene: Scene) -> str:
 
 def compiler_lacks() -> str:
     """Why the compiler of the compiled tracer cannot be used; "" where it can."""
-    if importlib.util.find_spec("numba") is None:
-        return "numba is not installed"
+    if lacking := missing("fast"):
+        return f"{lacking[0]} is not installed"
     # Python itself would be a thousand times slower, and knows no rows of arrays.
     switch = "NUMBA_DISABLE_JIT"
     return f"{switch} switches numba off" if os.environ.get(switch, "0") not in ("", "0") else ""

@@ -406,7 +406,7 @@ def test_a_changed_scene_in_the_same_folder_gives_its_own_result(
         assert results[-1] == products(tmp_path / name), name
         assert finished(out) == finished(tmp_path / name)
     assert results[0] == results[-1]
-    # A change that no ray sees re-uses every ray.
+    # A change that no ray sees reuses every ray.
     assert len({str(result["gray.png"]) for result in results}) > len(results) - 4
 
 

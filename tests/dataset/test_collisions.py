@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from typing import Any
 
@@ -83,7 +84,7 @@ def test_drawn_parts_stand_free_and_too_many_are_an_error(dataset_file: Write, b
 
 
 def test_without_the_library_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(EnvironmentFailure, match="python-fcl") as told:
+    monkeypatch.setitem(sys.modules, "fcl", None)
+    with pytest.raises(EnvironmentFailure, match="parts that must not overlap: fcl is not installed") as told:
         Standing({})
-    assert "radwrap[dataset]" in told.value.remedy
+    assert told.value.remedy == 'pip install "radwrap[dataset]"'

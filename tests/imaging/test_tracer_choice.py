@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
+import sys
 from collections.abc import Collection, Generator, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -153,8 +153,7 @@ def test_walks_are_counted_by_what_the_tolerance_asks_for() -> None:
 
 
 def test_without_the_compiler_radiance_traces(worth_it: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = importlib.util.find_spec
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "numba" else found(name))
+    monkeypatch.setitem(sys.modules, "numba", None)
     assert candidate(small(), RenderOptions()) == TracerUsed("radiance", "numba is not installed")
     with pytest.raises(EnvironmentFailure, match="numba") as error:
         candidate(small(), RenderOptions(tracer="compiled"))

@@ -134,7 +134,7 @@ def test_doctor_knows_the_way_to_the_ring(capsys: Any, monkeypatch: pytest.Monke
     assert row()["found"] and row()["version"] == version("hidapi") and "hid" in row()["place"]
     monkeypatch.setitem(sys.modules, "hid", None)
     monkeypatch.setitem(sys.modules, "hidraw", None)
-    assert not row()["found"] and not row()["needed"] and "pip install hidapi" in row()["remedy"]
+    assert not row()["found"] and not row()["needed"] and 'pip install "radwrap[led]"' in row()["remedy"]
 
 
 BAD: Final = {

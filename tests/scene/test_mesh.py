@@ -2,6 +2,7 @@
 
 import math
 import struct
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -282,8 +283,8 @@ def test_step_files_need_cascadio(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     (tmp_path / "junk.step").write_text("ISO-10303-21;\n")
     with pytest.raises(InputError, match=r"not a complete STEP|no triangles"):
         read(tmp_path / "junk.step", None)
-    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
-    with pytest.raises(EnvironmentFailure, match="need cascadio"):
+    monkeypatch.setitem(sys.modules, "cascadio", None)
+    with pytest.raises(EnvironmentFailure, match=r'cascadio is not installed; pip install "radwrap\[step\]"'):
         read(tmp_path / "junk.step", None)
 
 

@@ -50,7 +50,7 @@ def edge() -> Scene:
 
 
 def edge_image(scene: Scene, shift: float) -> GrayImage:
-    """Eq. 9 of radius 2.5 px, meaned over pixels, moved along its normal."""
+    """Eq. 9 of radius 2.5 px, averaged over pixels, moved along its normal."""
     sensor = scene.camera.sensor
     v, u = np.indices((sensor.rows, sensor.columns))
     line = next(iter(geometry(scene, ())["targets"].values()))["edge"]

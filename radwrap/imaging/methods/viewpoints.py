@@ -101,7 +101,7 @@ def trace_viewpoints(
     Returns
     -------
     int
-        How many files were re-used.
+        How many files were reused.
     """
     remove_strangers(folder, {viewpoint_file(folder, index).name for index in range(len(plan.viewpoints))})
     due = missing_viewpoints(plan, folder)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import importlib.util
 import io
 import math
 import re
@@ -24,7 +23,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.errors import EnvironmentFailure, InputError, TracerError
+from radwrap.errors import InputError, TracerError
+from radwrap.extras import require
 from radwrap.process import Programs
 from radwrap.reading import FileKind, read_bytes, shortened
 from radwrap.scene.mesh_files.glb_checks import check_glb
@@ -287,8 +287,7 @@ def _library(kind: str, where: str) -> Iterator[None]:
 
 def _glb_of_step(content: bytes, where: str) -> bytes:
     """A STEP file's triangles; in a process of its own, since a large C++ library reads a file nobody vouches for."""
-    if importlib.util.find_spec("cascadio") is None:
-        raise EnvironmentFailure("STEP files need cascadio", where=where, remedy='pip install "radwrap[step]"')
+    require("step", where)
     with tempfile.TemporaryDirectory(prefix="radwrap-") as folder, Programs() as programs:
         (Path(folder) / "part.step").write_bytes(content)
         made = Path(folder) / "part.glb"
