@@ -59,7 +59,7 @@ def test_sizes_are_those_of_the_visible_face(plain: Explained) -> None:
 
 
 def test_levels_are_those_of_the_image(folder: Path) -> None:
-    scene, _, seen = explained(folder, **{"camera.sensor.scale": "1/8"})
+    scene, _, seen = explained(folder, **{"camera.sensor.scale": "1/16"})
     image = radwrap.render(scene, tolerance=30, workers=1, truth=True, tracer="compiled")
     assert image.truth is not None
     mask = image.truth["mask"] == next(n for name, n in image.truth["parts"].items() if "washer" in name)
@@ -115,11 +115,11 @@ def test_the_advice_is_for_the_camera_at_hand(folder: Path) -> None:
 def test_no_steps_of_light_that_shines_as_a_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The compiled tracer has none; what is not known of the tracer keeps the warning."""
     here(["init", tmp_path / "it", "--template", "coaxial"], capsys).success()
-    changes = {"sources[0].irradiance_error": 0.05, "camera.sensor.scale": "1/32"}
+    changes = {"sources[0].irradiance_error": 0.05, "camera.sensor.scale": "1/64"}
     scene = load_scene(tmp_path / "it" / "scene.toml", changes)
     told = [[w for w in radwrap.explain(scene, whole)["warnings"] if "steps" in w] for whole in ((), ("coaxial",))]
     assert len(told[0]) == 1 and told[1] == []
-    small = ["--tracer", "compiled", "--set", "camera.sensor.scale=1/32", "--set", "sources[0].irradiance_error=0.05"]
+    small = ["--tracer", "compiled", "--set", "camera.sensor.scale=1/64", "--set", "sources[0].irradiance_error=0.05"]
     lines = here(["explain", tmp_path / "it" / "scene.toml", *small], capsys)
     assert "steps" not in lines.success().stdout
 
@@ -135,7 +135,7 @@ def test_eight_bits_are_enough_where_noise_covers_their_step(folder: Path, plain
 
 
 def test_effects_are_measured_where_nothing_saturates(folder: Path) -> None:
-    scene = load_scene(folder / "scene.toml", {"camera.exposure_time": "1 s", "camera.sensor.scale": "1/32"})
+    scene = load_scene(folder / "scene.toml", {"camera.exposure_time": "1 s", "camera.sensor.scale": "1/64"})
     found = radwrap.effects(scene)
     assert 0.005 < found["effects_exposure_time"] < 0.008
     assert next(one for one in found["effects"] if one["name"] == "leds")["rms_gray"] > 50

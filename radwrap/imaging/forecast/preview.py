@@ -186,7 +186,8 @@ def _in_patch(patch: Patch, points: Array) -> NDArray[np.bool_]:
     across = np.stack([first, np.cross(patch.axis, first)], axis=1)
     away = points - np.asarray(patch.position)
     inside: NDArray[np.bool_] = np.linalg.norm(away, axis=1) <= np.linalg.norm(corners, axis=1).max()
-    inside[inside] = in_polygon(corners @ across, away[inside] @ across)
+    if inside.any():  # of most patches no point is near
+        inside[inside] = in_polygon(corners @ across, away[inside] @ across)
     return inside
 
 
@@ -236,12 +237,12 @@ def _blurred(scene: Scene, seen: Seen) -> Seen:
     A disc is brighter than anything else and often smaller than its blur: a
     pixel sees it through the part of the opening that its pencil has of it.
     """
-    camera = scene.camera
+    camera, emitters = scene.camera, scene.emitters
     share = {}
     areas: dict[str, float] = {}  # of a wide source all patches, which fill the pencil together
-    for emitter in scene.emitters:
+    for emitter in emitters:
         areas[emitter.source] = areas.get(emitter.source, 0.0) + math.pi * emitter.radius**2
-    for emitter in scene.emitters:
+    for emitter in emitters:
         away = np.asarray(emitter.position) - camera.pose.position
         depth = float(away @ np.asarray(camera.pose.z_axis))
         pencil = 0.0 if camera.aperture.is_infinitesimal else camera.aperture.area * camera.pencil_scale(depth) ** 2
