@@ -1,4 +1,4 @@
-"""Tutorials from the wheel, in an empty environment for each Python that is there: ``make test-wheel``.
+"""Examples and tutorials from the wheel, in an empty environment for each Python that is there: ``make test-wheel``.
 
 The wheel is built into a folder of its own. Each environment lies outside of the repository and gets the wheel and the
 extra that the tutorials need. Its own Python runs them by `docs_site/lessons.py`, and finds no radwrap but the wheel's.
@@ -27,12 +27,16 @@ import sys, tempfile
 from pathlib import Path
 import radwrap
 assert Path(radwrap.__file__).is_relative_to(sys.prefix), radwrap.__file__
+from radwrap.cli.init_examples import names
+scenes = Path(sys.argv[1]).parent / "rad_scenes"
+assert set(names()) == {path.parent.relative_to(scenes).as_posix() for path in scenes.glob("*/**/*.toml")}
+print("  examples:", len(names()))
 sys.path.append(sys.argv[1])
 from docs_site.lessons import run
 for path in map(Path, sys.argv[2:]):
     with tempfile.TemporaryDirectory() as folder:
         run(path.read_text("utf-8"), Path(folder), path.name)
-    print("  passed:", path.stem)
+    print("  passed:", path.stem, flush=True)
 """
 
 

@@ -30,6 +30,19 @@ from tests.study.conftest import EDGE, PATIENCE, TINY_SMALL, command
 GRAY = '[responses.mean]\nmeasure = "mean_gray"\n'
 
 
+def test_a_seal_is_for_what_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A clone and a wheel of one state work together, though a clone has more files among the examples."""
+    package = tmp_path / "radwrap"
+    (package / "examples" / "one").mkdir(parents=True)
+    (package / "module.py").write_text("x = 1")
+    monkeypatch.setattr("radwrap.study.seal.files", lambda _: package)
+    first = seal_of(tmp_path, None)
+    (package / "examples" / "one" / "scene.rad").write_text("void plastic x")
+    assert seal_of(tmp_path, None).programs == first.programs
+    (package / "module.py").write_text("x = 2")
+    assert seal_of(tmp_path, None).programs != first.programs
+
+
 def test_a_seal_is_for_the_same_programs_and_the_same_folder(tmp_path: Path) -> None:
     here, there = tmp_path / "here", tmp_path / "there"
     here.mkdir()
