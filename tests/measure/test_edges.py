@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from radwrap.cli import measure_edge as command
 from radwrap.cli import options
@@ -95,6 +96,71 @@ def test_everything_is_found_where_there_is_no_noise(angle: float, radius: float
     assert edge.gamma == pytest.approx(gamma, abs=1e-3)
     assert (edge.low, edge.high) == pytest.approx((20, 180), abs=0.05)
     assert edge.bright_side == "positive"
+
+
+def gaussian_share(angle: float, offset: float, sigma: float) -> Array:
+    """Light beyond an edge that a Gaussian blurs, on pixels: second difference of ((x^2 + s^2) Phi + x s phi)/2."""
+    v, u = np.indices((64, 64))
+    distance = u * math.cos(angle) + v * math.sin(angle) - offset
+    a, b = abs(math.cos(angle)) / 2, abs(math.sin(angle)) / 2
+
+    def second(x: Array) -> Array:
+        density = np.exp(-((x / sigma) ** 2) / 2) / math.sqrt(2 * math.pi)
+        return np.asarray(((x**2 + sigma**2) * ndtr(x / sigma) + x * sigma * density) / 2)
+
+    corners = second(distance + a + b) - second(distance + a - b) - second(distance - a + b) + second(distance - a - b)
+    return corners / (4 * a * b)
+
+
+def logistic_share(offset: float, scale: float) -> Array:
+    """Light right of an edge along the columns that a logistic curve blurs, on pixels: its integral over each."""
+    edges = np.arange(65) - 0.5 - offset
+    whole = scale * np.logaddexp(0, edges / scale)
+    return np.tile(np.diff(whole), (64, 1))
+
+
+# The sum of discs follows no such curve exactly, and what is left has some side by the pixels' places.
+UNBIASED = 0.01  # px; of a contrast of 150 gray in noise of 1 gray the standard error is larger
+
+
+@pytest.mark.parametrize("sigma", [0.4, 0.8, 1.6, 2.5])
+@pytest.mark.parametrize("angle", [0.3, -2.0, math.pi / 4])
+def test_a_symmetric_blur_that_is_no_disc_moves_no_edge(sigma: float, angle: float) -> None:
+    """As far as one disc was taken for the blur, the edge lay up to 0.16 px on the dark side."""
+    offset = 31.6 * math.cos(angle) + 31.2 * math.sin(angle)
+    edge = measure_edge(gray(gaussian_share(angle, offset, sigma)), gamma=1.0)
+    turned, moved = misplaced(edge, angle, offset)
+    across = edge.centre[0] * math.cos(angle) + edge.centre[1] * math.sin(angle) - offset
+    assert abs(across) < UNBIASED
+    assert abs(turned) < 1e-4
+    assert abs(moved) < UNBIASED
+    # The disc of the same variance is 2 sigma wide; the one that fits best is narrower.
+    assert 1.5 * sigma < edge.radius < 2 * sigma
+
+
+@pytest.mark.parametrize(("scale", "place"), [(0.3, 31.0), (0.8, 31.3), (1.2, 31.5), (1.2, 31.1)])
+def test_tails_on_both_sides_of_an_edge_along_the_columns_have_no_side(scale: float, place: float) -> None:
+    """Either side bright: each row of pixels shows the same few places across the edge."""
+    light = logistic_share(place, scale)
+    for image, true, axis in ((light, place, 0), (light[:, ::-1], 63 - place, 0), (light.T, place, 1)):
+        edge = measure_edge(gray(image), gamma=1.0, dark=0.0)
+        assert edge.centre[axis] == pytest.approx(true, abs=UNBIASED)
+
+
+@pytest.mark.parametrize("count", [8, pytest.param(60, marks=pytest.mark.long)])
+def test_standard_errors_hold_for_a_blur_that_is_no_disc(count: int) -> None:
+    """Noisy images of a Gaussian of 1.4 px: mean and mean square of pulls within 3.5 of their deviations."""
+    dice = np.random.default_rng(9)
+    angle = 0.2
+    pulls = []
+    for _ in range(count):
+        offset = 20 + dice.uniform(-1, 1)
+        clean = gray(gaussian_share(angle, offset, 1.4)[:40, :40]).values
+        edge = measure_edge(GrayImage(np.rint(clean + dice.normal(0, 2.0, clean.shape))), gamma=1.0)
+        across = edge.centre[0] * math.cos(angle) + edge.centre[1] * math.sin(angle) - offset
+        pulls.append(across / edge.sigma_position)
+    assert abs(float(np.mean(pulls))) < 3.5 / math.sqrt(count)
+    assert abs(float(np.mean(np.square(pulls))) - 1) < 3.5 * math.sqrt(2 / count)
 
 
 def test_a_dark_right_side_keeps_the_line_and_turns_the_sign() -> None:
