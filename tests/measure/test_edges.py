@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.special import ndtr
+from scipy.special import fresnel, ndtr
+from scipy.stats import exponnorm
 
 from radwrap.cli import measure_edge as command
 from radwrap.cli import options
@@ -418,6 +419,55 @@ def test_a_plateau_below_full_scale_is_told(tmp_path: Path, capsys: pytest.Captu
     assert "warning: 100% of the bright side has one and the same gray level" in capsys.readouterr().out
     with pytest.raises(InputError, match="is saturated"):
         run(str(path), "--saturation", "150")
+
+
+def across_the_edge(kind: str) -> Array:
+    """Light along a row of 60 pixels, by 16 points of each: a step about 30.2 that is one or that is none."""
+    x = (np.arange(60 * OVERSAMPLING) + 0.5) / OVERSAMPLING - 0.5 - 30.2
+    sine, cosine = fresnel(x / 3.0)
+    light = {
+        "Gaussian": ndtr(x / 1.2),
+        "motion": np.clip(0.5 + x / 5, 0, 1),
+        "two edges": 0.6 * ndtr((x + 2.5) / 0.8) + 0.4 * ndtr((x - 2.5) / 0.8),
+        "diffraction": 0.35 * ((cosine + 0.5) ** 2 + (sine + 0.5) ** 2),
+        "a bright line beside": ndtr(x / 1.2) + 0.3 * np.exp(-(((x - 6) / 1.5) ** 2) / 2),
+        "coma": np.where(x > -8, exponnorm.cdf(x, 3.0, scale=0.8), 0),
+        "saturation": np.minimum(ndtr(x / 1.2), 0.7),
+    }[kind]
+    return np.asarray(light.reshape(60, OVERSAMPLING).mean(axis=1))
+
+
+@pytest.mark.parametrize(
+    ("kind", "warned"),
+    [
+        ("Gaussian", ""),
+        ("motion", ""),
+        ("two edges", "across the edge light differs"),
+        ("diffraction", "across the edge light differs"),
+        ("a bright line beside", "across the edge light differs"),
+        ("coma", "across the edge light differs"),
+        ("saturation", "one and the same gray level"),
+    ],
+)
+def test_what_is_no_single_step_is_warned_of(
+    kind: str, warned: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Rows of whole gray levels with noise of one of them; the saturated ones are clipped after the noise."""
+    rows = 30 + 150 * np.tile(across_the_edge(kind), (40, 1))
+    noisy = np.rint(rows + np.random.default_rng(6).normal(0, 1, rows.shape))
+    path = tmp_path / "edge.png"
+    write_png(path, (np.minimum(noisy, 135) if kind == "saturation" else noisy).astype(np.uint8))
+    assert run(str(path), "--gamma", "1", "--json") == 0
+    told = " ".join(json.loads(capsys.readouterr().out)["warnings"])
+    assert warned in told if warned else told == ""
+
+
+@pytest.mark.parametrize("dark", [30.2, 30.47])
+def test_rounding_that_is_the_same_in_every_row_is_no_misfit(dark: float) -> None:
+    """A contrast of 40 gray without noise: rounding leaves up to half a gray level at each distance."""
+    rows = dark + 40 * np.tile(across_the_edge("Gaussian"), (40, 1))
+    edge = measure_edge(GrayImage(np.rint(rows)), gamma=1.0)
+    assert (edge.misfit, edge.even_misfit) == (0, 0)
 
 
 def test_errors_of_the_command_name_file_or_option(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from radwrap.errors import InputError
 from radwrap.images import GrayImage
 from radwrap.measure.edges.blur import Fitted, any_blur, covariance_of, fitted
+from radwrap.measure.edges.misfit import misfit_of
 from radwrap.measure.edges.model import Model, Pixels, splines_along
 from radwrap.measure.edges.search import Line, find_line, normal_angle
 from radwrap.progress import Progress
@@ -70,6 +71,10 @@ class Edge:
         Share of the bright side's pixels that have exactly its highest gray level: near 1 in even light without
         noise, or where the camera saturates below full scale. Then gamma takes the clipping up, and place and blur
         are off by more than their standard errors.
+    misfit, even_misfit : float
+        Means at each distance from the edge of what the fit leaves, rms beyond noise over the contrast: of all of it,
+        and of what has the same sign on both sides, as of a fringe, a shadow or a blur that is not symmetric. 0 by
+        chance.
     """
 
     angle: float
@@ -94,6 +99,8 @@ class Edge:
     half_width: float
     length: float
     level_share: float
+    misfit: float
+    even_misfit: float
 
     @property
     def position_gamma_correlation(self) -> float:
@@ -343,14 +350,31 @@ def _edge(disc: Fitted, anyhow: Fitted) -> Edge:
     slopes = np.stack([(both(parameters + h) - both(parameters - h)) / (2 * h.max()) for h in np.diag(steps)], axis=1)
     sigma_low, sigma_high = np.sqrt(np.diag(slopes @ covariance @ slopes.T))
     levels = tuple(map(float, (low, high, sigma_low, sigma_high)))
-    return _named(model, parameters, covariance[:4, :4], levels=levels, rms=rms)
+    misfits = _misfits(model, parameters, residual, high - low)
+    return _named(model, parameters, covariance[:4, :4], levels=levels, rms=rms, misfits=misfits)
+
+
+def _misfits(model: Model, parameters: Array, residual: Array, contrast: float) -> tuple[float, float]:
+    """Within the blur, its tails and a few pixels beside them."""
+    line, used = _refined(model.line, parameters), model.strip.usable
+    across = line.across(model.strip.u, model.strip.v)[used]
+    rounded = bool((model.strip.gray == np.rint(model.strip.gray)).all())
+    return misfit_of(across, residual, 2 * line.radius + LEVEL_PIXELS, contrast, rounded=rounded)
 
 
 def _rms(residual: Array) -> float:
     return math.sqrt(float(residual @ residual) / residual.size)
 
 
-def _named(model: Model, parameters: Array, covariance: Array, *, levels: tuple[float, ...], rms: float) -> Edge:
+def _named(
+    model: Model,
+    parameters: Array,
+    covariance: Array,
+    *,
+    levels: tuple[float, ...],
+    rms: float,
+    misfits: tuple[float, float],
+) -> Edge:
     """Angle and offset as truth.json has them: the normal points to the right, or downwards."""
     old, line = model.line, _refined(model.line, parameters)
     angle = normal_angle(line.angle)
@@ -384,6 +408,8 @@ def _named(model: Model, parameters: Array, covariance: Array, *, levels: tuple[
         half_width=model.line.half_width,
         length=float(np.ptp(old.along(model.strip.u, model.strip.v))),
         level_share=_level_share(model, line),
+        misfit=misfits[0],
+        even_misfit=misfits[1],
     )
 
 
