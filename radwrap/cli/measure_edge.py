@@ -23,6 +23,10 @@ _STRIP_BYTES: Final = 200  # a pixel of the strip along the edge, which may be a
 HARDLY_APART = 0.8
 # Share of the bright side that has exactly one gray level; light and noise seldom leave so much.
 PLATEAU = 0.5
+# Of the contrast. A box, which is the worst of the symmetric blurs that were tried, leaves 0.003 and no even part; two
+# steps, fringes and lines beside the edge leave 0.01 and more, with an even part of more than 0.007.
+LARGEST_MISFIT = 0.01
+LARGEST_EVEN_MISFIT = 0.002
 
 
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
@@ -136,6 +140,8 @@ def _json(edge: Edge, arguments: argparse.Namespace) -> dict[str, Any]:
         "pixels": edge.pixels,
         "saturated_pixels": edge.saturated,
         "level_share": edge.level_share,
+        "misfit": edge.misfit,
+        "even_misfit": edge.even_misfit,
         "warnings": list(_warnings(edge)),
         "strip": {"half_width": edge.half_width, "length": edge.length},
     }
@@ -171,4 +177,10 @@ def _warnings(edge: Edge) -> Iterator[str]:
         yield (
             f"{edge.level_share:.0%} of the bright side has one and the same gray level: where that is not even light "
             "but the camera's saturation, place, blur and gamma are wrong; then name the level with --saturation"
+        )
+    if edge.misfit > LARGEST_MISFIT or edge.even_misfit > LARGEST_EVEN_MISFIT:
+        off = max(edge.misfit, edge.even_misfit)
+        yield (
+            f"across the edge light differs by {off:.1%} of the contrast from a step with a symmetric blur: a second "
+            "edge, a fringe, a shadow, saturation or coma moves the place by more than its standard error"
         )

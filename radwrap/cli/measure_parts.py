@@ -15,11 +15,13 @@ from radwrap.cli import raw_mosaic
 from radwrap.cli.gauging import with_sigma
 from radwrap.errors import InputError
 from radwrap.files import write_bytes
-from radwrap.manifest import SCHEMA_VERSION, json_text
+from radwrap.manifest import SCHEMA_VERSION, finite, json_text
 from radwrap.measure.parts import DEFAULT_MIN_AREA, Part, Parts, find_parts, overlay_png
 from radwrap.progress import Progress
 
 _BYTES: Final = 80  # a pixel, as measured
+
+OTHER: Final = 0.01  # share of the image on the other side of the ground; highlights of small parts take less
 
 
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
@@ -100,6 +102,13 @@ def _json(found: Parts, arguments: argparse.Namespace) -> dict[str, Any]:
         "axes": "of the ellipse with equal second moments; they are not diameters",
         "pixel_aspect": arguments.pixel_aspect,
         "contrast": found.kind,
+        "ground": {
+            "gray": finite(found.ground.gray),
+            "share": found.ground.share,
+            "border_share": found.ground.border_share,
+            "other_share": found.ground.other_share,
+        },
+        "warnings": list(_warnings(found)),
         "count": len(found.parts),
         "parts": [_entry(part) | (_lines_of(part) if arguments.contours else {}) for part in found.parts],
     }
@@ -140,8 +149,20 @@ def _entry(part: Part) -> dict[str, Any]:
     }
 
 
+def _warnings(found: Parts) -> Iterator[str]:
+    if found.ground.other_share > OTHER:
+        side = "brighter" if found.kind == "dark" else "darker"
+        yield (
+            f"{found.ground.other_share:.0%} of the image is {side} than the ground of gray {found.ground.gray:.4g}: "
+            f"only {found.kind} parts were looked for; give a picture that holds one kind"
+        )
+
+
 def _lines(found: Parts) -> Iterator[str]:
+    ground = found.ground
     yield f"{len(found.parts)} {found.kind} part{'s' if len(found.parts) > 1 else ''}"
+    yield f"ground: gray {ground.gray:.4g}, {ground.share:.0%} of the image and {ground.border_share:.0%} of its border"
+    yield from (f"warning: {text}" for text in _warnings(found))
     for number, part in enumerate(found.parts, start=1):
         turn = (
             f"no axis by moments, rectangle at {math.degrees(part.rectangle_orientation):.2f} deg"

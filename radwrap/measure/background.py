@@ -15,6 +15,7 @@ QUANTISATION: Final = 1 / 12  # gray^2, of rounding to whole numbers
 UPPER_WEIGHT: Final = 0.97  # of the asymmetric fit; the surface lies on the background, parts pull with 0.03
 SAMPLES: Final = 6000  # pixels to which the surface is fitted
 ALIKE: Final = 0.02  # of the score below; surfaces that differ by less serve alike
+BORDER_DEGREE: Final = 2  # of a surface through the border's pixels only; degree 4 runs wild between them
 CLOSER: Final = 0.9  # of the rms of what lies on a surface; a less simple one must lie closer than that
 _BAND: Final = 64  # rows
 
@@ -30,14 +31,20 @@ def noise_level(values: Array) -> float:
     return float(np.median(rough, overwrite_input=True)) / (0.6745 * 6.0)
 
 
+def ground_tolerance(light: Array) -> float:
+    """How far from its surface the background may lie, by noise and by what a surface cannot follow."""
+    return max(4 * noise_level(light), 0.08 * float(np.ptp(light)))
+
+
 def background_surface(light: Array, zero: float | None = None) -> tuple[Literal["dark", "bright"], Array]:
     """Which side objects lie on, and the surface of the background behind them.
 
-    A surface is laid on the bright and on the dark pixels, then cleared of what is off it: a quadratic one, one of
-    degree 4, and for the beam of a lamp, which falls to nothing at the border, the exponential of such ones. The
-    simplest that serves about as well as the best, and lies about as close, is taken. It serves as far as pixels lie
-    on it, less those half-way between it and the objects: such are few, the objects' rims, where the surface is the
-    background.
+    A surface is laid on the bright, on the dark and on the border's pixels, then cleared of what is off it: a
+    quadratic one, one of degree 4, and for the beam of a lamp, which falls to nothing at the border, the exponential of
+    such ones. The simplest that serves about as well as the best, and lies about as close, is taken. It serves as far
+    as pixels lie on it, and pixels of the border once more, as objects of many levels may cover most of an image but
+    seldom of its border; less those half-way between it and the objects: such are few, the objects' rims, where the
+    surface is the background.
 
     Parameters
     ----------
@@ -56,19 +63,25 @@ def background_surface(light: Array, zero: float | None = None) -> tuple[Literal
     rows, columns = light.shape
     x, y = 2 * np.arange(columns) / columns - 1, 2 * np.arange(rows) / rows - 1
     step = max(1, int(math.sqrt(light.size / SAMPLES)))
-    tolerance = max(4 * noise_level(light), 0.08 * float(np.ptp(light)))
+    tolerance = ground_tolerance(light)
     dark = float(light.min()) if zero is None else zero
     tried: list[tuple[float, float, tuple[_Plain | _Beam, int, Array]]] = []
-    values = light[::step, ::step].ravel()
+    sampled = light[::step, ::step]
+    values, border = sampled.ravel(), _border(sampled.shape)
     for beam in (False, True):
         for degree in (2, 4):
             some = _terms(x[::step], y[::step], degree)
+            fit = _Beam(dark) if beam else _Plain()
+            around = fit.fitted(some, values, border.astype(np.float64)) if degree == BORDER_DEGREE else None
             for sign in (1.0, -1.0):
-                fit = _Beam(dark) if beam else _Plain()
-                coefficients = _clear_of_objects(fit, some, values, _asymmetric(fit, some, values, sign), tolerance)
-                depth = sign * (fit.surface(some, coefficients) - values)
-                left = float(np.sqrt(np.mean(np.minimum(np.abs(depth), tolerance) ** 2)))
-                tried.append((_score(depth, tolerance), left, (fit, degree, coefficients)))
+                for start in (_asymmetric(fit, some, values, sign), around):
+                    if start is None:
+                        continue
+                    coefficients = _clear_of_objects(fit, some, values, start, tolerance)
+                    depth = sign * (fit.surface(some, coefficients) - values)
+                    left = float(np.sqrt(np.mean(np.minimum(np.abs(depth), tolerance) ** 2)))
+                    score = _score(depth, tolerance) + float((np.abs(depth[border]) < tolerance).mean())
+                    tried.append((score, left, (fit, degree, coefficients)))
     best = max(score for score, _, _ in tried)
     alike = [(left, found) for score, left, found in tried if score >= best - ALIKE]
     closest = min(left for left, _ in alike)
@@ -79,6 +92,13 @@ def background_surface(light: Array, zero: float | None = None) -> tuple[Literal
         surface[first : first + _BAND] = fit.surface(_terms(x, band, degree), coefficients).reshape(len(band), columns)
     # Objects are what is far from the surface; small ones tell by the cube alone.
     return "dark" if float(((light - surface) ** 3).sum()) < 0 else "bright", surface
+
+
+def _border(size: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Pixels at the border, as a list of all."""
+    inner = np.zeros(size, dtype=np.bool_)
+    inner[1:-1, 1:-1] = True
+    return ~inner.ravel()
 
 
 def _terms(x: Array, y: Array, degree: int) -> Array:

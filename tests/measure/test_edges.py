@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.special import fresnel, ndtr
+from scipy.stats import exponnorm
 
 from radwrap.cli import measure_edge as command
 from radwrap.cli import options
@@ -95,6 +97,71 @@ def test_everything_is_found_where_there_is_no_noise(angle: float, radius: float
     assert edge.gamma == pytest.approx(gamma, abs=1e-3)
     assert (edge.low, edge.high) == pytest.approx((20, 180), abs=0.05)
     assert edge.bright_side == "positive"
+
+
+def gaussian_share(angle: float, offset: float, sigma: float) -> Array:
+    """Light beyond an edge that a Gaussian blurs, on pixels: second difference of ((x^2 + s^2) Phi + x s phi)/2."""
+    v, u = np.indices((64, 64))
+    distance = u * math.cos(angle) + v * math.sin(angle) - offset
+    a, b = abs(math.cos(angle)) / 2, abs(math.sin(angle)) / 2
+
+    def second(x: Array) -> Array:
+        density = np.exp(-((x / sigma) ** 2) / 2) / math.sqrt(2 * math.pi)
+        return np.asarray(((x**2 + sigma**2) * ndtr(x / sigma) + x * sigma * density) / 2)
+
+    corners = second(distance + a + b) - second(distance + a - b) - second(distance - a + b) + second(distance - a - b)
+    return corners / (4 * a * b)
+
+
+def logistic_share(offset: float, scale: float) -> Array:
+    """Light right of an edge along the columns that a logistic curve blurs, on pixels: its integral over each."""
+    edges = np.arange(65) - 0.5 - offset
+    whole = scale * np.logaddexp(0, edges / scale)
+    return np.tile(np.diff(whole), (64, 1))
+
+
+# The sum of discs follows no such curve exactly, and what is left has some side by the pixels' places.
+UNBIASED = 0.01  # px; of a contrast of 150 gray in noise of 1 gray the standard error is larger
+
+
+@pytest.mark.parametrize("sigma", [0.4, 0.8, 1.6, 2.5])
+@pytest.mark.parametrize("angle", [0.3, -2.0, math.pi / 4])
+def test_a_symmetric_blur_that_is_no_disc_moves_no_edge(sigma: float, angle: float) -> None:
+    """As far as one disc was taken for the blur, the edge lay up to 0.16 px on the dark side."""
+    offset = 31.6 * math.cos(angle) + 31.2 * math.sin(angle)
+    edge = measure_edge(gray(gaussian_share(angle, offset, sigma)), gamma=1.0)
+    turned, moved = misplaced(edge, angle, offset)
+    across = edge.centre[0] * math.cos(angle) + edge.centre[1] * math.sin(angle) - offset
+    assert abs(across) < UNBIASED
+    assert abs(turned) < 1e-4
+    assert abs(moved) < UNBIASED
+    # The disc of the same variance is 2 sigma wide; the one that fits best is narrower.
+    assert 1.5 * sigma < edge.radius < 2 * sigma
+
+
+@pytest.mark.parametrize(("scale", "place"), [(0.3, 31.0), (0.8, 31.3), (1.2, 31.5), (1.2, 31.1)])
+def test_tails_on_both_sides_of_an_edge_along_the_columns_have_no_side(scale: float, place: float) -> None:
+    """Either side bright: each row of pixels shows the same few places across the edge."""
+    light = logistic_share(place, scale)
+    for image, true, axis in ((light, place, 0), (light[:, ::-1], 63 - place, 0), (light.T, place, 1)):
+        edge = measure_edge(gray(image), gamma=1.0, dark=0.0)
+        assert edge.centre[axis] == pytest.approx(true, abs=UNBIASED)
+
+
+@pytest.mark.parametrize("count", [8, pytest.param(60, marks=pytest.mark.long)])
+def test_standard_errors_hold_for_a_blur_that_is_no_disc(count: int) -> None:
+    """Noisy images of a Gaussian of 1.4 px: mean and mean square of pulls within 3.5 of their deviations."""
+    dice = np.random.default_rng(9)
+    angle = 0.2
+    pulls = []
+    for _ in range(count):
+        offset = 20 + dice.uniform(-1, 1)
+        clean = gray(gaussian_share(angle, offset, 1.4)[:40, :40]).values
+        edge = measure_edge(GrayImage(np.rint(clean + dice.normal(0, 2.0, clean.shape))), gamma=1.0)
+        across = edge.centre[0] * math.cos(angle) + edge.centre[1] * math.sin(angle) - offset
+        pulls.append(across / edge.sigma_position)
+    assert abs(float(np.mean(pulls))) < 3.5 / math.sqrt(count)
+    assert abs(float(np.mean(np.square(pulls))) - 1) < 3.5 * math.sqrt(2 / count)
 
 
 def test_a_dark_right_side_keeps_the_line_and_turns_the_sign() -> None:
@@ -352,6 +419,55 @@ def test_a_plateau_below_full_scale_is_told(tmp_path: Path, capsys: pytest.Captu
     assert "warning: 100% of the bright side has one and the same gray level" in capsys.readouterr().out
     with pytest.raises(InputError, match="is saturated"):
         run(str(path), "--saturation", "150")
+
+
+def across_the_edge(kind: str) -> Array:
+    """Light along a row of 60 pixels, by 16 points of each: a step about 30.2 that is one or that is none."""
+    x = (np.arange(60 * OVERSAMPLING) + 0.5) / OVERSAMPLING - 0.5 - 30.2
+    sine, cosine = fresnel(x / 3.0)
+    light = {
+        "Gaussian": ndtr(x / 1.2),
+        "motion": np.clip(0.5 + x / 5, 0, 1),
+        "two edges": 0.6 * ndtr((x + 2.5) / 0.8) + 0.4 * ndtr((x - 2.5) / 0.8),
+        "diffraction": 0.35 * ((cosine + 0.5) ** 2 + (sine + 0.5) ** 2),
+        "a bright line beside": ndtr(x / 1.2) + 0.3 * np.exp(-(((x - 6) / 1.5) ** 2) / 2),
+        "coma": np.where(x > -8, exponnorm.cdf(x, 3.0, scale=0.8), 0),
+        "saturation": np.minimum(ndtr(x / 1.2), 0.7),
+    }[kind]
+    return np.asarray(light.reshape(60, OVERSAMPLING).mean(axis=1))
+
+
+@pytest.mark.parametrize(
+    ("kind", "warned"),
+    [
+        ("Gaussian", ""),
+        ("motion", ""),
+        ("two edges", "across the edge light differs"),
+        ("diffraction", "across the edge light differs"),
+        ("a bright line beside", "across the edge light differs"),
+        ("coma", "across the edge light differs"),
+        ("saturation", "one and the same gray level"),
+    ],
+)
+def test_what_is_no_single_step_is_warned_of(
+    kind: str, warned: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Rows of whole gray levels with noise of one of them; the saturated ones are clipped after the noise."""
+    rows = 30 + 150 * np.tile(across_the_edge(kind), (40, 1))
+    noisy = np.rint(rows + np.random.default_rng(6).normal(0, 1, rows.shape))
+    path = tmp_path / "edge.png"
+    write_png(path, (np.minimum(noisy, 135) if kind == "saturation" else noisy).astype(np.uint8))
+    assert run(str(path), "--gamma", "1", "--json") == 0
+    told = " ".join(json.loads(capsys.readouterr().out)["warnings"])
+    assert warned in told if warned else told == ""
+
+
+@pytest.mark.parametrize("dark", [30.2, 30.47])
+def test_rounding_that_is_the_same_in_every_row_is_no_misfit(dark: float) -> None:
+    """A contrast of 40 gray without noise: rounding leaves up to half a gray level at each distance."""
+    rows = dark + 40 * np.tile(across_the_edge("Gaussian"), (40, 1))
+    edge = measure_edge(GrayImage(np.rint(rows)), gamma=1.0)
+    assert (edge.misfit, edge.even_misfit) == (0, 0)
 
 
 def test_errors_of_the_command_name_file_or_option(tmp_path: Path) -> None:

@@ -355,6 +355,52 @@ def test_the_command_tells_what_the_function_finds(tmp_path: Path, capsys: pytes
     assert "no axis by moments" in text
 
 
+PATCH = 37 * 31  # px^2, of a chart of twelve, 6 px apart and from the border
+CHART = (118, 178)
+
+
+def chart(ground: float) -> Array:
+    """Patches of twelve levels from gray 20 to 235 on an even ground."""
+    values = np.full(CHART, ground)
+    for number, gray in enumerate(np.linspace(20, 235, 12)):
+        row, column = divmod(number, 4)
+        values[6 + 37 * row :][:31, 6 + 43 * column :][:, :37] = gray
+    return values
+
+
+@pytest.mark.parametrize("ground", [30.0, 60.0, 150.0, 210.0])
+def test_the_ground_of_a_chart_is_what_lies_at_its_border(ground: float) -> None:
+    """Patches cover 66 % of the image, so that by area alone a surface through some of them served better.
+
+    Of a ground 6 px wide between other levels the area of a patch is right to some percent only.
+    """
+    found = find_parts(GrayImage(np.rint(chart(ground) + np.random.default_rng(3).normal(0, 1, CHART))))
+    assert found.kind == ("bright" if ground < 128 else "dark")
+    assert len(found.parts) >= 6
+    for part in found.parts:
+        assert part.area == pytest.approx(PATCH, rel=0.06)
+        assert not part.touches_border
+    assert found.ground.gray == pytest.approx(ground, abs=1)
+    assert found.ground.border_share == 1
+
+
+def test_objects_of_the_other_kind_are_warned_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """On a ground of gray 150 four patches, 22 % of the image, are brighter by more than its tolerance, 8 % of 215."""
+    path = tmp_path / "chart.png"
+    write_png(path, np.rint(chart(150.0)).astype(np.uint8))
+    assert run(str(path)) == 0
+    lines = capsys.readouterr().out.splitlines()
+    # 137 and 157 lie within the tolerance.
+    assert lines[1] == "ground: gray 150, 45% of the image and 100% of its border"
+    assert lines[2].startswith("warning: 22% of the image is brighter than the ground of gray 150: only dark parts")
+    assert run(str(path), "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["ground"]["other_share"] == pytest.approx(4 * PATCH / (118 * 178), abs=1e-3)
+    write_png(path, np.rint(np.minimum(chart(150.0), 150)).astype(np.uint8))
+    assert run(str(path), "--json") == 0
+    assert json.loads(capsys.readouterr().out)["warnings"] == []
+
+
 def test_a_command_that_fails_leaves_no_overlay(tmp_path: Path) -> None:
     path, overlay = tmp_path / "blank.png", tmp_path / "seen.png"
     write_png(path, np.full((20, 20), 7, np.uint8))

@@ -1,10 +1,11 @@
-"""One least-squares fit of place, blur, levels and gamma of a straight edge, with its covariance."""
+"""Place, blur, levels and gamma of a straight edge by least squares, with their covariance."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final, Literal
 
 import numpy as np
@@ -12,8 +13,8 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.images import GrayImage
-from radwrap.measure.background import QUANTISATION
-from radwrap.measure.edges.correlation import variance_factor
+from radwrap.measure.edges.blur import Fitted, any_blur, covariance_of, fitted
+from radwrap.measure.edges.misfit import misfit_of
 from radwrap.measure.edges.model import Model, Pixels, splines_along
 from radwrap.measure.edges.search import Line, find_line, normal_angle
 from radwrap.progress import Progress
@@ -51,7 +52,7 @@ class Edge:
     sigma_position : float
         Standard error across the edge at the centre [px].
     radius, sigma_radius : float
-        Radius of the disc of blur, in pixel widths [px].
+        Radius of the disc of blur that fits best, in pixel widths [px].
     gamma, sigma_gamma : float
         Exponent of the sensor's response; error 0 where it was given.
     low, high, sigma_low, sigma_high : float
@@ -61,7 +62,7 @@ class Edge:
     covariance : ndarray, shape (4, 4)
         Of offset [px], angle [rad], radius [px], gamma.
     residual_rms : float
-        What the fit leaves [gray].
+        What the fit leaves, with whatever symmetric blur [gray].
     pixels, saturated : int
         Pixels that were fitted, and pixels left out as saturated.
     half_width, length : float
@@ -70,6 +71,10 @@ class Edge:
         Share of the bright side's pixels that have exactly its highest gray level: near 1 in even light without
         noise, or where the camera saturates below full scale. Then gamma takes the clipping up, and place and blur
         are off by more than their standard errors.
+    misfit, even_misfit : float
+        Means at each distance from the edge of what the fit leaves, rms beyond noise over the contrast: of all of it,
+        and of what has the same sign on both sides, as of a fringe, a shadow or a blur that is not symmetric. 0 by
+        chance.
     """
 
     angle: float
@@ -94,6 +99,8 @@ class Edge:
     half_width: float
     length: float
     level_share: float
+    misfit: float
+    even_misfit: float
 
     @property
     def position_gamma_correlation(self) -> float:
@@ -116,7 +123,10 @@ def measure_edge(
     saturation: float | None = None,
     progress: Progress | None = None,
 ) -> Edge:
-    """Position, angle, blur, levels and gamma of the one straight edge of an image, by one least-squares fit.
+    """Position, angle, blur, levels and gamma of the one straight edge of an image, by least squares.
+
+    The radius is that of the disc that fits best. Place, levels and gamma then follow any symmetric blur, as a sum of
+    four discs, so that tails of the blur do not move the edge.
 
     Parameters
     ----------
@@ -177,12 +187,17 @@ def measure_edge(
         _check_size(found, values.size)
         strip = _strip(values, usable, found)
         last = found
-        progress.left(_USUAL_TRIALS * _TRIAL_WORK * strip.u.size)
+        work = _TRIAL_WORK * strip.u.size
+        look = partial(progress.add, work)
+        progress.left(_USUAL_TRIALS * work)
         with libraries.limit(limits=1):  # small matrices: threads would wait for one another most of the time
-            found, edge = _fit(strip, found, dark, gamma, aspect=pixel_aspect, tolerance=tolerance, look=progress.add)
+            disc = _fit(strip, found, dark, gamma, aspect=pixel_aspect, tolerance=tolerance, look=look)
+        found = _refined(found, disc.parameters)
         if abs(found.half_width - last.half_width) < 1.0 and abs(found.shift_from(last)) < 0.05:
             break
-    return _moved(edge, corner)
+    progress.left(_USUAL_TRIALS * work)
+    with libraries.limit(limits=1):
+        return _moved(_edge(disc, any_blur(disc, look)), corner)
 
 
 def _check_options(dark: float | None, gamma: float | None, pixel_aspect: float, saturation: float | None) -> None:
@@ -251,15 +266,13 @@ def _fit(
     *,
     aspect: float,
     tolerance: float,
-    look: Callable[[int], None],
-) -> tuple[Line, Edge]:
-    from scipy.optimize import least_squares
-
+    look: Callable[[], None],
+) -> Fitted:
     d, s = line.across(strip.u, strip.v), line.along(strip.u, strip.v)
-    saturated = int((~strip.usable).sum())
-    if saturated > LARGEST_SATURATED * strip.u.size:
+    saturated = float((~strip.usable).mean())
+    if saturated > LARGEST_SATURATED:
         raise InputError(
-            f"is saturated: {saturated / strip.u.size:.0%} of the pixels along the edge",
+            f"is saturated: {saturated:.0%} of the pixels along the edge",
             where="the image",
             remedy="shorten the exposure",
         )
@@ -290,34 +303,7 @@ def _fit(
     bounds[:, 2] = NARROWEST, max(strip.u.size**0.5, 4 * line.radius)
     bounds[:, 3] = GAMMA_RANGE
 
-    def whole(p: Array) -> Array:
-        full = start.copy()
-        full[free] = p
-        return full
-
-    # Both come of one decomposition, and the solver asks for the Jacobian where it has just had the residual.
-    here = start[free], *model.reduced(start)
-
-    def at(p: Array) -> tuple[Array, Array]:
-        nonlocal here
-        if not np.array_equal(p, here[0]):
-            here = p.copy(), *model.reduced(whole(p))
-            look(_TRIAL_WORK * strip.u.size)
-        return here[1], here[2]
-
-    solved = least_squares(
-        lambda p: at(p)[1],
-        start[free],
-        jac=lambda p: at(p)[0][:, free],
-        bounds=bounds[:, free],
-        x_scale="jac",
-        ftol=tolerance,
-        xtol=1e-9,
-        gtol=1e-12,
-        max_nfev=100,
-    )
-    parameters = whole(solved.x)
-    return _refined(line, parameters), _edge(model, parameters, free, saturated)
+    return fitted(model, start, free, bounds, tolerance=tolerance, look=look)
 
 
 def _check_size(line: Line, pixels: int) -> None:
@@ -340,32 +326,21 @@ def _refined(line: Line, parameters: Array) -> Line:
     return Line(angle, centre, float(parameters[2]), line.ends)
 
 
-def _edge(model: Model, parameters: Array, free: NDArray[np.bool_], saturated: int) -> Edge:
-    """Standard errors from the Jacobian and the residual; refuses what is no straight edge."""
-    jacobian = model.reduced(parameters)[0][:, free]
+def _edge(disc: Fitted, anyhow: Fitted) -> Edge:
+    """Place, levels and gamma with whatever symmetric blur, the radius as of one disc; refuses what is no edge."""
+    model, parameters = anyhow.model, anyhow.parameters
     residual = model.residual(parameters)
-    count = residual.size
-    # The levels' columns can be all but dependent where light is even: the pseudo-inverse leaves out what is not there.
-    norms = np.linalg.norm(jacobian, axis=0)
-    norms[norms == 0] = 1.0
-    inverse = np.linalg.pinv(jacobian / norms, rcond=1e-10)
-    variance = float(residual @ residual) / max(count - int(free.sum()), 1)
-    if (model.strip.gray == np.rint(model.strip.gray)).all():
-        variance = max(variance, QUANTISATION)  # a fit without residual does not take rounding away
-    used = model.strip.usable
-    d, s = (way(model.strip.u, model.strip.v)[used] for way in (model.line.across, model.line.along))
-    variance *= variance_factor(d, s, residual)
-    covariance = np.zeros((free.size, free.size))
-    covariance[np.ix_(free, free)] = variance * (inverse @ inverse.T) / np.outer(norms, norms)
+    covariance = covariance_of(disc, anyhow)
     (low, high), both = model.levels(parameters)
-    rms = math.sqrt(float(residual @ residual) / count)
-    if rms > LARGEST_RESIDUAL * abs(high - low) or high <= low:
+    rms = _rms(residual)
+    disc_rms = _rms(disc.model.residual(disc.parameters))
+    if disc_rms > LARGEST_RESIDUAL * abs(high - low) or high <= low:
         raise InputError(
-            f"shows no straight edge: the model leaves {rms:.3g} gray of a contrast of {high - low:.3g}",
+            f"shows no straight edge: the model leaves {disc_rms:.3g} gray of a contrast of {high - low:.3g}",
             where="the image",
             remedy="name a region that holds one edge",
         )
-    if free[3] and covariance[3, 3] > LARGEST_GAMMA_ERROR**2:
+    if anyhow.free[3] and covariance[3, 3] > LARGEST_GAMMA_ERROR**2:
         raise InputError(
             f"shows nothing about gamma ({parameters[3]:.2g} +- {math.sqrt(covariance[3, 3]):.2g})",
             where="the edge",
@@ -375,11 +350,30 @@ def _edge(model: Model, parameters: Array, free: NDArray[np.bool_], saturated: i
     slopes = np.stack([(both(parameters + h) - both(parameters - h)) / (2 * h.max()) for h in np.diag(steps)], axis=1)
     sigma_low, sigma_high = np.sqrt(np.diag(slopes @ covariance @ slopes.T))
     levels = tuple(map(float, (low, high, sigma_low, sigma_high)))
-    return _named(model, parameters, covariance[:4, :4], levels=levels, rms=rms, saturated=saturated)
+    misfits = _misfits(model, parameters, residual, high - low)
+    return _named(model, parameters, covariance[:4, :4], levels=levels, rms=rms, misfits=misfits)
+
+
+def _misfits(model: Model, parameters: Array, residual: Array, contrast: float) -> tuple[float, float]:
+    """Within the blur, its tails and a few pixels beside them."""
+    line, used = _refined(model.line, parameters), model.strip.usable
+    across = line.across(model.strip.u, model.strip.v)[used]
+    rounded = bool((model.strip.gray == np.rint(model.strip.gray)).all())
+    return misfit_of(across, residual, 2 * line.radius + LEVEL_PIXELS, contrast, rounded=rounded)
+
+
+def _rms(residual: Array) -> float:
+    return math.sqrt(float(residual @ residual) / residual.size)
 
 
 def _named(
-    model: Model, parameters: Array, covariance: Array, *, levels: tuple[float, ...], rms: float, saturated: int
+    model: Model,
+    parameters: Array,
+    covariance: Array,
+    *,
+    levels: tuple[float, ...],
+    rms: float,
+    misfits: tuple[float, float],
 ) -> Edge:
     """Angle and offset as truth.json has them: the normal points to the right, or downwards."""
     old, line = model.line, _refined(model.line, parameters)
@@ -410,10 +404,12 @@ def _named(
         covariance=named,
         residual_rms=rms,
         pixels=int(model.strip.usable.sum()),
-        saturated=saturated,
+        saturated=int((~model.strip.usable).sum()),
         half_width=model.line.half_width,
         length=float(np.ptp(old.along(model.strip.u, model.strip.v))),
         level_share=_level_share(model, line),
+        misfit=misfits[0],
+        even_misfit=misfits[1],
     )
 
 

@@ -78,9 +78,9 @@ class Splines:
 class Model:
     """G = P + C h^gamma, with P and h linear in the levels; d and s are scaled by the strip's size.
 
-    Shape parameters are: shift across [px], turn [rad], radius [px], gamma. Behind them come the levels of the
-    dark side, then of the bright one. Without a dark gray the dark levels are P itself; with it P is the dark
-    gray and the dark levels belong to h.
+    Shape parameters are: shift across [px], turn [rad], radius [px], gamma, and the share of each of the other discs
+    in the blur. Behind them come the levels of the dark side, then of the bright one. Without a dark gray the dark
+    levels are P itself; with it P is the dark gray and the dark levels belong to h.
     """
 
     strip: Pixels
@@ -90,20 +90,39 @@ class Model:
     contrast: float
     along: Splines  # at the pixels
     base: Array  # (pixels, dark levels)
+    discs: tuple[float, ...] = ()  # radii of other discs in the blur, over that of the first
+
+    @property
+    def shapes(self) -> int:
+        """How many parameters come before the levels."""
+        return 4 + len(self.discs)
 
     def means(self, shape: Array) -> list[Array]:
         """Of x^n/n! beyond the edge, blurred, over each pixel; n is 0 to 4."""
+        first, *others = self.means_by_disc(shape)
+        shares = shape[4:]
+        # All the light is in the discs together.
+        return [
+            mean + sum(share * (other[n] - mean) for share, other in zip(shares, others, strict=True))
+            for n, mean in enumerate(first)
+        ]
+
+    def means_by_disc(self, shape: Array) -> list[list[Array]]:
+        """The same where all the blur were one of the discs."""
         angle = self.line.angle + shape[1]
         cos, sin = math.cos(angle), math.sin(angle)
         # Across the edge in pixel widths: the normal in the image, where rows are `aspect` apart.
         scale = 1 / math.hypot(cos, sin / self.aspect)
         d = (self.strip.u - self.line.centre[0]) * cos + (self.strip.v - self.line.centre[1]) * sin - shape[0]
-        means = pixel_edge(d * scale, shape[2], abs(cos) * scale, abs(sin) * scale, 5)
-        return [mean * math.factorial(n) / self.line.half_width**n for n, mean in enumerate(means)]
+        found = []
+        for ratio in (1.0, *self.discs):
+            means = pixel_edge(d * scale, ratio * shape[2], abs(cos) * scale, abs(sin) * scale, 5)
+            found.append([mean * math.factorial(n) / self.line.half_width**n for n, mean in enumerate(means)])
+        return found
 
     def bright(self, parameters: Array) -> list[Array]:
         """Light of the bright side: value, slope and curvature across the edge, and what these imply beyond."""
-        levels = parameters[4 + self.base.shape[1] :]
+        levels = parameters[self.shapes + self.base.shape[1] :]
         parts = [self.along.sum(part) for part in levels.reshape(3, -1)]
         return [*parts, *_higher(*parts)]
 
@@ -115,7 +134,7 @@ class Model:
 
     def gray(self, parameters: Array, means: list[Array], bright: list[Array]) -> tuple[Array, Array, Array]:
         """Gray levels, light h, and dG/dh."""
-        pedestal = self.base @ parameters[4 : 4 + self.base.shape[1]]
+        pedestal = self.base @ parameters[self.shapes : self.shapes + self.base.shape[1]]
         light = np.asarray(sum(part * mean for part, mean in zip(bright, means, strict=True)), dtype=np.float64)
         if self.dark is not None:
             pedestal, light = np.full_like(light, self.dark), light + pedestal
@@ -129,7 +148,7 @@ class Model:
         left = np.empty(self.strip.gray.shape)
         for group in self.groups:
             part = self._only(group)
-            means = part.means(parameters[:4])
+            means = part.means(parameters[: self.shapes])
             left[group] = part.gray(parameters, means, part.bright(parameters))[0] - part.strip.gray
         return left[self.strip.usable]
 
@@ -140,7 +159,7 @@ class Model:
         differ from 0, so each such group goes through a QR decomposition of its own, and what is left through one more.
         """
         splines = self.along.count
-        fixed, near = 4 + int(self.base.shape[1]), int(self.along.values.shape[1])
+        fixed, near = self.shapes + int(self.base.shape[1]), int(self.along.values.shape[1])
         parts = []
         for group in self.groups:
             rows = self._only(group[self.strip.usable[group]])
@@ -165,28 +184,34 @@ class Model:
         return replace(self, strip=self.strip.only(some), along=self.along.only(some), base=self.base[some])
 
     def _slopes_and_residual(self, parameters: Array) -> Array:
-        """Slopes by the levels and gamma in closed form, by shift, turn and radius by differences; of splines not 0."""
-        means, bright = self.means(parameters[:4]), self.bright(parameters)
+        """Slopes by all but shift, turn and radius in closed form, by these by differences; of splines not 0."""
+        shape, bright = parameters[: self.shapes], self.bright(parameters)
+        means = self.means(shape)
         here, light, slope = self.gray(parameters, means, bright)
         gamma = parameters[3]
         parts = []
         for i, step in enumerate((1e-5, 1e-7, 1e-5 * parameters[2])):
             moved = parameters.copy()
             moved[i] += step
-            parts.append((self.gray(moved, self.means(moved[:4]), bright)[0] - here) / step)
+            parts.append((self.gray(moved, self.means(moved[: self.shapes]), bright)[0] - here) / step)
         lit = np.maximum(light, LIT_FLOOR)
         by_gamma = self.contrast * lit ** (gamma - 1) * light * np.log(lit)
         dark = self.base if self.dark is None else self.base * slope[:, None]
         by_bright = self.bright_columns(bright, means) * slope[:, None]
-        return np.column_stack([*parts, by_gamma, dark, by_bright, here - self.strip.gray])
+        first, *others = self.means_by_disc(shape) if self.discs else [means]
+        by_share = [
+            slope * sum(part * (mean - one) for part, mean, one in zip(bright, other, first, strict=True))
+            for other in others
+        ]
+        return np.column_stack([*parts, by_gamma, *by_share, dark, by_bright, here - self.strip.gray])
 
     def levels(self, parameters: Array) -> tuple[Array, Callable[[Array], Array]]:
         """Low and high gray at the centre, and how they hang on the parameters."""
         middle = splines_along(np.zeros(1), *self._span)
-        split = 4 + self.base.shape[1]
+        split = self.shapes + self.base.shape[1]
 
         def both(p: Array) -> Array:
-            floor, gamma = float(p[4]), p[3]
+            floor, gamma = float(p[self.shapes]), p[3]
             top = float(middle.sum(p[split : split + middle.count])[0])
             if self.dark is None:
                 return np.array([floor, floor + self.contrast * max(top, 0.0) ** gamma])

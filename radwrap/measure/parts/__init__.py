@@ -6,6 +6,6 @@ moments.py what follows of the whole part.
 
 from radwrap.measure.parts.find import DEFAULT_MIN_AREA, find_parts
 from radwrap.measure.parts.overlay import overlay_png
-from radwrap.measure.parts.result import Part, Parts
+from radwrap.measure.parts.result import Ground, Part, Parts
 
-__all__ = ["DEFAULT_MIN_AREA", "Part", "Parts", "find_parts", "overlay_png"]
+__all__ = ["DEFAULT_MIN_AREA", "Ground", "Part", "Parts", "find_parts", "overlay_png"]

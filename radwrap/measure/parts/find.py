@@ -18,7 +18,7 @@ from radwrap.measure.parts.cover import FAINTEST, PartScene, covered
 from radwrap.measure.parts.light import LinearLight
 from radwrap.measure.parts.moments import measured
 from radwrap.measure.parts.raster import pieces
-from radwrap.measure.parts.result import Part, Parts
+from radwrap.measure.parts.result import Ground, Part, Parts
 from radwrap.progress import Progress
 
 Array = NDArray[np.float64]
@@ -108,7 +108,20 @@ def find_parts(
             where="the image",
             remedy="raise the contrast, or lower `min_area`",
         )
-    return Parts(kind, tuple(sorted(kept, key=lambda part: (part.v, part.u))))
+    return Parts(kind, tuple(sorted(kept, key=lambda part: (part.v, part.u))), _ground(surface - light, gray))
+
+
+def _ground(depth: Array, gray: Array) -> Ground:
+    """What lies on the background's surface, and what lies beyond it where parts are not."""
+    tolerance = levels.ground_tolerance(depth)
+    on = np.abs(depth) < tolerance
+    border = np.concatenate([on[0], on[-1], on[1:-1, 0], on[1:-1, -1]])
+    return Ground(
+        gray=float(np.median(gray[on])) if on.any() else math.nan,
+        share=float(on.mean()),
+        border_share=float(border.mean()),
+        other_share=float((depth <= -tolerance).mean()),
+    )
 
 
 def _parts(scene: PartScene, progress: Progress | None) -> Iterator[Part]:

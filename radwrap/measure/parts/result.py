@@ -62,6 +62,26 @@ class Part:
 
 
 @dataclass(frozen=True, slots=True)
+class Ground:
+    """What was taken for the background.
+
+    Attributes
+    ----------
+    gray : float
+        Median gray level of its pixels.
+    share, border_share : float
+        Of all pixels, and of those at the image's border, that lie on it.
+    other_share : float
+        Share of all pixels beyond it on the side where no parts are looked for.
+    """
+
+    gray: float
+    share: float
+    border_share: float
+    other_share: float
+
+
+@dataclass(frozen=True, slots=True)
 class Parts:
     """All parts of an image, from top to bottom.
 
@@ -71,7 +91,10 @@ class Parts:
         "dark" parts on a bright background, or "bright" ones on a dark background.
     parts : tuple of Part
         At least one.
+    ground : Ground
+        The background.
     """
 
     kind: Literal["dark", "bright"]
     parts: tuple[Part, ...]
+    ground: Ground
