@@ -38,7 +38,17 @@ ORDER = [
 ROOMS = {
     "scene": [
         "catalog",
-        *("zernike", "aberrations", "distortion", "linear_sensor", "pixel_window", "mosaic", "camera", "sensor_part"),
+        *(
+            "zernike",
+            "aberrations",
+            "distortion",
+            "linear_sensor",
+            "pixel_window",
+            "mosaic",
+            "shutter",
+            "camera",
+            "sensor_part",
+        ),
         *(
             "materials",
             "mesh",
@@ -47,8 +57,10 @@ ROOMS = {
             "patterns",
             "sources",
             "targets",
+            "motion",
             "tolerances",
             "scene",
+            "instants",
             "colour_planes",
             "bands",
         ),
