@@ -103,7 +103,7 @@ class LaidOutScene:
         compared_meanwhile: bool = False,
     ) -> None:
         refuse_mosaic(scene)
-        refuse_time(scene, "one view of it")
+        refuse_time(scene, "what is asked")
         self._kept = kept
         self._options = options
         self._programs = programs
