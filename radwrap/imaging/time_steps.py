@@ -54,6 +54,8 @@ def lights_of(scene: Scene) -> tuple[Light, ...]:
     """
     start, end = windows_of(scene)
     opened, closed = float(start.min()), float(end.max())
+    if not scene.sources:  # an included file shines
+        return (Light((), None, opened, closed),)
     found = []
     for strobe in dict.fromkeys(scene.strobes.get(source.name) for source in scene.sources):
         names = tuple(source.name for source in scene.sources if scene.strobes.get(source.name) == strobe)
@@ -64,7 +66,7 @@ def lights_of(scene: Scene) -> tuple[Light, ...]:
             first = max(opened, strobe.delay)
             last = closed if strobe.period is not None else min(closed, strobe.delay + strobe.width)
         found.append(Light(names, strobe, first, last))
-    if not found and scene.sources:
+    if not found:
         raise InputError(
             "no pulse meets the exposure of any row, so that the image would be dark",
             where=f"{scene.origin}: sources[0].strobe",

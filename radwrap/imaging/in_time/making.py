@@ -84,6 +84,12 @@ def refuse_for_time(scene: Scene, options: RenderOptions) -> None:
             where=f"{scene.origin}: tolerances",
             remedy="leave one of them out",
         )
+    if scene.included and scene.strobes:
+        raise InputError(
+            "may hold light of its own, which no strobe switches",
+            where=f"{scene.origin}: targets[{scene.targets.index(scene.included[0])}].rad",
+            remedy="describe it by targets and sources, or leave out the strobes",
+        )
     if not scene.camera.exposure_time:
         raise InputError(
             f"is 0, and {keys[0]} needs a time", where=f"{scene.origin}: camera.exposure_time", remedy="set it"

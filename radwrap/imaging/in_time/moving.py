@@ -88,7 +88,9 @@ class _Instants:
     folder : Path
         Theirs.
     options : RenderOptions
-        Of each.
+        Of each, but for its tolerance.
+    errors : dict
+        Sources of a light -> allowed error of radiant exposure of its instants [J m^-2].
     render : callable
         Renders a scene at one instant.
     """
@@ -96,6 +98,7 @@ class _Instants:
     scene: Scene
     folder: Path
     options: RenderOptions
+    errors: dict[tuple[str, ...], float]
     render: StillRender
     made: dict[tuple[tuple[str, ...], float], tuple[Rendered, int]] = field(default_factory=dict)
 
@@ -112,7 +115,9 @@ class _Instants:
             then = replace(then, camera=self._camera(then.camera, first, last, steps, number))
             seed = int(sha256_of_value([self.options.seed, *map(str, key)])[:12], 16)
             name = f"{len(self.made):04d}"
-            self.made[key] = self.render(then, self.folder / name, replace(self.options, seed=seed)), first
+            tolerance = self.errors[light.sources] * then.camera.sensor.gain
+            options = replace(self.options, seed=seed, tolerance=tolerance)
+            self.made[key] = self.render(then, self.folder / name, options), first
         return self.made[key]
 
     def _camera(self, camera: Camera, first: int, last: int, steps: Steps, number: int) -> Camera:
@@ -148,10 +153,9 @@ def moving(
     levels = _levels(scene, lights)
     one_level = None not in levels
     steps = _steps(scene, lights, [level or 0 for level in levels], options.seed)
-    allowed = allowed_exposure_error(_RENDER_SHARE * tolerance, exposure, sensor) / _slack(steps)
-    instants = _Instants(
-        _decided(scene, base.run), folder, _as_decided(options, base.run), _to_exposure_error(render_still, allowed)
-    )
+    allowed = allowed_exposure_error(_RENDER_SHARE * tolerance, exposure, sensor) / len(steps)
+    errors = {one.light.sources: allowed / _slack(one) for one in steps}
+    instants = _Instants(_decided(scene, base.run), folder, _as_decided(options, base.run), errors, render_still)
     while True:
         check()
         fine, coarse = _composed(steps, instants, check)
@@ -221,18 +225,17 @@ def _strip(first: int, last: int, rows: int) -> tuple[int, int]:
     return first, min(rows, max(last, first + _FEWEST_ROWS))
 
 
-def _counted(steps: list[Steps]) -> Iterator[tuple[Steps, int]]:
+def _counted(steps: list[Steps]) -> Iterator[tuple[int, Steps]]:
+    """Instants that count in any row."""
     for one in steps:
-        for number in range(len(one.times)):
-            if one.rows_of(number) is not None:
-                yield one, number
+        yield from ((number, one) for number in range(len(one.times)) if one.rows_of(number) is not None)
 
 
 def _composed(steps: list[Steps], instants: _Instants, check: Callable[[], None]) -> tuple[Array, Array]:
     """Radiant exposure of all instants, and of every second one [J m^-2]."""
     sensor = instants.scene.camera.sensor
     fine, coarse = np.zeros((2, sensor.rows, sensor.columns))
-    for one, number in _counted(steps):
+    for number, one in _counted(steps):
         check()
         rendered, first = instants.at(one, number)
         light = rendered.radiant_exposure.values
@@ -242,67 +245,82 @@ def _composed(steps: list[Steps], instants: _Instants, check: Callable[[], None]
     return fine, coarse
 
 
-def _to_exposure_error(render: StillRender, allowed: float) -> StillRender:
-    """Renders to an error of radiant exposure [J m^-2], whatever gray levels the scene's sensor makes of it."""
-
-    def rendered(scene: Scene, folder: Path, options: RenderOptions) -> Rendered:
-        return render(scene, folder, replace(options, tolerance=allowed * scene.camera.sensor.gain))
-
-    return rendered
+def _slack(steps: Steps) -> float:
+    """By how much the error of a light is larger than that of its instants, if they have all of it in common."""
+    squares = math.fsum(math.prod(_share(steps, number)) for number, _ in _counted([steps]))
+    return math.sqrt(_total(steps) * squares)
 
 
-def _shares(steps: Steps, number: int, rows: int) -> tuple[float, float]:
-    """Largest weight of an instant, and the share of the image's rows in which it counts."""
-    weights = steps.weights[:, number]
-    return float(weights.max()), float(np.count_nonzero(weights)) / rows
+def _total(steps: Steps) -> float:
+    """Largest sum of weights of any row."""
+    return float(steps.weights.sum(axis=1).max())
 
 
-def _slack(steps: list[Steps]) -> float:
-    """By how much errors may be larger that all instants have in common, see `_certificate`."""
-    rows = len(steps[0].weights)
-    total = float(np.sum([one.weights.sum(axis=1) for one in steps], axis=0).max())
-    squares = math.fsum(math.prod(_shares(one, number, rows)) for one, number in _counted(steps))
-    return math.sqrt(total * squares)
+def _share(steps: Steps, number: int) -> tuple[float, float]:
+    """Largest weight of an instant, and the share of the image's rows in which it is rendered."""
+    rows = len(steps.weights)
+    first, last = _strip(*(steps.rows_of(number) or (0, 0)), rows)
+    return float(steps.weights[:, number].max()), (last - first) / rows
 
 
-def _certificate(steps: list[Steps], instants: _Instants, exposure: Array, sensor: Sensor, error: float) -> Certificate:
-    """How far gray levels may be off.
+@dataclass(frozen=True, slots=True)
+class _LightError:
+    """Errors of radiant exposure that the instants of one light leave, rms over the image [J m^-2].
+
+    Attributes
+    ----------
+    common, upper : float
+        Estimate and bound of what they may have in common.
+    noise : float
+        Of their own rays.
+    pixels, rays : int
+        What their certificates took.
+    """
+
+    common: float
+    upper: float
+    noise: float
+    pixels: int
+    rays: int
+
+
+def _error_of(steps: Steps, instants: _Instants) -> _LightError:
+    """Errors of one light.
 
     Of weights w_k and errors e_k of the instants: (sum w_k e_k)^2 <= (sum w_k) sum w_k e_k^2 for what they have in
     common, and sum w_k^2 n_k^2 for the noise n_k of rays of their own.
     """
-    rows = len(exposure)
-    total = float(np.sum([one.weights.sum(axis=1) for one in steps], axis=0).max())
     common, upper, noise = [], [], []
-    first: Certificate | None = None
     pixels = rays = 0
-    for one, number in _counted(steps):
-        rendered, _ = instants.at(one, number)
-        weight, share = _shares(one, number, rows)
-        if not weight:
-            continue
+    for number, (rendered, _) in ((number, instants.at(steps, number)) for number, _ in _counted([steps])):
+        weight = float(steps.weights[:, number].max())
         found, gain = rendered.error, rendered.scene.camera.sensor.gain
-        first = first or found
         pixels, rays = pixels + found.certificate_pixels, rays + found.certificate_rays
-        # Of a strip that was rendered with more rows than count, all of its error may lie in those.
-        share *= len(rendered.radiant_exposure.values) / int(np.count_nonzero(one.weights[:, number]))
-        square = found.discretisation_rms_gray**2 / gain**2
+        # Of a strip that was rendered with more rows than count, all of its error may lie in those that do.
+        share = len(rendered.radiant_exposure.values) / len(steps.weights)
+        square = (found.discretisation_rms_gray / gain) ** 2
         noise.append(weight**2 * share * square)
-        common.append(weight * share * max(found.rms_gray**2 / gain**2 - square, 0.0))
-        upper.append(weight * share * max(found.rms_gray_upper95**2 / gain**2 - square, 0.0))
-    if first is None:
-        raise ValueError("no instant counts")
-    noisy = math.fsum(noise)
-    middle = gray_bound(math.sqrt(total * math.fsum(common) + noisy), exposure, sensor)
-    bound = gray_bound(math.sqrt(total * math.fsum(upper) + noisy), exposure, sensor)
+        common.append(weight * share * max((found.rms_gray / gain) ** 2 - square, 0.0))
+        upper.append(weight * share * max((found.rms_gray_upper95 / gain) ** 2 - square, 0.0))
+    total = _total(steps)
+    middle, bound = (math.sqrt(total * math.fsum(squares)) for squares in (common, upper))
+    return _LightError(middle, bound, math.sqrt(math.fsum(noise)), pixels, rays)
+
+
+def _certificate(steps: list[Steps], instants: _Instants, exposure: Array, sensor: Sensor, error: float) -> Certificate:
+    """How far gray levels may be off: what lights have in common adds up, their noise is independent."""
+    lights = [_error_of(one, instants) for one in steps]
+    noise = math.hypot(*(light.noise for light in lights))
+    common, upper = (math.fsum(getattr(light, name) for light in lights) for name in ("common", "upper"))
+    middle, bound = (gray_bound(math.hypot(part, noise), exposure, sensor) for part in (common, upper))
     return Certificate(
         rms_gray=math.hypot(middle, error),
         rms_gray_upper95=math.hypot(bound, error),
         p99_gray_upper95=None,
-        model_rms_gray=gray_bound(math.sqrt(total * math.fsum(common)), exposure, sensor),
-        discretisation_rms_gray=gray_bound(math.sqrt(noisy), exposure, sensor),
-        certificate_pixels=pixels,
-        certificate_rays=rays,
-        method=first.method,
+        model_rms_gray=gray_bound(common, exposure, sensor),
+        discretisation_rms_gray=gray_bound(noise, exposure, sensor),
+        certificate_pixels=sum(light.pixels for light in lights),
+        certificate_rays=sum(light.rays for light in lights),
+        method="instants",
         motion_gray=error if any(len(one.times) > 1 for one in steps) else None,
     )
