@@ -43,6 +43,7 @@ class Rendering(IntEnum):
     WAVE_CELLS = 32  # then the tile
     WAVE_RAYS = 33  # then replicate and tile
     WAVE_FAR = 34  # then the replicate
+    INSTANTS = 35  # then the level
 
 
 @unique

@@ -56,6 +56,11 @@ ANGLE: Final = _dimension(
     "angle",
     {"deg": math.pi / 180, "rad": 1.0, "mrad": 1e-3, "arcmin": math.pi / 10800, "arcsec": math.pi / 648000},
 )
+SPEED: Final = _dimension(
+    "speed",
+    {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2, "um/s": 1e-6, "m/min": 1 / 60, "in/s": 0.0254, "ft/min": 0.3048 / 60},
+)
+ANGULAR_VELOCITY: Final = _dimension("angular velocity", {"rad/s": 1.0, "deg/s": math.pi / 180, "rpm": math.pi / 30})
 TIME: Final = _dimension("time", {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9})
 RADIANCE: Final = _dimension(
     "radiance", {"W/m^2/sr": 1.0, "mW/m^2/sr": 1e-3, "kW/m^2/sr": 1e3, "W/cm^2/sr": 1e4, "mW/mm^2/sr": 1e3}
@@ -96,6 +101,8 @@ DIMENSIONS: Final = (
     TEMPERATURE,
     TEMPERATURE_DIFFERENCE,
     CURVATURE,
+    SPEED,
+    ANGULAR_VELOCITY,
 )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
@@ -13,6 +14,8 @@ from radwrap.files import check_result
 from radwrap.manifest import json_text
 from radwrap.process import Limits
 from radwrap.scene.bands import one_band
+from radwrap.scene.instants import held, keys_of_time
+from radwrap.scene.scene import Scene
 from radwrap.tracers.installation import find_radiance
 from radwrap.tracers.radiance import RadianceOptions
 from radwrap.units import LENGTH, parse_quantity
@@ -80,7 +83,7 @@ def run(arguments: argparse.Namespace) -> int:
     for option in ("paper", "target"):
         if getattr(arguments, option):
             raise InputError("goes with a target to print", where=f"--{option}", remedy="end OUT in .svg or .pdf")
-    scene = one_band(shared.load(arguments), "sources")
+    scene = one_band(_one_instant(shared.load(arguments)), "sources")
     # Each writer has its own libraries.
     match out.suffix:
         case ".rad":
@@ -100,6 +103,17 @@ def run(arguments: argparse.Namespace) -> int:
 
             written = write_preview(scene, out)
     return _told(written, arguments)
+
+
+def _one_instant(scene: Scene) -> Scene:
+    """The scene as files can hold it, with a warning where it changes in the course of its exposure."""
+    if keys := keys_of_time(scene):
+        print(
+            f"radwrap: warning: {', '.join(keys)}: files know one instant; everything stands where its pose is, and "
+            "all light shines",
+            file=sys.stderr,
+        )
+    return held(scene)
 
 
 def _print(arguments: argparse.Namespace) -> int:

@@ -100,8 +100,7 @@ def _lines(found: Mapping[str, Any]) -> Iterator[str]:
             f'"{beam["source"]}": Gaussian beam replaced in both by cos^{beam["cosine_power"]:.4g}, '
             f"which differs by up to {beam['largest_difference_of_peak']:.2g} of its peak"
         )
-    if "diffraction" in found:
-        yield found["diffraction"]
+    yield from (found[name] for name in ("diffraction", "in_time") if name in found)
     yield f"they {'agree' if found['agrees'] else 'DIFFER'} within {found['tolerance']:.2%} or as closed forms say"
 
 

@@ -110,6 +110,19 @@ def _asked_first(found: Mapping[str, Any]) -> Iterator[str]:
             f"8 bits {enough}: their step is {eight['step']:g} gray of this camera, one frame's noise on "
             f"{eight['target']} {eight['noise']:.2g}"
         )
+    for one in found["motion"]:
+        yield from _motion(one)
+
+
+def _motion(one: Mapping[str, Any]) -> Iterator[str]:
+    """How fast a target may run, and how far it goes."""
+    if one["half_pixel_speed"] is not None:
+        yield (
+            f"{one['target']}: half a pixel of smear at {one['half_pixel_speed']:.3g} m/s, as light comes in for "
+            f"{one['light_time'] * 1e3:.4g} ms"
+        )
+    if one["smear"] is not None:
+        yield f"{one['target']}: it moves by {one['image_speed']:.4g} px/s at most, {one['smear']:.3g} px meanwhile"
 
 
 def _level(level: Mapping[str, Any]) -> str:

@@ -21,6 +21,7 @@ from radwrap.imaging.relight.relit import read_basis
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.synthesis import render
 from radwrap.scene.colour_planes import refuse_mosaic
+from radwrap.scene.instants import refuse_time
 from radwrap.scene.scene import Scene
 
 _DESCRIPTION: Final = (
@@ -57,6 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Carry out the verb."""
     scene = shared.load(arguments)
     refuse_mosaic(scene, "the page")
+    refuse_time(scene, "the page")
     options = _options(arguments)
     RenderOptions(**options, basis=True)  # what is wrong is told now
     out = Path(arguments.out) if arguments.out else None

@@ -22,6 +22,7 @@ from radwrap.imaging.render_options import METHODS, RenderOptions
 from radwrap.imaging.synthesis import render
 from radwrap.manifest import json_text, plain
 from radwrap.scene.colour_planes import refuse_mosaic
+from radwrap.scene.instants import refuse_time
 from radwrap.scene.look.checks import warnings_of
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import WideSource
@@ -137,6 +138,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError("needs a colour camera, and the scene has no camera.sensor.mosaic", where="--demosaic")
     if arguments.photo_realistic:
         refuse_mosaic(scene, "--photo-realistic")
+        refuse_time(scene, "--photo-realistic")
         check_drawable(scene)
     # What no ray is needed for is said before the first; how wide lights shine is known once a tracer is chosen.
     early = warnings_of(scene, {source.name for source in scene.sources if isinstance(source, WideSource)})
@@ -251,6 +253,7 @@ def _budget(text: str | None) -> dict[str, Any]:
 
 
 def _dry_run(scene: Scene, options: RenderOptions, *, as_json: bool) -> int:
+    refuse_time(scene, "--dry-run")
     if scene.camera.sensor.mosaic is not None:
         return _dry_run_of_colours(scene, options, as_json=as_json)
     # All that this process has done so far, of which nearly all is to load libraries and the scene.

@@ -35,6 +35,7 @@ from radwrap.manifest import (
 from radwrap.progress import Progress
 from radwrap.scene.colour_planes import refuse_mosaic
 from radwrap.scene.file.input_hashes import input_hashes
+from radwrap.scene.instants import refuse_time
 from radwrap.study.design import render_options
 from radwrap.study.one_tolerance import with_one_tolerance
 from radwrap.study.one_tracer import one_tracer
@@ -108,6 +109,7 @@ def run_design(problem: Problem, out: Path, options: StudyOptions) -> Designed:
     with sole_owner(out):
         known = known_tracer(out) if options.tracer == "auto" else None
         refuse_mosaic(problem.scene(problem.study.document), "a design")
+        refuse_time(problem.scene(problem.study.document), "a design")
         runs = _runs(problem)
         options = replace(options, tracer=known or _tracer(problem, runs, options))
         study, _ = with_one_tolerance(problem.study, runs, options.of_render)

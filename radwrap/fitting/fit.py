@@ -37,6 +37,7 @@ from radwrap.manifest import SCHEMA_VERSION, sha256_of_value, versions
 from radwrap.reading import FileKind, read_text
 from radwrap.scene.colour_planes import refuse_mosaic
 from radwrap.scene.file.load import load_scene
+from radwrap.scene.instants import refuse_time
 from radwrap.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -118,6 +119,7 @@ def fit(
     if noise is not None and not (math.isfinite(noise) and noise >= 0):
         raise InputError("must be a number of 0 or more", where="noise")
     refuse_mosaic(scene, "a fit")
+    refuse_time(scene, "a fit")
     begun = free_scene(scene, free)
     counted = read_mask(mask) if isinstance(mask, str | Path) else mask
     states = states_of(begun, captures, counted, noise)

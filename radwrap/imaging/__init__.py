@@ -18,6 +18,7 @@ The wings, each on those before it::
     methods      ways to a finite aperture
     tolerance    from a tolerance to a certified image
     relight      any levels of the sources, without a ray
+    in_time      motion, strobes, shutters
     forecast     what a scene amounts to before it is rendered
     output       what a run leaves in its folder, and its manifest
 """

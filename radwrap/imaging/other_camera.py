@@ -27,6 +27,7 @@ from radwrap.imaging.response.sensor import gray_levels, image_of_levels
 from radwrap.imaging.tolerance.certificate import Certificate
 from radwrap.scene.camera import Camera, Sensor
 from radwrap.scene.file.load import camera_with, with_camera
+from radwrap.scene.instants import refuse_time
 from radwrap.scene.scene import Scene
 
 _SAME: Final = 1e-9  # of a level; rounding alone
@@ -90,6 +91,7 @@ def in_other_camera(
     InputError
         If a value is wrong, or the change is one of what light the pixels get.
     """
+    refuse_time(scene, "what is made without a ray")
     other = with_camera(scene, changes)
     old, new = scene.camera, other.camera
     check_same_light(old, new)

@@ -27,6 +27,7 @@ from radwrap.imaging.demand import SamplingPlan
 from radwrap.imaging.forecast.cost import check_size
 from radwrap.imaging.forecast.effects import Effect, bounces, bounces_beyond
 from radwrap.imaging.forecasting import Announcement, cores, usual_rays
+from radwrap.imaging.in_time.making import make_in_time, refuse_for_time, steady
 from radwrap.imaging.mean_radiance import Made, fixed_method, make, viewpoint_plan
 from radwrap.imaging.methods.pieces import Pieces, remove_log, remove_pieces
 from radwrap.imaging.methods.viewpoints import missing_viewpoints
@@ -216,6 +217,7 @@ def rendered(
     options.asked_tolerance.needs_noise(scene.camera.sensor)
     refuse_waves(scene, options)
     refuse_for_mosaic(scene, options)
+    refuse_for_time(scene, options)
     rays, replicates = usual_rays(scene, options), _kept_replicates(options)
     check_size(scene, options.max_pixels, rays, cores(options), replicates=replicates)
     if out is None:
@@ -272,12 +274,15 @@ def _render_into(
             if scene.camera.sensor.mosaic is not None:
                 make_mosaic(scene, out, options, work=work / _MADE, render_plane=plane, check=programs.check)
                 return load_result(scene, out)
+            if (still := steady(scene)) is None:
+                make_in_time(scene, out, options, work=work / _MADE, render_still=plane, check=programs.check)
+                return load_result(scene, out)
             for meanwhile in (warmth is not None, False):
                 kept = None if warmth is None else warmth.kept
-                traced = LaidOutScene(scene, options, programs, work, kept=kept, compared_meanwhile=meanwhile)
+                traced = LaidOutScene(still, options, programs, work, kept=kept, compared_meanwhile=meanwhile)
                 with closing(traced), suppress(_TracersDiffer):
-                    known_by = identity_of(scene, options, traced)
-                    run = _Run(scene, options, programs, progress, traced, known_by, out, work / _MADE, kept)
+                    known_by = identity_of(still, options, traced)
+                    run = _Run(still, options, programs, progress, traced, known_by, out, work / _MADE, kept)
                     if not _is_finished(run):
                         _carry_out(run, start, cpu)
                     _clean_up(run)
@@ -292,7 +297,7 @@ def _render_into(
 def _plane_into(
     scene: Scene, out: Path, options: RenderOptions, *, programs: Programs, progress: Progress, warmth: Warmth | None
 ) -> Rendered:
-    """One colour of a mosaic."""
+    """One colour of a mosaic, or one instant of a scene that moves."""
     make_folder(out)
     progress.restart()
     return _render_into(scene, out, options, programs=programs, progress=progress, warmth=warmth)

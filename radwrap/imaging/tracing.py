@@ -35,6 +35,7 @@ from radwrap.process import Limits, Programs, available_cores
 from radwrap.progress import note
 from radwrap.scene.camera import ColourChannel
 from radwrap.scene.colour_planes import refuse_mosaic
+from radwrap.scene.instants import refuse_time
 from radwrap.scene.look.wide_sources import divided
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Source, WideSource, emitters
@@ -102,6 +103,7 @@ class LaidOutScene:
         compared_meanwhile: bool = False,
     ) -> None:
         refuse_mosaic(scene)
+        refuse_time(scene, "what is asked")
         self._kept = kept
         self._options = options
         self._programs = programs

@@ -13,6 +13,7 @@ from radwrap.scene.distortion import Distortion
 from radwrap.scene.linear_sensor import LinearSensor
 from radwrap.scene.mosaic import Mosaic
 from radwrap.scene.pixel_window import PixelWindow
+from radwrap.scene.shutter import Shutter
 
 # Of light of which a scene says nothing [m].
 ASSUMED_WAVELENGTH: Final = 550e-9
@@ -104,6 +105,8 @@ class Sensor:
         The linear camera whose mean response the values above are; it has noise.
     mosaic : Mosaic, optional
         The colour filters on its pixels, where they are not all alike.
+    shutter : Shutter, optional
+        When rows are exposed, where that is not all at once.
     """
 
     rows: int
@@ -120,6 +123,7 @@ class Sensor:
     window: PixelWindow | None = field(default=None, metadata=ONLY_WHERE_USED)
     linear: LinearSensor | None = field(default=None, metadata=ONLY_WHERE_USED)
     mosaic: Mosaic | None = field(default=None, metadata=ONLY_WHERE_USED)
+    shutter: Shutter | None = field(default=None, metadata=ONLY_WHERE_USED)
 
     @property
     def pixels(self) -> int:

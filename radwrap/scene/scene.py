@@ -9,6 +9,8 @@ from pathlib import Path
 from radwrap.scene.camera import Camera
 from radwrap.scene.catalog.presets import Taken
 from radwrap.scene.materials import Material
+from radwrap.scene.motion import Motion
+from radwrap.scene.shutter import Strobe
 from radwrap.scene.sources import Emitter, Source, WideSource, emitters
 from radwrap.scene.spectrum import Spectral
 from radwrap.scene.targets import RadFile, Surface, Target, surfaces
@@ -43,6 +45,10 @@ class Scene:
         Where spectra are told: what they come to. Radiances of sources are then what counts of them.
     components : tuple of Taken
         What it takes from the catalog.
+    motions : Mapping[str, Motion]
+        Name of a target -> how it moves; those that stand still are not in it.
+    strobes : Mapping[str, Strobe]
+        Name of a source -> when it shines; those that always do are not in it.
     """
 
     camera: Camera
@@ -56,6 +62,8 @@ class Scene:
     document: str = field(default="{}", compare=False, repr=False)
     spectral: Spectral | None = None
     components: tuple[Taken, ...] = field(default=(), compare=False, repr=False)
+    motions: Mapping[str, Motion] = field(default_factory=dict)
+    strobes: Mapping[str, Strobe] = field(default_factory=dict)
 
     @property
     def emitters(self) -> tuple[Emitter, ...]:

@@ -35,6 +35,7 @@ from radwrap.manifest import sha256_of_value
 from radwrap.process import Limits, Programs, available_cores
 from radwrap.progress import Progress
 from radwrap.scene.bands import one_band
+from radwrap.scene.instants import held, keys_of_time
 from radwrap.scene.look.wide_sources import divided
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Beam, Ring, SingleSource, Source, WideSource
@@ -105,6 +106,8 @@ class Crosscheck:
         Of both tracers.
     wall_s : dict
         Time that each took [s].
+    changing : tuple of str
+        Keys by which the scene changes in the course of its exposure: what is compared is its first middle.
     """
 
     scene: Scene
@@ -117,6 +120,7 @@ class Crosscheck:
     viewpoints: int
     versions: dict[str, str]
     wall_s: dict[str, float]
+    changing: tuple[str, ...] = ()
 
 
 def crosscheck(scene: Scene, out: Path, options: CrosscheckOptions) -> Crosscheck:
@@ -141,7 +145,8 @@ def crosscheck(scene: Scene, out: Path, options: CrosscheckOptions) -> Crosschec
     with ExitStack() as owned, tempfile.TemporaryDirectory(prefix="radwrap-") as folder, Programs() as programs:
         installation = find_povray(programs, options.povray)
         beams = gaussian_beams(scene)
-        scene = divided(without_gaussian_beams(one_band(scene, "sources")))
+        changing = keys_of_time(scene)
+        scene = divided(without_gaussian_beams(one_band(held(scene), "sources")))
         method: FixedMethod = "pinhole" if scene.camera.aperture.is_infinitesimal else "viewpoints"
         number = 1 if method == "pinhole" else options.render.viewpoint_number
         workers = options.render.workers or available_cores()
@@ -178,7 +183,7 @@ def crosscheck(scene: Scene, out: Path, options: CrosscheckOptions) -> Crosschec
         _check_seen(scene, bool(radiance.any() or povray.any()), "both images are black")
     versions = {"radiance": traced.version, "povray": installation.version}
     gray = (_gray(scene, radiance), _gray(scene, povray))
-    return Crosscheck(scene, options, radiance, povray, gray, seen, beams, number, versions, runs.wall_s)
+    return Crosscheck(scene, options, radiance, povray, gray, seen, beams, number, versions, runs.wall_s, changing)
 
 
 def _check_seen(scene: Scene, seen: bool, what: str) -> None:

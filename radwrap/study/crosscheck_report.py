@@ -29,6 +29,7 @@ EXPLAINED: Final = 0.2
 # Where pixels mix bright and dark, a single one says nothing relative to itself: there the median of all must be right.
 _MIXED: Final = frozenset({"aperture", "edges", "mirror", "shadow"})
 WAVES_NOTE: Final = "the geometric part is compared: both trace rays, and neither has diffraction or aberrations"
+TIME_NOTE: Final = "one instant is compared: everything stands where its pose is, and all light shines for all rows"
 SHEETING_NOTE: Final = (
     "POV-Ray has no retroreflection: sheeting is not checked here; corner cubes check only the geometry"
 )
@@ -63,6 +64,7 @@ def as_json(result: Crosscheck) -> dict[str, Any]:
         "replaced_beams": list(result.beams),
         "note": SHEETING_NOTE,
         **({"diffraction": WAVES_NOTE} if _has_waves(result.scene) else {}),
+        **({"in_time": TIME_NOTE} if result.changing else {}),
         "versions": {**versions(), **result.versions},
         "timing": {f"{name}_s": seconds for name, seconds in result.wall_s.items()},
     }

@@ -19,6 +19,7 @@ from radwrap.random_streams import generator
 from radwrap.scene.colour_planes import refuse_mosaic
 from radwrap.scene.file.keys import expanded, set_key, steps_of
 from radwrap.scene.file.load import scene_from_document
+from radwrap.scene.instants import refuse_time
 from radwrap.scene.scene import Scene
 from radwrap.study.design import Analysis, Design, check_render_option, render_options
 from radwrap.study.design_tables import MOST_RUNS
@@ -300,6 +301,7 @@ def _check_level(design: Design, factor: Factor, level: Level, options: Mapping[
 def _check_decided(scene: Scene, how: RenderOptions) -> None:
     """See that it is decided once for all runs whether they have diffraction: pilots do that, and the scene."""
     refuse_mosaic(scene, "a study")
+    refuse_time(scene, "a study")
     camera = scene.camera
     if how.fixed_method == "viewpoints" and camera.diffraction == "auto" and not camera.aperture.is_infinitesimal:
         raise InputError(

@@ -38,6 +38,7 @@ from radwrap.process import Programs, available_cores, children_cpu_time
 from radwrap.progress import Progress
 from radwrap.random_streams import generator
 from radwrap.reading import read_json
+from radwrap.scene.instants import refuse_time
 from radwrap.scene.scene import Scene
 from radwrap.study.paper_method import summed_viewpoints
 from radwrap.study.reference import (
@@ -239,6 +240,7 @@ def measure_trade(scene: Scene, out: Path, options: TradeOptions) -> Trade:
     EnvironmentFailure
         If Radiance or the disk fails, or another run owns the folder.
     """
+    refuse_time(scene, "a trade")
     check_size(scene, options.render.max_pixels, _TRIAL_NUMBER, options.workers)
     make_folder(out / ROWS)
     with sole_owner(out), Programs() as programs:

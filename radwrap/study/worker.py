@@ -43,6 +43,7 @@ from radwrap.manifest import SCHEMA_VERSION, plain
 from radwrap.measure.mosaic import RawChannel
 from radwrap.scene.colour_planes import refuse_mosaic
 from radwrap.scene.file.load import scene_from_document
+from radwrap.scene.instants import refuse_time
 from radwrap.scene.scene import Scene
 from radwrap.study.image_error import COPIES, ErrorFields, blur_radii, error_fields, image_error, model_error
 from radwrap.study.light import factors
@@ -214,6 +215,7 @@ def _log(job: Job) -> None:
 def _outcomes(job: Job, start: float) -> Iterator[Outcome]:
     scene = scene_from_document(job.document, origin=job.origin, folder=Path(job.folder))
     refuse_mosaic(scene, "a study")
+    refuse_time(scene, "a study")
     out = Path(job.study) / job.image
     if job.pilot:
         write_pilot(out, scene, job.options)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.imaging.forecast.explain import unsaturated
+from radwrap.imaging.forecast.time_effects import averaged, time_changes
 from radwrap.imaging.forecast.wave_change import MOST_RAYS, wave_change
 from radwrap.imaging.methods.rays import rays_over
 from radwrap.imaging.optics.diffraction import wavelength_of
@@ -59,7 +60,7 @@ class Effect:
     ----------
     name : str
         "finite_aperture", "cos4", "depth_spread", "diffraction", "aberrations", "bounces", "bounces_beyond_3", "bands",
-        "leds" or "led_differences".
+        "leds", "led_differences", "motion" or "shutter".
     left_out : str
         What the image would be without it.
     rms_gray, rms_gray_upper95 : float
@@ -191,7 +192,9 @@ def effects(scene: Scene, options: RenderOptions | None = None) -> dict[str, Any
     'kernel'
     """
     options = options or RenderOptions()
-    scene = unsaturated(scene)
+    # Pulses are as long in any exposure time.
+    changing = scene if scene.strobes else unsaturated(scene)
+    scene = averaged(changing)
     with laid_out(scene, options) as traced:
         view = traced.view()
         options, asked = with_gray_tolerance(options, view)
@@ -200,7 +203,10 @@ def effects(scene: Scene, options: RenderOptions | None = None) -> dict[str, Any
         choice = choose(
             Plans(with_smooth_blocks(view, found, tolerance, options.seed), found, options.demand, options.seed)
         )
-        each = [effect.as_manifest() for effect in _measured(traced, view, found, tolerance, options.seed)]
+        measured = [*_measured(traced, view, found, tolerance, options.seed)]
+        changes = time_changes(changing, options)
+        measured += [_effect(one.name, one.left_out, one.square, one.rays, tolerance) for one in changes]
+        each = [effect.as_manifest() for effect in measured]
     planner = {"method": choice.method, "why": choice.why, **choice.as_manifest()}
     tracer = plain(traced.tracer_used, named=False)
     told = {} if asked is None else {"tolerance_asked": plain(asked, named=False)}

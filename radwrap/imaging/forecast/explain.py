@@ -12,6 +12,7 @@ import numpy as np
 from radwrap.errors import InputError
 from radwrap.imaging.forecast.in_sight import ADVISED_SHARE, eight_bits, exposure_for_advice, in_sight, told
 from radwrap.imaging.forecast.preview import Brightest, brightest, spread_look
+from radwrap.imaging.forecast.time_effects import averaged, speeds
 from radwrap.imaging.optics.diffraction import best_opening, diffraction, diffraction_warning, wavelength_of
 from radwrap.imaging.response.exposure import exposure_of_radiance
 from radwrap.imaging.response.sensor import unclipped_gray
@@ -28,6 +29,7 @@ from radwrap.scene.spectrum import Spectral
 
 # Below this share of the gray range above dark the image is called dim; the advice aims at the other one.
 _DIM_SHARE: Final = 0.25
+_STROBED: Final = "sources are strobed: the width of their pulses sets their level, and not the exposure time alone"
 # Relative errors of the exposure for which the number of bands is told.
 _BAND_ERRORS: Final = (1e-4, 1e-3, 1e-2, 0.1)
 
@@ -61,6 +63,8 @@ def explain(scene: Scene, whole: Collection[str] = ()) -> dict[str, Any]:
         gray levels, electrons and signal-to-noise ratio, and the exposure time that brings the brightest of it to 80 %
         [s], see `InSight`; ``eight_bits``: whether they would do;
         ``exposure_for_80_percent``: the exposure time that brings ``expected_peak`` there [s];
+        ``motion``: of each target in sight how fast it may run for half a pixel of smear, and how far it goes, see
+        `speeds`;
         ``wide_sources``, where there are any: patches, and the error asked for and found;
         ``expected_peak``: gray, irradiance on the sensor [W m^-2] and radiant
         exposure [J m^-2] by closed form (no shadows, no blur but that of a
@@ -72,7 +76,8 @@ def explain(scene: Scene, whole: Collection[str] = ()) -> dict[str, Any]:
     >>> round(radwrap.explain(radwrap.load_scene("scene.toml"))["f_number"])
     125
     """
-    scene, refusal = _in_patches(scene)
+    changing = scene
+    scene, refusal = _in_patches(averaged(scene))
     camera = scene.camera
     found = brightest(scene)
     airy, seen = diffraction(scene), in_sight(scene, found)
@@ -80,17 +85,22 @@ def explain(scene: Scene, whole: Collection[str] = ()) -> dict[str, Any]:
         camera, wavelength_of(scene)[0], [depth for one in seen for depth in (one.nearest, one.farthest)]
     )
     peak = None if found is None else _peak(camera, found)
-    advised = None if found is None else exposure_for_advice(camera, found.radiance)
+    # The level of pulses hangs on their width, and not on the exposure time.
+    advised = None if found is None or changing.strobes else exposure_for_advice(camera, found.radiance)
+    if changing.strobes:
+        seen = tuple(replace(one, exposure_for_80_percent=None) for one in seen)
     return {
         "schema_version": SCHEMA_VERSION,
         "in_sight": told(seen),
         "eight_bits": eight_bits(scene, seen),
         "exposure_for_80_percent": advised,
         "scene": {
-            "camera": plain(camera),
-            "sources": plain(scene.sources),
+            "camera": plain(changing.camera),
+            "sources": plain(_in_patches(changing)[0].sources if changing.strobes else scene.sources),
             "materials": plain(scene.materials),
             "targets": plain(scene.targets),
+            **({"motions": plain(changing.motions)} if changing.motions else {}),
+            **({"strobes": plain(changing.strobes)} if changing.strobes else {}),
         },
         "f_number": None if camera.aperture.is_infinitesimal else camera.focal_length / camera.aperture.diameter,
         "field_of_view_deg": [
@@ -104,8 +114,9 @@ def explain(scene: Scene, whole: Collection[str] = ()) -> dict[str, Any]:
         "targets": [_target(camera, target.name, target.pose.position) for target in scene.targets],
         "rings": [_ring(scene, source) for source in scene.sources if isinstance(source, Ring)],
         **_wide(scene),
+        "motion": speeds(changing, {one.target: min(one.pixel) for one in seen}),
         "expected_peak": peak,
-        "advice": _advice(camera, peak, advised),
+        "advice": _STROBED if changing.strobes else _advice(camera, peak, advised),
         "warnings": [*refusal, *warnings_of(scene, whole), *diffraction_warning(airy)],
         "assumed": dict(sorted(scene.assumed.items())),
     }

@@ -24,6 +24,8 @@ from radwrap.scene.mosaic import COLOURS, Colour
 
 # Folder of a mosaic's colours: the run of each, as of a monochrome camera behind its filter.
 PLANES: Final = "planes"
+# Folder of a moving scene's renders while they are made.
+INSTANTS: Final = "instants"
 # What every run leaves, and what some do.
 ALWAYS: Final = (EXPOSURE, GRAY, MANIFEST)
 _SOMETIMES: Final = (PREVIEW, UNROUNDED, SIGMA, DEPTH, PARTS, TRUTH, REPLICATES, COLOUR, *photo_realistic.FILES)

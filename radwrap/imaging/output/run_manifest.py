@@ -125,6 +125,17 @@ class MosaicMade:
 
 
 @dataclass(frozen=True, slots=True)
+class InTime:
+    """What happens in the course of the exposure: renders at instants, and about what it changes.
+
+    ``about_rms_gray`` is the difference from the image of the middle of the first exposure, all rows alike.
+    """
+
+    instants: Count
+    about_rms_gray: NotNegative
+
+
+@dataclass(frozen=True, slots=True)
 class Timing:
     """What a run took, and what was said of that before: the one part of a manifest that differs between equal runs."""
 
@@ -189,6 +200,8 @@ class RunManifest:
         Where the image has it.
     mosaic : MosaicMade or None
         Where the pixels have different colour filters.
+    in_time : InTime or None
+        Where targets move, sources are strobed or rows have times of their own.
     files : Mapping[str, str]
         File -> its SHA-256.
     timing : Timing
@@ -230,6 +243,7 @@ class RunManifest:
     bounces: BouncesTraced | None = field(default=None, metadata=ONLY_WHERE_USED)
     diffraction: DiffractionTaken | None = field(default=None, metadata=ONLY_WHERE_USED)
     mosaic: MosaicMade | None = field(default=None, metadata=ONLY_WHERE_USED)
+    in_time: InTime | None = field(default=None, metadata=ONLY_WHERE_USED)
     files: Hashes
     timing: Timing
 
@@ -245,6 +259,8 @@ class RunManifest:
     @property
     def met(self) -> bool:
         """Whether the tolerance is kept; what has none keeps it."""
+        if self.in_time is not None:
+            return self.tolerance is None or self.error.rms_gray_upper95 <= self.tolerance
         return self.plan is None or self.plan.met
 
 

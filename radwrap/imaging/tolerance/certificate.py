@@ -65,6 +65,8 @@ class Certificate:
     diffraction_gray : float or None
         What the footprint of waves may add, in the bounds already: noise of its rays, cells, tails, wavelengths; None
         where light is rays.
+    motion_gray : float or None
+        What the light between the instants of a moving scene may add, in the bounds already; None where nothing moves.
     """
 
     rms_gray: NotNegative
@@ -77,6 +79,7 @@ class Certificate:
     method: str
     bands_gray: NotNegative | None = field(default=None, metadata=ONLY_WHERE_USED)
     diffraction_gray: NotNegative | None = field(default=None, metadata=ONLY_WHERE_USED)
+    motion_gray: NotNegative | None = field(default=None, metadata=ONLY_WHERE_USED)
 
     def with_bands(self, gray: float) -> Certificate:
         """The certificate that holds where bands change each pixel by so much at most [gray level]."""

@@ -10,6 +10,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSche
 from radwrap.errors import InputError
 from radwrap.units import (
     ANGLE,
+    ANGULAR_VELOCITY,
     COEFFICIENT_OF_RETROREFLECTION,
     CURRENT,
     CURVATURE,
@@ -24,6 +25,7 @@ from radwrap.units import (
     RADIANCE,
     RADIANT_FLUX,
     RADIANT_INTENSITY,
+    SPEED,
     SYSTEM_GAIN,
     TEMPERATURE,
     TEMPERATURE_DIFFERENCE,
@@ -59,6 +61,12 @@ Size = Annotated[float, Field(ge=SMALLEST_LENGTH, le=LARGEST_LENGTH), BeforeVali
 SizeOrZero = Annotated[float, Field(ge=0, le=LARGEST_LENGTH), BeforeValidator(_reader(LENGTH)), _schema(LENGTH)]
 Angle = Annotated[float, BeforeValidator(_reader(ANGLE)), _schema(ANGLE)]
 PositiveAngle = Annotated[float, Field(gt=0), BeforeValidator(_reader(ANGLE)), _schema(ANGLE)]
+Speed = Annotated[float, Field(ge=-1e9, le=1e9), BeforeValidator(_reader(SPEED)), _schema(SPEED)]
+AngularVelocity = Annotated[
+    float, Field(ge=-1e9, le=1e9), BeforeValidator(_reader(ANGULAR_VELOCITY)), _schema(ANGULAR_VELOCITY)
+]
+Instant = Annotated[float, Field(ge=-1e9, le=1e9), BeforeValidator(_reader(TIME)), _schema(TIME)]
+Interval = Annotated[float, Field(ge=1e-12, le=1e9), BeforeValidator(_reader(TIME)), _schema(TIME)]
 Duration = Annotated[float, Field(ge=0, le=1e9), BeforeValidator(_reader(TIME)), _schema(TIME)]
 RadianceValue = Annotated[float, Field(ge=0, le=1e30), BeforeValidator(_reader(RADIANCE)), _schema(RADIANCE)]
 RadiantIntensityValue = Annotated[
@@ -155,6 +163,10 @@ class TargetBase(Placed):
 
     name: Name | None = None
     """Unique in the scene; default by its number."""
+    velocity: tuple[Speed, Speed, Speed] | None = None
+    """Velocity of its origin along the world's axes; its pose holds at the middle of the frame's first exposure."""
+    angular_velocity: tuple[AngularVelocity, AngularVelocity, AngularVelocity] | None = None
+    """Turns about its origin, along the world's axes: the vector's direction is the axis, its length the speed."""
 
 
 class Aimed(Model):

@@ -24,6 +24,7 @@ from radwrap.scene.file.sensor_tables import PixelsModel
 from radwrap.scene.file.sensor_values import sensor_from_table
 from radwrap.scene.file.source_convert import sources_from_tables
 from radwrap.scene.file.spectral import tells_spectra, with_spectra
+from radwrap.scene.file.time_convert import check_dark_current, motions_of, shutter_of, strobes_of
 from radwrap.scene.mesh import mesh_of
 from radwrap.scene.scene import Scene
 from radwrap.scene.sensor_part import binned, cropped, whole_region
@@ -86,7 +87,10 @@ def scene_from_model(
         origin=origin,
         folder=folder,
         document=document,
+        motions=motions_of(model.targets, target_names),
+        strobes=strobes_of(model.sources),
     )
+    check_dark_current(scene, assumed)
     scene = with_spectra(scene, model)
     _check_wavelength(scene, assumed)
     return scene
@@ -194,6 +198,7 @@ def camera_from_table(
         sensor=replace(
             sensor_from_table(sensor, table.exposure_time, f"{where}.sensor", spectral=spectral),
             mosaic=mosaic_from_table(sensor, f"{where}.sensor", folder),
+            shutter=shutter_of(sensor),
         ),
         distortion=_distortion(table, centre, where),
         lens=None

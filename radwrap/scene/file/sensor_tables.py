@@ -16,6 +16,7 @@ from radwrap.scene.file.border import (
     ElectronRate,
     Electrons,
     Flag,
+    Interval,
     Model,
     Share,
     Size,
@@ -87,6 +88,12 @@ class PixelsModel(Model):
     """Relative sensitivities of equal strips of a pixel, along a column."""
     roi: tuple[Column, Column, Column, Column] | None = None
     """What is read out: first column and row, last column and row [px]."""
+    shutter: Literal["global", "rolling", "global_reset"] | None = None
+    """Which rows are exposed when: all at once, one after the other, or from one start to ends one after the other."""
+    line_time: Interval | None = None
+    """Time from one row of the image to the next, of a shutter that is not global."""
+    readout: Literal["down", "up"] | None = None
+    """Whether the first row is read out first (down, the default) or the last one."""
     scale: Annotated[str, BeforeValidator(_scale), Field(pattern=_SCALE)] | None = None
     """"1/N": N x N pixels become one with their sum of electrons; gray levels stay."""
 
@@ -98,6 +105,16 @@ class PixelsModel(Model):
                 raise ValueError(f"needs one of {fill} and {strips}, not both")
             if values is not None and not any(values):
                 raise ValueError(f"{strips}: all are 0, so the pixel sees nothing")
+        return self
+
+    @model_validator(mode="after")
+    def _whole_shutter(self) -> PixelsModel:
+        in_rows = self.shutter not in (None, "global")
+        if in_rows and self.line_time is None:
+            raise ValueError(f'line_time: is missing, and shutter = "{self.shutter}" needs it')
+        for name in ("line_time", "readout"):
+            if not in_rows and getattr(self, name) is not None:
+                raise ValueError(f'{name}: goes with shutter = "rolling" or "global_reset"; leave it out')
         return self
 
     @model_validator(mode="after")

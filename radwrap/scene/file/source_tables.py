@@ -12,6 +12,8 @@ from radwrap.scene.file.border import (
     ComponentName,
     EfficacyValue,
     Factor,
+    Instant,
+    Interval,
     LuminanceValue,
     LuminousFluxValue,
     LuminousIntensityValue,
@@ -65,8 +67,25 @@ class BeamModel(Model):
         return self
 
 
+class StrobeModel(Model):
+    """A source's strobe: pulses."""
+
+    delay: Instant
+    """Start of the first pulse, from the start of the frame's first exposure; may be negative."""
+    width: Interval
+    """Length of each pulse."""
+    period: Interval | None = None
+    """From one pulse to the next; without it there is one pulse."""
+
+    @model_validator(mode="after")
+    def _apart(self) -> StrobeModel:
+        if self.period is not None and self.period < self.width:
+            raise ValueError("period must not be shorter than width")
+        return self
+
+
 class Spectral(Model):
-    """What all sources have in common: a spectrum, where the scene tells any."""
+    """What all sources have in common: a spectrum and a strobe, where the scene tells any."""
 
     model_config: ClassVar[ConfigDict] = ConfigDict(json_schema_extra=preset_or_all)
 
@@ -76,6 +95,8 @@ class Spectral(Model):
     """Name of a light of the catalog, of a lamp where that is the type; keys beside it replace its values."""
     spectrum: SpectrumModel | None = None
     """Spectrum of its light; every source has one, or none."""
+    strobe: StrobeModel | None = None
+    """Pulses of full level in which it shines; without this key it shines all the time."""
 
 
 class Shining(Spectral):

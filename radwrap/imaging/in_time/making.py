@@ -1,0 +1,218 @@
+"""The files and the manifest of a scene that changes in the course of its exposure."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.errors import InputError
+from radwrap.files import make_folder, sha256_of
+from radwrap.images import ExposureImage, write_exr
+from radwrap.imaging.in_time.by_rows import StillRender, by_rows
+from radwrap.imaging.in_time.moving import moving
+from radwrap.imaging.output.folder import INSTANTS, publish
+from radwrap.imaging.output.frame_files import write_frames
+from radwrap.imaging.output.image_files import ImageSummary, write_exposure
+from radwrap.imaging.output.run_manifest import InTime, RunManifest, components_used, write_run_manifest
+from radwrap.imaging.output.sigma_file import SIGMA
+from radwrap.imaging.output.truth_files import DEPTH, PARTS, TRUTH
+from radwrap.imaging.render_options import RenderOptions
+from radwrap.imaging.rendered import Rendered
+from radwrap.imaging.response.noise import linear_of
+from radwrap.imaging.response.sensor import gray_levels
+from radwrap.imaging.tolerance.certificate import Certificate
+from radwrap.imaging.tolerance.uncertainty import UncertaintySummary, uncertainty
+from radwrap.manifest import plain, sha256_of_value
+from radwrap.scene.instants import held, is_even, keys_of_time, lit_by, row_levels
+from radwrap.scene.scene import Scene
+from radwrap.scene.tolerances import Tolerances
+
+Array = NDArray[np.float64]
+_TRUTH_FILES: Final = (TRUTH, DEPTH, PARTS)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Found:
+    """What the image is made of."""
+
+    base: Rendered
+    exposure: Array
+    certificate: Certificate
+    instants: int
+    rays: int
+    run_sha256s: tuple[str, ...]
+    tracer_cpu_s: float
+
+
+def refuse_for_time(scene: Scene, options: RenderOptions) -> None:
+    """See that a scene that changes in the course of its exposure can be rendered as the options ask.
+
+    Raises
+    ------
+    InputError
+        If it cannot.
+    """
+    keys = keys_of_time(scene)
+    if not keys:
+        return
+    asked = {
+        "basis": options.basis,
+        "sampling": options.sampling is not None,
+        "method": options.fixed_method is not None,
+        "max_error": options.max_error is not None and bool(scene.motions),
+        "budget_rays": options.budget_rays is not None,
+        "budget_seconds": options.budget_seconds is not None,
+    }
+    for name, given in asked.items():
+        if given:
+            raise InputError(
+                f"knows one instant only, and {keys[0]} makes the scene another one in the course of its exposure",
+                where=name,
+                remedy="leave one of them out",
+            )
+    if scene.tolerances is not None:
+        raise InputError(
+            f"know one instant only, and {keys[0]} makes the scene another one in the course of its exposure",
+            where=f"{scene.origin}: tolerances",
+            remedy="leave one of them out",
+        )
+    if scene.included and scene.strobes:
+        raise InputError(
+            "may hold light of its own, which no strobe switches",
+            where=f"{scene.origin}: targets[{scene.targets.index(scene.included[0])}].rad",
+            remedy="describe it by targets and sources, or leave out the strobes",
+        )
+    if not scene.camera.exposure_time:
+        raise InputError(
+            f"is 0, and {keys[0]} needs a time", where=f"{scene.origin}: camera.exposure_time", remedy="set it"
+        )
+    if options.frames:
+        linear_of(scene.camera.sensor)
+
+
+def steady(scene: Scene) -> Scene | None:
+    """The scene of one instant that gives the same image; None where there is none.
+
+    Where nothing moves and each source lights all rows alike, a pulse is light of a lower level.
+    """
+    if not keys_of_time(scene):
+        return scene
+    levels = row_levels(scene)
+    if scene.motions or not is_even(levels.values()):
+        return None
+    return lit_by(held(scene), {name: float(level[0]) for name, level in levels.items()})
+
+
+def make_in_time(
+    scene: Scene, out: Path, options: RenderOptions, *, work: Path, render_still: StillRender, check: Callable[[], None]
+) -> None:
+    """Render the scene at its instants, and make its image, files and manifest of them.
+
+    Parameters
+    ----------
+    scene : Scene
+        That changes.
+    out : Path
+        Where to.
+    options : RenderOptions
+        How.
+    work : Path
+        Folder for what is not yet whole.
+    render_still : callable
+        Renders the scene of one instant into a folder.
+    check : callable
+        Asked now and then; it raises to end the work.
+    """
+    start = time.monotonic()
+    folder = out / INSTANTS
+    make_folder(folder)
+    found = _found(scene, folder, options, render_still, check)
+    check()
+    make_folder(work)
+    sensor = scene.camera.sensor
+    images, files = write_exposure(work, found.exposure, sensor, check)
+    summary, more = _write_sigma(work, scene, found)
+    files += more
+    files += write_frames(work, sensor, options.frames, options.seed)
+    if options.truth:
+        for name in _TRUTH_FILES:
+            shutil.copyfile(_base_folder(scene, folder) / name, work / name)
+        files += _TRUTH_FILES
+    hashes = {name: sha256_of(work / name) for name in files}
+    manifest = _manifest(scene, options, found, images)
+    timing = replace(manifest.timing, wall_s=time.monotonic() - start)
+    write_run_manifest(work, replace(manifest, uncertainty=summary, files=hashes, timing=timing))
+    check()
+    publish(work, out, files)
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def _base_folder(scene: Scene, folder: Path) -> Path:
+    return folder / "base"
+
+
+def _found(
+    scene: Scene, folder: Path, options: RenderOptions, render_still: StillRender, check: Callable[[], None]
+) -> _Found:
+    # A basis knows no light from surface to surface.
+    if scene.motions or options.bounces:
+        made = moving(scene, folder, options, render_still, check)
+        runs = (made.base.run, *made.runs)
+        cpu = math.fsum(run.timing.tracer_cpu_s for run in runs)
+        known_by = tuple(run.run_sha256 for run in runs)
+        return _Found(made.base, made.exposure, made.certificate, made.instants, made.rays, known_by, cpu)
+    rows = by_rows(scene, _base_folder(scene, folder), options, render_still)
+    run = rows.base.run
+    certificate = rows.image.certificate
+    if run.error.bands_gray is not None:
+        certificate = certificate.with_bands(run.error.bands_gray)
+    exposure = rows.image.radiant_exposure.values
+    return _Found(rows.base, exposure, certificate, 1, run.rays, (run.run_sha256,), run.timing.tracer_cpu_s)
+
+
+def _write_sigma(folder: Path, scene: Scene, found: _Found) -> tuple[UncertaintySummary | None, list[str]]:
+    if scene.camera.sensor.linear is None:
+        return None, []
+    sigma = uncertainty(ExposureImage(found.exposure), scene.camera, Tolerances(), found.certificate.rms_gray)
+    write_exr(folder / SIGMA, sigma.sigma.astype(np.float32), channel="gray_sigma")
+    return sigma.summary(), [SIGMA]
+
+
+def _manifest(scene: Scene, options: RenderOptions, found: _Found, images: ImageSummary) -> RunManifest:
+    """That of the scene at one instant, its files too, with what is of the whole exposure."""
+    base, sensor = found.base.run, scene.camera.sensor
+    still = gray_levels(found.base.radiant_exposure.values, sensor)
+    change = float(np.sqrt(np.mean((gray_levels(found.exposure, sensor) - still) ** 2)))
+    known_by = {
+        "camera": scene.camera,
+        "motions": scene.motions,
+        "strobes": scene.strobes,
+        "base": base.scene_sha256,
+    }
+    decided = {"document": scene.document, "runs": found.run_sha256s, "frames": options.frames, "truth": options.truth}
+    return replace(
+        base,
+        scene_sha256=sha256_of_value(known_by),
+        run_sha256=sha256_of_value(decided),
+        rays=found.rays,
+        rays_per_pixel=found.rays / sensor.pixels,
+        assumed=dict(sorted(scene.assumed.items())),
+        components=components_used(scene),
+        camera=plain(scene.camera),
+        scene=scene.document,
+        radiant_exposure=images.radiant_exposure,
+        gray=images.gray,
+        saturated_fraction=images.saturated_fraction,
+        dark_fraction=images.dark_fraction,
+        error=found.certificate,
+        in_time=InTime(instants=found.instants, about_rms_gray=change),
+        timing=replace(base.timing, tracer_cpu_s=found.tracer_cpu_s),
+    )

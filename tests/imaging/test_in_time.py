@@ -1,0 +1,313 @@
+"""Motion, strobes and shutters against closed forms, and against renders of single instants."""
+
+from __future__ import annotations
+
+import copy
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import radwrap
+from radwrap.errors import InputError
+from radwrap.imaging.in_time.linear_light import allowed_exposure_error, gray_bound
+from radwrap.imaging.time_steps import places
+from radwrap.scene.instants import at_time, lit_by
+from radwrap.scene.look.image_speed import image_speeds
+
+Array = NDArray[np.float64]
+ROWS, COLUMNS = 10, 40
+EXPOSURE = 10e-3  # s
+PITCH = 10e-6 / 25e-3 * 0.5  # m on the target for a pixel
+EDGE = 0.07e-3  # m
+# Of an edge's contrast, as issue L asks.
+RAMP = 1e-3
+
+
+def document(**target: Any) -> dict[str, Any]:
+    """An edge in even light, seen through an infinitesimal pinhole; 197 gray levels of contrast."""
+    return {
+        "camera": {
+            "position": ["0 mm", "0 mm", "500 mm"],
+            "look_at": ["0 mm", "0 mm", "0 mm"],
+            "up": [0, 1, 0],
+            "focal_length": "25 mm",
+            "exposure_time": f"{EXPOSURE!r} s",
+            "diffraction": "off",
+            "aperture": {"diameter": "0 mm", "exposure_diameter": "1 mm"},
+            "sensor": {
+                "rows": ROWS,
+                "columns": COLUMNS,
+                "pixel_width": "10 um",
+                "pixel_height": "10 um",
+                "gain": "8e7 (J/m^2)^-1",
+                "gamma": 1.0,
+                "dark_gray": 0.0,
+                "saturation_gray": 255.0,
+                "rounding": False,
+            },
+        },
+        "sources": [
+            {
+                "type": "lamp",
+                "name": name,
+                "position": [f"{x} m", "0 m", "100 m"],
+                "look_at": ["0 mm", "0 mm", "0 mm"],
+                "diameter": "10 mm",
+                "radiant_intensity": "5e3 W/sr",
+                "beam": {"profile": "lambertian"},
+            }
+            for name, x in (("left", -30), ("right", 30))
+        ],
+        "materials": {
+            "white": {"type": "lambertian", "reflectance": 0.8},
+            "black": {"type": "lambertian", "reflectance": 0.1},
+        },
+        "targets": [
+            {
+                "type": "edge",
+                "name": "edge",
+                "material": "black",
+                "edge_material": "white",
+                "size": ["100 mm", "60 mm"],
+                "edge_position": f"{EDGE!r} m",
+                **target,
+            }
+        ],
+    }
+
+
+def velocity(pixels: float, time: float = EXPOSURE) -> list[str]:
+    """To the right by some pixels in a time."""
+    return [f"{pixels * PITCH / time!r} m/s", "0 m/s", "0 m/s"]
+
+
+def still(tables: dict[str, Any], **target: Any) -> Array:
+    """Radiant exposure without any motion, shutter and strobe [J m^-2]."""
+    plain = copy.deepcopy(tables)
+    for table in (*plain["targets"], *plain["sources"]):
+        for key in ("velocity", "angular_velocity", "strobe"):
+            table.pop(key, None)
+    for key in ("shutter", "line_time", "readout"):
+        plain["camera"]["sensor"].pop(key, None)
+    plain["targets"][0].update(target)
+    return radwrap.render(
+        radwrap.scene_from_document(plain), method="pinhole", tracer="compiled"
+    ).radiant_exposure.values
+
+
+def bright_share(tables: dict[str, Any], exposure: Array) -> Array:
+    """Share of the exposure that each pixel sees the bright side, shape (rows, columns)."""
+    white, black = still(tables, material="white"), still(tables, edge_material="black")
+    share: Array = (exposure - black) / (white - black)
+    return share
+
+
+def rendered(tables: dict[str, Any], tolerance: float, **how: Any) -> radwrap.Rendered:
+    scene = radwrap.scene_from_document(tables)
+    return radwrap.render(scene, tolerance=tolerance, seed=1, tracer="compiled", **how)
+
+
+def ramp(u: Array, edge: float, smear: float) -> Array:
+    """Share of bright in pixels of an edge that moves evenly over `smear` about `edge`: a box on a box."""
+
+    def twice(z: Array) -> Array:
+        return np.maximum(z, 0.0) ** 2 / 2
+
+    a, b = (1 + smear) / 2, (1 - smear) / 2
+    z = u - edge
+    share: Array = (twice(z + a) - twice(z + b) - twice(z - b) + twice(z - a)) / smear
+    return share
+
+
+def edge_places(share: Array) -> Array:
+    """Where the edge is in each row [px]."""
+    places: Array = COLUMNS - 0.5 - share.sum(axis=1)
+    return places
+
+
+MIDDLE = (COLUMNS - 1) / 2 + EDGE / PITCH
+
+
+@pytest.mark.long
+def test_an_edge_that_moves_is_a_ramp() -> None:
+    smear = 2.3
+    tables = document(velocity=velocity(smear))
+    made = rendered(tables, 0.2)
+    share = bright_share(tables, made.radiant_exposure.values).mean(axis=0)
+    assert np.abs(share - ramp(np.arange(COLUMNS), MIDDLE, smear)).max() < RAMP
+    assert made.met and made.run.in_time is not None and made.run.in_time.instants > 8
+    assert made.error.motion_gray is not None and 0 < made.error.motion_gray < made.error.rms_gray_upper95
+    assert "scene_sha256" in made.manifest and made.manifest["camera"]["exposure_time"] == EXPOSURE
+
+
+def test_below_a_pixel_few_instants_are_exact() -> None:
+    tables = document(velocity=velocity(0.6))
+    made = rendered(tables, 0.3)
+    share = bright_share(tables, made.radiant_exposure.values).mean(axis=0)
+    assert made.run.in_time is not None and made.run.in_time.instants == 9
+    assert np.abs(share - ramp(np.arange(COLUMNS), MIDDLE, 0.6)).max() < RAMP
+
+
+def test_a_flash_freezes_what_moves_where_it_is_then() -> None:
+    tables = document(velocity=velocity(8.0))
+    for source in tables["sources"]:
+        source["strobe"] = {"delay": "2 ms", "width": "1 ms"}
+    made = rendered(tables, 0.1)
+    share = bright_share(tables, made.radiant_exposure.values * EXPOSURE / 1e-3).mean(axis=0)
+    then = MIDDLE + 8.0 * (2.5e-3 - EXPOSURE / 2) / EXPOSURE
+    # A tenth of the light: so is the tolerance, and its share of the contrast is ten times as large.
+    assert np.abs(share - ramp(np.arange(COLUMNS), then, 0.8)).max() < 10 * RAMP
+
+
+@pytest.mark.parametrize(
+    ("readout", "smear"),
+    [("down", 0.4), pytest.param("down", 1.2, marks=pytest.mark.long), pytest.param("up", 1.2, marks=pytest.mark.long)],
+)
+def test_a_rolling_shutter_slants_an_edge_by_speed_times_line_time(readout: str, smear: float) -> None:
+    tables = document(velocity=velocity(smear))
+    tables["camera"]["sensor"] |= {"shutter": "rolling", "line_time": "4 ms", "readout": readout}
+    made = rendered(tables, 0.8)
+    edges = edge_places(bright_share(tables, made.radiant_exposure.values))
+    order = np.arange(ROWS) if readout == "down" else np.arange(ROWS)[::-1]
+    slant = smear * 4e-3 / EXPOSURE
+    assert np.abs(edges - (MIDDLE + slant * order)).max() < 0.01
+    slope = np.polyfit(order, edges, 1)[0]
+    assert slope == pytest.approx(slant, rel=1e-2)
+
+
+@pytest.mark.long
+def test_a_wheel_is_the_mean_of_64_renders_in_time() -> None:
+    tables = document(angular_velocity=["0 rpm", "0 rpm", "300 rpm"], rotation=["0 deg", "0 deg", "20 deg"])
+    made = rendered(tables, 0.5)
+    scene = radwrap.scene_from_document(tables)
+    total = np.zeros((ROWS, COLUMNS))
+    for k in range(64):
+        then = at_time(scene, (k + 0.5) / 64 * EXPOSURE)
+        total += radwrap.render(then, method="pinhole", pixel_samples=8, tracer="compiled").radiant_exposure.values / 64
+    off = (made.radiant_exposure.values - total) * 8e7
+    assert math.sqrt(float(np.mean(off**2))) < made.error.rms_gray_upper95
+    # It turns by 18 degrees: at the rim of the picture an edge goes by 6 pixels.
+    assert made.run.in_time is not None and made.run.in_time.about_rms_gray > 5 * made.error.rms_gray_upper95
+
+
+def test_rows_count_their_own_share_of_each_source() -> None:
+    """Lines of 10 us, exposures of 50 us, a pulse of 3 us of one source and steady light of another: no ray more."""
+    tables = document(edge_position="0 mm")  # between two pixels
+    tables["camera"]["exposure_time"] = "50 us"
+    tables["camera"]["sensor"] |= {"shutter": "rolling", "line_time": "10 us", "gain": "3e10 (J/m^2)^-1"}
+    tables["sources"][0]["strobe"] = {"delay": "72 us", "width": "3 us"}
+    made = rendered(tables, 0.3)
+    scene = radwrap.scene_from_document(tables)
+    left, right = (
+        radwrap.render(lit_by(at_time(scene, 0.0), {name: 1.0}), method="pinhole", tracer="compiled")
+        for name in ("left", "right")
+    )
+    pulse = np.zeros(ROWS)
+    pulse[3:8] = 3 / 50  # open from 10 r to 10 r + 50 us, the pulse from 72 to 75 us
+    expected = pulse[:, np.newaxis] * left.radiant_exposure.values + right.radiant_exposure.values
+    off = (made.radiant_exposure.values - expected) * 3e10
+    assert math.sqrt(float(np.mean(off**2))) < made.error.rms_gray_upper95
+    assert made.met and made.run.in_time is not None and made.run.in_time.instants == 1
+    assert made.error.motion_gray is None
+
+
+def test_a_global_reset_brightens_row_by_row() -> None:
+    tables = document()
+    tables["camera"]["sensor"] |= {"shutter": "global_reset", "line_time": "0.2 ms", "gain": "6e7 (J/m^2)^-1"}
+    made = rendered(tables, 0.3)
+    ratio = made.radiant_exposure.values[:, -6:] / still(tables)[:, -6:]
+    assert ratio.mean(axis=1) == pytest.approx(1 + 0.02 * np.arange(ROWS), rel=2e-3)
+
+
+def test_a_flash_on_what_stands_still_is_light_of_a_lower_level() -> None:
+    tables, dimmed = document(), document()
+    for source in tables["sources"]:
+        source["strobe"] = {"delay": "-1 ms", "width": "6 ms"}
+    for source in dimmed["sources"]:
+        source["radiant_intensity"] = "2.5e3 W/sr"
+    made, known = rendered(tables, 0.5), rendered(dimmed, 0.5)
+    assert made.radiant_exposure.values == pytest.approx(known.radiant_exposure.values, rel=1e-6)
+    assert made.error.rms_gray_upper95 == pytest.approx(known.error.rms_gray_upper95)
+
+
+def test_the_same_seed_gives_the_same_bytes_with_any_number_of_workers(tmp_path: Path) -> None:
+    tables = document(velocity=velocity(0.6))
+    for workers in (1, 2):
+        rendered(tables, 2.0, out=tmp_path / str(workers), workers=workers, truth=True)
+    first, second = ((tmp_path / name) for name in "12")
+    for name in ("gray.png", "radiant_exposure.exr", "truth.json", "depth.exr"):
+        assert (first / name).read_bytes() == (second / name).read_bytes()
+    assert not (first / "instants").exists()
+
+
+@pytest.mark.parametrize(
+    ("how", "told"),
+    [
+        ({"basis": True}, "basis"),
+        ({"method": "viewpoints"}, "method"),
+        ({"max_error": 3.0}, "max_error"),
+        ({"budget_rays": 1e6}, "budget_rays"),
+    ],
+)
+def test_options_of_one_instant_are_refused_by_name(how: dict[str, Any], told: str, tmp_path: Path) -> None:
+    scene = radwrap.scene_from_document(document(velocity=velocity(0.6)))
+    with pytest.raises(InputError, match=rf"^{told}: knows one instant only, and targets\[0\].velocity"):
+        radwrap.render(scene, tmp_path, **how)
+
+
+def test_light_that_misses_the_exposure_is_an_error() -> None:
+    tables = document(velocity=velocity(0.6))
+    for source in tables["sources"]:
+        source["strobe"] = {"delay": "20 ms", "width": "1 ms"}
+    with pytest.raises(InputError, match=r"no pulse meets the exposure.*0 to 10 ms"):
+        rendered(tables, 1.0)
+
+
+def test_what_moves_too_far_is_an_error() -> None:
+    with pytest.raises(InputError, match=r"targets\[0\].velocity.*moves it over .* pixels"):
+        rendered(document(velocity=velocity(2000.0)), 1.0)
+
+
+def test_another_exposure_time_needs_a_render() -> None:
+    made = rendered(document(velocity=velocity(0.6)), 2.0)
+    with pytest.raises(InputError, match="velocity"):
+        made.with_exposure("5 ms")
+
+
+def test_the_speed_over_the_sensor() -> None:
+    scene = radwrap.scene_from_document(document(velocity=velocity(5.0)))
+    assert image_speeds(scene) == pytest.approx({"edge": 5.0 / EXPOSURE})
+    turns = radwrap.scene_from_document(document(angular_velocity=["0 rpm", "0 rpm", "60 rpm"]))
+    corner = math.hypot(COLUMNS / 2, ROWS / 2)
+    assert image_speeds(turns)["edge"] == pytest.approx(2 * math.pi * corner, rel=1e-6)
+
+
+def test_places_of_instants_hold_those_of_the_level_below() -> None:
+    for level in range(1, 7):
+        found = places(level, 5)
+        assert len(found) == 2**level + 1 and (np.diff(found) > 0).all()
+        assert found[::2].tolist() == places(level - 1, 5).tolist()
+        assert np.ptp(np.diff(found)) > 0  # nothing can keep step with them
+
+
+@pytest.mark.parametrize("gamma", [0.5, 0.85, 1.0, 1.6])
+def test_errors_of_light_are_bound_in_gray_levels(gamma: float) -> None:
+    """Drawn errors in images that are half dark."""
+    sensor = radwrap.scene_from_document(document()).camera.sensor
+    sensor = replace(sensor, gamma=gamma, gain=255.0)
+    random = np.random.default_rng(1)
+    light = np.where(random.random(20_000) < 0.5, 1e-4 * random.random(20_000), random.random(20_000))
+    for size in (1e-5, 1e-3, 1e-2):
+        error = size * random.standard_normal(len(light))
+        other = np.maximum(light + error, 0.0)
+        rms = math.sqrt(float(np.mean((other - light) ** 2)))
+        off = math.sqrt(float(np.mean((255 * other**gamma - 255 * light**gamma) ** 2)))
+        bound = gray_bound(rms, light, sensor)
+        assert off <= bound * (1 + 1e-9)
+        assert gamma != 1 or off == pytest.approx(bound)
+        assert allowed_exposure_error(bound, light, sensor) == pytest.approx(rms, rel=1e-6)
