@@ -341,7 +341,7 @@ def _error_of_all(colours: Mapping[Colour, PlaneMade]) -> Certificate:
 
     quantiles = [error.p99_gray_upper95 for error in errors]
     known = [quantile for quantile in quantiles if quantile is not None]
-    bands, waves = where_any("bands_gray"), where_any("diffraction_gray")
+    bands, waves, motion = (where_any(name) for name in ("bands_gray", "diffraction_gray", "motion_gray"))
     own = {plane.light_of: plane.error for plane in colours.values()}.values()
     return Certificate(
         rms_gray=rms([error.rms_gray for error in errors]),
@@ -354,6 +354,7 @@ def _error_of_all(colours: Mapping[Colour, PlaneMade]) -> Certificate:
         method=", ".join(sorted({error.method for error in errors})),
         bands_gray=None if bands is None else max(bands),
         diffraction_gray=None if waves is None else rms(waves),
+        motion_gray=None if motion is None else rms(motion),
     )
 
 
