@@ -242,7 +242,8 @@ def test_the_same_seed_gives_the_same_bytes_with_any_number_of_workers(tmp_path:
     first, second = ((tmp_path / name) for name in "12")
     for name in ("gray.png", "radiant_exposure.exr", "truth.json", "depth.exr"):
         assert (first / name).read_bytes() == (second / name).read_bytes()
-    assert not (first / "instants").exists()
+    assert {path.name for path in first.iterdir()} >= {"manifest.json", "mask.png"}
+    assert not (first / ".instants").exists()
 
 
 @pytest.mark.parametrize(
