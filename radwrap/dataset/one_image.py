@@ -28,6 +28,7 @@ from radwrap.imaging.synthesis import render
 from radwrap.manifest import SCHEMA_VERSION, plain, read_manifest, write_manifest
 from radwrap.scene.camera import Camera
 from radwrap.scene.file.load import scene_from_document
+from radwrap.scene.instants import refuse_time
 from radwrap.scene.scene import Scene
 from radwrap.scene.targets import MeshPart
 
@@ -127,6 +128,7 @@ def _make(job: ImageJob) -> None:
     dataset, out = job.dataset, Path(job.out)
     drawn, boxes = draw_standing(dataset, job.number)
     scene = scene_from_document(drawn.document, origin=dataset.scene_origin, folder=dataset.folder)
+    refuse_time(scene, "a dataset")
     if BOP in dataset.formats:
         check_camera(scene.camera, f"{dataset.origin}: formats")
     hits = FirstHits(scene)

@@ -42,6 +42,7 @@ _BOUNDS: Final = (
     "discretisation_rms_gray",
     "bands_gray",
     "diffraction_gray",
+    "motion_gray",
 )
 
 

@@ -242,7 +242,8 @@ def test_the_same_seed_gives_the_same_bytes_with_any_number_of_workers(tmp_path:
     first, second = ((tmp_path / name) for name in "12")
     for name in ("gray.png", "radiant_exposure.exr", "truth.json", "depth.exr"):
         assert (first / name).read_bytes() == (second / name).read_bytes()
-    assert not (first / "instants").exists()
+    assert {path.name for path in first.iterdir()} >= {"manifest.json", "mask.png"}
+    assert not (first / ".instants").exists()
 
 
 @pytest.mark.parametrize(
@@ -258,6 +259,30 @@ def test_options_of_one_instant_are_refused_by_name(how: dict[str, Any], told: s
     scene = radwrap.scene_from_document(document(velocity=velocity(0.6)))
     with pytest.raises(InputError, match=rf"^{told}: knows one instant only, and targets\[0\].velocity"):
         radwrap.render(scene, tmp_path, **how)
+
+
+def test_each_colour_of_a_mosaic_is_rendered_in_time() -> None:
+    tables = document(velocity=velocity(0.6))
+    tables["camera"]["sensor"] = {
+        **{key: tables["camera"]["sensor"][key] for key in ("rows", "columns", "pixel_width", "pixel_height")},
+        "model": "linear",
+        "wavelength": "550 nm",
+        "system_gain": "0.1 DN/e",
+        "offset": 4,
+        "full_well": "12 ke",
+        "read_noise": "8 e",
+        "mosaic": "RGGB",
+        "filters": {name: {"quantum_efficiency": x} for name, x in (("red", 0.1), ("green", 0.5), ("blue", 0.05))},
+    }
+    scene = radwrap.scene_from_document(tables)
+    raw = radwrap.render(scene, tolerance=2, seed=1, tracer="compiled")
+    green = radwrap.render(
+        radwrap.with_value(scene, "camera.sensor.mosaic", "green"), tolerance=2, seed=1, tracer="compiled"
+    )
+    seen, whole = raw.radiant_exposure.values, green.radiant_exposure.values
+    assert seen[0, 1::2] == pytest.approx(whole[0, 1::2], rel=1e-6)
+    assert seen[0, ::2] == pytest.approx(0.2 * whole[0, ::2], rel=1e-6)
+    assert raw.error.motion_gray is not None and raw.run.in_time is not None
 
 
 def test_light_that_misses_the_exposure_is_an_error() -> None:

@@ -29,7 +29,7 @@ from radwrap.scene.spectrum import Spectral
 
 # Below this share of the gray range above dark the image is called dim; the advice aims at the other one.
 _DIM_SHARE: Final = 0.25
-_STROBED: Final = "sources are strobed: the width of their pulses sets their level, and not the exposure time alone"
+_STROBED: Final = "sources are strobed: the width of their pulses sets their level, not only the exposure time"
 # Relative errors of the exposure for which the number of bands is told.
 _BAND_ERRORS: Final = (1e-4, 1e-3, 1e-2, 0.1)
 

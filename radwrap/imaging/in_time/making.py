@@ -36,6 +36,7 @@ from radwrap.scene.scene import Scene
 from radwrap.scene.tolerances import Tolerances
 
 Array = NDArray[np.float64]
+_BASE: Final = "base"  # the folder of the one instant, as `moving` has it
 _TRUTH_FILES: Final = (TRUTH, DEPTH, PARTS)
 
 
@@ -144,7 +145,7 @@ def make_in_time(
     files += write_frames(work, sensor, options.frames, options.seed)
     if options.truth:
         for name in _TRUTH_FILES:
-            shutil.copyfile(_base_folder(scene, folder) / name, work / name)
+            shutil.copyfile(folder / _BASE / name, work / name)
         files += _TRUTH_FILES
     hashes = {name: sha256_of(work / name) for name in files}
     manifest = _manifest(scene, options, found, images)
@@ -152,11 +153,6 @@ def make_in_time(
     write_run_manifest(work, replace(manifest, uncertainty=summary, files=hashes, timing=timing))
     check()
     publish(work, out, files)
-    shutil.rmtree(folder, ignore_errors=True)
-
-
-def _base_folder(scene: Scene, folder: Path) -> Path:
-    return folder / "base"
 
 
 def _found(
@@ -169,7 +165,7 @@ def _found(
         cpu = math.fsum(run.timing.tracer_cpu_s for run in runs)
         known_by = tuple(run.run_sha256 for run in runs)
         return _Found(made.base, made.exposure, made.certificate, made.instants, made.rays, known_by, cpu)
-    rows = by_rows(scene, _base_folder(scene, folder), options, render_still)
+    rows = by_rows(scene, folder / _BASE, options, render_still)
     run = rows.base.run
     certificate = rows.image.certificate
     if run.error.bands_gray is not None:

@@ -38,6 +38,9 @@ Array = NDArray[np.float64]
 # Of the tolerance: what the instants' own errors may take, and what the time between them may. Their squares add up.
 _RENDER_SHARE: Final = 0.85
 _STEP_SHARE: Final = 0.5
+# Noise of rays averages over the instants, and what they have in common does not: they are rendered to larger errors at
+# first, which costs little beside the finer renders that follow where these do not do.
+_LOOSENESS: Final = (4.0, 2.0, 1.0)
 # The fewest and the most instants of a light: 2^level + 1.
 _LEAST_LEVEL: Final = 3
 _MOST_LEVEL: Final = 10
@@ -147,29 +150,75 @@ def moving(
     options = replace(options, tracer=_tracer_of_many(scene, options.tracer))
     base = render_still(lit_by(_middle(scene), means), folder / "base", replace(options, frames=0))
     sensor, tolerance = held(scene).camera.sensor, base.run.tolerance
+    levels = _levels(scene, lights)
     if tolerance is None:
         raise ValueError("an image at instants is made to a tolerance")
-    exposure = base.radiant_exposure.values
-    levels = _levels(scene, lights)
-    one_level = None not in levels
-    steps = _steps(scene, lights, [level or 0 for level in levels], options.seed)
-    allowed = allowed_exposure_error(_RENDER_SHARE * tolerance, exposure, sensor) / len(steps)
-    errors = {one.light.sources: allowed / _slack(one) for one in steps}
-    instants = _Instants(_decided(scene, base.run), folder, _as_decided(options, base.run), errors, render_still)
-    while True:
-        check()
-        fine, coarse = _composed(steps, instants, check)
-        gray = gray_levels(fine, sensor)
-        off = np.abs(gray - gray_levels(coarse, sensor))
-        error = math.sqrt(float(np.mean(off**2)))
-        highest = max(level or 0 for level in levels)
-        if not one_level or error <= _STEP_SHARE * tolerance or highest >= _MOST_LEVEL:
+    allowed = allowed_exposure_error(_RENDER_SHARE * tolerance, base.radiant_exposure.values, sensor) / len(lights)
+    decided, how = _decided(scene, base.run), _as_decided(options, base.run)
+    runs: list[RunManifest] = []
+    for looseness in _LOOSENESS:
+        steps = _steps(scene, lights, levels, options.seed)
+        errors = {one.light.sources: looseness * allowed / _slack(one) for one in steps}
+        instants = _Instants(decided, folder / f"{looseness:g}", how, errors, render_still)
+        made = _refined(scene, levels, instants, _STEP_SHARE * tolerance, check)
+        certificate = _certificate(made, instants, sensor)
+        levels = made.levels
+        runs += [rendered.run for rendered, _ in instants.made.values()]
+        if certificate.rms_gray_upper95 <= tolerance:
             break
+    rays = base.run.rays + sum(run.rays for run in runs)
+    return Moving(base, made.exposure, certificate, len(instants.made), rays, tuple(runs))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Composed:
+    """An image of instants.
+
+    Attributes
+    ----------
+    levels : list
+        How finely each light's time is parted.
+    steps : list of Steps
+        The instants.
+    exposure : ndarray, shape (rows, columns)
+        Radiant exposure [J m^-2].
+    motion : float
+        What the time between the instants may add, rms [gray level].
+    """
+
+    levels: list[int | None]
+    steps: list[Steps]
+    exposure: Array
+    motion: float
+
+
+def _refined(
+    scene: Scene, levels: list[int | None], instants: _Instants, allowed: float, check: Callable[[], None]
+) -> _Composed:
+    """The image of so many instants that the time between them may add no more than is allowed [gray level]."""
+    sensor = scene.camera.sensor
+    while True:
+        steps = _steps(scene, lights_of(scene), levels, instants.options.seed)
+        fine, coarse = _composed(steps, instants, check)
+        square = float(np.mean((gray_levels(fine, sensor) - gray_levels(coarse, sensor)) ** 2))
+        if sensor.gamma == 1:  # else it is not known what the noise makes of gray levels; it is counted elsewhere
+            square -= (sensor.gain * _noise_of_difference(steps, instants)) ** 2
+        motion = math.sqrt(max(square, 0.0))
+        highest = max((level for level in levels if level is not None), default=_MOST_LEVEL)
+        if motion <= allowed or highest >= _MOST_LEVEL:
+            return _Composed(levels, steps, fine, motion)
         levels = [None if level is None else level + 1 for level in levels]
-        steps = _steps(scene, lights, [level or 0 for level in levels], options.seed)
-    certificate = _certificate(steps, instants, fine, sensor, error)
-    runs = tuple(rendered.run for rendered, _ in instants.made.values())
-    return Moving(base, fine, certificate, len(runs), base.run.rays + sum(run.rays for run in runs), runs)
+
+
+def _noise_of_difference(steps: list[Steps], instants: _Instants) -> float:
+    """What noise of rays makes of the difference between all instants and every second one, rms [J m^-2]."""
+    squares = []
+    for number, one in _counted(steps):
+        rendered, _ = instants.at(one, number)
+        weights = one.weights[:, number] - one.without_every_second[:, number]
+        noise = rendered.error.discretisation_rms_gray / rendered.scene.camera.sensor.gain
+        squares.append(float(np.mean(weights**2)) * noise**2)
+    return math.sqrt(math.fsum(squares))
 
 
 def _decided(scene: Scene, base: RunManifest) -> Scene:
@@ -214,8 +263,8 @@ def _key_of_motion(scene: Scene) -> str:
     return f"targets[{number}].{'velocity' if any(scene.motions[target.name].velocity) else 'angular_velocity'}"
 
 
-def _steps(scene: Scene, lights: tuple[Light, ...], levels: list[int], seed: int) -> list[Steps]:
-    return [steps_of(scene, light, level, seed) for light, level in zip(lights, levels, strict=True)]
+def _steps(scene: Scene, lights: tuple[Light, ...], levels: list[int | None], seed: int) -> list[Steps]:
+    return [steps_of(scene, light, level or 0, seed) for light, level in zip(lights, levels, strict=True)]
 
 
 def _strip(first: int, last: int, rows: int) -> tuple[int, int]:
@@ -307,9 +356,10 @@ def _error_of(steps: Steps, instants: _Instants) -> _LightError:
     return _LightError(middle, bound, math.sqrt(math.fsum(noise)), pixels, rays)
 
 
-def _certificate(steps: list[Steps], instants: _Instants, exposure: Array, sensor: Sensor, error: float) -> Certificate:
+def _certificate(made: _Composed, instants: _Instants, sensor: Sensor) -> Certificate:
     """How far gray levels may be off: what lights have in common adds up, their noise is independent."""
-    lights = [_error_of(one, instants) for one in steps]
+    exposure, error = made.exposure, made.motion
+    lights = [_error_of(one, instants) for one in made.steps]
     noise = math.hypot(*(light.noise for light in lights))
     common, upper = (math.fsum(getattr(light, name) for light in lights) for name in ("common", "upper"))
     middle, bound = (gray_bound(math.hypot(part, noise), exposure, sensor) for part in (common, upper))
@@ -322,5 +372,5 @@ def _certificate(steps: list[Steps], instants: _Instants, exposure: Array, senso
         certificate_pixels=sum(light.pixels for light in lights),
         certificate_rays=sum(light.rays for light in lights),
         method="instants",
-        motion_gray=error if any(len(one.times) > 1 for one in steps) else None,
+        motion_gray=error if any(len(one.times) > 1 for one in made.steps) else None,
     )

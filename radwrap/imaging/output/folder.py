@@ -25,7 +25,7 @@ from radwrap.scene.mosaic import COLOURS, Colour
 # Folder of a mosaic's colours: the run of each, as of a monochrome camera behind its filter.
 PLANES: Final = "planes"
 # Folder of a moving scene's renders while they are made.
-INSTANTS: Final = "instants"
+INSTANTS: Final = ".instants"
 # What every run leaves, and what some do.
 ALWAYS: Final = (EXPOSURE, GRAY, MANIFEST)
 _SOMETIMES: Final = (PREVIEW, UNROUNDED, SIGMA, DEPTH, PARTS, TRUTH, REPLICATES, COLOUR, *photo_realistic.FILES)
@@ -64,6 +64,7 @@ def _remove_old(folder: Path) -> None:
     """From here on an old manifest no longer fits the files, and what only an older run wrote fits nothing."""
     if (folder / BASIS).exists():
         remove_pieces(folder / FOLDER)
+    shutil.rmtree(folder / INSTANTS, ignore_errors=True)
     for name in (MANIFEST, BASIS, *_SOMETIMES, *frames_in(folder)):
         (folder / name).unlink(missing_ok=True)
 

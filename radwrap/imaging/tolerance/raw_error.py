@@ -41,7 +41,8 @@ def error_of_all(
         return None if all(value is None for value in values) else [value or 0.0 for value in values]
 
     known = [error.p99_gray_upper95 for error in bounds if error.p99_gray_upper95 is not None]
-    bands, waves, traced = where_any("bands_gray"), where_any("diffraction_gray"), list(own)
+    bands, waves, motion = (where_any(name) for name in ("bands_gray", "diffraction_gray", "motion_gray"))
+    traced = list(own)
     return Certificate(
         rms_gray=rms([error.rms_gray for error in bounds]),
         rms_gray_upper95=rms([error.rms_gray_upper95 for error in bounds]),
@@ -53,6 +54,7 @@ def error_of_all(
         method=", ".join(sorted({error.method for error in traced})),
         bands_gray=None if bands is None else max(bands),
         diffraction_gray=None if waves is None else rms(waves),
+        motion_gray=None if motion is None else rms(motion),
     )
 
 

@@ -1,0 +1,59 @@
+"""The belt of rad_scenes: what the commands say of motion, and who refuses it by name."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import here
+
+BELT = Path(__file__).parents[2] / "rad_scenes" / "moving_belt" / "scene.toml"
+
+
+def test_explain_says_how_fast_the_belt_may_run(capsys: pytest.CaptureFixture[str]) -> None:
+    lines = here(["explain", BELT, "--no-rays"], capsys).success().stdout.splitlines()
+    assert any(
+        line.startswith("belt: half a pixel of smear at ") and "light comes in for 2 ms" in line for line in lines
+    )
+    assert any(line.startswith("key: it moves by ") for line in lines)
+    dark = ["--set", 'sources[1].strobe={ delay = "1.5 ms", width = "0.3 ms" }']
+    found = json.loads(here(["explain", BELT, "--no-rays", "--json", *dark], capsys).success().stdout)
+    belt = next(one for one in found["motion"] if one["target"] == "belt")
+    assert belt["light_time"] == pytest.approx(0.3e-3)
+    # 20.7 um behind 16 mm focused at 300 mm: 0.3675 mm on the belt.
+    assert belt["half_pixel_speed"] == pytest.approx(0.3675e-3 / 2 / 0.3e-3, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("words", "what"),
+    [
+        (["render", BELT, "--basis", "--out"], "basis"),
+        (["render", BELT, "--dry-run", "--out"], "--dry-run"),
+        (["render", BELT, "--photo-realistic", "point", "--out"], "--photo-realistic"),
+        (["trade", BELT, "--out"], "a trade"),
+        (["face", BELT, "--no-browser", "--out"], "the page"),
+    ],
+)
+def test_what_knows_one_instant_is_refused(
+    words: list[str], what: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = here([*words, tmp_path / "out"], capsys).refusal(2)
+    assert what in told and "camera.sensor.shutter" in told
+
+
+def test_convert_says_that_files_know_one_instant(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    told = here(["convert", BELT, tmp_path / "belt.rad"], capsys).success()
+    assert "targets[2].velocity: files know one instant" in told.stderr
+
+
+def test_a_dataset_of_what_moves_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "parts"
+    shutil.copytree(BELT.parents[1] / "dataset_parts", folder)
+    text = (folder / "scene.toml").read_text()
+    sensor = '[camera.sensor]\nshutter = "rolling"\nline_time = "10 us"'
+    (folder / "scene.toml").write_text(text.replace("[camera.sensor]", sensor, 1))
+    told = here(["dataset", "run", folder / "dataset.toml", "--out", tmp_path / "out"], capsys).refusal(2)
+    assert "camera.sensor.shutter" in told and "a dataset knows one instant" in told
