@@ -181,6 +181,12 @@ def _summarise(arguments: argparse.Namespace, made: RunManifest, drawn: Mapping[
         f"{error.rms_gray_upper95:.2g} (95 %), by {error.method}{_beside(made)}; method {made.method}, "
         f"{made.rays:.3g} rays"
     )
+    if made.in_time is not None:
+        instants = "one instant" if made.in_time.instants == 1 else f"{made.in_time.instants} instants"
+        print(
+            f"motion, strobes and shutter: {instants}; all at once and at rest the image would differ by "
+            f"{made.in_time.about_rms_gray:.2g} gray rms"
+        )
     if made.mosaic is not None:
         colours = made.mosaic.colours.items()
         told = ", ".join(f"{colour} below {plane.error.rms_gray_upper95:.2g}" for colour, plane in colours)

@@ -67,9 +67,10 @@ def lights_of(scene: Scene) -> tuple[Light, ...]:
             last = closed if strobe.period is not None else min(closed, strobe.delay + strobe.width)
         found.append(Light(names, strobe, first, last))
     if not found:
+        pulsed = next(number for number, source in enumerate(scene.sources) if source.name in scene.strobes)
         raise InputError(
             "no pulse meets the exposure of any row, so that the image would be dark",
-            where=f"{scene.origin}: sources[0].strobe",
+            where=f"{scene.origin}: sources[{pulsed}].strobe",
             remedy=f"rows are exposed from {opened * 1e3:.4g} to {closed * 1e3:.4g} ms: change delay",
         )
     return tuple(found)

@@ -289,7 +289,10 @@ def test_light_that_misses_the_exposure_is_an_error() -> None:
     tables = document(velocity=velocity(0.6))
     for source in tables["sources"]:
         source["strobe"] = {"delay": "20 ms", "width": "1 ms"}
-    with pytest.raises(InputError, match=r"no pulse meets the exposure.*0 to 10 ms"):
+    with pytest.raises(InputError, match=r"sources\[0\].strobe: no pulse meets the exposure.*0 to 10 ms"):
+        rendered(tables, 1.0)
+    del tables["targets"][0]["velocity"]
+    with pytest.raises(InputError, match="no pulse meets the exposure"):
         rendered(tables, 1.0)
 
 

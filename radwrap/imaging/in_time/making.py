@@ -28,6 +28,7 @@ from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.rendered import Rendered
 from radwrap.imaging.response.noise import linear_of
 from radwrap.imaging.response.sensor import gray_levels
+from radwrap.imaging.time_steps import lights_of
 from radwrap.imaging.tolerance.certificate import Certificate
 from radwrap.imaging.tolerance.uncertainty import UncertaintySummary, uncertainty
 from radwrap.manifest import plain, sha256_of_value
@@ -95,6 +96,7 @@ def refuse_for_time(scene: Scene, options: RenderOptions) -> None:
         raise InputError(
             f"is 0, and {keys[0]} needs a time", where=f"{scene.origin}: camera.exposure_time", remedy="set it"
         )
+    lights_of(scene)  # raises where it is dark
     if options.frames:
         linear_of(scene.camera.sensor)
 
