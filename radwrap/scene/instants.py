@@ -51,7 +51,8 @@ def held(scene: Scene) -> Scene:
 
 def pose_time(scene: Scene) -> float:
     """When the poses of the scene file hold [s]: at the middle of the frame's first exposure."""
-    return scene.camera.exposure_time / 2
+    start, _ = windows_of(scene)
+    return float(start.min()) + scene.camera.exposure_time / 2
 
 
 def at_time(scene: Scene, time: float) -> Scene:

@@ -1,6 +1,6 @@
 """When the rows of a sensor are exposed, and when a pulsed source shines.
 
-Time 0 is the start of the first exposure of the frame: that of row 0, or of the last row where the read-out goes up.
+Time 0 is the start of row 0. Where a rolling read-out goes up, the other rows are exposed before that.
 """
 
 from __future__ import annotations
@@ -60,9 +60,10 @@ def row_windows(shutter: Shutter | None, rows: int, exposure_time: float) -> tup
     if shutter is None:
         return start, end
     later = np.arange(rows) * shutter.line_time
-    if shutter.readout == "up":
-        later = later[::-1]
-    return (start + later if shutter.kind == "rolling" else start), end + later
+    if shutter.kind == "rolling":
+        later = -later if shutter.readout == "up" else later
+        return start + later, end + later
+    return start, end + (later[::-1] if shutter.readout == "up" else later)
 
 
 def lit_moments(strobe: Strobe | None, time: Array) -> tuple[Array, Array]:

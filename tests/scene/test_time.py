@@ -29,7 +29,16 @@ def test_a_rolling_shutter_exposes_each_row_as_long_and_a_line_time_later() -> N
     assert start.tolist() == pytest.approx([0, 2e-5, 4e-5, 6e-5])
     assert (end - start).tolist() == pytest.approx([1e-3] * 4)
     up, _ = row_windows(Shutter("rolling", 2e-5, "up"), 4, 1e-3)
-    assert up.tolist() == start[::-1].tolist()
+    assert up.tolist() == (-start).tolist()  # row 0 begins at time 0 and comes last
+
+
+def test_poses_hold_at_the_middle_of_the_first_exposure_of_the_frame() -> None:
+    changes = {"camera.sensor.shutter": "rolling", "camera.sensor.line_time": "20 us", "camera.exposure_time": "1 ms"}
+    scene = radwrap.load_scene(BOARD, changes)
+    assert pose_time(scene) == pytest.approx(0.5e-3)
+    up = radwrap.load_scene(BOARD, {**changes, "camera.sensor.readout": "up"})
+    rows = up.camera.sensor.rows
+    assert pose_time(up) == pytest.approx(0.5e-3 - (rows - 1) * 20e-6)  # of the last row
 
 
 def test_after_a_global_reset_each_row_is_exposed_a_line_time_longer() -> None:

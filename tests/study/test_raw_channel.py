@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from copy import deepcopy
 from pathlib import Path
 from typing import Any, Final
@@ -43,7 +44,8 @@ analysis = "none"
 [render]
 {render}
 [design]
-kind = "full"
+kind = "list"
+runs = [["10 ms"]]
 [factors.t]
 key = "camera.exposure_time"
 levels = ["5 ms", "10 ms"]
@@ -75,33 +77,44 @@ def carried_out(path: Path) -> Study:
     return run_study(read_design(path), path.parent / "out", StudyOptions(workers=1, tracer="radiance"))
 
 
-@pytest.mark.parametrize("colour", ["red", None])
-def test_it_is_measured_as_in_the_raw_image_of_a_render(tmp_path: Path, colour: Colour | None) -> None:
-    """Without noise of rays the raw render has the same pixels, and so is what is measured; green if none is named."""
-    rows = carried_out(written(tmp_path, colour)).rows
-    for row, time in zip(rows, ("5 ms", "10 ms"), strict=True):
-        scene = radwrap.load_scene(tmp_path / "scene.toml", {"camera.exposure_time": time})
-        raw = radwrap.render(scene, method="pinhole", seed=0, tracer="radiance").gray
-        seen = colour_image(raw, "GRBG", colour or "green")
-        assert float(row["mean"]) == pytest.approx(seen.values.mean(), rel=1e-9)
-        edge = measure_edge(seen, dark=100, gamma=1)
-        assert float(row["u [px]"]) == pytest.approx(edge.offset, abs=1e-6)
-        assert row["error"] == "" and float(row["mean_error"]) > 0 and float(row["again_repeatability"]) > 0
-    assert json.loads((tmp_path / "out" / "study.json").read_text())["channel"] == {
-        "pattern": "GRBG",
-        "colour": colour or "green",
-    }
+@pytest.fixture(scope="module")
+def red(tmp_path_factory: pytest.TempPathFactory) -> Study:
+    """A study of the red pixels."""
+    return carried_out(written(tmp_path_factory.mktemp("red"), "red"))
 
 
-def test_frames_are_raw_too(tmp_path: Path) -> None:
+def is_measured_in_the_raw_image(study: Study, colour: Colour) -> None:
+    (row,) = study.rows
+    scene = radwrap.load_scene(study.folder.parent / "scene.toml", {"camera.exposure_time": "10 ms"})
+    raw = radwrap.render(scene, method="pinhole", seed=0, tracer="radiance").gray
+    seen = colour_image(raw, "GRBG", colour)
+    assert float(row["mean"]) == pytest.approx(seen.values.mean(), rel=1e-9)
+    edge = measure_edge(seen, dark=100, gamma=1)
+    assert float(row["u [px]"]) == pytest.approx(edge.offset, abs=1e-6)
+    assert row["error"] == "" and float(row["mean_error"]) > 0 and float(row["again_repeatability"]) > 0
+    told = json.loads((study.folder / "study.json").read_text())
+    assert told["channel"] == {"pattern": "GRBG", "colour": colour}
+
+
+def test_it_is_measured_as_in_the_raw_image_of_a_render(red: Study) -> None:
+    """Without noise of rays the raw render has the same pixels, and so is what is measured."""
+    is_measured_in_the_raw_image(red, "red")
+
+
+@pytest.mark.long
+def test_green_is_measured_where_no_colour_is_named(tmp_path: Path) -> None:
+    is_measured_in_the_raw_image(carried_out(written(tmp_path)), "green")
+
+
+def test_frames_are_raw_too(red: Study) -> None:
     """A quarter of the pixels is red, and the mean over all scatters as theirs does: twice as much as of all pixels."""
-    study = carried_out(written(tmp_path, "red"))
-    scene = radwrap.load_scene(tmp_path / "scene.toml", {"camera.sensor.mosaic": "red"})
+    changes = {"camera.sensor.mosaic": "red", "camera.exposure_time": "10 ms"}
+    scene = radwrap.load_scene(red.folder.parent / "scene.toml", changes)
     image = radwrap.render(scene, method="pinhole", seed=0, tracer="radiance")
     pixels = scene.camera.sensor.pixels
     variances = image.electrons.mean() * 0.001**2 + (50 * 0.001) ** 2 + 1 / 12
     quarter = float(np.sqrt(variances / (pixels / 4)))
-    found = float(study.rows[0]["again_repeatability"])
+    found = float(red.rows[0]["again_repeatability"])
     # Of 24 frames: a chi-square with 23 degrees of freedom, from 1/1000 to 999/1000.
     assert 0.57 * quarter < found < 1.47 * quarter
 
@@ -144,8 +157,8 @@ def test_a_mosaic_cannot_be_a_level(tmp_path: Path) -> None:
         carried_out(path)
 
 
-def test_another_colour_is_another_study(tmp_path: Path) -> None:
-    study = carried_out(written(tmp_path, "red"))
-    assert len(read_table(study.folder / "results.csv").rows) == 2
+def test_another_colour_is_another_study(red: Study, tmp_path: Path) -> None:
+    assert len(read_table(red.folder / "results.csv").rows) == 1
+    shutil.copytree(red.folder, tmp_path / "out")
     with pytest.raises(InputError, match="holds another study"):
         carried_out(written(tmp_path, "blue"))

@@ -27,7 +27,7 @@ from radwrap.imaging.time_steps import Light, Steps, level_for, lights_of, steps
 from radwrap.imaging.tolerance.certificate import Certificate
 from radwrap.manifest import sha256_of_value
 from radwrap.scene.camera import Camera, Diffraction, Sensor
-from radwrap.scene.instants import at_time, held, lit_by, row_levels
+from radwrap.scene.instants import at_time, held, lit_by, pose_time, row_levels
 from radwrap.scene.look.image_speed import image_speeds
 from radwrap.scene.scene import Scene
 from radwrap.scene.sensor_part import cropped
@@ -240,7 +240,7 @@ def _tracer_of_many(scene: Scene, asked: TracerName) -> TracerName:
 
 
 def _middle(scene: Scene) -> Scene:
-    return at_time(scene, scene.camera.exposure_time / 2)
+    return at_time(scene, pose_time(scene))
 
 
 def _levels(scene: Scene, lights: tuple[Light, ...]) -> list[int | None]:
