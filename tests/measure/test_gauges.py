@@ -352,6 +352,29 @@ def test_a_chamfer_is_warned_of() -> None:
     assert any("chamfer" in text for text in found.warnings)
 
 
+@pytest.mark.parametrize(
+    ("kind", "warned"),
+    [("a clipped side", True), ("a bright line beside it", True), ("a Gaussian blur", False), ("a disc's blur", False)],
+)
+def test_what_is_alike_on_both_sides_of_a_rim_is_warned_of(kind: str, warned: bool) -> None:
+    """Neither is a step with a symmetric blur, and both move the line; a symmetric blur, whatever it is, does not."""
+    angle = 0.3
+    light = edge_picture(SHAPE, angle, 37.3, 3.0, (40.0, 170.0))
+    v, u = np.indices(SHAPE, dtype=np.float64)
+    across = u * math.cos(angle) + v * math.sin(angle) - 37.3
+    if kind == "a clipped side":
+        light = np.minimum(light, 130.0)
+    elif kind == "a bright line beside it":
+        light = light + 40 * np.exp(-0.5 * ((across - 6) / 1.5) ** 2)
+    elif kind == "a Gaussian blur":
+        light = 40 + 130 * ndtr(across / 1.5)
+    found = measure_line(
+        GrayImage(noisy(light, np.random.default_rng(4)), 8), StraightCaliper((30.0, 31.0), angle, 50.0, 13.0)
+    )
+    alike = [text for text in found.warnings if "differs" in text]
+    assert bool(alike) == warned, found.warnings
+
+
 def test_the_rendering_error_is_carried_through_the_gauge() -> None:
     """No pattern of +-1 gray moves the diameter by more than is told, and the worst pattern by nearly as much."""
     light = ring(14.0, 1.0)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from radwrap.errors import InputError
 from radwrap.measure.background import QUANTISATION
 from radwrap.measure.edges.correlation import variance_factor
+from radwrap.measure.edges.misfit import misfit_of
 from radwrap.measure.gauges.response import Light
 from radwrap.measure.gauges.rims import Rim, Shape
 from radwrap.measure.gauges.strip import NARROWEST, ROUGH, State, Strip, jacobian_of, nearest_of, solved, terms_of
@@ -44,6 +45,8 @@ LEAST_CONTOUR: Final = 0.4  # of it must be seen as the model has it
 _MISFIT_SIGMA: Final = 5.0  # so far above what noise makes of the blocks' places the contour is of another shape
 MISFIT: Final = 0.02  # px; a departure from the shape that is less is no matter
 _PROFILE: Final = 0.025  # of the contrast, rms, by which the profile may differ from that of one blurred step
+_EVEN: Final = 0.004  # of the contrast, likewise of what is left on both sides alike
+_BESIDE: Final = 3.0  # px beside the blur and its tails where that is looked for
 _BIN: Final = 0.5  # px across the contour
 _SMALL: Final = 1 << 16  # pixels of an image that are all looked at
 _CELL: Final = 16  # px
@@ -337,7 +340,7 @@ def _told(shape: Shape, light: Light, strip: Strip, state: State, left_out: floa
         pixels=strip.light.size,
         left_out=left_out,
         misfit=misfit,
-        warnings=tuple(_warnings(strip, state, misfit if significant else 0.0)),
+        warnings=tuple(_warnings(strip, state, misfit if significant else 0.0, rounded=is_whole(light))),
     )
 
 
@@ -391,6 +394,23 @@ def _profile(strip: Strip, state: State) -> float:
     return math.sqrt(max(float(np.mean(mean**2 - variance)), 0.0))
 
 
+def _even_misfit(strip: Strip, state: State, *, rounded: bool) -> float:
+    """What the fit leaves alike on both sides of a rim, rms beyond noise over the contrast; the largest of the rims.
+
+    No symmetric blur does, whatever it is; a second edge beside the rim, a fringe and a clipped side do, and move it.
+    """
+    low, high = _levels(strip, state)
+    slope = float(np.median(strip.slope))
+    left = state.residual / strip.weight * strip.slope  # gray, as rounding is
+    found = []
+    for number, rim in enumerate(state.rims):
+        here = state.nearest == number
+        reach = 2 * state.blur + _BESIDE
+        contrast = max(abs(high - low), 1e-300) * slope
+        found.append(misfit_of(rim.distance[here], left[here], reach, contrast, rounded=rounded)[1])
+    return max(found)
+
+
 def _by_shift(shape: Shape, strip: Strip, state: State) -> Array:
     """Derivative of the model by a shift of the nearest rim to its dark side."""
     step = 1e-3
@@ -402,7 +422,7 @@ def _by_shift(shape: Shape, strip: Strip, state: State) -> Array:
     return np.choose(state.nearest, [(terms.matrix @ state.levels - state.fitted) / step for terms in there])
 
 
-def _warnings(strip: Strip, state: State, misfit: float) -> Iterator[str]:
+def _warnings(strip: Strip, state: State, misfit: float, *, rounded: bool) -> Iterator[str]:
     low, high = _levels(strip, state)
     contrast = max(abs(high - low), 1e-300)
     off = _profile(strip, state) / contrast
@@ -410,6 +430,11 @@ def _warnings(strip: Strip, state: State, misfit: float) -> Iterator[str]:
         yield (
             f"across the contour light differs by {off:.1%} of the contrast from one blurred step: a chamfer, a "
             "shadow or the side of a thick part may lie there"
+        )
+    elif (even := _even_misfit(strip, state, rounded=rounded)) > _EVEN:
+        yield (
+            f"on both sides of the contour light differs alike, by {even:.1%} of the contrast, from one step with any "
+            "symmetric blur: a second edge, a fringe or a clipped side moves the contour by more than is stated"
         )
     if misfit > MISFIT:
         yield f"the contour departs from the shape by {misfit:.2g} px rms beyond noise: it is of another one"
