@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
+from typing import Any
 
 from radwrap.errors import InputError
 from radwrap.images import GrayImage, read_gray
@@ -64,6 +65,15 @@ def pattern_of(path: Path, arguments: argparse.Namespace, scene: Scene | None = 
         If they contradict each other, or a channel is asked for of an image without mosaic.
     """
     told, known, by = arguments.mosaic, known_pattern(path), f"the manifest beside {path}"
+    if is_monochrome(path):
+        for option in ("mosaic", "channel"):
+            if getattr(arguments, option) is not None:
+                raise InputError(
+                    f"is of a raw mosaic, and {by} says that all pixels have one filter",
+                    where=f"--{option}",
+                    remedy="leave it out",
+                )
+        return None
     if known is None and scene is not None and scene.camera.sensor.mosaic is not None:
         known, by = scene.camera.sensor.mosaic.pattern, "the scene"
     if told is not None and known is not None and told != known:
@@ -78,14 +88,25 @@ def pattern_of(path: Path, arguments: argparse.Namespace, scene: Scene | None = 
 
 def known_pattern(path: Path) -> Pattern | None:
     """The mosaic of an image, where the manifest of its render lies beside it."""
+    made = (_told_of(path) or {}).get("mosaic")
+    if not isinstance(made, dict):
+        return None
+    return next((pattern for pattern in PATTERNS if pattern == made.get("pattern")), None)
+
+
+def is_monochrome(path: Path) -> bool:
+    """Whether an image is that of a render without a mosaic, whose manifest lies beside it."""
+    told = _told_of(path)
+    return told is not None and "mosaic" not in told
+
+
+def _told_of(path: Path) -> dict[str, Any] | None:
+    """The manifest beside an image, where it is of the run that made it."""
     manifest = path.parent / MANIFEST
     if not manifest.is_file():
         return None
     told = read_manifest(manifest)
-    made = told.get("mosaic")
-    if not isinstance(made, dict) or path.name not in told.get("files", {}):
-        return None
-    return next((pattern for pattern in PATTERNS if pattern == made.get("pattern")), None)
+    return told if path.name in told.get("files", {}) else None
 
 
 def one_colour(path: Path) -> GrayImage:

@@ -12,6 +12,7 @@ from typing import Any
 
 from radwrap.cli import options as shared
 from radwrap.errors import InputError, ToleranceNotMet
+from radwrap.extras import require
 from radwrap.imaging.forecast.cost import duration
 from radwrap.imaging.forecast.photo_realistic import check_drawable, write_beside
 from radwrap.imaging.forecasting import forecast
@@ -134,8 +135,10 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.dry_run:
         return _dry_run(scene, options, as_json=arguments.json)
     mosaic = scene.camera.sensor.mosaic
-    if arguments.demosaic and mosaic is None:
-        raise InputError("needs a colour camera, and the scene has no camera.sensor.mosaic", where="--demosaic")
+    if arguments.demosaic:
+        if mosaic is None:
+            raise InputError("needs a colour camera, and all pixels of the scene's have one filter", where="--demosaic")
+        require("measure", "--demosaic")
     if arguments.photo_realistic:
         refuse_mosaic(scene, "--photo-realistic")
         refuse_time(scene, "--photo-realistic")

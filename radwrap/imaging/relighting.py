@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.imaging.other_camera import SceneText, basis_in_other_camera
+from radwrap.imaging.output.folder import PLANES
 from radwrap.imaging.output.run_manifest import MANIFEST, RunManifest, read_run_manifest
 from radwrap.imaging.raw_relighting import RawBasis, raw_basis_in_other_camera, raw_relit, read_raw_basis
 from radwrap.imaging.relight.levels import levels_of
@@ -105,6 +106,10 @@ def basis_of(folder: Path, changes: Mapping[str, Any] = _NOTHING, scene_folder: 
     if run is not None and run.mosaic is not None:
         raw = read_raw_basis(folder, run)
         return raw_basis_in_other_camera(raw, folder, changes, scene_folder) if changes else raw
+    if run is None and (folder / PLANES).is_dir():
+        raise InputError(
+            "holds colours of an unfinished render", where=str(folder), remedy="render again with the same command"
+        )
     basis = read_basis(folder)
     return basis_in_other_camera(basis, scene_text_of(folder, basis, scene_folder), changes) if changes else basis
 

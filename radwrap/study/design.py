@@ -101,6 +101,7 @@ def read_design(path: Path) -> Design:
     responses = read_responses(told.responses, path.parent, f"{origin}: responses")
     factors = _factors(told.factors, told.design.kind, f"{origin}: factors")
     _check_names(factors, responses, origin)
+    _check_filters(factors, channel, origin)
     render_options(told.render.given(), f"{origin}: render")
     return Design(
         title=told.title or path.stem,
@@ -122,15 +123,26 @@ def read_design(path: Path) -> Design:
     )
 
 
+def _check_filters(factors: tuple[Factor, ...], channel: RawChannel | None, origin: str) -> None:
+    """Refuse to vary which filters the pixels of a raw image have."""
+    for factor in factors:
+        if channel is not None and any(key.startswith("camera.sensor.mosaic") for key in factor.keys):
+            raise InputError(
+                "varies the mosaic, of which the study measures one colour",
+                where=f"{origin}: factors.{factor.name}",
+                remedy="run one study for each colour",
+            )
+
+
 def _of_one_colour(scene: Scene, colour: Colour | None, origin: str) -> tuple[Scene, RawChannel | None]:
     """The scene with one filter on all pixels, as its pixels of that colour see it, and which these are."""
     mosaic = scene.camera.sensor.mosaic
     if mosaic is None:
         if colour is not None:
             raise InputError(
-                "is a colour of a raw mosaic, and the scene's sensor has none",
+                "is a colour of a raw mosaic, and all pixels of the scene's sensor have one filter",
                 where=f"{origin}: channel",
-                remedy="leave it out, or set camera.sensor.mosaic",
+                remedy='leave it out, or set camera.sensor.mosaic to a pattern such as "RGGB"',
             )
         return scene, None
     channel = RawChannel(mosaic.pattern, colour or USUAL_COLOUR)

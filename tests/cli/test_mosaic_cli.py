@@ -115,6 +115,17 @@ def test_explain_looks_at_the_colour_with_most_light_or_the_one_that_is_asked_fo
     assert wrong.returncode == 2 and "--channel: is a colour of a raw mosaic" in wrong.stderr
 
 
+def test_the_plane_of_a_colour_is_not_measured_as_a_mosaic(chart: Path) -> None:
+    """Its manifest says that all pixels have one filter, whatever the scene's file says."""
+    plane = chart / "planes" / "red" / "gray.png"
+    words = ("measure", "parts", plane)
+    found = radwrap(*words, "--json")
+    assert found.returncode == 0 and "raw mosaic" not in found.stderr
+    for option in (("--mosaic", "RGGB"), ("--channel", "red")):
+        wrong = radwrap(*words, *option)
+        assert wrong.returncode == 2 and f"{option[0]}: is of a raw mosaic" in wrong.stderr, wrong.stderr
+
+
 def test_demosaic_needs_a_mosaic(tmp_path: Path) -> None:
     scene = (CHART / "scene.toml", "--set", "camera.sensor.mosaic=green")
     done = radwrap("render", *scene, "--out", tmp_path / "out", "--demosaic")

@@ -15,6 +15,7 @@ from radwrap.errors import InputError
 from radwrap.frames import Pose, apply_rotation, rotation_about
 from radwrap.manifest import sha256_of_value
 from radwrap.scene.instants import at_time, held, keys_of_time, pose_time, refuse_time, row_levels
+from radwrap.scene.look.checks import warnings_of
 from radwrap.scene.motion import Motion, moved, rotation_by
 from radwrap.scene.shutter import Shutter, Strobe, lit_time, row_windows, shares_of_times
 from radwrap.scene.targets import Sheet
@@ -201,3 +202,10 @@ def test_what_knows_one_instant_refuses_by_key() -> None:
     with pytest.raises(InputError, match=r"targets\[0\].velocity.*a trade knows one instant.*leave the key out"):
         refuse_time(scene, "a trade")
     refuse_time(held(scene), "a trade")
+
+
+def test_a_source_whose_pulses_come_too_late_is_warned_of() -> None:
+    belt = Path(__file__).parents[2] / "rad_scenes" / "moving_belt" / "scene.toml"
+    assert not [text for text in warnings_of(radwrap.load_scene(belt)) if "pulses" in text]
+    late = radwrap.load_scene(belt, {"sources[0].strobe.delay": "20 ms"})
+    assert [text for text in warnings_of(late) if '"flash" is dark in the image' in text]

@@ -33,6 +33,7 @@ from radwrap.imaging.tolerance.certificate import Certificate
 from radwrap.imaging.tolerance.uncertainty import UncertaintySummary, uncertainty
 from radwrap.manifest import plain, sha256_of_value
 from radwrap.scene.instants import held, is_even, keys_of_time, lit_by, row_levels
+from radwrap.scene.look.checks import warnings_of
 from radwrap.scene.scene import Scene
 from radwrap.scene.tolerances import Tolerances
 
@@ -206,6 +207,7 @@ def _manifest(scene: Scene, options: RenderOptions, found: _Found, images: Image
         components=components_used(scene),
         camera=plain(scene.camera),
         scene=scene.document,
+        warnings=tuple(dict.fromkeys((*base.warnings, *warnings_of(scene)))),
         radiant_exposure=images.radiant_exposure,
         gray=images.gray,
         saturated_fraction=images.saturated_fraction,

@@ -127,7 +127,8 @@ class PixelsModel(Model):
         if self.pattern is not None and self.binned_pixels > 1:
             raise ValueError("scale: pixels of a mosaic have different filters and are not added up; leave it out")
         left, top, right, bottom = self.region
-        if self.pattern is not None and min(right - left, bottom - top) < 1:
+        # Ends before the beginning are the region's own fault, which is found elsewhere.
+        if self.pattern is not None and right >= left and bottom >= top and min(right - left, bottom - top) < 1:
             raise ValueError("mosaic: needs two rows and two columns of pixels at least")
         return self
 

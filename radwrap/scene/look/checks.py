@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from radwrap.errors import InputError
 from radwrap.frames import Vector
 from radwrap.scene.camera import Camera
+from radwrap.scene.instants import row_levels
 from radwrap.scene.look.geometry import SurfacePoints, in_view, signed_distance
 from radwrap.scene.look.intersections import Bounded
 from radwrap.scene.look.planes import check_planes
@@ -286,6 +287,14 @@ def _rim(camera: Camera) -> NDArray[np.float64]:
     return rim
 
 
+def _late_pulses(scene: Scene) -> Iterator[str]:
+    """Sources whose pulses meet the exposure of no row."""
+    if scene.strobes and scene.camera.exposure_time:
+        for name, level in row_levels(scene).items():
+            if name in scene.strobes and not level.any():
+                yield f'"{name}" is dark in the image: none of its pulses meets the exposure of any row (see `strobe`)'
+
+
 def warnings_of(scene: Scene, whole: Collection[str] = ()) -> tuple[str, ...]:
     """What a user should know of a scene that is valid, one line each.
 
@@ -309,6 +318,7 @@ def warnings_of(scene: Scene, whole: Collection[str] = ()) -> tuple[str, ...]:
     found += _half_shadows(scene, whole)
     found += _doubtful_tables(scene)
     found += _other_wavelength(scene)
+    found += _late_pulses(scene)
     return (*found, *small_parts(scene), *small_spots(scene), *sources_in_sight(scene))
 
 
