@@ -76,16 +76,11 @@ class EmulatedPort:
     """
 
     def __init__(self, path: str) -> None:
-        self._where = f"emulator:{path}"
+        self._path, self._where = path, f"emulator:{path}"
         self._guard = threading.Lock()
-        self._owed = False
-        self._connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self._connection.settimeout(_PATIENCE)
-        try:
-            self._connection.connect(path)
-        except OSError as error:
-            self._connection.close()
-            raise PortFailure(f"no emulator answers: {error.strerror or error}", where=self._where) from error
+        self._whole = True  # no exchange was broken off
+        self._closed = False
+        self._connection = self._connected()
 
     def write(self, report: bytes) -> None:
         """Send an output report, its id first (0 where reports have no numbers)."""
@@ -126,17 +121,30 @@ class EmulatedPort:
 
     def close(self) -> None:
         """End the connection."""
+        self._closed = True
         self._connection.close()
+
+    def _connected(self) -> socket.socket:
+        connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        connection.settimeout(_PATIENCE)
+        try:
+            connection.connect(self._path)
+        except OSError as error:
+            connection.close()
+            raise PortFailure(f"no emulator answers: {error.strerror or error}", where=self._where) from error
+        return connection
 
     def _ask(self, kind: bytes, content: bytes = b"") -> bytes:
         with self._guard:
             try:
-                if self._owed:
-                    receive(self._connection)  # to a request within which we were interrupted
-                self._owed = True
+                if not (self._whole or self._closed):
+                    # An interrupt may come anywhere: nobody knows what of that exchange is still to come.
+                    self._connection.close()
+                    self._connection = self._connected()
+                self._whole = False
                 send(self._connection, kind, content)
                 answer = receive(self._connection)
-                self._owed = False
+                self._whole = True
             except OSError as error:
                 raise PortFailure(f"the emulator was lost: {error}", where=self._where) from error
         if answer is None:
