@@ -14,11 +14,11 @@ from radwrap.cli import options as shared
 from radwrap.errors import InputError, ToleranceNotMet
 from radwrap.files import check_result, make_folder, sha256_of, sole_owner
 from radwrap.images import PREVIEW_BITS, preview_codes, write_exr, write_png
-from radwrap.imaging.output.run_manifest import RunManifest, read_run_manifest
+from radwrap.imaging.output.run_manifest import RunManifest
 from radwrap.imaging.raw_relighting import RawBasis
 from radwrap.imaging.relight.levels import Levels, levels_of, read_levels
 from radwrap.imaging.relight.relit import Basis
-from radwrap.imaging.relighting import Shown, basis_of, images_of
+from radwrap.imaging.relighting import Shown, basis_of, images_of, run_in
 from radwrap.manifest import SCHEMA_VERSION, json_text, plain, write_manifest
 
 RESULT: Final = "relight.json"
@@ -106,11 +106,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _run_of(folder: Path, basis: Basis | RawBasis) -> RunManifest | None:
     """The manifest of the run that made a basis, where it still lies beside it: it tells what images lack."""
-    try:
-        run = read_run_manifest(folder)
-    except InputError:
-        return None
-    return run if run.scene_sha256 == basis.scene_sha256 else None
+    run = run_in(folder)
+    return run if run is not None and run.scene_sha256 == basis.scene_sha256 else None
 
 
 def _write(

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.images import ExposureImage, GrayImage
+from radwrap.imaging.output.run_manifest import MANIFEST, read_run_manifest
 from radwrap.imaging.relight.relit import Basis
 from radwrap.imaging.response.sensor import gray_levels, image_of_levels
 from radwrap.imaging.tolerance.certificate import Certificate
@@ -128,6 +129,29 @@ class SceneText:
     def of(cls, scene: Scene) -> SceneText:
         """Of a scene."""
         return cls(scene.document, scene.folder, scene.spectral is not None, scene.origin)
+
+
+def scene_text_of(folder: Path, basis: Basis, scene_folder: Path | None = None) -> SceneText:
+    """The scene of a basis, as the manifest of its run tells it.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the basis.
+    basis : Basis
+        That was read from there.
+    scene_folder : Path, optional
+        Where files lie that its camera names; default the basis' own.
+
+    Raises
+    ------
+    InputError
+        If the manifest is of another run.
+    """
+    run = read_run_manifest(folder)
+    if run.scene_sha256 != basis.scene_sha256:
+        raise InputError("is of another run", where=str(folder / MANIFEST), remedy="make the basis again")
+    return SceneText(run.scene, scene_folder or folder, run.bands is not None)
 
 
 def basis_in_other_camera(basis: Basis, scene: SceneText, changes: Mapping[str, Any]) -> Basis:

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.images import ExposureImage, GrayImage
-from radwrap.imaging.other_camera import SceneText, basis_in_other_camera
+from radwrap.imaging.other_camera import basis_in_other_camera, scene_text_of
 from radwrap.imaging.output.folder import PLANES
-from radwrap.imaging.output.run_manifest import MANIFEST, RunManifest, read_run_manifest
+from radwrap.imaging.output.run_manifest import MANIFEST, RunManifest
 from radwrap.imaging.relight.basis import BASIS
 from radwrap.imaging.relight.relit import Basis, Relit, read_basis, relit
 from radwrap.imaging.relight.relit_uncertainty import relit_uncertainty
@@ -140,9 +140,7 @@ def raw_basis_in_other_camera(
             raise InputError("changes which light a pixel gets", where=key, remedy="render that camera")
     planes = {}
     for colour, one in basis.planes.items():
-        place = folder / PLANES / colour
-        run = read_run_manifest(place)
-        text = SceneText(run.scene, scene_folder or place, run.bands is not None)
+        text = scene_text_of(folder / PLANES / colour, one, scene_folder)
         planes[colour] = basis_in_other_camera(one, text, changes)
     return replace(basis, planes=planes)
 

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
-from radwrap.imaging.other_camera import SceneText, basis_in_other_camera
+from radwrap.imaging.other_camera import basis_in_other_camera, scene_text_of
 from radwrap.imaging.output.folder import PLANES
-from radwrap.imaging.output.run_manifest import MANIFEST, RunManifest, read_run_manifest
+from radwrap.imaging.output.run_manifest import RunManifest, read_run_manifest
 from radwrap.imaging.raw_relighting import RawBasis, raw_basis_in_other_camera, raw_relit, read_raw_basis
 from radwrap.imaging.relight.levels import levels_of
 from radwrap.imaging.relight.relit import Basis, Relit, read_basis, relit
@@ -102,7 +102,7 @@ def basis_of(folder: Path, changes: Mapping[str, Any] = _NOTHING, scene_folder: 
     InputError
         As `relight`.
     """
-    run = _run_in(folder)
+    run = run_in(folder)
     if run is not None and run.mosaic is not None:
         raw = read_raw_basis(folder, run)
         return raw_basis_in_other_camera(raw, folder, changes, scene_folder) if changes else raw
@@ -124,7 +124,7 @@ def images_of(basis: Basis | RawBasis, factors: NDArray[np.float64]) -> Iterator
         yield Shown(image, relit_uncertainty(basis, levels, image), image.keeps(basis), {})
 
 
-def _run_in(folder: Path) -> RunManifest | None:
+def run_in(folder: Path) -> RunManifest | None:
     """The run that left a folder, where its manifest is there and can be read."""
     try:
         return read_run_manifest(folder)
@@ -137,26 +137,3 @@ def _told(name: str, factor: float) -> str:
     if isinstance(factor, bool) or not isinstance(factor, int | float | np.integer | np.floating):
         raise InputError("must be a number", where=f'levels["{name}"]')
     return f"{name}={float(factor)!r}"
-
-
-def scene_text_of(folder: Path, basis: Basis, scene_folder: Path | None = None) -> SceneText:
-    """The scene of a basis, as the manifest of its run tells it.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the basis.
-    basis : Basis
-        That was read from there.
-    scene_folder : Path, optional
-        Where files lie that its camera names; default the basis' own.
-
-    Raises
-    ------
-    InputError
-        If the manifest is of another run.
-    """
-    run = read_run_manifest(folder)
-    if run.scene_sha256 != basis.scene_sha256:
-        raise InputError("is of another run", where=str(folder / MANIFEST), remedy="make the basis again")
-    return SceneText(run.scene, scene_folder or folder, run.bands is not None)

@@ -86,6 +86,14 @@ def row_levels(scene: Scene) -> dict[str, Array]:
     return {source.name: lit_time(scene.strobes.get(source.name), start, end) / time for source in scene.sources}
 
 
+def averaged(scene: Scene) -> Scene:
+    """The scene at the middle of the first exposure, each source with the mean of its levels over the rows."""
+    if not keys_of_time(scene):
+        return scene
+    levels = {name: float(level.mean()) for name, level in row_levels(scene).items()}
+    return lit_by(held(scene), levels)
+
+
 def is_even(levels: Collection[Array]) -> bool:
     """Whether each source's level is the same in all rows."""
     return all(float(np.ptp(level)) == 0.0 for level in levels)

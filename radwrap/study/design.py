@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import Any, Final, Literal, cast
 
 from radwrap.errors import InputError
+from radwrap.imaging.mosaicked import plane_of
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.measure.mosaic import USUAL_COLOUR, Colour, RawChannel
 from radwrap.reading import FileKind, read_toml
 from radwrap.scene.file.faults import validated
 from radwrap.scene.file.keys import with_all_leds
-from radwrap.scene.file.load import load_scene, with_value
+from radwrap.scene.file.load import load_scene
 from radwrap.scene.scene import Scene
 from radwrap.study.design_responses import read_responses
 from radwrap.study.design_tables import DesignModel, FactorModel, RenderModel
@@ -146,7 +147,7 @@ def _of_one_colour(scene: Scene, colour: Colour | None, origin: str) -> tuple[Sc
             )
         return scene, None
     channel = RawChannel(mosaic.pattern, colour or USUAL_COLOUR)
-    return with_value(scene, "camera.sensor.mosaic", channel.colour), channel
+    return plane_of(scene, channel.colour), channel
 
 
 # ---------------------------------------------------------------------------------------------------------- the design

@@ -106,8 +106,8 @@ def test_a_target_turns_about_its_own_origin_while_that_moves() -> None:
 
 @pytest.mark.parametrize("axis", "xyz")
 def test_a_vector_along_an_axis_turns_about_it(axis: str) -> None:
-    turn = tuple(0.7 if axis == name else 0.0 for name in "xyz")
-    assert np.allclose(rotation_by(turn), rotation_about(axis, 0.7), atol=ROUNDING)  # type: ignore[arg-type]
+    x, y, z = (0.7 if axis == name else 0.0 for name in "xyz")
+    assert np.abs(np.subtract(rotation_by((x, y, z)), rotation_about(axis, 0.7))).max() < ROUNDING
 
 
 def test_units_of_speed() -> None:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.imaging.forecast.explain import unsaturated
-from radwrap.imaging.forecast.time_effects import averaged, time_changes
+from radwrap.imaging.forecast.time_effects import time_changes
 from radwrap.imaging.forecast.wave_change import MOST_RAYS, wave_change
 from radwrap.imaging.methods.rays import rays_over
 from radwrap.imaging.optics.diffraction import wavelength_of
@@ -34,6 +34,7 @@ from radwrap.imaging.tracing import LaidOutScene, laid_out, of_channel, with_bou
 from radwrap.manifest import plain
 from radwrap.random_streams import Rendering, generator
 from radwrap.scene.camera import ColourChannel
+from radwrap.scene.instants import averaged
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Emitter, Ring, SingleSource, Source, emitters
 from radwrap.scene.targets import Flat, Solid

@@ -12,7 +12,7 @@ import numpy as np
 from radwrap.errors import InputError
 from radwrap.imaging.forecast.in_sight import ADVISED_SHARE, eight_bits, exposure_for_advice, in_sight, told
 from radwrap.imaging.forecast.preview import Brightest, brightest, spread_look
-from radwrap.imaging.forecast.time_effects import averaged, speeds
+from radwrap.imaging.forecast.time_effects import speeds
 from radwrap.imaging.optics.diffraction import best_opening, diffraction, diffraction_warning, wavelength_of
 from radwrap.imaging.response.exposure import exposure_of_radiance
 from radwrap.imaging.response.sensor import unclipped_gray
@@ -20,6 +20,7 @@ from radwrap.manifest import SCHEMA_VERSION, finite, plain
 from radwrap.scene.bands import scene_bands
 from radwrap.scene.camera import Camera
 from radwrap.scene.file.load import with_camera
+from radwrap.scene.instants import averaged
 from radwrap.scene.look.checks import warnings_of
 from radwrap.scene.look.geometry import project
 from radwrap.scene.look.wide_sources import divided

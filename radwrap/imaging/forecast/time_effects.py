@@ -17,7 +17,7 @@ from radwrap.imaging.tolerance.bounds import Bounded
 from radwrap.imaging.tolerance.certificate import PixelSample, lacks_in_gray, places_of
 from radwrap.imaging.tracing import laid_out
 from radwrap.random_streams import Rendering, generator
-from radwrap.scene.instants import at_time, held, keys_of_time, lit_by, pose_time, row_levels, windows_of
+from radwrap.scene.instants import at_time, lit_by, pose_time, windows_of
 from radwrap.scene.look.image_speed import image_speeds
 from radwrap.scene.scene import Scene
 from radwrap.scene.shutter import lit_time, shares_of_times
@@ -47,14 +47,6 @@ class TimeChange:
     left_out: str
     square: Bounded
     rays: int
-
-
-def averaged(scene: Scene) -> Scene:
-    """The scene at the middle of the first exposure, each source with the mean of its levels over the rows."""
-    if not keys_of_time(scene):
-        return scene
-    levels = {name: float(level.mean()) for name, level in row_levels(scene).items()}
-    return lit_by(held(scene), levels)
 
 
 def time_changes(scene: Scene, options: RenderOptions) -> Iterator[TimeChange]:

@@ -27,7 +27,7 @@ from radwrap.imaging.time_steps import Light, Steps, level_for, lights_of, steps
 from radwrap.imaging.tolerance.certificate import Certificate
 from radwrap.manifest import sha256_of_value
 from radwrap.scene.camera import Camera, Diffraction, Sensor
-from radwrap.scene.instants import at_time, held, lit_by, pose_time, row_levels
+from radwrap.scene.instants import at_time, averaged, held, keys_of_time, lit_by
 from radwrap.scene.look.image_speed import image_speeds
 from radwrap.scene.scene import Scene
 from radwrap.scene.sensor_part import cropped
@@ -146,9 +146,8 @@ def moving(
 ) -> Moving:
     """Render a scene at as many instants as its tolerance asks for."""
     lights = lights_of(scene)
-    means = {name: float(level.mean()) for name, level in row_levels(scene).items()}
     options = replace(options, tracer=_tracer_of_many(scene, options.tracer))
-    base = render_still(lit_by(_middle(scene), means), folder / "base", replace(options, frames=0))
+    base = render_still(averaged(scene), folder / "base", replace(options, frames=0))
     sensor, tolerance = held(scene).camera.sensor, base.run.tolerance
     levels = _levels(scene, lights)
     if tolerance is None:
@@ -239,10 +238,6 @@ def _tracer_of_many(scene: Scene, asked: TracerName) -> TracerName:
     return "compiled" if asked == "auto" and not inexpressible(scene) and not compiler_lacks() else asked
 
 
-def _middle(scene: Scene) -> Scene:
-    return at_time(scene, pose_time(scene))
-
-
 def _levels(scene: Scene, lights: tuple[Light, ...]) -> list[int | None]:
     """How finely each light's time is parted; None where nothing moves."""
     if not scene.motions:
@@ -259,8 +254,7 @@ def _levels(scene: Scene, lights: tuple[Light, ...]) -> list[int | None]:
 
 
 def _key_of_motion(scene: Scene) -> str:
-    number, target = next((i, t) for i, t in enumerate(scene.targets) if t.name in scene.motions)
-    return f"targets[{number}].{'velocity' if any(scene.motions[target.name].velocity) else 'angular_velocity'}"
+    return next(key for key in keys_of_time(scene) if key.startswith("targets"))
 
 
 def _steps(scene: Scene, lights: tuple[Light, ...], levels: list[int | None], seed: int) -> list[Steps]:

@@ -57,15 +57,17 @@ def misfit_of(across: Array, residual: Array, reach: float, contrast: float, *, 
     even = (mean + mean[::-1])[: most + 1] / 2
     even_variance = (variance + variance[::-1])[: most + 1] / 4
     return (
-        _beyond(mean[full], variance[full]) / contrast,
-        _beyond(even[both[: most + 1]], even_variance[both[: most + 1]]) / contrast,
+        _of_bins(mean[full], variance[full]) / contrast,
+        _of_bins(even[both[: most + 1]], even_variance[both[: most + 1]]) / contrast,
     )
 
 
-def _beyond(mean: Array, variance: Array) -> float:
-    """Root mean square beyond noise; 0 by chance."""
-    if mean.size < _FEWEST:
-        return 0.0
+def _of_bins(mean: Array, variance: Array) -> float:
+    return 0.0 if mean.size < _FEWEST else beyond_noise(mean, variance)
+
+
+def beyond_noise(mean: Array, variance: Array) -> float:
+    """Root mean square of means beyond the variance of each; 0 where they are so by chance."""
     chi = float((mean**2 / np.maximum(variance, 1e-300)).sum())
     if chi < mean.size + SIGNIFICANT * math.sqrt(2 * mean.size):
         return 0.0

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from radwrap.errors import InputError
 from radwrap.measure.background import QUANTISATION
 from radwrap.measure.edges.correlation import variance_factor
-from radwrap.measure.edges.misfit import misfit_of
+from radwrap.measure.edges.misfit import beyond_noise, misfit_of
 from radwrap.measure.gauges.response import Light
 from radwrap.measure.gauges.rims import Rim, Shape
 from radwrap.measure.gauges.strip import NARROWEST, ROUGH, State, Strip, jacobian_of, nearest_of, solved, terms_of
@@ -388,10 +388,7 @@ def _profile(strip: Strip, state: State) -> float:
         return 0.0
     mean = np.bincount(number, left)[some] / count[some]
     variance = np.bincount(number, 1 / weight**2)[some] / count[some] ** 2
-    chi = float((mean**2 / variance).sum())
-    if chi < some.sum() + _MISFIT_SIGMA * math.sqrt(2 * some.sum()):
-        return 0.0
-    return math.sqrt(max(float(np.mean(mean**2 - variance)), 0.0))
+    return beyond_noise(mean, variance)
 
 
 def _even_misfit(strip: Strip, state: State, *, rounded: bool) -> float:
