@@ -16,7 +16,7 @@ from radwrap.errors import InputError
 from radwrap.images import read_gray, read_image
 from radwrap.scene.mosaic import COLOURS, composed, pixels_of
 from tests.cli.conftest import here
-from tests.imaging.test_mosaicked import PAINT, SENSOR, colour_camera
+from tests.imaging.test_mosaicked import PAINT, SENSOR, colour_camera, scene_with
 from tests.physics.conftest import Bench
 
 STORED: Final = 3e-6  # float32 of three sums
@@ -120,3 +120,10 @@ def test_colours_without_bases_are_refused(tmp_path: Path) -> None:
     radwrap.render(lit(tmp_path, levels=ALL), tmp_path / "plain", tolerance=8, seed=1)
     with pytest.raises(InputError, match="holds no light basis"):
         radwrap.relight(tmp_path / "plain")
+
+
+def test_without_spectra_all_colours_count_by_the_largest_efficiency(tmp_path: Path) -> None:
+    """A plane counts by its own quantum efficiency; the raw image has one scale, as the render's has."""
+    radwrap.render(scene_with(colour_camera()), tmp_path / "basis", tolerance=8, seed=1, basis=True)
+    stored = read_image(tmp_path / "basis" / "radiant_exposure.exr")[0]
+    assert radwrap.relight(tmp_path / "basis").radiant_exposure.values == pytest.approx(stored, rel=STORED)
