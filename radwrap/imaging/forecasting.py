@@ -276,7 +276,8 @@ def forecast(scene: Scene, options: RenderOptions, *, started: float = 0.0) -> C
     clock = Stopwatch()
     with _stage(scene, options) as stage:
         parts = {"start": started, "layout": clock.lap()}
-        options, _ = with_gray_tolerance(options, stage.traced.view_with_bounces(options.bounces))
+        seen = stage.traced.view_with_bounces(options.bounces) if options.bounces else stage.work.view
+        options, _ = with_gray_tolerance(options, seen)
         stage.options = options
         bounces(scene, stage.work.view, options.seed, options.gray_tolerance, traced=stage.traced)
         parts["light between surfaces"] = clock.lap()

@@ -379,7 +379,8 @@ def _trace(run: _Run) -> tuple[TracedRun, list[str]]:
     scene, traced = run.scene, run.traced
     view = traced.view()
     try:
-        options, asked = with_gray_tolerance(run.options, traced.view_with_bounces(run.options.bounces))
+        seen = traced.view_with_bounces(run.options.bounces) if run.options.bounces else view
+        options, asked = with_gray_tolerance(run.options, seen)
         run = replace(run, options=options)
         left_out = bounces(scene, view, options.seed, options.gray_tolerance, traced=traced)
         orders = _orders(options.bounces, left_out)

@@ -344,9 +344,7 @@ class LaidOutScene:
         return replace(self._view(tracer), prover=None, walks=self.is_compiled)
 
     def view_with_bounces(self, bounces: int | Literal["all", "auto"]) -> View:
-        """The camera with what is asked for of light between surfaces; "auto" is all of it."""
-        if not bounces:
-            return self.view()
+        """The camera with what is asked for of light between surfaces; "auto" is all of it, and none is `view`."""
         return self.bouncing_view(bounces if isinstance(bounces, int) else None)
 
     def numbered_tracer(self) -> Tracer:

@@ -12,8 +12,10 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import redirect_stderr, redirect_stdout
 from copy import deepcopy
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 from typing import Any, Final
 
@@ -175,17 +177,30 @@ def clean_environment(extra: Mapping[str, str] | None = None) -> dict[str, str]:
 
 def here(argv: Sequence[object], capsys: pytest.CaptureFixture[str]) -> Done:
     """The command in this process: a tenth of a second sooner, and as good for what never starts a program."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     begin = time.monotonic()
+    code = _main(argv)
+    said = capsys.readouterr()
+    return Done(code, said.out, said.err, time.monotonic() - begin)
+
+
+def inside(*argv: object) -> Done:
+    """The command in this process, where there is no `capsys`: in fixtures that many tests share."""
+    begin = time.monotonic()
+    with redirect_stdout(StringIO()) as out, redirect_stderr(StringIO()) as err:
+        code = _main(argv)
+    return Done(code, out.getvalue(), err.getvalue(), time.monotonic() - begin)
+
+
+def _main(argv: Sequence[object]) -> int:
+    """Its exit code; signals then are whose they were before."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        code = main([str(word) for word in argv])
+        return main([str(word) for word in argv])
     except SystemExit as end:
-        code = int(end.code or 0)
+        return int(end.code or 0)
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-    said = capsys.readouterr()
-    return Done(code, said.out, said.err, time.monotonic() - begin)
 
 
 def start(argv: Sequence[object], **changes: Any) -> subprocess.Popen[str]:

@@ -524,16 +524,12 @@ def test_progress_goes_to_the_terminal_alone(tmp_path: Path) -> None:
 
 
 def test_output_that_nobody_takes(tmp_path: Path) -> None:
-    """A pipe that is closed, a device that is full: no traceback, and no success either."""
+    """A pipe that is closed: no traceback, and no success either; of a device that is full test_signals knows."""
     reading, writing = os.pipe()
     os.close(reading)
     closed = run("schema", stdout=writing)
     os.close(writing)
     assert closed.code == 4 and "Traceback" not in closed.stderr and "Exception" not in closed.stderr
-    with Path("/dev/full").open("w") as full:
-        done = run("schema", stdout=full)
-    assert done.code == 4
-    assert done.stderr == "radwrap: standard output: No space left on device\n"
 
 
 def test_a_folder_without_a_name_is_refused(capsys: pytest.CaptureFixture[str]) -> None:

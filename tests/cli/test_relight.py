@@ -15,7 +15,18 @@ from radwrap.errors import InputError
 from radwrap.images import read_image
 from radwrap.imaging.relight.basis import sealed
 from radwrap.imaging.relighting import relight
-from tests.cli.conftest import SLOWER, SMALL, files_in, here, inhabitants, products, run, start, wait_for, write_scene
+from tests.cli.conftest import (
+    SLOWER,
+    SMALL,
+    files_in,
+    here,
+    inhabitants,
+    inside,
+    products,
+    start,
+    wait_for,
+    write_scene,
+)
 
 SECOND: Final = {**SMALL["sources"][0], "name": "second", "position": ["-60 mm", "-90 mm", "450 mm"]}
 TWO: Final = {"sources.1": SECOND}
@@ -25,7 +36,7 @@ GOOD: Final = "name,second,lamp\nboth,1,1\nhalf, 0.5 ,0\n\noff,0,0e0\n"
 @pytest.fixture(scope="module")
 def basis(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("relight")
-    run("render", write_scene(folder, TWO), "--basis", "--tolerance", 2, "--out", folder / "basis").success()
+    inside("render", write_scene(folder, TWO), "--basis", "--tolerance", 2, "--out", folder / "basis").success()
     return folder / "basis"
 
 
@@ -138,7 +149,7 @@ def test_a_data_sheet_is_found_in_the_scenes_folder(tmp_path: Path, capsys: pyte
     )
     scene = write_scene(folder, {**TWO, "camera.sensor": linear})
     basis = tmp_path / "basis"
-    run("render", scene, "--basis", "--tolerance", 20, "--out", basis).success()
+    here(["render", scene, "--basis", "--tolerance", 20, "--out", basis], capsys).success()
     turn = ("--set", "camera.exposure_time=10 ms")
     assert "sheet.toml" in here(_one(basis, tmp_path, *turn), capsys).refusal(2)
     found = here(_one(basis, tmp_path, *turn, "--scene-folder", folder, "--json"), capsys).success().json

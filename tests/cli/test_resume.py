@@ -80,7 +80,7 @@ def test_kills_at_random_change_nothing(tmp_path: Path, capsys: pytest.CaptureFi
         assert known <= finished(out)
         known = finished(out)
     before = stamps(out)
-    done = run(*argv, "--json").success()
+    done = here([*argv, "--json"], capsys).success()
     assert done.json["timing"]["reused_viewpoints"] == len(known)
     assert made_since(out, before) == set(range(number)) - known
     _again_is_the_same(out, good)

@@ -21,7 +21,7 @@ from radwrap.errors import InputError
 from radwrap.imaging.page.bundle import script_of
 from radwrap.imaging.page.one_file import LARGEST, Page, one_file
 from radwrap.imaging.relight.relit import Basis, read_basis, relit
-from tests.cli.conftest import run, scene_with, write_scene
+from tests.cli.conftest import inside, scene_with, write_scene
 from tests.face.conftest import HOSTILE_TITLE, TWO
 
 HOSTILE: Final = {**TWO, "title": HOSTILE_TITLE + "<!-- <script> \u2028 ]]>"}
@@ -183,7 +183,7 @@ def test_the_command_of_a_page_is_that_of_its_picture(made: Made, tmp_path: Path
         ),
         (("--set", "title=/home/me", "--set", "sources[0].radiance=90 kW/m^2/sr"), ""),
     ):
-        run("face", scene, *more, *options, "--export", page).success()
+        inside("face", scene, *more, *options, "--export", page).success()
         (content,) = [text for given, text in Elements(page.read_text()).each("script") if given.get("id") == "data"]
         assert json.loads(content)["told"]["command"].startswith(told) and (
             told or not json.loads(content)["told"]["command"]

@@ -18,7 +18,7 @@ import psutil
 import pytest
 
 from radwrap.files import make_folder
-from tests.cli.conftest import SLOWER, here, run, start, write_scene
+from tests.cli.conftest import SLOWER, here, inside, start, write_scene
 from tests.face.conftest import PATIENCE, TWO, Served, gone, serving
 from tests.face.test_turns import RING
 
@@ -86,7 +86,9 @@ def test_a_killed_server_leaves_nothing(tmp_path: Path) -> None:
         while served.link.parent.exists() and time.monotonic() < end:
             time.sleep(0.02)
         assert not served.link.parent.exists()
-        assert run("render", served.scene, "--tolerance", 8, "--out", tmp_path / "free").success()  # no lock is stuck
+        assert inside(
+            "render", served.scene, "--tolerance", 8, "--out", tmp_path / "free"
+        ).success()  # no lock is stuck
 
 
 def test_a_trace_is_stopped_begun_again_killed_and_goes_on(tmp_path: Path) -> None:

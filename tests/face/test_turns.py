@@ -23,7 +23,7 @@ from radwrap.scene.camera import Sensor
 from radwrap.scene.file import turned as turned_module
 from radwrap.scene.file.load import with_camera
 from radwrap.scene.file.turned import with_levels
-from tests.cli.conftest import SMALL, here, run, scene_with
+from tests.cli.conftest import SMALL, here, inside, scene_with
 from tests.face.conftest import TWO, Served
 
 EQ5: Final = Sensor(2, 2, 1e-4, 1e-4, gain=3.38e4, gamma=0.85, dark_gray=22, saturation_gray=181)
@@ -346,7 +346,7 @@ def test_saving_writes_a_folder_that_the_server_names(served: Served, tmp_path: 
     assert (folder / "gray.png").read_bytes() == served.post("/api/png", {"basis": basis, "turn": turn}).body
     told = json.loads((folder / "turn.json").read_bytes())
     assert told["levels"] == {"lamp": 0.5, "second": 1.5} and told["changed"] == {"camera.exposure_time": "300 ms"}
-    run("render", folder / "scene.toml", "--tolerance", 2, "--out", tmp_path / "anew").success()
+    inside("render", folder / "scene.toml", "--tolerance", 2, "--out", tmp_path / "anew").success()
     ours, anew = (read_image(place / "gray.png")[0].astype(float) for place in (folder, tmp_path / "anew"))
     assert np.sqrt(((ours - anew) ** 2).mean()) < 2 * 2  # both keep the tolerance of 2
     shutil.rmtree(folder)

@@ -20,7 +20,7 @@ from radwrap.led.calibration import scaled, write_calibration
 from radwrap.led.connect import EmulatorProcess
 from radwrap.led.from_scene import leds_of
 from radwrap.scene.file.ring_calibration import RingCalibration, read_calibration
-from tests.cli.conftest import PATIENCE, here, inhabitants, run, scene_text, scene_with, start, wait_for
+from tests.cli.conftest import PATIENCE, here, inhabitants, inside, run, scene_text, scene_with, start, wait_for
 from tests.led.test_calibration import RING
 from tests.led.test_ring import DRIVE_FILE
 
@@ -61,7 +61,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rows += [[f"row{k:02d}", *(f"{value:.4f}" for value in rng.uniform(0, 1.2, LEDS))] for k in range(16)]
     with (folder / "rows.csv").open("w", newline="") as stream:
         csv.writer(stream).writerows(rows)
-    run("render", scene, "--basis", "--tolerance", 0.2, "--out", folder / "basis").success()
+    inside("render", scene, "--basis", "--tolerance", 0.2, "--out", folder / "basis").success()
     return folder
 
 

@@ -12,15 +12,16 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import psutil
 import pytest
 
 from radwrap.study.table import read_table
-from tests.cli.conftest import Done, here, inhabitants, start
+from tests.cli.conftest import Done, here, inhabitants, inside, start
 from tests.cli.conftest import wait_for as wait
-from tests.study.conftest import PATIENCE, TINY, TINY_SMALL, DesignWriter, command, write_design
+from tests.study.conftest import PATIENCE, TINY, TINY_SMALL, DesignWriter, OneThread, command, write_design
 
 # Runs of a third of a second each, and how often each is done: long enough to be killed in between.
 REPLICATES = {4: 1, 8: 2}
@@ -58,10 +59,11 @@ def runs(request: pytest.FixtureRequest) -> int:
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory: pytest.TempPathFactory, runs: int) -> Path:
-    """Results of the runs, with their report, by one worker that nobody disturbed."""
+    """Results of the runs, with their report, by this process, which nobody disturbs."""
     folder = tmp_path_factory.mktemp("good")
     words = ("study", "run", several(folder, runs), "--out", folder / "out", "--workers", "1", "--json")
-    done = command(*words).success()
+    with patch("radwrap.study.study.LocalPool", OneThread):
+        done = inside(*words).success()
     assert done.json["runs"] == runs and done.json["failed"] == 0 and done.json["renders"] == runs
     return folder / "out"
 
@@ -93,7 +95,8 @@ def test_a_study_that_is_interrupted_and_killed_goes_on(tmp_path: Path, good: by
         again = started(out) - before
         assert not {str(number) for number in again} & finished, "a finished run was begun again"
         finished = {row["run"] for row in read_table(_whole_lines(out)).rows}
-    done = study(path, out, "--workers", "1", "--json").success()
+    with patch("radwrap.study.study.LocalPool", OneThread):
+        done = inside("study", "run", path, "--out", out, "--no-report", "--workers", "1", "--json").success()
     assert done.json["timing"]["reused_runs"] == len(finished)
     assert (out / "results.csv").read_bytes() == good
     assert inhabitants(out) == []

@@ -194,21 +194,26 @@ def _in_patch(patch: Patch, points: Array) -> NDArray[np.bool_]:
 def brightest(scene: Scene) -> Brightest | None:
     """Brightest point in view; None where no ray meets anything that is known here."""
     known = _Known.of(scene)
-    uv, step = _first_look(known)
+    uv, width = _first_look(known)
     seen = _shown(known, uv)
-    best: tuple[float, tuple[str, str]] | None = None
-    for start in _brightest_rays(seen, uv, _STARTS if len(known.lit) <= _MOST_BEAMS else 2):
-        place, width = start, step
-        for _ in range(_LOOKS):
-            around = _around(scene, place, width)
-            finer = _shown(known, around)
-            if (finer.number < 0).all():  # on the very border of what is seen
-                break
-            top = int(np.nanargmax(finer.value))
-            if best is None or finer.value[top] > best[0]:
-                best = float(finer.value[top]), finer.names[finer.number[top]]
-            place, width = around[top], width / 4
-    return None if best is None else Brightest(*best[1], best[0])
+    places = _brightest_rays(seen, uv, _STARTS if len(known.lit) <= _MOST_BEAMS else 2)
+    starts = np.arange(len(places))
+    found: list[tuple[int, float, tuple[str, str]]] = []
+    for _ in range(_LOOKS):
+        # All starts at once: with many sources a look takes its time for each of them, not for each ray.
+        around = np.stack([_around(scene, place, width) for place in places]) if len(places) else np.empty((0, 1, 2))
+        finer = _shown(known, around.reshape(-1, 2))
+        value, number = (each.reshape(around.shape[:2]) for each in (finer.value, finer.number))
+        met = (number >= 0).any(axis=1)  # the others are on the very border of what is seen
+        starts, around, value, number = starts[met], around[met], value[met], number[met]
+        rows, tops = np.arange(len(starts)), np.nanargmax(value, axis=1)
+        for start, top, name in zip(starts, value[rows, tops], number[rows, tops], strict=True):
+            found.append((int(start), float(top), finer.names[name]))
+        places, width = around[rows, tops], width / 4
+    if not found:
+        return None
+    _, most, name = max(sorted(found, key=lambda one: one[0]), key=lambda one: one[1])
+    return Brightest(*name, most)
 
 
 def spread_look(scene: Scene) -> tuple[Seen, Array]:
