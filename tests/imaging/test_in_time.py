@@ -16,7 +16,8 @@ import radwrap
 from radwrap.errors import InputError
 from radwrap.imaging.in_time.linear_light import allowed_exposure_error, gray_bound
 from radwrap.imaging.time_steps import places
-from radwrap.scene.instants import at_time, lit_by
+from radwrap.scene.instants import at_time, lit_by, pose_time
+from radwrap.scene.look.checks import checked_at_time
 from radwrap.scene.look.image_speed import image_speeds
 
 Array = NDArray[np.float64]
@@ -299,6 +300,27 @@ def test_light_that_misses_the_exposure_is_an_error() -> None:
 def test_what_moves_too_far_is_an_error() -> None:
     with pytest.raises(InputError, match=r"targets\[0\].velocity.*moves it over .* pixels"):
         rendered(document(velocity=velocity(2000.0)), 1.0)
+
+
+def test_what_meets_the_camera_on_its_way_is_an_error() -> None:
+    """A box behind the camera that comes down on it by 5 mm until the end of the exposure, from 3 mm."""
+    tables = document()
+    box = {"type": "box", "name": "arm", "material": "black", "size": ["100 mm", "100 mm", "100 mm"]}
+    box |= {"position": ["0 mm", "0 mm", "553 mm"], "velocity": ["0 m/s", "0 m/s", "-1 m/s"]}
+    tables["targets"].append(box)
+    told = r'camera.position: \d\.\d+ ms after the poses of the file hold, .* inside the target "arm"; move the camera'
+    with pytest.raises(InputError, match=told):
+        rendered(tables, 1.0)
+
+
+def test_what_meets_another_surface_on_its_way_is_an_error() -> None:
+    """A sheet that sinks into the plane of the edge at 1 m/s; at one instant they would be in one place."""
+    tables = document()
+    sheet = {"type": "sheet", "name": "label", "material": "white", "size": ["9 mm", "9 mm"]}
+    tables["targets"].append(sheet | {"position": ["0 mm", "0 mm", "4 mm"], "velocity": ["0 m/s", "0 m/s", "1 m/s"]})
+    scene = radwrap.scene_from_document(tables)
+    with pytest.raises(InputError, match=r'targets\[1\]: 4 ms before .* "edge" and "label" overlap in one plane'):
+        checked_at_time(scene, pose_time(scene) - 4e-3)
 
 
 def test_another_exposure_time_needs_a_render() -> None:

@@ -17,7 +17,8 @@ from radwrap.imaging.tolerance.bounds import Bounded
 from radwrap.imaging.tolerance.certificate import PixelSample, lacks_in_gray, places_of
 from radwrap.imaging.tracing import laid_out
 from radwrap.random_streams import Rendering, generator
-from radwrap.scene.instants import at_time, lit_by, pose_time, windows_of
+from radwrap.scene.instants import lit_by, pose_time, windows_of
+from radwrap.scene.look.checks import checked_at_time
 from radwrap.scene.look.image_speed import image_speeds
 from radwrap.scene.scene import Scene
 from radwrap.scene.shutter import lit_time, shares_of_times
@@ -113,7 +114,7 @@ class _Looks:
         def look(light: Light, time: float) -> Array:
             nonlocal scale
             lit = dict.fromkeys(light.sources, 1.0)
-            with laid_out(lit_by(at_time(scene, time), lit), replace(options, truth=False)) as traced:
+            with laid_out(lit_by(checked_at_time(scene, time), lit), replace(options, truth=False)) as traced:
                 view = traced.view()
                 scale = view.exposure_of_radiance
                 means: Array = trace_rays(view, opening, u, v)[0].reshape(2, -1, _RAYS).mean(axis=2)

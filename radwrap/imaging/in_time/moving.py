@@ -27,7 +27,8 @@ from radwrap.imaging.time_steps import Light, Steps, level_for, lights_of, steps
 from radwrap.imaging.tolerance.certificate import Certificate
 from radwrap.manifest import sha256_of_value
 from radwrap.scene.camera import Camera, Diffraction, Sensor
-from radwrap.scene.instants import at_time, averaged, held, keys_of_time, lit_by
+from radwrap.scene.instants import averaged, held, keys_of_time, lit_by
+from radwrap.scene.look.checks import checked_at_time
 from radwrap.scene.look.image_speed import image_speeds
 from radwrap.scene.scene import Scene
 from radwrap.scene.sensor_part import cropped
@@ -114,7 +115,7 @@ class _Instants:
             if rows is None:
                 raise ValueError("counts in no row")
             first, last = _strip(*rows, self.scene.camera.sensor.rows)
-            then = lit_by(at_time(self.scene, time), dict.fromkeys(light.sources, 1.0))
+            then = lit_by(checked_at_time(self.scene, time), dict.fromkeys(light.sources, 1.0))
             then = replace(then, camera=self._camera(then.camera, first, last, steps, number))
             seed = int(sha256_of_value([self.options.seed, *map(str, key)])[:12], 16)
             name = f"{len(self.made):04d}"

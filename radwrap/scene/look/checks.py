@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from radwrap.errors import InputError
 from radwrap.frames import Vector
 from radwrap.scene.camera import Camera
-from radwrap.scene.instants import row_levels
+from radwrap.scene.instants import at_time, pose_time, row_levels
 from radwrap.scene.look.geometry import SurfacePoints, in_view, signed_distance
 from radwrap.scene.look.intersections import Bounded
 from radwrap.scene.look.planes import check_planes
@@ -80,6 +80,25 @@ def check_scene(scene: Scene) -> None:
     check_planes(scene)
     _check_source_widths(scene)
     _check_sheeting_angles(scene)
+
+
+def checked_at_time(scene: Scene, time: float) -> Scene:
+    """The scene `held` at a time [s], checked as the scene of its file was: what moves may meet the camera on its way.
+
+    Raises
+    ------
+    InputError
+        As `check_shapes` and `check_scene`, with the time.
+    """
+    then = at_time(scene, time)
+    try:
+        check_shapes(then)
+        check_scene(then)
+    except InputError as error:
+        late = (time - pose_time(scene)) * 1e3
+        when = f"{abs(late):.4g} ms {'before' if late < 0 else 'after'} the poses of the file hold, "
+        raise InputError(when + error.what, where=error.where, remedy=error.remedy) from error
+    return then
 
 
 def _where(scene: Scene, kind: str, name: str) -> str:
