@@ -133,8 +133,9 @@ class _Parser(argparse.ArgumentParser):
 
     @property
     def options(self) -> dict[str, str]:
-        """Spelling of each option by the name that its value goes by."""
-        return {action.dest: action.option_strings[-1] for action in self._actions if action.option_strings}
+        """Spelling of each option by the name that its value goes by; `out` of `init` and `convert` is none."""
+        named = (action for action in self._actions if action.option_strings or action.dest == "out")
+        return {action.dest: (action.option_strings or [str(action.metavar)])[-1] for action in named}
 
     def format_help(self) -> str:
         """Help without the mark-up of the docstrings that it is made of."""

@@ -22,7 +22,7 @@ TEMPLATES: Final = ("ring", "dome", "backlight", "darkfield", "coaxial", "calibr
 def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     """Add the verbs."""
     init = verbs.add_parser("init", description="Writes DIR/scene.toml.")
-    init.add_argument("folder", metavar="DIR", nargs="?", help="folder for the scene")
+    init.add_argument("out", metavar="DIR", nargs="?", help="folder for the scene")
     init.add_argument(
         "--template",
         choices=TEMPLATES,
@@ -43,9 +43,9 @@ def run_init(arguments: argparse.Namespace) -> int:
     """Write the starting scene, never over an existing one."""
     if arguments.list:
         return _list(arguments)
-    if not arguments.folder:
+    if not arguments.out:
         raise InputError("has no name", where="DIR", remedy='name a folder; "." is this one')
-    folder = Path(arguments.folder)
+    folder = Path(arguments.out)
     if init_from_catalog.is_asked(arguments):
         path, assumed = init_from_catalog.write_scene(arguments, folder)
         for line in assumed:
@@ -61,7 +61,7 @@ def run_init(arguments: argparse.Namespace) -> int:
 
 def _list(arguments: argparse.Namespace) -> int:
     """Names for --template and --example."""
-    if arguments.folder:
+    if arguments.out:
         raise InputError("goes without DIR", where="--list", remedy="leave one of them out")
     print("templates:")
     for name in TEMPLATES:

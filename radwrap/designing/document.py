@@ -303,16 +303,19 @@ def _check_reach(problem: Problem, base: Scene, ends: Sequence[Sequence[Scene]])
     exposures = next((one for one in times if any(value != time for value in one)), [time])
     costs = [key.costs for key in problem.keys if key.costs]
     whitest = max(scene.camera.sensor.saturation_gray for scene in (base, *(one for scenes in ends for one in scenes)))
+    grays = {one.name for one in problem.study.responses if one.kind in _GRAY}
     reach = {
         TIME_OF_EXPOSURE: (min(exposures), max(exposures)),
         COST: (sum(map(min, costs)), sum(map(max, costs))),
-        **{one.name: (0.0, whitest) for one in problem.study.responses if one.kind in _GRAY},
+        **dict.fromkeys(grays, (0.0, whitest)),
     }
     for number, one in enumerate(problem.constraints):
         least, most = reach.get(one.quantity.name, (-math.inf, math.inf))
         if one.low > most * (1 + _ROUNDING) or one.high < least * (1 - _ROUNDING):
+            ends_at = " gray levels, the sensor's saturation_gray" if one.quantity.name in grays else ""
             raise InputError(
-                f"nothing can keep {one.told()}: it goes from {one.quantity.told(least)} to {one.quantity.told(most)}",
+                f"nothing can keep {one.told()}: it goes from {one.quantity.told(least)} to {one.quantity.told(most)}"
+                f"{ends_at}",
                 where=f"{problem.origin}: constraints[{number}]",
             )
 

@@ -536,6 +536,15 @@ def test_a_folder_without_a_name_is_refused(capsys: pytest.CaptureFixture[str]) 
     assert "DIR: has no name" in here(["init", ""], capsys).refusal(2)
 
 
+def test_a_folder_that_is_a_file_is_named_as_the_verb_names_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, taken = write_scene(tmp_path), tmp_path / "taken"
+    taken.write_text("")
+    for words, name in ((["init", taken], "DIR"), (["render", scene, "--out", taken], "--out")):
+        assert here(words, capsys).refusal(2).endswith(f"a file is where a folder is needed; choose another {name}")
+
+
 # ------------------------------------------------------------------------------------------- Files for other programs
 
 TRACE: Final = "-h -ab 0 -dt 0 -dc 1 -dj 0 -ds 0 -st 1 -lr 0 -lw 0".split()

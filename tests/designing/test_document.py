@@ -60,7 +60,11 @@ FAULTS = {
         'of = "exposure_time"\nat_most = "5 ms"',
         "constraints[0]: nothing can keep exposure_time at most 5 ms: it goes from 10 ms to 110 ms",
     ),
-    "a limit beyond white": ("at_most = 200", "at_least = 256", "nothing can keep peak_gray at least 256"),
+    "a limit beyond white": (
+        "at_most = 200",
+        "at_least = 256",
+        "it goes from 0 to 255 gray levels, the sensor's saturation_gray",
+    ),
     "a limit below all costs": (
         'low = "10 ms"\nhigh = "110 ms"',
         'choices = ["20 ms", "30 ms"]\ncost = [2, 3]\n[[constraints]]\nof = "cost"\nat_most = 1',

@@ -165,7 +165,7 @@ def test_contrast_over_the_field_is_read_in_any_order(tmp_path: Path) -> None:
             "is 2.8, and the camera's 4: contrast of another opening does not apply",
         ),
         ("100,0.7,0.5", {}, "differs on the axis by direction"),
-        ("100,0.5,0.5\n100,0.6,0.6", {}, "the same frequencies at each height, each once"),
+        ("100,0.5,0.5\n100,0.6,0.6", {}, "has the frequency 100 per mm 2 times, and needs it once"),
         ("-100,0.5,0.5", {}, "needs frequencies above 0"),
         ("600,0,0", {}, "no frequency that a perfect lens leaves contrast of"),
         ("100,nan,0.5", {}, "mtf.csv: line 2: holds what is not a finite number"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -181,11 +182,15 @@ def _contrast(
     height = columns.get(_HEIGHT, np.zeros(len(columns["tangential"])))
     heights = np.unique(height)
     per_mm = np.unique(columns["frequency_per_mm"])
+    (place, frequency), times = Counter(zip(height, columns["frequency_per_mm"], strict=True)).most_common(1)[0]
+    if times > 1:
+        at = f" at the height {place:g} mm" if len(heights) > 1 else ""
+        raise InputError(f"has the frequency {frequency:g} per mm {times} times{at}, and needs it once", where=key)
     of_each = [np.argsort(columns["frequency_per_mm"] + np.where(height == one, 0.0, np.inf)) for one in heights]
     if len(height) != len(heights) * len(per_mm) or any(
         not np.array_equal(columns["frequency_per_mm"][order[: len(per_mm)]], per_mm) for order in of_each
     ):
-        raise InputError("needs the same frequencies at each height, each once", where=key)
+        raise InputError("needs the same frequencies at each height", where=key)
     if per_mm[0] < 0 or heights[0] < 0 or not (per_mm > 0).any():
         raise InputError("needs frequencies above 0, and heights of 0 or more", where=key)
     if len(heights) > 1 and (heights[0] != 0 or heights[-1] * _MM < corner):

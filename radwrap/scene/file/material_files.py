@@ -176,7 +176,10 @@ def columns_of(path: Path, names: tuple[str, ...], optional: str = "") -> tuple[
     rows = numbered_rows(text, path)
     head = [cell.strip() for cell in rows[0][1]] if rows else []
     if sorted(head) not in (sorted(names), sorted((*names, optional))):
-        raise InputError(f"its first line must name the columns {', '.join(names)}", where=str(path))
+        told = f"{', '.join(names)}{f', and {optional} where it has them' if optional else ''}"
+        raise InputError(
+            f"its first line must name the columns {told}; it names {', '.join(head) or 'none'}", where=str(path)
+        )
     if len(rows) < 2:
         raise InputError("has no line of numbers", where=str(path))
     values = np.array([_finite(row, len(head), f"{path}: line {line}") for line, row in rows[1:]], dtype=np.float64)
