@@ -7,23 +7,22 @@ and scaled. The bound of a colour is that of its whole image, of which its pixel
 from __future__ import annotations
 
 import math
-import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.files import make_folder, sha256_of
-from radwrap.images import ExposureImage, read_image, write_exr
+from radwrap.images import ExposureImage, read_image
 from radwrap.imaging.other_camera import growth_of, scaled
+from radwrap.imaging.output.composed_files import write_composed
 from radwrap.imaging.output.folder import PLANES, publish
-from radwrap.imaging.output.frame_files import write_frames
-from radwrap.imaging.output.image_files import ImageSummary, write_exposure
+from radwrap.imaging.output.image_files import ImageSummary
 from radwrap.imaging.output.run_manifest import (
     Extent,
     MosaicMade,
@@ -33,7 +32,6 @@ from radwrap.imaging.output.run_manifest import (
     write_run_manifest,
 )
 from radwrap.imaging.output.sigma_file import SIGMA
-from radwrap.imaging.output.truth_files import DEPTH, PARTS, TRUTH
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.rendered import Rendered
 from radwrap.imaging.response.noise import linear_of
@@ -50,8 +48,6 @@ from radwrap.scene.tolerances import Tolerances
 
 Array = NDArray[np.float64]
 PlaneRender = Callable[[Scene, Path, RenderOptions], Rendered]
-
-_TRUTH_FILES: Final = (TRUTH, DEPTH, PARTS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,17 +141,11 @@ def make_mosaic(
     mosaic, sensor = mosaic_of(scene), scene.camera.sensor
     planes = _planes(scene, out / PLANES, replace(options, frames=0), render_plane)
     check()
-    make_folder(work)
     exposure = composed(mosaic.pattern, {colour: plane.exposure for colour, plane in planes.items()})
-    images, files = write_exposure(work, exposure, sensor, check)
-    summary, more = _write_sigma(work, mosaic, planes)
-    files += more
-    files += write_frames(work, sensor, options.frames, options.seed)
+    known = _uncertainty(mosaic, planes)
     used = tuple(dict.fromkeys(plane.light_of for plane in planes.values()))
-    if options.truth:
-        for name in _TRUTH_FILES:
-            shutil.copyfile(out / PLANES / used[0] / name, work / name)
-        files += _TRUTH_FILES
+    sigma, truth_of = None if known is None else known.sigma, out / PLANES / used[0]
+    images, files = write_composed(work, exposure, sensor, options, sigma=sigma, truth_of=truth_of, check=check)
     made = MosaicMade(
         pattern=mosaic.pattern,
         filters_sha256=sha256_of_value({colour: getattr(mosaic, colour) for colour in COLOURS}),
@@ -163,7 +153,9 @@ def make_mosaic(
     )
     told = _Told(scene, options, made, [plane.run for plane in planes.values()], planes[used[0]].run)
     hashes = {name: sha256_of(work / name) for name in files}
-    write_run_manifest(work, told.manifest(images, summary, hashes, time.monotonic() - start))
+    write_run_manifest(
+        work, told.manifest(images, None if known is None else known.summary(), hashes, time.monotonic() - start)
+    )
     check()
     publish(work, out, files, used)
 
@@ -328,13 +320,7 @@ def _left_out(runs: Sequence[RunManifest]) -> dict[str, Any]:
     }
 
 
-def _write_sigma(
-    folder: Path, mosaic: Mosaic, planes: Mapping[Colour, _Plane]
-) -> tuple[UncertaintySummary | None, list[str]]:
-    """The planes' standard deviations, each at its own pixels; nothing where they are not known."""
+def _uncertainty(mosaic: Mosaic, planes: Mapping[Colour, _Plane]) -> Uncertainty | None:
+    """The planes' standard deviations, each at its own pixels; None where they are not known."""
     known = {c: Uncertainty(plane.sigma, plane.sigma_parts) for c, plane in planes.items() if plane.sigma is not None}
-    if len(known) < len(planes):
-        return None, []
-    found = uncertainty_of_all(mosaic.pattern, known)
-    write_exr(folder / SIGMA, found.sigma.astype(np.float32), channel="gray_sigma")
-    return found.summary(), [SIGMA]
+    return uncertainty_of_all(mosaic.pattern, known) if len(known) == len(planes) else None

@@ -57,7 +57,7 @@ def pose_time(scene: Scene) -> float:
 
 def at_time(scene: Scene, time: float) -> Scene:
     """The scene `held` at a time [s], all sources lit."""
-    late = time - pose_time(scene)
+    late = float(time) - pose_time(scene)  # of numpy it would be written as such into Radiance's text
     targets = tuple(
         moved(target, scene.motions[target.name], late) if target.name in scene.motions else target
         for target in scene.targets

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shutil
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -15,22 +14,20 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.files import make_folder, sha256_of
-from radwrap.images import ExposureImage, write_exr
+from radwrap.images import ExposureImage
 from radwrap.imaging.in_time.by_rows import StillRender, by_rows
 from radwrap.imaging.in_time.moving import moving
+from radwrap.imaging.output.composed_files import write_composed
 from radwrap.imaging.output.folder import INSTANTS, publish
-from radwrap.imaging.output.frame_files import write_frames
-from radwrap.imaging.output.image_files import ImageSummary, write_exposure
+from radwrap.imaging.output.image_files import ImageSummary
 from radwrap.imaging.output.run_manifest import InTime, RunManifest, components_used, write_run_manifest
-from radwrap.imaging.output.sigma_file import SIGMA
-from radwrap.imaging.output.truth_files import DEPTH, PARTS, TRUTH
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.rendered import Rendered
 from radwrap.imaging.response.noise import linear_of
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.time_steps import lights_of
 from radwrap.imaging.tolerance.certificate import Certificate
-from radwrap.imaging.tolerance.uncertainty import UncertaintySummary, uncertainty
+from radwrap.imaging.tolerance.uncertainty import Uncertainty, uncertainty
 from radwrap.manifest import plain, sha256_of_value
 from radwrap.scene.instants import held, is_even, keys_of_time, lit_by, row_levels
 from radwrap.scene.look.checks import warnings_of
@@ -39,7 +36,6 @@ from radwrap.scene.tolerances import Tolerances
 
 Array = NDArray[np.float64]
 _BASE: Final = "base"  # the folder of the one instant, as `moving` has it
-_TRUTH_FILES: Final = (TRUTH, DEPTH, PARTS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,19 +136,13 @@ def make_in_time(
     make_folder(folder)
     found = _found(scene, folder, options, render_still, check)
     check()
-    make_folder(work)
-    sensor = scene.camera.sensor
-    images, files = write_exposure(work, found.exposure, sensor, check)
-    summary, more = _write_sigma(work, scene, found)
-    files += more
-    files += write_frames(work, sensor, options.frames, options.seed)
-    if options.truth:
-        for name in _TRUTH_FILES:
-            shutil.copyfile(folder / _BASE / name, work / name)
-        files += _TRUTH_FILES
+    sensor, known = scene.camera.sensor, _uncertainty(scene, found)
+    sigma, truth_of = None if known is None else known.sigma, folder / _BASE
+    images, files = write_composed(work, found.exposure, sensor, options, sigma=sigma, truth_of=truth_of, check=check)
     hashes = {name: sha256_of(work / name) for name in files}
     manifest = _manifest(scene, options, found, images)
     timing = replace(manifest.timing, wall_s=time.monotonic() - start)
+    summary = None if known is None else known.summary()
     write_run_manifest(work, replace(manifest, uncertainty=summary, files=hashes, timing=timing))
     check()
     publish(work, out, files)
@@ -177,12 +167,11 @@ def _found(
     return _Found(rows.base, exposure, certificate, 1, run.rays, (run.run_sha256,), run.timing.tracer_cpu_s)
 
 
-def _write_sigma(folder: Path, scene: Scene, found: _Found) -> tuple[UncertaintySummary | None, list[str]]:
+def _uncertainty(scene: Scene, found: _Found) -> Uncertainty | None:
+    """What a captured frame scatters by; None where the sensor's noise is not known."""
     if scene.camera.sensor.linear is None:
-        return None, []
-    sigma = uncertainty(ExposureImage(found.exposure), scene.camera, Tolerances(), found.certificate.rms_gray)
-    write_exr(folder / SIGMA, sigma.sigma.astype(np.float32), channel="gray_sigma")
-    return sigma.summary(), [SIGMA]
+        return None
+    return uncertainty(ExposureImage(found.exposure), scene.camera, Tolerances(), found.certificate.rms_gray)
 
 
 def _manifest(scene: Scene, options: RenderOptions, found: _Found, images: ImageSummary) -> RunManifest:
