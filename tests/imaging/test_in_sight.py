@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,10 @@ import pytest
 
 import radwrap
 from radwrap.images import ExposureImage
-from radwrap.imaging.forecast.in_sight import level_of
+from radwrap.imaging.forecast.in_sight import exposure_for_advice, level_of
+from radwrap.imaging.response.exposure import exposure_of_radiance
 from radwrap.imaging.response.noise import fixed_pattern, linear_of, noisy_frame
+from radwrap.imaging.response.sensor import gray_levels
 from radwrap.scene.file.load import load_scene
 from radwrap.scene.scene import Scene
 from tests.cli.conftest import here
@@ -104,6 +107,21 @@ def test_each_target_has_the_exposure_of_its_own_brightest(folder: Path, plain: 
     sensor = scene.camera.sensor
     share = (again["belt"]["peak"]["gray"] - sensor.dark_gray) / (sensor.saturation_gray - sensor.dark_gray)
     assert share == pytest.approx(0.8, abs=1e-3)
+
+
+@pytest.mark.parametrize("gamma", [1.0, 0.5])
+def test_the_advised_exposure_counts_what_the_dark_current_adds_meanwhile(folder: Path, gamma: float) -> None:
+    """20 e/s over some minutes raise black by a good part of the range: as a scene with that time has it."""
+    changes = {"camera.sensor.dark_current": "20 e/s", "camera.sensor.gamma": gamma}
+    radiance = 2e-6
+    advised = exposure_for_advice(load_scene(folder / "scene.toml", changes).camera, radiance)
+    assert advised is not None and advised > 100
+    camera = load_scene(folder / "scene.toml", {**changes, "camera.exposure_time": f"{advised!r} s"}).camera
+    sensor = camera.sensor
+    unrounded = replace(sensor, rounding=False)
+    gray = float(gray_levels(np.array([radiance * exposure_of_radiance(camera)]), unrounded)[0])
+    assert sensor.dark_gray > 0.1 * sensor.saturation_gray
+    assert (gray - sensor.dark_gray) / (sensor.saturation_gray - sensor.dark_gray) == pytest.approx(0.8, rel=1e-9)
 
 
 def test_the_advice_is_for_the_camera_at_hand(folder: Path) -> None:

@@ -125,10 +125,13 @@ def exposure_for_advice(camera: Camera, radiance: float) -> float | None:
     irradiance = radiance * exposure_of_radiance(replace(camera, exposure_time=1.0))
     if irradiance <= 0:
         return None
-    sensor = camera.sensor
+    sensor, linear, time = camera.sensor, camera.sensor.linear, camera.exposure_time
     span = sensor.saturation_gray - sensor.dark_gray
-    wanted: float = (ADVISED_SHARE * span / sensor.gain) ** (1 / sensor.gamma)
-    return wanted / irradiance
+    share: float = ADVISED_SHARE ** (1 / sensor.gamma)
+    # The dark current raises black meanwhile, and so lowers what is left above it [gray level s^-1].
+    drift = linear.system_gain * linear.dark_signal / time if linear is not None and time else 0.0
+    rate = irradiance * span * (sensor.gain / span) ** (1 / sensor.gamma)
+    return share * (span + drift * time) / (rate + share * drift)
 
 
 def level_of(radiant_exposure: float, sensor: Sensor) -> Level:
