@@ -11,6 +11,7 @@ from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.tolerance.lit_noise import ToleranceAsked, lit_noise
 from radwrap.imaging.tracing import traced_scene
 from radwrap.scene.file.load import scene_from_document
+from radwrap.scene.instants import averaged
 from radwrap.scene.scene import Scene
 from radwrap.study.design import Design, render_options
 from radwrap.study.runs import Run
@@ -56,7 +57,7 @@ def _in_gray(scene: Scene, how: RenderOptions) -> tuple[float, float | None, int
     asked, sensor = how.asked_tolerance, scene.camera.sensor
     if not asked.needs_noise(sensor):
         return asked.in_gray(sensor), None, 0
-    with traced_scene(scene, how) as view:
+    with traced_scene(averaged(scene), how) as view:
         noise, rays = lit_noise(view)
     return asked.in_gray(sensor, noise), noise, rays
 

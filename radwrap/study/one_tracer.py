@@ -8,6 +8,7 @@ from typing import Any
 from radwrap.imaging.tracer_choice import candidate
 from radwrap.imaging.tracing import laid_out
 from radwrap.scene.file.load import scene_from_document
+from radwrap.scene.instants import averaged
 from radwrap.study.design import Design, render_options
 from radwrap.study.runs import Run
 from radwrap.tracers.engine import EngineName
@@ -37,7 +38,7 @@ def one_tracer(design: Design, runs: Iterable[Run], options: Mapping[str, Any]) 
         return how.tracer
     if any(_only_radiance(run.document) for run in runs):
         return "radiance"
-    scene = scene_from_document(design.document, origin=design.scene_origin, folder=design.folder)
+    scene = averaged(scene_from_document(design.document, origin=design.scene_origin, folder=design.folder))
     if candidate(scene, how).name == "radiance":
         return "radiance"
     with laid_out(scene, how) as traced:

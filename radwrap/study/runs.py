@@ -13,13 +13,14 @@ from typing import Any, Final
 from radwrap.errors import InputError
 from radwrap.imaging.demand import REPLICATES
 from radwrap.imaging.forecast.cost import check_size
+from radwrap.imaging.in_time.making import refuse_for_time
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.manifest import sha256_of_value
 from radwrap.random_streams import generator
 from radwrap.scene.colour_planes import refuse_mosaic
 from radwrap.scene.file.keys import expanded, set_key, steps_of
 from radwrap.scene.file.load import scene_from_document
-from radwrap.scene.instants import refuse_time
+from radwrap.scene.instants import keys_of_time
 from radwrap.scene.scene import Scene
 from radwrap.study.design import Analysis, Design, check_render_option, render_options
 from radwrap.study.design_tables import MOST_RUNS
@@ -289,7 +290,7 @@ def _check_level(design: Design, factor: Factor, level: Level, options: Mapping[
             scene = scene_from_document(document, origin=design.scene_origin, folder=design.folder)
             replicates = REPLICATES if how.fixed_method is None else 0
             check_size(scene, how.max_pixels, max(replicates, 1), 1, replicates=replicates)
-            _check_decided(scene, how)
+            _check_decided(scene, how, design.basis)
         except InputError as error:
             raise InputError(f"{error.where}: {error.what}", where=where, remedy=error.remedy) from error
         for response in design.responses:
@@ -298,14 +299,16 @@ def _check_level(design: Design, factor: Factor, level: Level, options: Mapping[
                 check_response(asked, scene, f"{where}: responses.{response.told_in}")
 
 
-def _check_decided(scene: Scene, how: RenderOptions) -> None:
+def _check_decided(scene: Scene, how: RenderOptions, basis: bool | None) -> None:
     """See that it is decided once for all runs whether they have diffraction: pilots do that, and the scene."""
     refuse_mosaic(scene, "a study")
-    refuse_time(scene, "a study")
+    refuse_for_time(scene, replace(how, basis=bool(basis)))
     camera = scene.camera
-    if how.fixed_method == "viewpoints" and camera.diffraction == "auto" and not camera.aperture.is_infinitesimal:
+    alone = "sub-viewpoints" if how.fixed_method == "viewpoints" else "scenes that change in the course of an exposure"
+    shared = how.fixed_method != "viewpoints" and not keys_of_time(scene)
+    if not shared and camera.diffraction == "auto" and not camera.aperture.is_infinitesimal:
         raise InputError(
-            "would be decided by each run for itself, as sub-viewpoints have no pilots",
+            f"would be decided by each run for itself, as {alone} have no pilots",
             where="camera.diffraction",
             remedy='set it "on" or "off"',
         )

@@ -30,7 +30,7 @@ def with_pilots(steps: Sequence[Step], plans: Plans, out: Path, pool: Pool, *, s
     jobs: dict[str, Job] = {}
     for step in steps:
         job = step.job
-        if step.after is None and job.options.fixed_method is None and asked(job.options) not in plans:
+        if step.after is None and _shares_a_plan(job) and asked(job.options) not in plans:
             # Replicates of a design are the same scene with other seeds.
             name = sha256_of_value({"scene": job.document, "asked": asked(job.options)})[:_NAME]
             how = replace(job.options, basis=False)
@@ -55,9 +55,14 @@ def sampled(steps: Sequence[Step], plans: Plans) -> list[Step]:
     found = []
     for step in steps:
         how = step.job.options
-        plan = None if how.fixed_method is not None else plans.get(asked(how))
+        plan = plans.get(asked(how)) if _shares_a_plan(step.job) else None
         found.append(replace(step, job=replace(step.job, options=replace(how, sampling=plan))))
     return found
+
+
+def _shares_a_plan(job: Job) -> bool:
+    """Whether its image is made to a tolerance, from rays that those of other runs may be like."""
+    return job.options.fixed_method is None and not job.in_time
 
 
 def read_plans(path: Path, known: str) -> Plans:

@@ -20,6 +20,7 @@ from radwrap.process import MOST_WORKERS, Programs, available_cores
 from radwrap.progress import Progress
 from radwrap.scene.file.input_hashes import input_hashes
 from radwrap.study.design import Design, render_options
+from radwrap.study.in_time import changes_in_time
 from radwrap.study.journal import RESULTS, Journal
 from radwrap.study.light import reference_levels, split_light, with_levels
 from radwrap.study.one_tolerance import with_one_tolerance
@@ -329,6 +330,7 @@ def _job(design: Design, run: Run, out: Path, options: StudyOptions, *, name: st
         runs=(),
         home=str(design.home.absolute()),
         channel=design.channel,
+        in_time=changes_in_time(run.document, design.folder),
     )
 
 
@@ -354,6 +356,8 @@ def _light_groups(design: Design, images: Mapping[str, Sequence[Run]], options: 
         run = sharing[0]
         if render_options(run.render, "render", **options.of_render).fixed_method is not None:
             continue  # a basis is made to a tolerance
+        if changes_in_time(run.document, design.folder):
+            continue  # and knows one instant
         try:
             bare, levels = split_light(run.document)
         except (InputError, KeyError, TypeError):

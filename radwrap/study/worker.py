@@ -43,7 +43,6 @@ from radwrap.manifest import SCHEMA_VERSION, plain
 from radwrap.measure.mosaic import RawChannel
 from radwrap.scene.colour_planes import refuse_mosaic
 from radwrap.scene.file.load import scene_from_document
-from radwrap.scene.instants import refuse_time
 from radwrap.scene.scene import Scene
 from radwrap.study.image_error import COPIES, ErrorFields, blur_radii, error_fields, image_error, model_error
 from radwrap.study.light import factors
@@ -92,6 +91,8 @@ class Job:
         Where the images come from a light basis: emitter -> level that the basis was rendered with.
     channel : RawChannel, optional
         Colour of a colour camera's raw image that is measured; the document has its filter on all pixels.
+    in_time : bool
+        Whether the scene changes in the course of its exposure: its image then has instants and a sampling of its own.
     """
 
     name: str
@@ -106,6 +107,7 @@ class Job:
     pilot: bool = False
     home: str = ""
     channel: RawChannel | None = None
+    in_time: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,7 +217,6 @@ def _log(job: Job) -> None:
 def _outcomes(job: Job, start: float) -> Iterator[Outcome]:
     scene = scene_from_document(job.document, origin=job.origin, folder=Path(job.folder))
     refuse_mosaic(scene, "a study")
-    refuse_time(scene, "a study")
     out = Path(job.study) / job.image
     if job.pilot:
         write_pilot(out, scene, job.options)

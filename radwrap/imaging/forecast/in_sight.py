@@ -131,7 +131,8 @@ def exposure_for_advice(camera: Camera, radiance: float) -> float | None:
     # The dark current raises black meanwhile, and so lowers what is left above it [gray level s^-1].
     drift = linear.system_gain * linear.dark_signal / time if linear is not None and time else 0.0
     rate = irradiance * span * (sensor.gain / span) ** (1 / sensor.gamma)
-    return share * (span + drift * time) / (rate + share * drift)
+    advised: float = share * (span + drift * time) / (rate + share * drift)
+    return advised
 
 
 def level_of(radiant_exposure: float, sensor: Sensor) -> Level:
