@@ -182,8 +182,8 @@ def _warnings(edge: Edge) -> Iterator[str]:
         )
     if edge.sigma_gamma > 0 and edge.beyond_disc > SIGNIFICANT:
         yield (
-            "the blur is not a disc: another gamma at another place then fits nearly as well, and both may be off by many "
-            "standard errors; give --gamma"
+            "the blur is not a disc: another gamma at another place then fits nearly as well, and both may be off by "
+            "many standard errors; give --gamma"
         )
     if edge.misfit > LARGEST_MISFIT or edge.even_misfit > LARGEST_EVEN_MISFIT:
         off = max(edge.misfit, edge.even_misfit)

@@ -147,7 +147,7 @@ def _of_one_blur(fit: Contour) -> Contour:
 
 
 def _fit_narrow(shape: Shape, blur: float, fitted: Callable[[Shape, float], Contour]) -> NarrowFit:
-    for _ in range(_TRIES):
+    for number in range(_TRIES):
         fit = fitted(shape, blur)
         width = float(fit.parameters[-1])
         alike = lookalike(width, fit.blur)
@@ -158,7 +158,9 @@ def _fit_narrow(shape: Shape, blur: float, fitted: Callable[[Shape, float], Cont
         second = _best(shape, fit.strip, np.append(fit.parameters[:-1], alike[0]), alike[1])
         there = Trial(float(second.parameters[-1]), second.blur.radius, (second.cost - best.cost) / fit.noise)
         better = min([*nodes, there], key=lambda node: node.rise)
-        if better.rise > -_BETTER or abs(better.width - width) < ROUGH:
+        # Beside another radius the shares of discs differ a little: what is better within the error is no other one.
+        close = abs(better.width - width) < max(ROUGH, math.sqrt(fit.covariance[-1, -1]))
+        if better.rise > -_BETTER or (close and number == _TRIES - 1):
             seen = nodes[0].width <= there.width <= nodes[-1].width
             other = None if seen or there.rise > EXCLUDED else there
             return NarrowFit(_spread_out(shape, fit, best, nodes), other)
