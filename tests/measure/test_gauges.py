@@ -470,6 +470,12 @@ def test_a_line_is_known_to_a_thousandth(blur: float, levels: tuple[float, float
     assert found.warnings == ()
 
 
+def test_a_caliper_that_reaches_beyond_the_image_is_named() -> None:
+    picture = GrayImage(stripe_picture((60, 80), 0.0, 40.0, 12.0, blur=1.0, levels=(30, 190)), 16)
+    with pytest.raises(InputError, match="reaches beyond it"):
+        measure_width(picture, StraightCaliper((40, 30), 0.0, 20, 45))
+
+
 @pytest.mark.parametrize("width", [4.0, 21.3])
 @pytest.mark.parametrize("levels", [(30.0, 190.0), (190.0, 30.0)])
 def test_a_width_is_known_to_a_thousandth(width: float, levels: tuple[float, float]) -> None:
