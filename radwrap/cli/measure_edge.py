@@ -14,6 +14,7 @@ from radwrap.cli.gauging import two_digits, with_sigma
 from radwrap.errors import InputError
 from radwrap.manifest import SCHEMA_VERSION, finite, json_text
 from radwrap.measure.edges import MOST_BYTES, Edge, measure_edge
+from radwrap.measure.edges.misfit import SIGNIFICANT
 from radwrap.progress import Progress
 
 _BYTES: Final = 30  # a pixel: of 1 to 64 million pixels 22 to 25 were measured beyond what the program itself takes
@@ -142,6 +143,7 @@ def _json(edge: Edge, arguments: argparse.Namespace) -> dict[str, Any]:
         "level_share": edge.level_share,
         "misfit": edge.misfit,
         "even_misfit": edge.even_misfit,
+        "beyond_disc": finite(edge.beyond_disc),
         "warnings": list(_warnings(edge)),
         "strip": {"half_width": edge.half_width, "length": edge.length},
     }
@@ -177,6 +179,11 @@ def _warnings(edge: Edge) -> Iterator[str]:
         yield (
             f"{edge.level_share:.0%} of the bright side has one and the same gray level: where that is not even light "
             "but the camera's saturation, place, blur and gamma are wrong; then name the level with --saturation"
+        )
+    if edge.sigma_gamma > 0 and edge.beyond_disc > SIGNIFICANT:
+        yield (
+            "the blur is not a disc: another gamma at another place then fits nearly as well, and both may be off by "
+            "many standard errors; give --gamma"
         )
     if edge.misfit > LARGEST_MISFIT or edge.even_misfit > LARGEST_EVEN_MISFIT:
         off = max(edge.misfit, edge.even_misfit)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -31,6 +31,7 @@ _LARGEST_BAND: Final = 16.0  # px
 _MOST_OF_RADIUS: Final = 0.9
 _LENGTH: Final = 0.6  # of a true edge, so that the caliper keeps clear of its ends
 _MARGIN: Final = 10.0  # px of band beyond true edges
+_LEAST_MARGIN: Final = 3.0  # px of it, where the image ends beside the edges: light beside a blur of a pixel or two
 _ROUND: Final = 64  # points that stand for a rim
 _ALONG: Final = 257  # points that stand for an edge
 _SAME_AXIS: Final = 0.1  # of the radius; a far rim so like the near one bounds the same hole or body
@@ -227,7 +228,7 @@ def width_caliper(camera: Camera, face: Face, across: Axis, aspect: float) -> tu
         _LENGTH * float(np.linalg.norm(along)),
         abs(float(span @ normal)) / 2 + _MARGIN,
     )
-    return caliper, face.size[axis]
+    return _within(caliper, camera, aspect), face.size[axis]
 
 
 def line_caliper(scene: Scene, name: str, aspect: float) -> StraightCaliper:
@@ -254,6 +255,18 @@ def line_caliper(scene: Scene, name: str, aspect: float) -> StraightCaliper:
     # In pixel widths, where rows are `aspect` apart.
     angle = math.atan2(math.sin(line.angle) / aspect, math.cos(line.angle))
     return StraightCaliper((float(middle[0]), float(middle[1])), angle, _LENGTH * length, _MARGIN)
+
+
+def _within(caliper: StraightCaliper, camera: Camera, aspect: float) -> StraightCaliper:
+    """With as much less of the margin as lets the caliper lie in the image; the same where none does."""
+    last = np.array([camera.sensor.columns - 1, (camera.sensor.rows - 1) * aspect])
+    normal = np.array([math.cos(caliper.angle), math.sin(caliper.angle)])
+    side = caliper.length / 2 * np.abs(normal[::-1])
+    middle = np.array(caliper.centre) * np.array([1.0, aspect])
+    room = np.minimum(middle, last - middle) - side
+    fits = float(np.min(room / np.maximum(np.abs(normal), 1e-9)))
+    band = min(caliper.band, fits)
+    return caliper if band < caliper.band - _MARGIN + _LEAST_MARGIN else replace(caliper, band=band)
 
 
 def _check_before(uv: Array) -> None:

@@ -462,6 +462,24 @@ def test_what_is_no_single_step_is_warned_of(
     assert warned in told if warned else told == ""
 
 
+@pytest.mark.parametrize("given", ["fitted", "0.85"])
+@pytest.mark.parametrize("kind", ["Gaussian", "disc"])
+def test_a_fitted_gamma_is_warned_of_where_the_blur_is_no_disc(
+    kind: str, given: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What one does to the profile another gamma and place do nearly as well: by up to 0.5 px and ten sigmas."""
+    light = share(0.3, 30.2, 3.0) if kind == "disc" else gaussian_share(0.3, 30.2, 1.5)
+    noisy = gray(light, 0.85, 20).values + np.random.default_rng(8).normal(0, 0.7, light.shape)
+    path = tmp_path / "edge.png"
+    write_png(path, np.rint(noisy).astype(np.uint8))
+    assert run(str(path), "--gamma", given, "--dark", "20", "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert any("the blur is not a disc" in text for text in told["warnings"]) == (
+        kind == "Gaussian" and given == "fitted"
+    )
+    assert (told["beyond_disc"] > 5) == (kind == "Gaussian")
+
+
 @pytest.mark.parametrize("dark", [30.2, 30.47])
 def test_rounding_that_is_the_same_in_every_row_is_no_misfit(dark: float) -> None:
     """A contrast of 40 gray without noise: rounding leaves up to half a gray level at each distance."""

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.special import ndtr
+from scipy.interpolate import CubicSpline
+from scipy.special import i0e, ndtr
 
 from radwrap.errors import InputError
 from radwrap.images import GrayImage
@@ -41,7 +42,8 @@ from radwrap.measure.gauges import uniformity as uniformity_gauge
 from radwrap.measure.gauges.narrow import lookalike, width_by_gaussian
 from radwrap.measure.gauges.response import light_of
 from radwrap.measure.gauges.round_shapes import circle_shape
-from tests.measure.pictures import any_picture, edge_picture, noisy, ring_picture, stripe_picture
+from radwrap.measure.gauges.step import Step, pixel_step
+from tests.measure.pictures import any_picture, disc_share, edge_picture, noisy, ring_picture, stripe_picture
 
 Array = NDArray[np.float64]
 
@@ -325,11 +327,27 @@ def test_standard_errors_of_a_thin_ring_are_those_of_repeated_frames() -> None:
 
 
 def test_a_ring_whose_width_looks_like_another_is_refused() -> None:
-    light = thin_ring(21.0, 5.6, 2.5, (30.0, 50.0, 30.0))
+    light = thin_ring(21.0, 5.6, 2.5, (30.0, 45.0, 30.0))
     with pytest.raises(InputError, match="does not show how wide the ring is"):
-        both_rims(GrayImage(noisy(light, np.random.default_rng(4))), 21.0, 5.6)
+        both_rims(GrayImage(noisy(light, np.random.default_rng(0))), 21.0, 5.6)
     with pytest.raises(InputError, match="two rims in each other's blur"):
         both_rims(GrayImage(light, 16), 21.0, 5.6, form="ellipse")
+
+
+@pytest.mark.long
+def test_a_ring_that_may_look_like_another_is_refused_or_right() -> None:
+    light, refused = thin_ring(21.0, 5.6, 2.5, (30.0, 50.0, 30.0)), 0
+    for seed in range(4):
+        try:
+            outer, inner = both_rims(GrayImage(noisy(light, np.random.default_rng(seed))), 21.0, 5.6)
+        except InputError as error:
+            assert "does not show how wide the ring is" in str(error)
+            refused += 1
+            continue
+        # Where noise happens to exclude the other pair the right one is left.
+        assert outer.diameter == pytest.approx(42, abs=4 * outer.diameter_sigma)
+        assert inner.diameter == pytest.approx(30.8, abs=4 * inner.diameter_sigma)
+    assert refused >= 1
 
 
 def test_a_thin_ring_in_a_plane_is_round_there() -> None:
@@ -452,6 +470,12 @@ def test_a_line_is_known_to_a_thousandth(blur: float, levels: tuple[float, float
     assert found.warnings == ()
 
 
+def test_a_caliper_that_reaches_beyond_the_image_is_named() -> None:
+    picture = GrayImage(stripe_picture((60, 80), 0.0, 40.0, 12.0, blur=1.0, levels=(30, 190)), 16)
+    with pytest.raises(InputError, match="reaches beyond it"):
+        measure_width(picture, StraightCaliper((40, 30), 0.0, 20, 45))
+
+
 @pytest.mark.parametrize("width", [4.0, 21.3])
 @pytest.mark.parametrize("levels", [(30.0, 190.0), (190.0, 30.0)])
 def test_a_width_is_known_to_a_thousandth(width: float, levels: tuple[float, float]) -> None:
@@ -460,6 +484,106 @@ def test_a_width_is_known_to_a_thousandth(width: float, levels: tuple[float, flo
     assert found.width == pytest.approx(width, abs=2e-3)
     assert found.inside == ("bright" if levels[1] > levels[0] else "dark")
     assert abs(found.slant) < 1e-3 and found.warnings == ()
+
+
+# The sum of discs follows no such curve exactly, and pixels in columns show few places of it.
+UNBIASED = 0.01  # px
+U = np.arange(60) - 30.2
+
+
+def gaussian_falls(distance: Array, sigma: float) -> Array:
+    """Light of an edge along the columns under a Gaussian, on pixels: difference of s (x Phi + phi), x over s."""
+
+    def integral(x: Array) -> Array:
+        return np.asarray(sigma * (x * ndtr(x) + np.exp(-(x**2) / 2) / math.sqrt(2 * math.pi)))
+
+    return integral((distance + 0.5) / sigma) - integral((distance - 0.5) / sigma)
+
+
+def logistic_falls(distance: Array, sigma: float) -> Array:
+    """The same under a logistic curve: its integral over each pixel."""
+    scale = sigma * math.sqrt(3) / math.pi
+    whole = [scale * np.logaddexp(0, (distance + side) / scale) for side in (0.5, -0.5)]
+    return np.asarray(whole[0] - whole[1])
+
+
+@pytest.mark.parametrize("falls", [gaussian_falls, logistic_falls])
+@pytest.mark.parametrize(("size", "phase"), [(0.3, 0.0), (0.5, 0.3), (1.0, 0.6), (2.0, 0.15)])
+def test_no_symmetric_blur_moves_a_straight_edge(
+    falls: Callable[[Array, float], Array], size: float, phase: float
+) -> None:
+    """Taken for a disc's, such a blur moved an edge along the columns by up to 0.03 px, and a width by 0.05 px."""
+    low, high = phase - 9.4, phase + 9.1
+    share = falls(high - U, size) - falls(low - U, size)
+    for light in (30 + 160 * share, 190 - 160 * share):
+        image = GrayImage(np.tile(light, (40, 1)), 16)
+        left = measure_line(image, StraightCaliper((30.2 + low, 20), 0.0, 30, 8))
+        assert left.centre[0] == pytest.approx(30.2 + low, abs=UNBIASED)
+        both = measure_width(image, StraightCaliper((30.2 + phase, 20), 0.0, 30, 20))
+        assert both.width == pytest.approx(18.5, abs=UNBIASED)
+        assert left.warnings == both.warnings == ()
+
+
+@pytest.mark.parametrize(("falls", "width"), [(gaussian_falls, 3.5), (gaussian_falls, 6.0), (logistic_falls, 6.0)])
+def test_no_symmetric_blur_changes_a_narrow_width(falls: Callable[[Array, float], Array], width: float) -> None:
+    light = 30 + 160 * (falls(width / 2 - U, 0.6) - falls(-width / 2 - U, 0.6))
+    line = measure_line(GrayImage(np.tile(light, (40, 1)), 16), StraightCaliper((30.2, 20), 0.0, 30, 12), stripe=True)
+    assert line.width == pytest.approx(width, abs=UNBIASED)
+    assert line.centre[0] == pytest.approx(30.2, abs=UNBIASED)
+
+
+def gaussian_disc(radius: float, sigma: float) -> Array:
+    """A disc under a Gaussian: int exp(-(r^2 + t^2)/(2 s^2)) I_0(r t/s^2) t/s^2 dt, by quadrature, over pixels."""
+    t, weight = (part[:, None] for part in np.polynomial.legendre.leggauss(120))
+    t, weight = (t + 1) / 2 * radius, weight / 2 * radius
+    r = np.linspace(0, 48, 1500)
+    # exp(-(r - t)^2/(2 s^2)) times the scaled Bessel function: neither overflows.
+    shares = (weight * t * np.exp(-(((r - t) / sigma) ** 2) / 2) * i0e(r * t / sigma**2)).sum(axis=0) / sigma**2
+    inside, by = np.polynomial.legendre.leggauss(6)
+    v, u = np.indices(SHAPE, dtype=np.float64)
+    places = [
+        (x / 2, y / 2, p * q / 4) for x, p in zip(inside, by, strict=True) for y, q in zip(inside, by, strict=True)
+    ]
+    share = CubicSpline(r, shares)
+    return np.asarray(sum(w * share(np.hypot(u - CENTRE[0] + x, v - CENTRE[1] + y)) for x, y, w in places))
+
+
+@pytest.mark.parametrize(("radius", "sigma"), [(14.0, 0.4), (20.0, 1.0), (18.0, 2.2)])
+def test_a_gaussian_blur_changes_no_diameter(radius: float, sigma: float) -> None:
+    """Taken for a disc's it made the last one 0.06 px wider."""
+    share = gaussian_disc(radius, sigma)
+    for light in (30 + 160 * share, 190 - 160 * share):
+        found = circle(light, radius)
+        assert found.diameter == pytest.approx(2 * radius, abs=UNBIASED)
+        assert found.centre == pytest.approx(CENTRE, abs=1e-3)
+        assert found.warnings == ()
+
+
+@pytest.mark.parametrize("curvature", [0.08, -0.08])
+def test_derivatives_of_a_step_are_those_of_differences(curvature: float) -> None:
+    distance, across = np.linspace(-4, 4, 41), np.array([0.8, 0.6])
+
+    def seen(shift: float, bend: float) -> Step:
+        return pixel_step(distance + shift, np.tile(across, (41, 1)), np.full(41, curvature + bend), 2.1, 1.0)
+
+    here, step = seen(0, 0), 1e-5
+    by_distance, by_curvature = (
+        [(getattr(seen(*ends[0]), name) - getattr(seen(*ends[1]), name)) / (2 * step) for name in ("step", "ramp")]
+        for ends in (((step, 0), (-step, 0)), ((0, step), (0, -step)))
+    )
+    assert here.step_by_distance == pytest.approx(by_distance[0], abs=1e-8)
+    assert here.ramp_by_distance == pytest.approx(by_distance[1], abs=1e-8)
+    assert here.step_by_curvature == pytest.approx(by_curvature[0], abs=1e-8)
+    assert not by_curvature[1].any()
+
+
+@pytest.mark.parametrize("radius", [9.0, 14.0])
+def test_a_step_along_a_bent_rim_is_right_to_second_order(radius: float) -> None:
+    """Beside the area that two circles have in common; pixels so small see a place. The first order leaves 1e-2."""
+    blur, x = 3.0, np.linspace(-2.9, 2.9, 30)
+    true = disc_share(radius - x, radius, blur)
+    found = pixel_step(x * 1e3, np.tile([1.0, 0.0], (30, 1)), np.full(30, 1e-3 / radius), blur * 1e3, 1.0).step
+    assert found == pytest.approx(true, abs=0.5 * (blur / radius) ** 3 / 2)
 
 
 @pytest.mark.parametrize(
@@ -512,30 +636,21 @@ def test_a_wide_stripe_looks_like_no_other() -> None:
     assert found is not None and found[0] < 0.5
 
 
-def test_of_a_gaussian_blur_a_narrow_width_is_warned_of() -> None:
-    """3 px under a Gaussian of .7 px, in closed form: a disc of blur makes 1.9 px of it, and a small error."""
-    # Variance and fourth cumulant of a box under a Gaussian are those of the fitted box under a disc.
+def test_a_narrow_width_under_a_gaussian_is_known() -> None:
+    """3 px under a Gaussian of .7 px, in closed form: one disc of blur made 1.9 px of it, and a small error."""
+    light = np.tile(30 + 160 * (gaussian_falls(1.5 - U, 0.7) - gaussian_falls(-1.5 - U, 0.7)), (140, 1))
+    image = GrayImage(light + 0.5 * np.random.default_rng(1).standard_normal(light.shape), 16)
+    found = measure_width(image, StraightCaliper((30.2, 70.0), 0.0, 130, 14))
+    assert found.width == pytest.approx(3.0, abs=5 * found.width_sigma) and found.width_sigma < 0.01
+    assert found.warnings == ()
+
+
+def test_what_a_gaussian_would_make_of_a_width() -> None:
+    """Variance and fourth cumulant of a box under a Gaussian are those of the fitted box under a disc."""
     x, total = 1.3**2 / 12, 1.3**2 / 12 + 1.1**2 / 4
     there = width_by_gaussian(1.3, 1.1) ** 2 / 12
     assert 1.2 * there**2 == pytest.approx(1.2 * x**2 + (total - x) ** 2)
     assert width_by_gaussian(8.0, 1.0) == pytest.approx(8.0, rel=1e-3)
-    u = np.arange(60) - 30.2
-
-    def falls(edge: float) -> Array:
-        # Mean over a pixel of the integral of a Gaussian, by fine places.
-        inside = (np.arange(32) + 0.5) / 32 - 0.5
-        return ndtr((edge - u[:, None] - inside) / 0.7).mean(axis=1)
-
-    light = np.tile(30 + 160 * (falls(1.5) - falls(-1.5)), (140, 1))
-    # Over so many pixels noise seems to exclude the pair of width and blur that is true.
-    image = GrayImage(light + 0.5 * np.random.default_rng(1).standard_normal(light.shape), 16)
-    caliper = StraightCaliper((30.2, 70.0), 0.0, 130, 14)
-    found = measure_width(image, caliper)
-    assert found.width < 2 and found.width_sigma < 0.03
-    (told,) = [text for text in found.warnings if "hangs on the shape of the blur" in text]
-    assert float(told.split("about ")[1].split()[0]) == pytest.approx(3.0, rel=0.1)
-    wide = np.tile(30 + 160 * (falls(5.0) - falls(-5.0)), (140, 1))
-    assert not any("shape of the blur" in text for text in measure_width(GrayImage(wide, 16), caliper).warnings)
 
 
 def stripe_frames(width: float, blur: float, bright: float, number: int) -> Iterator[GrayImage]:

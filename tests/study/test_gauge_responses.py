@@ -6,9 +6,12 @@ import csv
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from radwrap import load_scene, with_value
 from radwrap.study.design import read_design
+from radwrap.study.placed_calipers import named_face, width_caliper
 from radwrap.study.runs import check_design
 from radwrap.study.study import StudyOptions, run_study
 from tests.cli.conftest import here, write_scene
@@ -146,3 +149,21 @@ SMALL_POWER_LAW = {
     "dark_gray": 22,
     "saturation_gray": 255,
 }
+
+
+@pytest.mark.parametrize(("size", "fits"), [("6 mm", 10.0), ("8 mm", 8.8), ("12 mm", 3.4)])
+def test_a_width_caliper_stays_within_the_image(size: str, fits: float) -> None:
+    """A coarse scale leaves less room beside a part than the usual margin; the part is in sight nevertheless."""
+    scene = load_scene(Path(__file__).parents[2] / "rad_scenes" / "moving_belt" / "scene.toml")
+    number = next(k for k, target in enumerate(scene.targets) if target.name == "key")
+    scene = with_value(scene, f"targets[{number}].size", ["8 mm", size, "2 mm"])
+    caliper, true = width_caliper(scene.camera, named_face(scene, "key"), "y", 1.0)
+    assert true == pytest.approx(float(size.split(maxsplit=1)[0]) / 1e3)
+    # Its upper face is 298 mm away, and a pixel there 20.7 um of 16 mm wide, at a focus of 300 mm.
+    pixel = 20.7e-6 * 298 / (16 * 300 / (300 - 16))
+    assert caliper.band - true / pixel / 2 == pytest.approx(fits, abs=0.3)
+    across, along = np.array([np.cos(caliper.angle), np.sin(caliper.angle)]), caliper.length / 2
+    for sign in (-1, 1):
+        for end in (-along, along):
+            u, v = np.array(caliper.centre) + sign * caliper.band * across + end * np.array([-across[1], across[0]])
+            assert 0 <= u <= 63 and 0 <= v <= 47

@@ -153,6 +153,13 @@ def any_blur(disc: Fitted, look: Callable[[], None]) -> Fitted:
     return fitted(wider, start, free, bounds, tolerance=1e-8, held=held, look=look)
 
 
+def beyond_disc(disc: Fitted, anyhow: Fitted) -> float:
+    """By how much the other discs fit better than noise lets them [standard deviations of chi-square]."""
+    rises = [float(np.sum(one.model.residual(one.parameters) ** 2)) for one in (disc, anyhow)]
+    free = int(anyhow.free.sum() - disc.free.sum())
+    return ((rises[0] - rises[1]) / max(anyhow.variance, 1e-300) - free) / math.sqrt(2 * free)
+
+
 def covariance_of(disc: Fitted, anyhow: Fitted) -> Array:
     """Of the parameters with any blur, among them the radius, which is that of the fit with one disc.
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.images import GrayImage
-from radwrap.measure.edges.blur import Fitted, any_blur, covariance_of, fitted
+from radwrap.measure.edges.blur import Fitted, any_blur, beyond_disc, covariance_of, fitted
 from radwrap.measure.edges.misfit import misfit_of
 from radwrap.measure.edges.model import Model, Pixels, splines_along
 from radwrap.measure.edges.search import Line, find_line, normal_angle
@@ -75,6 +75,9 @@ class Edge:
         Means at each distance from the edge of what the fit leaves, rms beyond noise over the contrast: of all of it,
         and of what has the same sign on both sides, as of a fringe, a shadow or a blur that is not symmetric. 0 by
         chance.
+    beyond_disc : float
+        By how much a blur that is no disc fits better [standard deviations of what noise makes of that]. Another gamma
+        at another place fits nearly as well then: where gamma is fitted neither is known.
     """
 
     angle: float
@@ -101,6 +104,7 @@ class Edge:
     level_share: float
     misfit: float
     even_misfit: float
+    beyond_disc: float
 
     @property
     def position_gamma_correlation(self) -> float:
@@ -350,7 +354,7 @@ def _edge(disc: Fitted, anyhow: Fitted) -> Edge:
     slopes = np.stack([(both(parameters + h) - both(parameters - h)) / (2 * h.max()) for h in np.diag(steps)], axis=1)
     sigma_low, sigma_high = np.sqrt(np.diag(slopes @ covariance @ slopes.T))
     levels = tuple(map(float, (low, high, sigma_low, sigma_high)))
-    misfits = _misfits(model, parameters, residual, high - low)
+    misfits = (*_misfits(model, parameters, residual, high - low), beyond_disc(disc, anyhow))
     return _named(model, parameters, covariance[:4, :4], levels=levels, rms=rms, misfits=misfits)
 
 
@@ -373,7 +377,7 @@ def _named(
     *,
     levels: tuple[float, ...],
     rms: float,
-    misfits: tuple[float, float],
+    misfits: tuple[float, float, float],
 ) -> Edge:
     """Angle and offset as truth.json has them: the normal points to the right, or downwards."""
     old, line = model.line, _refined(model.line, parameters)
@@ -410,6 +414,7 @@ def _named(
         level_share=_level_share(model, line),
         misfit=misfits[0],
         even_misfit=misfits[1],
+        beyond_disc=misfits[2],
     )
 
 

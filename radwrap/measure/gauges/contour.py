@@ -1,8 +1,9 @@
 """One least-squares fit of a contour in a strip of pixels: its shape, the blur, and the light on either side.
 
 The shape says how far each pixel lies from the contour, and how the contour is bent there; `step` says what the pixel
-sees. Light may differ from place to place along the contour and change across it. Pixels and stretches of the contour
-that belong to something else, a neighbour or a burr, are left out and counted.
+sees. One disc is fitted for the blur, and then a sum of discs, so that no symmetric blur moves the contour. Light may
+differ from place to place along the contour and change across it. Pixels and stretches of the contour that belong to
+something else, a neighbour or a burr, are left out and counted.
 """
 
 from __future__ import annotations
@@ -17,17 +18,32 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.measure.background import QUANTISATION
+from radwrap.measure.edges.blur import DISCS
 from radwrap.measure.edges.correlation import variance_factor
 from radwrap.measure.edges.misfit import beyond_noise, misfit_of
 from radwrap.measure.gauges.response import Light
 from radwrap.measure.gauges.rims import Rim, Shape
-from radwrap.measure.gauges.strip import NARROWEST, ROUGH, State, Strip, jacobian_of, nearest_of, solved, terms_of
+from radwrap.measure.gauges.strip import (
+    DONE,
+    NARROWEST,
+    ROUGH,
+    Blur,
+    State,
+    Strip,
+    any_blur,
+    influence_of,
+    moved_light,
+    nearest_of,
+    solved,
+    terms_of,
+)
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 BEYOND: Final = 4.0  # px of level on either side of the blur
 _ROUNDS: Final = 8  # of strip, weights and outliers
+_RADIUS: Final = 1e-4  # px, to which the disc is known beside which other discs are fitted
 _STILL: Final = 1e-3  # px; pixels no longer come and go
 _OUTLIER: Final = 4.5  # standard deviations
 _BLOCK: Final = 8.0  # px along the contour
@@ -67,7 +83,7 @@ class Contour:
     covariance : ndarray, shape (k, k)
         Of noise.
     blur, blur_sigma : float
-        Radius of the disc of blur [px].
+        Radius of the disc of blur that fits best [px].
     low, high : float
         Mean light of either side.
     influence : ndarray, shape (k, n)
@@ -132,25 +148,25 @@ def fit_contour(light: Light, shape: Shape, blur: float, band: float, aspect: fl
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(1):  # of tall narrow matrices: threads would wait for one another most of the time
-        return _fitted(light, shape, max(blur, NARROWEST), band, aspect)
+        return _fitted(light, shape, Blur(max(blur, NARROWEST)), band, aspect)
 
 
-def _fitted(light: Light, shape: Shape, blur: float, band: float, aspect: float) -> Contour:
+def _fitted(light: Light, shape: Shape, start: Blur, band: float, aspect: float) -> Contour:
     """Rounds of strip, weights and outliers, until pixels no longer come and go."""
-    parameters, noise = shape.start, (0.0, 0.0)
+    parameters, blur, noise = shape.start, start, (0.0, 0.0)
     for _ in range(_ROUNDS):
-        before = parameters, blur
-        strip = _strip(light, shape, parameters, min(blur + BEYOND, band), aspect)
+        before, radius = (parameters, blur), blur.radius
+        strip = _strip(light, shape, parameters, min(radius + BEYOND, band), aspect)
         steps, stepping = _stepping(shape, strip, before)
         _check_seen(stepping)
         strip = strip.only(steps)
-        state = solved(shape, _weighted(strip, shape, before, noise), *before, done=ROUGH)
+        state = _rough(shape, _weighted(strip, shape, before, noise), before)
         keep, kept = _kept(shape, state)
         left_out = 1 - stepping * kept
         _check_seen(1 - left_out)
         first, noise = min(noise) == 0, _side_noise(strip, state, keep)
         strip = _weighted(strip, shape, (state.parameters, state.blur), noise).only(keep)
-        state = solved(shape, strip, state.parameters, state.blur)
+        disc, state = _both(shape, strip, (state.parameters, state.blur))
         parameters, blur = state.parameters, state.blur
         moved = float(np.abs((parameters - shape.start) / shape.units).max())
         if not moved <= band + 1:
@@ -158,11 +174,22 @@ def _fitted(light: Light, shape: Shape, blur: float, band: float, aspect: float)
                 "the fit leaves the band", where="the image", remedy="place the caliper nearer to the contour"
             )
         # What is seen of a blur far narrower than a pixel is its square, which may settle long before the radius does.
-        blurred = abs(blur - before[1]) * min(1.0, blur + before[1])
+        blurred = abs(blur.radius - radius) * min(1.0, blur.radius + radius)
         still = max(float(np.abs((parameters - before[0]) / shape.units).max()), blurred)
         if not first and still < _STILL:
             break
-    return _told(shape, light, strip, state, left_out)
+    return _told(shape, light, strip, disc, state, left_out=left_out)
+
+
+def _rough(shape: Shape, strip: Strip, at: tuple[Array, Blur]) -> State:
+    """Good enough to see which pixels show the contour; with the blur of the round before, if there is one."""
+    return solved(shape, strip, *at, done=ROUGH) if at[1].shares.size else _both(shape, strip, at, done=ROUGH)[1]
+
+
+def _both(shape: Shape, strip: Strip, at: tuple[Array, Blur], *, done: float = DONE) -> tuple[State, State]:
+    """The fits with one disc for the blur, and with whatever blur there is."""
+    disc = solved(shape, strip, at[0], Blur(at[1].radius), done=max(done, _RADIUS))
+    return disc, any_blur(shape, strip, disc, at[1], done=done)
 
 
 def _strip(light: Light, shape: Shape, parameters: Array, reach: float, aspect: float) -> Strip:
@@ -204,7 +231,7 @@ def _perhaps_near(
     return np.flatnonzero(wide)
 
 
-def _weighted(strip: Strip, shape: Shape, at: tuple[Array, float], noise: tuple[float, float]) -> Strip:
+def _weighted(strip: Strip, shape: Shape, at: tuple[Array, Blur], noise: tuple[float, float]) -> Strip:
     """The same pixels with their noise: that of the dark side, of the bright side, and between."""
     if min(noise) <= 0:
         return strip
@@ -221,7 +248,8 @@ def _side_noise(strip: Strip, state: State, keep: Flags) -> tuple[float, float]:
     signed = np.stack([rim.distance for rim in state.rims])
     shared = _shared_noise(np.clip(left[keep] / everywhere, -4, 4) ** 2, state.terms.brightness[keep]) * everywhere
     found = []
-    for number, far in enumerate(((signed < -state.blur - 1).any(axis=0), (signed > state.blur + 1).all(axis=0))):
+    reach = state.blur.radius + 1
+    for number, far in enumerate(((signed < -reach).any(axis=0), (signed > reach).all(axis=0))):
         some = keep & far
         here = _spread(left[some]) if some.sum() >= _FEWEST_PIXELS else float(shared[number])
         found.append(max(here, 0.3 * everywhere))
@@ -255,7 +283,7 @@ def _check_seen(share: float) -> None:
         )
 
 
-def _stepping(shape: Shape, strip: Strip, at: tuple[Array, float]) -> tuple[Flags, float]:
+def _stepping(shape: Shape, strip: Strip, at: tuple[Array, Blur]) -> tuple[Flags, float]:
     """Pixels of stretches across which light steps, and the share of the contour that these are.
 
     Levels of the model change along the contour. Where it is not there, a contrast of nothing would fit, and such a
@@ -308,39 +336,38 @@ def _blocks(shape: Shape, rims: Sequence[Rim], length: float = _BLOCK) -> tuple[
     return np.asarray((share * count).astype(np.intp) + count * nearest_of(rims)), count * len(rims)
 
 
-def _told(shape: Shape, light: Light, strip: Strip, state: State, left_out: float) -> Contour:
-    """Covariance, influence of each pixel, and what speaks against the model."""
+def _told(shape: Shape, light: Light, strip: Strip, disc: State, state: State, *, left_out: float) -> Contour:
+    """Covariance, influence of each pixel, and what speaks against the model; levels and radius are of one disc."""
     count = len(state.parameters)
-    jacobian = jacobian_of(shape, strip, state)
-    norms = np.linalg.norm(jacobian, axis=0)
-    norms[norms == 0] = 1.0
-    inverse = np.linalg.pinv(jacobian / norms, rcond=1e-9) / norms[:, None]
-    variance = state.cost / max(strip.light.size - jacobian.shape[1], 1)
+    inverse = influence_of(shape, strip, state)
+    variance = float(state.residual @ state.residual) / max(strip.light.size - len(inverse), 1)
     across = np.choose(state.nearest, [rim.distance for rim in state.rims])
     # Rounding is noise of its own, also where a still image shows none.
     rounding = (QUANTISATION if is_whole(light) else 0.0) * (strip.slope * strip.weight) ** 2
     factor = variance_factor(across, state.rims[0].along, state.residual)
     noise = np.maximum(variance, rounding) * factor
-    covariance = (inverse * noise) @ inverse.T
-    low, high = _levels(strip, state)
+    # What holds the shares counts as a measurement of each.
+    covariance = (inverse * np.append(noise, np.full(len(DISCS), noise.mean()))) @ inverse.T
+    blur_sigma = math.sqrt(float(influence_of(shape, strip, disc)[count] ** 2 @ noise))
+    low, high = _levels(strip, disc)  # large discs leave levels in doubt, though not the place
     if abs(high - low) < _FAINTEST / float(np.median(strip.weight)):
         raise InputError("shows no contour above its noise", where="the image", remedy="raise contrast or exposure")
     misfit, significant = _misfit(shape, strip, state, variance)
     return Contour(
         parameters=state.parameters,
         covariance=covariance[:count, :count],
-        blur=state.blur,
-        blur_sigma=math.sqrt(covariance[count, count]),
+        blur=state.blur.radius,
+        blur_sigma=blur_sigma,
         low=low,
         high=high,
-        influence=inverse[:count] * (strip.weight * strip.slope),
+        influence=inverse[:count, : strip.light.size] * (strip.weight * strip.slope),
         strip=strip,
         noise=float(noise.mean()),
         residual_rms=float(np.sqrt(np.mean((state.residual / strip.weight) ** 2))),
         pixels=strip.light.size,
         left_out=left_out,
         misfit=misfit,
-        warnings=tuple(_warnings(strip, state, misfit if significant else 0.0, rounded=is_whole(light))),
+        warnings=tuple(_warnings(strip, disc, state, misfit if significant else 0.0, rounded=is_whole(light))),
     )
 
 
@@ -379,7 +406,7 @@ def _misfit(shape: Shape, strip: Strip, state: State, variance: float) -> tuple[
 def _profile(strip: Strip, state: State) -> float:
     """Mean of what the fit leaves at each distance from the contour, rms beyond noise [light]; 0 by chance."""
     across = np.choose(state.nearest, [rim.distance for rim in state.rims])
-    here = np.abs(across) <= state.blur + 1.5
+    here = np.abs(across) <= state.blur.radius + 1.5
     number = np.floor((across[here] - across[here].min()) / _BIN).astype(np.intp)
     left, weight = state.residual[here] / strip.weight[here], strip.weight[here]
     count = np.bincount(number)
@@ -391,44 +418,41 @@ def _profile(strip: Strip, state: State) -> float:
     return beyond_noise(mean, variance)
 
 
-def _even_misfit(strip: Strip, state: State, *, rounded: bool) -> float:
+def _even_misfit(strip: Strip, state: State, contrast: float, *, rounded: bool) -> float:
     """What the fit leaves alike on both sides of a rim, rms beyond noise over the contrast; the largest of the rims.
 
     No symmetric blur does, whatever it is; a second edge beside the rim, a fringe and a clipped side do, and move it.
     """
-    low, high = _levels(strip, state)
     slope = float(np.median(strip.slope))
     left = state.residual / strip.weight * strip.slope  # gray, as rounding is
     found = []
     for number, rim in enumerate(state.rims):
         here = state.nearest == number
-        reach = 2 * state.blur + _BESIDE
-        contrast = max(abs(high - low), 1e-300) * slope
-        found.append(misfit_of(rim.distance[here], left[here], reach, contrast, rounded=rounded)[1])
+        reach = 2 * state.blur.radius + _BESIDE
+        found.append(misfit_of(rim.distance[here], left[here], reach, contrast * slope, rounded=rounded)[1])
     return max(found)
 
 
 def _by_shift(shape: Shape, strip: Strip, state: State) -> Array:
     """Derivative of the model by a shift of the nearest rim to its dark side."""
     step = 1e-3
-    moved = [replace(rim, distance=rim.distance + step) for rim in state.rims]
-    there = [
-        terms_of(shape, [*state.rims[:k], moved[k], *state.rims[k + 1 :]], state.blur, strip.aspect)
-        for k in range(len(moved))
-    ]
-    return np.choose(state.nearest, [(terms.matrix @ state.levels - state.fitted) / step for terms in there])
+    found = []
+    for k, rim in enumerate(state.rims):
+        moved = [*state.rims[:k], replace(rim, distance=rim.distance + step), *state.rims[k + 1 :]]
+        found.append((moved_light(shape, state, moved) - state.fitted) / step)
+    return np.choose(state.nearest, found)
 
 
-def _warnings(strip: Strip, state: State, misfit: float, *, rounded: bool) -> Iterator[str]:
-    low, high = _levels(strip, state)
+def _warnings(strip: Strip, disc: State, state: State, misfit: float, *, rounded: bool) -> Iterator[str]:
+    low, high = _levels(strip, disc)
     contrast = max(abs(high - low), 1e-300)
-    off = _profile(strip, state) / contrast
+    off = _profile(strip, disc) / contrast
     if off > _PROFILE:
         yield (
             f"across the contour light differs by {off:.1%} of the contrast from one blurred step: a chamfer, a "
             "shadow or the side of a thick part may lie there"
         )
-    elif (even := _even_misfit(strip, state, rounded=rounded)) > _EVEN:
+    elif (even := _even_misfit(strip, state, contrast, rounded=rounded)) > _EVEN:
         yield (
             f"on both sides of the contour light differs alike, by {even:.1%} of the contrast, from one step with any "
             "symmetric blur: a second edge, a fringe or a clipped side moves the contour by more than is stated"
@@ -437,9 +461,9 @@ def _warnings(strip: Strip, state: State, misfit: float, *, rounded: bool) -> It
         yield f"the contour departs from the shape by {misfit:.2g} px rms beyond noise: it is of another one"
     if high > float(strip.light.max()) + _ABOVE * contrast:
         yield "the fitted level lies above the brightest pixel: the object is smaller than its blur"
-    if len(state.rims) == 1:
-        dark, across = (state.terms.parts(state.levels)[number] for number in (1, 3))
-        slopes = state.terms.slow @ np.stack([dark, dark + across], axis=1)
+    if len(disc.rims) == 1:
+        dark, across = (disc.terms.parts(disc.levels)[number] for number in (1, 3))
+        slopes = disc.terms.slow @ np.stack([dark, dark + across], axis=1)
         steep = float(np.median(np.abs(slopes), axis=0).max()) / contrast
         if steep > _STEEP:
             yield f"light beside the contour changes by {steep:.0%} of the contrast a pixel: see what lies there"

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from radwrap.measure.gauges.contour import Contour
 from radwrap.measure.gauges.rims import Rim, Shape
-from radwrap.measure.gauges.strip import NARROWEST, State, Strip, jacobian_of, solved
+from radwrap.measure.gauges.strip import NARROWEST, ROUGH, Blur, State, Strip, any_blur, jacobian_of, solved
 
 Array = NDArray[np.float64]
 
@@ -36,6 +36,7 @@ _LONGEST: Final = 0.1  # of the width, of a step
 # By how much another kind of blur may change the width without a warning: of the width, and in standard errors.
 _SHAPE: Final = 0.05
 _SHAPE_SIGMAS: Final = 2.0
+_CLOSE: Final = 1e-4  # px; how much worse a fit is hangs on the square of that
 _FINE: Final = 2000  # places of the likelihood's integral
 
 
@@ -146,18 +147,20 @@ def _of_one_blur(fit: Contour) -> Contour:
 
 
 def _fit_narrow(shape: Shape, blur: float, fitted: Callable[[Shape, float], Contour]) -> NarrowFit:
-    for _ in range(_TRIES):
+    for number in range(_TRIES):
         fit = fitted(shape, blur)
         width = float(fit.parameters[-1])
         alike = lookalike(width, fit.blur)
         if alike is None:
             return NarrowFit(fit)
-        best = solved(shape, fit.strip, fit.parameters, fit.blur)
+        best = _best(shape, fit.strip, fit.parameters, fit.blur)
         nodes = _nodes(shape, fit, best)
-        second = solved(shape, fit.strip, np.append(fit.parameters[:-1], alike[0]), alike[1])
-        there = Trial(float(second.parameters[-1]), second.blur, (second.cost - best.cost) / fit.noise)
+        second = _best(shape, fit.strip, np.append(fit.parameters[:-1], alike[0]), alike[1])
+        there = Trial(float(second.parameters[-1]), second.blur.radius, (second.cost - best.cost) / fit.noise)
         better = min([*nodes, there], key=lambda node: node.rise)
-        if better.rise > -_BETTER:
+        # Beside another radius the shares of discs differ a little: what is better within the error is no other one.
+        close = abs(better.width - width) < max(ROUGH, math.sqrt(fit.covariance[-1, -1]))
+        if better.rise > -_BETTER or (close and number == _TRIES - 1):
             seen = nodes[0].width <= there.width <= nodes[-1].width
             other = None if seen or there.rise > EXCLUDED else there
             return NarrowFit(_spread_out(shape, fit, best, nodes), other)
@@ -207,8 +210,14 @@ def _at(shape: Shape, fit: Contour, best: State, width: float, parameters: Array
     """The best fit of a width, and its other parameters."""
     # Of the same variance across the rims.
     blur = math.sqrt(max(fit.blur**2 + (fit.parameters[-1] ** 2 - width**2) / 3, NARROWEST**2))
-    state = solved(_of_width(shape, width), fit.strip, parameters, blur)
-    return Trial(width, state.blur, (state.cost - best.cost) / fit.noise), state.parameters
+    state = _best(_of_width(shape, width), fit.strip, parameters, blur)
+    return Trial(width, state.blur.radius, (state.cost - best.cost) / fit.noise), state.parameters
+
+
+def _best(shape: Shape, strip: Strip, parameters: Array, blur: float) -> State:
+    """With whatever blur there is, from a disc of this radius on."""
+    disc = solved(shape, strip, parameters, Blur(blur), done=_CLOSE)
+    return any_blur(shape, strip, disc, done=_CLOSE)
 
 
 def _of_width(shape: Shape, width: float) -> Shape:

@@ -1,12 +1,19 @@
 """What pixels see of a blurred step of light along a contour that may be bent.
 
 Across a straight contour the blur by a disc gives E(x) of Eq. 9, and a pixel sees its mean. Along a contour of
-curvature kappa the bright side ends kappa s^2/2 nearer at a distance s along it. What that takes away is kappa/2 times
-the blur's second moment along the contour, which is -int_{t<x} t k(t) dt for any round blur k, and so E_1 - x E_0.
+curvature kappa the bright side ends y = kappa s^2/2 nearer at a distance s along it. That takes away
+
+    int y k(x, s) ds - d/dx int y^2/2 k(x, s) ds,
+
+k the blur. The first is kappa/2 times its second moment along the contour, -int_{t<x} t k(t) dt = E_1 - x E_0 of any
+round blur. For a disc of radius b these moments are 2 c^3/(3 pi b^2) and, of s^4, 2 c^5/(5 pi b^2) with
+c^2 = b^2 - x^2, so that both together are kappa/2 (E_1 - x E_0)(1 + 3/4 kappa x).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -17,9 +24,49 @@ from radwrap.measure.edges.profile import antiderivatives
 Array = NDArray[np.float64]
 
 _NARROW: Final = 5e-4  # px; half of a pixel's shorter side as the contour sees it is never taken as less: off by 4e-8
+_SECOND: Final = 0.75  # of kappa x, what the second order in the curvature adds to the first
 
 
-def pixel_step(distance: Array, normal: Array, curvature: Array, radius: float, aspect: float) -> tuple[Array, Array]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """What pixels see of a step, and how that changes with their place.
+
+    Attributes
+    ----------
+    step, ramp : ndarray, shape (n,)
+        Share of the pixel's light that is bright, and its mean of x where x > 0 [px].
+    step_by_distance, ramp_by_distance : ndarray, shape (n,)
+        Their derivatives by the distance from the contour.
+    step_by_curvature : ndarray, shape (n,)
+        Derivative by the curvature [px].
+    """
+
+    step: Array
+    ramp: Array
+    step_by_distance: Array
+    ramp_by_distance: Array
+    step_by_curvature: Array
+
+    @property
+    def parts(self) -> tuple[Array, ...]:
+        """All of them."""
+        return self.step, self.ramp, self.step_by_distance, self.ramp_by_distance, self.step_by_curvature
+
+    def moved(self, distance: Array, curvature: Array) -> tuple[Array, Array]:
+        """Step and ramp after a small change of both [px, 1/px]."""
+        step = self.step + self.step_by_distance * distance + self.step_by_curvature * curvature
+        return step, self.ramp + self.ramp_by_distance * distance
+
+
+def mixed(steps: Sequence[Step], shares: Array) -> Step:
+    """What pixels see of a step whose blur is a sum, with the shares of its parts."""
+    if len(steps) == 1:
+        return steps[0]
+    columns = zip(*(step.parts for step in steps), strict=True)
+    return Step(*(sum(share * part for share, part in zip(shares, parts, strict=True)) for parts in columns))
+
+
+def pixel_step(distance: Array, normal: Array, curvature: Array, radius: float, aspect: float) -> Step:
     """Mean over each pixel of the step, and of the step times the distance, blurred by a disc.
 
     Parameters
@@ -37,14 +84,22 @@ def pixel_step(distance: Array, normal: Array, curvature: Array, radius: float, 
 
     Returns
     -------
-    step, ramp : ndarray, shape (n,)
-        Share of the pixel's light that is bright, and its mean of x where x > 0 [px].
+    Step
+        With derivatives, but for what a turn of the normal does.
     """
     sides = np.abs(normal) * np.array([0.5, 0.5 * aspect])
     a, b = np.maximum(sides[:, 0], sides[:, 1]), np.maximum(np.minimum(sides[:, 0], sides[:, 1]), _NARROW)
     corners = np.stack([distance + a + b, distance + a - b, distance - a + b, distance - a - b])
-    second, third = antiderivatives(corners, radius, (2, 3))
     area = 4 * a * b
-    step = (second[0] - second[1] - second[2] + second[3]) / area
-    ramp = (third[0] - third[1] - third[2] + third[3]) / area
-    return step - curvature / 2 * (ramp - distance * step), ramp
+    density, step, ramp = ((e[0] - e[1] - e[2] + e[3]) / area for e in antiderivatives(corners, radius, (1, 2, 3)))
+    if not curvature.any():
+        return Step(step, ramp, density, step, np.zeros_like(step))
+    moment = ramp - distance * step
+    twice = curvature * distance * (2 * _SECOND)
+    return Step(
+        step - curvature / 2 * moment * (1 + twice / 2),
+        ramp,
+        density + curvature / 2 * (distance * density * (1 + twice / 2) - moment * curvature * _SECOND),
+        step,
+        -moment / 2 * (1 + twice),
+    )

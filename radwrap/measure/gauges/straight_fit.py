@@ -67,6 +67,8 @@ class StraightGauge:
     def crossings(self, rising: bool | None, way: Way) -> Crossings:
         """Where the scan lines cross the strongest edge."""
         found = crossings(self.light.values, self.lines, "moment" if way == "moment" else "gradient", rising)
+        if found is None and self._share_inside() < _FEWEST_SHARE:
+            raise InputError("the caliper reaches beyond it", where="the image", remedy="move it, or narrow its band")
         if found is None or len(found.line) < _FEWEST_SHARE * len(self.lines.origins):
             raise InputError(
                 "shows no edge in the caliper's band", where="the image", remedy="move the caliper, or widen its band"
@@ -74,6 +76,14 @@ class StraightGauge:
         if way != "model":
             check_unsaturated(self.light.usable, self.lines, found)
         return found
+
+    def _share_inside(self) -> float:
+        """Of the scan lines, those that lie in the image from end to end."""
+        rows, columns = self.light.values.shape
+        last = np.array([columns - 1, (rows - 1) * self.aspect])
+        half = self.lines.half_length * self.lines.directions
+        ends = np.stack([self.lines.origins - half, self.lines.origins + half])
+        return float(((ends >= 0) & (ends <= last)).all(axis=(0, 2)).mean())
 
     def pair(self, way: Way, inside: Side | None = None) -> Pair:
         """The rising and the falling edge; of two kinds of object the one that is asked for."""

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from radwrap.measure.edges.blur import DISCS, USUAL_SHARE
 from radwrap.measure.gauges.rims import Rim, Shape
-from radwrap.measure.gauges.step import pixel_step
+from radwrap.measure.gauges.step import Step, mixed, pixel_step
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -20,8 +21,11 @@ NARROWEST: Final = 0.02  # px; blur below this is the sharp step
 _HARMONIC: Final = 16.0  # px of contour for each harmonic of its light
 _HARMONICS: Final = 2
 _STEPS: Final = 12  # of Gauss and Newton
-_DONE: Final = 1e-6  # px; a smaller step is the last
+DONE: Final = 1e-6  # px; a smaller step is the last
 ROUGH: Final = 1e-3  # px; enough to tell which pixels belong to something else
+# Of the radius of curvature: what a step along a bent contour looks like is known to second order in it. Nor is a disc
+# larger than the strip, where it would be all but a slope.
+_LARGEST_DISC: Final = 0.6
 _SHARES: Final = (1.0, 0.5, 0.25, 0.1)  # of a step, where a whole one makes it worse
 
 
@@ -51,6 +55,51 @@ class Strip:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Blur:
+    """One disc, or a sum of discs, which follows any blur without a side.
+
+    Attributes
+    ----------
+    radius : float
+        Of the first disc [px].
+    shares : ndarray, shape (0,) or (others,)
+        Of the light that is in the other discs.
+    ratios : ndarray, shape (others,)
+        Of their radii to the first one's.
+    held : float
+        Weighted light that a share of 1 weighs as much as.
+    """
+
+    radius: float
+    shares: Array = field(default_factory=lambda: np.zeros(0))
+    ratios: Array = field(default_factory=lambda: np.zeros(0))
+    held: float = 0.0
+
+    @property
+    def radii(self) -> list[float]:
+        """Of all discs [px]."""
+        return [self.radius, *(self.radius * self.ratios)]
+
+    @property
+    def size(self) -> int:
+        """How many of its parameters are fitted: the radius, or the shares at that radius."""
+        return self.shares.size or 1
+
+    def changed(self, change: Array) -> Blur:
+        """With other shares; or another radius, which at most halves or doubles."""
+        if self.shares.size:
+            return replace(self, shares=self.shares + change)
+        radius = max(self.radius + change[0], self.radius / 2, NARROWEST)
+        return replace(self, radius=min(radius, 2 * self.radius + 0.1))
+
+    def distance_from(self, other: Blur) -> float:
+        """How far the parameters that are fitted differ [px]."""
+        if self.shares.size:
+            return float(np.abs(self.shares - other.shares).max()) * self.radius
+        return abs(self.radius - other.radius)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Terms:
     """What the levels are multiplied with.
 
@@ -58,8 +107,10 @@ class Terms:
     ----------
     wide, slow : ndarray, shape (n, terms)
         Functions along the contour, by which levels and their slopes across it change.
-    steps : sequence of ndarray, shape (n,)
-        Share of each pixel's light that is bright, by each rim.
+    by_disc : sequence of sequence of Step
+        What each pixel sees of each rim by each disc of the blur.
+    seen : sequence of Step
+        The same by all the blur.
     matrix : ndarray, shape (n, levels)
         Of one rim: dark side, its slope, contrast, slope of the contrast. Of two, between which it is bright: dark
         side, contrast of the first rim, and of the second.
@@ -67,20 +118,39 @@ class Terms:
 
     wide: Array
     slow: Array
-    steps: Sequence[Array]
+    by_disc: Sequence[Sequence[Step]]
+    seen: Sequence[Step]
     matrix: Array
 
     @property
     def brightness(self) -> Array:
         """Share of each pixel's light that is bright."""
-        share: Array = np.clip(np.asarray(sum(self.steps)) - (len(self.steps) - 1), 0.0, 1.0)
+        share: Array = np.clip(sum(rim.step for rim in self.seen) - (len(self.seen) - 1), 0.0, 1.0)
         return share
 
     def parts(self, levels: Array) -> list[Array]:
         """Levels by the blocks of columns."""
         wide, slow = self.wide.shape[1], self.slow.shape[1]
-        sizes = [wide, slow, wide, slow] if len(self.steps) == 1 else [wide, slow, slow]
+        sizes = [wide, slow, wide, slow] if len(self.seen) == 1 else [wide, slow, slow]
         return np.split(levels, np.cumsum(sizes)[:-1])
+
+    def by_shares(self, levels: Array) -> list[Array]:
+        """Derivatives of the light by the shares of the other discs."""
+        parts = self.parts(levels)
+        if len(self.seen) == 1:
+            contrasts, slope = [self.wide @ parts[2]], self.slow @ parts[3]
+        else:
+            contrasts, slope = [self.slow @ part for part in parts[1:]], np.zeros(len(self.slow))
+        pairs = list(zip(contrasts, self.by_disc, strict=True))
+        return [
+            np.asarray(
+                sum(
+                    contrast * (discs[k].step - discs[0].step) + slope * (discs[k].ramp - discs[0].ramp)
+                    for contrast, discs in pairs
+                )
+            )
+            for k in range(1, len(self.by_disc[0]))
+        ]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,7 +158,7 @@ class State:
     """Parameters, blur and levels, and the weighted residual that they leave."""
 
     parameters: Array
-    blur: float
+    blur: Blur
     rims: Sequence[Rim]
     terms: Terms
     levels: Array
@@ -97,7 +167,8 @@ class State:
     @property
     def cost(self) -> float:
         """Sum of squares."""
-        return float(self.residual @ self.residual)
+        shares = self.blur.held * self.blur.shares
+        return float(self.residual @ self.residual + shares @ shares)
 
     @property
     def fitted(self) -> Array:
@@ -116,18 +187,38 @@ def nearest_of(rims: Sequence[Rim]) -> NDArray[np.intp]:
     return number
 
 
-def terms_of(shape: Shape, rims: Sequence[Rim], blur: float, aspect: float) -> Terms:
+def terms_of(shape: Shape, rims: Sequence[Rim], blur: Blur, aspect: float) -> Terms:
     """Terms of the levels for rims as they lie."""
-    along = rims[0].along
-    wide = _basis(shape, along, _HARMONICS)
-    slow = wide[:, : 1 + min(1, int(shape.length / _HARMONIC)) * (2 if shape.closed else 1)]
-    seen = [pixel_step(rim.distance, rim.normal, rim.curvature, blur, aspect) for rim in rims]
-    steps = [step for step, _ in seen]
-    if len(rims) == 1:
-        parts = [wide, slow * rims[0].distance[:, None], wide * steps[0][:, None], slow * seen[0][1][:, None]]
+    by_disc = [
+        [pixel_step(rim.distance, rim.normal, rim.curvature, radius, aspect) for radius in blur.radii] for rim in rims
+    ]
+    shares = np.concatenate([[1 - blur.shares.sum()], blur.shares])  # all the light is in the discs together
+    seen = [mixed(discs, shares) for discs in by_disc]
+    wide, slow = _bases(shape, rims)
+    return Terms(wide, slow, by_disc, seen, _matrix(wide, slow, rims, [(rim.step, rim.ramp) for rim in seen]))
+
+
+def _matrix(wide: Array, slow: Array, rims: Sequence[Rim], seen: Sequence[tuple[Array, Array]]) -> Array:
+    (step, ramp), *others = seen
+    if not others:
+        parts = [wide, slow * rims[0].distance[:, None], wide * step[:, None], slow * ramp[:, None]]
     else:
-        parts = [wide, slow * steps[0][:, None], slow * (steps[1] - 1)[:, None]]
-    return Terms(wide, slow, steps, np.concatenate(parts, axis=1))
+        parts = [wide, slow * step[:, None], slow * (others[0][0] - 1)[:, None]]
+    return np.concatenate(parts, axis=1)
+
+
+def _bases(shape: Shape, rims: Sequence[Rim]) -> tuple[Array, Array]:
+    wide = _basis(shape, rims[0].along, _HARMONICS)
+    return wide, wide[:, : 1 + min(1, int(shape.length / _HARMONIC)) * (2 if shape.closed else 1)]
+
+
+def moved_light(shape: Shape, state: State, rims: Sequence[Rim]) -> Array:
+    """Light of the model with its levels where the rims have moved a little."""
+    seen = [
+        one.moved(new.distance - old.distance, new.curvature - old.curvature)
+        for one, new, old in zip(state.terms.seen, rims, state.rims, strict=True)
+    ]
+    return np.asarray(_matrix(*_bases(shape, rims), rims, seen) @ state.levels)
 
 
 def _basis(shape: Shape, along: Array, most: int) -> Array:
@@ -149,37 +240,67 @@ def jacobian_of(shape: Shape, strip: Strip, state: State) -> Array:
         moved = state.parameters.copy()
         moved[number] += 1e-4 * unit
         rims = shape.rims(moved, strip.places)
-        found.append((terms_of(shape, rims, state.blur, strip.aspect).matrix @ state.levels - here) / (1e-4 * unit))
-    step = 1e-3 * state.blur
-    wider = terms_of(shape, state.rims, state.blur + step, strip.aspect).matrix @ state.levels
-    whole: Array = np.column_stack([*found, (wider - here) / step, state.terms.matrix]) * strip.weight[:, None]
-    return whole
+        found.append((moved_light(shape, state, rims) - here) / (1e-4 * unit))
+    if state.blur.shares.size:
+        found += state.terms.by_shares(state.levels)
+    else:
+        step = 1e-3 * state.blur.radius
+        wider = terms_of(shape, state.rims, replace(state.blur, radius=state.blur.radius + step), strip.aspect)
+        found.append((wider.matrix @ state.levels - here) / step)
+    whole: Array = np.column_stack([*found, state.terms.matrix]) * strip.weight[:, None]
+    held = np.zeros((state.blur.shares.size, whole.shape[1]))
+    first = len(shape.units)
+    held[:, first : first + state.blur.shares.size] = state.blur.held * np.eye(state.blur.shares.size)
+    return np.concatenate([whole, held])
 
 
-def solved(shape: Shape, strip: Strip, parameters: Array, blur: float, *, done: float = _DONE) -> State:
+def influence_of(shape: Shape, strip: Strip, state: State) -> Array:
+    """What an error of each pixel's weighted light, and then of what holds the shares, does to all parameters."""
+    jacobian = jacobian_of(shape, strip, state)
+    norms = np.linalg.norm(jacobian, axis=0)
+    norms[norms == 0] = 1.0
+    return np.asarray(np.linalg.pinv(jacobian / norms, rcond=1e-9) / norms[:, None])
+
+
+def solved(shape: Shape, strip: Strip, parameters: Array, blur: Blur, *, done: float = DONE) -> State:
     """Gauss and Newton, with shorter steps where a whole one makes it worse; a step below `done` [px] is the last."""
     state = _state(shape, strip, parameters, blur)
     count = len(parameters)
     for _ in range(_STEPS):
         jacobian = jacobian_of(shape, strip, state)
-        change = np.linalg.lstsq(jacobian, state.residual, rcond=1e-12)[0][: count + 1]
+        left = np.concatenate([state.residual, -state.blur.held * state.blur.shares])
+        change = np.linalg.lstsq(jacobian, left, rcond=1e-12)[0][: count + state.blur.size]
         change[:count] = np.clip(change[:count] / shape.units, -1.0, 1.0) * shape.units
         tried = state
         for share in _SHARES:
-            blurred = min(max(state.blur + share * change[count], state.blur / 2, NARROWEST), 2 * state.blur + 0.1)
-            tried = _state(shape, strip, state.parameters + share * change[:count], blurred)
+            there = state.parameters + share * change[:count]
+            tried = _state(shape, strip, there, state.blur.changed(share * change[count:]))
             if tried.cost <= state.cost:
                 break
         else:
             return state
-        size = max(np.abs((tried.parameters - state.parameters) / shape.units).max(), abs(tried.blur - state.blur))
+        moved = float(np.abs((tried.parameters - state.parameters) / shape.units).max())
+        size = max(moved, tried.blur.distance_from(state.blur))
         state = tried
         if size < done:
             break
     return state
 
 
-def _state(shape: Shape, strip: Strip, parameters: Array, blur: float) -> State:
+def any_blur(shape: Shape, strip: Strip, disc: State, before: Blur | None = None, *, done: float = DONE) -> State:
+    """From the best fit with one disc that with a sum of discs; it may begin with the shares of an earlier one."""
+    held = math.sqrt(disc.cost / max(strip.light.size, 1)) / USUAL_SHARE
+    radius, shares = disc.blur.radius, np.zeros(len(DISCS))
+    if before is not None and before.shares.size:
+        shares = before.shares
+    bend = max(float(np.median(np.abs(rim.curvature))) for rim in disc.rims)
+    reach = max(float(np.abs(rim.distance).max()) for rim in disc.rims)
+    largest = min(_LARGEST_DISC / max(bend, 1e-9), reach)
+    blur = Blur(radius, shares, np.minimum(DISCS, largest / radius), held)
+    return solved(shape, strip, disc.parameters, blur, done=done)
+
+
+def _state(shape: Shape, strip: Strip, parameters: Array, blur: Blur) -> State:
     rims = shape.rims(parameters, strip.places)
     terms = terms_of(shape, rims, blur, strip.aspect)
     weighted = terms.matrix * strip.weight[:, None]
