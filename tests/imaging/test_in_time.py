@@ -303,14 +303,16 @@ def test_what_moves_too_far_is_an_error() -> None:
 
 
 def test_what_meets_the_camera_on_its_way_is_an_error() -> None:
-    """A box behind the camera that comes down on it by 5 mm until the end of the exposure, from 3 mm."""
+    """A box behind the camera that comes down on it by 4 mm until the light comes, from 3 mm."""
     tables = document()
     box = {"type": "box", "name": "arm", "material": "black", "size": ["100 mm", "100 mm", "100 mm"]}
     box |= {"position": ["0 mm", "0 mm", "553 mm"], "velocity": ["0 m/s", "0 m/s", "-1 m/s"]}
     tables["targets"].append(box)
-    told = r'camera.position: \d\.\d+ ms after the poses of the file hold, .* inside the target "arm"; move the camera'
+    for source in tables["sources"]:
+        source["strobe"] = {"delay": "9 ms", "width": "1 ms"}
+    told = r'camera.position: 4(\.\d+)? ms after the poses of the file hold, .* inside the target "arm"; move the camera'
     with pytest.raises(InputError, match=told):
-        rendered(tables, 1.0)
+        rendered(tables, 20.0)
 
 
 def test_what_meets_another_surface_on_its_way_is_an_error() -> None:

@@ -18,6 +18,7 @@ from radwrap.scene.materials import MeasuredBrdf, PrintedImage
 Array = NDArray[np.float64]
 
 _LARGEST_FILE: Final = 16 << 20
+_SHOWN: Final = 60  # characters of what a table has in place of its columns
 _MOST_PIXELS: Final = 2_000_000
 _SHEETING: Final = ("observation_deg", "entrance_deg", "coefficient")
 _BRDF: Final = ("incidence_deg", "viewing_deg", "azimuth_deg", "brdf_per_sr")
@@ -177,9 +178,8 @@ def columns_of(path: Path, names: tuple[str, ...], optional: str = "") -> tuple[
     head = [cell.strip() for cell in rows[0][1]] if rows else []
     if sorted(head) not in (sorted(names), sorted((*names, optional))):
         told = f"{', '.join(names)}{f', and {optional} where it has them' if optional else ''}"
-        raise InputError(
-            f"its first line must name the columns {told}; it names {', '.join(head) or 'none'}", where=str(path)
-        )
+        there = ", ".join(head)[:_SHOWN] or "none"  # of a hostile file it may be long
+        raise InputError(f"its first line must name the columns {told}; it names {there}", where=str(path))
     if len(rows) < 2:
         raise InputError("has no line of numbers", where=str(path))
     values = np.array([_finite(row, len(head), f"{path}: line {line}") for line, row in rows[1:]], dtype=np.float64)
