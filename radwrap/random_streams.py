@@ -44,6 +44,7 @@ class Rendering(IntEnum):
     WAVE_RAYS = 33  # then replicate and tile
     WAVE_FAR = 34  # then the replicate
     INSTANTS = 35  # then the level
+    POINTS_NOISE = 36
 
 
 @unique

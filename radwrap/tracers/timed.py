@@ -10,6 +10,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from radwrap.tracers.noise import with_noise
 from radwrap.tracers.tracer import Tracer
 
 _T = TypeVar("_T")
@@ -32,6 +33,11 @@ class TimedTracer:
 
     def __init__(self, tracer: Tracer, deadline: float) -> None:
         self._tracer, self._deadline = tracer, deadline
+
+    def with_noise(self, halvings: int, *, alike: bool = False) -> TimedTracer:
+        """The same by other points of wide lights; see `NoisyTracer`."""
+        tracer = with_noise(self._tracer, halvings, alike=alike)
+        return self if tracer is self._tracer else TimedTracer(tracer, self._deadline)
 
     def trace(self, rays: Iterable[NDArray[np.float64]]) -> Generator[NDArray[np.float64]]:
         """Radiance along rays."""

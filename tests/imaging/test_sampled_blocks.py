@@ -12,8 +12,9 @@ pytest.importorskip("numba")
 
 from radwrap.imaging.methods.smooth_blocks import smooth_field
 from radwrap.imaging.optics.smooth import BLOCK
-from radwrap.imaging.optics.view import trace_rays
+from radwrap.imaging.optics.view import central_rays, central_weights, trace_rays
 from radwrap.imaging.synthesis import render
+from radwrap.imaging.tolerance.points_noise import points_noise
 from radwrap.imaging.tolerance.sampled_blocks import with_sampled_blocks
 from radwrap.imaging.tracing import laid_out
 from radwrap.scene.scene import Scene
@@ -74,7 +75,58 @@ def test_what_a_sample_finds_is_how_far_values_are_off() -> None:
             (trace_rays(view, None, u[inside] + shift, v[inside])[0] - found.at(u[inside], v[inside])[0]) * scale
             for shift in (-1e-3, 1e-3)
         ]
-        assert float((halves[0] * halves[1]).mean()) < found.upper < (0.4 * 0.3) ** 2
+        assert float((halves[0] * halves[1]).mean()) < found.upper < (0.5 * 0.3) ** 2
+
+
+BRICK: dict[str, Any] = {
+    "type": "box",
+    "name": "brick",
+    "material": "dark",
+    "size": ["1 mm", "1 mm", "0.5 mm"],
+    "position": at(-6, -5, 0.25),
+}
+
+
+def test_smaller_blocks_lie_nearer_to_what_shades_them_and_are_as_exact() -> None:
+    with laid_out(shaded(BRICK), COMPILED) as traced:
+        view = traced.view()
+        field = smooth_field(view, (3.0, 3.0), 0.5)
+        assert field is not None
+        large = with_sampled_blocks(view, field, 0.5, 0)
+        assert large.finer is not None and large.finer.finer is not None
+        middle, smallest = large.finer, large.finer.finer
+        assert (large.block, middle.block, smallest.block) == (BLOCK, BLOCK // 2, BLOCK // 4)
+        assert not (np.repeat(np.repeat(large.smooth, 2, axis=0), 2, axis=1) & middle.smooth).any()
+        assert middle.smooth.any() and smallest.smooth.any()
+        scale, random = view.exposure_of_radiance * view.camera.sensor.gain, np.random.default_rng(3)
+        row, column = np.nonzero(smallest.smooth)
+        v, u = (
+            smallest.block * (first + place + random.random(len(place))) - 0.5
+            for first, place in zip(smallest.first, (row, column), strict=True)
+        )
+        assert large.holds(u, v).all()
+        exact = view.with_noise(-5)  # so many points that their noise does not count
+        off = (trace_rays(exact, None, u, v)[0] - large.at(u, v)[0]) * scale
+        assert float((off**2).mean()) * float(smallest.smooth.mean()) < large.upper
+
+
+def test_noise_of_points_is_that_of_rays_that_ask_others() -> None:
+    with laid_out(shaded(), COMPILED) as traced:
+        view = traced.view()
+        sensor, random = view.camera.sensor, np.random.default_rng(4)
+        u, v = (random.uniform(-0.5, size - 0.5, 2000) for size in (sensor.columns, sensor.rows))
+        rays = central_rays(view.camera, u, v)
+        lengths = (1.0 + 2.0**-8 * np.arange(8))[:, np.newaxis] * np.repeat([0.0, 1.0], 3) + np.repeat([1.0, 0.0], 3)
+        seen = np.stack(list(view.tracer.trace(rays * length for length in lengths)))
+        gray = seen * central_weights(view.camera, u, v) * view.exposure_of_radiance * sensor.gain
+        found, taken = points_noise(view, 0)
+        assert taken > 0
+        assert found == pytest.approx(float(gray.var(axis=0, ddof=1).mean()), rel=0.3)
+
+
+def test_small_lights_have_no_points() -> None:
+    with laid_out(scene_of(**FINE), COMPILED) as traced:
+        assert points_noise(traced.view(), 0) == (0.0, 0)
 
 
 WIRE: dict[str, Any] = {

@@ -141,7 +141,7 @@ def received(source: WideSource, edge: float, p: tuple[float, float, float]) -> 
     matte, room = rows(Cover, 1)[0], np.empty(CUTS)
     keys = [key_of_ray(float(k), 0.0, 0.0, 0.0, 0.0, 1.0, 0) for k in range(KEYS)]
     rest = matte, 1.0, *tree, *none, tables, p, UP, UP, -1
-    return np.array([sent(light, 0, cells, PLACE, *rest, key, known, chosen, room, stack) for key in keys])
+    return np.array([sent(light, 0, cells, PLACE, 0, False, *rest, key, known, chosen, room, stack) for key in keys])
 
 
 @pytest.mark.parametrize("beam", ["narrow", "gaussian", "table"])

@@ -28,6 +28,7 @@ from radwrap.tracers.compiled.wide_points import key_of_ray, spread_point
 from radwrap.tracers.compiled.wide_rows import cell_rows, shines_whole, wide_row
 from radwrap.tracers.compiled.wide_shape import may_light, meets, point_on, unhidden
 from radwrap.tracers.compiled.wide_shine import sent
+from radwrap.tracers.noise import FALL
 from radwrap.tracers.text_frame import TextFrame
 
 FRAME = TextFrame(length=1.0)
@@ -95,15 +96,20 @@ def open_light(source: WideSource, p: tuple[float, float, float]) -> float:
     return unhidden(wide_row(source, FRAME)[0], np.zeros(1), p, UP, np.empty(CUTS))
 
 
-def received(source: WideSource, tree: Tree, p: tuple[float, float, float], n: tuple[float, float, float]) -> Array:
+def received(
+    source: WideSource,
+    tree: Tree,
+    p: tuple[float, float, float],
+    n: tuple[float, float, float],
+    halvings: int = 0,
+) -> Array:
     """Irradiances of a point by many keys: radiances of a surface of reflectance pi."""
     light, none, stack = wide_row(source, FRAME)[0], sheets(()), np.empty(DEPTH, dtype=np.int64)
     cells, known, chosen = cell_rows([source], FRAME), memory(), np.empty(CELLS * CELLS, dtype=np.int64)
-    matte, room, rest = rows(Cover, 1)[0], np.empty(CUTS), (np.zeros(1), p, n, n, -1)
+    rest = (PLACE, halvings, False, rows(Cover, 1)[0], 1.0, *tree, *none, np.zeros(1), p, n, n, -1)
+    room = np.empty(CUTS)
     keys = [key_of_ray(float(k), 0.0, 0.0, 0.0, 0.0, 1.0, 0) for k in range(KEYS)]
-    return np.array(
-        [sent(light, 0, cells, PLACE, matte, 1.0, *tree, *none, *rest, key, known, chosen, room, stack) for key in keys]
-    )
+    return np.array([sent(light, 0, cells, *rest, key, known, chosen, room, stack) for key in keys])
 
 
 @pytest.mark.parametrize("x", [0.0, *(pytest.param(x, marks=pytest.mark.long) for x in (-0.1, 0.04))])
@@ -113,6 +119,24 @@ def test_half_shadow_behind_an_edge(name: str, x: float) -> None:
     tree = sheets([Pose((edge + 1.0, 0.0, height))])
     found = received(source, tree, (x, 0.0, 0.0), UP).mean()
     assert found == pytest.approx(brute(source, x, edge, height), abs=HALF_SHADOW * open_light(source, (x, 0.0, 0.0)))
+
+
+@pytest.mark.parametrize("halvings", [-2, 2, 9])
+@pytest.mark.parametrize("name", ["bar", "dome"])
+def test_any_number_of_points_has_the_right_mean(name: str, halvings: int) -> None:
+    source, edge, height = wide(name), 0.01, 0.3
+    tree, p = sheets([Pose((edge + 1.0, 0.0, height))]), (0.0, 0.0, 0.0)
+    values = received(source, tree, p, UP, halvings)
+    close = max(HALF_SHADOW * open_light(source, p), SURE * values.std() / math.sqrt(KEYS))
+    assert values.mean() == pytest.approx(brute(source, p[0], edge, height), abs=close)
+
+
+def test_noise_falls_as_points_to_the_power_of_three_quarters() -> None:
+    """An edge's: variances over a fourth and over four times as many points differ as much as chance allows."""
+    source, tree = wide("dome"), sheets([Pose((1.01, 0.0, 0.3))])
+    few, usual, many = (received(source, tree, (0.0, 0.0, 0.0), UP, halvings).var() for halvings in (2, 0, -2))
+    for ratio in (few / usual, usual / many):
+        assert 4**FALL / 2 < ratio < 4**FALL * 2
 
 
 @pytest.mark.parametrize("name", LIGHTS)

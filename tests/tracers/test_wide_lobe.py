@@ -86,7 +86,7 @@ def shines(name: str, material: Material, v: tuple[float, float, float], *, keys
     light, none, (cover, tables) = wide_row(wide(name), FRAME)[0], sheets(()), cover_and_tables(material)
     stack, rest = np.empty(DEPTH, dtype=np.int64), (tables, (0.0, 0.0, 0.0), UP, v, -1, 0)
     found = [key_of_ray(float(k), 0.0, 0.0, 0.0, 0.0, 1.0, 0) for k in range(keys)]
-    return np.array([sampled_lobe(light, cover, *none, *none, *rest, key, stack) for key in found])
+    return np.array([sampled_lobe(light, cover, *none, *none, *rest, 0, key, stack) for key in found])
 
 
 @compiled

@@ -10,7 +10,7 @@ are independent and their means unbiased.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Final, TypeVar
 
@@ -23,6 +23,7 @@ from radwrap.manifest import ONLY_WHERE_USED
 from radwrap.random_streams import generator
 from radwrap.scene.camera import Sensor
 
+Array = NDArray[np.float64]
 _T = TypeVar("_T", bound=np.generic)
 SUB_SAMPLES: Final = (1, 2, 4, 8)
 # A difference between neighbours is passed over where it moves no pixel by more than this share of the aim.
@@ -30,6 +31,8 @@ _PASSED_OVER: Final = 0.25
 # What is left of differences may take this share of the square of the aim, an equal part at each size of cells.
 _LEFT_SHARE: Final = 0.5
 _LOOKED_AT: Final = 1 << 16  # cells that tell how many differ how much
+# Halvings of points of wide lights that tell where light changes: the same for all rays, so that none of it is noise.
+_ALIKE: Final = 1
 _LARGEST_HEIGHT: Final = 1e100  # gray level; its square does not overflow, whatever the sensor's gain
 # Variance of the mean over n x n strata of a cell that an edge of height d crosses is about d^2/(4 n^3): about 1.5 n
 # strata are crossed, each with the variance d^2/6. Of the cells beside an edge about every third is crossed.
@@ -63,6 +66,8 @@ class GridPlan:
         True where each grid cell gets one ray whatever is seen there: no light decides where rays go.
     smooth : str, optional
         Hash of the view's smooth blocks, where no rays go; see `smooth.SmoothField`.
+    halvings : int, optional
+        How often the points of wide lights are halved of a ray that a pixel has for itself; see `noise.NoisyTracer`.
     """
 
     base: int
@@ -74,6 +79,7 @@ class GridPlan:
     with_depth: bool
     even: bool | None = field(default=None, metadata=ONLY_WHERE_USED)
     smooth: str | None = field(default=None, metadata=ONLY_WHERE_USED)
+    halvings: int | None = field(default=None, metadata=ONLY_WHERE_USED)
 
     @property
     def cell(self) -> float:
@@ -180,9 +186,10 @@ def decide_cells(
     )
     # One base cell more on each side: what is seen of a cell is told by its neighbours, which the outermost lack.
     shape = tuple(count + 2 for count in shape)
-    sampler = _Sampler(view, plan, (first[0] - step, first[1] - step), progress)
+    sampler = _Sampler(view, plan, (first[0] - step, first[1] - step), progress, alike=True)
     rows, columns = np.indices(shape)
-    values = sampler.trace(*sampler.places(rows.ravel(), columns.ravel(), step, random), with_depth=False)[0]
+    places = sampler.places(rows.ravel(), columns.ravel(), step, random)
+    values = sampler.trace([places], [step], with_depth=False)[0]
     values = values.reshape(shape)
     cut = []
     least = 0.0
@@ -193,7 +200,8 @@ def decide_cells(
         row, column = _children(*np.nonzero(cut[-1]))
         values = _doubled(values)
         size = 2 ** (plan.levels - level - 1)
-        values[row, column] = sampler.trace(*sampler.places(row, column, size, random), with_depth=False)[0]
+        places = sampler.places(row, column, size, random)
+        values[row, column] = sampler.trace([places], [size], with_depth=False)[0]
     spread = _spread_that_counts(plan, values, plan.cell)
     cut.append(spread > max(least, _least_cut(plan, spread, plan.cell)))
     cut = [_within(mask, 2**level) for level, mask in enumerate(cut)]
@@ -267,8 +275,8 @@ def central_image(
     row, column = np.nonzero(cells.levels == plan.levels + 1)
     parts.append((row, column, 1, cells.samples))
     placed = [sampler.strata(row, column, size, n, random) for row, column, size, n in parts]
-    rows, columns = (np.concatenate([part[axis] for part in placed]) for axis in (0, 1))
-    traced = sampler.trace(rows, columns, with_depth=plan.with_depth and like is None)
+    sizes = [size / max(n, 1) for _, _, size, n in parts]
+    traced = sampler.trace(placed, sizes, with_depth=plan.with_depth and like is None)
     shape = tuple(-(-size >> plan.levels) for size in cells.levels.shape)
     values, magnification = np.zeros((*traced[0].shape[:-1], *shape)), np.ones(shape)
     end = 0
@@ -377,8 +385,16 @@ def _samples_needed(plan: GridPlan, heights: NDArray[np.float64], cells: int) ->
 class _Sampler:
     """Rays through cells of a grid, at any level."""
 
-    def __init__(self, view: View, plan: GridPlan, first: tuple[int, int], progress: Callable[[int], None]) -> None:
-        self._view, self._plan, self._progress = view, plan, progress
+    def __init__(
+        self,
+        view: View,
+        plan: GridPlan,
+        first: tuple[int, int],
+        progress: Callable[[int], None],
+        *,
+        alike: bool = False,
+    ) -> None:
+        self._view, self._plan, self._progress, self._alike = view, plan, progress, alike
         self._first = first
         self.rays = 0
 
@@ -399,27 +415,45 @@ class _Sampler:
         return rows.ravel(), columns.ravel()
 
     def trace(
-        self, rows: NDArray[np.float64], columns: NDArray[np.float64], *, with_depth: bool
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """L cos^4(theta) and m at places [grid cell]."""
+        self, placed: Sequence[tuple[Array, Array]], sizes: Sequence[float], *, with_depth: bool
+    ) -> tuple[Array, Array]:
+        """L cos^4(theta) and m at rows and columns [grid cell], of which there is one in each piece of a size."""
+        views = [self._together(size) for size in sizes]
+        together = all(view is self._view for view in views)  # one call, which may start programs
+        if together or not any(len(rows) for rows, _ in placed):
+            rows, columns = (np.concatenate([part[axis] for part in placed]) for axis in (0, 1))
+            return self._known_or_traced(self._view, rows, columns, with_depth=with_depth)
+        parts = [
+            self._known_or_traced(view, *part, with_depth=with_depth)
+            for view, part in zip(views, placed, strict=True)
+            if len(part[0])
+        ]
+        return np.concatenate([part[0] for part in parts], axis=-1), np.concatenate([part[1] for part in parts])
+
+    def _together(self, size: float) -> View:
+        """The view, with noise that suits rays in pieces of a size [grid cell]."""
+        rays = self._plan.area / (size * self._plan.cell) ** 2
+        if self._alike:
+            return self._view.together(rays, _ALIKE, alike=True)
+        return self._view.together(rays, self._plan.halvings or 0)
+
+    def _known_or_traced(self, view: View, rows: Array, columns: Array, *, with_depth: bool) -> tuple[Array, Array]:
         cell = self._plan.cell
         u, v = (self._first[1] + columns) * cell - 0.5, (self._first[0] + rows) * cell - 0.5
         known = self._view.smooth if self._plan.smooth else None
         if known is None:
-            return self._traced(u, v, with_depth=with_depth)
+            return self._traced(view, u, v, with_depth=with_depth)
         smooth = known.holds(u, v)
         rest = ~smooth
         found, depth = known.at(u[smooth], v[smooth])
         values, magnification = np.empty((*found.shape[:-1], len(u))), np.empty(len(u))
         values[..., smooth], magnification[smooth] = found, depth
         if rest.any():
-            values[..., rest], magnification[rest] = self._traced(u[rest], v[rest], with_depth=with_depth)
+            values[..., rest], magnification[rest] = self._traced(view, u[rest], v[rest], with_depth=with_depth)
         return values, magnification
 
-    def _traced(
-        self, u: NDArray[np.float64], v: NDArray[np.float64], *, with_depth: bool
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        answer = trace_rays(self._view, None, u, v, with_depth=with_depth)
+    def _traced(self, view: View, u: Array, v: Array, *, with_depth: bool) -> tuple[Array, Array]:
+        answer = trace_rays(view, None, u, v, with_depth=with_depth)
         self.rays += len(u)
         self._progress(len(u))
         return answer

@@ -168,7 +168,7 @@ def sampled_radiance(
     Where the view's tracer tells sources apart, shape (sources, pixels, number).
     """
     opening, places_u, places_v = rays_over(view.camera, u, v, number, random)
-    values, _ = trace_rays(view, opening, places_u, places_v)
+    values, _ = trace_rays(view.together(number), opening, places_u, places_v)
     return values.reshape(*values.shape[:-1], len(u), number)
 
 

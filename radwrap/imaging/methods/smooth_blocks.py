@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.imaging.optics.smooth import BLOCK, SmoothField, corners_of
+from radwrap.imaging.optics.smooth import BLOCK, SmoothField, corners_of, most_about
 from radwrap.imaging.optics.view import View, central_rays, trace_rays
 from radwrap.imaging.response.sensor import unclipped_gray
 from radwrap.tracers.engine import BlockLight
@@ -58,7 +58,7 @@ def smooth_field(view: View, reach: tuple[float, float], tolerance: float) -> Sm
         0.0,
         0.0,
         magnification.size,
-        np.ones_like(magnification, dtype=np.int8),
+        np.zeros_like(magnification, dtype=np.int8),
     )
     at = tuple(places[proved] for places in middles)
     middle, _ = trace_rays(view, None, *at)
@@ -78,14 +78,46 @@ def in_other_light(field: SmoothField, view: View) -> SmoothField:
     return replace(field, values=values, magnification=magnification, rays=magnification.size)
 
 
-def retraced(view: View, values: Array, places: tuple[Array, Array], beside: NDArray[np.int8]) -> int:
-    """Put means of n x n rays in the place of values where n > 1; gives how many rays that took."""
+def retraced(view: View, values: Array, places: tuple[Array, Array], doublings: NDArray[np.int8]) -> int:
+    """Trace again where points of wide lights are to be doubled; gives how many rays that took."""
     rays = 0
-    for side in np.unique(beside[beside > 1]).tolist():
-        there = beside == side
-        values[..., there] = bundles(view, (places[0][there], places[1][there]), side).mean(axis=-2)
-        rays += side**2 * int(np.count_nonzero(there))
+    for often in np.unique(doublings[doublings > 0]).tolist():
+        there = doublings == often
+        u, v = (axis[there] for axis in places)
+        values[..., there] = trace_rays(view.with_noise(-often), None, u, v)[0]
+        rays += len(u)
     return rays
+
+
+def finer_field(view: View, field: SmoothField, known: NDArray[np.bool_]) -> SmoothField | None:
+    """Blocks of half the size that may be smooth where a field's are not yet known to be; None as `smooth_field`.
+
+    None of them is taken to be smooth yet.
+    """
+    if view.prover is None:
+        return None
+    first, block = (2 * field.first[0], 2 * field.first[1]), field.block // 2
+    shape = tuple(2 * size for size in field.smooth.shape)
+    corners = corners_of(first, shape, block)
+    middles = tuple(places[:-1, :-1] + block / 2 for places in corners)
+    light = view.prover(*(central_rays(view.camera, *places) for places in (corners, middles)))
+    likely = (light != BlockLight.UNKNOWN) & ~np.repeat(np.repeat(known, 2, axis=0), 2, axis=1)
+    needed = most_about(likely)
+    values, magnification = np.zeros((*field.values.shape[:-2], *needed.shape)), np.ones(needed.shape)
+    at = tuple(places[needed] for places in corners)
+    values[..., needed], magnification[needed] = trace_rays(view, None, *at, with_depth=True)
+    return SmoothField(
+        first,
+        np.zeros_like(likely),
+        values,
+        magnification,
+        likely,
+        0.0,
+        0.0,
+        len(at[0]),
+        np.zeros(needed.shape, dtype=np.int8),
+        block,
+    )
 
 
 def bundles(view: View, places: tuple[Array, Array], side: int) -> Array:

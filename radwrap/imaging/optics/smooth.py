@@ -36,8 +36,12 @@ class SmoothField:
         Mean square over the image of what lies between corners less what is there, and its bound [gray level^2].
     rays : int
         How many were traced.
-    beside : ndarray of int, shape (rows + 1, columns + 1)
-        Each corner is the mean of n x n rays in a square of a pixel about it.
+    doublings : ndarray of int, shape (rows + 1, columns + 1)
+        How often the points of wide lights were doubled that the ray through each corner asks.
+    block : int
+        Size of a block [px].
+    finer : SmoothField, optional
+        Smaller blocks, of which none lies in a smooth one of these.
     """
 
     first: tuple[int, int]
@@ -48,24 +52,28 @@ class SmoothField:
     square: float
     upper: float
     rays: int
-    beside: NDArray[np.int8]
+    doublings: NDArray[np.int8]
+    block: int = BLOCK
+    finer: SmoothField | None = None
 
     @property
     def corners(self) -> tuple[Array, Array]:
         """Places of the corners of blocks [px], columns and rows."""
-        return corners_of(self.first, self.smooth.shape)
+        return corners_of(self.first, self.smooth.shape, self.block)
 
     @property
     def share(self) -> float:
         """Of all blocks, those that are smooth."""
-        return float(self.smooth.mean())
+        return float(self.smooth.mean()) + (self.finer.share if self.finer else 0.0)
 
     @property
     def sha256(self) -> str:
         """Hash of which blocks are smooth."""
         told = repr((self.first, self.smooth.shape)).encode() + self.smooth.tobytes()
-        if self.beside.max() > 1:
-            told += self.beside.tobytes()
+        if self.doublings.any():
+            told += self.doublings.tobytes()
+        if self.finer:
+            told += self.finer.sha256.encode()
         return hashlib.sha256(told).hexdigest()
 
     def holds(self, u: Array, v: Array) -> NDArray[np.bool_]:
@@ -74,12 +82,14 @@ class SmoothField:
         row, column = self._block(v, 0), self._block(u, 1)
         inside: NDArray[np.bool_] = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
         inside[inside] = self.smooth[row[inside], column[inside]]
+        if self.finer:
+            inside |= self.finer.holds(u, v)
         return inside
 
     def holds_all(self, rows: tuple[float, float], columns: tuple[float, float]) -> bool:
         """Whether all places between these rows and columns [px] lie in smooth blocks."""
         (top, bottom), (left, right) = (
-            (math.floor((low + 0.5) / BLOCK) - self.first[axis], math.floor((high + 0.5) / BLOCK) - self.first[axis])
+            tuple(math.floor((end + 0.5) / self.block) - self.first[axis] for end in (low, high))
             for axis, (low, high) in enumerate((rows, columns))
         )
         inside = top >= 0 and left >= 0 and bottom < self.smooth.shape[0] and right < self.smooth.shape[1]
@@ -88,17 +98,29 @@ class SmoothField:
     def share_of(self, rows: tuple[float, float], columns: tuple[float, float]) -> float:
         """Share of the blocks between these rows and columns [px] that are smooth."""
         (top, bottom), (left, right) = (
-            (max(math.floor((low + 0.5) / BLOCK) - first, 0), max(math.floor((high + 0.5) / BLOCK) - first, 0))
+            tuple(max(math.floor((end + 0.5) / self.block) - first, 0) for end in (low, high))
             for first, (low, high) in zip(self.first, (rows, columns), strict=True)
         )
         some = self.smooth[top : bottom + 1, left : right + 1]
-        return float(some.mean()) if some.size else 0.0
+        share = float(some.mean()) if some.size else 0.0
+        return share + (self.finer.share_of(rows, columns) if self.finer else 0.0)
 
     def at(self, u: Array, v: Array) -> tuple[Array, Array]:
         """L cos^4(theta) and m between the corners of the blocks in which places lie: what is there if it `holds`."""
+        if self.finer is None:
+            return self._at(u, v)
+        small = self.finer.holds(u, v)
+        large = ~small
+        parts = [(small, self.finer.at(u[small], v[small])), (large, self._at(u[large], v[large]))]
+        values, magnification = np.empty((*self.values.shape[:-2], *u.shape)), np.empty(u.shape)
+        for part, (value, m) in parts:
+            values[..., part], magnification[part] = value, m
+        return values, magnification
+
+    def _at(self, u: Array, v: Array) -> tuple[Array, Array]:
         row, column = self._block(v, 0), self._block(u, 1)
-        down = (v + 0.5) / BLOCK - self.first[0] - row
-        right = (u + 0.5) / BLOCK - self.first[1] - column
+        down = (v + 0.5) / self.block - self.first[0] - row
+        right = (u + 0.5) / self.block - self.first[1] - column
 
         def between(corner: Array) -> Array:
             upper = corner[..., row, column] * (1 - right) + corner[..., row, column + 1] * right
@@ -109,7 +131,7 @@ class SmoothField:
         return between(self.values), between(self.magnification)
 
     def _block(self, place: Array, axis: int) -> NDArray[np.intp]:
-        block: NDArray[np.intp] = np.floor((place + 0.5) / BLOCK).astype(np.intp) - self.first[axis]
+        block: NDArray[np.intp] = np.floor((place + 0.5) / self.block).astype(np.intp) - self.first[axis]
         return block
 
 
@@ -130,8 +152,8 @@ def mean_of_corners(corners: Array) -> Array:
     return mean
 
 
-def corners_of(first: tuple[int, int], shape: tuple[int, ...]) -> tuple[Array, Array]:
+def corners_of(first: tuple[int, int], shape: tuple[int, ...], block: int = BLOCK) -> tuple[Array, Array]:
     """Places of the corners of blocks from a first one on [px], columns and rows, shape (rows + 1, columns + 1)."""
-    rows, columns = (BLOCK * (begin + np.arange(count + 1)) - 0.5 for begin, count in zip(first, shape, strict=True))
+    rows, columns = (block * (begin + np.arange(count + 1)) - 0.5 for begin, count in zip(first, shape, strict=True))
     u, v = np.meshgrid(columns, rows)
     return u, v

@@ -16,7 +16,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -29,6 +29,7 @@ from radwrap.imaging.response.exposure import exposure_of_radiance
 from radwrap.random_streams import generator
 from radwrap.scene.camera import Camera
 from radwrap.tracers.engine import Prover
+from radwrap.tracers.noise import halvings_of, with_noise
 from radwrap.tracers.tracer import Tracer
 
 PixelSampling = Literal["centre", "jitter"]
@@ -252,6 +253,19 @@ class View:
     def exposure_of_radiance(self) -> float:
         """As `exposure.exposure_of_radiance` of its camera [s sr]."""
         return exposure_of_radiance(self.camera)
+
+    def with_noise(self, halvings: int) -> View:
+        """The same view by other points of wide lights; see `noise.NoisyTracer`."""
+        tracer = with_noise(self.tracer, halvings)
+        return self if tracer is self.tracer else replace(self, tracer=tracer)
+
+    def together(self, rays: float, halvings: int = 0, *, alike: bool = False) -> View:
+        """The same view with the noise that suits so many rays a pixel where one has those halvings.
+
+        With `alike` see `noise.NoisyTracer`.
+        """
+        tracer = with_noise(self.tracer, halvings + halvings_of(rays), alike=alike)
+        return self if tracer is self.tracer else replace(self, tracer=tracer)
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -17,9 +17,11 @@ from radwrap.imaging.optics.view import View
 from radwrap.imaging.tolerance.bounds import Bounded
 from radwrap.imaging.tolerance.certificate import root
 from radwrap.imaging.tolerance.foreseen import Foreseen, foresee, seen_by
+from radwrap.imaging.tolerance.points_noise import points_noise
 from radwrap.imaging.tolerance.replicates import Plan, replicates_needed
 from radwrap.imaging.tolerance.survey import AIM_SHARE, Survey, met_by, middle_of, predicted_rays
 from radwrap.manifest import finite
+from radwrap.tracers.noise import halvings_for
 
 # What costs less than this share of the tolerance is left out: errors add as squares, so it takes 5 % of the tolerance.
 NEGLIGIBLE_SHARE: Final = 0.3
@@ -33,6 +35,8 @@ RISK_SHARE: Final = 0.1
 # Of the square of a hybrid's aim so much goes to its kernel, the rest to its corrections; and where a kernel is there
 # already, at most so much of it may be that kernel's noise.
 _KERNEL_SHARE: Final = 0.5
+# Of the square of a kernel's aim, for the noise of wide lights' points.
+_POINTS_SHARE: Final = 0.5
 # Below this tolerance the usual cells are too coarse at any contrast that matters, and so are the fewest pairs: an edge
 # of 100 gray that is shifted by 0.2 differs in one of 500 [gray level].
 COARSE_TOLERANCE: Final = 0.25
@@ -106,8 +110,8 @@ class Plans:
         self.fewest = FEWEST
         self.everywhere = False
         self.kernel: tuple[KernelPlan, int, float] | None = None
-        self.rays = 0
         self._seed = seed
+        self._points_square, self.rays = points_noise(view, seed)
         self._seen: Seen | None = None
         self._foreseen: dict[bool, Foreseen] = {}
 
@@ -171,7 +175,9 @@ class Plans:
         if method == "rays":
             return plan_rays(self.view, aim, self.fewest)
         met = met_by(self.view, self.found.magnification)
-        return plan_kernel(self.view, middle_of(met) if self.one_layer else met, aim, self.finer)
+        plan = plan_kernel(self.view, middle_of(met) if self.one_layer else met, aim, self.finer)
+        halvings = halvings_for(self._points_square, _POINTS_SHARE * aim**2)
+        return plan if halvings is None else replace(plan, grid=replace(plan.grid, halvings=halvings))
 
     def _hybrid(self, kernel: KernelPlan, aim: float) -> HybridPlan:
         risk = RISK_SHARE * self.demand.tolerance

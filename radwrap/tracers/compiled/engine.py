@@ -157,6 +157,11 @@ class SourcesTracer:
     column: Whole
     names: tuple[str, ...]
 
+    def with_noise(self, halvings: int, *, alike: bool = False) -> SourcesTracer:
+        """The same with other noise of wide lights; see `NoisyTracer`."""
+        tracer = self.tracer.with_noise(halvings, alike=alike)
+        return self if tracer is self.tracer else replace(self, tracer=tracer)
+
     def trace(self, rays: Iterable[Floats]) -> Generator[Floats]:
         """Radiance along rays from each source."""
         for values, _ in self.trace_with_distances(rays):

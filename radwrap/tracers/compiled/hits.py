@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,9 +53,11 @@ class KeptHits:
         trees = (scene.targets, scene.emitters)
         corners = scene.tables if any((tree.shapes["kind"] == POLYGON).any() for tree in trees) else np.zeros(0)
         geometry = _hashed(frame, corners, *(array for tree in trees for array in _arrays(tree)))
-        # All that a scene holds, whatever comes to it: what radiances hang on is among that.
-        everything = (getattr(scene, field.name) for field in fields(scene))
-        return cls(kept, geometry, _hashed(*(part for value in everything for part in _parts(value))))
+        return cls(kept, geometry, _light_of(scene))
+
+    def in_light_of(self, scene: CompiledScene) -> KeptHits:
+        """Those of a scene with the same surfaces."""
+        return replace(self, light=_light_of(scene))
 
     def key(self, block: Floats) -> bytes:
         """What a block of rays is known by."""
@@ -79,6 +81,12 @@ class KeptHits:
         """Keep radiances of a block."""
         values.flags.writeable = False
         self.kept.put(("radiance", self.light, key), values, values.nbytes)
+
+
+def _light_of(scene: CompiledScene) -> bytes:
+    """Hash of all that a scene holds, whatever comes to it: what radiances hang on is among that."""
+    everything = (getattr(scene, field.name) for field in fields(scene))
+    return _hashed(*(part for value in everything for part in _parts(value)))
 
 
 def _parts(value: object) -> Iterator[bytes | NDArray[np.generic]]:

@@ -54,6 +54,8 @@ def trace(
     wides: Wides,
     cells: Clusters,
     pitch: float,
+    halvings: int,
+    alike: bool,
     background: float,
     tables: Floats,
     rays: Floats,
@@ -89,6 +91,8 @@ def trace(
         Lights that shine as a whole; they are in no group.
     cells, pitch : Clusters, float
         Boxes of the cells of those lights, and the size of a place that asks for them; see `wide_cells`.
+    halvings, alike : int, bool
+        See `CompiledScene`.
     background : float
         Radiance of what is seen where nothing is; it goes to the last column.
     tables : ndarray
@@ -164,13 +168,17 @@ def trace(
                 values[r, lights[i].column] += given[i]
         for w in range(len(wides)):
             if wides[w].radiance > 0:
-                key = key_of_ray(rays[r, 0], rays[r, 1], rays[r, 2], rays[r, 3], rays[r, 4], rays[r, 5], w)
+                key = w
+                if not alike:
+                    key = key_of_ray(rays[r, 0], rays[r, 1], rays[r, 2], rays[r, 3], rays[r, 4], rays[r, 5], w)
                 p, n, v = (x, y, z), (nx, ny, nz), (-dx, -dy, -dz)
                 values[r, lights[wides[w].light].column] += sent(
                     wides[w],
                     w,
                     cells,
                     pitch,
+                    halvings,
+                    alike,
                     cover,
                     diffuse,
                     shapes,

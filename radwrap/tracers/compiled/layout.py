@@ -68,6 +68,10 @@ class CompiledScene:
         Names of the sources that shine as a whole.
     frame : TextFrame
         Origin and unit of the places.
+    halvings : int, optional
+        How often the number of points is halved that rays ask of wide lights whether they are hidden.
+    alike : bool, optional
+        Whether all rays ask the same points, so that neighbours differ by what they see, and not by noise.
     """
 
     targets: Tree
@@ -90,6 +94,8 @@ class CompiledScene:
     skies: tuple[tuple[str, float], ...]
     whole: tuple[str, ...]
     frame: TextFrame
+    halvings: int = 0
+    alike: bool = False
 
     def in_light(self, names: Collection[str]) -> CompiledScene:
         """The scene in the light of some sources or LEDs; the others are black, and hide all the same."""

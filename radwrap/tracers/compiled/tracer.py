@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -48,6 +48,13 @@ class CompiledTracer:
     used: Callable[[float], object] = float
     kept: KeptHits | None = None
     memories: list[Whole] = field(default_factory=list)
+
+    def with_noise(self, halvings: int, *, alike: bool = False) -> CompiledTracer:
+        """The same with other noise of wide lights; see `NoisyTracer`."""
+        if not len(self.scene.wides) or (self.scene.halvings, self.scene.alike) == (halvings, alike):
+            return self
+        scene = replace(self.scene, halvings=halvings, alike=alike)
+        return replace(self, scene=scene, kept=self.kept and self.kept.in_light_of(scene))
 
     def trace(self, rays: Iterable[Floats]) -> Generator[Floats]:
         """Radiance along rays; see `Tracer.trace`."""
@@ -135,7 +142,9 @@ class CompiledTracer:
         hits = known or Hits(np.empty(count), np.empty(count, dtype=np.int64))
         values = np.zeros((count, columns))
         known_places = self.memories.pop() if self.memories else memory()
-        for part in self._parts(len(block), len(lights) + POINTS_OF_A_LIGHT * len(scene.wides)):
+        for part in self._parts(
+            len(block), len(lights) + (POINTS_OF_A_LIGHT << max(0, -scene.halvings)) * len(scene.wides)
+        ):
             good = trace(
                 scene.targets.shapes,
                 scene.targets.nodes,
@@ -150,6 +159,8 @@ class CompiledTracer:
                 scene.wides,
                 scene.cells,
                 scene.pitch,
+                scene.halvings,
+                scene.alike,
                 scene.background,
                 scene.tables,
                 block[part],

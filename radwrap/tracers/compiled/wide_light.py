@@ -20,6 +20,7 @@ from radwrap.tracers.compiled.wide_shape import point_on
 
 # Points of a light that are asked for whether they are hidden, where hardly any is, and elsewhere: powers of two.
 _FEWEST: Final = 16
+_LEAST: Final = 4  # however often they are halved; each of two sets has two
 MOST_POINTS: Final = 64
 _FIRST: Final = 3
 _SECOND: Final = 4
@@ -45,6 +46,7 @@ def left_over(
     count: int,
     is_all: bool,
     is_hiding: bool,
+    halvings: int,
     key: int,
     stack: Whole,
 ) -> float:
@@ -74,6 +76,8 @@ def left_over(
         Whether no other cell sends it light.
     is_hiding : bool
         Whether some of them are, as far as was seen from near the point.
+    halvings : int
+        See `CompiledScene`.
     key : int
         Which points of the light are asked; see `wide_points.key_of_ray`.
     stack : ndarray of int, shape (DEPTH,)
@@ -81,7 +85,7 @@ def left_over(
     """
     if count == 0:
         return whole
-    points = MOST_POINTS if is_hiding else _FEWEST
+    points = halved(MOST_POINTS if is_hiding else _FEWEST, halvings)
     if not is_all:
         total, seen = _asked(
             light,
@@ -150,6 +154,12 @@ def left_over(
         left = (seen_a + share_b * (whole - all_a) + seen_b + share_a * (whole - all_b)) / 2
     # Where nearly all is hidden it may fall below 0 by some thousandths of the light.
     return max(left, 0.0)
+
+
+@compiled
+def halved(points: int, halvings: int) -> int:
+    """A power of two halved so often, as far as few are left; doubled where that is below 0."""
+    return max(points >> halvings, _LEAST) if halvings >= 0 else points << -halvings
 
 
 @compiled

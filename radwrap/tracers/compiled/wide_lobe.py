@@ -30,7 +30,7 @@ from radwrap.tracers.compiled.compiler import compiled
 from radwrap.tracers.compiled.covers import LEAST_COSINE, reflected
 from radwrap.tracers.compiled.wide_cells import cell_of
 from radwrap.tracers.compiled.wide_contour import Place
-from radwrap.tracers.compiled.wide_light import shining
+from radwrap.tracers.compiled.wide_light import halved, shining
 from radwrap.tracers.compiled.wide_points import mixed, spread_point
 from radwrap.tracers.compiled.wide_shadow import is_hidden
 from radwrap.tracers.compiled.wide_shape import meets, point_on
@@ -58,6 +58,7 @@ def sampled_lobe(
     v: Place,
     itself: int,
     bits: int,
+    halvings: int,
     key: int,
     stack: Whole,
 ) -> float:
@@ -71,18 +72,21 @@ def sampled_lobe(
         With a lobe.
     bits : int
         Cells of the light that may be hidden, see `wide_cells`.
+    halvings : int
+        See `CompiledScene`.
     """
     axis, total = axis_of(cover, n, v), 0.0
     grain = grain_of(cover, axis)
     first, second = mixed(key, _OF_LIGHT), mixed(key, _OF_LOBE)
-    for i in range(2 * SAMPLES):
+    samples = halved(SAMPLES, halvings)
+    for i in range(2 * samples):
         may_be_hidden = bits != 0
-        if i < SAMPLES:
+        if i < samples:
             a, b = spread_point(i, first)
             d, away, leaving = _towards(light, p, a, b)
             may_be_hidden = bits >> cell_of(a, b) & 1 == 1
         else:
-            a, b = spread_point(i - SAMPLES, second)
+            a, b = spread_point(i - samples, second)
             d = drawn(cover, grain, axis, v, a, b)
             away, leaving = meets(light, p, d)
         value = _weighed(light, cover, tables, grain, axis, n, v, d, away, leaving)
@@ -90,7 +94,7 @@ def sampled_lobe(
             may_be_hidden and is_hidden(light, shapes, nodes, discs, disc_nodes, tables, p, d, away, itself, stack)
         ):
             total += value
-    return light.radiance * total / SAMPLES
+    return light.radiance * total / samples
 
 
 @compiled

@@ -33,6 +33,8 @@ def sent(
     number: int,
     cells: Clusters,
     pitch: float,
+    halvings: int,
+    alike: bool,
     cover: Cover,
     diffuse: float,
     shapes: Shapes,
@@ -58,6 +60,8 @@ def sent(
         The light, and which it is.
     cells, pitch, known
         See `wide_cells.hiding_cells`.
+    halvings, alike : int, bool
+        See `CompiledScene`.
     cover : Cover
         How the point reflects.
     diffuse : float
@@ -90,6 +94,8 @@ def sent(
         bits, is_hiding = hiding_cells(
             light, number, cells, shapes, nodes, discs, disc_nodes, tables, pitch, p, itself, known, chosen, stack
         )
+    if alike and bits != 0:  # places with other cells would ask other points
+        bits = -1
     if whole > 0:
         lit = lit_cells(light, number, cells, p)
         count = bits_of(bits & lit, chosen)
@@ -112,9 +118,12 @@ def sent(
             count,
             bits & lit == lit,
             is_hiding,
+            halvings,
             key,
             stack,
         )
     if cover.kind != NOTHING and not with_lobe:
-        value += sampled_lobe(light, cover, shapes, nodes, discs, disc_nodes, tables, p, n, v, itself, bits, key, stack)
+        value += sampled_lobe(
+            light, cover, shapes, nodes, discs, disc_nodes, tables, p, n, v, itself, bits, halvings, key, stack
+        )
     return value
