@@ -310,7 +310,7 @@ def test_what_meets_the_camera_on_its_way_is_an_error() -> None:
     tables["targets"].append(box)
     for source in tables["sources"]:
         source["strobe"] = {"delay": "9 ms", "width": "1 ms"}
-    told = r'camera.position: 4(\.\d+)? ms after the poses of the file hold, .* inside the target "arm"; move the camera'
+    told = r'camera.position: 4(\.\d+)? ms after the poses of the file hold, .* inside the target "arm"; move'
     with pytest.raises(InputError, match=told):
         rendered(tables, 20.0)
 
