@@ -507,8 +507,19 @@ def logistic_falls(distance: Array, sigma: float) -> Array:
     return np.asarray(whole[0] - whole[1])
 
 
-@pytest.mark.parametrize("falls", [gaussian_falls, logistic_falls])
-@pytest.mark.parametrize(("size", "phase"), [(0.3, 0.0), (0.5, 0.3), (1.0, 0.6), (2.0, 0.15)])
+@pytest.mark.parametrize(
+    ("falls", "size", "phase"),
+    [
+        (gaussian_falls, 0.3, 0.0),
+        pytest.param(gaussian_falls, 0.5, 0.3, marks=pytest.mark.long),
+        (gaussian_falls, 1.0, 0.6),
+        pytest.param(gaussian_falls, 2.0, 0.15, marks=pytest.mark.long),
+        pytest.param(logistic_falls, 0.3, 0.0, marks=pytest.mark.long),
+        (logistic_falls, 0.5, 0.3),
+        pytest.param(logistic_falls, 1.0, 0.6, marks=pytest.mark.long),
+        (logistic_falls, 2.0, 0.15),
+    ],
+)
 def test_no_symmetric_blur_moves_a_straight_edge(
     falls: Callable[[Array, float], Array], size: float, phase: float
 ) -> None:
