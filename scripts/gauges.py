@@ -63,7 +63,8 @@ class Tally:
             "z_largest": float(np.abs(z).max()),
             "bias_median": float(np.median(bias)),
             "bias_rms": float(np.sqrt(np.mean(bias**2))),
-            "bias_without_noise_rms": float(np.sqrt(np.mean(exact**2))),
+            "bias_without_noise_rms": float(np.sqrt(np.nanmean(exact**2))),
+            "refused_without_noise": int(np.isnan(exact).sum()),  # their bias counts as large
             "sigma_median": float(np.median(sigma)),
             "scenes_of_small_bias": float(small.mean()),
             "others_rms": {name: float(np.sqrt(np.nanmean(np.square(v)))) for name, v in self.others.items()},
@@ -234,7 +235,10 @@ def campaign(kind: str, span: tuple[float, float], scenes: int, frames: int, see
                     tally.others.setdefault(name, []).append(diameter - scene.true)
         if errors:
             # The mean of twenty frames has a fifth of one frame's sigma itself: bias is that of the light alone.
-            tally.exact.append(scene.measured(GrayImage(scene.light))[0] - scene.true)
+            try:
+                tally.exact.append(scene.measured(GrayImage(scene.light))[0] - scene.true)
+            except InputError:
+                tally.exact.append(math.nan)
             tally.z += list(np.array(errors) / np.array(sigmas))
             tally.bias.append(float(np.mean(errors)))
             tally.sigma.append(float(np.mean(sigmas)))
@@ -284,7 +288,8 @@ def _line(kind: str, span: tuple[float, float], told: dict[str, Any]) -> str:
         f"{kind:7s} blur {span[0]:g} to {span[1]:g} px: z {told['z_mean']:+.2f}, sd {told['z_sd']:.2f}, "
         f"largest {told['z_largest']:.1f}; bias rms {told['bias_rms']:.4f} px of sigma {told['sigma_median']:.4f}, "
         f"without noise {told['bias_without_noise_rms']:.4f}, "
-        f"small in {told['scenes_of_small_bias']:.0%}; failed {told['failed']}, warned {told['warned']} of "
+        f"small in {told['scenes_of_small_bias']:.0%}, refused {told['refused_without_noise']}; "
+        f"failed {told['failed']}, warned {told['warned']} of "
         f"{told['frames']}"
     )
 
