@@ -570,6 +570,13 @@ def test_a_gaussian_blur_changes_no_diameter(radius: float, sigma: float) -> Non
         assert found.warnings == ()
 
 
+@pytest.mark.parametrize(("radius", "warned"), [(7.0, True), (11.0, True), (14.0, False)])
+def test_a_circle_of_a_few_blurs_is_warned_of(radius: float, warned: bool) -> None:
+    found = circle(ring(radius, 5.0, (30.0, 190.0)), radius)
+    assert any("times the blur" in text for text in found.warnings) == warned
+    assert warned or found.diameter == pytest.approx(2 * radius, abs=0.05)
+
+
 @pytest.mark.parametrize("curvature", [0.08, -0.08])
 def test_derivatives_of_a_step_are_those_of_differences(curvature: float) -> None:
     distance, across = np.linspace(-4, 4, 41), np.array([0.8, 0.6])

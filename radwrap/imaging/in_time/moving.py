@@ -27,7 +27,7 @@ from radwrap.imaging.time_steps import Light, Steps, level_for, lights_of, steps
 from radwrap.imaging.tolerance.certificate import Certificate
 from radwrap.manifest import sha256_of_value
 from radwrap.scene.camera import Camera, Diffraction, Sensor
-from radwrap.scene.instants import averaged, held, keys_of_time, lit_by
+from radwrap.scene.instants import at_time, averaged, held, keys_of_time, lit_by
 from radwrap.scene.look.checks import checked_at_time
 from radwrap.scene.look.image_speed import image_speeds
 from radwrap.scene.scene import Scene
@@ -115,7 +115,7 @@ class _Instants:
             if rows is None:
                 raise ValueError("counts in no row")
             first, last = _strip(*rows, self.scene.camera.sensor.rows)
-            then = lit_by(checked_at_time(self.scene, time), dict.fromkeys(light.sources, 1.0))
+            then = lit_by(at_time(self.scene, time), dict.fromkeys(light.sources, 1.0))
             then = replace(then, camera=self._camera(then.camera, first, last, steps, number))
             seed = int(sha256_of_value([self.options.seed, *map(str, key)])[:12], 16)
             name = f"{len(self.made):04d}"
@@ -148,9 +148,10 @@ def moving(
     """Render a scene at as many instants as its tolerance asks for."""
     lights = lights_of(scene)
     options = replace(options, tracer=_tracer_of_many(scene, options.tracer))
+    levels = _levels(scene, lights)
+    _check_instants(scene, _steps(scene, lights, levels, options.seed))
     base = render_still(averaged(scene), folder / "base", replace(options, frames=0))
     sensor, tolerance = held(scene).camera.sensor, base.run.tolerance
-    levels = _levels(scene, lights)
     if tolerance is None:
         raise ValueError("an image at instants is made to a tolerance")
     allowed = allowed_exposure_error(_RENDER_SHARE * tolerance, base.radiant_exposure.values, sensor) / len(lights)
@@ -199,6 +200,7 @@ def _refined(
     sensor = scene.camera.sensor
     while True:
         steps = _steps(scene, lights_of(scene), levels, instants.options.seed)
+        _check_instants(scene, steps)
         fine, coarse = _composed(steps, instants, check)
         square = float(np.mean((gray_levels(fine, sensor) - gray_levels(coarse, sensor)) ** 2))
         if sensor.gamma == 1:  # else it is not known what the noise makes of gray levels; it is counted elsewhere
@@ -208,6 +210,14 @@ def _refined(
         if motion <= allowed or highest >= _MOST_LEVEL:
             return _Composed(levels, steps, fine, motion)
         levels = [None if level is None else level + 1 for level in levels]
+
+
+def _check_instants(scene: Scene, steps: list[Steps]) -> None:
+    """See that nothing is where it cannot be, before a ray is traced."""
+    for one in steps:
+        for number, time in enumerate(one.times):
+            if one.rows_of(number) is not None:
+                checked_at_time(scene, float(time))
 
 
 def _noise_of_difference(steps: list[Steps], instants: _Instants) -> float:

@@ -162,7 +162,9 @@ def _fit_narrow(shape: Shape, blur: float, fitted: Callable[[Shape, float], Cont
         close = abs(better.width - width) < max(ROUGH, math.sqrt(fit.covariance[-1, -1]))
         if better.rise > -_BETTER or (close and number == _TRIES - 1):
             seen = nodes[0].width <= there.width <= nodes[-1].width
-            other = None if seen or there.rise > EXCLUDED else there
+            # Of two that are one within its error neither is in doubt.
+            same = abs(there.width - width) < math.sqrt(fit.covariance[-1, -1])
+            other = None if seen or same or there.rise > EXCLUDED else there
             return NarrowFit(_spread_out(shape, fit, best, nodes), other)
         shape, blur = replace(shape, start=np.append(fit.parameters[:-1], better.width)), better.blur
     # Of other pixels another one is better, again and again.
