@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from copy import deepcopy
 from pathlib import Path
 from typing import Any, Final
@@ -10,10 +11,13 @@ import pytest
 
 import radwrap
 from radwrap.errors import InputError
+from radwrap.imaging.demand import SamplingPlan
 from radwrap.manifest import read_manifest
 from radwrap.measure.edges import measure_edge
 from radwrap.study.design import read_design
+from radwrap.study.pilots import asked
 from radwrap.study.runs import runs_of
+from radwrap.study.sampled import sampled
 from radwrap.study.study import Made, Study, StudyOptions, plan_steps, run_study
 from radwrap.study.table import read_table
 from tests.cli.conftest import scene_text
@@ -39,16 +43,23 @@ measure = "mean_gray"
 """
 SMALL: Final = {"rows": 12, "columns": 60}
 SHUTTER: Final = {"shutter": "rolling", "line_time": "1 ms"}
+FULL: Final = 'kind = "full"'
 pytestmark = pytest.mark.usefixtures("one_process")
 
 
-FULL: Final = 'kind = "full"'
-
-
-def written(folder: Path, key: str, levels: str, *, kind: str = FULL, render: str = "", **camera: Any) -> Path:
+def written(
+    folder: Path,
+    key: str,
+    levels: str,
+    *,
+    kind: str = FULL,
+    render: str = "",
+    shutter: Mapping[str, str] = SHUTTER,
+    **camera: Any,
+) -> Path:
     document = deepcopy(EDGE)
     document["camera"] |= {"diffraction": "off", "exposure_time": "100 ms", **camera}
-    document["camera"]["sensor"] |= SHUTTER | SMALL
+    document["camera"]["sensor"] |= {**shutter, **SMALL}
     document["targets"][0]["velocity"] = ["10 mm/s", "0 mm/s", "0 mm/s"]
     (folder / "scene.toml").write_text(scene_text(document))
     path = folder / "design.toml"
@@ -86,6 +97,15 @@ def test_levels_of_what_moves_are_renders_of_their_own(tmp_path: Path) -> None:
         design = read_design(path)
         _, made = plan_steps(design, runs_of(design), tmp_path / "out", StudyOptions(workers=1))
         assert made == (Made(0, 1, 10) if still else Made(10, 0, 0))
+
+
+def test_only_runs_that_stand_still_share_a_plan(tmp_path: Path) -> None:
+    speeds = ", ".join(f'["{speed}", "0 m/s", "0 m/s"]' for speed in ("0 m/s", "10 mm/s"))
+    design = read_design(written(tmp_path, "targets[0].velocity", speeds, shutter={}))
+    steps, _ = plan_steps(design, runs_of(design), tmp_path / "out", StudyOptions(workers=1))
+    plan = SamplingPlan("kernel", cell=0.5)
+    found = sampled(steps, {asked(step.job.options): plan for step in steps})
+    assert [step.job.options.sampling for step in found] == [plan, None]
 
 
 @pytest.mark.parametrize(
