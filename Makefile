@@ -53,7 +53,8 @@ docs: $(DOCS_READY)
 # Three processes, as the machine that the suite is timed on has two cores, and tests that kill or time something wait
 # for a sixth of the time; tests of a file share what they make, and the longest files are begun first (conftest.py).
 # One thread each for linear algebra: on small matrices more threads mostly wait for each other, at five times the cost.
-ONE_THREAD := OPENBLAS_NUM_THREADS=1
+# And glibc keeps what it has: arrays of some megabytes would be mapped and cleared anew each time.
+ONE_THREAD := OPENBLAS_NUM_THREADS=1 MALLOC_TRIM_THRESHOLD_=1073741824 MALLOC_MMAP_THRESHOLD_=268435456
 PYTEST := -m pytest -n 3 --dist loadfile --no-loadscope-reorder --durations=20
 # Plain asserts load in half the time, in each process; what fails is run again by asserts that show their values.
 tested = $(ONE_THREAD) $(BIN)/python $(PYTEST) --assert=plain $(1) || \
