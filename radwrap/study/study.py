@@ -279,14 +279,16 @@ def plan_steps(design: Design, runs: Sequence[Run], out: Path, options: StudyOpt
     images: dict[str, list[Run]] = {}
     for run in runs:
         images.setdefault(run.image, []).append(run)
-    groups = _light_groups(design, images, options)
+    in_time = {image for image, sharing in images.items() if changes_in_time(sharing[0].document, design.folder)}
+    still = {image: sharing for image, sharing in images.items() if image not in in_time}
+    groups = _light_groups(design, still, options)  # a basis knows one instant
     steps: list[Step] = []
     for number, group in enumerate(groups, 1):
         steps += _basis_steps(design, group, f"basis{number}", out, options)
     relit = {image for group in groups for image in group.images}
     for image, sharing in images.items():
         if image not in relit:
-            steps += _render_steps(design, image, sharing, out, options)
+            steps += _render_steps(design, image, sharing, out, options, in_time=image in in_time)
     return steps, Made(len(images) - len(relit), len(groups), len(relit))
 
 
@@ -305,12 +307,15 @@ def still_due(steps: Sequence[Step], finished: Mapping[int, Any]) -> list[Step]:
     return left
 
 
-def _render_steps(design: Design, image: str, runs: Sequence[Run], out: Path, options: StudyOptions) -> Iterator[Step]:
+def _render_steps(
+    design: Design, image: str, runs: Sequence[Run], out: Path, options: StudyOptions, *, in_time: bool
+) -> Iterator[Step]:
     """The first run renders, the others look at its image."""
     first = f"run{runs[0].index}"
     for run in runs:
         job = _job(design, run, out, options, name=f"run{run.index}", image=f"{_RENDERS}/{image[:_NAME]}")
-        yield Step(replace(job, runs=(Measured(run.index, run.responses),)), None if run is runs[0] else first)
+        job = replace(job, runs=(Measured(run.index, run.responses),), in_time=in_time)
+        yield Step(job, None if run is runs[0] else first)
 
 
 def _job(design: Design, run: Run, out: Path, options: StudyOptions, *, name: str, image: str, **how: Any) -> Job:
@@ -330,7 +335,6 @@ def _job(design: Design, run: Run, out: Path, options: StudyOptions, *, name: st
         runs=(),
         home=str(design.home.absolute()),
         channel=design.channel,
-        in_time=changes_in_time(run.document, design.folder),
     )
 
 
@@ -356,8 +360,6 @@ def _light_groups(design: Design, images: Mapping[str, Sequence[Run]], options: 
         run = sharing[0]
         if render_options(run.render, "render", **options.of_render).fixed_method is not None:
             continue  # a basis is made to a tolerance
-        if changes_in_time(run.document, design.folder):
-            continue  # and knows one instant
         try:
             bare, levels = split_light(run.document)
         except (InputError, KeyError, TypeError):

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.tracers.noise import NoisyTracer
+from radwrap.tracers.noise import with_noise
 from radwrap.tracers.tracer import Tracer
 
 Array = NDArray[np.float64]
@@ -33,9 +33,7 @@ class SummedTracer:
 
     def with_noise(self, halvings: int, *, alike: bool = False) -> SummedTracer:
         """The same with other noise; see `NoisyTracer`."""
-        parts = tuple(
-            part.with_noise(halvings, alike=alike) if isinstance(part, NoisyTracer) else part for part in self.parts
-        )
+        parts = tuple(with_noise(part, halvings, alike=alike) for part in self.parts)
         return self if all(new is old for new, old in zip(parts, self.parts, strict=True)) else SummedTracer(parts)
 
     def trace(self, rays: Iterable[Array]) -> Generator[Array]:

@@ -21,7 +21,7 @@ from radwrap.study.sampled import sampled
 from radwrap.study.study import Made, Study, StudyOptions, plan_steps, run_study
 from radwrap.study.table import read_table
 from tests.cli.conftest import scene_text
-from tests.study.conftest import EDGE
+from tests.study.conftest import EDGE, RESPONSES
 
 DESIGN: Final = """
 scene = "scene.toml"
@@ -34,12 +34,6 @@ tolerance = 6
 [factors.{name}]
 key = "{key}"
 levels = [{levels}]
-[responses.u]
-measure = "edge_position"
-dark = "sensor"
-gamma = "sensor"
-[responses.mean]
-measure = "mean_gray"
 """
 SMALL: Final = {"rows": 12, "columns": 60}
 SHUTTER: Final = {"shutter": "rolling", "line_time": "1 ms"}
@@ -63,7 +57,7 @@ def written(
     document["targets"][0]["velocity"] = ["10 mm/s", "0 mm/s", "0 mm/s"]
     (folder / "scene.toml").write_text(scene_text(document))
     path = folder / "design.toml"
-    path.write_text(DESIGN.format(render=render, kind=kind, name="x", key=key, levels=levels))
+    path.write_text(DESIGN.format(render=render, kind=kind, name="x", key=key, levels=levels) + RESPONSES)
     return path
 
 
