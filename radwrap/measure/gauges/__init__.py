@@ -7,7 +7,7 @@
     where scan lines cross a rim                        scan
     points -> a circle, a line                          points
     how far pixels lie from a contour                   rims, round_shapes, straight_shapes
-    what a pixel sees of a blurred step                 step
+    what a pixel sees of a blurred step                 step, bent
     least squares in a strip along the contour          strip
     the same without neighbours, with errors            contour
     two rims whose blurs run into each other            narrow, ring

@@ -28,8 +28,8 @@ Form = Literal["circle", "ellipse"]
 _FEWEST_POINTS: Final = 8
 _FEWEST_SHARE: Final = 0.45  # of the scan lines, that must lie on the rim
 _TURN: Final = 2 * math.pi
-# Of a radius, the fewest: at 2.4 a diameter was off by 3 standard errors, at 1.6 by 6, at .8 by 20.
-_BLURS: Final = 2.5
+_BLURS: Final = 2.5  # of a radius, the fewest without a warning
+_FEWEST_BLURS: Final = 1.3  # below, radius and blur hang together, and their standard errors are not known
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,22 +178,47 @@ def measure_circle(
     if way == "model":
         if form == "ellipse" or plane is not None:
             shape = replace(shape, start=fit_points(shape, points[near]).parameters)
-        fit = _warned_if_small(fit_contour(light, shape, 2 * found.width, caliper.band + 2, pixel_aspect), radius)
+        fit = _larger_than_blur(
+            shape, 2 * found.width, lambda begin, blur: fit_contour(light, begin, blur, caliper.band + 2, pixel_aspect)
+        )
     else:
         check_unsaturated(light.usable, lines, found)
         fit = fit_points(shape, points[near])
     return _circle(fit, named, way, "dark" if found.rising else "bright", 1 - float(near.mean()))
 
 
-def _warned_if_small(fit: Contour, radius: float) -> Contour:
-    """A rim with a radius of so many pixels is bent within its blur, of which the model knows the second order."""
-    if radius >= _BLURS * fit.blur:
+def _larger_than_blur(shape: Shape, blur: float, fitted: Callable[[Shape, float], Contour]) -> Contour:
+    """The fit whose radius is larger than its blur: that of both exchanged looks the same, of another contrast."""
+    fit = fitted(shape, blur)
+    if (blurs := _blurs(shape, fit)) < 1:
+        parameters = fit.parameters.copy()
+        parameters[_sizes(shape)] /= blurs
+        fit = fitted(replace(shape, start=parameters), fit.blur * blurs)
+        blurs = _blurs(shape, fit)
+    if blurs < _FEWEST_BLURS:
+        raise InputError(
+            f"does not show the size of what is hardly larger than its blur: {blurs:.2g} blurs of {fit.blur:.2g} px",
+            where="the image",
+            remedy="focus better, or take a longer lens",
+        )
+    if blurs >= _BLURS:
         return fit
     told = (
-        f"the radius is {radius / fit.blur:.2g} times the blur: below {_BLURS:g} the rim is bent too much within "
-        "it, and the diameter may be off by several times what is stated"
+        f"the radius is {blurs:.2g} times the blur: the other way round, with the radius and the blur exchanged, the "
+        f"image is the same but for {blurs**2:.2g} times the contrast, and the diameter hangs on the kind of blur"
     )
     return replace(fit, warnings=(*fit.warnings, told))
+
+
+def _sizes(shape: Shape) -> slice:
+    """Which parameters are the radius, or the semi-axes."""
+    return slice(2, min(4, len(shape.start)))
+
+
+def _blurs(shape: Shape, fit: Contour) -> float:
+    """Mean radius in the image over the blur."""
+    sizes = _sizes(shape)
+    return float(np.mean(np.abs(fit.parameters[sizes] / shape.units[sizes]))) / fit.blur
 
 
 def _of_ring(light: Light, calipers: tuple[Caliper, Caliper], named: _Named) -> Circle:

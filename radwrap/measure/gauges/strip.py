@@ -23,9 +23,6 @@ _HARMONICS: Final = 2
 _STEPS: Final = 12  # of Gauss and Newton
 DONE: Final = 1e-6  # px; a smaller step is the last
 ROUGH: Final = 1e-3  # px; enough to tell which pixels belong to something else
-# Of the radius of curvature: what a step along a bent contour looks like is known to second order in it. Nor is a disc
-# larger than the strip, where it would be all but a slope.
-_LARGEST_DISC: Final = 0.6
 _SHARES: Final = (1.0, 0.5, 0.25, 0.1)  # of a step, where a whole one makes it worse
 
 
@@ -293,9 +290,8 @@ def any_blur(shape: Shape, strip: Strip, disc: State, before: Blur | None = None
     radius, shares = disc.blur.radius, np.zeros(len(DISCS))
     if before is not None and before.shares.size:
         shares = before.shares
-    bend = max(float(np.median(np.abs(rim.curvature))) for rim in disc.rims)
-    reach = max(float(np.abs(rim.distance).max()) for rim in disc.rims)
-    largest = min(_LARGEST_DISC / max(bend, 1e-9), reach)
+    # A disc larger than the strip is all but a slope there.
+    largest = max(float(np.abs(rim.distance).max()) for rim in disc.rims)
     blur = Blur(radius, shares, np.minimum(DISCS, largest / radius), held)
     return solved(shape, strip, disc.parameters, blur, done=done)
 
