@@ -144,7 +144,7 @@ def _json(edge: Edge, arguments: argparse.Namespace) -> dict[str, Any]:
         "misfit": edge.misfit,
         "even_misfit": edge.even_misfit,
         "beyond_disc": finite(edge.beyond_disc),
-        "warnings": list(_warnings(edge)),
+        "warnings": list(warnings_of(edge)),
         "strip": {"half_width": edge.half_width, "length": edge.length},
     }
 
@@ -169,12 +169,13 @@ def _lines(edge: Edge) -> Iterator[str]:
             f"place and gamma can hardly be separated (correlation {edge.position_gamma_correlation:+.2f}): "
             "with --gamma the place is better known"
         )
-    yield from (f"warning: {text}" for text in _warnings(edge))
+    yield from (f"warning: {text}" for text in warnings_of(edge))
     left = f", {edge.saturated} saturated ones left out" if edge.saturated else ""
     yield f"residual: {edge.residual_rms:.3g} gray rms over {edge.pixels} pixels{left}"
 
 
-def _warnings(edge: Edge) -> Iterator[str]:
+def warnings_of(edge: Edge) -> Iterator[str]:
+    """What speaks against the numbers."""
     if edge.level_share > PLATEAU:
         yield (
             f"{edge.level_share:.0%} of the bright side has one and the same gray level: where that is not even light "

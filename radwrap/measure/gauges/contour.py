@@ -100,6 +100,8 @@ class Contour:
         Share of the contour that shows something else.
     misfit : float
         Departure of the contour from the shape, rms beyond noise [px].
+    beyond_disc : float
+        By how much a sum of discs fits better than one disc [standard deviations of what noise makes of that].
     warnings : tuple of str
         Where the model does not fit.
     """
@@ -117,6 +119,7 @@ class Contour:
     pixels: int
     left_out: float
     misfit: float
+    beyond_disc: float
     warnings: tuple[str, ...]
 
     def by_rendering(self, weights: Array) -> float:
@@ -367,8 +370,14 @@ def _told(shape: Shape, light: Light, strip: Strip, disc: State, state: State, *
         pixels=strip.light.size,
         left_out=left_out,
         misfit=misfit,
+        beyond_disc=_beyond_disc(disc, state, float(noise.mean())),
         warnings=tuple(_warnings(strip, disc, state, misfit if significant else 0.0, rounded=is_whole(light))),
     )
+
+
+def _beyond_disc(disc: State, state: State, noise: float) -> float:
+    gain = float(disc.residual @ disc.residual - state.residual @ state.residual) / max(noise, 1e-300)
+    return (gain - len(DISCS)) / math.sqrt(2 * len(DISCS))
 
 
 def is_whole(light: Light) -> bool:

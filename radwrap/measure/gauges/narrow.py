@@ -36,6 +36,7 @@ _LONGEST: Final = 0.1  # of the width, of a step
 # By how much another kind of blur may change the width without a warning: of the width, and in standard errors.
 _SHAPE: Final = 0.05
 _SHAPE_SIGMAS: Final = 2.0
+_NO_DISC: Final = 5.0  # standard deviations, by which a sum of discs fits better where the blur is no disc
 _CLOSE: Final = 1e-4  # px; how much worse a fit is hangs on the square of that
 _FINE: Final = 2000  # places of the likelihood's integral
 
@@ -134,10 +135,10 @@ def fit_narrow(shape: Shape, blur: float, fitted: Callable[[Shape, float], Conto
 
 
 def _of_one_blur(fit: Contour) -> Contour:
-    """With a warning where the width hangs on what kind of blur it is."""
+    """With a warning where the width hangs on what kind of blur it is, and that is no disc."""
     width = float(fit.parameters[-1])
     other, sigma = width_by_gaussian(width, fit.blur), math.sqrt(fit.covariance[-1, -1])
-    if abs(other - width) < max(_SHAPE * width, _SHAPE_SIGMAS * sigma):
+    if fit.beyond_disc < _NO_DISC or abs(other - width) < max(_SHAPE * width, _SHAPE_SIGMAS * sigma):
         return fit
     told = (
         f"the width hangs on the shape of the blur, which no standard error holds: {width:.3g} px if it is a disc, "
