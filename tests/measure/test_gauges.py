@@ -394,6 +394,29 @@ def test_what_is_alike_on_both_sides_of_a_rim_is_warned_of(kind: str, warned: bo
     assert bool(alike) == warned, found.warnings
 
 
+@pytest.mark.parametrize(("aside", "warned"), [(0.0, False), (1.2, True)])
+@pytest.mark.parametrize("around", [False, True])
+def test_a_blur_with_a_side_is_warned_of(around: bool, aside: float, warned: bool) -> None:
+    """Three tenths of the light in a larger disc, about the same middle or to one side of it, as coma has it."""
+    dice = np.random.default_rng(11)
+    if around:
+        moved = (CENTRE[0] + aside, CENTRE[1])
+        parts = [ring_picture(SHAPE, at, (18.0,), blur, (30.0, 190.0)) for at, blur in ((CENTRE, 1.0), (moved, 2.0))]
+    else:
+        parts = [
+            edge_picture((60, 60), 0.3, 36 + shift, blur, (30.0, 190.0)) for shift, blur in ((0.0, 1.0), (aside, 2.0))
+        ]
+    light = 0.7 * parts[0] + 0.3 * parts[1]
+    for _ in range(4):
+        image = GrayImage(noisy(light, dice))
+        if around:
+            texts = measure_circle(image, Caliper((30, 31), 18.5, 6)).warnings
+        else:
+            texts = measure_line(image, StraightCaliper((28.6, 29.3), 0.3, 36, 10)).warnings
+        assert bool(texts) == warned
+        assert not warned or any("side of the contour" in text or "both sides" in text for text in texts)
+
+
 def test_the_rendering_error_is_carried_through_the_gauge() -> None:
     """No pattern of +-1 gray moves the diameter by more than is told, and the worst pattern by nearly as much."""
     light = ring(14.0, 1.0)

@@ -23,6 +23,7 @@ from radwrap.measure.edges.correlation import variance_factor
 from radwrap.measure.edges.misfit import beyond_noise, misfit_of
 from radwrap.measure.gauges.response import Light
 from radwrap.measure.gauges.rims import Rim, Shape
+from radwrap.measure.gauges.sided import has_sides
 from radwrap.measure.gauges.strip import (
     DONE,
     NARROWEST,
@@ -62,6 +63,7 @@ _MISFIT_SIGMA: Final = 5.0  # so far above what noise makes of the blocks' place
 MISFIT: Final = 0.02  # px; a departure from the shape that is less is no matter
 _PROFILE: Final = 0.025  # of the contrast, rms, by which the profile may differ from that of one blurred step
 _EVEN: Final = 0.004  # of the contrast, likewise of what is left on both sides alike
+_SPREADS_ROUNDING: Final = 0.5  # gray levels of noise, from which on rounding is a noise of each pixel
 _BESIDE: Final = 3.0  # px beside the blur and its tails where that is looked for
 _BIN: Final = 0.5  # px across the contour
 _SMALL: Final = 1 << 16  # pixels of an image that are all looked at
@@ -356,6 +358,10 @@ def _told(shape: Shape, light: Light, strip: Strip, disc: State, state: State, *
     if abs(high - low) < _FAINTEST / float(np.median(strip.weight)):
         raise InputError("shows no contour above its noise", where="the image", remedy="raise contrast or exposure")
     misfit, significant = _misfit(shape, strip, state, variance)
+    # What neighbours have in common is here what is looked for, but for rounding that no noise has spread.
+    quiet = is_whole(light) and variance < (_SPREADS_ROUNDING * float(np.median(strip.slope * strip.weight))) ** 2
+    tested = float(noise.mean()) if quiet else variance
+    sided = has_sides(shape, strip, state, inverse, noise=tested, contrast=abs(high - low))
     return Contour(
         parameters=state.parameters,
         covariance=covariance[:count, :count],
@@ -371,7 +377,9 @@ def _told(shape: Shape, light: Light, strip: Strip, disc: State, state: State, *
         left_out=left_out,
         misfit=misfit,
         beyond_disc=_beyond_disc(disc, state, float(noise.mean())),
-        warnings=tuple(_warnings(strip, disc, state, misfit if significant else 0.0, rounded=is_whole(light))),
+        warnings=tuple(
+            _warnings(strip, disc, state, misfit if significant else 0.0, sided=sided, rounded=is_whole(light))
+        ),
     )
 
 
@@ -452,7 +460,7 @@ def _by_shift(shape: Shape, strip: Strip, state: State) -> Array:
     return np.choose(state.nearest, found)
 
 
-def _warnings(strip: Strip, disc: State, state: State, misfit: float, *, rounded: bool) -> Iterator[str]:
+def _warnings(strip: Strip, disc: State, state: State, misfit: float, *, sided: bool, rounded: bool) -> Iterator[str]:
     low, high = _levels(strip, disc)
     contrast = max(abs(high - low), 1e-300)
     off = _profile(strip, disc) / contrast
@@ -465,6 +473,11 @@ def _warnings(strip: Strip, disc: State, state: State, misfit: float, *, rounded
         yield (
             f"on both sides of the contour light differs alike, by {even:.1%} of the contrast, from one step with any "
             "symmetric blur: a second edge, a fringe or a clipped side moves the contour by more than is stated"
+        )
+    elif sided:
+        yield (
+            "the blur differs from one side of the contour to the other, by more than chance: coma, a second edge, a "
+            "fringe or a clipped side moves the contour by more than is stated"
         )
     if misfit > MISFIT:
         yield f"the contour departs from the shape by {misfit:.2g} px rms beyond noise: it is of another one"

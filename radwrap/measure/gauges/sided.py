@@ -1,0 +1,80 @@
+"""Whether a blur has sides: coma, a second edge and a clipped level move the contour, and no symmetric blur does.
+
+The blur of the fit is a sum of discs about one middle. Where a disc lies to one side of the others, light changes by
+its derivative by the distance less that of all of them. How much of this is in what the fit leaves, beside all that its
+own parameters take up, is a linear question (a score test): of so many unknowns noise makes a chi-square. It is asked
+twice: of each disc by itself, and of discs that lie farther off as the squares of their radii, as coma has them, which
+is one unknown in place of three.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.measure.gauges.rims import Shape
+from radwrap.measure.gauges.strip import State, Strip, jacobian_of
+
+Array = NDArray[np.float64]
+
+FALSE_ALARM: Final = 0.002  # of each question: a width of two edges has four, and 2 % of right ones may be warned of
+SMALLEST: Final = 0.001  # of the contrast, rms: less moves no contour, and in pictures without noise all is significant
+_DEPENDENT: Final = 1e-3  # of a column's length; where no more is left beside the fit's own it is rounding
+_WAVES: Final = 3  # around a closed contour: to its inside, and to two sides of the image
+
+
+def has_sides(shape: Shape, strip: Strip, state: State, inverse: Array, *, noise: float, contrast: float) -> bool:
+    """Whether what the fit leaves has sides, by more than chance and by enough to matter.
+
+    Parameters
+    ----------
+    shape, strip, state
+        The fit with a sum of discs.
+    inverse : ndarray, shape (k, rows)
+        Its `influence_of`.
+    noise : float
+        Variance of a weighted pixel.
+    contrast : float
+        Of the contour [light].
+    """
+    from scipy.stats import chi2
+
+    squares = np.square(state.blur.radii[1:])
+    jacobian = jacobian_of(shape, strip, state)
+    residual = np.concatenate([state.residual, -state.blur.held * state.blur.shares])
+    least = (SMALLEST * contrast * float(np.median(strip.weight))) ** 2 * strip.light.size
+    by_disc = _by_disc(shape, strip, state)
+    for columns in (
+        by_disc.reshape(len(by_disc), -1),
+        (by_disc * squares[:, None]).sum(axis=2).reshape(len(by_disc), -1),
+    ):
+        power, count = _explained(columns, jacobian, inverse, residual)
+        if power > least + count * noise and power > noise * chi2.isf(FALSE_ALARM, max(count, 1)):
+            return True
+    return False
+
+
+def _explained(columns: Array, jacobian: Array, inverse: Array, residual: Array) -> tuple[float, int]:
+    """Sum of squares of the residual that columns explain beside those of the fit, and how many they are."""
+    some = columns[:, np.linalg.norm(columns, axis=0) > 0]
+    if not some.size:
+        return 0.0, 0
+    whole = np.zeros((len(residual), some.shape[1]))
+    whole[: len(some)] = some / np.linalg.norm(some, axis=0)
+    left, size, _ = np.linalg.svd(whole - jacobian @ (inverse @ whole), full_matrices=False)
+    found = left.T[size > _DEPENDENT] @ residual
+    return float(found @ found), len(found)
+
+
+def _by_disc(shape: Shape, strip: Strip, state: State) -> Array:
+    """Weighted light by a shift of each further disc against all, shape (n, rims, discs, waves along the contour)."""
+    terms, parts = state.terms, state.terms.parts(state.levels)
+    contrasts = [terms.wide @ parts[2]] if len(terms.seen) == 1 else [terms.slow @ part for part in parts[1:]]
+    waves = terms.wide[:, : _WAVES if shape.closed else 1]
+    by_rim = [
+        np.stack([contrast * (disc.step_by_distance - seen.step_by_distance) for disc in discs[1:]], axis=1)
+        for contrast, seen, discs in zip(contrasts, terms.seen, terms.by_disc, strict=True)
+    ]
+    return np.asarray(strip.weight[:, None, None, None] * np.stack(by_rim, axis=1)[..., None] * waves[:, None, None])
