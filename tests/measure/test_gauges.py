@@ -6,7 +6,7 @@ import doctest
 import math
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from types import ModuleType
 from typing import Any
 
@@ -44,6 +44,8 @@ from radwrap.measure.gauges.narrow import lookalike, width_by_gaussian
 from radwrap.measure.gauges.response import light_of
 from radwrap.measure.gauges.round_shapes import circle_shape
 from radwrap.measure.gauges.step import Step, pixel_step
+from radwrap.measure.gauges.straight_shapes import stripe_shape
+from radwrap.measure.gauges.strip import Blur, terms_of
 from tests.measure.pictures import any_picture, disc_share, edge_picture, noisy, ring_picture, stripe_picture
 
 Array = NDArray[np.float64]
@@ -778,6 +780,30 @@ def test_a_stripe_that_looks_like_another_has_no_width_but_a_middle() -> None:
     for image in stripe_frames(7.4, 3.3, 220.0, 3):
         line = measure_line(image, caliper, stripe=True)
         assert line.width is not None and abs(line.width - 7.4) < 5 * (line.width_sigma or 0) < 0.2
+
+
+def test_light_that_changes_across_a_stripe_is_no_second_edge() -> None:
+    """The light between two rims under a blur, x of a box, beside fine quadrature; and frames of such a stripe."""
+    level = stripe_shape(np.array([30.0, 25.0]), 0.3, 30.0, np.array([0.0, 0.0, 7.0]))
+    shape = replace(level, sloped=True)
+    v, u = np.indices((50, 60))
+    places = np.column_stack([u.ravel(), v.ravel()]).astype(np.float64)
+    steps = 40
+
+    def step_of(u: Array, v: Array) -> Array:
+        across = (u - 30) * math.cos(0.3) + (v - 25) * math.sin(0.3)
+        return np.clip(np.floor((across + 3.5) * steps) + 1, 0, 7 * steps + 1)
+
+    levels = np.concatenate([[0], (np.arange(7 * steps) + 0.5) / steps - 3.5, [0]])
+    found = terms_of(shape, shape.rims(shape.start, places), Blur(2.5), 1.0).matrix[:, -1]
+    assert found == pytest.approx(any_picture((50, 60), step_of, 2.5, levels).ravel(), abs=5e-3)
+    dice = np.random.default_rng(4)
+    light = stripe_picture((60, 80), 0.3, 42.0, 14.0, blur=2.5, levels=(40.0, 180.0))
+    light = light * (1 + 0.3 * (np.indices(light.shape)[1] - 40) / 80)
+    for _ in range(4):
+        line = measure_line(GrayImage(noisy(light, dice)), StraightCaliper(MIDDLE, 0.3, 30, 18), stripe=True)
+        assert line.warnings == () and line.width is not None
+        assert abs(line.width - 14) < 4 * (line.width_sigma or 0)
 
 
 def test_a_narrow_width_is_warned_of_where_its_blur_is_no_disc() -> None:

@@ -396,9 +396,8 @@ def is_whole(light: Light) -> bool:
 
 def _levels(strip: Strip, state: State) -> tuple[float, float]:
     """Mean light of the dark and of the bright side, as fitted."""
-    parts = state.terms.parts(state.levels)
-    low = state.terms.wide @ parts[0]
-    contrast = (state.terms.wide if len(parts) > 3 else state.terms.slow) @ parts[2 if len(parts) > 3 else 1]
+    low = state.terms.wide @ state.terms.parts(state.levels)[0]
+    contrast = state.terms.at_rims(state.levels)[0][0]
     return float(low.mean()), float((low + contrast).mean())
 
 

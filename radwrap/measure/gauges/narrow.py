@@ -37,6 +37,8 @@ _LONGEST: Final = 0.1  # of the width, of a step
 _SHAPE: Final = 0.05
 _SHAPE_SIGMAS: Final = 2.0
 _NO_DISC: Final = 5.0  # standard deviations, by which a sum of discs fits better where the blur is no disc
+# Blurs, from which width on a slope of light between straight rims is seen: of narrower things it is a kind of blur.
+_PLATEAU: Final = 4.0
 _CLOSE: Final = 1e-4  # px; how much worse a fit is hangs on the square of that
 _FINE: Final = 2000  # places of the likelihood's integral
 
@@ -150,6 +152,9 @@ def _of_one_blur(fit: Contour) -> Contour:
 def _fit_narrow(shape: Shape, blur: float, fitted: Callable[[Shape, float], Contour]) -> NarrowFit:
     for number in range(_TRIES):
         fit = fitted(shape, blur)
+        if not shape.closed and not shape.sloped and fit.parameters[-1] > _PLATEAU * fit.blur:
+            shape = replace(shape, start=fit.parameters, sloped=True)
+            fit = fitted(shape, fit.blur)
         width = float(fit.parameters[-1])
         alike = lookalike(width, fit.blur)
         if alike is None:
@@ -229,7 +234,7 @@ def _of_width(shape: Shape, width: float) -> Shape:
     def rims(parameters: Array, places: Array) -> list[Rim]:
         return list(shape.rims(np.append(parameters, width), places))
 
-    return Shape(rims, shape.start[:-1], shape.units[:-1], shape.length, shape.closed)
+    return replace(shape, rims=rims, start=shape.start[:-1], units=shape.units[:-1])
 
 
 def _spread_out(shape: Shape, fit: Contour, best: State, nodes: list[Trial]) -> Contour:

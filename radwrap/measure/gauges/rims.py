@@ -52,6 +52,8 @@ class Shape:
         Of the contour [px].
     closed : bool
         Whether it comes back to where it began.
+    sloped : bool
+        Of two rims, whether light may change from one to the other.
     """
 
     rims: Callable[[Array, Array], Sequence[Rim]]
@@ -59,6 +61,7 @@ class Shape:
     units: Array
     length: float
     closed: bool
+    sloped: bool = False
 
 
 def length_of(vectors: Array) -> Array:

@@ -70,11 +70,10 @@ def _explained(columns: Array, jacobian: Array, inverse: Array, residual: Array)
 
 def _by_disc(shape: Shape, strip: Strip, state: State) -> Array:
     """Weighted light by a shift of each further disc against all, shape (n, rims, discs, waves along the contour)."""
-    terms, parts = state.terms, state.terms.parts(state.levels)
-    contrasts = [terms.wide @ parts[2]] if len(terms.seen) == 1 else [terms.slow @ part for part in parts[1:]]
+    terms = state.terms
     waves = terms.wide[:, : _WAVES if shape.closed else 1]
     by_rim = [
         np.stack([contrast * (disc.step_by_distance - seen.step_by_distance) for disc in discs[1:]], axis=1)
-        for contrast, seen, discs in zip(contrasts, terms.seen, terms.by_disc, strict=True)
+        for (contrast, _), seen, discs in zip(terms.at_rims(state.levels), terms.seen, terms.by_disc, strict=True)
     ]
     return np.asarray(strip.weight[:, None, None, None] * np.stack(by_rim, axis=1)[..., None] * waves[:, None, None])

@@ -104,17 +104,20 @@ class Terms:
     ----------
     wide, slow : ndarray, shape (n, terms)
         Functions along the contour, by which levels and their slopes across it change.
+    half : ndarray, shape (n,)
+        Of two rims half of their distance [px], else 0.
     by_disc : sequence of sequence of Step
         What each pixel sees of each rim by each disc of the blur.
     seen : sequence of Step
         The same by all the blur.
     matrix : ndarray, shape (n, levels)
         Of one rim: dark side, its slope, contrast, slope of the contrast. Of two, between which it is bright: dark
-        side, contrast of the first rim, and of the second.
+        side, contrast of the first rim, and of the second; of a sloped shape slopes of the dark side and between.
     """
 
     wide: Array
     slow: Array
+    half: Array
     by_disc: Sequence[Sequence[Step]]
     seen: Sequence[Step]
     matrix: Array
@@ -128,22 +131,28 @@ class Terms:
     def parts(self, levels: Array) -> list[Array]:
         """Levels by the blocks of columns."""
         wide, slow = self.wide.shape[1], self.slow.shape[1]
-        sizes = [wide, slow, wide, slow] if len(self.seen) == 1 else [wide, slow, slow]
+        sizes = [wide, slow, wide, slow] if len(self.seen) == 1 else [wide, slow, slow, 1, 1]
         return np.split(levels, np.cumsum(sizes)[:-1])
+
+    def at_rims(self, levels: Array) -> list[tuple[Array, Array]]:
+        """Contrast of each rim's step, and slope of its ramp."""
+        parts = self.parts(levels)
+        if len(self.seen) == 1:
+            return [(self.wide @ parts[2], self.slow @ parts[3])]
+        slope, first, second = float(parts[4].sum()), self.slow @ parts[1], self.slow @ parts[2]
+        return [
+            (first - slope * self.half, np.full_like(first, slope)),
+            (second + slope * self.half, np.full_like(first, -slope)),
+        ]
 
     def by_shares(self, levels: Array) -> list[Array]:
         """Derivatives of the light by the shares of the other discs."""
-        parts = self.parts(levels)
-        if len(self.seen) == 1:
-            contrasts, slope = [self.wide @ parts[2]], self.slow @ parts[3]
-        else:
-            contrasts, slope = [self.slow @ part for part in parts[1:]], np.zeros(len(self.slow))
-        pairs = list(zip(contrasts, self.by_disc, strict=True))
+        pairs = list(zip(self.at_rims(levels), self.by_disc, strict=True))
         return [
             np.asarray(
                 sum(
                     contrast * (discs[k].step - discs[0].step) + slope * (discs[k].ramp - discs[0].ramp)
-                    for contrast, discs in pairs
+                    for (contrast, slope), discs in pairs
                 )
             )
             for k in range(1, len(self.by_disc[0]))
@@ -192,15 +201,24 @@ def terms_of(shape: Shape, rims: Sequence[Rim], blur: Blur, aspect: float) -> Te
     shares = np.concatenate([[1 - blur.shares.sum()], blur.shares])  # all the light is in the discs together
     seen = [mixed(discs, shares) for discs in by_disc]
     wide, slow = _bases(shape, rims)
-    return Terms(wide, slow, by_disc, seen, _matrix(wide, slow, rims, [(rim.step, rim.ramp) for rim in seen]))
+    half = (rims[0].distance + rims[1].distance) / 2 if len(rims) > 1 else np.zeros(len(slow))
+    return Terms(
+        wide, slow, half, by_disc, seen, _matrix(shape, wide, slow, rims, [(rim.step, rim.ramp) for rim in seen])
+    )
 
 
-def _matrix(wide: Array, slow: Array, rims: Sequence[Rim], seen: Sequence[tuple[Array, Array]]) -> Array:
+def _matrix(shape: Shape, wide: Array, slow: Array, rims: Sequence[Rim], seen: Sequence[tuple[Array, Array]]) -> Array:
     (step, ramp), *others = seen
     if not others:
         parts = [wide, slow * rims[0].distance[:, None], wide * step[:, None], slow * ramp[:, None]]
-    else:
-        parts = [wide, slow * step[:, None], slow * (others[0][0] - 1)[:, None]]
+        return np.concatenate(parts, axis=1)
+    (far_step, far_ramp), first, second = others[0], rims[0].distance, rims[1].distance
+    parts = [wide, slow * step[:, None], slow * (far_step - 1)[:, None]]
+    if shape.sloped:
+        half, middle = (first + second) / 2, (first - second) / 2
+        # The distance from the middle where it lies between the rims.
+        between = ramp - far_ramp - half * (step - far_step + 1) + second
+        parts += [middle[:, None], between[:, None]]
     return np.concatenate(parts, axis=1)
 
 
@@ -215,7 +233,7 @@ def moved_light(shape: Shape, state: State, rims: Sequence[Rim]) -> Array:
         one.moved(new.distance - old.distance, new.curvature - old.curvature)
         for one, new, old in zip(state.terms.seen, rims, state.rims, strict=True)
     ]
-    return np.asarray(_matrix(*_bases(shape, rims), rims, seen) @ state.levels)
+    return np.asarray(_matrix(shape, *_bases(shape, rims), rims, seen) @ state.levels)
 
 
 def _basis(shape: Shape, along: Array, most: int) -> Array:
