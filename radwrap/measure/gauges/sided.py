@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.measure.gauges.rims import Shape
-from radwrap.measure.gauges.strip import State, Strip, jacobian_of
+from radwrap.measure.gauges.strip import State, Strip, jacobian_of, slopes_of
 
 Array = NDArray[np.float64]
 
@@ -41,31 +41,33 @@ def has_sides(shape: Shape, strip: Strip, state: State, inverse: Array, *, noise
     """
     from scipy.stats import chi2
 
-    squares = np.square(state.blur.radii[1:])
     jacobian = jacobian_of(shape, strip, state)
+
+    def beside(columns: Array) -> Array:
+        """What is left of columns, of which each is as long as 1, beside those of the fit."""
+        some = columns[:, np.linalg.norm(columns, axis=0) > 0]
+        whole = np.zeros((len(jacobian), some.shape[1]))
+        whole[: len(some)] = some / np.linalg.norm(some, axis=0)
+        return np.asarray(whole - jacobian @ (inverse @ whole))
+
     residual = np.concatenate([state.residual, -state.blur.held * state.blur.shares])
+    if len(state.rims) > 1 and not shape.sloped:
+        # Light that changes between two rims, which such a fit takes for level, has a side too.
+        slopes = slopes_of(state.rims, [(rim.step, rim.ramp) for rim in state.terms.seen])
+        other = np.linalg.qr(beside(strip.weight[:, None] * slopes))[0]
+    else:
+        other = np.zeros((len(residual), 0))
     least = (SMALLEST * contrast * float(np.median(strip.weight))) ** 2 * strip.light.size
     by_disc = _by_disc(shape, strip, state)
-    for columns in (
-        by_disc.reshape(len(by_disc), -1),
-        (by_disc * squares[:, None]).sum(axis=2).reshape(len(by_disc), -1),
-    ):
-        power, count = _explained(columns, jacobian, inverse, residual)
-        if power > least + count * noise and power > noise * chi2.isf(FALSE_ALARM, max(count, 1)):
+    as_coma = (by_disc * np.square(state.blur.radii[1:])[:, None]).sum(axis=2)
+    for question in (by_disc, as_coma):
+        columns = beside(question.reshape(len(question), -1))
+        left, size, _ = np.linalg.svd(columns - other @ (other.T @ columns), full_matrices=False)
+        found = left.T[size > _DEPENDENT] @ residual
+        power, count = float(found @ found), len(found)
+        if count and power > least + count * noise and power > noise * chi2.isf(FALSE_ALARM, count):
             return True
     return False
-
-
-def _explained(columns: Array, jacobian: Array, inverse: Array, residual: Array) -> tuple[float, int]:
-    """Sum of squares of the residual that columns explain beside those of the fit, and how many they are."""
-    some = columns[:, np.linalg.norm(columns, axis=0) > 0]
-    if not some.size:
-        return 0.0, 0
-    whole = np.zeros((len(residual), some.shape[1]))
-    whole[: len(some)] = some / np.linalg.norm(some, axis=0)
-    left, size, _ = np.linalg.svd(whole - jacobian @ (inverse @ whole), full_matrices=False)
-    found = left.T[size > _DEPENDENT] @ residual
-    return float(found @ found), len(found)
 
 
 def _by_disc(shape: Shape, strip: Strip, state: State) -> Array:

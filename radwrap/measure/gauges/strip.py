@@ -212,14 +212,17 @@ def _matrix(shape: Shape, wide: Array, slow: Array, rims: Sequence[Rim], seen: S
     if not others:
         parts = [wide, slow * rims[0].distance[:, None], wide * step[:, None], slow * ramp[:, None]]
         return np.concatenate(parts, axis=1)
-    (far_step, far_ramp), first, second = others[0], rims[0].distance, rims[1].distance
-    parts = [wide, slow * step[:, None], slow * (far_step - 1)[:, None]]
-    if shape.sloped:
-        half, middle = (first + second) / 2, (first - second) / 2
-        # The distance from the middle where it lies between the rims.
-        between = ramp - far_ramp - half * (step - far_step + 1) + second
-        parts += [middle[:, None], between[:, None]]
-    return np.concatenate(parts, axis=1)
+    parts = [wide, slow * step[:, None], slow * (others[0][0] - 1)[:, None]]
+    return np.concatenate([*parts, slopes_of(rims, seen)] if shape.sloped else parts, axis=1)
+
+
+def slopes_of(rims: Sequence[Rim], seen: Sequence[tuple[Array, Array]]) -> Array:
+    """Light that changes from one of two rims to the other: of the dark side, and between, shape (n, 2) [px]."""
+    (step, ramp), (far_step, far_ramp) = seen
+    first, second = rims[0].distance, rims[1].distance
+    # The distance from the middle where it lies between the rims: beyond the first one, less that beyond the second.
+    between = ramp - far_ramp - (first + second) / 2 * (step - far_step + 1) + second
+    return np.column_stack([(first - second) / 2, between])
 
 
 def _bases(shape: Shape, rims: Sequence[Rim]) -> tuple[Array, Array]:
