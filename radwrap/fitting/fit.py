@@ -226,7 +226,8 @@ def _fitted(
     begin = _begin(free, rendered, states, light, work)
     prediction = _prediction(states, rendered, light, begin.steps)
     captures = [state.captured for state in states]
-    solved = solve(free.keys, prediction, captures, noise, robust=robust, begin=begin.values)
+    tolerance = light.tolerance if any(rendered) else 0.0
+    solved = solve(free.keys, prediction, captures, noise, robust=robust, begin=begin.values, tolerance=tolerance)
     used, sigma = solved.weighed.used, solved.weighed.sigma
     errors = _errors(prediction, solved, light)
     grain = GRAIN if prediction.has_renders else RANK

@@ -26,8 +26,11 @@ _CHANGE: Final = 0.15
 _SMOOTH: Final = 0.5  # px: what single pixels show may be the grain of the rays
 _FARTHER: Final = 10.0
 _TRIED_STEP: Final = 0.02  # of such a key's scale, to begin with
-# Of such a key's scale: steps. A value of 0, a pose's say, has no scale of its own but its unit.
-_SMALLEST, _LARGEST, _LARGEST_OF_NONE = 1e-7, 0.5, 50.0
+_SMALLEST, _LARGEST = 1e-7, 0.5  # of such a key's scale: steps
+# The same of a value of 0, a pose's say, that has no scale of its own but its unit: turned by more, a lattice of dots
+# looks like itself again.
+_LARGEST_FROM_0: Final = {"deg": 10.0}
+_LARGEST_ELSE: Final = 50.0
 _TRIALS: Final = 6
 _FIT: Final = 2.0  # a step that is right within this factor
 
@@ -152,8 +155,7 @@ class Prediction:
             Sigma of the blur that the image is looked at with [px]: the wider, the farther a key is moved.
         """
         if blur not in self._steps:
-            begun = next(reversed(self._steps.values()), self._begun)
-            self._steps[blur] = [self._step(values, number, blur, step) for number, step in enumerate(begun)]
+            self._steps[blur] = [self._step(values, number, blur, step) for number, step in enumerate(self._begun)]
         near = self._near(values, blur)
         return np.stack([self._slope(near, number, step) for number, step in enumerate(self._steps[blur])])
 
@@ -176,7 +178,8 @@ class Prediction:
             return _STEP
         sigma = max(blur, _SMOOTH)
         target = _CHANGE * float(np.ptp(self._smooth(self.at(values).unclipped, sigma)))
-        largest = _LARGEST if self._keys[number].value else _LARGEST_OF_NONE
+        key = self._keys[number]
+        largest = _LARGEST if key.value else _LARGEST_FROM_0.get(key.unit, _LARGEST_ELSE)
         for _ in range(_TRIALS):
             try:
                 slope = self._slope(values, number, step)

@@ -66,6 +66,7 @@ def solve(
     *,
     robust: bool,
     begin: Array | None = None,
+    tolerance: float = 0.0,
 ) -> Solution:
     """Find the values by which prediction and captures agree best.
 
@@ -85,6 +86,8 @@ def solve(
         Whether single pixels that are far off count less.
     begin : ndarray, shape (keys,), optional
         Where to begin; default the keys' own values.
+    tolerance : float
+        What the rays of the prediction may be off by [gray level]: a step is no better known.
 
     Raises
     ------
@@ -101,8 +104,9 @@ def solve(
     moved, rounds, ended = np.inf, 0, True
     against = _Against(prediction, tuple(captured), noise)
     if prediction.has_renders:
-        found_by_steps = through_grain(against, x * scales, scales, bounds * scales, robust=robust)
-        return against.ended(found_by_steps.values, found_by_steps.rounds, converged=found_by_steps.converged)
+        grain = tolerance / float(np.median(against.weights(x * scales).sigma))
+        arrived = through_grain(against, x * scales, scales, bounds * scales, robust=robust, grain=grain)
+        return against.ended(arrived.values, arrived.rounds, converged=arrived.converged)
     while rounds < _ROUNDS and not moved < _STILL:
         rounds += 1
         counted = against.weighed(prediction.at(x * scales))

@@ -1,4 +1,4 @@
-"""Gauss and Newton's steps where renders are compared, whose rays have a grain."""
+"""Damped steps of Gauss and Newton where renders are compared, whose rays have a grain."""
 
 from __future__ import annotations
 
@@ -9,13 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
-from radwrap.fitting.covariance import GRAIN, determined_inverse
+from radwrap.fitting.covariance import GRAIN, lengths
 
 Array = NDArray[np.float64]
-STILL: Final = 0.3  # what a step must move the prediction by, in expected deviations
-_ENOUGH: Final = 1.0  # the same of a step that the grain hides
+# What a step must move the prediction by, in expected deviations; its square, what it must take from the sum.
+STILL: Final = 0.3
+_ENOUGH: Final = 3.0  # the same of a step that lowers nothing: the grain hides it
 _ROUNDS: Final = 15
-_HALVINGS: Final = 4
+_TRIES: Final = 6  # of dampings in one round
+_LEAST_DAMPING: Final = 0.03  # share of the largest singular value: what stands out of the grain is a hundredth or more
+_RAISED: Final = 5.0  # times, where a step does not lower the sum
+_EASED: Final = 5.0  # times, where it does
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +70,9 @@ class Arrived:
     converged: bool
 
 
-def through_grain(compared: Compared, values: Array, scales: Array, bounds: Array, *, robust: bool = False) -> Arrived:
+def through_grain(
+    compared: Compared, values: Array, scales: Array, bounds: Array, *, robust: bool = False, grain: float = 1.0
+) -> Arrived:
     """Step in the directions that stand out of the grain of the rays.
 
     A solver that looks for the last digit of a sum that has steps asks for many renders, and wanders along what the
@@ -84,26 +90,51 @@ def through_grain(compared: Compared, values: Array, scales: Array, bounds: Arra
         Lower and upper ones.
     robust : bool
         Whether single pixels that are far off count less.
+    grain : float
+        What the rays of the prediction are off by, in expected deviations.
     """
-    moved, rounds = np.inf, 0
-    while rounds < _ROUNDS and not moved < STILL:
+    damping, rounds = 0.0, 0
+    while rounds < _ROUNDS:
         rounds += 1
         weights = compared.weights(values)
         left = compared.left(values, weights)
         weight = (1 + left**2) ** -0.25 if robust else np.ones(left.size)
         jacobian = compared.slopes(values, weights) * weight[:, np.newaxis]
-        step = determined_inverse(jacobian, GRAIN) @ (left * weight)
-        for _ in range(_HALVINGS):
-            tried = np.clip(values + step * scales, bounds[0], bounds[1])
-            if _sum(compared, tried, weights, weight) < float(((left * weight) ** 2).sum()):
-                moved = float(np.linalg.norm(jacobian @ ((tried - values) / scales)))
-                values = tried
+        sum_here = float(((left * weight) ** 2).sum())
+        moved = float(np.linalg.norm(jacobian @ determined_step(jacobian, left * weight)))
+        for _ in range(_TRIES):
+            step = determined_step(jacobian, left * weight, damping) * scales
+            tried = np.clip(values + step, bounds[0], bounds[1])
+            gain = sum_here - _sum(compared, tried, weights, weight)
+            if gain > 0:
+                values, damping = tried, damping / _EASED if damping > _LEAST_DAMPING else 0.0
                 break
-            step = step / 2
+            damping = max(damping * _RAISED, _LEAST_DAMPING)
         else:
-            moved = float(np.linalg.norm(jacobian @ step))
-            return Arrived(values, rounds, converged=moved < _ENOUGH)
-    return Arrived(values, rounds, converged=moved < STILL)
+            return Arrived(values, rounds, converged=moved < _ENOUGH * max(grain, 1.0))
+        if moved < STILL or gain < STILL**2:
+            return Arrived(values, rounds, converged=True)
+    return Arrived(values, rounds, converged=False)
+
+
+def determined_step(jacobian: Array, left: Array, damping: float = 0.0) -> Array:
+    """What the keys move by, in their scales, in the directions that stand out of the grain .
+
+    Parameters
+    ----------
+    jacobian : ndarray, shape (pixels, keys)
+        Over sigma.
+    left : ndarray, shape (pixels,)
+        What it is to take away.
+    damping : float
+        Share of the largest singular value, below which directions are gone along the less, the weaker they are.
+    """
+    scale = lengths(jacobian)
+    vectors, singular, right = np.linalg.svd(jacobian / scale, full_matrices=False)
+    largest = float(singular.max(initial=0.0))
+    good = singular > GRAIN * largest
+    shares = singular[good] / (singular[good] ** 2 + (damping * largest) ** 2)
+    return np.asarray((right[good].T * shares) @ (vectors[:, good].T @ left) / scale)
 
 
 def _sum(compared: Compared, values: Array, weights: Weights, weight: Array) -> float:
