@@ -3,13 +3,13 @@
     .venv/bin/python scripts/fit_twins.py --twins 20 --seed 1 --out out/fit_twins.json
 
 Prints for each kind of key how often its 95 % interval holds the truth, the bias in deviations, how many right scenes
-were refused and how many wrong ones (an LED off in the model) were found, and processor time and rays.
+were refused, how many wrong ones were found (an LED off in the model, another beam, a target moved, gamma held at a
+wrong value), and processor time and rays.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from pathlib import Path
 from typing import Any, Final
@@ -18,21 +18,32 @@ import numpy as np
 
 import radwrap
 from default_tolerance import cpu
+from radwrap.fitting.free_keys import free_scene
 from radwrap.manifest import json_text
 from radwrap.random_streams import generator
 
 # Stands apart from the streams of the package's own draws.
 _STREAM: Final = 9_001
+POSE: Final = "pose:target"
 KINDS: Final = {
     "level": ("sources[0].leds[0].radiance_factor", "sources[0].leds[1].radiance_factor"),
     "exposure": ("camera.exposure_time",),
     "offset": ("camera.sensor.offset",),
     "place": ("targets[0].edge_position",),
+    "shift": tuple(f"{POSE}.{name}" for name in ("tx", "ty", "tz")),
+    "turn": tuple(f"{POSE}.{name}" for name in ("rx", "ry", "rz")),
+    "focal length": ("camera.focal_length",),
+    "reflectance": ("materials.white.reflectance",),
+    "beam width": ("sources[0].beam.width",),
 }
+# How far off the fit begins: shifts [mm] and turns [deg] of the target.
+SHIFT: Final = (4.0, 4.0, 8.0)
+TURN: Final = (3.0, 3.0, 3.0)
+WRONG: Final = ("LED off", "wide beam", "target moved", "gamma held")
 
 
-def bench(random: np.random.Generator) -> dict[str, Any]:
-    """An edge in the light of three LEDs, seen by a linear camera of 20 to 40 pixels a side."""
+def bench(random: np.random.Generator, target: dict[str, Any]) -> dict[str, Any]:
+    """A target in the light of three LEDs, seen by a linear camera of 20 to 40 pixels a side."""
     rows, columns = (int(number) for number in random.integers(20, 41, 2))
     return {
         "camera": {
@@ -72,54 +83,95 @@ def bench(random: np.random.Generator) -> dict[str, Any]:
             "black": {"type": "lambertian", "reflectance": 0.1},
             "white": {"type": "lambertian", "reflectance": 0.6},
         },
-        "targets": [
-            {
-                "type": "edge",
-                "name": "edge",
-                "material": "black",
-                "edge_material": "white",
-                "size": ["400 mm", "400 mm"],
-                "rotation": ["0 deg", "0 deg", f"{random.uniform(3, 40):.1f} deg"],
-                "edge_position": "1 mm",
-            }
-        ],
+        "targets": [target],
     }
 
 
-def truth_of(random: np.random.Generator, *, renders: bool) -> dict[str, Any]:
-    """Three to five keys and the values that a capture is made with."""
-    found: dict[str, Any] = {key: float(random.uniform(0.75, 1.25)) for key in KINDS["level"]}
+def edge(random: np.random.Generator) -> dict[str, Any]:
+    """A straight edge."""
+    return {
+        "type": "edge",
+        "edge_material": "white",
+        "size": ["400 mm", "400 mm"],
+        "rotation": ["0 deg", "0 deg", f"{random.uniform(3, 40):.1f} deg"],
+        "edge_position": "1 mm",
+    }
+
+
+def board(random: np.random.Generator) -> dict[str, Any]:
+    """Dots, tilted, so that all six numbers of a pose show."""
+    return {
+        "type": "board",
+        "dot_material": "white",
+        "rows": int(random.integers(2, 4)),
+        "columns": int(random.integers(2, 4)),
+        "pitch": "14 mm",
+        "dot_diameter": f"{random.uniform(7, 10):.1f} mm",
+        "margin": "10 mm",
+        "rotation": [f"{random.uniform(8, 20):.1f} deg", f"{random.uniform(-12, 12):.1f} deg", "10 deg"],
+    }
+
+
+def truth_of(random: np.random.Generator, *, renders: bool, is_board: bool) -> dict[str, float]:
+    """Three to eleven keys and the values that a capture is made with, in the units of the scene."""
+    found = {key: float(random.uniform(0.75, 1.25)) for key in KINDS["level"]}
     found["camera.sensor.offset"] = float(random.uniform(3.0, 8.0))
     if random.random() < 0.5:
-        found["camera.exposure_time"] = f"{random.uniform(85, 115):.6f} ms"
-    if renders:
-        found["targets[0].edge_position"] = f"{random.uniform(0.6, 1.4):.6f} mm"
+        found["camera.exposure_time"] = float(random.uniform(85, 115))
+    if not renders:
+        return found
+    if is_board:
+        for names, sizes in ((KINDS["shift"], SHIFT), (KINDS["turn"], TURN)):
+            found |= {name: float(random.uniform(-size, size)) for name, size in zip(names, sizes, strict=True)}
+    else:
+        found["targets[0].edge_position"] = float(random.uniform(-4, 6))
+        if random.random() < 0.5:
+            found["camera.focal_length"] = float(random.uniform(12, 13))
+    if random.random() < 0.5:
+        found["materials.white.reflectance"] = float(random.uniform(0.5, 0.7))
+    if random.random() < 0.5:
+        found["sources[0].beam.width"] = float(random.uniform(26, 34))
     return found
 
 
-def number_of(value: Any) -> float:
-    """Of a value with or without a unit."""
-    return float(str(value).split()[0])
+def keys_of(truth: dict[str, float]) -> list[str]:
+    """What is freed: a pose as a whole."""
+    return list(dict.fromkeys(POSE if key.startswith(POSE) else key for key in truth))
 
 
-def twin(number: int, seed: int, tolerance: float, *, renders: bool, wrong: bool) -> dict[str, Any]:
+def wronged(scene: radwrap.Scene, kind: str) -> radwrap.Scene:
+    """What the user believes: not what was captured."""
+    if kind == "LED off":
+        return radwrap.with_value(scene, "sources[0].leds[2].radiance_factor", 0.0)
+    if kind == "wide beam":
+        return radwrap.with_value(scene, "sources[0].beam.width", "60 deg")
+    if kind == "target moved":
+        return radwrap.with_value(scene, "targets[0].position", ["3 mm", "0 mm", "0 mm"])
+    return radwrap.with_value(scene, "camera.sensor.gamma", 0.8)
+
+
+def twin(number: int, seed: int, tolerance: float, *, renders: bool, wrong: str) -> dict[str, Any]:
     """One scene, one capture, one fit."""
     random = generator(seed, number, _STREAM)
-    scene = radwrap.scene_from_document(bench(random))
-    truth = truth_of(random, renders=renders)
-    captured = radwrap.scene_from_document(json.loads(scene.document), truth)
+    is_board = renders and bool(random.integers(2))
+    target = (board if is_board else edge)(random)
+    scene = radwrap.scene_from_document(bench(random, {**target, "name": "target", "material": "black"}))
+    # A wrong model keeps its places: what it is wrong in must not be what the fit may move.
+    truth = truth_of(random, renders=renders and not wrong, is_board=is_board)
+    free = free_scene(scene, keys_of(truth))
+    captured = free.at([truth[key.key] for key in free.keys])
     # No ray in common with the fit.
     rays = radwrap.RenderOptions(method="rays", tolerance=tolerance / 5, seed=10_000 + number, workers=1)
     made = radwrap.render(captured, options=rays, tracer="compiled")
-    begun = radwrap.with_value(scene, "sources[0].leds[2].radiance_factor", 0.0) if wrong else scene
+    begun = wronged(scene, wrong) if wrong else scene
     before = cpu()
     options = radwrap.RenderOptions(tolerance=tolerance, seed=number, workers=1)
-    found = radwrap.fit(begun, made.frames(1), list(truth), options=options)
+    found = radwrap.fit(begun, made.frames(1), keys_of(truth), options=options)
     keys = [
         {
             "key": key.key,
-            "pull": (key.value - number_of(truth[key.key])) / key.sigma if key.sigma else None,
-            "held": key.interval is not None and key.interval[0] <= number_of(truth[key.key]) <= key.interval[1],
+            "pull": (key.value - truth[key.key]) / key.sigma if key.sigma else None,
+            "held": key.interval is not None and key.interval[0] <= truth[key.key] <= key.interval[1],
         }
         for key in found.keys
     ]
@@ -157,6 +209,7 @@ def summary(twins: list[dict[str, Any]]) -> dict[str, Any]:
         "not_converged": sum(not one["converged"] for one in twins),
         "wrong": len(wrong),
         "wrong_found": sum(not one["explained"] for one in wrong),
+        "wrong_missed": [one["wrong"] for one in wrong if one["explained"]],
         "processor_s_each": float(np.mean([one["processor_s"] for one in twins])),
         "rays_each": float(np.mean([one["rays"] for one in twins])),
         "places_each": float(np.mean([one["places"] for one in twins])),
@@ -167,21 +220,22 @@ def main() -> None:
     """Run twins and print what they say."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", maxsplit=1)[0])
     parser.add_argument("--twins", type=int, default=20, help="right scenes (default 20)")
-    parser.add_argument("--wrong", type=int, default=5, help="scenes that lack an LED (default 5)")
-    parser.add_argument("--renders", action="store_true", help="with a place that needs renders")
+    parser.add_argument("--wrong", type=int, default=5, help="scenes whose model is wrong (default 5)")
+    parser.add_argument("--renders", action="store_true", help="with places, poses and beams that need renders")
     parser.add_argument("--tolerance", type=float, default=0.5, help="of the fits [gray level] (default 0.5)")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", help="file for the numbers")
     asked = parser.parse_args()
     twins = []
     for number in range(asked.twins + asked.wrong):
-        wrong = number >= asked.twins
+        wrong = WRONG[number % len(WRONG)] if number >= asked.twins else ""
         twins.append(twin(number, asked.seed, asked.tolerance, renders=asked.renders, wrong=wrong))
-        print(f"twin {number}: {'explained' if twins[-1]['explained'] else 'not explained'}", file=sys.stderr)
-    told = summary(twins)
-    print(json_text(told), end="")
+        told = "explained" if twins[-1]["explained"] else "not explained"
+        print(f"twin {number} {wrong}: {told}, {twins[-1]['processor_s']:.0f} s", file=sys.stderr)
+    found = summary(twins)
+    print(json_text(found), end="")
     if asked.out:
-        Path(asked.out).write_text(json_text({"summary": told, "twins": twins}))
+        Path(asked.out).write_text(json_text({"summary": found, "twins": twins}))
 
 
 if __name__ == "__main__":

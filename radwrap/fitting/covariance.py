@@ -129,17 +129,8 @@ class Spread:
         return np.asarray(covariance / np.outer(scale, scale))
 
 
-def determined_inverse(jacobian: Array, rank: float = RANK) -> Array:
-    """Of a Jacobian, shape (pixels, keys), the inverse in the directions that it determines, shape (keys, pixels)."""
-    scale = _lengths(jacobian)
-    left, singular, right = np.linalg.svd(jacobian / scale, full_matrices=False)
-    good = singular > rank * float(singular.max(initial=0.0))
-    inverse: Array = (right[good].T / singular[good]) @ left[:, good].T / scale[:, np.newaxis]
-    return inverse
-
-
-def _lengths(jacobian: Array) -> Array:
-    """Of the columns; infinite for a key that changes nothing, whose column is rounding."""
+def lengths(jacobian: Array) -> Array:
+    """Lengths of a Jacobian's columns; infinite for a key that changes nothing, whose column is rounding."""
     lengths = np.linalg.norm(jacobian, axis=0)
     return np.where(lengths > _NOTHING * float(lengths.max(initial=0.0)), lengths, np.inf)
 
@@ -160,7 +151,7 @@ def spread(jacobian: Array, errors: PredictionErrors, rank_share: float = RANK, 
     """
     from scipy.stats import norm, t
 
-    scale = _lengths(jacobian)
+    scale = lengths(jacobian)
     left, singular, right = np.linalg.svd(jacobian / scale, full_matrices=False)
     keys = jacobian.shape[1]
     good = singular > rank_share * float(singular.max(initial=0.0))

@@ -7,6 +7,7 @@ import math
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.files import check_not_others, check_results, make_folder, sole_owner
+from radwrap.fitting.approach import COARSER, approached
 from radwrap.fitting.captured import read_mask
 from radwrap.fitting.covariance import GRAIN, RANK, PredictionErrors, Shared, Spread, spread
 from radwrap.fitting.directions import in_words
@@ -45,6 +47,7 @@ _SCENE_FILE: Final = FileKind("scene file", 16 << 20, "")
 _NOTHING: Final[Mapping[str, Any]] = {}
 _AT_BOUND: Final = 1e-6  # of a key's scale
 _WORK: Final = ".fit"
+_COARSE: Final = "coarse"
 PACKAGES: Final = ("tomlkit",)
 
 
@@ -147,7 +150,9 @@ def fit(
     return made
 
 
-def _prediction(states: Sequence[State], rendered: Sequence[bool], light: Light) -> Prediction:
+def _prediction(
+    states: Sequence[State], rendered: Sequence[bool], light: Light, steps: Sequence[float] = ()
+) -> Prediction:
     """Of all states; those that differ in levels, exposure or the sensor's electronics only are seen in one light."""
     known: list[Places] = []
     shots = []
@@ -157,7 +162,28 @@ def _prediction(states: Sequence[State], rendered: Sequence[bool], light: Light)
             places = Places(state.free, rendered, light.at)
             known.append(places)
         shots.append((state.free, places))
-    return Prediction(shots)
+    return Prediction(shots, steps)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Begin:
+    """Where the fit itself begins: values, how far keys are moved for slopes, and rays so far."""
+
+    values: Array | None = None
+    steps: Sequence[float] = ()
+    rays: int = 0
+
+
+def _begin(free: FreeScene, rendered: Sequence[bool], states: Sequence[State], light: Light, work: Path) -> _Begin:
+    """Where coarse renders lead to, if any key needs renders."""
+    if not any(rendered):
+        return _Begin()
+    folder = work / _COARSE
+    make_folder(folder)
+    coarse = light.coarser(COARSER, folder)
+    prediction = _prediction(states, rendered, coarse)
+    values = approached(free.keys, prediction, [state.captured for state in states], coarse.tolerance)
+    return _Begin(values, prediction.steps, coarse.rays)
 
 
 def _errors(prediction: Prediction, solved: Solution, light: Light) -> PredictionErrors:
@@ -197,8 +223,11 @@ def _fitted(
     robust: bool,
 ) -> Fit:
     light = Light(states[0].free.scene, options, work, is_even=any(rendered))
-    prediction = _prediction(states, rendered, light)
-    solved = solve(free.keys, prediction, [state.captured for state in states], noise, robust=robust)
+    begin = _begin(free, rendered, states, light, work)
+    prediction = _prediction(states, rendered, light, begin.steps)
+    captures = [state.captured for state in states]
+    tolerance = light.tolerance if any(rendered) else 0.0
+    solved = solve(free.keys, prediction, captures, noise, robust=robust, begin=begin.values, tolerance=tolerance)
     used, sigma = solved.weighed.used, solved.weighed.sigma
     errors = _errors(prediction, solved, light)
     grain = GRAIN if prediction.has_renders else RANK
@@ -228,7 +257,7 @@ def _fitted(
         "noise": noise,
         "robust": robust,
         "held": light.held(),
-        "rays": light.rays,
+        "rays": light.rays + begin.rays,
         "places": prediction.renders,
         "left_out": light.left_out,
         "converged": solved.converged,

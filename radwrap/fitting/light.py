@@ -41,6 +41,7 @@ class Light:
 
     def __init__(self, scene: Scene, options: RenderOptions, work: Path, *, is_even: bool) -> None:
         self._work, self._count = work, 0
+        self._scene, self._is_even = scene, is_even
         self.rays, self.left_out = 0, ""
         self._options = replace(options, basis=True, frames=0, truth=False)
         if is_even:
@@ -51,6 +52,16 @@ class Light:
         told = self._options
         plan = None if told.sampling is None else told.sampling.as_json()
         return {"method": told.method, "tracer": told.tracer, "sampling": plan, "tolerance": told.tolerance}
+
+    @property
+    def tolerance(self) -> float:
+        """Of each image [gray level]."""
+        return self._options.demand.tolerance
+
+    def coarser(self, times: float, work: Path) -> Light:
+        """The same at a tolerance that is so many times larger, with a folder of its own."""
+        options = replace(self._options, tolerance=times * self.tolerance, sampling=None)
+        return Light(self._scene, options, work, is_even=self._is_even)
 
     def at(self, scene: Scene) -> Basis:
         """The basis of another scene, by the same rays."""

@@ -21,11 +21,17 @@ from radwrap.scene.scene import Scene
 
 Array = NDArray[np.float64]
 _STEP: Final = 1e-4  # of a key's scale: levels are linear in it, and the sensor's keys smooth
-_CHANGE: Final = 0.08  # of the image's range: so much a difference by renders changes somewhere
+# Of the image's range: so much a difference by renders changes somewhere. The slope of an edge is then 1 % too small.
+_CHANGE: Final = 0.15
+_SMOOTH: Final = 0.5  # px: what single pixels show may be the grain of the rays
 _FARTHER: Final = 10.0
 _TRIED_STEP: Final = 0.02  # of such a key's scale, to begin with
-_SMALLEST, _LARGEST = 1e-7, 0.5  # of a key's scale: steps of such a key
-_TRIALS: Final = 4
+_SMALLEST, _LARGEST = 1e-7, 0.5  # of such a key's scale: steps
+# The same of a value of 0, a pose's say, that has no scale of its own but its unit: turned by more, a lattice of dots
+# looks like itself again.
+_LARGEST_FROM_0: Final = {"deg": 10.0}
+_LARGEST_ELSE: Final = 50.0
+_TRIALS: Final = 6
 _FIT: Final = 2.0  # a step that is right within this factor
 
 
@@ -95,14 +101,18 @@ class Prediction:
     ----------
     shots : sequence of (FreeScene, Places)
         For each capture its scene, and the light that it is seen in. All have the same keys.
+    steps : sequence of float, optional
+        How far each key may be moved for its slope, over its scale, where that is known from another prediction.
     """
 
-    def __init__(self, shots: Sequence[tuple[FreeScene, Places]]) -> None:
+    def __init__(self, shots: Sequence[tuple[FreeScene, Places]], steps: Sequence[float] = ()) -> None:
         self._shots = tuple(shots)
         self._keys: tuple[FreeKey, ...] = shots[0][0].keys
         self._rendered = shots[0][1].rendered
-        self._steps = [_TRIED_STEP if moved else _STEP for moved in self._rendered]
-        self._found = [False] * len(self._keys)
+        self._begun = list(steps or [_TRIED_STEP] * len(self._keys))
+        # By blur: how far each key is moved for its slope, and where that was seen.
+        self._steps: dict[float, list[float]] = {}
+        self._seen: dict[float, Array] = {}
 
     @property
     def has_renders(self) -> bool:
@@ -131,42 +141,74 @@ class Prediction:
             parts.append(Part(scene, factors, exposure, unclipped, lit.basis))
         return Predicted(tuple(parts))
 
-    def slopes(self, values: Array) -> Array:
+    def slopes(self, values: Array, blur: float = 0.0) -> Array:
         """Change of the unclipped gray levels with each key's scale, shape (keys, captures * rows, columns).
 
         A key that needs renders is moved so far that the image somewhere changes by a share of its range: what a
-        smaller step shows may be the grain of the rays. How far that is, is found once.
+        smaller step shows may be the grain of the rays. How far that is, is found once for each blur.
+
+        Parameters
+        ----------
+        values : ndarray, shape (keys,)
+            Where.
+        blur : float
+            Sigma of the blur that the image is looked at with [px]: the wider, the farther a key is moved.
         """
-        found = []
-        for number in range(len(self._keys)):
-            slope = self._slope(values, number)
-            if self._rendered[number] and not self._found[number]:
-                slope = self._with_step(values, number, slope)
-            found.append(slope)
-        return np.stack(found)
+        if blur not in self._steps:
+            self._steps[blur] = [self._step(values, number, blur, step) for number, step in enumerate(self._begun)]
+        near = self._near(values, blur)
+        return np.stack([self._slope(near, number, step) for number, step in enumerate(self._steps[blur])])
 
-    def _with_step(self, values: Array, number: int, slope: Array) -> Array:
-        """Find the step of a key that needs renders, and the slope by it."""
-        shown = self.at(values).unclipped
-        target = _CHANGE * float(np.ptp(shown))
+    @property
+    def steps(self) -> tuple[float, ...]:
+        """How far each key was moved last for its slope, over its scale."""
+        return tuple(next(reversed(self._steps.values()), self._begun))
+
+    def _near(self, values: Array, blur: float) -> Array:
+        """The place of the slopes: one where they were seen, unless a key is farther from it than slopes reach."""
+        reach = np.array(self._steps[blur]) * np.array([key.scale for key in self._keys])
+        known = self._seen.get(blur)
+        if known is None or (np.abs(values - known) > reach)[self._rendered].any():
+            self._seen[blur] = known = np.array(values, dtype=np.float64)
+        return np.where(self._rendered, known, values)
+
+    def _step(self, values: Array, number: int, blur: float, step: float) -> float:
+        """How far a key is moved to see its slope, sought from some step on."""
+        if not self._rendered[number]:
+            return _STEP
+        sigma = max(blur, _SMOOTH)
+        target = _CHANGE * float(np.ptp(self._smooth(self.at(values).unclipped, sigma)))
+        key = self._keys[number]
+        largest = _LARGEST if key.value else _LARGEST_FROM_0.get(key.unit, _LARGEST_ELSE)
         for _ in range(_TRIALS):
+            try:
+                slope = self._slope(values, number, step)
+            except InputError:  # beyond what the scene takes
+                largest, step = step / 2, step / _FARTHER
+                continue
+            seen = float(np.abs(self._smooth(slope, sigma)).max())
             # At most tenfold: of a step that moved little its grain may be most.
-            times = target / max(float(np.abs(slope).max()) * self._steps[number], target / _FARTHER)
-            wanted = min(max(self._steps[number] * times, _SMALLEST), _LARGEST)
-            near = 1 / _FIT < wanted / self._steps[number] < _FIT
-            self._steps[number] = wanted
-            if near:
+            wanted = step * target / max(seen * step, target / _FARTHER)
+            if 1 / _FIT < wanted / step < _FIT:
                 break
-            slope = self._slope(values, number)
-        self._found[number] = True
-        return slope
+            step = min(max(wanted, _SMALLEST), largest)
+            if step == largest:
+                break
+        return step
 
-    def _slope(self, values: Array, number: int) -> Array:
+    def _smooth(self, images: Array, sigma: float) -> Array:
+        """Each capture's image, blurred."""
+        from scipy.ndimage import gaussian_filter
+
+        parts = np.split(images, len(self._shots))
+        return np.concatenate([gaussian_filter(image, sigma) for image in parts])
+
+    def _slope(self, values: Array, number: int, step: float) -> Array:
         key = self._keys[number]
         ends = []
         for sign in (1.0, -1.0):
             moved = np.array(values, dtype=np.float64)
-            moved[number] = min(max(moved[number] + sign * self._steps[number] * key.scale, key.low), key.high)
+            moved[number] = min(max(moved[number] + sign * step * key.scale, key.low), key.high)
             ends.append((moved[number], self.at(moved).unclipped))
         return np.asarray((ends[0][1] - ends[1][1]) / ((ends[0][0] - ends[1][0]) / key.scale))
 

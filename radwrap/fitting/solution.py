@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.fitting.captured import Captured
-from radwrap.fitting.covariance import GRAIN, determined_inverse
 from radwrap.fitting.free_keys import FreeKey
 from radwrap.fitting.prediction import Predicted, Prediction
+from radwrap.fitting.steps import Weights, through_grain
 from radwrap.fitting.weights import Weighed, weighed
 
 Array = NDArray[np.float64]
@@ -23,11 +23,6 @@ _LEVEL: Final = 1e-8
 _ROUNDS: Final = 40  # of weights
 _STILL: Final = 1e-9  # expected deviations by which a round may still move the prediction, at most: the fit stands
 _ENOUGH: Final = 1e-2  # the same after the last round: weights of a pixel go to and fro
-# Where keys need renders, rays have a grain: what a step must move the prediction by, in expected deviations.
-_GRAIN_STILL: Final = 0.3
-_GRAIN_ENOUGH: Final = 1.0  # of a step that the grain hides
-_GRAIN_ROUNDS: Final = 15
-_HALVINGS: Final = 4
 _EVALUATIONS: Final = 100  # of one round
 _INSIDE: Final = 1e-9  # of a key's scale: so far from its bounds the solver begins
 
@@ -70,10 +65,29 @@ def solve(
     noise: float | None,
     *,
     robust: bool,
+    begin: Array | None = None,
+    tolerance: float = 0.0,
 ) -> Solution:
     """Find the values by which prediction and captures agree best.
 
     Noise is that of the prediction: weights are made, a weighted problem is solved, and so on until neither moves.
+
+    Parameters
+    ----------
+    keys : sequence of FreeKey
+        What is sought.
+    prediction : Prediction
+        Of all captures.
+    captured : sequence of Captured
+        One for each state of the bench.
+    noise : float or None
+        Of one capture, where it is given [gray level].
+    robust : bool
+        Whether single pixels that are far off count less.
+    begin : ndarray, shape (keys,), optional
+        Where to begin; default the keys' own values.
+    tolerance : float
+        What the rays of the prediction may be off by [gray level]: a step is no better known.
 
     Raises
     ------
@@ -85,11 +99,14 @@ def solve(
     scales = np.array([key.scale for key in keys])
     bounds = np.array([[key.low, key.high] for key in keys]).T / scales
     inside = np.where(np.isfinite(bounds), _INSIDE, 0.0)
-    x = np.clip(np.array([key.value for key in keys]) / scales, bounds[0] + inside[0], bounds[1] - inside[1])
+    start = np.array([key.value for key in keys]) if begin is None else begin
+    x = np.clip(start / scales, bounds[0] + inside[0], bounds[1] - inside[1])
     moved, rounds, ended = np.inf, 0, True
     against = _Against(prediction, tuple(captured), noise)
     if prediction.has_renders:
-        return _through_grain(against, x * scales, scales, bounds * scales, robust=robust)
+        grain = tolerance / float(np.median(against.weights(x * scales).sigma))
+        arrived = through_grain(against, x * scales, scales, bounds * scales, robust=robust, grain=grain)
+        return against.ended(arrived.values, arrived.rounds, converged=arrived.converged)
     while rounds < _ROUNDS and not moved < _STILL:
         rounds += 1
         counted = against.weighed(prediction.at(x * scales))
@@ -151,6 +168,19 @@ class _Against:
             *(np.concatenate([getattr(one, name) for one in found]) for name in ("sigma", "used", "censored"))
         )
 
+    def weights(self, values: Array) -> Weights:
+        """Of the used pixels, for `through_grain`."""
+        counted = self.weighed(self.prediction.at(values))
+        return Weights(counted.used, counted.sigma[counted.used])
+
+    def left(self, values: Array, weights: Weights) -> Array:
+        """(captured - predicted)/sigma of the used pixels."""
+        return np.asarray((self.mean - self.prediction.at(values).unclipped)[weights.used] / weights.sigma)
+
+    def slopes(self, values: Array, weights: Weights) -> Array:
+        """Change of the prediction with each key's scale, over sigma, shape (pixels, keys)."""
+        return np.asarray((self.prediction.slopes(values)[:, weights.used] / weights.sigma).T)
+
     def ended(self, values: Array, rounds: int, *, converged: bool) -> Solution:
         """Where a fit came to."""
         predicted = self.prediction.at(values)
@@ -158,34 +188,3 @@ class _Against:
         residual = np.where(counted.used, (self.mean - predicted.unclipped) / counted.sigma, np.nan)
         jacobian = (self.prediction.slopes(values)[:, counted.used] / counted.sigma[counted.used]).T
         return Solution(values, predicted, counted, residual, jacobian, converged, rounds)
-
-
-def _through_grain(against: _Against, values: Array, scales: Array, bounds: Array, *, robust: bool) -> Solution:
-    """Gauss and Newton's steps in the directions that stand out of the grain of the rays.
-
-    A solver that looks for the last digit of a sum that has steps asks for many renders, and wanders along what the
-    captures do not determine: here such directions are not gone, and a step that does not lower the sum ends the fit.
-    """
-    prediction, mean = against.prediction, against.mean
-    moved, rounds = np.inf, 0
-    while rounds < _GRAIN_ROUNDS and not moved < _GRAIN_STILL:
-        rounds += 1
-        predicted = prediction.at(values)
-        counted = against.weighed(predicted)
-        used, sigma = counted.used, counted.sigma[counted.used]
-        left = (mean - predicted.unclipped)[used] / sigma
-        weight = (1 + left**2) ** -0.25 if robust else np.ones(left.size)
-        jacobian = (prediction.slopes(values)[:, used] / sigma).T * weight[:, np.newaxis]
-        step = determined_inverse(jacobian, GRAIN) @ (left * weight)
-        for _ in range(_HALVINGS):
-            tried = np.clip(values + step * scales, bounds[0], bounds[1])
-            after = (mean - prediction.at(tried).unclipped)[used] / sigma
-            if float(((after * weight) ** 2).sum()) < float(((left * weight) ** 2).sum()):
-                moved = float(np.linalg.norm(jacobian @ ((tried - values) / scales)))
-                values = tried
-                break
-            step = step / 2
-        else:
-            moved = float(np.linalg.norm(jacobian @ step))
-            return against.ended(values, rounds, converged=moved < _GRAIN_ENOUGH)
-    return against.ended(values, rounds, converged=moved < _GRAIN_STILL)

@@ -112,7 +112,7 @@ def weighed(exposure: Array, unclipped: Array, captured: Captured, sensor: Senso
     if not (variance > 0).all():
         raise InputError("is 0: no residual can be judged", where="noise", remedy="give the noise of one capture")
     sigma = np.sqrt(variance)
-    high, low = sensor.saturation_gray, _floor(sensor)
+    high, low = sensor.saturation_gray, floor_gray(sensor)
     at_top, at_bottom = unclipped > high - NEAR * sigma, unclipped < low + NEAR * sigma
     agrees = (at_top & (captured.mean > high - FAR * sigma)) | (at_bottom & (captured.mean < low + FAR * sigma))
     return Weighed(sigma, captured.mask & ~agrees, captured.mask & agrees)
@@ -125,6 +125,6 @@ def _below(exposure: Array, sensor: Sensor) -> float:
     return float((span / sensor.gain) ** (1 / sensor.gamma)) if span > 0 else float(exposure.max())
 
 
-def _floor(sensor: Sensor) -> float:
+def floor_gray(sensor: Sensor) -> float:
     """Gray level below which the camera gives none."""
     return sensor.dark_gray if sensor.linear is not None and sensor.gamma != 1.0 else 0.0

@@ -12,7 +12,7 @@ import pytest
 
 import radwrap
 from radwrap.errors import InputError
-from radwrap.fitting.covariance import PredictionErrors, Shared, determined_inverse, spread
+from radwrap.fitting.covariance import PredictionErrors, Shared, spread
 from radwrap.fitting.free_keys import free_scene
 from radwrap.fitting.places import Places
 from radwrap.fitting.prediction import Prediction
@@ -85,7 +85,7 @@ def test_pixels_that_differ_do_so_in_all_states(patterned: Scene, basis: Basis) 
     solved = _solved(_prediction(patterned, basis, free, TIMES), patterned, truth, free)
     shared, differ = _with_pattern(solved)
     used, sigma = solved.weighed.used, solved.weighed.sigma
-    inverse = determined_inverse(solved.jacobian)
+    inverse = np.linalg.pinv(solved.jacobian)
     own = np.sqrt(sigma**2 - (differ**2).sum(axis=0))
     random, values = generator(4, 1), []
     for _ in range(DRAWS):

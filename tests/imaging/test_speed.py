@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from radwrap.imaging.forecast.speed import speed_of
 
 _PERIOD = 0.01  # s
+_TRIES = 20
 
 
 class Sleeper:
@@ -32,7 +33,10 @@ class Sleeper:
 
 
 def test_the_speed_of_a_tracer_that_sleeps() -> None:
-    # 100 rays in 10 ms; a busy machine may wake it late, never early.
-    found = speed_of(Sleeper(), np.zeros((100, 6)))
-    assert found <= 100 / _PERIOD
-    assert found == pytest.approx(100 / _PERIOD, rel=0.3)
+    # 100 rays in 10 ms; a busy machine may wake it late, never early, and not late every time.
+    for _ in range(_TRIES):
+        found = speed_of(Sleeper(), np.zeros((100, 6)))
+        assert found <= 100 / _PERIOD
+        if found == pytest.approx(100 / _PERIOD, rel=0.3):
+            return
+    pytest.fail(f"{found:.0f} rays in a second, never near {100 / _PERIOD:.0f}")

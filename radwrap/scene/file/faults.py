@@ -13,6 +13,7 @@ from pydantic_core import ErrorDetails
 from radwrap.errors import InputError
 from radwrap.nearest import did_you_mean
 from radwrap.scene.file.border import Model
+from radwrap.units import dimension_of
 
 AnyModel = TypeVar("AnyModel", bound=Model)
 
@@ -178,12 +179,19 @@ def _written(document: Any, steps: Iterable[int | str]) -> Any:
     return document
 
 
+def _limit(limit: float, given: Any) -> str:
+    """A limit of a quantity, which is in SI, in the unit that its value was written with."""
+    dimension = dimension_of(given)
+    if dimension is None:
+        return f"{limit:g}" + (" (in SI units)" if isinstance(given, str) else "")
+    unit = given.partition(" ")[2]
+    return f"{limit / dimension.units[unit]:g} {unit}"
+
+
 def _message(detail: ErrorDetails, written: Any) -> str:
     context: Mapping[str, Any] = detail.get("ctx", {})
     kind = detail["type"]
     given = detail["input"] if written is None else written
-    # The limits of quantities are in SI, and so that this is clear their values stand there as they were written.
-    si = " (in SI units)" if isinstance(given, str) else ""
     shown = f"{given!r}" if isinstance(given, str | bool | int | float) else _NAMES.get(type(given), "that")
     if kind in _WRONG_KINDS:
         return f"must be {_WRONG_KINDS[kind]}, not {shown}"
@@ -195,11 +203,11 @@ def _message(detail: ErrorDetails, written: Any) -> str:
         case "value_error":
             return str(context["error"])
         case "greater_than":
-            return f"must be above {context['gt']:g}{si}, not {shown}"
+            return f"must be above {_limit(context['gt'], given)}, not {shown}"
         case "greater_than_equal":
-            return f"must be at least {context['ge']:g}{si}, not {shown}"
+            return f"must be at least {_limit(context['ge'], given)}, not {shown}"
         case "less_than_equal":
-            return f"must be at most {context['le']:g}{si}, not {shown}"
+            return f"must be at most {_limit(context['le'], given)}, not {shown}"
         case "too_short":
             return f"must have at least {context['min_length']} entries, not {context['actual_length']}"
         case "too_long":

@@ -1,0 +1,146 @@
+"""Damped steps of Gauss and Newton where renders are compared, whose rays have a grain."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.errors import InputError
+from radwrap.fitting.covariance import GRAIN, lengths
+
+Array = NDArray[np.float64]
+# What a step must move the prediction by, in expected deviations; its square, what it must take from the sum.
+STILL: Final = 0.3
+_ENOUGH: Final = 3.0  # the same of a step that lowers nothing: the grain hides it
+_ROUNDS: Final = 15
+_TRIES: Final = 6  # of dampings in one round
+_LEAST_DAMPING: Final = 0.03  # share of the largest singular value: what stands out of the grain is a hundredth or more
+_RAISED: Final = 5.0  # times, where a step does not lower the sum
+_EASED: Final = 5.0  # times, where it does
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Weights:
+    """What pixels count in one round.
+
+    Attributes
+    ----------
+    used : ndarray of bool, shape (captures * rows, columns)
+        Pixels with a residual.
+    sigma : ndarray, shape (pixels,)
+        Expected deviations of the used ones [gray level].
+    """
+
+    used: NDArray[np.bool_]
+    sigma: Array
+
+
+class Compared(Protocol):
+    """Captures beside their prediction."""
+
+    def weights(self, values: Array) -> Weights:
+        """What pixels count at some values of the keys."""
+
+    def left(self, values: Array, weights: Weights) -> Array:
+        """(captured - predicted)/sigma, shape (pixels,)."""
+
+    def slopes(self, values: Array, weights: Weights) -> Array:
+        """Change of the prediction with each key's scale, over sigma, shape (pixels, keys)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arrived:
+    """Where the steps came to.
+
+    Attributes
+    ----------
+    values : ndarray, shape (keys,)
+        In the keys' units.
+    rounds : int
+        Steps.
+    converged : bool
+        Whether the last one moved the prediction by nothing that counts.
+    """
+
+    values: Array
+    rounds: int
+    converged: bool
+
+
+def through_grain(
+    compared: Compared, values: Array, scales: Array, bounds: Array, *, robust: bool = False, grain: float = 1.0
+) -> Arrived:
+    """Step in the directions that stand out of the grain of the rays.
+
+    A solver that looks for the last digit of a sum that has steps asks for many renders, and wanders along what the
+    captures do not determine: here such directions are not gone, and a step that does not lower the sum ends the fit.
+
+    Parameters
+    ----------
+    compared : Compared
+        What is fitted to what.
+    values : ndarray, shape (keys,)
+        Where to begin.
+    scales : ndarray, shape (keys,)
+        What a change of each value is measured by.
+    bounds : ndarray, shape (2, keys)
+        Lower and upper ones.
+    robust : bool
+        Whether single pixels that are far off count less.
+    grain : float
+        What the rays of the prediction are off by, in expected deviations.
+    """
+    damping, rounds = 0.0, 0
+    while rounds < _ROUNDS:
+        rounds += 1
+        weights = compared.weights(values)
+        left = compared.left(values, weights)
+        weight = (1 + left**2) ** -0.25 if robust else np.ones(left.size)
+        jacobian = compared.slopes(values, weights) * weight[:, np.newaxis]
+        sum_here = float(((left * weight) ** 2).sum())
+        moved = float(np.linalg.norm(jacobian @ determined_step(jacobian, left * weight)))
+        for _ in range(_TRIES):
+            step = determined_step(jacobian, left * weight, damping) * scales
+            tried = np.clip(values + step, bounds[0], bounds[1])
+            gain = sum_here - _sum(compared, tried, weights, weight)
+            if gain > 0:
+                values, damping = tried, damping / _EASED if damping > _LEAST_DAMPING else 0.0
+                break
+            damping = max(damping * _RAISED, _LEAST_DAMPING)
+        else:
+            return Arrived(values, rounds, converged=moved < _ENOUGH * max(grain, 1.0))
+        if moved < STILL or gain < STILL**2:
+            return Arrived(values, rounds, converged=True)
+    return Arrived(values, rounds, converged=False)
+
+
+def determined_step(jacobian: Array, left: Array, damping: float = 0.0) -> Array:
+    """What the keys move by, in their scales, in the directions that stand out of the grain .
+
+    Parameters
+    ----------
+    jacobian : ndarray, shape (pixels, keys)
+        Over sigma.
+    left : ndarray, shape (pixels,)
+        What it is to take away.
+    damping : float
+        Share of the largest singular value, below which directions are gone along the less, the weaker they are.
+    """
+    scale = lengths(jacobian)
+    vectors, singular, right = np.linalg.svd(jacobian / scale, full_matrices=False)
+    largest = float(singular.max(initial=0.0))
+    good = singular > GRAIN * largest
+    shares = singular[good] / (singular[good] ** 2 + (damping * largest) ** 2)
+    return np.asarray((right[good].T * shares) @ (vectors[:, good].T @ left) / scale)
+
+
+def _sum(compared: Compared, values: Array, weights: Weights, weight: Array) -> float:
+    """Of squares; infinite where the scene does not take the values, as a step may lead into a wall."""
+    try:
+        left = compared.left(values, weights)
+    except InputError:
+        return np.inf
+    return float(((left * weight) ** 2).sum())

@@ -1,0 +1,118 @@
+"""Fits that begin pixels away, and slopes by renders whose rays have a grain: images are those of a formula."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+import pytest
+from scipy.special import erf
+
+import radwrap
+from radwrap.fitting.approach import approached
+from radwrap.fitting.free_keys import free_scene
+from radwrap.fitting.places import Places
+from radwrap.fitting.prediction import Prediction
+from radwrap.imaging.relight.relit import Basis
+from radwrap.random_streams import generator
+from radwrap.scene.scene import Scene
+from tests.fitting.conftest import OPTIONS, changed, taken
+
+Array = np.ndarray[Any, np.dtype[np.float64]]
+PIXEL: Final = 2.0  # mm on the target: 50 um, 12.5 mm and 500 mm, to a hundredth
+BLUR: Final = 1.0  # px: sigma of an edge, or of a spot
+LEVEL: Final = 0.1  # W/m^2/sr, some 100 gray levels
+GRAIN: Final = 0.02  # of the level: what neighbouring renders differ by
+
+
+def _shift(scene: Scene) -> tuple[float, float]:
+    """Of the target's origin [px]."""
+    x, y, _ = scene.targets[0].pose.position
+    return x * 1e3 / PIXEL, y * 1e3 / PIXEL
+
+
+def _spot(x: float, y: float) -> Array:
+    rows, columns = np.mgrid[0:20, 0:24]
+    return np.asarray(np.exp(-((columns - 11.5 - x) ** 2 + (rows - 9.5 - y) ** 2) / (2 * BLUR**2)))
+
+
+def _edge(x: float, _: float) -> Array:
+    columns = np.tile(np.arange(24.0), (20, 1))
+    return np.asarray(0.5 + 0.5 * erf((columns - 11.5 - x) / BLUR / np.sqrt(2)))
+
+
+def _grain(x: float, y: float) -> Array:
+    """Another one for each place, the same whenever it is come back to."""
+    seed = int.from_bytes(hashlib.sha256(repr((x, y)).encode()).digest()[:4], "big")
+    return np.asarray(GRAIN * generator(seed, 1).standard_normal((20, 24)))
+
+
+def _prediction(bench: Scene, basis: Basis, image: Callable[[float, float], Array], *, grain: bool) -> Prediction:
+    """Whose target only shifts."""
+    free = free_scene(bench, ["pose:edge"])
+
+    def trace(scene: Scene) -> Basis:
+        shown = LEVEL * (image(*_shift(scene)) + (_grain(*_shift(scene)) if grain else 0.0))
+        share = np.broadcast_to(shown / len(basis.sources), basis.images.shape)
+        return replace(basis, images=share.astype(np.float32))
+
+    return Prediction([(free, Places(free, [True] * 6, trace))])
+
+
+def test_the_slope_of_an_edge_stands_out_of_the_grain(bench: Scene, basis: Basis) -> None:
+    """A pose has no scale of its own: a step of half a unit, .25 px, would show half as much grain as slope."""
+    prediction = _prediction(bench, basis, _edge, grain=True)
+    here = np.zeros(6)
+    range_of = float(np.ptp(_prediction(bench, basis, _edge, grain=False).at(here).unclipped))
+    found = prediction.slopes(here)[0]
+    exact = -range_of * np.exp(-((np.arange(24.0) - 11.5) ** 2) / (2 * BLUR**2)) / np.sqrt(2 * np.pi) / BLUR / PIXEL
+    share = float((found * exact).sum() / (exact**2).sum() / 20)
+    # A wide step sees an edge that is 1 % less steep; 20 rows of grain add 3 %.
+    assert share == pytest.approx(1.0, abs=0.08)
+    noise = float(np.linalg.norm(found - exact) / np.linalg.norm(np.tile(exact, (20, 1))))
+    assert noise < 0.35
+
+
+def test_slopes_are_seen_anew_where_a_key_has_gone_far(bench: Scene, basis: Basis) -> None:
+    prediction = _prediction(bench, basis, _edge, grain=False)
+    first = prediction.slopes(np.zeros(6))
+    places = prediction.renders
+    near = np.array([0.05, 0, 0, 0, 0, 0.0])
+    assert np.array_equal(prediction.slopes(near), first) and prediction.renders == places
+    far = np.array([6.0, 0, 0, 0, 0, 0.0])
+    moved = prediction.slopes(far)[0]
+    assert prediction.renders > places
+    # 6 mm are 3 px: the edge's slope has gone along.
+    assert np.abs(moved).sum(axis=0).argmax() - np.abs(first[0]).sum(axis=0).argmax() in (2, 3, 4)
+
+
+@pytest.mark.parametrize("away", [(3.0, 0.0), (-5.0, 4.0), (7.0, -5.0)])
+def test_a_spot_that_is_many_blurs_away_is_found(bench: Scene, basis: Basis, away: tuple[float, float]) -> None:
+    """Its own images have nothing in common: the sum of squares is flat there."""
+    prediction = _prediction(bench, basis, _spot, grain=False)
+    truth = np.array([away[0] * PIXEL, away[1] * PIXEL, 0, 0, 0, 0.0])
+    capture = taken(np.rint(prediction.at(truth).unclipped), bench)
+    free = free_scene(bench, ["pose:edge"])
+    found = approached(free.keys, prediction, [capture], 1.0)
+    assert np.abs(found[:2] - truth[:2]).max() < PIXEL * BLUR
+
+
+def test_a_beginning_that_is_right_is_left(bench: Scene, basis: Basis) -> None:
+    prediction = _prediction(bench, basis, _spot, grain=False)
+    capture = taken(np.rint(prediction.at(np.zeros(6)).unclipped), bench)
+    free = free_scene(bench, ["pose:edge"])
+    assert not approached(free.keys, prediction, [capture], 1.0).any()
+    assert prediction.renders == 1
+
+
+@pytest.mark.long
+def test_an_edge_seven_pixels_off_is_found_by_renders(bench: Scene) -> None:
+    truth = {"targets[0].edge_position": "15 mm"}
+    capture = radwrap.render(changed(bench, truth), tolerance=0.2, seed=5, workers=1).frames(1)
+    found = radwrap.fit(bench, capture, list(truth), options=OPTIONS)
+    (key,) = found.keys
+    assert found.converged and found.explained and key.sigma is not None
+    assert abs(key.value - 15.0) < 4 * key.sigma < 0.2
