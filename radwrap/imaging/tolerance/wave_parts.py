@@ -154,7 +154,7 @@ def wave_tile(
         like = central_image(bare(of_all), kernel.grid, cells, seed=key, progress=progress)
     central = central_image(view, kernel.grid, cells, seed=key, progress=progress, like=like)
     summed = central if central.values.ndim == 2 else replace(central, values=central.values.sum(axis=0))
-    coarser = replace(coarsened(central), magnification=coarsened(like or summed).magnification)
+    coarser = coarsened(central, coarsened(like or summed))
     place, cell = kernel.tiles[tile], kernel.grid.cell
     layouts = [
         None if depth is None else Layout.of(depth, kernel.layers)
