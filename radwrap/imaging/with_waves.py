@@ -43,10 +43,10 @@ _TWO: Final = 2  # replicates, where nothing is made of them but their mean
 # Degrees of freedom by which noise is known: its bound is then 1.4 of it. Two replicates have one for each block over
 # which errors hang together, and where a small image has few blocks more replicates are made.
 _DEGREES: Final = 24
-# Of the tolerance, what waves may add to the error of images that are compared; and how fast that falls with the size
-# of their cells, as in `sampling`.
+# Of the tolerance, what waves may add to the error of images that are compared; and cells by which a plan of them is
+# tried first, at least, where waves change less than that.
 _EVEN_SHARE: Final = 0.4
-_FALL: Final = 8.0
+_COARSEST_EVEN: Final = 0.5  # px
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -240,21 +240,30 @@ def even_wave_cell(scene: Scene, work: Work, options: RenderOptions) -> float | 
     camera, tolerance = scene.camera, options.gray_tolerance
     if camera.diffraction is None or camera.aperture.is_infinitesimal:
         return None
-    if camera.diffraction == "auto" and not diffraction_left_out(scene, work.view, options.seed, tolerance).needed:
+    found = diffraction_left_out(scene, work.view, options.seed, tolerance)
+    if camera.diffraction == "auto" and not found.needed:
         return None
-    waves = _Waves(scene, replace(options, sampling=None), work, (light_of_all(scene, work.view),))
+    lights = (light_of_all(scene, work.view),)
+    waves = _Waves(scene, replace(options, sampling=None), work, lights, found.rms_gray)
+    aim = _EVEN_SHARE * tolerance
     try:
-        cell = plan_waves(work.view, waves.wavelength, 1.0, options.seed).kernel.grid.cell
-        plan = plan_waves(work.view, waves.wavelength, 0.0, options.seed, even_cell=cell)
+        cell = waves.plan(aim, aim).kernel.grid.cell
+        if found.rms_gray <= aim:  # cells of any size show waves to within about what they change
+            cell = max(cell, _COARSEST_EVEN)
+        while cell > FINEST_CELL and not _do_even_cells(waves, cell, aim):
+            cell /= 2
     except TooDeep as error:
         raise _too_deep() from error
+    return cell
+
+
+def _do_even_cells(waves: _Waves, cell: float, aim: float) -> bool:
+    """Whether waves by even cells [px] are off by less than an aim in the mean of all replicates, rms [gray level]."""
+    work = waves.work
+    plan = plan_waves(work.view, waves.wavelength, 0.0, waves.options.seed, even_cell=cell)
     parts = waves.parts(plan, _TWO)
     found = _error(plan, parts, np.maximum(_look(work) + parts.change.mean(axis=0), 0.0), work)
-    square = found.noise.mean * _TWO / REPLICATES + found.cells
-    times = square / (_EVEN_SHARE * tolerance) ** 2
-    while times > 1 and cell > FINEST_CELL:
-        cell, times = cell / 2, times / _FALL
-    return cell
+    return found.noise.mean * _TWO / REPLICATES + found.cells <= aim**2
 
 
 def _told_wavelengths(lights: Sequence[Light]) -> tuple[float, ...] | None:
