@@ -17,7 +17,7 @@ from radwrap.imaging.forecast.wave_change import MOST_RAYS
 from radwrap.imaging.mean_radiance import Made, fixed_method
 from radwrap.imaging.methods.kernel import TooDeep
 from radwrap.imaging.optics.diffraction import Light, light_of_all, wavelength_of
-from radwrap.imaging.optics.view import trace_rays
+from radwrap.imaging.optics.view import View, trace_rays
 from radwrap.imaging.output.run_manifest import DiffractionTaken
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.tolerance.replicates import Work
@@ -150,6 +150,29 @@ def refuse_waves(scene: Scene, options: RenderOptions) -> None:
         raise InputError("is missing, and diffraction is asked for", where="sampling.wave_cell")
 
 
+def with_room(scene: Scene, options: RenderOptions, work: Work, make_to: Callable[[RenderOptions], Made]) -> Made:
+    """Make the image by rays, finer than asked for where waves are to come that need a part of the tolerance.
+
+    An image of wide lights gets as many of their points as its tolerance needs, and would leave waves too little.
+    """
+    decided = options.sampling is not None or fixed_method(scene, options) is not None
+    if decided or not _waves_foreseen(scene, options, work.view):
+        return make_to(options)
+    made = make_to(replace(options, tolerance=_LESS * options.gray_tolerance))
+    if made.outcome is None:
+        return made
+    met = options.demand.is_met(made.certificate.rms_gray_upper95, made.certificate.p99_gray_upper95)
+    return replace(made, outcome=replace(made.outcome, met=met, record=replace(made.outcome.record, met=met)))
+
+
+def _waves_foreseen(scene: Scene, options: RenderOptions, view: View) -> bool:
+    """Whether waves are to come to an image of wide lights, whose rays ask some of their points."""
+    asked = scene.camera.diffraction
+    if asked is None or scene.camera.aperture.is_infinitesimal or view.with_noise(1) is view:
+        return False
+    return asked == "on" or diffraction_left_out(scene, view, options.seed, options.gray_tolerance, _FEWEST).needed
+
+
 def with_waves(
     scene: Scene,
     options: RenderOptions,
@@ -193,9 +216,15 @@ def with_waves(
     found = diffraction_left_out(scene, work.view, options.seed, options.gray_tolerance, rays)
     if not _is_taken(scene, options, made, found):
         return WithWaves(made, found, None)
-    waves = _Waves(scene, options, work, lights(), found.rms_gray)
     more_may_help = options.sampling is None
-    taken, left = found.rays, _left(options.gray_tolerance, made)
+    taken, remade = found.rays, False
+    if more_may_help and _is_met(made) and _leaves(options.gray_tolerance, made) < _LEAST_LEFT * options.gray_tolerance:
+        # Whatever waves take then, the image would have to be made anew.
+        taken, made, remade = taken + made.used.rays, again(_LESS * options.gray_tolerance), True
+    if made.outcome is not None:
+        work = replace(work, view=replace(work.view, smooth=made.outcome.smooth))
+    waves = _Waves(scene, options, work, lights(), found.rms_gray)
+    left = max(_leaves(options.gray_tolerance, made), _LEAST_LEFT * options.gray_tolerance)
     aim, of_cells = _AIM * left, _OF_CELLS * left
     for _ in range(_TRIES if more_may_help else 1):
         try:
@@ -213,7 +242,7 @@ def with_waves(
             of_cells *= _FINER
         else:
             aim *= _FINER
-    if not _is_met(whole) and _is_met(made) and more_may_help:
+    if not _is_met(whole) and _is_met(made) and more_may_help and not remade:
         taken, made = taken + made.used.rays, again(_LESS * options.gray_tolerance)
         if len(parts.change) != waves.replicates(made, plan):
             parts = waves.parts(plan, waves.replicates(made, plan))
@@ -270,10 +299,9 @@ def _told_wavelengths(lights: Sequence[Light]) -> tuple[float, ...] | None:
     return tuple(light.wavelength for light in lights) if len(lights) > 1 else None
 
 
-def _left(tolerance: float, made: Made) -> float:
+def _leaves(tolerance: float, made: Made) -> float:
     """What an image leaves of a tolerance for its waves [gray level]."""
-    left = math.sqrt(max(tolerance**2 - made.certificate.rms_gray_upper95**2, 0.0))
-    return max(left, _LEAST_LEFT * tolerance)
+    return math.sqrt(max(tolerance**2 - made.certificate.rms_gray_upper95**2, 0.0))
 
 
 def _look(work: Work) -> Array:

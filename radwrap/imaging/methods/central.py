@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.imaging.methods.grid import GridPlan, Sampler
+from radwrap.imaging.optics.smooth import SmoothField
 from radwrap.imaging.optics.view import View
 from radwrap.random_streams import generator
 
@@ -90,6 +91,7 @@ def decide_cells(
     *,
     seed: tuple[int, ...],
     progress: Callable[[int], None],
+    smooth: SmoothField | None = None,
 ) -> Cells:
     """Find out where the central image changes, by rays that serve nothing else.
 
@@ -109,6 +111,8 @@ def decide_cells(
         Where the base grid lies, and where rays go in their cells.
     progress : callable
         Is told how many rays were traced.
+    smooth : SmoothField, optional
+        Where nothing changes but smoothly; default what the plan has of the view.
     """
     if plan.even:
         return Cells(region[0], np.full(region[1], plan.levels, dtype=np.int8), 1, 0.0, 0)
@@ -122,7 +126,7 @@ def decide_cells(
     )
     # One base cell more on each side: what is seen of a cell is told by its neighbours, which the outermost lack.
     shape = tuple(count + 2 for count in shape)
-    sampler = Sampler(view, plan, (first[0] - step, first[1] - step), progress, alike=True)
+    sampler = Sampler(view, plan, (first[0] - step, first[1] - step), progress, alike=True, smooth=smooth)
     rows, columns = np.indices(shape)
     places = sampler.places(rows.ravel(), columns.ravel(), step, random)
     values = sampler.trace([places], [step], with_depth=False)[0]

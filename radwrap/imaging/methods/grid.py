@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from radwrap.imaging.optics.smooth import SmoothField
 from radwrap.imaging.optics.view import View, trace_rays
 from radwrap.imaging.response.sensor import unclipped_gray
 from radwrap.manifest import ONLY_WHERE_USED
@@ -90,9 +91,11 @@ class Sampler:
         progress: Callable[[int], None],
         *,
         alike: bool = False,
+        smooth: SmoothField | None = None,
     ) -> None:
         self._view, self._plan, self._progress, self._alike = view, plan, progress, alike
         self._first = first
+        self._smooth = smooth or (view.smooth if plan.smooth else None)
         self.rays = 0
 
     def places(
@@ -137,7 +140,7 @@ class Sampler:
     def _known_or_traced(self, view: View, rows: Array, columns: Array, *, with_depth: bool) -> tuple[Array, Array]:
         cell = self._plan.cell
         u, v = (self._first[1] + columns) * cell - 0.5, (self._first[0] + rows) * cell - 0.5
-        known = self._view.smooth if self._plan.smooth else None
+        known = self._smooth
         if known is None:
             return self._traced(view, u, v, with_depth=with_depth)
         smooth = known.holds(u, v)

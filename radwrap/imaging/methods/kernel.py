@@ -230,9 +230,18 @@ def layer_places(layers: tuple[float, ...], magnification: NDArray[np.float64]) 
 
 
 def decide_tile(
-    view: View, plan: KernelPlan, tile: int, seed: tuple[int, ...], progress: Callable[[int], None]
+    view: View,
+    plan: KernelPlan,
+    tile: int,
+    seed: tuple[int, ...],
+    progress: Callable[[int], None],
+    *,
+    smooth: SmoothField | None = None,
 ) -> Cells:
-    """Find out which cells of the central image a tile needs; parameters as in `gathered_tile`."""
+    """Find out which cells of the central image a tile needs; parameters as in `gathered_tile`.
+
+    With smooth blocks no cell is cut within them, though they are traced as the others.
+    """
     place, cell = plan.tiles[tile], plan.grid.cell
     reach = plan.reach_px
     if _is_smooth(view, plan, place):
@@ -243,7 +252,7 @@ def decide_tile(
         for begin, end, far in ((*place[:2], reach[1]), (*place[2:], reach[0]))
     ]
     region = ((spans[0][0], spans[1][0]), (spans[0][1] - spans[0][0], spans[1][1] - spans[1][0]))
-    return decide_cells(view, plan.grid, region, seed=seed, progress=progress)
+    return decide_cells(view, plan.grid, region, seed=seed, progress=progress, smooth=smooth)
 
 
 def gathered_tile(

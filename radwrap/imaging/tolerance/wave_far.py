@@ -30,6 +30,7 @@ _MOST_BLOCKS: Final = 1 << 18
 # A pixel gathers most of it from just beyond its guard band: up to so many guard bands beside the sensor a block has
 # n x n rays, and one farther away.
 _DENSE: Final = 3.0
+_LEAST_SHARE: Final = 0.01  # of the light, that goes so far: what is less needs no fewer points of wide lights
 _STRATA: Final = 3
 # Steps along a straight edge's tail, and across it: it is as wide as the edge.
 _STEPS: Final = 4096
@@ -60,16 +61,18 @@ def far_light(view: View, plan: WavePlan, replicate: int, progress: Callable[[in
         owners.append(np.repeat(row * columns + column, strata**2))
     v, u = (np.concatenate(places, axis=1) - margin) * block - 0.5
     owner = np.concatenate(owners)
-    light, _ = trace_rays(bare(view), None, u, v)
-    progress(len(u))
-    rays = np.bincount(owner, minlength=rows * columns)
-    values = np.stack([np.bincount(owner, one, rows * columns) / rays for one in light.reshape(-1, len(u))])
     # What a pixel gathers from the light around it: the kernel is turned, and alike from both sides.
     near = min(plan.kernel.reach_px)
     blur = near - (plan.kernel.guard or 0.0)
     aperture = plan.waves.aperture
     rim_at = blur / math.sqrt(2) if aperture.shape == "square" else blur
     kernel = _tail_kernel(aperture, rim_at / block, near / block, coarse.far / block)
+    # So many rays have the noise of one whose light counts whole.
+    together = 1 / (float((kernel**2).sum()) * max(plan.weights.share**2, _LEAST_SHARE**2))
+    light, _ = trace_rays(bare(view).together(together), None, u, v)
+    progress(len(u))
+    rays = np.bincount(owner, minlength=rows * columns)
+    values = np.stack([np.bincount(owner, one, rows * columns) / rays for one in light.reshape(-1, len(u))])
     return np.stack([_correlated(one, kernel) for one in values.reshape(-1, rows, columns)])
 
 

@@ -111,7 +111,8 @@ def wave_parts(
 
 def wave_cells(view: View, plan: WavePlan, tile: int, progress: Callable[[int], None]) -> Cells:
     """Find out, in the light of all sources, which cells of the central image a tile needs."""
-    return decide_tile(bare(view), plan.kernel, tile, (plan.seed, Rendering.WAVE_CELLS, tile), progress)
+    seed = (plan.seed, Rendering.WAVE_CELLS, tile)
+    return decide_tile(bare(view), plan.kernel, tile, seed, progress, smooth=plan.smooth)
 
 
 def wave_tile(

@@ -14,6 +14,7 @@ from radwrap.imaging.demand import FINEST_CELL
 from radwrap.imaging.methods.kernel import KernelPlan, fast_length, plan_kernel
 from radwrap.imaging.optics.footprint import Footprint, laid_out
 from radwrap.imaging.optics.lens_field import LensField, Place, glass_at, glass_reach, lens_field
+from radwrap.imaging.optics.smooth import SmoothField
 from radwrap.imaging.optics.view import View, look_at_depths
 from radwrap.imaging.optics.wave_footprint import passed_weights
 from radwrap.imaging.optics.waves import Waves
@@ -126,6 +127,8 @@ class WavePlan:
         Of all that is drawn.
     rays : int
         That the look at the depths took.
+    smooth : SmoothField, optional
+        Blocks whose cells are not to be cut: the few points of wide lights that rays ask would look like edges there.
     """
 
     kernel: KernelPlan
@@ -133,6 +136,7 @@ class WavePlan:
     weights: WaveWeights
     seed: int
     rays: int
+    smooth: SmoothField | None = None
 
     def at(self, wavelength: float) -> WavePlan:
         """The same rays, for light of another wavelength [m]."""
@@ -199,7 +203,7 @@ def plan_waves(
     if even_cell is None:
         plan = replace(plan, grid=replace(plan.grid, aim=aim / _noise_gain(weights)))
         weights = replace(weights, kernel=plan)
-    return WavePlan(plan, waves, weights, seed, rays)
+    return WavePlan(plan, waves, weights, seed, rays, None if view.with_noise(1) is view else view.smooth)
 
 
 def _noise_gain(weights: WaveWeights) -> float:
