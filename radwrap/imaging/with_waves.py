@@ -20,7 +20,10 @@ from radwrap.imaging.optics.diffraction import Light, light_of_all, wavelength_o
 from radwrap.imaging.optics.view import View, trace_rays
 from radwrap.imaging.output.run_manifest import DiffractionTaken
 from radwrap.imaging.render_options import RenderOptions
+from radwrap.imaging.tolerance.certificate import root
+from radwrap.imaging.tolerance.plans import MODEL_SHARE
 from radwrap.imaging.tolerance.replicates import Work
+from radwrap.imaging.tolerance.survey import survey
 from radwrap.imaging.tolerance.wave_image import WaveError, visible_gray, wave_error
 from radwrap.imaging.tolerance.wave_parts import WaveParts, wave_parts
 from radwrap.imaging.tolerance.wave_plan import WavePlan, by_diameter, plan_waves
@@ -34,6 +37,7 @@ _SHARE: Final = 0.2
 _DECIDING_SHARE: Final = 0.05
 _FEWEST: Final = 1 << 13
 _AIM: Final = 0.7  # of what the image leaves of the tolerance, each of both replicates: their mean has half of it
+_USUAL: Final = 0.7  # of the tolerance, about what an image takes of it
 _LEAST_LEFT: Final = 0.3  # of the tolerance; where the image leaves less, it is made finer
 _OF_CELLS: Final = 0.5  # of what the image leaves, what the size of their cells may change
 _FINER: Final = 0.25  # of either, where it was too much
@@ -112,6 +116,10 @@ class _Waves:
         """As many as the image has, where each is kept; else so many that their noise is known."""
         if (self.options.basis or self.options.sampling is not None) and made.outcome is not None:
             return len(made.outcome.replicates.images)
+        return self.fewest_replicates(plan)
+
+    def fewest_replicates(self, plan: WavePlan) -> int:
+        """So many that their noise is known."""
         sensor = self.scene.camera.sensor
         blocks = math.ceil(sensor.rows / plan.block) * math.ceil(sensor.columns / plan.block)
         return max(_TWO, 1 + math.ceil(_DEGREES / blocks))
@@ -150,27 +158,55 @@ def refuse_waves(scene: Scene, options: RenderOptions) -> None:
         raise InputError("is missing, and diffraction is asked for", where="sampling.wave_cell")
 
 
-def with_room(scene: Scene, options: RenderOptions, work: Work, make_to: Callable[[RenderOptions], Made]) -> Made:
-    """Make the image by rays, finer than asked for where waves are to come that need a part of the tolerance.
+def leaving_room(scene: Scene, options: RenderOptions, view: View) -> RenderOptions:
+    """Options for the image by rays, finer than asked for where waves are to come that need a part of the tolerance.
 
-    An image of wide lights gets as many of their points as its tolerance needs, and would leave waves too little.
+    A kernel's image of wide lights gets as many of their points as its tolerance needs, and leaves waves too little.
     """
     decided = options.sampling is not None or fixed_method(scene, options) is not None
-    if decided or not _waves_foreseen(scene, options, work.view):
-        return make_to(options)
-    made = make_to(replace(options, tolerance=_LESS * options.gray_tolerance))
-    if made.outcome is None:
+    if decided or view.with_noise(1) is view or not _waves_foreseen(scene, options, view):
+        return options
+    finer = replace(options, tolerance=_LESS * options.gray_tolerance)
+    if root(survey(view, options.seed).model.mean) > MODEL_SHARE * finer.gray_tolerance:
+        return options  # rays of each pixel may grow much faster than the tolerance falls
+    return finer
+
+
+def with_room(scene: Scene, options: RenderOptions, work: Work, make_to: Callable[[RenderOptions], Made]) -> Made:
+    """Make the image by rays so that it leaves room for waves; whether that is met is asked of the whole tolerance."""
+    finer = leaving_room(scene, options, work.view)
+    made = make_to(finer)
+    if made.outcome is None or finer is options:
         return made
     met = options.demand.is_met(made.certificate.rms_gray_upper95, made.certificate.p99_gray_upper95)
     return replace(made, outcome=replace(made.outcome, met=met, record=replace(made.outcome.record, met=met)))
 
 
 def _waves_foreseen(scene: Scene, options: RenderOptions, view: View) -> bool:
-    """Whether waves are to come to an image of wide lights, whose rays ask some of their points."""
     asked = scene.camera.diffraction
-    if asked is None or scene.camera.aperture.is_infinitesimal or view.with_noise(1) is view:
+    if asked is None or scene.camera.aperture.is_infinitesimal:
         return False
     return asked == "on" or diffraction_left_out(scene, view, options.seed, options.gray_tolerance, _FEWEST).needed
+
+
+def foreseen_waves(scene: Scene, options: RenderOptions, work: Work) -> tuple[WavePlan, int] | None:
+    """By which rays, and how many sets of them, waves are expected to be taken, of an image that is not made yet.
+
+    None where they are not, or cannot be.
+    """
+    asked = scene.camera.diffraction
+    if asked is None or scene.camera.aperture.is_infinitesimal or fixed_method(scene, options) is not None:
+        return None
+    found = diffraction_left_out(scene, work.view, options.seed, options.gray_tolerance, _FEWEST)
+    if asked == "auto" and not found.needed:
+        return None
+    waves = _Waves(scene, options, work, (light_of_all(scene, work.view),), found.rms_gray)
+    left = math.sqrt(1 - _USUAL**2) * options.gray_tolerance
+    try:
+        plan = waves.plan(_AIM * left, _OF_CELLS * left)
+    except TooDeep:
+        return None
+    return plan, waves.fewest_replicates(plan) if options.sampling is None else options.sampling.replicates
 
 
 def with_waves(

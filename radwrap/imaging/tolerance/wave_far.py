@@ -49,12 +49,8 @@ def far_light(view: View, plan: WavePlan, replicate: int, progress: Callable[[in
     coarse = _Coarse.of(plan)
     block, margin, (rows, columns) = coarse.block, coarse.margin, coarse.shape
     random = generator(plan.seed, Rendering.WAVE_FAR, replicate)
-    beside = min(margin, math.ceil(_DENSE * min(plan.kernel.reach_px) / block))
-    dense = np.zeros((rows, columns), dtype=bool)
-    dense[margin - beside : rows - margin + beside, margin - beside : columns - margin + beside] = True
     places, owners = [], []
-    # No more rays than pixels are needed to tell light that is spread so far.
-    for some, strata in ((dense, min(_STRATA, round(block))), (~dense, 1)):
+    for some, strata in _strata(plan, coarse):
         row, column = np.nonzero(some)
         inside = (np.indices((strata, strata)).reshape(2, 1, -1) + random.random((2, len(row), strata**2))) / strata
         places.append(np.stack([row[:, np.newaxis] + inside[0], column[:, np.newaxis] + inside[1]]).reshape(2, -1))
@@ -74,6 +70,21 @@ def far_light(view: View, plan: WavePlan, replicate: int, progress: Callable[[in
     rays = np.bincount(owner, minlength=rows * columns)
     values = np.stack([np.bincount(owner, one, rows * columns) / rays for one in light.reshape(-1, len(u))])
     return np.stack([_correlated(one, kernel) for one in values.reshape(-1, rows, columns)])
+
+
+def far_rays(plan: WavePlan) -> int:
+    """How many rays `far_light` takes."""
+    return sum(int(np.count_nonzero(some)) * strata**2 for some, strata in _strata(plan, _Coarse.of(plan)))
+
+
+def _strata(plan: WavePlan, coarse: _Coarse) -> tuple[tuple[NDArray[np.bool_], int], ...]:
+    """Blocks, shape (rows, columns), and how many rays along a side each of them gets."""
+    block, margin, (rows, columns) = coarse.block, coarse.margin, coarse.shape
+    beside = min(margin, math.ceil(_DENSE * min(plan.kernel.reach_px) / block))
+    dense = np.zeros((rows, columns), dtype=bool)
+    dense[margin - beside : rows - margin + beside, margin - beside : columns - margin + beside] = True
+    # No more rays than pixels are needed to tell light that is spread so far.
+    return (dense, min(_STRATA, round(block))), (~dense, 1)
 
 
 def _correlated(values: Array, kernel: Array) -> Array:

@@ -18,7 +18,10 @@ from radwrap.imaging.optics.smooth import SmoothField
 from radwrap.imaging.optics.view import View, look_at_depths
 from radwrap.imaging.optics.wave_footprint import passed_weights
 from radwrap.imaging.optics.waves import Waves
+from radwrap.imaging.tolerance.plans import POINTS_SHARE
+from radwrap.imaging.tolerance.points_noise import points_noise
 from radwrap.random_streams import Rendering, generator
+from radwrap.tracers.noise import halvings_for
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -201,7 +204,10 @@ def plan_waves(
     plan = replace(plan, guard=max(_NEAR * blur, 1.0) + glass_reach(camera) / pitch)
     weights = WaveWeights(plan, _less_rays(waves), lens_field(camera, wavelength))
     if even_cell is None:
-        plan = replace(plan, grid=replace(plan.grid, aim=aim / _noise_gain(weights)))
+        aim /= _noise_gain(weights)
+        square, looked = points_noise(view, seed)
+        halvings = halvings_for(square, POINTS_SHARE * aim**2)
+        plan, rays = replace(plan, grid=replace(plan.grid, aim=aim, halvings=halvings)), rays + looked
         weights = replace(weights, kernel=plan)
     return WavePlan(plan, waves, weights, seed, rays, None if view.with_noise(1) is view else view.smooth)
 
