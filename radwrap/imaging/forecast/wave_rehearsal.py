@@ -7,9 +7,9 @@ from typing import Final
 
 from radwrap.imaging.forecast.rehearsal import Rehearsed, Stopwatch, seconds_per_ray, spread
 from radwrap.imaging.optics.view import View
-from radwrap.imaging.tolerance.wave_far import far_rays
+from radwrap.imaging.tolerance.wave_far import far_rays, far_view
 from radwrap.imaging.tolerance.wave_parts import wave_cells, wave_tile
-from radwrap.imaging.tolerance.wave_plan import WavePlan, bare
+from radwrap.imaging.tolerance.wave_plan import WavePlan
 
 # Tiles are made until so long has passed, and so many at least unless they are slow.
 _ENOUGH: Final = 0.5  # s
@@ -49,7 +49,7 @@ def rehearsed_waves(view: View, plan: WavePlan, replicates: int, wavelengths: in
         pixels += (r1 - r0) * (c1 - c0)
     often, sets = plan.kernel.camera.sensor.pixels / pixels, replicates * wavelengths
     far = far_rays(plan)
-    each = seconds_per_ray(bare(view)) / view.workers
+    each = seconds_per_ray(far_view(view, plan)) / view.workers
     return Rehearsed(
         often * (deciding + making * sets) + far * sets * each, often * (rays[0] + rays[1] * sets) + far * sets
     )

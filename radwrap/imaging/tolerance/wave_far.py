@@ -57,19 +57,32 @@ def far_light(view: View, plan: WavePlan, replicate: int, progress: Callable[[in
         owners.append(np.repeat(row * columns + column, strata**2))
     v, u = (np.concatenate(places, axis=1) - margin) * block - 0.5
     owner = np.concatenate(owners)
-    # What a pixel gathers from the light around it: the kernel is turned, and alike from both sides.
-    near = min(plan.kernel.reach_px)
-    blur = near - (plan.kernel.guard or 0.0)
-    aperture = plan.waves.aperture
-    rim_at = blur / math.sqrt(2) if aperture.shape == "square" else blur
-    kernel = _tail_kernel(aperture, rim_at / block, near / block, coarse.far / block)
-    # So many rays have the noise of one whose light counts whole.
-    together = 1 / (float((kernel**2).sum()) * max(plan.weights.share**2, _LEAST_SHARE**2))
-    light, _ = trace_rays(bare(view).together(together), None, u, v)
+    kernel = _kernel(plan, coarse)
+    light, _ = trace_rays(_with_noise(view, plan, kernel), None, u, v)
     progress(len(u))
     rays = np.bincount(owner, minlength=rows * columns)
     values = np.stack([np.bincount(owner, one, rows * columns) / rays for one in light.reshape(-1, len(u))])
     return np.stack([_correlated(one, kernel) for one in values.reshape(-1, rows, columns)])
+
+
+def far_view(view: View, plan: WavePlan) -> View:
+    """By whom `far_light` traces its rays: they ask as many points of wide lights as they count for."""
+    return _with_noise(view, plan, _kernel(plan, _Coarse.of(plan)))
+
+
+def _with_noise(view: View, plan: WavePlan, kernel: Array) -> View:
+    # So many rays have the noise of one whose light counts whole.
+    together = 1 / (float((kernel**2).sum()) * max(plan.weights.share**2, _LEAST_SHARE**2))
+    return bare(view).together(together)
+
+
+def _kernel(plan: WavePlan, coarse: _Coarse) -> Array:
+    """What a pixel gathers from the light around it: turned, and alike from both sides."""
+    near = min(plan.kernel.reach_px)
+    blur = near - (plan.kernel.guard or 0.0)
+    aperture = plan.waves.aperture
+    rim_at = blur / math.sqrt(2) if aperture.shape == "square" else blur
+    return _tail_kernel(aperture, rim_at / coarse.block, near / coarse.block, coarse.far / coarse.block)
 
 
 def far_rays(plan: WavePlan) -> int:
