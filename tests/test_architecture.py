@@ -87,6 +87,7 @@ ROOMS = {
             "relight",
             "forecast",
             "output",
+            "with_waves",
             "forecasting",
             "other_camera",
             "raw_relighting",
@@ -96,7 +97,6 @@ ROOMS = {
             "mosaicked",
             "in_time",
         ),
-        "with_waves",
         *("synthesis", "warm"),
     ],
 }

@@ -31,6 +31,7 @@ from radwrap.imaging.forecast.rehearsal import (
     seconds_per_ray,
     timed,
 )
+from radwrap.imaging.forecast.wave_rehearsal import rehearsed_waves
 from radwrap.imaging.mean_radiance import fixed_method, viewpoint_plan
 from radwrap.imaging.methods.kernel import KernelPlan
 from radwrap.imaging.methods.viewpoints import ViewpointPlan
@@ -44,6 +45,7 @@ from radwrap.imaging.tolerance.planner import Search
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.sampling import even_plan
 from radwrap.imaging.tracing import LaidOutScene
+from radwrap.imaging.with_waves import foreseen_waves, leaving_room
 from radwrap.process import Programs, available_cores
 from radwrap.progress import Progress, note
 from radwrap.random_streams import Rendering, generator
@@ -92,6 +94,9 @@ class Stage:
     def to_come(self, what: Search | ViewpointPlan) -> tuple[dict[str, float], float]:
         """Parts of the time that is to come [s], and rays."""
         parts, image = self._image(what)
+        if isinstance(what, Search) and (waves := self._waves(what)) is not None:
+            parts["diffraction"] = waves.seconds
+            image = replace(image, rays=image.rays + waves.rays)
         if self.options.basis:
             parts["basis"] = self._basis(image)
         if self.options.truth:
@@ -102,6 +107,15 @@ class Stage:
             parts["truth"] = seconds_per_ray(numbered) * sensor.pixels
         parts["files"] = _file_seconds(self.work.folder, self.work.view.camera) * (1 + self.options.frames)
         return parts, image.rays
+
+    def _waves(self, what: Search) -> Rehearsed | None:
+        """What diffraction takes, where it is expected to be taken."""
+        work = replace(self.work, view=what.view)
+        found = foreseen_waves(self.traced.scene, self.options, work)
+        if found is None:
+            return None
+        wavelengths = 1 if self.options.bounces else len(self.traced.lights())
+        return rehearsed_waves(what.view, *found, wavelengths)
 
     def _image(self, what: Search | ViewpointPlan) -> tuple[dict[str, float], Rehearsed]:
         if isinstance(what, ViewpointPlan):
@@ -300,7 +314,9 @@ def _prepared(scene: Scene, options: RenderOptions, stage: Stage) -> Search | Vi
         stage.work = replace(stage.work, view=stage.traced.view_with_bounces(options.bounces))
     if method is not None:
         return viewpoint_plan(scene, options, method, "rehearsal")
-    demand = replace(options.demand, method="rays") if options.bounces else options.demand
+    demand = leaving_room(scene, options, stage.work.view).demand
+    if options.bounces:
+        demand = replace(demand, method="rays")
     return Search(stage.work, demand)
 
 

@@ -17,10 +17,13 @@ from radwrap.imaging.forecast.wave_change import MOST_RAYS
 from radwrap.imaging.mean_radiance import Made, fixed_method
 from radwrap.imaging.methods.kernel import TooDeep
 from radwrap.imaging.optics.diffraction import Light, light_of_all, wavelength_of
-from radwrap.imaging.optics.view import trace_rays
+from radwrap.imaging.optics.view import View, trace_rays
 from radwrap.imaging.output.run_manifest import DiffractionTaken
 from radwrap.imaging.render_options import RenderOptions
+from radwrap.imaging.tolerance.certificate import root
+from radwrap.imaging.tolerance.plans import MODEL_SHARE
 from radwrap.imaging.tolerance.replicates import Work
+from radwrap.imaging.tolerance.survey import survey
 from radwrap.imaging.tolerance.wave_image import WaveError, visible_gray, wave_error
 from radwrap.imaging.tolerance.wave_parts import WaveParts, wave_parts
 from radwrap.imaging.tolerance.wave_plan import WavePlan, by_diameter, plan_waves
@@ -34,6 +37,7 @@ _SHARE: Final = 0.2
 _DECIDING_SHARE: Final = 0.05
 _FEWEST: Final = 1 << 13
 _AIM: Final = 0.7  # of what the image leaves of the tolerance, each of both replicates: their mean has half of it
+_USUAL: Final = 0.7  # of the tolerance, about what an image takes of it
 _LEAST_LEFT: Final = 0.3  # of the tolerance; where the image leaves less, it is made finer
 _OF_CELLS: Final = 0.5  # of what the image leaves, what the size of their cells may change
 _FINER: Final = 0.25  # of either, where it was too much
@@ -43,10 +47,10 @@ _TWO: Final = 2  # replicates, where nothing is made of them but their mean
 # Degrees of freedom by which noise is known: its bound is then 1.4 of it. Two replicates have one for each block over
 # which errors hang together, and where a small image has few blocks more replicates are made.
 _DEGREES: Final = 24
-# Of the tolerance, what waves may add to the error of images that are compared; and how fast that falls with the size
-# of their cells, as in `sampling`.
+# Of the tolerance, what waves may add to the error of images that are compared; and cells by which a plan of them is
+# tried first, at least, where waves change less than that.
 _EVEN_SHARE: Final = 0.4
-_FALL: Final = 8.0
+_COARSEST_EVEN: Final = 0.5  # px
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,6 +116,10 @@ class _Waves:
         """As many as the image has, where each is kept; else so many that their noise is known."""
         if (self.options.basis or self.options.sampling is not None) and made.outcome is not None:
             return len(made.outcome.replicates.images)
+        return self.fewest_replicates(plan)
+
+    def fewest_replicates(self, plan: WavePlan) -> int:
+        """So many that their noise is known."""
         sensor = self.scene.camera.sensor
         blocks = math.ceil(sensor.rows / plan.block) * math.ceil(sensor.columns / plan.block)
         return max(_TWO, 1 + math.ceil(_DEGREES / blocks))
@@ -148,6 +156,57 @@ def refuse_waves(scene: Scene, options: RenderOptions) -> None:
         raise InputError("has no opening, and diffraction is asked for", where="method", remedy=remedy)
     if options.sampling is not None and options.sampling.wave_cell is None:
         raise InputError("is missing, and diffraction is asked for", where="sampling.wave_cell")
+
+
+def leaving_room(scene: Scene, options: RenderOptions, view: View) -> RenderOptions:
+    """Options for the image by rays, finer than asked for where waves are to come that need a part of the tolerance.
+
+    A kernel's image of wide lights gets as many of their points as its tolerance needs, and leaves waves too little.
+    """
+    decided = options.sampling is not None or fixed_method(scene, options) is not None
+    if decided or view.with_noise(1) is view or not _waves_foreseen(scene, options, view):
+        return options
+    finer = replace(options, tolerance=_LESS * options.gray_tolerance)
+    if root(survey(view, options.seed).model.mean) > MODEL_SHARE * finer.gray_tolerance:
+        return options  # rays of each pixel may grow much faster than the tolerance falls
+    return finer
+
+
+def with_room(scene: Scene, options: RenderOptions, work: Work, make_to: Callable[[RenderOptions], Made]) -> Made:
+    """Make the image by rays so that it leaves room for waves; whether that is met is asked of the whole tolerance."""
+    finer = leaving_room(scene, options, work.view)
+    made = make_to(finer)
+    if made.outcome is None or finer is options:
+        return made
+    met = options.demand.is_met(made.certificate.rms_gray_upper95, made.certificate.p99_gray_upper95)
+    return replace(made, outcome=replace(made.outcome, met=met, record=replace(made.outcome.record, met=met)))
+
+
+def _waves_foreseen(scene: Scene, options: RenderOptions, view: View) -> bool:
+    asked = scene.camera.diffraction
+    if asked is None or scene.camera.aperture.is_infinitesimal:
+        return False
+    return asked == "on" or diffraction_left_out(scene, view, options.seed, options.gray_tolerance, _FEWEST).needed
+
+
+def foreseen_waves(scene: Scene, options: RenderOptions, work: Work) -> tuple[WavePlan, int] | None:
+    """By which rays, and how many sets of them, waves are expected to be taken, of an image that is not made yet.
+
+    None where they are not, or cannot be.
+    """
+    asked = scene.camera.diffraction
+    if asked is None or scene.camera.aperture.is_infinitesimal or fixed_method(scene, options) is not None:
+        return None
+    found = diffraction_left_out(scene, work.view, options.seed, options.gray_tolerance, _FEWEST)
+    if asked == "auto" and not found.needed:
+        return None
+    waves = _Waves(scene, options, work, (light_of_all(scene, work.view),), found.rms_gray)
+    left = math.sqrt(1 - _USUAL**2) * options.gray_tolerance
+    try:
+        plan = waves.plan(_AIM * left, _OF_CELLS * left)
+    except TooDeep:
+        return None
+    return plan, waves.fewest_replicates(plan) if options.sampling is None else options.sampling.replicates
 
 
 def with_waves(
@@ -193,9 +252,15 @@ def with_waves(
     found = diffraction_left_out(scene, work.view, options.seed, options.gray_tolerance, rays)
     if not _is_taken(scene, options, made, found):
         return WithWaves(made, found, None)
-    waves = _Waves(scene, options, work, lights(), found.rms_gray)
     more_may_help = options.sampling is None
-    taken, left = found.rays, _left(options.gray_tolerance, made)
+    taken, remade = found.rays, False
+    if more_may_help and _is_met(made) and _leaves(options.gray_tolerance, made) < _LEAST_LEFT * options.gray_tolerance:
+        # Whatever waves take then, the image would have to be made anew.
+        taken, made, remade = taken + made.used.rays, again(_LESS * options.gray_tolerance), True
+    if made.outcome is not None:
+        work = replace(work, view=replace(work.view, smooth=made.outcome.smooth))
+    waves = _Waves(scene, options, work, lights(), found.rms_gray)
+    left = max(_leaves(options.gray_tolerance, made), _LEAST_LEFT * options.gray_tolerance)
     aim, of_cells = _AIM * left, _OF_CELLS * left
     for _ in range(_TRIES if more_may_help else 1):
         try:
@@ -213,7 +278,7 @@ def with_waves(
             of_cells *= _FINER
         else:
             aim *= _FINER
-    if not _is_met(whole) and _is_met(made) and more_may_help:
+    if not _is_met(whole) and _is_met(made) and more_may_help and not remade:
         taken, made = taken + made.used.rays, again(_LESS * options.gray_tolerance)
         if len(parts.change) != waves.replicates(made, plan):
             parts = waves.parts(plan, waves.replicates(made, plan))
@@ -240,31 +305,39 @@ def even_wave_cell(scene: Scene, work: Work, options: RenderOptions) -> float | 
     camera, tolerance = scene.camera, options.gray_tolerance
     if camera.diffraction is None or camera.aperture.is_infinitesimal:
         return None
-    if camera.diffraction == "auto" and not diffraction_left_out(scene, work.view, options.seed, tolerance).needed:
+    found = diffraction_left_out(scene, work.view, options.seed, tolerance)
+    if camera.diffraction == "auto" and not found.needed:
         return None
-    waves = _Waves(scene, replace(options, sampling=None), work, (light_of_all(scene, work.view),))
+    lights = (light_of_all(scene, work.view),)
+    waves = _Waves(scene, replace(options, sampling=None), work, lights, found.rms_gray)
+    aim = _EVEN_SHARE * tolerance
     try:
-        cell = plan_waves(work.view, waves.wavelength, 1.0, options.seed).kernel.grid.cell
-        plan = plan_waves(work.view, waves.wavelength, 0.0, options.seed, even_cell=cell)
+        cell = waves.plan(aim, aim).kernel.grid.cell
+        if found.rms_gray <= aim:  # cells of any size show waves to within about what they change
+            cell = max(cell, _COARSEST_EVEN)
+        while cell > FINEST_CELL and not _do_even_cells(waves, cell, aim):
+            cell /= 2
     except TooDeep as error:
         raise _too_deep() from error
+    return cell
+
+
+def _do_even_cells(waves: _Waves, cell: float, aim: float) -> bool:
+    """Whether waves by even cells [px] are off by less than an aim in the mean of all replicates, rms [gray level]."""
+    work = waves.work
+    plan = plan_waves(work.view, waves.wavelength, 0.0, waves.options.seed, even_cell=cell)
     parts = waves.parts(plan, _TWO)
     found = _error(plan, parts, np.maximum(_look(work) + parts.change.mean(axis=0), 0.0), work)
-    square = found.noise.mean * _TWO / REPLICATES + found.cells
-    times = square / (_EVEN_SHARE * tolerance) ** 2
-    while times > 1 and cell > FINEST_CELL:
-        cell, times = cell / 2, times / _FALL
-    return cell
+    return found.noise.mean * _TWO / REPLICATES + found.cells <= aim**2
 
 
 def _told_wavelengths(lights: Sequence[Light]) -> tuple[float, ...] | None:
     return tuple(light.wavelength for light in lights) if len(lights) > 1 else None
 
 
-def _left(tolerance: float, made: Made) -> float:
+def _leaves(tolerance: float, made: Made) -> float:
     """What an image leaves of a tolerance for its waves [gray level]."""
-    left = math.sqrt(max(tolerance**2 - made.certificate.rms_gray_upper95**2, 0.0))
-    return max(left, _LEAST_LEFT * tolerance)
+    return math.sqrt(max(tolerance**2 - made.certificate.rms_gray_upper95**2, 0.0))
 
 
 def _look(work: Work) -> Array:

@@ -44,7 +44,7 @@ def scene(times: int = 1, **changes: Any) -> radwrap.Scene:
         "pixel_width": f"{55 / times} um",
         "pixel_height": f"{80 / times} um",
     }
-    document["camera"]["diffraction"] = "off"  # forecasts do not count it
+    document["camera"]["diffraction"] = "off"  # it would be most of so small an image
     return radwrap.scene_from_document(document, changes)
 
 
@@ -173,3 +173,18 @@ def test_a_long_run_says_so_before_and_what_is_cheaper(
     whole = told.run.timing.forecast.wall_s
     assert all(0 < wall <= whole for wall in found.values())
     assert ("a tolerance of 4 gray in place of 2" if "method" in options else "19 viewpoints in place of 37") in found
+
+
+def test_diffraction_is_a_part_of_what_a_run_takes(tmp_path: Path) -> None:
+    """By its rays, which no clock decides: as many as the run traces, to the factor that forecasts are good to."""
+    pytest.importorskip("numba")
+    made: dict[str, Any] = {}
+    options = radwrap.RenderOptions(tolerance=4.0, tracer="compiled")
+    for diffraction in ("on", "off"):
+        seen = scene(**{"camera.diffraction": diffraction})
+        cost = forecast(seen, options)
+        made[diffraction] = cost.rays, radwrap.render(seen, tmp_path / diffraction, options).run
+        assert ("diffraction" in cost.parts) == (diffraction == "on")
+    (rays, run), (without, _) = made["on"], made["off"]
+    assert run.diffraction is not None and run.diffraction.rays > 0.3 * run.rays
+    assert run.diffraction.rays / 1.5 < rays - without < 1.5 * run.diffraction.rays

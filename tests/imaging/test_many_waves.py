@@ -14,20 +14,26 @@ from numpy.typing import NDArray
 
 import radwrap
 from radwrap.errors import InputError
-from radwrap.imaging.demand import Demand, SamplingPlan, sampling_plan
-from radwrap.imaging.optics.view import View
+from radwrap.imaging.demand import FINEST_CELL, Demand, SamplingPlan, sampling_plan
+from radwrap.imaging.mosaicked import plane_of
+from radwrap.imaging.optics.view import View, trace_rays
 from radwrap.imaging.other_camera import check_same_light
 from radwrap.imaging.relight.relit import read_basis, relit
+from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.tolerance.kept_replicates import read_replicates
+from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.sampling import Pilot, strictest
 from radwrap.imaging.tolerance.wave_far import far_change, far_light
 from radwrap.imaging.tolerance.wave_parts import wave_cells, wave_parts, wave_tile
 from radwrap.imaging.tolerance.wave_plan import WavePlan, plan_waves
-from radwrap.imaging.tracing import LaidOutScene
+from radwrap.imaging.tracing import LaidOutScene, laid_out
+from radwrap.imaging.with_waves import even_wave_cell
 from radwrap.process import Programs
+from radwrap.progress import Progress
 from tests.cli.conftest import scene_with
 from tests.imaging.test_basis import DEEP, SOURCES
 
+CHART: Final = Path(__file__).parents[2] / "rad_scenes" / "colour_chart" / "scene.toml"
 BENCH: Final = Path(__file__).parents[2] / "rad_scenes" / "bench_board" / "scene.toml"
 COARSE: Final = {"rows": 44, "columns": 51, "pixel_width": "28 um", "pixel_height": "28 um"}
 FLOAT32: Final = 1e-5  # of the largest value: sums of a few values that are rounded so
@@ -230,3 +236,36 @@ def test_another_exposure_keeps_waves_and_another_wavelength_is_refused() -> Non
     with pytest.raises(InputError, match=r"camera.sensor.wavelength: changes what the opening's waves do"):
         check_same_light(camera, other)
     check_same_light(replace(camera, diffraction=None), replace(other, diffraction=None))
+
+
+@pytest.mark.parametrize(("tolerance", "finest"), [(2.0, False), (0.02, True)])
+def test_even_cells_of_waves_are_as_fine_as_a_tolerance_needs(tolerance: float, finest: bool, tmp_path: Path) -> None:
+    """Waves blur by a thirtieth of a pixel here. Cells that resolve that are needed for a fine tolerance only."""
+    sensor = {"rows": 15, "columns": 20, "pixel_width": "110.4 um", "pixel_height": "110.4 um"}
+    changes = {f"camera.sensor.{key}": value for key, value in sensor.items()} | {
+        "camera.diffraction": "on",
+        "camera.exposure_time": "0.075 ms",
+    }
+    chart = radwrap.load_scene(CHART, changes)
+    scene = plane_of(chart, "green")
+    options = radwrap.RenderOptions(tolerance=tolerance)
+    with laid_out(scene, options) as traced, Programs() as programs:
+        view = traced.view()
+        work = Work(view, tmp_path, programs, Progress("", 1, shown=False), traced.sha256(), 0)
+        cell = even_wave_cell(scene, work, options)
+        assert cell is not None
+        plans = [plan_waves(view, 550e-9, 0.0, seed, even_cell=size) for seed, size in ((1, cell), (2, cell / 2))]
+        blur = plans[0].waves.blur / plans[0].pitch
+        if finest:
+            assert cell == FINEST_CELL
+            return
+        assert cell > 2 * blur
+        # Twelve replicates, as a plan has; half the size stands for what is there.
+        v, u = np.indices((15, 20), dtype=np.float64)
+        seen = trace_rays(view, None, u.ravel(), v.ravel())[0].reshape(15, 20)
+        found = []
+        for plan, replicates in zip(plans, (12, 4), strict=True):
+            parts = wave_parts(view, [(view, plan)], replicates, progress=lambda _: None, check=programs.check)
+            light = np.maximum(seen + parts.change.mean(axis=0), 0.0) * view.exposure_of_radiance
+            found.append(gray_levels(light, scene.camera.sensor))
+    assert 0 < np.sqrt(((found[0] - found[1]) ** 2).mean()) < 0.4 * tolerance

@@ -207,12 +207,12 @@ def _samples(view: View, plan: Plan, most: float) -> list[tuple[int, int, int, i
     tiles = sorted(plan.tiles, key=lambda tile: _weight(view, plan, tile) / _pixels(tile))
     largest = max(map(_pixels, tiles))
     if largest <= most:
-        return [tiles[place] for place in _spread(len(tiles))]
+        return [tiles[place] for place in spread(len(tiles))]
     random = generator(0, Rendering.REHEARSED_TILES)
     share = math.sqrt(most / largest)
     several = tiles * -(-_CANDIDATES // len(tiles))
     several.sort(key=lambda tile: _weight(view, plan, tile) / _pixels(tile))
-    return [_part(several[place], share, random) for place in _spread(len(several))]
+    return [_part(several[place], share, random) for place in spread(len(several))]
 
 
 def _part(tile: tuple[int, int, int, int], share: float, random: np.random.Generator) -> tuple[int, int, int, int]:
@@ -225,7 +225,7 @@ def _part(tile: tuple[int, int, int, int], share: float, random: np.random.Gener
     return cut[0], cut[1], cut[2], cut[3]
 
 
-def _spread(number: int) -> list[int]:
+def spread(number: int) -> list[int]:
     """All numbers below one, the first few of them evenly spread (van der Corput)."""
     bits = max(1, (number - 1).bit_length())
     turned = (int(f"{place:0{bits}b}"[::-1], 2) for place in range(1 << bits))

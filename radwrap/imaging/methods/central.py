@@ -10,29 +10,23 @@ are independent and their means unbiased.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.imaging.optics.view import View, trace_rays
-from radwrap.imaging.response.sensor import unclipped_gray
-from radwrap.manifest import ONLY_WHERE_USED
+from radwrap.imaging.methods.grid import GridPlan, Sampler
+from radwrap.imaging.optics.smooth import SmoothField
+from radwrap.imaging.optics.view import View
 from radwrap.random_streams import generator
-from radwrap.scene.camera import Sensor
 
-Array = NDArray[np.float64]
 _T = TypeVar("_T", bound=np.generic)
 SUB_SAMPLES: Final = (1, 2, 4, 8)
-# A difference between neighbours is passed over where it moves no pixel by more than this share of the aim.
-_PASSED_OVER: Final = 0.25
 # What is left of differences may take this share of the square of the aim, an equal part at each size of cells.
 _LEFT_SHARE: Final = 0.5
 _LOOKED_AT: Final = 1 << 16  # cells that tell how many differ how much
-# Halvings of points of wide lights that tell where light changes: the same for all rays, so that none of it is noise.
-_ALIKE: Final = 1
 _LARGEST_HEIGHT: Final = 1e100  # gray level; its square does not overflow, whatever the sensor's gain
 # Variance of the mean over n x n strata of a cell that an edge of height d crosses is about d^2/(4 n^3): about 1.5 n
 # strata are crossed, each with the variance d^2/6. Of the cells beside an edge about every third is crossed.
@@ -40,63 +34,6 @@ _EDGE_VARIANCE: Final = 12.0
 # Where all that a pixel gathers from lies by so much of the range above saturation, the pixel stays saturated whatever
 # a finer look would find there.
 _SURELY_SATURATED: Final = 0.1
-
-
-@dataclass(frozen=True, slots=True)
-class GridPlan:
-    """How fine the central image is.
-
-    Attributes
-    ----------
-    base : int
-        Base cell [px].
-    levels : int
-        How often a base cell may be cut in two each way; the grid's cell is base / 2^levels.
-    area : float
-        How many square pixels a pixel gathers from.
-    aim : float
-        Rms error to aim at [gray level].
-    exposure_of_radiance : float
-        tau A/f^2: radiant exposure of an even field of radiance 1.
-    sensor : Sensor
-        Response, to tell which differences matter.
-    with_depth : bool
-        Whether each cell's magnification is needed.
-    even : bool, optional
-        True where each grid cell gets one ray whatever is seen there: no light decides where rays go.
-    smooth : str, optional
-        Hash of the view's smooth blocks, where no rays go; see `smooth.SmoothField`.
-    halvings : int, optional
-        How often the points of wide lights are halved of a ray that a pixel has for itself; see `noise.NoisyTracer`.
-    """
-
-    base: int
-    levels: int
-    area: float
-    aim: float
-    exposure_of_radiance: float
-    sensor: Sensor
-    with_depth: bool
-    even: bool | None = field(default=None, metadata=ONLY_WHERE_USED)
-    smooth: str | None = field(default=None, metadata=ONLY_WHERE_USED)
-    halvings: int | None = field(default=None, metadata=ONLY_WHERE_USED)
-
-    @property
-    def cell(self) -> float:
-        """Grid cell h [px]."""
-        return math.ldexp(self.base, -self.levels)
-
-    def gray(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Gray level of even fields of the given radiances; without saturation, which blur may undo."""
-        return unclipped_gray(values * self.exposure_of_radiance, self.sensor)
-
-    def threshold(self, size: float) -> float:
-        """Difference between neighbouring cells of a size [px] from which on they are cut [gray level].
-
-        An edge of height d in all the cells of a footprint gives its mean the
-        variance d^2/12 over their number; few have one.
-        """
-        return _PASSED_OVER * self.aim * math.sqrt(12 * max(1.0, self.area / size**2))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,6 +91,7 @@ def decide_cells(
     *,
     seed: tuple[int, ...],
     progress: Callable[[int], None],
+    smooth: SmoothField | None = None,
 ) -> Cells:
     """Find out where the central image changes, by rays that serve nothing else.
 
@@ -173,6 +111,8 @@ def decide_cells(
         Where the base grid lies, and where rays go in their cells.
     progress : callable
         Is told how many rays were traced.
+    smooth : SmoothField, optional
+        Where nothing changes but smoothly; default what the plan has of the view.
     """
     if plan.even:
         return Cells(region[0], np.full(region[1], plan.levels, dtype=np.int8), 1, 0.0, 0)
@@ -186,7 +126,7 @@ def decide_cells(
     )
     # One base cell more on each side: what is seen of a cell is told by its neighbours, which the outermost lack.
     shape = tuple(count + 2 for count in shape)
-    sampler = _Sampler(view, plan, (first[0] - step, first[1] - step), progress, alike=True)
+    sampler = Sampler(view, plan, (first[0] - step, first[1] - step), progress, alike=True, smooth=smooth)
     rows, columns = np.indices(shape)
     places = sampler.places(rows.ravel(), columns.ravel(), step, random)
     values = sampler.trace([places], [step], with_depth=False)[0]
@@ -265,8 +205,67 @@ def central_image(
         Traced with the same plan, cells and seed, perhaps in other light: its magnifications are kept, so that the
         values are linear in the light.
     """
+    traced = traced_cells(view, plan, cells, seed=seed, progress=progress, with_depth=plan.with_depth and like is None)
+    depth = like.magnification if like else traced.laid_out(traced.magnification) if plan.with_depth else None
+    return CentralImage(cells.first, traced.laid_out(traced.values), depth, traced.rays)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TracedCells:
+    """Cells of part of the central image, from the largest to the smallest, each with what was seen of it.
+
+    Attributes
+    ----------
+    places : list of tuple of ndarray of int
+        Of each size, rows and columns in cells of that size; the grid's own cells come twice, as those with more rays
+        are apart.
+    shape : tuple of int
+        Rows and columns of grid cells.
+    values : ndarray, shape (n,) or (sources, n)
+        Mean of L cos^4(theta) over each cell [W m^-2 sr^-1].
+    magnification : ndarray, shape (n,)
+        m of each, see `Camera.magnification`; 1 where it was not asked for.
+    rays : int
+        How many were traced.
+    """
+
+    places: list[tuple[NDArray[np.intp], NDArray[np.intp]]]
+    shape: tuple[int, int]
+    values: NDArray[np.float64]
+    magnification: NDArray[np.float64]
+    rays: int
+
+    @property
+    def numbers(self) -> NDArray[np.intp]:
+        """Which of them covers each grid cell, shape (rows, columns)."""
+        return self.laid_out(np.arange(len(self.magnification)))
+
+    def laid_out(self, each: NDArray[_T]) -> NDArray[_T]:
+        """What is known of each, shape (..., n), as a field of grid cells, shape (..., rows, columns)."""
+        levels = len(self.places) - 2
+        field = np.zeros((*each.shape[:-1], *(-(-size >> levels) for size in self.shape)), dtype=each.dtype)
+        end = 0
+        for level, (row, column) in enumerate(self.places):
+            if 0 < level <= levels:
+                field = _doubled(field)
+            start, end = end, end + len(row)
+            field[..., row, column] = each[..., start:end]
+        height, width = self.shape  # base cells of an even plan may reach beyond
+        return field[..., :height, :width]
+
+
+def traced_cells(
+    view: View,
+    plan: GridPlan,
+    cells: Cells,
+    *,
+    seed: tuple[int, ...],
+    progress: Callable[[int], None],
+    with_depth: bool,
+) -> TracedCells:
+    """Trace cells of the central image, as `central_image` does; `with_depth` their magnifications too."""
     random = generator(*seed)
-    sampler = _Sampler(view, plan, cells.first, progress)
+    sampler = Sampler(view, plan, cells.first, progress)
     parts = []
     for level in range(plan.levels + 1):
         size = 2 ** (plan.levels - level)
@@ -276,20 +275,15 @@ def central_image(
     parts.append((row, column, 1, cells.samples))
     placed = [sampler.strata(row, column, size, n, random) for row, column, size, n in parts]
     sizes = [size / max(n, 1) for _, _, size, n in parts]
-    traced = sampler.trace(placed, sizes, with_depth=plan.with_depth and like is None)
-    shape = tuple(-(-size >> plan.levels) for size in cells.levels.shape)
-    values, magnification = np.zeros((*traced[0].shape[:-1], *shape)), np.ones(shape)
-    end = 0
-    for level, (row, column, _, n) in enumerate(parts):
-        if 0 < level <= plan.levels:
-            values, magnification = _doubled(values), _doubled(magnification)
+    traced = sampler.trace(placed, sizes, with_depth=with_depth)
+    means, end = [], 0
+    for row, _, _, n in parts:
         start, end = end, end + len(row) * n * n
-        means = _means(*(answer[..., start:end].reshape(*answer.shape[:-1], -1, n * n) for answer in traced))
-        values[..., row, column], magnification[row, column] = means
-    height, width = cells.levels.shape  # base cells of an even plan may reach beyond
-    values, magnification = values[..., :height, :width], magnification[:height, :width]
-    depth = like.magnification if like else magnification if plan.with_depth else None
-    return CentralImage(cells.first, values, depth, sampler.rays)
+        means.append(_means(*(answer[..., start:end].reshape(*answer.shape[:-1], -1, n * n) for answer in traced)))
+    values, magnification = (np.concatenate(each, axis=-1) for each in zip(*means, strict=True))
+    height, width = cells.levels.shape
+    places = [(row, column) for row, column, _, _ in parts]
+    return TracedCells(places, (height, width), values, magnification, sampler.rays)
 
 
 def central_rays(plan: GridPlan, cells: Cells) -> int:
@@ -380,80 +374,3 @@ def _samples_needed(plan: GridPlan, heights: NDArray[np.float64], cells: int) ->
         if error <= plan.aim:
             return n, error
     return SUB_SAMPLES[-1], rms[-1]
-
-
-class _Sampler:
-    """Rays through cells of a grid, at any level."""
-
-    def __init__(
-        self,
-        view: View,
-        plan: GridPlan,
-        first: tuple[int, int],
-        progress: Callable[[int], None],
-        *,
-        alike: bool = False,
-    ) -> None:
-        self._view, self._plan, self._progress, self._alike = view, plan, progress, alike
-        self._first = first
-        self.rays = 0
-
-    def places(
-        self, row: NDArray[np.intp], column: NDArray[np.intp], size: int, random: np.random.Generator
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """A place anywhere in each cell of `size` x `size` grid cells."""
-        return self.strata(row, column, size, 1, random)
-
-    def strata(
-        self, row: NDArray[np.intp], column: NDArray[np.intp], size: int, n: int, random: np.random.Generator
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Rows and columns [grid cell] of n x n places in each cell, one anywhere in each of its strata."""
-        i, j = (a.ravel() for a in np.indices((n, n)))
-        inside = random.random((2, len(row), n * n))
-        rows = (row[:, np.newaxis] + (i + inside[0]) / n) * size
-        columns = (column[:, np.newaxis] + (j + inside[1]) / n) * size
-        return rows.ravel(), columns.ravel()
-
-    def trace(
-        self, placed: Sequence[tuple[Array, Array]], sizes: Sequence[float], *, with_depth: bool
-    ) -> tuple[Array, Array]:
-        """L cos^4(theta) and m at rows and columns [grid cell], of which there is one in each piece of a size."""
-        views = [self._together(size) for size in sizes]
-        together = all(view is self._view for view in views)  # one call, which may start programs
-        if together or not any(len(rows) for rows, _ in placed):
-            rows, columns = (np.concatenate([part[axis] for part in placed]) for axis in (0, 1))
-            return self._known_or_traced(self._view, rows, columns, with_depth=with_depth)
-        parts = [
-            self._known_or_traced(view, *part, with_depth=with_depth)
-            for view, part in zip(views, placed, strict=True)
-            if len(part[0])
-        ]
-        return np.concatenate([part[0] for part in parts], axis=-1), np.concatenate([part[1] for part in parts])
-
-    def _together(self, size: float) -> View:
-        """The view, with noise that suits rays in pieces of a size [grid cell]."""
-        rays = self._plan.area / (size * self._plan.cell) ** 2
-        if self._alike:
-            return self._view.together(rays, _ALIKE, alike=True)
-        return self._view.together(rays, self._plan.halvings or 0)
-
-    def _known_or_traced(self, view: View, rows: Array, columns: Array, *, with_depth: bool) -> tuple[Array, Array]:
-        cell = self._plan.cell
-        u, v = (self._first[1] + columns) * cell - 0.5, (self._first[0] + rows) * cell - 0.5
-        known = self._view.smooth if self._plan.smooth else None
-        if known is None:
-            return self._traced(view, u, v, with_depth=with_depth)
-        smooth = known.holds(u, v)
-        rest = ~smooth
-        found, depth = known.at(u[smooth], v[smooth])
-        values, magnification = np.empty((*found.shape[:-1], len(u))), np.empty(len(u))
-        values[..., smooth], magnification[smooth] = found, depth
-        if rest.any():
-            values[..., rest], magnification[rest] = self._traced(view, u[rest], v[rest], with_depth=with_depth)
-        return values, magnification
-
-    def _traced(self, view: View, u: Array, v: Array, *, with_depth: bool) -> tuple[Array, Array]:
-        answer = trace_rays(view, None, u, v, with_depth=with_depth)
-        self.rays += len(u)
-        self._progress(len(u))
-        return answer

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
-from radwrap.imaging.methods.central import Cells, CentralImage, GridPlan, central_image, decide_cells
+from radwrap.imaging.methods.central import Cells, CentralImage, central_image, decide_cells
+from radwrap.imaging.methods.grid import GridPlan
 from radwrap.imaging.optics.footprint import Footprint, footprint, laid_out, reach_px
 from radwrap.imaging.optics.smooth import SmoothField
 from radwrap.imaging.optics.view import View
@@ -51,8 +52,6 @@ _SMOOTH_SHARE: Final = 1 / (2**2 - 1)
 _RESOLVED: Final = 2.0
 # Cells of a footprint up to which sums take less time than transforms of a tile.
 _FEW_CELLS: Final = 1024
-# Sources that are gathered at a time: each takes the memory of a tile, its transform and its layers.
-_AT_ONCE: Final = 4
 # Grid cells of a tile: what a transform of some 30 MiB holds; wide rather than high, so that small images have two.
 _TILE_ROWS, _TILE_COLUMNS = 400, 1600
 
@@ -231,9 +230,18 @@ def layer_places(layers: tuple[float, ...], magnification: NDArray[np.float64]) 
 
 
 def decide_tile(
-    view: View, plan: KernelPlan, tile: int, seed: tuple[int, ...], progress: Callable[[int], None]
+    view: View,
+    plan: KernelPlan,
+    tile: int,
+    seed: tuple[int, ...],
+    progress: Callable[[int], None],
+    *,
+    smooth: SmoothField | None = None,
 ) -> Cells:
-    """Find out which cells of the central image a tile needs; parameters as in `gathered_tile`."""
+    """Find out which cells of the central image a tile needs; parameters as in `gathered_tile`.
+
+    With smooth blocks no cell is cut within them, though they are traced as the others.
+    """
     place, cell = plan.tiles[tile], plan.grid.cell
     reach = plan.reach_px
     if _is_smooth(view, plan, place):
@@ -244,7 +252,7 @@ def decide_tile(
         for begin, end, far in ((*place[:2], reach[1]), (*place[2:], reach[0]))
     ]
     region = ((spans[0][0], spans[1][0]), (spans[0][1] - spans[0][0], spans[1][1] - spans[1][0]))
-    return decide_cells(view, plan.grid, region, seed=seed, progress=progress)
+    return decide_cells(view, plan.grid, region, seed=seed, progress=progress, smooth=smooth)
 
 
 def gathered_tile(
@@ -273,71 +281,35 @@ def gathered_tile(
     progress : callable
         Is told how many rays were traced.
     """
-    (gathered,) = gathered_sources(view, plan, tile, cells, seed=seed, progress=progress)
-    return gathered
-
-
-def gathered_sources(
-    view: View,
-    plan: KernelPlan,
-    tile: int,
-    cells: Cells,
-    *,
-    seed: tuple[int, ...],
-    progress: Callable[[int], None],
-    like: Gathered | None = None,
-) -> Iterator[Gathered]:
-    """Trace what a tile needs of the central image, and gather it for each source that the view's tracer tells apart.
-
-    Parameters
-    ----------
-    view, plan, tile, cells, seed, progress
-        As `gathered_tile`.
-    like : Gathered, optional
-        The same tile in the light of all sources: the very same rays are traced as for it, see `central_image`. None
-        is needed where the view has the light of all.
-    """
-    place = plan.tiles[tile]
     if not cells.samples:
-        yield from (_smooth_tile(known, plan, place) for known in _each_smooth(view))
-        return
-    central = central_image(view, plan.grid, cells, seed=seed, progress=progress, like=like.central if like else None)
-    of_all = central if central.values.ndim == 2 else replace(central, values=central.values.sum(axis=0))
-    coarser = like.coarser if like else coarsened(of_all)
-    if central.values.ndim == 2:  # without an axis of sources: transforms of several differ in the last digit
-        yield from _gathered(plan, place, central, coarser.magnification)
-        return
-    for start in range(0, len(central.values), _AT_ONCE):
-        some = replace(central, values=central.values[start : start + _AT_ONCE])
-        yield from _gathered(plan, place, some, coarser.magnification)
+        (known,) = smooth_tiles(view, plan, plan.tiles[tile])
+        return known
+    central = central_image(view, plan.grid, cells, seed=seed, progress=progress)
+    (found,) = gathered_each(plan, plan.tiles[tile], central, coarsened(central))
+    return found
 
 
-def _gathered(
-    plan: KernelPlan,
-    place: tuple[int, int, int, int],
-    central: CentralImage,
-    coarser_magnification: NDArray[np.float64] | None,
+def gathered_each(
+    plan: KernelPlan, place: tuple[int, int, int, int], central: CentralImage, coarser: CentralImage
 ) -> Iterator[Gathered]:
-    """Gather a tile for each of some sources."""
+    """Gather a tile for each source of a central image, given that image in cells of twice the size."""
     cell = plan.grid.cell
     values = gather(plan, central, cell, place)
     # Cells of twice the size add their error less that of these: so much of it, see `GRID_SHARE`. Some pixels tell.
-    coarser = replace(coarsened(central), magnification=coarser_magnification)
     some, coarse = (gather_all if plan.grid.even else gather_some)(plan, coarser, 2 * cell, place)
     each = (array.reshape(-1, *array.shape[-2:]) for array in (central.values, coarser.values, values, coarse))
     for one, of_one, fine, rough in zip(*each, strict=True):
-        change = _grid_share(plan) * (rough - fine[some])
+        change = grid_share(plan) * (rough - fine[some])
         yield Gathered(fine, some, change, replace(central, values=one), replace(coarser, values=of_one))
 
 
-def _each_smooth(view: View) -> Iterator[SmoothField]:
+def smooth_tiles(view: View, plan: KernelPlan, place: tuple[int, int, int, int]) -> Iterator[Gathered]:
+    """A tile of smooth blocks alone, of each source that the view's tracer tells apart."""
     known = view.smooth
     if known is None:
         raise TypeError("no block of this view is known to be smooth")
-    yield from (
-        replace(known, values=values)
-        for values in (known.values[np.newaxis] if known.values.ndim == 2 else known.values)
-    )
+    for values in known.values[np.newaxis] if known.values.ndim == 2 else known.values:
+        yield _smooth_tile(replace(known, values=values), plan, place)
 
 
 def _is_smooth(view: View, plan: KernelPlan, place: tuple[int, int, int, int]) -> bool:
@@ -358,7 +330,7 @@ def _smooth_tile(known: SmoothField, plan: KernelPlan, place: tuple[int, int, in
     return Gathered(values.reshape(rows.shape), some, unchanged, nothing, nothing)
 
 
-def _grid_share(plan: KernelPlan) -> float:
+def grid_share(plan: KernelPlan) -> float:
     """What the cells may be off by, over what twice their size changes."""
     blurs = [max(reach_px(plan.camera, magnification)) for magnification in plan.layers]
     return 1.0 if any(0 < blur < _RESOLVED * plan.grid.cell for blur in blurs) else GRID_SHARE
@@ -366,7 +338,7 @@ def _grid_share(plan: KernelPlan) -> float:
 
 def smooth_share(plan: KernelPlan) -> float:
     """Of what a certificate counts for the cells, the part that is left in what is measured over many pixels."""
-    counted = _grid_share(plan)
+    counted = grid_share(plan)
     return _SMOOTH_SHARE / counted if counted == GRID_SHARE else 1.0
 
 
@@ -405,11 +377,9 @@ def _by_phase(
     phases: Iterator[tuple[int, ...]],
 ) -> Iterator[tuple[tuple[NDArray[np.intp], ...], NDArray[np.float64]]]:
     """Pixels whose corner lies alike in a cell have one footprint; gather them together."""
-    if plan.grid.smooth and cell < 1:
-        prints = [footprint(plan.camera, layer, cell) for layer in plan.layers]
-        if all(one.weights.size <= _FEW_CELLS for one in prints):
-            yield _by_sums(plan, central, cell, place, prints)
-            return
+    if prints := small_footprints(plan, cell):
+        yield _by_sums(plan, central, cell, place, prints)
+        return
     shape = tuple(fast_length(size) for size in central.values.shape[-2:])
     if central.magnification is None:
         spectra = [np.fft.rfft2(central.values, shape)]
@@ -431,6 +401,17 @@ def _by_phase(
         )
 
 
+def small_footprints(plan: KernelPlan, cell: float) -> list[Footprint]:
+    """Footprints of the layers, where they are of few cells: then sums are faster; else none.
+
+    Sums need the compiler, which is there where the view's blocks are smooth, and takes a third of a second to load.
+    """
+    if not plan.grid.smooth or cell >= 1:
+        return []
+    prints = [footprint(plan.camera, layer, cell) for layer in plan.layers]
+    return prints if all(one.weights.size <= _FEW_CELLS for one in prints) else []
+
+
 def _by_sums(
     plan: KernelPlan,
     central: CentralImage,
@@ -439,7 +420,6 @@ def _by_sums(
     prints: Sequence[Footprint],
 ) -> tuple[tuple[NDArray[np.intp], ...], NDArray[np.float64]]:
     """All pixels of a tile, where cells are smaller than pixels and footprints small."""
-    # Its compiler is there where the view's blocks are smooth, and takes a third of a second to load.
     from radwrap.imaging.methods.direct_gather import gathered_directly
 
     pixels = lattice(cell, place)
@@ -466,8 +446,8 @@ def lattice(
     return rows, columns
 
 
-def coarsened(central: CentralImage) -> CentralImage:
-    """Cells of twice the size, on a grid whose corner is the same."""
+def coarsened(central: CentralImage, like: CentralImage | None = None) -> CentralImage:
+    """Cells of twice the size, on a grid whose corner is the same; with the magnifications of another such image."""
     row, column = (first % 2 for first in central.first)
     shape = central.values.shape[-2:]
     rows, columns = ((size - skip) // 2 * 2 for size, skip in zip(shape, (row, column), strict=True))
@@ -479,8 +459,8 @@ def coarsened(central: CentralImage) -> CentralImage:
         return means
 
     values = halved(central.values)
-    magnification = None
-    if central.magnification is not None:
+    magnification = like.magnification if like else None
+    if central.magnification is not None and like is None:
         light = halved(central.values * central.magnification)
         magnification = np.where(values > 0, light / np.where(values > 0, values, 1.0), halved(central.magnification))
     first = ((central.first[0] + row) // 2, (central.first[1] + column) // 2)

@@ -21,9 +21,10 @@ from numpy.typing import NDArray
 from radwrap.errors import InputError
 from radwrap.files import make_folder, sha256_of
 from radwrap.images import write_exr
+from radwrap.imaging.methods.by_source import gathered_sources
 from radwrap.imaging.methods.central import Cells
 from radwrap.imaging.methods.hybrid import HybridPlan, corrected, corrections
-from radwrap.imaging.methods.kernel import Gathered, KernelPlan, gathered_sources, gathered_tile, lattice
+from radwrap.imaging.methods.kernel import Gathered, KernelPlan, gathered_tile, lattice
 from radwrap.imaging.methods.pieces import log_call, remove_strangers, run_jobs
 from radwrap.imaging.methods.rays import RaysPlan, TracedTile, traced_tile
 from radwrap.imaging.methods.smooth_blocks import in_other_light
@@ -100,12 +101,10 @@ class FrozenTile:
             if self.cells is None:
                 raise TypeError("a kernel's rays are decided by its cells")
             like = self.like if isinstance(self.like, Gathered) else None
-            each = gathered_sources(
-                view, self.plan, self.tile, self.cells, seed=self.seed, progress=progress, like=like
+            kept = _kept(self.plan, self.tile)
+            yield from gathered_sources(
+                view, self.plan, self.tile, self.cells, kept, seed=self.seed, progress=progress, like=like
             )
-            for gathered in each:
-                kept = _chosen(self.plan, self.tile, gathered.change.size)
-                yield gathered.values, gathered.change.ravel()[kept]
         elif isinstance(self.plan, RaysPlan):
             numbers = self.like.numbers if isinstance(self.like, TracedTile) else None
             tile = traced_tile(view, self.plan, self.tile, self.seed, progress, numbers=numbers)
@@ -165,16 +164,23 @@ def grid_pixels(plan: Plan) -> NDArray[np.intp]:
     if kernel is None:
         return np.zeros(0, dtype=np.intp)
     numbers = []
-    for tile, place in enumerate(plan.tiles):
-        rows, columns = lattice(1.0 if kernel.grid.even else 2 * kernel.grid.cell, place)
+    for tile in range(len(plan.tiles)):
+        rows, columns = _telling(kernel, tile)
         places = (rows[:, np.newaxis] * plan.camera.sensor.columns + columns).ravel()
-        numbers.append(places[_chosen(plan, tile, places.size)])
+        numbers.append(places[_kept(kernel, tile)])
     return np.concatenate(numbers)
 
 
-def _chosen(plan: Plan, tile: int, size: int) -> NDArray[np.intp]:
-    """Places in a tile's list of pixels of those that are kept: alike in all replicates and all light."""
-    if isinstance(plan, KernelPlan) and plan.grid.even:
+def _telling(plan: KernelPlan, tile: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns of a tile's pixels that tell what the size of the kernel's cells changes."""
+    return lattice(1.0 if plan.grid.even else 2 * plan.grid.cell, plan.tiles[tile])
+
+
+def _kept(plan: KernelPlan, tile: int) -> NDArray[np.intp]:
+    """Places in their list of those that are kept: alike in all replicates and all light."""
+    rows, columns = _telling(plan, tile)
+    size = len(rows) * len(columns)
+    if plan.grid.even:
         return np.arange(size)
     r0, r1, c0, c1 = plan.tiles[tile]
     count = -(-_GRID_PIXELS * (r1 - r0) * (c1 - c0) // plan.camera.sensor.pixels)

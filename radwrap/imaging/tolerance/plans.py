@@ -36,7 +36,7 @@ RISK_SHARE: Final = 0.1
 # already, at most so much of it may be that kernel's noise.
 _KERNEL_SHARE: Final = 0.5
 # Of the square of a kernel's aim, for the noise of wide lights' points.
-_POINTS_SHARE: Final = 0.5
+POINTS_SHARE: Final = 0.5
 # Below this tolerance the usual cells are too coarse at any contrast that matters, and so are the fewest pairs: an edge
 # of 100 gray that is shifted by 0.2 differs in one of 500 [gray level].
 COARSE_TOLERANCE: Final = 0.25
@@ -176,7 +176,7 @@ class Plans:
             return plan_rays(self.view, aim, self.fewest)
         met = met_by(self.view, self.found.magnification)
         plan = plan_kernel(self.view, middle_of(met) if self.one_layer else met, aim, self.finer)
-        halvings = halvings_for(self._points_square, _POINTS_SHARE * aim**2)
+        halvings = halvings_for(self._points_square, POINTS_SHARE * aim**2)
         return plan if halvings is None else replace(plan, grid=replace(plan.grid, halvings=halvings))
 
     def _hybrid(self, kernel: KernelPlan, aim: float) -> HybridPlan:

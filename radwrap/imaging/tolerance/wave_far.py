@@ -30,6 +30,7 @@ _MOST_BLOCKS: Final = 1 << 18
 # A pixel gathers most of it from just beyond its guard band: up to so many guard bands beside the sensor a block has
 # n x n rays, and one farther away.
 _DENSE: Final = 3.0
+_LEAST_SHARE: Final = 0.01  # of the light, that goes so far: what is less needs no fewer points of wide lights
 _STRATA: Final = 3
 # Steps along a straight edge's tail, and across it: it is as wide as the edge.
 _STEPS: Final = 4096
@@ -48,29 +49,55 @@ def far_light(view: View, plan: WavePlan, replicate: int, progress: Callable[[in
     coarse = _Coarse.of(plan)
     block, margin, (rows, columns) = coarse.block, coarse.margin, coarse.shape
     random = generator(plan.seed, Rendering.WAVE_FAR, replicate)
-    beside = min(margin, math.ceil(_DENSE * min(plan.kernel.reach_px) / block))
-    dense = np.zeros((rows, columns), dtype=bool)
-    dense[margin - beside : rows - margin + beside, margin - beside : columns - margin + beside] = True
     places, owners = [], []
-    # No more rays than pixels are needed to tell light that is spread so far.
-    for some, strata in ((dense, min(_STRATA, round(block))), (~dense, 1)):
+    for some, strata in _strata(plan, coarse):
         row, column = np.nonzero(some)
         inside = (np.indices((strata, strata)).reshape(2, 1, -1) + random.random((2, len(row), strata**2))) / strata
         places.append(np.stack([row[:, np.newaxis] + inside[0], column[:, np.newaxis] + inside[1]]).reshape(2, -1))
         owners.append(np.repeat(row * columns + column, strata**2))
     v, u = (np.concatenate(places, axis=1) - margin) * block - 0.5
     owner = np.concatenate(owners)
-    light, _ = trace_rays(bare(view), None, u, v)
+    kernel = _kernel(plan, coarse)
+    light, _ = trace_rays(_with_noise(view, plan, kernel), None, u, v)
     progress(len(u))
     rays = np.bincount(owner, minlength=rows * columns)
     values = np.stack([np.bincount(owner, one, rows * columns) / rays for one in light.reshape(-1, len(u))])
-    # What a pixel gathers from the light around it: the kernel is turned, and alike from both sides.
+    return np.stack([_correlated(one, kernel) for one in values.reshape(-1, rows, columns)])
+
+
+def far_view(view: View, plan: WavePlan) -> View:
+    """By whom `far_light` traces its rays: they ask as many points of wide lights as they count for."""
+    return _with_noise(view, plan, _kernel(plan, _Coarse.of(plan)))
+
+
+def _with_noise(view: View, plan: WavePlan, kernel: Array) -> View:
+    # So many rays have the noise of one whose light counts whole.
+    together = 1 / (float((kernel**2).sum()) * max(plan.weights.share**2, _LEAST_SHARE**2))
+    return bare(view).together(together)
+
+
+def _kernel(plan: WavePlan, coarse: _Coarse) -> Array:
+    """What a pixel gathers from the light around it: turned, and alike from both sides."""
     near = min(plan.kernel.reach_px)
     blur = near - (plan.kernel.guard or 0.0)
     aperture = plan.waves.aperture
     rim_at = blur / math.sqrt(2) if aperture.shape == "square" else blur
-    kernel = _tail_kernel(aperture, rim_at / block, near / block, coarse.far / block)
-    return np.stack([_correlated(one, kernel) for one in values.reshape(-1, rows, columns)])
+    return _tail_kernel(aperture, rim_at / coarse.block, near / coarse.block, coarse.far / coarse.block)
+
+
+def far_rays(plan: WavePlan) -> int:
+    """How many rays `far_light` takes."""
+    return sum(int(np.count_nonzero(some)) * strata**2 for some, strata in _strata(plan, _Coarse.of(plan)))
+
+
+def _strata(plan: WavePlan, coarse: _Coarse) -> tuple[tuple[NDArray[np.bool_], int], ...]:
+    """Blocks, shape (rows, columns), and how many rays along a side each of them gets."""
+    block, margin, (rows, columns) = coarse.block, coarse.margin, coarse.shape
+    beside = min(margin, math.ceil(_DENSE * min(plan.kernel.reach_px) / block))
+    dense = np.zeros((rows, columns), dtype=bool)
+    dense[margin - beside : rows - margin + beside, margin - beside : columns - margin + beside] = True
+    # No more rays than pixels are needed to tell light that is spread so far.
+    return (dense, min(_STRATA, round(block))), (~dense, 1)
 
 
 def _correlated(values: Array, kernel: Array) -> Array:

@@ -111,7 +111,8 @@ def wave_parts(
 
 def wave_cells(view: View, plan: WavePlan, tile: int, progress: Callable[[int], None]) -> Cells:
     """Find out, in the light of all sources, which cells of the central image a tile needs."""
-    return decide_tile(bare(view), plan.kernel, tile, (plan.seed, Rendering.WAVE_CELLS, tile), progress)
+    seed = (plan.seed, Rendering.WAVE_CELLS, tile)
+    return decide_tile(bare(view), plan.kernel, tile, seed, progress, smooth=plan.smooth)
 
 
 def wave_tile(
@@ -154,7 +155,7 @@ def wave_tile(
         like = central_image(bare(of_all), kernel.grid, cells, seed=key, progress=progress)
     central = central_image(view, kernel.grid, cells, seed=key, progress=progress, like=like)
     summed = central if central.values.ndim == 2 else replace(central, values=central.values.sum(axis=0))
-    coarser = replace(coarsened(central), magnification=coarsened(like or summed).magnification)
+    coarser = coarsened(central, coarsened(like or summed))
     place, cell = kernel.tiles[tile], kernel.grid.cell
     layouts = [
         None if depth is None else Layout.of(depth, kernel.layers)

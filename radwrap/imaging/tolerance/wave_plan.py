@@ -14,10 +14,14 @@ from radwrap.imaging.demand import FINEST_CELL
 from radwrap.imaging.methods.kernel import KernelPlan, fast_length, plan_kernel
 from radwrap.imaging.optics.footprint import Footprint, laid_out
 from radwrap.imaging.optics.lens_field import LensField, Place, glass_at, glass_reach, lens_field
+from radwrap.imaging.optics.smooth import SmoothField
 from radwrap.imaging.optics.view import View, look_at_depths
 from radwrap.imaging.optics.wave_footprint import passed_weights
 from radwrap.imaging.optics.waves import Waves
+from radwrap.imaging.tolerance.plans import POINTS_SHARE
+from radwrap.imaging.tolerance.points_noise import points_noise
 from radwrap.random_streams import Rendering, generator
+from radwrap.tracers.noise import halvings_for
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -126,6 +130,8 @@ class WavePlan:
         Of all that is drawn.
     rays : int
         That the look at the depths took.
+    smooth : SmoothField, optional
+        Blocks whose cells are not to be cut: the few points of wide lights that rays ask would look like edges there.
     """
 
     kernel: KernelPlan
@@ -133,6 +139,7 @@ class WavePlan:
     weights: WaveWeights
     seed: int
     rays: int
+    smooth: SmoothField | None = None
 
     def at(self, wavelength: float) -> WavePlan:
         """The same rays, for light of another wavelength [m]."""
@@ -197,9 +204,12 @@ def plan_waves(
     plan = replace(plan, guard=max(_NEAR * blur, 1.0) + glass_reach(camera) / pitch)
     weights = WaveWeights(plan, _less_rays(waves), lens_field(camera, wavelength))
     if even_cell is None:
-        plan = replace(plan, grid=replace(plan.grid, aim=aim / _noise_gain(weights)))
+        aim /= _noise_gain(weights)
+        square, looked = points_noise(view, seed)
+        halvings = halvings_for(square, POINTS_SHARE * aim**2)
+        plan, rays = replace(plan, grid=replace(plan.grid, aim=aim, halvings=halvings)), rays + looked
         weights = replace(weights, kernel=plan)
-    return WavePlan(plan, waves, weights, seed, rays)
+    return WavePlan(plan, waves, weights, seed, rays, None if view.with_noise(1) is view else view.smooth)
 
 
 def _noise_gain(weights: WaveWeights) -> float:
