@@ -45,7 +45,7 @@ from radwrap.imaging.tolerance.planner import Search
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.sampling import even_plan
 from radwrap.imaging.tracing import LaidOutScene
-from radwrap.imaging.with_waves import foreseen_waves, leaving_room
+from radwrap.imaging.with_waves import foreseen_waves
 from radwrap.process import Programs, available_cores
 from radwrap.progress import Progress, note
 from radwrap.random_streams import Rendering, generator
@@ -314,9 +314,7 @@ def _prepared(scene: Scene, options: RenderOptions, stage: Stage) -> Search | Vi
         stage.work = replace(stage.work, view=stage.traced.view_with_bounces(options.bounces))
     if method is not None:
         return viewpoint_plan(scene, options, method, "rehearsal")
-    demand = leaving_room(scene, options, stage.work.view).demand
-    if options.bounces:
-        demand = replace(demand, method="rays")
+    demand = replace(options.demand, method="rays") if options.bounces else options.demand
     return Search(stage.work, demand)
 
 

@@ -55,7 +55,7 @@ from radwrap.imaging.tolerance.lit_noise import with_gray_tolerance
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.uncertainty import seen_magnifications, share_spread
 from radwrap.imaging.tracing import LaidOutScene
-from radwrap.imaging.with_waves import WithWaves, refuse_waves, with_room, with_waves
+from radwrap.imaging.with_waves import WithWaves, refuse_waves, with_waves
 from radwrap.kept import Kept
 from radwrap.manifest import plain, sha256_of_value
 from radwrap.process import Programs, children_cpu_time
@@ -392,7 +392,7 @@ def _trace(run: _Run) -> tuple[TracedRun, list[str]]:
         before = partial(announcement.before, work.view) if options.progress else None
         left = traced.banding.left(tracing)
         relit = bool(run.identity.sources)
-        rays = with_room(scene, left, work, lambda how: make(scene, how, work, before, relit=relit))
+        rays = make(scene, left, work, before, relit=relit)
         # The bands' share of a tolerance is left out of another one likewise.
         finer = partial(_made_to, scene, left, work, relit=relit)
         # Light that walks from surface to surface is not told apart.

@@ -17,13 +17,10 @@ from radwrap.imaging.forecast.wave_change import MOST_RAYS
 from radwrap.imaging.mean_radiance import Made, fixed_method
 from radwrap.imaging.methods.kernel import TooDeep
 from radwrap.imaging.optics.diffraction import Light, light_of_all, wavelength_of
-from radwrap.imaging.optics.view import View, trace_rays
+from radwrap.imaging.optics.view import trace_rays
 from radwrap.imaging.output.run_manifest import DiffractionTaken
 from radwrap.imaging.render_options import RenderOptions
-from radwrap.imaging.tolerance.certificate import root
-from radwrap.imaging.tolerance.plans import MODEL_SHARE
 from radwrap.imaging.tolerance.replicates import Work
-from radwrap.imaging.tolerance.survey import survey
 from radwrap.imaging.tolerance.wave_image import WaveError, visible_gray, wave_error
 from radwrap.imaging.tolerance.wave_parts import WaveParts, wave_parts
 from radwrap.imaging.tolerance.wave_plan import WavePlan, by_diameter, plan_waves
@@ -156,37 +153,6 @@ def refuse_waves(scene: Scene, options: RenderOptions) -> None:
         raise InputError("has no opening, and diffraction is asked for", where="method", remedy=remedy)
     if options.sampling is not None and options.sampling.wave_cell is None:
         raise InputError("is missing, and diffraction is asked for", where="sampling.wave_cell")
-
-
-def leaving_room(scene: Scene, options: RenderOptions, view: View) -> RenderOptions:
-    """Options for the image by rays, finer than asked for where waves are to come that need a part of the tolerance.
-
-    A kernel's image of wide lights gets as many of their points as its tolerance needs, and leaves waves too little.
-    """
-    decided = options.sampling is not None or fixed_method(scene, options) is not None
-    if decided or view.with_noise(1) is view or not _waves_foreseen(scene, options, view):
-        return options
-    finer = replace(options, tolerance=_LESS * options.gray_tolerance)
-    if root(survey(view, options.seed).model.mean) > MODEL_SHARE * finer.gray_tolerance:
-        return options  # rays of each pixel may grow much faster than the tolerance falls
-    return finer
-
-
-def with_room(scene: Scene, options: RenderOptions, work: Work, make_to: Callable[[RenderOptions], Made]) -> Made:
-    """Make the image by rays so that it leaves room for waves; whether that is met is asked of the whole tolerance."""
-    finer = leaving_room(scene, options, work.view)
-    made = make_to(finer)
-    if made.outcome is None or finer is options:
-        return made
-    met = options.demand.is_met(made.certificate.rms_gray_upper95, made.certificate.p99_gray_upper95)
-    return replace(made, outcome=replace(made.outcome, met=met, record=replace(made.outcome.record, met=met)))
-
-
-def _waves_foreseen(scene: Scene, options: RenderOptions, view: View) -> bool:
-    asked = scene.camera.diffraction
-    if asked is None or scene.camera.aperture.is_infinitesimal:
-        return False
-    return asked == "on" or diffraction_left_out(scene, view, options.seed, options.gray_tolerance, _FEWEST).needed
 
 
 def foreseen_waves(scene: Scene, options: RenderOptions, work: Work) -> tuple[WavePlan, int] | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,17 +11,14 @@ from scipy.ndimage import minimum_filter
 
 pytest.importorskip("numba")
 
-from radwrap.imaging.optics.view import View
 from radwrap.imaging.render_options import RenderOptions
-from radwrap.imaging.tolerance.certificate import Certificate
 from radwrap.imaging.tolerance.survey import survey, with_smooth_blocks
 from radwrap.imaging.tolerance.wave_parts import wave_cells
 from radwrap.imaging.tolerance.wave_plan import plan_waves
 from radwrap.imaging.tracing import laid_out
-from radwrap.imaging.with_waves import with_room
 from radwrap.scene.scene import Scene
 from tests.imaging.test_smooth_blocks import LENS
-from tests.tracers.test_compiled_smooth import FLAT, at, scene_of
+from tests.tracers.test_compiled_smooth import at, scene_of
 
 COMPILED = RenderOptions(tracer="compiled", tolerance=0.5)
 BAR = {
@@ -73,47 +70,3 @@ def test_half_shadows_are_not_cut_for_waves() -> None:
     with laid_out(scene_of(BOX, camera=LENS), COMPILED) as traced:
         view = traced.view()
         assert plan_waves(with_smooth_blocks(view, survey(view, 0), 0.5, 0), 550e-9, 2.0, 0).smooth is None
-
-
-@dataclass(frozen=True)
-class _Record:
-    met: bool
-
-
-@dataclass(frozen=True)
-class _Outcome:
-    met: bool
-    record: _Record
-
-
-@dataclass(frozen=True)
-class _Made:
-    certificate: Certificate
-    outcome: _Outcome
-
-
-@pytest.mark.parametrize(
-    ("diffraction", "sources", "asked"),
-    [("on", [BAR], 0.4), ("auto", [BAR], 0.4), ("off", [BAR], 0.5), ("on", FLAT["sources"], 0.5)],
-)
-def test_an_image_of_wide_lights_leaves_room_for_waves(diffraction: str, sources: Any, asked: float) -> None:
-    """Once, and it is met where it keeps what was asked for in the first place."""
-    scene = scene_with(diffraction, sources=sources)
-    given: list[float] = []
-
-    def make_to(options: RenderOptions) -> Any:
-        given.append(options.gray_tolerance)
-        return _Made(
-            Certificate(0.4, 0.45, None, 0.0, 0.4, 0, 0, "replicates"), _Outcome(asked == 0.5, _Record(asked == 0.5))
-        )
-
-    with laid_out(scene, COMPILED) as traced:
-        work: Any = _Work(traced.view())
-        made: Any = with_room(scene, COMPILED, work, make_to)
-    assert given == [pytest.approx(asked)]
-    assert made.outcome.met and made.outcome.record.met
-
-
-@dataclass(frozen=True)
-class _Work:
-    view: View
