@@ -15,9 +15,9 @@ Array = NDArray[np.float64]
 # What a step must move the prediction by, in expected deviations; its square, what it must take from the sum.
 STILL: Final = 0.3
 _ENOUGH: Final = 3.0  # the same of a step that lowers nothing: the grain hides it
-_ROUNDS: Final = 15
-_TRIES: Final = 6  # of dampings in one round
-_LEAST_DAMPING: Final = 0.03  # share of the largest singular value: what stands out of the grain is a hundredth or more
+_ROUNDS: Final = 30
+_TRIES: Final = 7  # of dampings in one round
+_LEAST_DAMPING: Final = 1e-3  # share of the largest singular value: a tenth of what stands out of the grain
 _RAISED: Final = 5.0  # times, where a step does not lower the sum
 _EASED: Final = 5.0  # times, where it does
 
@@ -118,7 +118,7 @@ def through_grain(
 
 
 def determined_step(jacobian: Array, left: Array, damping: float = 0.0) -> Array:
-    """What the keys move by, in their scales, in the directions that stand out of the grain .
+    """What the keys move by, in their scales, in the directions that stand out of the grain.
 
     Parameters
     ----------
