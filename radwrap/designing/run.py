@@ -85,7 +85,7 @@ def design(file: str | Path, out: str | Path, options: StudyOptions | None = Non
     ... scene = "scene.toml"
     ... budget = 3
     ... coarse = 1
-    ... set = { "camera.sensor.scale" = "1/4" }
+    ... set = { "camera.sensor.scale" = "1/8" }
     ... render = { tolerance = 8 }
     ... objectives = [{ of = "mean", aim = "maximise" }]
     ... constraints = [{ of = "exposure_time", at_most = "300 ms" }]

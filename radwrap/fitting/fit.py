@@ -104,7 +104,7 @@ def fit(
     Examples
     --------
     >>> import radwrap
-    >>> scene = radwrap.load_scene("scene.toml", {"camera.sensor.scale": "1/4"})
+    >>> scene = radwrap.load_scene("scene.toml", {"camera.sensor.scale": "1/8"})
     >>> dimmer = radwrap.with_value(scene, "camera.exposure_time", "180 ms")
     >>> photograph = radwrap.render(dimmer, tolerance=1).gray
     >>> coarse = radwrap.RenderOptions(tolerance=2)

@@ -89,7 +89,10 @@ def test_slopes_are_seen_anew_where_a_key_has_gone_far(bench: Scene, basis: Basi
     assert np.abs(moved).sum(axis=0).argmax() - np.abs(first[0]).sum(axis=0).argmax() in (2, 3, 4)
 
 
-@pytest.mark.parametrize("away", [(3.0, 0.0), (-5.0, 4.0), (7.0, -5.0)])
+@pytest.mark.parametrize(
+    "away",
+    [pytest.param((3.0, 0.0), marks=pytest.mark.long), pytest.param((-5.0, 4.0), marks=pytest.mark.long), (7.0, -5.0)],
+)
 def test_a_spot_that_is_many_blurs_away_is_found(bench: Scene, basis: Basis, away: tuple[float, float]) -> None:
     """Its own images have nothing in common: the sum of squares is flat there."""
     prediction = _prediction(bench, basis, _spot, grain=False)
