@@ -180,21 +180,25 @@ class Prediction:
         target = _CHANGE * float(np.ptp(self._smooth(self.at(values).unclipped, sigma)))
         key = self._keys[number]
         largest = _LARGEST if key.value else _LARGEST_FROM_0.get(key.unit, _LARGEST_ELSE)
+        taken = 0.0
         for _ in range(_TRIALS):
             try:
                 slope = self._slope(values, number, step)
             except InputError:  # beyond what the scene takes
-                largest, step = step / 2, step / _FARTHER
+                if taken:
+                    break
+                step /= _FARTHER
                 continue
+            taken = step
             seen = float(np.abs(self._smooth(slope, sigma)).max())
             # At most tenfold: of a step that moved little its grain may be most.
             wanted = step * target / max(seen * step, target / _FARTHER)
             if 1 / _FIT < wanted / step < _FIT:
                 break
             step = min(max(wanted, _SMALLEST), largest)
-            if step == largest:
+            if step == taken:
                 break
-        return step
+        return taken or step
 
     def _smooth(self, images: Array, sigma: float) -> Array:
         """Each capture's image, blurred."""

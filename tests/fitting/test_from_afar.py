@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -12,10 +13,14 @@ import pytest
 from scipy.special import erf
 
 import radwrap
+from radwrap.errors import InputError
 from radwrap.fitting.approach import approached
+from radwrap.fitting.captured import captured
 from radwrap.fitting.free_keys import free_scene
+from radwrap.fitting.light import Light
 from radwrap.fitting.places import Places
 from radwrap.fitting.prediction import Prediction
+from radwrap.images import GrayImage
 from radwrap.imaging.relight.relit import Basis
 from radwrap.random_streams import generator
 from radwrap.scene.scene import Scene
@@ -109,6 +114,79 @@ def test_a_beginning_that_is_right_is_left(bench: Scene, basis: Basis) -> None:
     free = free_scene(bench, ["pose:edge"])
     assert not approached(free.keys, prediction, [capture], 1.0).any()
     assert prediction.renders == 1
+
+
+def test_what_both_images_cut_is_no_difference(bench: Scene, basis: Basis) -> None:
+    """A spot that saturates where it is predicted and where it is captured."""
+    prediction = _prediction(bench, basis, lambda x, y: 4 * _spot(x, y), grain=False)
+    shown = prediction.at(np.zeros(6)).unclipped
+    top = bench.camera.sensor.saturation_gray
+    assert shown.max() > 1.5 * top
+    free = free_scene(bench, ["pose:edge"])
+    assert not approached(free.keys, prediction, [taken(np.minimum(np.rint(shown), top), bench)], 1.0).any()
+    assert prediction.renders == 1
+
+
+def test_what_is_masked_draws_nothing(bench: Scene, basis: Basis) -> None:
+    """A lamp in a corner of the capture, which the scene does not have."""
+    prediction = _prediction(bench, basis, _spot, grain=False)
+    seen = np.rint(prediction.at(np.zeros(6)).unclipped)
+    seen[:6, :8] = 250.0
+    mask = np.ones(seen.shape, dtype=np.bool_)
+    mask[:6, :8] = False
+    sensor = bench.camera.sensor
+    capture = captured([GrayImage(seen, sensor.bit_depth)], ["capture"], sensor, mask)
+    free = free_scene(bench, ["pose:edge"])
+    assert not approached(free.keys, prediction, [capture], 1.0).any()
+    assert prediction.renders == 1
+
+
+def test_a_wide_blur_is_looked_at_with_wide_steps(bench: Scene, basis: Basis) -> None:
+    prediction = _prediction(bench, basis, _edge, grain=False)
+    steps = []
+    for blur in (0.0, 4.0):
+        prediction.slopes(np.zeros(6), blur)
+        steps.append(prediction.steps[0])
+    # An edge that is blurred by 1 and by hypot(1, 4) px.
+    assert 2 < steps[1] / steps[0] < 8
+
+
+def test_a_step_that_the_scene_does_not_take_is_made_smaller(bench: Scene, basis: Basis) -> None:
+    free = free_scene(bench, ["pose:edge"])
+
+    def trace(scene: Scene) -> Basis:
+        x, y = _shift(scene)
+        if abs(x) > 0.1:
+            raise InputError("stands in the wall", where="targets[0]")
+        share = np.broadcast_to(LEVEL * _edge(x, y) / len(basis.sources), basis.images.shape)
+        return replace(basis, images=share.astype(np.float32))
+
+    prediction = Prediction([(free, Places(free, [True] * 6, trace))])
+    assert np.abs(prediction.slopes(np.zeros(6))[0]).max() > 0
+    assert 0 < prediction.steps[0] <= 0.1 * PIXEL
+
+
+def test_few_rays_lead_the_way(bench: Scene, tmp_path: Path) -> None:
+    folders = [tmp_path / "fine", tmp_path / "coarse"]
+    for folder in folders:
+        folder.mkdir()
+    light = Light(bench, OPTIONS, folders[0], is_even=True)
+    coarse = light.coarser(8.0, folders[1])
+    assert coarse.tolerance == 8 * light.tolerance == 8.0
+    for one in (light, coarse):
+        one.at(bench)
+    assert coarse.rays < light.rays
+
+
+def test_where_the_way_leads_astray_the_users_beginning_stands(bench: Scene, basis: Basis) -> None:
+    """A glow beside the spot, which the scene does not have, draws what is blurred."""
+    prediction = _prediction(bench, basis, _spot, grain=False)
+    rows, columns = np.mgrid[0:20, 0:24]
+    glow = 60 * np.exp(-((columns - 22) ** 2 + (rows - 9.5) ** 2) / (2 * 6.0**2))
+    seen = np.rint(prediction.at(np.zeros(6)).unclipped + glow)
+    free = free_scene(bench, ["pose:edge"])
+    assert not approached(free.keys, prediction, [taken(seen, bench)], 1.0).any()
+    assert prediction.renders > 1
 
 
 @pytest.mark.long
