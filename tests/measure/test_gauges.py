@@ -298,7 +298,11 @@ def both_rims(image: GrayImage, radius: float, width: float, **more: Any) -> tup
 
 @pytest.mark.parametrize(
     ("width", "blur", "levels"),
-    [(6.0, 1.6, (30.0, 190.0, 40.0)), (3.0, 1.0, (190.0, 40.0, 160.0)), (8.0, 3.0, (40.0, 190.0, 30.0))],
+    [
+        (6.0, 1.6, (30.0, 190.0, 40.0)),
+        pytest.param(3.0, 1.0, (190.0, 40.0, 160.0), marks=pytest.mark.long),
+        pytest.param(8.0, 3.0, (40.0, 190.0, 30.0), marks=pytest.mark.long),
+    ],
 )
 def test_both_rims_of_a_thin_ring_are_known_to_a_thousandth(
     width: float, blur: float, levels: tuple[float, float, float]
@@ -975,7 +979,7 @@ def test_a_plane_without_distortion_is_mapped_by_a_homography_and_one_with_it_by
             assert slopes[:, :, axis] == pytest.approx(by_difference, abs=1e-3 * np.abs(by_difference).max())
 
 
-@pytest.mark.parametrize("form", ["circle", "ellipse"])
+@pytest.mark.parametrize("form", ["circle", pytest.param("ellipse", marks=pytest.mark.long)])
 def test_of_a_large_image_only_what_is_near_is_looked_at(form: Form, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same fit to the last digit, from a small part of the pixels."""
     picture = ring_picture((280, 260), (131.3, 135.8), (75.0, 38.0), 1.1, (30.0, 190.0, 40.0))

@@ -100,7 +100,7 @@ def test_no_ray_that_meets_a_target_is_left_out_beforehand(bench: Any, name: str
     assert not list(reached(Bounded.of(scene.targets), (1.0, 0.0, -1.0), far))  # beside
 
 
-@pytest.mark.parametrize("name", some("board", "polygon", "cylinder", "box"))
+@pytest.mark.parametrize("name", some("board", "cylinder"))
 def test_a_narrow_beam_on_a_large_target_is_found(bench: Any, name: str) -> None:
     """A spot of 2.4 mm, between the points of any grid on the target."""
     large = TARGETS[name] | {key: "600 mm" for key in ("diameter", "length") if key in TARGETS[name]}
@@ -123,7 +123,7 @@ def test_a_narrow_beam_on_a_large_target_is_found(bench: Any, name: str) -> None
     assert "no light" not in told["advice"]
 
 
-@pytest.mark.parametrize("name", some("sheet", "edge", "disc", "sphere"))
+@pytest.mark.parametrize("name", some("sheet", "sphere"))
 def test_a_sharp_highlight_is_found(bench: Any, name: str) -> None:
     """Of a roughness that lets the lobe underflow at all rays of the first look but for the highlight's own."""
     glossy = {"type": "specular", "diffuse_reflectance": 0.0, "specular_reflectance": 0.5, "roughness": 0.004}
