@@ -14,6 +14,7 @@ from scipy.special import erf
 
 import radwrap
 from radwrap.errors import InputError
+from radwrap.fitting import fit as fitting
 from radwrap.fitting.approach import approached
 from radwrap.fitting.captured import captured
 from radwrap.fitting.free_keys import free_scene
@@ -30,6 +31,7 @@ Array = np.ndarray[Any, np.dtype[np.float64]]
 PIXEL: Final = 2.0  # mm on the target: 50 um, 12.5 mm and 500 mm, to a hundredth
 BLUR: Final = 1.0  # px: sigma of an edge, or of a spot
 LEVEL: Final = 0.1  # W/m^2/sr, some 100 gray levels
+TRIED: Final = 0.02  # of a key's scale: the step that is tried first
 GRAIN: Final = 0.02  # of the level: what neighbouring renders differ by
 
 
@@ -176,6 +178,32 @@ def test_few_rays_lead_the_way(bench: Scene, tmp_path: Path) -> None:
     for one in (light, coarse):
         one.at(bench)
     assert coarse.rays < light.rays
+
+
+def test_a_fit_begins_where_the_way_leads(bench: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And moves its keys for slopes as far as was found there."""
+    key = "targets[0].edge_position"
+    steps: list[tuple[float, ...]] = []
+
+    class Begun(Exception):
+        pass
+
+    def led(keys: Any, prediction: Prediction, *_: Any) -> Array:
+        prediction.slopes(np.array([keys[0].value]))
+        steps.append(prediction.steps)
+        return np.array([3.5])
+
+    def solve(_: Any, prediction: Prediction, *rest: Any, begin: Array, **more: Any) -> Any:
+        steps.append(prediction.steps)
+        assert begin.tolist() == [3.5]
+        raise Begun
+
+    monkeypatch.setattr(fitting, "approached", led)
+    monkeypatch.setattr(fitting, "solve", solve)
+    capture = GrayImage(np.full((20, 24), 90.0), 8)
+    with pytest.raises(Begun):
+        radwrap.fit(bench, [capture], [key], options=OPTIONS)
+    assert steps[0] == steps[1] and steps[0][0] != TRIED
 
 
 def test_where_the_way_leads_astray_the_users_beginning_stands(bench: Scene, basis: Basis) -> None:
