@@ -48,6 +48,7 @@ _NOTHING: Final[Mapping[str, Any]] = {}
 _AT_BOUND: Final = 1e-6  # of a key's scale
 _WORK: Final = ".fit"
 _COARSE: Final = "coarse"
+_NEAR: Final = "near"
 PACKAGES: Final = ("tomlkit",)
 
 
@@ -140,10 +141,9 @@ def fit(
         make_folder(traced)
         made = _fitted(begun, rendered, states, options, traced, noise=noise, robust=robust)
         values = begun.written([key.value for key in made.keys])
+        whole = json.loads(made.scene.document)
         written = (
-            text_of(json.loads(made.scene.document))
-            if text is None
-            else with_values(text, {**changes, **values}, aimed_keys(begun.poses))
+            text_of(whole) if text is None else with_values(text, {**changes, **values}, aimed_keys(begun.poses), whole)
         )
         write_fit(made, written, folder)
         shutil.rmtree(traced)
@@ -224,6 +224,11 @@ def _fitted(
 ) -> Fit:
     light = Light(states[0].free.scene, options, work, is_even=any(rendered))
     begin = _begin(free, rendered, states, light, work)
+    if begin.values is not None and begin.values.tolist() != [key.value for key in free.keys]:
+        # Rays are planned where the values are: a target that was out of sight may have come into it.
+        near = work / _NEAR
+        make_folder(near)
+        light = Light(states[0].free.at(begin.values.tolist()), options, near, is_even=True)
     prediction = _prediction(states, rendered, light, begin.steps)
     captures = [state.captured for state in states]
     tolerance = light.tolerance if any(rendered) else 0.0

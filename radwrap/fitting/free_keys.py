@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from radwrap.errors import InputError
-from radwrap.fitting.poses import PREFIX, SHIFTS, TURNS, FreePose, free_pose, with_poses
+from radwrap.fitting.poses import PREFIX, SHIFTS, TURNS, FreePose, aimed_keys, free_pose, with_poses
 from radwrap.reading import shortened
 from radwrap.scene.file.keys import expanded, found, set_all, with_all_leds
 from radwrap.scene.file.load import scene_from_document, with_camera
@@ -141,9 +141,19 @@ def free_scene(scene: Scene, asked: Sequence[str]) -> FreeScene:
             _check_real(scene, document, one)
             begun.append((one, bool(bounds)))
     told = {key.key: key.written(key.value) for key, _ in begun}
+    _check_apart(poses, told)
     start = scene_from_document(document, with_poses(poses, told), origin=scene.origin, folder=scene.folder)
     keys = tuple(key if key.key.startswith(PREFIX) else _checked(start, key, is_bounded) for key, is_bounded in begun)
     return FreeScene(start, keys, tuple(poses))
+
+
+def _check_apart(poses: Sequence[FreePose], told: dict[str, Any]) -> None:
+    """Refuse a key that a free pose decides."""
+    of_poses = {key: value for key, value in told.items() if key.startswith(PREFIX)}
+    decided = (*with_poses(poses, of_poses), *aimed_keys(poses))
+    for key in told.keys() - of_poses.keys():
+        if any(key == one or key.startswith((f"{one}[", f"{one}.")) for one in decided):
+            raise InputError("belongs to a pose that is free too", where=f"free {key}", remedy="free one of them")
 
 
 def _check_real(scene: Scene, document: dict[str, Any], key: FreeKey) -> None:
@@ -211,7 +221,11 @@ def _current(scene: Scene, document: dict[str, Any], key: str) -> tuple[Any, dic
 def _number(text: str, where: str) -> tuple[float, str]:
     match = _QUANTITY.fullmatch(text)
     if match is None:
-        raise InputError(f'"{shortened(text)}" is not a number: only numbers can be fitted', where=where)
+        raise InputError(
+            f'"{shortened(text)}" is not a number: only numbers can be fitted',
+            where=where,
+            remedy='a unit stands after a blank, as in "2 ms"',
+        )
     return float(match[1]), match[2] or ""
 
 

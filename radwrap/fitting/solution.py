@@ -105,7 +105,8 @@ def solve(
     against = _Against(prediction, tuple(captured), noise)
     if prediction.has_renders:
         grain = tolerance / float(np.median(against.weights(x * scales).sigma))
-        arrived = through_grain(against, x * scales, scales, bounds * scales, robust=robust, grain=grain)
+        inside_bounds = np.clip(start, *(bounds * scales))
+        arrived = through_grain(against, inside_bounds, scales, bounds * scales, robust=robust, grain=grain)
         return against.ended(arrived.values, arrived.rounds, converged=arrived.converged)
     while rounds < _ROUNDS and not moved < _STILL:
         rounds += 1

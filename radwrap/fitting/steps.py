@@ -101,6 +101,10 @@ def through_grain(
         weight = (1 + left**2) ** -0.25 if robust else np.ones(left.size)
         jacobian = compared.slopes(values, weights) * weight[:, np.newaxis]
         sum_here = float(((left * weight) ** 2).sum())
+        # A key at its bound, which would be led beyond, is held.
+        led = determined_step(jacobian, left * weight)
+        held = ((values <= bounds[0]) & (led < 0)) | ((values >= bounds[1]) & (led > 0))
+        jacobian = np.where(held, 0.0, jacobian)
         moved = float(np.linalg.norm(jacobian @ determined_step(jacobian, left * weight)))
         for _ in range(_TRIES):
             step = determined_step(jacobian, left * weight, damping) * scales

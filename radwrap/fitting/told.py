@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,6 @@ from radwrap.manifest import finite
 from radwrap.scene.scene import Scene
 
 Array = NDArray[np.float64]
-
-_LOOSE: Final = 2.0  # of the degrees of freedom: above that noise is the smaller part of what is left
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,8 +121,11 @@ class Fit:
         numbers = f"chi-square {pixels.chi_square:.4g} of {pixels.freedom} degrees of freedom"
         if self.explained:
             told.append(f"The scene explains the captures within its errors: yes ({numbers}).")
-            if pixels.chi_square > _LOOSE * pixels.freedom:
-                told.append("Most of what is left may be the prediction's own error: a finer tolerance would say more.")
+            if not pixels.by_noise:
+                told.append(
+                    "Noise by itself does not explain them, only with the error of the prediction: a finer tolerance "
+                    "would say more."
+                )
             return told
         told.append(f"The scene explains the captures within its errors: no ({numbers}). Most is left here:")
         return [*told, *(f"  {block.told()}" for block in self.verdict.worst)]

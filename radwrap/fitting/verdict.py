@@ -50,6 +50,11 @@ class Test:
         """Whether it does not exceed that."""
         return self.chi_square <= self.largest
 
+    @property
+    def by_noise(self) -> bool:
+        """Whether noise explains it, without any error of the prediction."""
+        return self.chi_square <= _largest(self.freedom, 0.0)
+
 
 @dataclass(frozen=True, slots=True)
 class Block:
@@ -159,13 +164,17 @@ def verdict(residual: Array, sigma: Array, found: Spread, errors: PredictionErro
 
 
 def _test(value: float, freedom: int, prediction: float) -> Test:
+    return Test(value, freedom, prediction, _largest(freedom, prediction))
+
+
+def _largest(freedom: int, prediction: float) -> float:
+    """What an explained sum exceeds with half of `LEVEL`."""
     from scipy.stats import chi2, ncx2
 
     if freedom < 1:
-        return Test(value, freedom, prediction, float("inf"))
-    sure = 1 - LEVEL / 2
+        return float("inf")
     law = chi2(freedom) if prediction <= 0 else ncx2(freedom, prediction)
-    return Test(value, freedom, prediction, float(law.ppf(sure)))
+    return float(law.ppf(1 - LEVEL / 2))
 
 
 def _blocks(used: NDArray[np.bool_], rows: int) -> Iterator[tuple[slice, slice]]:

@@ -95,6 +95,8 @@ def test_a_wrong_model_exits_with_1_and_says_where(
         (["pose:nobody"], "nothing that has a pose"),
         (["pose:camera=0 mm:1 mm"], "no bounds"),
         (["pose:camera", "pose:camera"], "twice"),
+        (["pose:camera", "camera.position[0]"], "belongs to a pose"),
+        ([f"{EXPOSURE}=2ms:4ms"], "after a blank"),
         ([EXPOSURE, EXPOSURE], "twice"),
         (["camera.exposure_time=1 ms:2 ms"], "outside"),
         (["camera.exposure_time=1 mm:2 m"], "unit"),
@@ -185,6 +187,14 @@ def test_repeats_tell_their_noise() -> None:
     assert found.variance is not None
     # 2400 degrees of freedom tell a variance to 3 %.
     assert found.variance.mean() == pytest.approx(4.0, rel=0.12)
+
+
+def test_an_entry_of_a_list_that_the_text_leaves_out_brings_the_list() -> None:
+    text = '[[targets]]\ntype = "sheet"  # ours\n'
+    whole = {"targets": [{"type": "sheet", "position": ["2 mm", "0 mm", "0 mm"]}]}
+    made = with_values(text, {"targets[0].position[0]": "2.5 mm"}, (), whole)
+    assert "# ours" in made
+    assert tomllib.loads(made)["targets"][0]["position"] == ["2.5 mm", "0 mm", "0 mm"]
 
 
 def test_values_go_into_the_users_text() -> None:
