@@ -124,7 +124,7 @@ def logistic_share(offset: float, scale: float) -> Array:
 UNBIASED = 0.01  # px; of a contrast of 150 gray in noise of 1 gray the standard error is larger
 
 
-@pytest.mark.parametrize("sigma", [0.4, 0.8, 1.6, 2.5])
+@pytest.mark.parametrize("sigma", [0.4, *(pytest.param(sigma, marks=pytest.mark.long) for sigma in (0.8, 1.6)), 2.5])
 @pytest.mark.parametrize("angle", [0.3, -2.0, math.pi / 4])
 def test_a_symmetric_blur_that_is_no_disc_moves_no_edge(sigma: float, angle: float) -> None:
     """As far as one disc was taken for the blur, the edge lay up to 0.16 px on the dark side."""
@@ -139,7 +139,10 @@ def test_a_symmetric_blur_that_is_no_disc_moves_no_edge(sigma: float, angle: flo
     assert 1.5 * sigma < edge.radius < 2 * sigma
 
 
-@pytest.mark.parametrize(("scale", "place"), [(0.3, 31.0), (0.8, 31.3), (1.2, 31.5), (1.2, 31.1)])
+@pytest.mark.parametrize(
+    ("scale", "place"),
+    [(0.3, 31.0), (1.2, 31.5), *(pytest.param(*at, marks=pytest.mark.long) for at in ((0.8, 31.3), (1.2, 31.1)))],
+)
 def test_tails_on_both_sides_of_an_edge_along_the_columns_have_no_side(scale: float, place: float) -> None:
     """Either side bright: each row of pixels shows the same few places across the edge."""
     light = logistic_share(place, scale)

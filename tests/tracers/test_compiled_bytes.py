@@ -60,7 +60,7 @@ def test_blocks_change_nothing(size: int, tracer: CompiledTracer) -> None:
     assert np.concatenate(list(tracer.parts(blocks))).tobytes() == next(tracer.parts([rays])).tobytes()
 
 
-@pytest.mark.parametrize("threads", [1, 2, 7])
+@pytest.mark.parametrize("threads", [1, pytest.param(2, marks=pytest.mark.long), 7])
 def test_threads_change_nothing(threads: int, tracer: CompiledTracer) -> None:
     rays = rays_at(crowd(4), RAYS, 2)
     blocks = np.array_split(rays, 29)

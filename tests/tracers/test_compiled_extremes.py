@@ -68,7 +68,12 @@ def table(*sources: object, extra: tuple[object, ...] = ()) -> Scene:
 
 
 @pytest.mark.parametrize(
-    ("factor", "shift"), [(1e-3, (0.0, 0.0, 0.0)), (1e3, (0.0, 0.0, 0.0)), (1.0, (1e4, -2e4, 3e4))]
+    ("factor", "shift"),
+    [
+        (1e-3, (0.0, 0.0, 0.0)),
+        pytest.param(1e3, (0.0, 0.0, 0.0), marks=pytest.mark.long),
+        (1.0, (1e4, -2e4, 3e4)),
+    ],
 )
 def test_size_and_place_change_nothing(
     factor: float, shift: tuple[float, float, float], folders: Iterator[Path]

@@ -121,7 +121,7 @@ def test_half_shadow_behind_an_edge(name: str, x: float) -> None:
     assert found == pytest.approx(brute(source, x, edge, height), abs=HALF_SHADOW * open_light(source, (x, 0.0, 0.0)))
 
 
-@pytest.mark.parametrize("halvings", [-2, 2, 9])
+@pytest.mark.parametrize("halvings", [-2, pytest.param(2, marks=pytest.mark.long), 9])
 @pytest.mark.parametrize("name", ["bar", "dome"])
 def test_any_number_of_points_has_the_right_mean(name: str, halvings: int) -> None:
     source, edge, height = wide(name), 0.01, 0.3
@@ -183,7 +183,9 @@ def outside(x: float, z: float) -> float:
     return float(source.radiance * f[~stopped].sum() / len(f))
 
 
-@pytest.mark.parametrize(("x", "z"), [(1.1, -0.2), (1.1, 0.0), (1.5, -0.3)])
+@pytest.mark.parametrize(
+    ("x", "z"), [(1.1, -0.2), *(pytest.param(*at, marks=pytest.mark.long) for at in ((1.1, 0.0), (1.5, -0.3)))]
+)
 def test_a_dome_hides_its_own_light_from_outside(x: float, z: float) -> None:
     values = received(wide("dome"), sheets(()), (x, 0.0, z), UP)
     whole = open_light(wide("dome"), (x, 0.0, z))
