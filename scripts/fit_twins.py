@@ -113,7 +113,7 @@ def board(random: np.random.Generator) -> dict[str, Any]:
 
 
 def truth_of(random: np.random.Generator, *, renders: bool, is_board: bool) -> dict[str, float]:
-    """Three to eleven keys and the values that a capture is made with, in the units of the scene."""
+    """Three to twelve keys and the values that a capture is made with, in the units of the scene."""
     found = {key: float(random.uniform(0.75, 1.25)) for key in KINDS["level"]}
     found["camera.sensor.offset"] = float(random.uniform(3.0, 8.0))
     if random.random() < 0.5:

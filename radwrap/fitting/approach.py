@@ -106,10 +106,9 @@ class _Blurred:
     def slopes(self, values: Array, weights: Weights) -> Array:
         """Change of the blurred prediction with each key's scale, over sigma; none where the sensor cuts."""
         parts = self.prediction.at(values).parts
-        rows = len(self.captured[0].mean)
         found = []
         for slope in self.prediction.slopes(values, self.width):
-            images = np.split(slope, range(rows, len(slope), rows))
+            images = np.split(slope, len(parts))
             seen = [
                 self._blur(np.where(_shown(part) == part.unclipped, image, 0.0), one)
                 for image, part, one in zip(images, parts, self.captured, strict=True)

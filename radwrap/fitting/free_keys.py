@@ -147,12 +147,17 @@ def free_scene(scene: Scene, asked: Sequence[str]) -> FreeScene:
     return FreeScene(start, keys, tuple(poses))
 
 
+def holds(key: str, other: str) -> bool:
+    """Whether a key is another one, or a table or list that holds it."""
+    return other == key or other.startswith((f"{key}.", f"{key}["))
+
+
 def _check_apart(poses: Sequence[FreePose], told: dict[str, Any]) -> None:
     """Refuse a key that a free pose decides."""
     of_poses = {key: value for key, value in told.items() if key.startswith(PREFIX)}
     decided = (*with_poses(poses, of_poses), *aimed_keys(poses))
     for key in told.keys() - of_poses.keys():
-        if any(key == one or key.startswith((f"{one}[", f"{one}.")) for one in decided):
+        if any(holds(one, key) for one in decided):
             raise InputError("belongs to a pose that is free too", where=f"free {key}", remedy="free one of them")
 
 

@@ -11,7 +11,7 @@ from typing import Any, Final
 from radwrap.errors import InputError
 from radwrap.files import sha256_of
 from radwrap.fitting.captured import Captured, captured, read_captures
-from radwrap.fitting.free_keys import FreeScene
+from radwrap.fitting.free_keys import FreeScene, holds
 from radwrap.fitting.poses import aimed_keys
 from radwrap.fitting.tables import SeriesModel
 from radwrap.fitting.weights import check_noise
@@ -154,7 +154,7 @@ def _changed(free: FreeScene, changes: Mapping[str, Any], where: str) -> FreeSce
     told = {*free.written([key.value for key in free.keys]), *aimed_keys(free.poses)}
     for key in changes:
         for one in expanded(key, document):
-            if any(_holds(one, other) or _holds(other, one) for other in told):
+            if any(holds(one, other) or holds(other, one) for other in told):
                 raise InputError("is free: a capture cannot have a value of its own", where=f"{where}.set: {key}")
     try:
         scene = scene_from_document(
@@ -163,11 +163,6 @@ def _changed(free: FreeScene, changes: Mapping[str, Any], where: str) -> FreeSce
     except InputError as error:  # the scene was whole before
         raise InputError(f"the scene does not take it: {error}", where=f"{where}.set") from error
     return FreeScene(scene, free.keys, free.poses)
-
-
-def _holds(key: str, other: str) -> bool:
-    """Whether a key is another one, or a table or list that holds it."""
-    return other == key or other.startswith((f"{key}.", f"{key}["))
 
 
 def _name(image: GrayImage, given: str | Path | GrayImage) -> str:

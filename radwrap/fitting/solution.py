@@ -104,9 +104,9 @@ def solve(
     moved, rounds, ended = np.inf, 0, True
     against = _Against(prediction, tuple(captured), noise)
     if prediction.has_renders:
-        grain = tolerance / float(np.median(against.weights(x * scales).sigma))
-        inside_bounds = np.clip(start, *(bounds * scales))
-        arrived = through_grain(against, inside_bounds, scales, bounds * scales, robust=robust, grain=grain)
+        within = np.clip(start, *(bounds * scales))
+        grain = tolerance / float(np.median(against.weights(within).sigma))
+        arrived = through_grain(against, within, scales, bounds * scales, robust=robust, grain=grain)
         return against.ended(arrived.values, arrived.rounds, converged=arrived.converged)
     while rounds < _ROUNDS and not moved < _STILL:
         rounds += 1

@@ -101,14 +101,16 @@ def through_grain(
         weight = (1 + left**2) ** -0.25 if robust else np.ones(left.size)
         jacobian = compared.slopes(values, weights) * weight[:, np.newaxis]
         sum_here = float(((left * weight) ** 2).sum())
+        led = _Directions.of(jacobian, left * weight)
         # A key at its bound, which would be led beyond, is held.
-        led = determined_step(jacobian, left * weight)
-        held = ((values <= bounds[0]) & (led < 0)) | ((values >= bounds[1]) & (led > 0))
-        jacobian = np.where(held, 0.0, jacobian)
-        moved = float(np.linalg.norm(jacobian @ determined_step(jacobian, left * weight)))
+        step = led.step()
+        held = ((values <= bounds[0]) & (step < 0)) | ((values >= bounds[1]) & (step > 0))
+        if held.any():
+            jacobian = np.where(held, 0.0, jacobian)
+            led = _Directions.of(jacobian, left * weight)
+        moved = float(np.linalg.norm(jacobian @ led.step()))
         for _ in range(_TRIES):
-            step = determined_step(jacobian, left * weight, damping) * scales
-            tried = np.clip(values + step, bounds[0], bounds[1])
+            tried = np.clip(values + led.step(damping) * scales, bounds[0], bounds[1])
             gain = sum_here - _sum(compared, tried, weights, weight)
             if gain > 0:
                 values, damping = tried, damping / _EASED if damping > _LEAST_DAMPING else 0.0
@@ -121,24 +123,49 @@ def through_grain(
     return Arrived(values, rounds, converged=False)
 
 
-def determined_step(jacobian: Array, left: Array, damping: float = 0.0) -> Array:
-    """What the keys move by, in their scales, in the directions that stand out of the grain.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Directions:
+    """What is to be taken away, in the directions of a Jacobian that stand out of the grain.
 
-    Parameters
+    Attributes
     ----------
-    jacobian : ndarray, shape (pixels, keys)
-        Over sigma.
-    left : ndarray, shape (pixels,)
-        What it is to take away.
-    damping : float
-        Share of the largest singular value, below which directions are gone along the less, the weaker they are.
+    parts : ndarray, shape (directions,)
+        Of what is left, in each.
+    singular : ndarray, shape (directions,)
+        How much the prediction changes along each.
+    largest : float
+        Largest of these.
+    keys : ndarray, shape (keys, directions)
+        What moves in each.
+    scale : ndarray, shape (keys,)
+        Lengths of the Jacobian's columns.
     """
-    scale = lengths(jacobian)
-    vectors, singular, right = np.linalg.svd(jacobian / scale, full_matrices=False)
-    largest = float(singular.max(initial=0.0))
-    good = singular > GRAIN * largest
-    shares = singular[good] / (singular[good] ** 2 + (damping * largest) ** 2)
-    return np.asarray((right[good].T * shares) @ (vectors[:, good].T @ left) / scale)
+
+    parts: Array
+    singular: Array
+    largest: float
+    keys: Array
+    scale: Array
+
+    @classmethod
+    def of(cls, jacobian: Array, left: Array) -> _Directions:
+        """Of a Jacobian over sigma, shape (pixels, keys), and what is left, shape (pixels,)."""
+        scale = lengths(jacobian)
+        vectors, singular, right = np.linalg.svd(jacobian / scale, full_matrices=False)
+        largest = float(singular.max(initial=0.0))
+        good = singular > GRAIN * largest
+        return cls(vectors[:, good].T @ left, singular[good], largest, right[good].T, scale)
+
+    def step(self, damping: float = 0.0) -> Array:
+        """What the keys move by, in their scales.
+
+        Parameters
+        ----------
+        damping : float
+            Share of the largest singular value, below which directions are gone along the less, the weaker they are.
+        """
+        shares = self.singular / (self.singular**2 + (damping * self.largest) ** 2)
+        return np.asarray((self.keys * shares) @ self.parts / self.scale)
 
 
 def _sum(compared: Compared, values: Array, weights: Weights, weight: Array) -> float:
