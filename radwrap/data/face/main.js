@@ -22,9 +22,6 @@ function banner(text) {
   place.textContent = text ?? "";
 }
 
-/** @param {number} time */
-const pause = (time) => new Promise((resolve) => { setTimeout(resolve, time); });
-
 const GONE = "The server has gone. Light, exposure and sensor can still be turned, without a new error; "
   + "start radwrap face again and open its new link for more.";
 
@@ -61,7 +58,7 @@ async function begin() {
       stop.hidden = told.state !== "tracing";
       if (told.described && told.described.basis !== explorer?.described.basis) {
         if (explorer && pressed()) { // a knob is being dragged: it is not taken out of the hand
-          await pause(HAND);
+          await server.pause(HAND);
           continue;
         }
         const kept = keptOf(explorer, told.described), a = explorer?.comparison.held ?? null;
@@ -90,7 +87,7 @@ async function begin() {
       trace.textContent = whole ? "Trace in this light" : "Trace";
       if (!whole) trace.hidden = false;
       else whole.offer(told.state);
-      await pause(BEAT);
+      await server.pause(BEAT);
     } catch (error) {
       if (error instanceof Refused && error.status === 401) {
         state("no link", "bad");
@@ -104,7 +101,7 @@ async function begin() {
         explorer?.lost();
         if (!explorer) state("no server", "bad");
       }
-      await pause(BEAT);
+      await server.pause(BEAT);
     }
   }
 }

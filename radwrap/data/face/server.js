@@ -34,6 +34,19 @@ export class Server {
   constructor(token) {
     this.token = token;
     this.live = true;
+    this.wake = () => {};
+  }
+
+  /**
+   * Wait; shorter where a trace is asked for meanwhile, as that changes what there is to see.
+   * @param {number} time ms
+   * @returns {Promise<void>}
+   */
+  pause(time) {
+    return new Promise((resolve) => {
+      this.wake = resolve;
+      setTimeout(resolve, time);
+    });
   }
 
   makeWorker() {
@@ -48,7 +61,10 @@ export class Server {
   async ask(name, told, signal) {
     const headers = { Authorization: `Bearer ${this.token}`, "Content-Type": "application/json" };
     const answer = await fetch(`/api/${name}`, { method: "POST", headers, body: JSON.stringify(told), signal });
-    if (answer.ok) return answer;
+    if (answer.ok) {
+      if (name === "trace") this.wake();
+      return answer;
+    }
     const json = answer.headers.get("content-type")?.startsWith("application/json");
     const text = json ? await answer.json() : await answer.text();
     throw new Refused(json ? text : { text, where: "", error: text }, answer.status);
