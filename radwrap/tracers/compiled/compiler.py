@@ -13,6 +13,7 @@ from typing import Any, Final, TypeVar
 import llvmlite
 import numba
 from numba.core.caching import FunctionCache
+from numba.core.runtime import rtsys
 
 # Numba's settings as they are, for a moment at a time: it has no other way to say where compiled functions are kept.
 _CONFIG: Any = numba.config
@@ -102,9 +103,16 @@ class _Kept(FunctionCache):  # type: ignore[misc]  # numba has no types
     """What is kept of a function. A broken file or a full disk costs time, and nothing else."""
 
     def load_overload(self, *arguments: Any) -> Any:
-        """What an earlier process has compiled; None where there is nothing, or nothing whole."""
+        """What an earlier process has compiled; None where there is nothing, or nothing whole.
+
+        Numba would first load all that its compiler knows of functions and types, which takes a tenth of a second at
+        each start. What is already compiled needs its memory only; a function that is not gets the rest from the
+        compiler, which asks for it again.
+        """
+        _signature, target = arguments
+        rtsys.initialize(target)
         try:
-            return super().load_overload(*arguments)
+            return self._load_overload(*arguments)
         except _BROKEN:
             try:
                 self.flush()
