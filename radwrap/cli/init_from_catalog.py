@@ -93,7 +93,7 @@ def write_scene(arguments: argparse.Namespace, folder: Path) -> tuple[Path, list
             raise InputError("is there already", where=str(folder / name), remedy="choose another folder")
     write_bytes(folder / part.file, content)
     try:
-        exposure = _exposure(document, folder, sensor.values["rows"] * sensor.values["columns"])
+        exposure = _exposure(document, folder, sensor, lens)
     except BaseException:
         (folder / part.file).unlink(missing_ok=True)
         if is_new:
@@ -137,7 +137,7 @@ def _part(path: Path, unit: str | None) -> Part:
     return Part(path.name, told, (low[0], low[1], low[2]), (high[0], high[1], high[2]))
 
 
-def _exposure(document: Mapping[str, Any], folder: Path, pixels: int) -> float:
+def _exposure(document: Mapping[str, Any], folder: Path, sensor: Component, lens: Component) -> float:
     """Exposure time that brings the 99.9 % quantile of a coarse picture to 80 % of the range [s]."""
     import numpy as np
 
@@ -146,9 +146,12 @@ def _exposure(document: Mapping[str, Any], folder: Path, pixels: int) -> float:
     from radwrap.imaging.response.exposure import exposure_of_radiance
     from radwrap.imaging.synthesis import render
     from radwrap.scene.file.load import scene_from_document
+    from radwrap.scene.file.optics_tables import GLASS
 
+    pixels = sensor.values["rows"] * sensor.values["columns"]
     block = max(1, round(math.sqrt(pixels / _COARSE_PIXELS)))
-    changes: dict[str, Any] = {"camera.diffraction": "off"}
+    # A pinhole's picture has no waves; a lens whose glass shapes them does not let the scene leave them out.
+    changes: dict[str, Any] = {} if any(key in lens.values for key in GLASS) else {"camera.diffraction": "off"}
     if block > 1:
         changes["camera.sensor.scale"] = f"1/{block}"
     scene = scene_from_document(document, changes, origin=SCENE, folder=folder)

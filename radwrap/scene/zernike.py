@@ -17,6 +17,7 @@ Sources: keys noll1976, iso24157.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from typing import Final, Literal
 
 import numpy as np
@@ -69,29 +70,42 @@ def rms(order: Order) -> float:
     return 1 / math.sqrt((2 if m else 1) * (n + 1))
 
 
-def zernike(order: Order, rho: Array, theta: Array) -> Array:
-    """Values of a polynomial of rms 1.
+def zernike_sum(orders: Sequence[Order], coefficients: Sequence[float], x: Array, y: Array) -> Array:
+    """Sum of polynomials of rms 1, each times its coefficient.
+
+    Terms of one m share a polynomial in the radius squared, and (x + iy)^m, so that no angle is asked for.
 
     Parameters
     ----------
-    order : tuple of int
-        n and m.
-    rho : ndarray
-        Distance from the pupil's middle over its radius.
-    theta : ndarray
-        Angle from x towards y [rad].
+    orders : sequence of tuple of int
+        n and m of each.
+    coefficients : sequence of float
+        Of each.
+    x, y : ndarray
+        Places over the pupil's radius.
     """
-    n, m = order
-    turned = np.cos(m * theta) if m >= 0 else np.sin(-m * theta)
-    found: Array = _radial(n, abs(m), rho) * turned / rms(order)
+    by_m = dict[int, Array]()
+    for (n, m), value in zip(orders, coefficients, strict=True):
+        if value:
+            powers = by_m.setdefault(m, np.zeros(HIGHEST_ORDER // 2 + 1))
+            for power, factor in _factors(n, abs(m)):
+                powers[(power - abs(m)) // 2] += value / rms((n, m)) * factor
+    found, square = np.zeros(np.broadcast_shapes(x.shape, y.shape)), x**2 + y**2
+    turned, reached = np.ones(found.shape, dtype=np.complex128), 0
+    for m in sorted(by_m, key=abs):
+        while reached < abs(m):
+            turned, reached = turned * (x + 1j * y), reached + 1
+        along = by_m[m][: 1 + int(np.flatnonzero(by_m[m]).max(initial=0))]
+        radial = np.full(found.shape, along[-1])
+        for factor in along[-2::-1]:
+            radial = radial * square + factor
+        found += radial * (turned.real if m >= 0 else turned.imag)
     return found
 
 
-def _radial(n: int, m: int, rho: Array) -> Array:
-    """R_n^m, 1 at rho = 1."""
-    found = np.zeros_like(rho)
+def _factors(n: int, m: int) -> Iterator[tuple[int, float]]:
+    """Powers of the radius in R_n^m, and their factors."""
     for s in range((n - m) // 2 + 1):
         upper, lower = (n + m) // 2 - s, (n - m) // 2 - s
         factor = math.factorial(n - s) / (math.factorial(s) * math.factorial(upper) * math.factorial(lower))
-        found += (-1) ** s * factor * rho ** (n - 2 * s)
-    return found
+        yield n - 2 * s, (-1) ** s * factor

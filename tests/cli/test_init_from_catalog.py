@@ -82,6 +82,18 @@ def test_what_was_assumed_is_listed(
 
 
 @pytest.mark.long
+def test_a_lens_with_aberrations_renders_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its exposure is that of the same lens without them, by its own falloff: the part lies about the axis."""
+    times = []
+    for lens in ("double_gauss_12.5mm.f4", "generic_12mm"):
+        words = ["--lens", lens, "--part", WASHER, "--length-unit", "mm", "--light", "generic_ring_90mm_24led=50 mW/sr"]
+        here(["init", tmp_path / lens, "--camera", "sony_imx265.allied_alvium_1800_c", *words], capsys).success()
+        times.append(load_scene(tmp_path / lens / "scene.toml").camera.exposure_time)
+    # The ideal one passes .9 of the light, and focal lengths of 12 and 12.6 mm stand differently far away.
+    assert 0.8 < times[0] / times[1] < 1.1
+
+
+@pytest.mark.long
 def test_a_scene_that_renders_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The brightest thousandth comes to 80 % of the range."""
     here(["init", tmp_path / "new", *WORDS, *LIGHT], capsys).success()

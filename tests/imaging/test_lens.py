@@ -19,6 +19,7 @@ from radwrap.imaging.optics.view import PixelPlan, View, magnifications_at, pixe
 from radwrap.imaging.response.exposure import radiant_exposure
 from radwrap.imaging.tolerance.certificate import PixelSample, model_errors, root
 from radwrap.scene.camera import Aperture, Lens
+from radwrap.scene.distortion import opencv_distortion
 from radwrap.validate.closed_forms.aperture import blurred_edge, even_field_irradiance
 from tests.imaging.planes import Array, Planes, Texture, camera, pixel_axes
 from tests.imaging.test_certificate import search, true_rms
@@ -78,6 +79,22 @@ def test_a_measured_falloff_takes_the_place_of_cos4(table: tuple[tuple[float, fl
     """The axis' exposure times the table, at any height, by rays and by the kernel."""
     aperture = Aperture("round", F / 2)
     seen = seen_through(aperture, (FOCUS, even), lens=Lens(FOCUS, 1.0, table))
+    v, u = np.indices((24, 32))
+    height = np.hypot((u - 15.5) * 1e-5, (v - 11.5) * 1.2e-5)
+    expected = even_field_irradiance(aperture.diameter / 2, V) / (aperture.area / V**2)
+    expected = expected * np.interp(height, *np.transpose(table))
+    rays = sampled_radiance(seen, u.ravel().astype(float), v.ravel().astype(float), 256, np.random.default_rng(2))
+    assert rays.mean(axis=1).reshape(24, 32) == pytest.approx(expected, rel=5e-3)
+    plan = plan_kernel(seen, np.array([0.0]), 0.02)
+    assert kernel_image(seen, plan) == pytest.approx(expected, rel=5e-3)
+
+
+def test_a_measured_falloff_holds_what_distortion_does_to_the_light() -> None:
+    """The table is the sensor's: its heights are those of the bent image, and no area is counted beside it."""
+    aperture, table = Aperture("round", F / 2), ((0.0, 1.0), (4e-4, 0.4))
+    bent = opencv_distortion((60.0,) + (0.0,) * 11)  # at the corner, .02 f off the axis, 2.4 % in length, 7 % in area
+    seen = seen_through(aperture, (FOCUS, even), lens=Lens(FOCUS, 1.0, table))
+    seen = replace(seen, camera=replace(seen.camera, distortion=bent))
     v, u = np.indices((24, 32))
     height = np.hypot((u - 15.5) * 1e-5, (v - 11.5) * 1.2e-5)
     expected = even_field_irradiance(aperture.diameter / 2, V) / (aperture.area / V**2)

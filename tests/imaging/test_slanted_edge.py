@@ -14,7 +14,7 @@ from radwrap.imaging.tolerance.wave_parts import wave_parts
 from radwrap.imaging.tolerance.wave_plan import plan_waves
 from radwrap.scene.aberrations import ContrastTable, Wavefront
 from radwrap.scene.camera import Aperture, Lens
-from radwrap.scene.zernike import zernike
+from radwrap.scene.zernike import zernike_sum
 from radwrap.tracers.tracer import Tracer
 from tests.imaging.planes import Array, Planes, camera
 
@@ -62,8 +62,7 @@ def passed_by_glass(coefficients: dict[tuple[int, int], float], s: Array) -> Arr
         phase = np.zeros(t.shape)
         for sign in (-1, 1):
             x, y = c * (t + sign * one) - sine * h, sine * (t + sign * one) + c * h
-            rho, theta = np.hypot(x, y), np.arctan2(-y, x)
-            phase -= sign * sum(value * zernike(order, rho, theta) for order, value in coefficients.items())
+            phase -= sign * zernike_sum(list(coefficients), list(coefficients.values()), x, -y)
         both = np.outer(weight * half, weights) * np.exp(2j * np.pi * phase)
         found[number] = abs(both.sum()) / math.pi
     return found

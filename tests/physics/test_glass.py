@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from radwrap.imaging.optics.lens_field import glass_at, lens_field
+from radwrap.imaging.optics.lens_field import glass_at, images_of, lens_field
 from radwrap.imaging.optics.measured_spread import MeasuredSpread
 from radwrap.imaging.optics.pupil_path import PupilPath
 from radwrap.imaging.optics.view import View
@@ -19,11 +19,12 @@ from radwrap.imaging.tolerance.wave_plan import plan_waves
 from radwrap.scene.aberrations import ContrastTable, PointSpread, Wavefront
 from radwrap.scene.camera import Aperture, Camera, Lens
 from radwrap.scene.pixel_window import PixelWindow, box
-from radwrap.scene.zernike import Order, order_of, rms, zernike
+from radwrap.scene.zernike import HIGHEST_ORDER, Order, order_of, rms, zernike_sum
 from radwrap.tracers.tracer import Tracer
 from tests.imaging.planes import Array, Planes, camera
 
 WAVELENGTH, DISTANCE, DIAMETER = 550e-9, 12.5e-3, 0.1e-3
+LOST = 1e-7  # polynomials of order 20 are sums of numbers up to 1e8
 RADIUS, SPREAD = DIAMETER / 2, WAVELENGTH * DISTANCE / DIAMETER  # lambda N_w
 ROUND = Aperture("round", DIAMETER)
 SHAPES = (
@@ -68,12 +69,28 @@ def test_the_fringe_set_ends_as_design_programs_have_it() -> None:
     assert [order_of("fringe", index) for index in (16, 25, 36, 37, 38)] == [(6, 0), (8, 0), (10, 0), (12, 0), None]
 
 
+def zernike(order: Order, rho: Array, theta: Array) -> Array:
+    return zernike_sum([order], [1.0], rho * np.cos(theta), rho * np.sin(theta))
+
+
 def test_polynomials_are_orthonormal_over_the_pupil() -> None:
     rho, theta, weight = pupil_nodes()
     orders = [order for order in (order_of("osa", index) for index in range(66)) if order]  # up to order 10
     values = np.array([zernike(order, rho, theta).ravel() for order in orders])
     products = (values * weight.ravel()) @ values.T
     assert np.abs(products - np.eye(len(orders))).max() < QUADRATURE
+
+
+def test_a_sum_is_that_of_its_terms() -> None:
+    """Up to the highest order, a term that is 0 among them, at places in rows and columns."""
+    rng = np.random.default_rng(5)
+    orders = [(n, m) for n in (0, 1, 2, 5, 8, HIGHEST_ORDER) for m in range(-n, n + 1, 2)]
+    values = rng.normal(size=len(orders))
+    values[3] = 0.0
+    x, y = np.linspace(-0.7, 0.7, 9), np.linspace(-0.7, 0.7, 7)[:, np.newaxis]
+    rho, theta = np.hypot(x, y), np.arctan2(y, x)
+    expected = sum(value * zernike(order, rho, theta) for order, value in zip(orders, values, strict=True))
+    assert zernike_sum(orders, values.tolist(), x, y) == pytest.approx(expected, abs=LOST)
 
 
 def test_a_term_of_unit_peak_is_one_at_the_rim() -> None:
@@ -306,6 +323,27 @@ def test_shares_of_places_sum_to_one_and_hold_what_is_straight() -> None:
             found[number] += share * np.array([1.0, u, v])[:, np.newaxis, np.newaxis]
     assert np.abs(found - np.stack([np.ones_like(row), column, row])).max() < 1e-12
     assert len(lens_field(lens_camera(glass_of({(3, -1): 0.3})), WAVELENGTH).places) == 1
+
+
+@pytest.mark.parametrize(
+    ("coefficients", "images"), [({(3, -1): 0.3, (2, 2): 0.2, (4, 0): 0.1}, 4), ({(3, -1): 0.3, (3, 1): 0.2}, 2)]
+)
+def test_mirrored_places_pass_mirrored_frequencies(coefficients: dict[Order, float], images: int) -> None:
+    """Of a lens that is alike from both sides of the field's radius, four; of any other, what lies opposite."""
+    of = lens_camera(glass_of(coefficients, (0.0, 1e-3)))
+    places = lens_field(of, WAVELENGTH)
+    waves = Waves(of.aperture, of.image_distance, WAVELENGTH)
+    nu = 0.3 * waves.highest_frequency * np.array([0.2, -1.0, 0.7, 1.3])
+    found = images_of(of, places, places.places[1])
+    assert len(found) == images and len({place for place, _ in found}) == images
+    at_first = replace(waves, glass=glass_at(of, found[0][0]))
+    for place, (across, down) in found:
+        there = replace(waves, glass=glass_at(of, place)).transfer(0.003, nu, nu[::-1])
+        assert there == pytest.approx(at_first.transfer(0.003, across * nu, down * nu[::-1]), abs=1e-9)
+    assert images_of(of, places, (of.principal_point[0], of.principal_point[1])) == ((of.principal_point, (1, 1)),)
+    # A half disc looks another way when it is turned over.
+    half = replace(of, aperture=Aperture("half_disc", of.aperture.diameter))
+    assert images_of(half, places, places.places[1]) == ((places.places[1], (1, 1)),)
 
 
 @pytest.mark.long

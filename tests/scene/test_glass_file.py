@@ -62,9 +62,31 @@ def test_a_table_of_heights_is_read_in_any_order(tmp_path: Path) -> None:
     assert dict(zip(found.orders, found.at(0.25e-3, 0.0), strict=True))[3, 1] == pytest.approx(2.25e-8)
 
 
+def test_a_table_stands_in_the_scene_too(tmp_path: Path) -> None:
+    lines = "0,4,1e-8\n0.25,4,2e-8\n0.25,7,3e-8\n0.5,7,4e-8\n"
+    (tmp_path / "lens.csv").write_text(f"field_height_mm,index,coefficient\n{lines}")
+    fields = [
+        {"height": "0 mm", "coefficients": {"4": "10 nm"}},
+        {"height": "0.25 mm", "coefficients": {"4": "20 nm", "7": "30 nm"}},
+        {"height": "0.5 mm", "coefficients": {"7": "40 nm"}},
+    ]
+    one, other = (
+        glass({"convention": "noll", **table}, tmp_path) for table in ({"file": "lens.csv"}, {"fields": fields})
+    )
+    assert one.orders == other.orders and one.heights == other.heights
+    assert np.array(one.coefficients) == pytest.approx(np.array(other.coefficients), abs=1e-18)
+
+
+FIELDS = [{"height": f"{height} mm", "coefficients": {"11": "1 nm"}} for height in (0, 0.3, 0.5)]
+
+
 @pytest.mark.parametrize(
     ("wavefront", "told"),
     [
+        ({"convention": "noll", "fields": FIELDS[1:]}, "wavefront.fields: has heights from 0.3 to 0.5 mm"),
+        ({"convention": "noll", "fields": FIELDS[:2]}, "wavefront.fields: has heights from 0 to 0.3 mm"),
+        ({"convention": "noll", "fields": FIELDS[::-1]}, "wavefront.fields: needs heights that increase"),
+        ({"convention": "noll", "fields": FIELDS, "file": "lens.csv"}, "exactly one of coefficients and file"),
         ({"coefficients": {"7": "45 nm"}}, "camera.lens.wavefront.convention"),
         ({"convention": "osa"}, "exactly one of coefficients and file"),
         ({"convention": "osa", "coefficients": {"7": 45e-9}}, "camera.lens.wavefront.coefficients"),

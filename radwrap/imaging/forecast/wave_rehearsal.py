@@ -8,7 +8,7 @@ from typing import Final
 from radwrap.imaging.forecast.rehearsal import Rehearsed, Stopwatch, seconds_per_ray, spread
 from radwrap.imaging.optics.view import View
 from radwrap.imaging.tolerance.wave_far import far_rays, far_view
-from radwrap.imaging.tolerance.wave_parts import wave_cells, wave_tile
+from radwrap.imaging.tolerance.wave_parts import Transforms, wave_cells, wave_tile
 from radwrap.imaging.tolerance.wave_plan import WavePlan
 
 # Tiles are made until so long has passed, and so many at least unless they are slow.
@@ -41,7 +41,7 @@ def rehearsed_waves(view: View, plan: WavePlan, replicates: int, wavelengths: in
         rays[0] += sum(counted)
         deciding += clock.lap()
         counted.clear()
-        for _ in wave_tile(view, [plan], (tile, 0), cells, counted.append):
+        for _ in wave_tile(view, [plan], (tile, 0), cells, counted.append, transforms=Transforms()):
             pass
         rays[1] += sum(counted)
         making += clock.lap()

@@ -4,7 +4,8 @@ Of light between lens and sensor the angle theta to the axis decides, that of
 the direction (x' + q, v): H = tau T/v^2 * integral over the opening of
 L cos^4(theta) dA, whatever the focus. Where the falloff towards the corners
 was measured it takes the place of what theta says of x', and the opening's
-point q alone decides theta: L cos^4(q) g(|x'|), g(0) = 1.
+point q alone decides theta: L cos^4(q) g(|x'|), g(0) = 1. It was measured on
+the sensor, so it holds the area that distortion adds or takes.
 
 The kernel takes one image, what the opening's centre sees, for what all its
 points see. Each of its values gets the mean of the factor over the opening,
@@ -57,8 +58,7 @@ def falloff(camera: Camera, image_side: Array, opening: Array) -> Array:
     """
     if camera.lens is None or camera.lens.relative_illumination is None:
         return cos4_of(image_side)
-    height = np.hypot(image_side[:, 0] - opening[:, 0], image_side[:, 1] - opening[:, 1])
-    factor: Array = axis_cos4(camera, opening) * _measured(camera, height)
+    factor: Array = axis_cos4(camera, opening) * _measured(camera, image_side[:, :2] - opening)
     return factor
 
 
@@ -69,7 +69,7 @@ def whole_falloff(camera: Camera, image_side: Array) -> Array:
     points, weights = _nodes(camera.aperture)
     if camera.lens.relative_illumination is not None:
         mean = float(weights @ axis_cos4(camera, points))
-        return mean * _measured(camera, np.hypot(image_side[:, 0], image_side[:, 1]))
+        return mean * _measured(camera, image_side[:, :2])
     total = np.zeros(len(image_side))
     if len(total):
         # By columns, each a block of memory: a tenth of the time of `cos4_of` for each of the points.
@@ -96,10 +96,14 @@ def axis_cos4(camera: Camera, opening: Array) -> Array:
     return cos4
 
 
-def _measured(camera: Camera, height: Array) -> Array:
+def _measured(camera: Camera, place: Array) -> Array:
+    """At undistorted places, shape (n, 2) [m]; heights are those of the sensor."""
+    x, y = place.T
+    if camera.distortion is not None:
+        x, y = (camera.image_distance * one for one in camera.distortion.distorted(*(place.T / camera.image_distance)))
     assert camera.lens is not None and camera.lens.relative_illumination is not None  # noqa: S101  (callers know)
     heights, shares = np.transpose(camera.lens.relative_illumination)
-    return np.asarray(np.interp(height, heights, shares), dtype=np.float64)
+    return np.asarray(np.interp(np.hypot(x, y), heights, shares), dtype=np.float64)
 
 
 def _nodes(aperture: Aperture) -> tuple[Array, Array]:

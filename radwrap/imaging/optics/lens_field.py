@@ -27,11 +27,13 @@ Array = NDArray[np.float64]
 Rect = tuple[int, int, int, int]
 Place = tuple[float, float]
 Glass = PupilPath | ContrastShare | MeasuredSpread
+Signs = tuple[int, int]
 
 # Between neighbouring places a wavefront may change by so much of a wave, rms over the pupil: .63 rad. A mixture is
 # then off by a twentieth of the light that is moved. Shares of contrast may change by as much.
 _STEP: Final = 0.1
 _FEWEST, _MOST = 4, 12  # steps along a side; what they leave is in the error
+_SAME_PLACE: Final = 1e-6  # px
 # What a mixture is off by, over what one of places twice as far apart differs.
 MIXED_SHARE: Final = 1 / 2
 
@@ -160,6 +162,47 @@ def glass_at(camera: Camera, place: Place) -> Glass | None:
     if isinstance(lens.glass, Wavefront):
         return PupilPath(lens.glass.pupil_diameter / 2, lens.glass.orders, lens.glass.at(x, y))
     return ContrastShare(lens.glass.frequencies, *lens.glass.at(x, y), math.atan2(y, x))
+
+
+def images_of(camera: Camera, field: LensField, place: Place) -> tuple[tuple[Place, Signs], ...]:
+    """Places of a field that see the same glass but for a mirror, and the one that stands for them first.
+
+    Parameters
+    ----------
+    camera : Camera
+        Its lens, opening and sensor.
+    field : LensField
+        With the place.
+    place : tuple of float
+        Column and row [px].
+
+    Returns
+    -------
+    tuple of (place, (int, int))
+        And signs of across and down: what passes of a frequency there is what passes at the first place of the
+        frequency with these signs.
+    """
+    cu, cv = camera.principal_point
+    away = [
+        other
+        for other in field.places
+        if math.isclose(abs(other[0] - cu), abs(place[0] - cu), abs_tol=_SAME_PLACE)
+        and math.isclose(abs(other[1] - cv), abs(place[1] - cv), abs_tol=_SAME_PLACE)
+    ]
+    first = away[0]
+    glass = glass_at(camera, first)
+    alone = ((place, (1, 1)),)
+    if camera.aperture.shape not in ("round", "annular") or not isinstance(glass, PupilPath):
+        return alone
+    found = [(first, (1, 1))]
+    for other in away[1:]:
+        signs = tuple(
+            -1 if (one - c) * (base - c) < 0 else 1
+            for one, base, c in zip(other, first, camera.principal_point, strict=True)
+        )
+        if glass.is_mirrored(glass_at(camera, other), *signs):
+            found.append((other, (signs[0], signs[1])))
+    return tuple(found) if place in dict(found) else alone
 
 
 def glass_reach(camera: Camera) -> float:

@@ -26,7 +26,7 @@ from radwrap.errors import InputError
 from radwrap.imaging.optics.aperture import turn
 from radwrap.imaging.optics.transfer import Transfer
 from radwrap.scene.camera import Aperture
-from radwrap.scene.zernike import Order, zernike
+from radwrap.scene.zernike import Order, zernike_sum
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -36,6 +36,7 @@ Complex = NDArray[np.complex128]
 _FEWEST, _MOST = 256, 1024
 _SQUARES_OF_CYCLE: Final = 16
 _LEAST_OF_CYCLE: Final = 4  # beyond, sums over them fail
+_ROUNDING: Final = 1e-12  # of coefficients, as angles of places are rounded
 _RIM: Final = 720  # places on a circle at which a path is steepest, on so many circles
 _CIRCLES: Final = 24
 _MARGIN: Final = 8  # squares beyond the middle that cubics know
@@ -63,12 +64,18 @@ class PupilPath:
 
     def path(self, x: Array, y: Array) -> Array:
         """Extra path [m] at points of the opening along the camera's x and y, which goes down [m]."""
-        rho, theta = np.hypot(x, y) / self.radius, np.arctan2(-y, x)
-        found = np.zeros(rho.shape)
-        for order, value in zip(self.orders, self.coefficients, strict=True):
-            if value:
-                found += value * zernike(order, rho, theta)
-        return found
+        return zernike_sum(self.orders, self.coefficients, x / self.radius, -y / self.radius)
+
+    def is_mirrored(self, other: object, across: int, down: int) -> bool:
+        """Whether another path is this one with the signs of its axes changed, but for rounding."""
+        if not isinstance(other, PupilPath) or (self.radius, self.orders) != (other.radius, other.orders):
+            return False
+        sines = np.array([m < 0 for _, m in self.orders])
+        odd = np.array([m % 2 for _, m in self.orders], dtype=bool)
+        # Turning x about takes theta to pi - theta, turning y about takes it to -theta.
+        signs = np.where(odd != sines, across, 1) * np.where(sines, down, 1)
+        ours, theirs = np.array(self.coefficients), np.array(other.coefficients)
+        return bool(np.abs(signs * ours - theirs).max(initial=0.0) <= _ROUNDING * np.abs(ours).max(initial=0.0))
 
     def steepest(self, reach: float, curvature: float = 0.0) -> float:
         """Largest slope, without unit, of curvature q^2/2 + path within a radius; rays of it go v times as far."""

@@ -192,6 +192,8 @@ def _image_side(
     distance, stretch = camera.image_distance, None
     if camera.distortion is not None:
         bent_x, bent_y, stretch = camera.distortion.undistorted(x / distance, y / distance)
+        if camera.lens is not None and camera.lens.relative_illumination is not None:
+            stretch = None  # in what was measured
         x, y = bent_x * distance, bent_y * distance
     local[:, 0] = x + opening[:, 0]
     local[:, 1] = y + opening[:, 1]
@@ -394,7 +396,8 @@ def _central(
     rays, cos4, stretch = stretched_rays(camera.without_lens, (0.0, 0.0), u, v)
     weight = cos4
     if camera.lens is not None:
-        weight = whole_falloff(camera, _image_side(camera, np.zeros((1, 2)), u, v)[0])
+        local, stretch = _image_side(camera, np.zeros((1, 2)), u, v)
+        weight = whole_falloff(camera, local)
     return rays, weight if stretch is None else weight * stretch, cos4
 
 

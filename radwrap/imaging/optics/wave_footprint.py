@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.imaging.optics.footprint import footprint, laid_out, reach_px
+from radwrap.imaging.optics.transfer import Transfer
 from radwrap.imaging.optics.waves import Waves
 from radwrap.scene.camera import Camera, Sensor
 from radwrap.scene.pixel_window import PixelWindow, Profile
@@ -38,6 +39,7 @@ def wave_weights(
     *,
     least: float = 0.0,
     phase: tuple[int, ...] = (0, 0),
+    transfer: Transfer | None = None,
 ) -> Complex:
     """Transform of the weights of cells around a pixel, exact for radiance that is even in each cell.
 
@@ -58,6 +60,8 @@ def wave_weights(
         Frequencies of which no greater share passes may be left out; 0 takes all.
     phase : tuple of int
         Row and column of the pixel in the cell [px], where cells are larger.
+    transfer : callable, optional
+        What passes of frequencies, where it is made already, see `passed`.
 
     Returns
     -------
@@ -71,7 +75,7 @@ def wave_weights(
         highest, np.fft.rfftfreq(shape[1]), cell, sensor.pixel_width, window.across, phase=phase[1]
     )
     found = np.zeros((shape[0], shape[1] // 2 + 1), dtype=np.complex128)
-    transfer = waves.transfer_up_to(highest, magnification)
+    transfer = transfer or waves.transfer_up_to(highest, magnification)
     some_rows, some_columns = ([np.flatnonzero(np.abs(one) < highest) for one in axis] for axis in (down, across))
     for y, along, rows in zip(down, of_rows, some_rows, strict=True):
         for x, beside, columns in zip(across, of_columns, some_columns, strict=True):
@@ -112,6 +116,12 @@ def ray_weights(
     return np.fft.rfft2(laid_out(footprint(camera.without_lens, magnification, cell, phase), shape))
 
 
+def passed(waves: Waves, magnification: float) -> Transfer:
+    """What passes of frequencies, as `passed_weights` takes it, for cells of all sizes."""
+    least = _LEAST[waves.aperture.shape]
+    return waves.transfer_up_to(waves.last_frequency(magnification, least), magnification)
+
+
 def passed_weights(
     waves: Waves,
     camera: Camera,
@@ -120,9 +130,10 @@ def passed_weights(
     shape: tuple[int, int],
     *,
     phase: tuple[int, ...] = (0, 0),
+    transfer: Transfer | None = None,
 ) -> Complex:
     """As `wave_weights`, or of a wavelength of 0 as `ray_weights`; a blur of many cells may be off by 1e-4."""
     if not waves.wavelength and min(reach_px(camera, magnification)) < _POINTS_REACH * max(cell, 1.0):
         return ray_weights(camera, magnification, cell, shape, phase)
     least = _LEAST[waves.aperture.shape]
-    return wave_weights(waves, camera.sensor, magnification, cell, shape, least=least, phase=phase)
+    return wave_weights(waves, camera.sensor, magnification, cell, shape, least=least, phase=phase, transfer=transfer)

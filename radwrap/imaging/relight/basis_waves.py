@@ -19,7 +19,7 @@ from radwrap.imaging.optics.diffraction import Light
 from radwrap.imaging.relight.basis_pieces import BasisPieces
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.wave_far import far_change, far_light
-from radwrap.imaging.tolerance.wave_parts import wave_cells, wave_tile
+from radwrap.imaging.tolerance.wave_parts import Transforms, wave_cells, wave_tile
 from radwrap.imaging.tolerance.wave_plan import WavePlan
 
 
@@ -127,13 +127,13 @@ class BasisWaves:
 
     def _trace_tile(self, tile: int, due: dict[int, list[int]]) -> None:
         of_all, count = replace(self.work.view, workers=1), self.work.progress.add
-        cells = wave_cells(of_all, self.plan, tile, count)
+        cells, transforms = wave_cells(of_all, self.plan, tile, count), Transforms()
         for replicate, view in ((replicate, view) for replicate, views in due.items() for view in views):
             kind, lit = self._kind(replicate, tile), self.pieces.views[view]
             log_call(self.pieces.folder, f"{kind} {view}")
             alone = of_all if len(lit.names) == 1 else None
             one, plans = replace(lit.view, workers=1), self._plans(view)
-            traced = wave_tile(one, plans, (tile, replicate), cells, count, of_all=alone)
+            traced = wave_tile(one, plans, (tile, replicate), cells, count, transforms=transforms, of_all=alone)
             self.pieces.write(kind, view, np.stack([part.ravel() for parts in traced for part in parts]))
 
     @staticmethod

@@ -10,6 +10,7 @@ sources; the very same rays then tell what waves add to the light of each.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -29,6 +30,7 @@ from radwrap.random_streams import Rendering
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Rect = tuple[int, int, int, int]
+Part = tuple[slice, slice]  # rows and columns
 
 # Of what it changes to lay light out as if what lies behind went on: how far that may be off. By Fresnel's integral,
 # scripts/wave_occlusion.py, .01 to .11 where what lies behind is even. Where that has strong structure right beside the
@@ -94,9 +96,9 @@ def wave_parts(
 
     for tile, (r0, r1, c0, c1) in enumerate(plan.kernel.tiles):
         check()
-        decided = wave_cells(view, plan, tile, count)
+        decided, transforms = wave_cells(view, plan, tile, count), Transforms()
         for replicate, (lit, of_light) in itertools.product(range(replicates), plans):
-            traced = wave_tile(lit, [of_light], (tile, replicate), decided, count, of_all=of_all)
+            traced = wave_tile(lit, [of_light], (tile, replicate), decided, count, transforms=transforms, of_all=of_all)
             for found, of_cells in traced:
                 change[replicate, r0:r1, c0:c1] += found
                 cells[r0:r1, c0:c1] += of_cells / replicates
@@ -122,6 +124,7 @@ def wave_tile(
     cells: Cells,
     progress: Callable[[int], None],
     *,
+    transforms: Transforms,
     of_all: View | None = None,
 ) -> Iterator[tuple[Array, Array]]:
     """Trace a tile, and gather what waves add to each source that the view tells apart.
@@ -138,6 +141,8 @@ def wave_tile(
         Of the tile, see `wave_cells`.
     progress : callable
         Is told how many rays were traced.
+    transforms : Transforms
+        Of the tile.
     of_all : View, optional
         In the light of all, where the view has that of one: its depths are those that count.
 
@@ -161,7 +166,6 @@ def wave_tile(
         None if depth is None else Layout.of(depth, kernel.layers)
         for depth in (central.magnification, coarser.magnification)
     ]
-    transforms = _Transforms(len(plans))
     each = (array.reshape(-1, *array.shape[-2:]) for array in (central.values, coarser.values))
     for of_source, fine, rough in zip(plans, *each, strict=True):
         # Cells that do not resolve what waves do say little of what smaller ones would change.
@@ -182,17 +186,14 @@ def wave_tile(
         yield found, off + np.copysign(of_field, off)
 
 
-class _Transforms:
-    """Transforms of what waves do to the light of each layer: sources of one wavelength share them.
+class Transforms:
+    """Transforms of what waves do to the light of each layer of a tile.
 
-    Parameters
-    ----------
-    sources : int
-        How many ask for them; for a single one none is kept.
+    All replicates share them, sources of one wavelength do, and light that is laid out in two ways.
     """
 
-    def __init__(self, sources: int) -> None:
-        self._left = _MOST_KEPT if sources > 1 else 0
+    def __init__(self) -> None:
+        self._left = _MOST_KEPT
         self._kept: dict[tuple[Any, ...], list[Complex]] = {}
 
     def of(
@@ -218,25 +219,54 @@ def _gathered(
     cell: float,
     place: Rect,
     *,
-    transforms: _Transforms,
+    transforms: Transforms,
 ) -> tuple[Array, Array]:
     """What waves add to each pixel of a tile, by the light of each layer; and how far a mixture of places is off."""
-    rows, columns = (fast_length(size) for size in light[0].shape)
-    shape = rows, columns
-    spectra = [np.fft.rfft2(one, shape) for one in light]
+    weights = plan.weights
     found, of_coarser = np.zeros((2, place[1] - place[0], place[3] - place[2]))
-    step = max(1, round(cell))
-    for phase, (of_field, share, coarser) in itertools.product(
-        np.ndindex(step, step), plan.weights.lens_field.shares(place)
-    ):
-        at_phase = transforms.of(plan.weights, cell, shape, (phase[0], phase[1]), of_field)
-        field = np.fft.irfft2(
-            sum(spectrum * np.conj(each) for spectrum, each in zip(spectra, at_phase, strict=True)), shape
-        )
-        pixels = lattice(cell, place, phase)
-        row, column = (np.floor(at / cell).astype(int) - first for at, first in zip(pixels, central.first, strict=True))
-        at = np.ix_(pixels[0] - place[0], pixels[1] - place[2])
-        values = field[row[:, np.newaxis], column]
-        found[at] += share[at] * values
-        of_coarser[at] += coarser[at] * values
+    phases = [(row, column) for row, column in np.ndindex(max(1, round(cell)), max(1, round(cell)))]
+    whole = (slice(0, light[0].shape[0]), slice(0, light[0].shape[1]))
+    spectra, part = list[Complex](), (slice(0, 0), slice(0, 0))
+    for of_field, share, coarser in weights.lens_field.shares(place):
+        reach = np.max([weights.near(cell, phase, of_field)[0].shape for phase in phases], axis=0) // 2
+        cells = _around(share + coarser, central, cell, place, reach)
+        # Light has to be transformed anew for a part of it.
+        if (len(light) + 1) * _number(cells) >= _number(whole):
+            cells = whole
+        size = cells[0].stop - cells[0].start, cells[1].stop - cells[1].start
+        shape = fast_length(size[0]), fast_length(size[1])
+        if cells != part:
+            spectra, part = [np.fft.rfft2(one[cells], shape) for one in light], cells
+        for phase in phases:
+            at_phase = transforms.of(weights, cell, shape, phase, of_field)
+            field = np.fft.irfft2(
+                sum(spectrum * np.conj(each) for spectrum, each in zip(spectra, at_phase, strict=True)), shape
+            )
+            pixels = lattice(cell, place, phase)
+            row, column = (
+                np.floor(at / cell).astype(int) - first - one.start
+                for at, first, one in zip(pixels, central.first, cells, strict=True)
+            )
+            inside = (row >= 0) & (row < size[0]), (column >= 0) & (column < size[1])
+            at = np.ix_(
+                *(one[some] - begin for one, some, begin in zip(pixels, inside, (place[0], place[2]), strict=True))
+            )
+            values = field[row[inside[0], np.newaxis], column[inside[1]]]
+            found[at] += share[at] * values
+            of_coarser[at] += coarser[at] * values
     return found, MIXED_SHARE * np.abs(found - of_coarser)
+
+
+def _number(cells: Part) -> int:
+    return math.prod(int(one.stop - one.start) for one in cells)
+
+
+def _around(counts: Array, central: CentralImage, cell: float, place: Rect, reach: NDArray[np.intp]) -> Part:
+    """Cells of a tile that pixels which count gather from."""
+    found = []
+    for axis, begin in enumerate((place[0], place[2])):
+        used = np.flatnonzero(counts.any(axis=1 - axis)) + begin
+        low, high = (math.floor(pixel / cell) - central.first[axis] for pixel in (used[0], used[-1]))
+        least, most = max(0, low - int(reach[axis])), min(central.values.shape[axis - 2], high + int(reach[axis]) + 1)
+        found.append(slice(least, most))
+    return found[0], found[1]

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -13,10 +14,11 @@ from numpy.typing import NDArray
 from radwrap.imaging.demand import FINEST_CELL
 from radwrap.imaging.methods.kernel import KernelPlan, fast_length, plan_kernel
 from radwrap.imaging.optics.footprint import Footprint, laid_out
-from radwrap.imaging.optics.lens_field import LensField, Place, glass_at, glass_reach, lens_field
+from radwrap.imaging.optics.lens_field import LensField, Place, Signs, glass_at, glass_reach, images_of, lens_field
 from radwrap.imaging.optics.smooth import SmoothField
+from radwrap.imaging.optics.transfer import Transfer
 from radwrap.imaging.optics.view import View, look_at_depths
-from radwrap.imaging.optics.wave_footprint import passed_weights
+from radwrap.imaging.optics.wave_footprint import passed, passed_weights
 from radwrap.imaging.optics.waves import Waves
 from radwrap.imaging.tolerance.plans import POINTS_SHARE
 from radwrap.imaging.tolerance.points_noise import points_noise
@@ -70,8 +72,23 @@ class WaveWeights:
         """Of each layer, shape (2 rows + 1, 2 columns + 1); cells of a pixel in the middle."""
         key = cell, phase, place
         if key not in self.made:
-            self.made[key] = [self.of_layer(layer, cell, phase, place) for layer in self.kernel.layers]
+            self.made.update(self._at(place, {(cell, phase), *_gathered_by(self.kernel.grid.cell)}))
         return self.made[key]
+
+    def _at(
+        self, place: Place, sizes: Iterable[tuple[float, tuple[int, int]]]
+    ) -> dict[tuple[float, tuple[int, int], Place], list[Array]]:
+        """Of a place and its mirror images: cells of all sizes share what passes, which takes longest."""
+        camera, images = self.kernel.camera, images_of(self.kernel.camera, self.lens_field, place)
+        keys = [(*size, image, signs) for size in sizes for image, signs in images]
+        found: dict[tuple[float, tuple[int, int], Place], list[Array]] = {key[:3]: [] for key in keys}
+        glass = glass_at(camera, images[0][0])
+        for layer in self.kernel.layers:
+            once = [passed(replace(one, glass=glass), layer) if one.wavelength else None for _, one in self.terms]
+            for cell, phase, image, signs in keys:
+                passes = [None if one is None else partial(_signed, one, signs) for one in once]
+                found[cell, phase, image].append(self.of_layer(layer, cell, phase, image, passes))
+        return found
 
     def laid_out(self, cell: float, shape: tuple[int, int], phase: tuple[int, int], place: Place) -> Iterator[Complex]:
         """Their transforms in a field of a shape, of each layer."""
@@ -85,8 +102,15 @@ class WaveWeights:
         cell, places = self.kernel.grid.cell, self.lens_field.places
         return -float(np.mean([each.sum() for place in places for each in self.near(cell, (0, 0), place)]))
 
-    def of_layer(self, layer: float, cell: float, phase: tuple[int, int], place: Place) -> Array:
-        """As `near`, of one layer."""
+    def of_layer(
+        self,
+        layer: float,
+        cell: float,
+        phase: tuple[int, int],
+        place: Place,
+        passes: Sequence[Transfer | None] | None = None,
+    ) -> Array:
+        """As `near`, of one layer; with what passes of frequencies for each term, where that is made already."""
         reach = self.kernel.reach_px[::-1]
         # A pixel's middle beside that of the cell whose corner it shares [px].
         beside = [(1 - cell) / 2 + shift for shift in phase]
@@ -98,9 +122,11 @@ class WaveWeights:
         )
         shape = fast_length(2 * wide * rows + 1), fast_length(2 * wide * columns + 1)
         spectrum = np.zeros((shape[0], shape[1] // 2 + 1), dtype=np.complex128)
-        for factor, light in self.terms:
+        for (factor, light), transfer in zip(self.terms, passes or [None] * len(self.terms), strict=True):
             waves = replace(light, glass=glass) if light.wavelength else light
-            spectrum += factor * passed_weights(waves, self.kernel.camera, layer, cell, shape, phase=phase)
+            spectrum += factor * passed_weights(
+                waves, self.kernel.camera, layer, cell, shape, phase=phase, transfer=transfer
+            )
         change = np.fft.fftshift(np.fft.irfft2(spectrum, shape))
         r, c = (size // 2 for size in shape)
         change = change[r - rows : r + rows + 1, c - columns : c + columns + 1]
@@ -112,6 +138,17 @@ class WaveWeights:
         within = (1 - np.hypot(down[:, np.newaxis], across[np.newaxis])) * min(reach) / cell + 0.5
         cut: Array = change * np.clip(within, 0.0, 1.0)
         return cut
+
+
+def _gathered_by(cell: float) -> Iterator[tuple[float, tuple[int, int]]]:
+    """Sizes of cells by which a tile is gathered, its own and twice that, and the places of a pixel in each."""
+    for size in (cell, 2 * cell):
+        for row, column in np.ndindex(max(1, round(size)), max(1, round(size))):
+            yield size, (row, column)
+
+
+def _signed(transfer: Transfer, signs: Signs, across: Array, down: Array) -> Complex:
+    return transfer(signs[0] * across, signs[1] * down)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,6 +23,7 @@ LEVELS: Final = (
 # Keys of a lens that a scene has in [camera] and not in [camera.lens].
 _OF_CAMERA: Final = ("focal_length", "distortion")
 _FALLOFF: Final = ("falloff", "relative_illumination")
+_SAME_OPENING: Final = 0.02  # share by which F-numbers may differ: less than their steps on a lens
 _EFFICIENCY: Final = ("quantum_efficiency", "quantum_efficiencies")
 # Types of sources whose presets are no light with a housing.
 _SOURCES: Final = {"lamp": "lamps", "led": "leds"}
@@ -109,7 +110,7 @@ def with_presets(
             changed["sensor"] = merged(camera["sensor"], "sensors", "camera.sensor")
         if isinstance(camera.get("lens"), dict) and KEY in camera["lens"]:
             component = find("lenses", camera["lens"][KEY], folder, f"{origin}: camera.lens.{KEY}")
-            changed, used = _with_lens(changed, component)
+            changed, used = _with_lens(changed, component, f"{origin}: camera")
             taken.append(Taken(f"camera.lens.{KEY}", component, used))
         whole["camera"] = changed
     sources = document.get("sources")
@@ -197,9 +198,11 @@ def _elsewhere(component: Component, used: Iterable[str], table: Mapping[str, An
     return tuple(key for key, one in at.items() if not math.isclose(parse_quantity(one, LENGTH), asked, rel_tol=1e-9))
 
 
-def _with_lens(camera: Mapping[str, Any], component: Component) -> tuple[dict[str, Any], tuple[str, ...]]:
+def _with_lens(camera: Mapping[str, Any], component: Component, where: str) -> tuple[dict[str, Any], tuple[str, ...]]:
     """A camera with the keys of a lens, some of which are the camera's own, and those that it takes."""
     values = dict(component.values)
+    if not any(key in camera["lens"] for key in _FALLOFF):
+        _check_opening(camera, component, where)
     if "diameter" in camera.get("aperture", {}):
         values.pop("f_number", None)
     if "calibration" in camera:  # which tells these
@@ -210,6 +213,27 @@ def _with_lens(camera: Mapping[str, Any], component: Component) -> tuple[dict[st
     other = {key: value for key, value in values.items() if key not in _OF_CAMERA}
     used = (*(key for key in own if key not in camera), *(key for key in other if key not in camera["lens"]))
     return {**own, **camera, "lens": {**other, **camera["lens"]}}, used
+
+
+def _check_opening(camera: Mapping[str, Any], component: Component, where: str) -> None:
+    """Refuse an opening that is not the lens's own where its rims say what light the corners get."""
+    values, told = component.values, camera["lens"].get("f_number")
+    if "relative_illumination" not in values or "f_number" not in values:
+        return
+    key, diameter = "lens.f_number", camera.get("aperture", {}).get("diameter")
+    if told is None and isinstance(diameter, str):
+        key = "aperture.diameter"
+        try:
+            told = parse_quantity(values["focal_length"], LENGTH) / parse_quantity(diameter, LENGTH)
+        except (InputError, ZeroDivisionError):
+            return  # reported with the key, later
+    if isinstance(told, int | float) and abs(told / values["f_number"] - 1) > _SAME_OPENING:
+        raise InputError(
+            f'is f/{told:.3g}, and the preset "{component.name}" knows what light the corners get at '
+            f"f/{values['f_number']:g}",
+            where=f"{where}.{key}",
+            remedy='take the preset of your F-number, or give camera.lens.relative_illumination, or falloff = "cos4"',
+        )
 
 
 def _beside(component: Component, table: Mapping[str, Any], where: str) -> dict[str, Any]:

@@ -231,12 +231,6 @@ def _distortion(table: tables.CameraModel, centre: tuple[float, float], where: s
         return None
     lens = table.lens
     f = table.focal_length if lens is None else image_distance(table.focal_length, lens.focus_distance)
-    if lens is not None and (lens.relative_illumination is not None or lens.falloff == "none"):
-        raise InputError(
-            "a measured or missing falloff holds what the distortion does to the light too",
-            where=f"{where}.distortion",
-            remedy='leave out one of them, or set falloff = "cos4"',
-        )
     if told.kappa1 is not None:
         found = Distortion("tsai", (told.kappa1 * f**2,))
     else:
@@ -276,7 +270,7 @@ def _lens(
             raise InputError(
                 f"ends {illumination[-1][0] * 1e3:g} mm from the axis, the sensor at {corner * 1e3:.4g} mm",
                 where=f"{where}.relative_illumination",
-                remedy="add a height as large as that",
+                remedy="add a height as large as that, or take a lens that covers the sensor",
             )
     elif table.falloff is None:
         assumed["camera.lens.falloff"] = "cos4"

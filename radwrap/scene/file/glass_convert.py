@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -20,7 +21,7 @@ from radwrap.scene.zernike import HIGHEST_ORDER, Convention, Order, order_of, rm
 
 if TYPE_CHECKING:
     from radwrap.scene.file.document import CameraModel
-    from radwrap.scene.file.optics_tables import ContrastModel, LensModel, PointSpreadModel, WavefrontModel
+    from radwrap.scene.file.optics_tables import ContrastModel, FieldModel, LensModel, PointSpreadModel, WavefrontModel
 
 Array = NDArray[np.float64]
 
@@ -98,8 +99,12 @@ def _wavefront(
         told = {int(number): path for number, path in table.coefficients.items()}
         orders, (row,) = _by_order(table.convention, [told], f"{where}.coefficients")
         return Wavefront(pupil, orders, (row,))
-    key = f"{where}.file"
-    heights, rows = _read(named_file(folder, table.file or "", key), key)
+    if table.fields is not None:
+        key = f"{where}.fields"
+        heights, rows = _listed(table.fields, key)
+    else:
+        key = f"{where}.file"
+        heights, rows = _read(named_file(folder, table.file or "", key), key)
     orders, values = _by_order(table.convention, rows, key)
     if heights[0] != 0 or heights[-1] < corner:
         raise InputError(
@@ -117,6 +122,14 @@ def _wavefront(
             remedy="set them 0 at the height 0, or give the same coefficients for all of the image by `coefficients`",
         )
     return Wavefront(pupil, orders, tuple(values), heights)
+
+
+def _listed(fields: tuple[FieldModel, ...], where: str) -> tuple[tuple[float, ...], list[dict[int, float]]]:
+    """Heights [m], and of each the path of numbered terms [m]; a term that is not there is 0."""
+    heights = tuple(one.height for one in fields)
+    if any(a >= b for a, b in pairwise(heights)):
+        raise InputError("needs heights that increase", where=where)
+    return heights, [{int(number): path for number, path in one.coefficients.items()} for one in fields]
 
 
 def _by_order(

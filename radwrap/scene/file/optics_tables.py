@@ -27,6 +27,15 @@ TermNumber = Annotated[str, Field(strict=True, pattern=r"^(0|[1-9][0-9]{0,2})$")
 GLASS = ("wavefront", "mtf", "psf")
 
 
+class FieldModel(Model):
+    """An entry of [camera.lens.wavefront] fields."""
+
+    height: SizeOrZero
+    """How far from the axis, on the sensor."""
+    coefficients: Annotated[dict[TermNumber, OpticalPath], Field(max_length=231)]
+    """Number of a polynomial and its path there; longer is positive."""
+
+
 class WavefrontModel(Model):
     """[camera.lens.wavefront]: what the glass adds to the path of light over the pupil, as Zernike coefficients."""
 
@@ -36,12 +45,14 @@ class WavefrontModel(Model):
     """Number of a polynomial and its path, the same for all of the image; longer is positive."""
     file: FileName | None = None
     """CSV table beside the scene, in place of coefficients: field_height_mm, index, coefficient [m]."""
+    fields: Annotated[tuple[FieldModel, ...], Field(min_length=2, max_length=200)] | None = None
+    """The same table in the scene's own file, from the axis on."""
     pupil_diameter: Size | None = None
     """Diameter of the disc that the polynomials belong to; default the opening's."""
 
     @model_validator(mode="after")
     def _one_place(self) -> WavefrontModel:
-        exactly_one(self, "coefficients", "file")
+        exactly_one(self, "coefficients", "file", "fields")
         return self
 
 
