@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -35,6 +35,8 @@ _SAME: Final = 1e-9  # of a level; rounding alone
 # So many times the certified rms below saturation a pixel may be saturated in truth.
 _MAY_SATURATE: Final = 3.0
 _SHAPE: Final = ("rows", "columns", "pixel_width", "pixel_height", "window", "channel", "mosaic")
+_ELECTRONIC: Final = ("exposure_time", "sensor")
+_KEYS: Final = {"pose": "position"}  # of the scene, where it calls something else than the camera does
 _BOUNDS: Final = (
     "rms_gray",
     "rms_gray_upper95",
@@ -206,8 +208,10 @@ def check_same_light(old: Camera, new: Camera) -> None:
             where="camera.sensor.wavelength",
             remedy='render that camera, or set `camera.diffraction = "off"`',
         )
-    if replace(new, exposure_time=old.exposure_time, sensor=old.sensor) != old:
-        raise InputError("changes which light a pixel gets", where="camera", remedy="render that camera")
+    for one in fields(Camera):
+        if one.name not in _ELECTRONIC and getattr(old, one.name) != getattr(new, one.name):
+            where = f"camera.{_KEYS.get(one.name, one.name)}"
+            raise InputError("changes which light a pixel gets", where=where, remedy="render that camera")
 
 
 def growth_of(old: Sensor, new: Sensor, times: float, exposure: NDArray[np.float64], bound: float) -> float:

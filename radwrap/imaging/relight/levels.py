@@ -115,7 +115,9 @@ def _check_header(header: Sequence[str], sources: Sequence[str], dark: Sequence[
             raise InputError(f'the column "{column}" comes twice', where=where)
     for column in wanted:
         if column not in header:
-            raise InputError(f'the column "{column}" is missing', where=where, remedy="1 leaves a source as it is")
+            line = ",".join(wanted[:3]) + (",..." if len(wanted) > 3 else "")
+            remedy = f"begin the table with the line {line}" if column == NAME else "1 leaves a source as it is"
+            raise InputError(f'the column "{column}" is missing', where=where, remedy=remedy)
 
 
 def _check_name(name: str, known: Sequence[str], dark: Sequence[str], where: str, what: str) -> None:

@@ -159,6 +159,8 @@ def read_basis(folder: Path) -> Basis:
     InputError
         If there is no basis, or one of its files, `basis.json` too, is not the one that was written.
     """
+    if not (folder / BASIS).exists():
+        raise InputError(f"holds no light basis, {BASIS}", where=str(folder), remedy="render the scene with a basis")
     told = read_manifest(folder / BASIS)
     if sealed(told)[SEAL] != told.get(SEAL):
         raise InputError("is not as it was made", where=str(folder / BASIS), remedy="make the basis again")
