@@ -10,15 +10,18 @@ from radwrap.errors import InputError
 from radwrap.scene.scene import Scene
 
 # None of them names a file, and none changes which sources there are.
-_CAMERA: Final = ("position", "look_at", "rotation", "focal_length", "lens.focus_distance", "aperture.diameter")
+_CAMERA: Final = (
+    *("position", "look_at", "rotation", "focal_length"),
+    *("lens.focus_distance", "lens.f_number", "aperture.diameter"),
+)
 _TARGET: Final = ("position", "rotation")
 _LONGEST: Final = 200  # letters
-Value = str | list[str]
+Value = str | float | list[str]
 
 
 def ray_knobs(scene: Scene) -> dict[str, str]:
     """Key of the scene file -> its value as a text, numbers of a vector with commas between them."""
-    return {key: value if isinstance(value, str) else ", ".join(value) for key, value in _values(scene)}
+    return {key: ", ".join(value) if isinstance(value, list) else str(value) for key, value in _values(scene)}
 
 
 def _values(scene: Scene) -> Iterator[tuple[str, Value]]:
@@ -30,7 +33,8 @@ def _values(scene: Scene) -> Iterator[tuple[str, Value]]:
             value: Any = table
             for step in name.split("."):
                 value = value.get(step) if isinstance(value, dict) else None
-            if isinstance(value, str) or (isinstance(value, list) and all(isinstance(one, str) for one in value)):
+            texts = isinstance(value, list) and all(isinstance(one, str) for one in value)
+            if texts or (isinstance(value, str | int | float) and not isinstance(value, bool)):
                 yield f"{place}.{name}", value
 
 
@@ -53,7 +57,16 @@ def ray_changes(told: Any, scene: Scene) -> dict[str, Value]:
         parts = [part.strip() for part in text.split(",")]
         if isinstance(before, list) and len(parts) != len(before):
             raise InputError(f"needs {len(before)} values with commas between them", where=key)
-        value = parts if isinstance(before, list) else text.strip()
+        value = parts if isinstance(before, list) else text.strip() if isinstance(before, str) else _number(text, key)
         if value != before:
             found[key] = value
     return found
+
+
+def _number(text: str, key: str) -> float:
+    """Of a knob without a unit."""
+    try:
+        found = float(text)
+    except ValueError as error:
+        raise InputError("must be a number without a unit", where=key) from error
+    return int(found) if found.is_integer() else found

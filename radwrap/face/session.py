@@ -98,6 +98,8 @@ class Traced:
         changed; 0 where there was none.
     ray_knobs : Mapping
         See `ray_knobs`; of the scene without larger pixels.
+    ray_knobs_of_file : Mapping
+        Those of the scene as it was opened.
     """
 
     number: int
@@ -110,6 +112,7 @@ class Traced:
     coarse: Coarse | None = None
     replaces: int = 0
     ray_knobs: Mapping[str, str] = field(default_factory=dict)
+    ray_knobs_of_file: Mapping[str, str] = field(default_factory=dict)
     _images: OrderedDict[Turn, Image] = field(default_factory=OrderedDict)
     _one: threading.Lock = field(default_factory=threading.Lock)
 
@@ -155,7 +158,8 @@ class Traced:
         """What a page shows of it."""
         block = 0 if self.coarse is None else self.coarse.block
         told = described(self.scene, self.relighter.basis, self.run)
-        return {"basis": self.number, "coarse": block, "replaces": self.replaces, **told, "ray_knobs": self.ray_knobs}
+        rays = {"ray_knobs": self.ray_knobs, "ray_knobs_of_file": self.ray_knobs_of_file}
+        return {"basis": self.number, "coarse": block, "replaces": self.replaces, **told, **rays}
 
     def told(self, turn: Turn, image: Image) -> dict[str, Any]:
         """What a page shows of an image."""
@@ -268,6 +272,7 @@ class Session:
         self._options, self._work, self._recipe = dict(options), work, recipe
         self.out = out
         self._scene = scene
+        self._ray_knobs_of_file = ray_knobs(scene)
         self._renderer = Renderer(work)
         self._number = 0  # of bases
         self._traces = 0
@@ -428,7 +433,7 @@ class Session:
     def _read(self, scene: Scene, folder: Path, **more: Any) -> Traced:
         relighter = Relighter(read_basis(folder))
         self._number += 1
-        more = {"ray_knobs": ray_knobs(scene), **more}
+        more = {"ray_knobs": ray_knobs(scene), "ray_knobs_of_file": self._ray_knobs_of_file, **more}
         return Traced(self._number, scene, folder, read_run_manifest(folder), relighter, **more)
 
     def _progressed(self, done: int, of: int) -> None:

@@ -42,6 +42,18 @@ def test_knobs_are_what_the_scene_says() -> None:
     }
 
 
+def test_an_f_number_is_a_number() -> None:
+    lens = {"camera.lens": {"focus_distance": "500 mm", "f_number": 4}}
+    document = scene_with(TWO)
+    del document["camera"]["aperture"]
+    turned = radwrap.scene_from_document(document, lens)
+    assert ray_knobs(turned)["camera.lens.f_number"] == "4"
+    assert ray_changes({"camera.lens.f_number": " 5.6"}, turned) == {"camera.lens.f_number": 5.6}
+    assert ray_changes({"camera.lens.f_number": "4.0"}, turned) == {}
+    with pytest.raises(InputError, match="must be a number without a unit"):
+        ray_changes({"camera.lens.f_number": "f/4"}, turned)
+
+
 def test_only_what_is_turned_changes() -> None:
     told = {OPENING: " 0.4 mm", ROTATION: "20 deg,6 deg , 5 deg"}
     assert ray_changes(told, scene()) == {ROTATION: ["20 deg", "6 deg", "5 deg"]}
@@ -117,6 +129,7 @@ def test_of_many_turns_the_last_one_counts(session: Session) -> None:
     assert time.monotonic() - start < 5 * 2.0  # each is asked to stop, and does
     last = seen(session)[-1]
     assert session.status.state == "ready" and last.ray_knobs[OPENING] == "0.5 mm"
+    assert last.described()["ray_knobs_of_file"] == ray_knobs(scene())
     assert session.renderer_pid == renderer  # it stayed warm
 
 

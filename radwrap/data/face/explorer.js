@@ -74,7 +74,7 @@ export class Explorer {
     this.resetWindow();
     if (kept) take(this, kept);
     this.tellLeftOut();
-    this.rayKnobs = new RayKnobs(this);
+    this.rayKnobs = new RayKnobs(this, kept?.rays);
     if (kept?.focus?.knob.startsWith("ray:")) focusKnob(kept.focus);
     byId("rays").textContent = "Materials, and what else is not here, need rays too: change them in the scene file."
       + (described.dark_sources.length ? ` Dark in the scene, so without a knob: ${described.dark_sources.join(", ")}.` : "");

@@ -24,7 +24,7 @@ export function keptOf(before, next) {
   const [low, high] = before.window;
   const full = low === 0 && high === 2 ** before.sensor.bit_depth - 1;
   return {
-    history: before.history, focus: focusedKnob(),
+    history: before.history, focus: focusedKnob(), rays: before.rayKnobs.past,
     pin: pin && { u: middle(pin.u, next.columns), v: middle(pin.v, next.rows) },
     line: line && scaled(line), region: region && scaled(region), window: full ? null : [low, high],
     sight: view.fitted ? null : { x: view.x * block, y: view.y * block, size: view.size / block },

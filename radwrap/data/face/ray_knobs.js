@@ -6,9 +6,15 @@ import { byId, element } from "./dom.js";
 
 /** Fields with the scene file's own keys and values. */
 export class RayKnobs {
-  /** @param {Explorer} explorer */
-  constructor(explorer) {
+  /**
+   * @param {Explorer} explorer
+   * @param {Record<string, string>[]} [past] values of pictures before this one, with other rays
+   */
+  constructor(explorer, past = []) {
     this.explorer = explorer;
+    this.past = past;
+    this.kept = past; // what is past where the trace is stopped
+    this.undoing = false;
     /** @type {Map<string, HTMLInputElement>} */
     this.fields = new Map();
     this.waits = false;
@@ -16,7 +22,38 @@ export class RayKnobs {
     this.traces = false;
     this.refusal = element("p", { class: "wrong", role: "alert" });
     const rows = Object.entries(explorer.described.ray_knobs ?? {}).map(([key, value]) => this.row(key, value));
-    byId("rayknobs").replaceChildren(...rows, this.refusal);
+    const button = (/** @type {string} */ text, /** @type {string} */ title, /** @type {() => void} */ act) => {
+      const made = element("button", { type: "button", title }, text);
+      made.addEventListener("click", act);
+      return made;
+    };
+    this.undo = button("Undo rays", "The values before", () => this.stepBack());
+    this.reset = button("Reset rays", "As in the scene file", () => {
+      this.fill(this.explorer.described.ray_knobs_of_file ?? {});
+      void this.turned();
+    });
+    byId("rayknobs").replaceChildren(...rows, ...rows.length ? [element("p", {}, this.undo, " ", this.reset)] : [], this.refusal);
+    this.offer();
+  }
+
+  /** Which buttons there is something for. */
+  offer() {
+    const { ray_knobs: now = {}, ray_knobs_of_file: file = {} } = this.explorer.described;
+    this.undo.disabled = !this.past.length;
+    this.reset.disabled = Object.entries(file).every(([key, value]) => now[key] === value);
+  }
+
+  /** @param {Record<string, string>} values */
+  fill(values) {
+    for (const [key, field] of this.fields) field.value = values[key] ?? field.value;
+  }
+
+  stepBack() {
+    const before = this.past.at(-1);
+    if (!before) return;
+    this.fill(before);
+    this.undoing = true;
+    void this.turned();
   }
 
   /** @param {string} key @param {string} value */
@@ -45,7 +82,9 @@ export class RayKnobs {
   back() {
     if (!this.traces) return;
     this.traces = false;
-    for (const [key, field] of this.fields) field.value = this.explorer.described.ray_knobs?.[key] ?? "";
+    this.past = this.kept;
+    this.fill(this.explorer.described.ray_knobs ?? {});
+    this.offer();
   }
 
   async ask() {
@@ -53,7 +92,13 @@ export class RayKnobs {
     const rays = Object.fromEntries([...this.fields].map(([key, field]) => [key, field.value]));
     try {
       await explorer.source.ask("trace", { basis: explorer.described.basis, rays });
-      this.traces = true;
+      if (!this.traces) this.kept = this.past;
+      const now = explorer.described.ray_knobs ?? {};
+      const same = Object.entries(rays).every(([key, value]) => now[key] === value);
+      this.past = same ? this.kept : this.undoing ? this.kept.slice(0, -1) : [...this.kept, now];
+      this.undoing = false;
+      this.traces = !same;
+      this.offer();
       this.refusal.textContent = "";
       for (const field of this.fields.values()) field.removeAttribute("aria-invalid");
     } catch (error) {

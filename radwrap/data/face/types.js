@@ -20,13 +20,13 @@
  * @typedef {{basis: number, title: string, rows: number, columns: number, sources: Source[], dark_sources: string[],
  *   exposure_time: number, exposure_of_radiance: number, sensor: Sensor, tolerance: number, left_out: Effect[],
  *   warnings: string[], mixes: boolean, saves: boolean, coarse?: number, replaces?: number,
- *   ray_knobs?: Record<string, string>}} Described
+ *   ray_knobs?: Record<string, string>, ray_knobs_of_file?: Record<string, string>}} Described
  * A coarse picture tells how many pixels a side are one; the next one tells which coarse picture stood for it.
  *
  * @typedef {{history: import("./state.js").History, pin: {u: number, v: number} | null, line: number[] | null,
  *   region: number[] | null, window: [number, number] | null,
  *   sight: {x: number, y: number, size: number} | null,
- *   focus: {knob: string, type: string, text: string} | null}} Kept
+ *   focus: {knob: string, type: string, text: string} | null, rays: Record<string, string>[]}} Kept
  * What a coarse picture leaves to the one that it stood for, in pixels of that one.
  *
  * @typedef {{error: {rms_gray: number | null, rms_gray_upper95: number | null, method: string}, keeps: boolean,

@@ -401,6 +401,16 @@ test("a knob that needs rays traces anew, coarse first, with the other knobs whe
   const shown = () => page.locator('[data-knob="ray:camera.aperture.diameter"] input').inputValue();
   const coarse = (await page.textContent("#kept")).startsWith("coarse");
   if (/^stopped/.test(await page.textContent("#state"))) assert.equal(await shown(), coarse ? "0.3 mm" : "0.2 mm");
+  // Back to the file's own opening, and there is nothing left to reset.
+  await page.click("text=Reset rays");
+  await page.waitForFunction(() => !/diameter/.test(document.getElementById("command").textContent), undefined, { timeout: PATIENCE });
+  await measured(page);
+  assert.equal(await shown(), "0.1 mm");
+  assert.ok(await page.isDisabled("text=Reset rays"));
+  assert.equal(await field(page, "level:ring.led03").inputValue(), "0.5");
+  await page.click("text=Undo rays");
+  await page.waitForFunction(() => /diameter=/.test(document.getElementById("command").textContent), undefined, { timeout: PATIENCE });
+  assert.match(await shown(), /^0\.[23] mm$/);
 });
 
 test("a basis that is too large to mix: the picture follows when a knob rests", async (t) => {
