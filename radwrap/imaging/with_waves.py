@@ -155,8 +155,8 @@ def refuse_waves(scene: Scene, options: RenderOptions) -> None:
         raise InputError("is missing, and diffraction is asked for", where="sampling.wave_cell")
 
 
-def foreseen_waves(scene: Scene, options: RenderOptions, work: Work) -> tuple[WavePlan, int] | None:
-    """By which rays, and how many sets of them, waves are expected to be taken, of an image that is not made yet.
+def foreseen_waves(scene: Scene, options: RenderOptions, work: Work, replicates: int) -> tuple[WavePlan, int] | None:
+    """By which rays, and how many sets of them, waves are expected to be taken, of an image of so many replicates.
 
     None where they are not, or cannot be.
     """
@@ -172,7 +172,8 @@ def foreseen_waves(scene: Scene, options: RenderOptions, work: Work) -> tuple[Wa
         plan = waves.plan(_AIM * left, _OF_CELLS * left)
     except TooDeep:
         return None
-    return plan, waves.fewest_replicates(plan) if options.sampling is None else options.sampling.replicates
+    each_is_kept = options.basis or options.sampling is not None
+    return plan, replicates if each_is_kept else waves.fewest_replicates(plan)
 
 
 def with_waves(
