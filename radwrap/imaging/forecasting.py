@@ -20,7 +20,7 @@ import numpy as np
 from radwrap.files import make_folder
 from radwrap.imaging.forecast.basis_rehearsal import rehearsed_basis
 from radwrap.imaging.forecast.cost import USUAL_RAYS, Cheaper, Cost, Foretold, check_size, estimate
-from radwrap.imaging.forecast.effects import bounces
+from radwrap.imaging.forecast.effects import bounces, diffraction_left_out
 from radwrap.imaging.forecast.rehearsal import (
     LONGEST_TILE,
     Rehearsed,
@@ -48,7 +48,7 @@ from radwrap.imaging.tolerance.replicates import Plan, Work
 from radwrap.imaging.tolerance.sampling import even_plan
 from radwrap.imaging.tolerance.wave_plan import WavePlan
 from radwrap.imaging.tracing import LaidOutScene
-from radwrap.imaging.with_waves import foreseen_waves
+from radwrap.imaging.with_waves import foreseen_waves, rays_that_tell
 from radwrap.process import Programs, available_cores
 from radwrap.progress import Progress, note
 from radwrap.random_streams import Rendering, generator
@@ -127,6 +127,7 @@ class Stage:
         if isinstance(what, Search):
             # All that follows has the blocks that the search found smooth.
             work = replace(self.work, view=what.view)
+            parts["what is left out"] = self._telling(work.view, image.rays)
             waves = foreseen_waves(self.traced.scene, self.options, work, image.replicates)
             if waves is not None:
                 found = rehearsed_waves(what.view, *waves, 1 if self.options.bounces else len(self.traced.lights()))
@@ -142,6 +143,12 @@ class Stage:
             parts["truth"] = seconds_per_ray(numbered) * sensor.pixels
         parts["files"] = _file_seconds(self.work.folder, self.work.view.camera) * (1 + self.options.frames)
         return parts, rays
+
+    def _telling(self, view: View, rays: float) -> float:
+        """Time in which a run finds out what diffraction changes of an image of so many rays [s]."""
+        scene, options = self.traced.scene, self.options
+        telling = rays_that_tell(scene, rays)
+        return timed(lambda: diffraction_left_out(scene, view, options.seed, options.gray_tolerance, telling))
 
     def _image(self, what: Search | ViewpointPlan) -> _Foreseen:
         if isinstance(what, ViewpointPlan):

@@ -142,8 +142,8 @@ def test_a_shutter_that_never_opens_is_forecast_without_a_warning() -> None:
 def test_parts_add_up_and_a_run_takes_about_as_long(tmp_path: Path) -> None:
     cost = forecast(scene(4), radwrap.RenderOptions(workers=1), started=1.0)
     assert cost.seconds == pytest.approx(sum(cost.parts.values())) and cost.parts["start"] == 1.0
-    parts = {"start", "layout", "light between surfaces", "survey", "image and certificate", "files"}
-    assert parts == set(cost.parts)
+    before, after = {"start", "layout", "light between surfaces", "survey"}, {"what is left out", "files"}
+    assert before | {"image and certificate"} | after == set(cost.parts)
     clock = Stopwatch()
     radwrap.render(scene(4), tmp_path / "out", workers=1)
     # A tenth of a second more or less is the start of the tracer's programs.
