@@ -18,8 +18,9 @@ from typing import Final
 import numpy as np
 
 from radwrap.files import make_folder
+from radwrap.imaging.forecast.basis_rehearsal import rehearsed_basis
 from radwrap.imaging.forecast.cost import USUAL_RAYS, Cheaper, Cost, Foretold, check_size, estimate
-from radwrap.imaging.forecast.effects import bounces
+from radwrap.imaging.forecast.effects import bounces, diffraction_left_out
 from radwrap.imaging.forecast.rehearsal import (
     LONGEST_TILE,
     Rehearsed,
@@ -34,6 +35,7 @@ from radwrap.imaging.forecast.rehearsal import (
 from radwrap.imaging.forecast.wave_rehearsal import rehearsed_waves
 from radwrap.imaging.mean_radiance import fixed_method, viewpoint_plan
 from radwrap.imaging.methods.kernel import KernelPlan
+from radwrap.imaging.methods.smooth_blocks import in_other_light
 from radwrap.imaging.methods.viewpoints import ViewpointPlan
 from radwrap.imaging.optics.view import View
 from radwrap.imaging.output.image_files import write_images
@@ -42,10 +44,11 @@ from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.response.noise import linear_of
 from radwrap.imaging.tolerance.lit_noise import ToleranceAsked, with_gray_tolerance
 from radwrap.imaging.tolerance.planner import Search
-from radwrap.imaging.tolerance.replicates import Work
+from radwrap.imaging.tolerance.replicates import Plan, Work
 from radwrap.imaging.tolerance.sampling import even_plan
+from radwrap.imaging.tolerance.wave_plan import WavePlan
 from radwrap.imaging.tracing import LaidOutScene
-from radwrap.imaging.with_waves import foreseen_waves
+from radwrap.imaging.with_waves import foreseen_waves, rays_that_tell
 from radwrap.process import Programs, available_cores
 from radwrap.progress import Progress, note
 from radwrap.random_streams import Rendering, generator
@@ -58,6 +61,9 @@ from radwrap.scene.sources import WideSource
 _LONG: Final = 60.0  # s
 _MANY: Final = 2e7
 _PERHAPS_LONG: Final = 25.0  # s
+# What is expected to take less in one thread is rehearsed as a whole: one image is often followed by finer ones, until
+# one keeps the tolerance, and what lights are alike over few pixels says little of it beforehand.
+_SHORT_SEARCH: Final = 1.5  # s
 # What is told to be cheaper takes this share at most.
 _CHEAPER: Final = 0.8
 _STRIP: Final = 1 << 16  # px
@@ -66,8 +72,31 @@ _READ_BACK: Final = 0.4
 _CERTIFIED_RAYS: Final = 2 * 64 * 512  # of a method whose rays are fixed, see `certify_by_independent_rays`
 _THINNED: Final = 4
 _SHORT: Final = 0.3  # s; as `LONGEST_TILE`, where only ratios count
-_OF_IMAGE: Final = {"image", "certificate", "where the kernel fails"}
+_WHOLE: Final = "image and certificate"
+_OF_IMAGE: Final = {"image", "certificate", "where the kernel fails", _WHOLE}
 _HALF: Final = "half as many columns and rows of pixels"
+
+
+@dataclass(frozen=True, slots=True)
+class _Foreseen:
+    """An image that is to come, as far as its rehearsal tells.
+
+    Attributes
+    ----------
+    parts : Mapping[str, float]
+        Of the time that it takes [s].
+    rays : float
+        How many, without those of its certificate.
+    plan : KernelPlan, RaysPlan, HybridPlan or None
+        By which rays the image is made in the end; None of viewpoints.
+    replicates : int
+        How many sets of them.
+    """
+
+    parts: dict[str, float]
+    rays: float
+    plan: Plan | None = None
+    replicates: int = 0
 
 
 @dataclass(slots=True)
@@ -93,12 +122,19 @@ class Stage:
 
     def to_come(self, what: Search | ViewpointPlan) -> tuple[dict[str, float], float]:
         """Parts of the time that is to come [s], and rays."""
-        parts, image = self._image(what)
-        if isinstance(what, Search) and (waves := self._waves(what)) is not None:
-            parts["diffraction"] = waves.seconds
-            image = replace(image, rays=image.rays + waves.rays)
-        if self.options.basis:
-            parts["basis"] = self._basis(image)
+        image = self._image(what)
+        parts, rays = dict(image.parts), image.rays
+        if isinstance(what, Search):
+            # All that follows has the blocks that the search found smooth.
+            work = replace(self.work, view=what.view)
+            parts["what is left out"] = self._telling(work.view, image.rays)
+            waves = foreseen_waves(self.traced.scene, self.options, work, image.replicates)
+            if waves is not None:
+                found = rehearsed_waves(what.view, *waves, 1 if self.options.bounces else len(self.traced.lights()))
+                parts["diffraction"] = found.seconds
+                rays += found.rays
+            if self.options.basis and image.plan is not None:
+                parts["basis"] = self._basis(work, image.plan, image.replicates, waves)
         if self.options.truth:
             sensor, numbered = (
                 self.work.view.camera.sensor,
@@ -106,40 +142,54 @@ class Stage:
             )
             parts["truth"] = seconds_per_ray(numbered) * sensor.pixels
         parts["files"] = _file_seconds(self.work.folder, self.work.view.camera) * (1 + self.options.frames)
-        return parts, image.rays
+        return parts, rays
 
-    def _waves(self, what: Search) -> Rehearsed | None:
-        """What diffraction takes, where it is expected to be taken."""
-        work = replace(self.work, view=what.view)
-        found = foreseen_waves(self.traced.scene, self.options, work)
-        if found is None:
-            return None
-        wavelengths = 1 if self.options.bounces else len(self.traced.lights())
-        return rehearsed_waves(what.view, *found, wavelengths)
+    def _telling(self, view: View, rays: float) -> float:
+        """Time in which a run finds out what diffraction changes of an image of so many rays [s]."""
+        scene, options = self.traced.scene, self.options
+        telling = rays_that_tell(scene, rays)
+        return timed(lambda: diffraction_left_out(scene, view, options.seed, options.gray_tolerance, telling))
 
-    def _image(self, what: Search | ViewpointPlan) -> tuple[dict[str, float], Rehearsed]:
+    def _image(self, what: Search | ViewpointPlan) -> _Foreseen:
         if isinstance(what, ViewpointPlan):
             image = rehearsed_viewpoints(self.work.view, what)
             rays = _CERTIFIED_RAYS * seconds_per_ray(self.work.view) / self.work.view.workers
-            return {"image": image.seconds, "certificate": rays}, image
+            return _Foreseen({"image": image.seconds, "certificate": rays}, image.rays)
         work, sampling = replace(self.work, view=what.view), self.options.sampling
-        if sampling is None:
-            plan, number = what.first_plan()
-            expected = what.choice.expected_rays[what.choice.method] or USUAL_RAYS * plan.camera.sensor.pixels
-        else:
+        if sampling is not None:
             plan, number = even_plan(self.work.view, what.found, sampling), sampling.replicates
-            expected = round(sampling.rays_per_pixel * plan.camera.sensor.pixels)
-        image = rehearsed(work, plan, number, expected, self.longest)
+            image = rehearsed(
+                work, plan, number, round(sampling.rays_per_pixel * plan.camera.sensor.pixels), self.longest
+            )
+            return self._certified(work, what, image, plan, number)
+        found = self._searched(work, what)
+        if sum(found.parts.values()) * work.view.workers > _SHORT_SEARCH:
+            return found
+        # In a folder of its own, where it finds nothing that was rehearsed.
+        alone = replace(self.work, folder=self.work.folder / "whole")
+        make_folder(alone.folder)
+        search, clock = Search(alone, what.demand, relit=self.options.basis), Stopwatch(work.view.workers)
+        outcome = search.run()
+        number = len(outcome.replicates.images)
+        return _Foreseen({_WHOLE: clock.lap()}, outcome.record.rays, outcome.ray_plan, number)
+
+    def _searched(self, work: Work, search: Search) -> _Foreseen:
+        """The image that a search tries first, and the one that comes after a kernel which fails."""
+        plan, number = search.first_plan()
+        expected = search.choice.expected_rays[search.choice.method] or USUAL_RAYS * plan.camera.sensor.pixels
+        return self._certified(work, search, rehearsed(work, plan, number, expected, self.longest), plan, number)
+
+    def _certified(self, work: Work, search: Search, image: Rehearsed, plan: Plan, number: int) -> _Foreseen:
         parts = {"image": image.seconds, "certificate": comparison_seconds(work, plan, number)}
-        if not isinstance(plan, KernelPlan):
-            return parts, image
-        look = look_at_model(work, what, plan)
-        parts["certificate"] += look.seconds
-        if sampling is None and what.demand.method is None and not look.holds:
-            further = self._further(work, what, image)
-            parts["where the kernel fails"] = further.seconds
-            image = replace(image, rays=image.rays + further.rays)
-        return parts, image
+        rays = image.rays
+        if isinstance(plan, KernelPlan):
+            look = look_at_model(work, search, plan)
+            parts["certificate"] += look.seconds
+            if self.options.sampling is None and search.demand.method is None and not look.holds:
+                further = self._further(work, search, image)
+                parts["where the kernel fails"] = further.seconds
+                rays += further.rays
+        return _Foreseen(parts, rays, plan, number)
 
     def _further(self, work: Work, search: Search, first: Rehearsed) -> Rehearsed:
         """What comes after a kernel that does not hold: one that tells depths apart, then rays, or corrections."""
@@ -160,13 +210,16 @@ class Stage:
         expected = search.plans.forecast(method, aim) or USUAL_RAYS * plan.camera.sensor.pixels
         return rehearsed(work, plan, number, expected, self.longest)
 
-    def _basis(self, image: Rehearsed) -> float:
+    def _basis(self, work: Work, plan: Plan, replicates: int, waves: tuple[WavePlan, int] | None) -> float:
         """The same rays in the light of each source: one view for some of them, or one for each."""
         names = shining(self.traced.scene, self.traced.prepared, "basis")
-        views = self.traced.views_of(names)
-        first = views[0]
-        once = image.seconds * seconds_per_ray(first.view) / seconds_per_ray(self.work.view)
-        return once * len(names) / len(first.names)
+        first = self.traced.views_of(names)[0]
+        if (smooth := work.view.smooth) is not None:
+            first = replace(first, view=replace(first.view, smooth=in_other_light(smooth, first.view)))
+        seconds = rehearsed_basis(work, plan, replicates, first)
+        if waves is not None:
+            seconds += rehearsed_waves(work.view, *waves, 1, lit=first).seconds
+        return seconds * len(names) / len(first.names)
 
     def cheaper(self, what: Search | ViewpointPlan, parts: Mapping[str, float]) -> tuple[Cheaper, ...]:
         """What would take less time: each change by its own rehearsal."""
@@ -200,8 +253,7 @@ class Stage:
         yield from self._with_fewer_patches(rest, image)
 
     def _seconds(self, what: Search) -> float:
-        parts, _ = self._image(what)
-        return sum(parts.values())
+        return sum(self._image(what).parts.values())
 
     def _with_fewer_patches(self, rest: float, image: float) -> Iterator[tuple[str, float]]:
         """Light of the same places by a part of the patches, of which only the time counts."""

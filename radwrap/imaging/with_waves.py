@@ -155,8 +155,14 @@ def refuse_waves(scene: Scene, options: RenderOptions) -> None:
         raise InputError("is missing, and diffraction is asked for", where="sampling.wave_cell")
 
 
-def foreseen_waves(scene: Scene, options: RenderOptions, work: Work) -> tuple[WavePlan, int] | None:
-    """By which rays, and how many sets of them, waves are expected to be taken, of an image that is not made yet.
+def rays_that_tell(scene: Scene, rays: float) -> int:
+    """How many rays tell what diffraction would change of an image that takes so many."""
+    share = _SHARE if scene.camera.diffraction is None else _DECIDING_SHARE
+    return min(MOST_RAYS, max(_FEWEST, round(share * rays)))
+
+
+def foreseen_waves(scene: Scene, options: RenderOptions, work: Work, replicates: int) -> tuple[WavePlan, int] | None:
+    """By which rays, and how many sets of them, waves are expected to be taken, of an image of so many replicates.
 
     None where they are not, or cannot be.
     """
@@ -172,7 +178,8 @@ def foreseen_waves(scene: Scene, options: RenderOptions, work: Work) -> tuple[Wa
         plan = waves.plan(_AIM * left, _OF_CELLS * left)
     except TooDeep:
         return None
-    return plan, waves.fewest_replicates(plan) if options.sampling is None else options.sampling.replicates
+    each_is_kept = options.basis or options.sampling is not None
+    return plan, replicates if each_is_kept else waves.fewest_replicates(plan)
 
 
 def with_waves(
@@ -213,8 +220,7 @@ def with_waves(
     if camera.aperture.is_infinitesimal or not (made.radiance.any() or options.sampling is not None):
         return WithWaves(made, None, None)
     work.programs.check()
-    share = _SHARE if camera.diffraction is None else _DECIDING_SHARE
-    rays = min(MOST_RAYS, max(_FEWEST, round(share * made.used.rays)))
+    rays = rays_that_tell(scene, made.used.rays)
     found = diffraction_left_out(scene, work.view, options.seed, options.gray_tolerance, rays)
     if not _is_taken(scene, options, made, found):
         return WithWaves(made, found, None)

@@ -26,6 +26,7 @@ from radwrap.process import Programs
 from radwrap.progress import Progress
 from radwrap.tracers.tracer import Tracer
 
+COAXIAL = Path(__file__).parents[2] / "rad_scenes" / "cells" / "coaxial.toml"
 START = Path(__file__).parents[2] / "radwrap" / "data" / "init" / "scene.toml"
 _COST = 1e-4  # s of processor time that a slow tracer takes for a ray; all else takes a fifth of it at most
 _SLACK = 1.5  # of what else is done beside that, which takes longer beside other tests; as good as a forecast must be
@@ -141,11 +142,36 @@ def test_a_shutter_that_never_opens_is_forecast_without_a_warning() -> None:
 def test_parts_add_up_and_a_run_takes_about_as_long(tmp_path: Path) -> None:
     cost = forecast(scene(4), radwrap.RenderOptions(workers=1), started=1.0)
     assert cost.seconds == pytest.approx(sum(cost.parts.values())) and cost.parts["start"] == 1.0
-    assert {"start", "layout", "light between surfaces", "survey", "image", "certificate", "files"} == set(cost.parts)
+    before, after = {"start", "layout", "light between surfaces", "survey"}, {"what is left out", "files"}
+    assert before | {"image and certificate"} | after == set(cost.parts)
     clock = Stopwatch()
     radwrap.render(scene(4), tmp_path / "out", workers=1)
     # A tenth of a second more or less is the start of the tracer's programs.
     assert cost.seconds - 1.0 == pytest.approx(clock.lap(), rel=0.5, abs=0.2)
+
+
+def test_waves_of_each_source_count_in_a_basis() -> None:
+    """With waves a basis has at least as many rays again, wider by a guard band; without, the image's own."""
+    options = radwrap.RenderOptions(workers=1, tolerance=2.0, basis=True, tracer="compiled")
+    without, with_waves = (
+        forecast(scene(1, **{"camera.diffraction": word}), options, started=0.0) for word in ("off", "on")
+    )
+    assert "diffraction" in with_waves.parts and "diffraction" not in without.parts
+    assert with_waves.parts["basis"] > 2 * without.parts["basis"]
+
+
+@pytest.mark.long
+def test_finer_images_count_that_follow_one_which_keeps_no_tolerance() -> None:
+    """The coaxial cell at a sixteenth takes three images, each of more rays than the one before."""
+    small = radwrap.load_scene(COAXIAL)
+    values = {"rows": 32, "columns": 38, "pixel_width": "220.8 um", "pixel_height": "220.8 um"}
+    for key, value in {f"camera.sensor.{name}": value for name, value in values.items()}.items():
+        small = radwrap.with_value(small, key, value)
+    small = radwrap.with_value(small, "camera.diffraction", "off")
+    options = radwrap.RenderOptions(workers=1, tolerance=0.5)
+    made = radwrap.render(small, workers=1, tolerance=0.5)
+    assert made.run.plan is not None and len(made.run.plan.attempts) > 1
+    assert forecast(small, options, started=0.0).rays == made.run.plan.rays
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,10 @@ from radwrap.errors import InputError
 from radwrap.imaging.forecast import wave_change as measured
 from radwrap.imaging.forecast.effects import effects
 from radwrap.imaging.forecast.wave_change import wave_change
+from radwrap.imaging.optics.diffraction import wavelength_of
 from radwrap.imaging.optics.view import View
+from radwrap.imaging.response.sensor import gray_levels
+from radwrap.imaging.tracing import traced_scene
 from radwrap.scene.camera import Aperture, ApertureShape, Camera, Lens
 from radwrap.tracers.tracer import Tracer
 from tests.imaging.planes import Array, Planes, camera
@@ -31,6 +34,13 @@ ONE_SPREAD, SPREAD = 0.45, 0.25
 # Cells of four times the size: measured 13 %.
 FEW = 0.2
 BENCH = Path(__file__).parents[2] / "rad_scenes" / "bench_board" / "scene.toml"
+
+CHART = BENCH.parents[1] / "colour_chart" / "scene.toml"
+CHART_OF_80 = {
+    "camera.sensor.mosaic": "green",
+    **{"camera.sensor.rows": 60, "camera.sensor.columns": 80},
+    **{"camera.sensor.pixel_width": "27.6 um", "camera.sensor.pixel_height": "27.6 um"},
+}
 
 
 def edge(x: Array, y: Array) -> Array:
@@ -85,6 +95,28 @@ def test_pixels_in_strata_find_the_same(side: float, focus: float | None, monkey
     known = expected(view.camera)
     assert math.sqrt(np.mean([one.mean for one in found])) == pytest.approx(known, rel=SPREAD)
     assert sum(math.sqrt(one.upper) > known for one in found) >= 3
+
+
+@pytest.mark.long
+def test_a_bound_holds_where_few_pixels_hold_nearly_all_that_changes() -> None:
+    """One column of a chart's pixels lies along an edge: what they change is known from images with and without waves.
+
+    With half as many pixels, of four times as many rays each, 4 of 16 bounds lay below it.
+    """
+    scene = radwrap.load_scene(CHART)
+    for key, value in CHART_OF_80.items():
+        scene = radwrap.with_value(scene, key, value)
+    on, off = (
+        radwrap.render(radwrap.with_value(scene, "camera.diffraction", word), tolerance=0.7, tracer="compiled")
+        for word in ("on", "off")
+    )
+    levels = [gray_levels(one.radiant_exposure.values, scene.camera.sensor) for one in (on, off)]
+    known = float(np.sqrt(np.mean((levels[0] - levels[1]) ** 2)))
+    assert known == pytest.approx(1.93, abs=0.2)
+    lit = radwrap.with_value(scene, "camera.diffraction", "on")
+    with traced_scene(lit, radwrap.RenderOptions(tracer="compiled", workers=1)) as view:
+        found = [wave_change(view, wavelength_of(lit)[0], seed, 1 << 13)[0] for seed in range(16)]
+    assert sum(math.sqrt(one.upper) > known for one in found) >= 15
 
 
 def test_nothing_changes_without_an_opening_or_an_edge() -> None:

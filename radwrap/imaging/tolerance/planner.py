@@ -63,7 +63,7 @@ _ORDER_OF_KERNEL: Final = 0.75
 # By what the fewest rays of a pixel grow from one attempt by rays to the next, and where that ends.
 _MORE: Final = 4
 _MOST_FEWEST: Final = 1 << 12
-_SPARED: Final = 0.85  # of the aim of walks that would just do: a bound differs from attempt to attempt
+_SPARED: Final = 0.85  # of the aim of rays that would just do: a bound differs from attempt to attempt
 _HALVINGS: Final = 24  # of the accuracy, until a budget suffices
 # Of a budget of time so much goes into rays of the first image, the rest into its certificate and what comes next.
 _TRACED_SHARE: Final = 0.5
@@ -402,7 +402,7 @@ class Search:
         if outcome.method == "rays":
             # Rays that decide may all have missed what a pixel sees: it then stays at the fewest, whatever the aim.
             self.plans.fewest = min(_MORE * self.plans.fewest, _MOST_FEWEST)
-            return "rays", aim * self._less(certificate), why
+            return "rays", aim * share_of_aim(self.demand, certificate), why
         grid = math.sqrt(outcome.replicates.grid_square)
         coarse = grid > _GRID_SHARE * wanted and self.plans.finer < _FINEST
         model_fails = certificate.model_rms_gray > MODEL_SHARE * wanted
@@ -427,15 +427,6 @@ class Search:
             aim = self._affordable("rays", self.plans.first_aim("rays"))
             return "rays", aim, "the kernel's certificate did not hold"
         return "kernel", aim / 2, why
-
-    def _less(self, certificate: Certificate) -> float:
-        """What part of the last aim to go on with: half of it, but of walks, which keep to their law, what is due."""
-        if not self.view.walks:
-            return 0.5
-        due, limit = self.demand.tolerance / certificate.rms_gray_upper95, self.demand.max_error
-        if limit is not None and certificate.p99_gray_upper95:
-            due = min(due, limit / certificate.p99_gray_upper95)
-        return max(0.5, _SPARED * min(due, 1.0))
 
     def instead_of_kernel(self) -> tuple[ToleranceMethod, float, str]:
         """The cheaper of what is left once a kernel's model was seen to fail."""
@@ -464,6 +455,14 @@ class Search:
             return "hybrid", aim, why
         method, aim, _ = self.instead_of_kernel()
         return method, aim, "the kernel's model fails away from steps in depth too"
+
+
+def share_of_aim(demand: Demand, certificate: Certificate) -> float:
+    """What part of the last aim by rays to go on with: what is due, and a little less, but half of it at the least."""
+    due, limit = demand.tolerance / certificate.rms_gray_upper95, demand.max_error
+    if limit is not None and certificate.p99_gray_upper95:
+        due = min(due, limit / certificate.p99_gray_upper95)
+    return max(0.5, _SPARED * min(due, 1.0))
 
 
 def noise_quantile(errors: NDArray[np.float64], noise: Bounded) -> float:

@@ -1,0 +1,48 @@
+"""A rehearsal of a light basis: some tiles are traced in the light of some sources, and timed."""
+
+from __future__ import annotations
+
+import time
+from typing import Final
+
+from radwrap.imaging.forecast.rehearsal import Stopwatch, spread
+from radwrap.imaging.optics.view import LitView
+from radwrap.imaging.relight.basis import freeze_tile
+from radwrap.imaging.tolerance.replicates import Plan, Work
+
+# Tiles are made until so long has passed, and so many at least unless they are slow.
+_ENOUGH: Final = 0.5  # s
+_TOO_LONG: Final = 2.0  # s
+_FEWEST_TILES: Final = 4
+
+
+def rehearsed_basis(work: Work, plan: Plan, replicates: int, lit: LitView) -> float:
+    """How long an image's rays take again in the light of some sources [s], by some of its tiles.
+
+    Parameters
+    ----------
+    work : Work
+        Where and by whom; the folder is for the rehearsal only.
+    plan : KernelPlan, RaysPlan or HybridPlan
+        Of the image in the light of all.
+    replicates : int
+        How many of it.
+    lit : LitView
+        The light of those sources.
+    """
+    in_one_pass, pixels, seconds = len(lit.names) > 1, 0, 0.0
+    begun = time.monotonic()
+    for done, tile in enumerate(spread(len(plan.tiles))):
+        passed = time.monotonic() - begun
+        if passed > _TOO_LONG or (done >= _FEWEST_TILES and passed > _ENOUGH):
+            break
+        # What the image's own tiles decide is there before its basis is made.
+        freeze_tile(work, plan, 0, tile, in_one_pass=True)
+        clock = Stopwatch(work.view.workers)
+        for _ in freeze_tile(work, plan, 0, tile, in_one_pass=in_one_pass).trace(lit, work.progress.add):
+            pass
+        # One thread had the tile, where the run has one for each.
+        seconds += clock.lap()
+        r0, r1, c0, c1 = plan.tiles[tile]
+        pixels += (r1 - r0) * (c1 - c0)
+    return seconds * replicates * plan.camera.sensor.pixels / pixels
