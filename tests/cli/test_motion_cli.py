@@ -33,7 +33,6 @@ def test_explain_says_how_fast_the_belt_may_run(capsys: pytest.CaptureFixture[st
         (["render", BELT, "--basis", "--out"], "basis"),
         (["render", BELT, "--dry-run", "--out"], "--dry-run"),
         (["render", BELT, "--photo-realistic", "point", "--out"], "--photo-realistic"),
-        (["trade", BELT, "--out"], "a trade"),
         (["face", BELT, "--no-browser", "--out"], "the page"),
     ],
 )

@@ -44,7 +44,7 @@ _STEP_SHARE: Final = 0.5
 _LOOSENESS: Final = (4.0, 2.0, 1.0)
 # The fewest and the most instants of a light: 2^level + 1.
 _LEAST_LEVEL: Final = 3
-_MOST_LEVEL: Final = 10
+MOST_LEVEL: Final = 10
 # Rows that are rendered together at least: a narrower strip costs as much.
 _FEWEST_ROWS: Final = 8
 # A pixel that saturates in so much less time than an instant counts may be off as it likes.
@@ -147,8 +147,8 @@ def moving(
 ) -> Moving:
     """Render a scene at as many instants as its tolerance asks for."""
     lights = lights_of(scene)
-    options = replace(options, tracer=_tracer_of_many(scene, options.tracer))
-    levels = _levels(scene, lights)
+    options = replace(options, tracer=tracer_of_many(scene, options.tracer))
+    levels = levels_for(scene, lights)
     _check_instants(scene, _steps(scene, lights, levels, options.seed))
     base = render_still(averaged(scene), folder / "base", replace(options, frames=0))
     sensor, tolerance = held(scene).camera.sensor, base.run.tolerance
@@ -206,8 +206,8 @@ def _refined(
         if sensor.gamma == 1:  # else it is not known what the noise makes of gray levels; it is counted elsewhere
             square -= (sensor.gain * _noise_of_difference(steps, instants)) ** 2
         motion = math.sqrt(max(square, 0.0))
-        highest = max((level for level in levels if level is not None), default=_MOST_LEVEL)
-        if motion <= allowed or highest >= _MOST_LEVEL:
+        highest = max((level for level in levels if level is not None), default=MOST_LEVEL)
+        if motion <= allowed or highest >= MOST_LEVEL:
             return _Composed(levels, steps, fine, motion)
         levels = [None if level is None else level + 1 for level in levels]
 
@@ -244,24 +244,30 @@ def _as_decided(options: RenderOptions, base: RunManifest) -> RenderOptions:
     return replace(options, truth=False, frames=0, bounces=orders, tracer=tracer)
 
 
-def _tracer_of_many(scene: Scene, asked: TracerName) -> TracerName:
+def tracer_of_many(scene: Scene, asked: TracerName) -> TracerName:
     """The compiled tracer, unless another one is asked for or it cannot show the scene: renders are many and small."""
     return "compiled" if asked == "auto" and not inexpressible(scene) and not compiler_lacks() else asked
 
 
-def _levels(scene: Scene, lights: tuple[Light, ...]) -> list[int | None]:
-    """How finely each light's time is parted; None where nothing moves."""
+def levels_for(scene: Scene, lights: tuple[Light, ...]) -> list[int | None]:
+    """How finely each light's time is parted, as `steps_of` has it; None where nothing moves.
+
+    Raises
+    ------
+    InputError
+        If it moves too far.
+    """
     if not scene.motions:
         return [None for _ in lights]
     speed = max(image_speeds(scene).values(), default=0.0)
     paths = [speed * (light.last - light.first) for light in lights]
-    if max(paths) > 2**_MOST_LEVEL:
+    if max(paths) > 2**MOST_LEVEL:
         raise InputError(
-            f"moves it over {max(paths):.3g} pixels while the frame is exposed; {2**_MOST_LEVEL} are the most",
+            f"moves it over {max(paths):.3g} pixels while the frame is exposed; {2**MOST_LEVEL} are the most",
             where=f"{scene.origin}: {_key_of_motion(scene)}",
             remedy="expose for a shorter time, strobe the sources, or check the unit",
         )
-    return [level_for(path, _LEAST_LEVEL, _MOST_LEVEL) for path in paths]
+    return [level_for(path, _LEAST_LEVEL, MOST_LEVEL) for path in paths]
 
 
 def _key_of_motion(scene: Scene) -> str:
