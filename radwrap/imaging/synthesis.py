@@ -275,7 +275,7 @@ def _render_into(
                 make_mosaic(scene, out, options, work=work / _MADE, render_plane=plane, check=programs.check)
                 return load_result(scene, out)
             if (still := steady(scene)) is None:
-                make_in_time(scene, out, options, work=work / _MADE, render_still=plane, check=programs.check)
+                make_in_time(scene, out, options, work=work / _MADE, render_still=plane, programs=programs)
                 return load_result(scene, out)
             for meanwhile in (warmth is not None, False):
                 kept = None if warmth is None else warmth.kept

@@ -247,6 +247,29 @@ def test_the_same_seed_gives_the_same_bytes_with_any_number_of_workers(tmp_path:
     assert not (first / ".instants").exists()
 
 
+@pytest.mark.parametrize("moves", [False, pytest.param(True, marks=pytest.mark.long)])
+def test_a_finished_folder_is_not_rendered_again(moves: bool, tmp_path: Path) -> None:
+    """Until an option, a file, or the scene's time is another."""
+    tables = document(velocity=velocity(0.6)) if moves else document()
+    tables["camera"]["sensor"] |= {"shutter": "rolling", "line_time": "30 us"}
+    tables["sources"][0]["strobe"] = {"delay": "0.1 ms", "width": "1 ms"}
+
+    def stamp(tolerance: float = 6.0) -> tuple[int, ...]:
+        made = rendered(tables, tolerance, out=tmp_path)
+        assert made.met and made.run.in_time is not None
+        return tuple((tmp_path / name).stat().st_mtime_ns for name in ("manifest.json", "gray.png"))
+
+    first = stamp()
+    assert stamp() == first and not (tmp_path / ".instants").exists()
+    tables["sources"][0]["strobe"]["delay"] = "0.12 ms"
+    second = stamp()
+    assert second[0] > first[0] and stamp() == second
+    third = stamp(5.0)
+    assert third[0] > second[0]
+    (tmp_path / "gray.png").write_bytes(b"broken")
+    assert stamp(5.0)[0] > third[0]
+
+
 @pytest.mark.parametrize(
     ("how", "told"),
     [

@@ -16,9 +16,10 @@ from radwrap.errors import InputError
 from radwrap.files import make_folder, sha256_of
 from radwrap.images import ExposureImage
 from radwrap.imaging.in_time.by_rows import StillRender, by_rows
-from radwrap.imaging.in_time.moving import moving
+from radwrap.imaging.in_time.moving import moving, tracer_of_many
 from radwrap.imaging.output.composed_files import write_composed
-from radwrap.imaging.output.folder import INSTANTS, publish
+from radwrap.imaging.output.folder import INSTANTS, is_whole, publish
+from radwrap.imaging.output.identity import identity_of
 from radwrap.imaging.output.image_files import ImageSummary
 from radwrap.imaging.output.run_manifest import InTime, RunManifest, components_used, write_run_manifest
 from radwrap.imaging.render_options import RenderOptions
@@ -28,13 +29,16 @@ from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.time_steps import lights_of
 from radwrap.imaging.tolerance.certificate import Certificate
 from radwrap.imaging.tolerance.uncertainty import Uncertainty, uncertainty
+from radwrap.imaging.tracing import LaidOutScene
 from radwrap.manifest import plain, sha256_of_value
-from radwrap.scene.instants import held, is_even, keys_of_time, lit_by, row_levels
+from radwrap.process import Programs
+from radwrap.scene.instants import averaged, held, is_even, keys_of_time, lit_by, row_levels
 from radwrap.scene.look.checks import warnings_of
 from radwrap.scene.scene import Scene
 from radwrap.scene.tolerances import Tolerances
 
 Array = NDArray[np.float64]
+_IDENTITY: Final = "identity"
 _BASE: Final = "base"  # the folder of the one instant, as `moving` has it
 
 
@@ -47,7 +51,6 @@ class _Found:
     certificate: Certificate
     instants: int
     rays: int
-    run_sha256s: tuple[str, ...]
     tracer_cpu_s: float
 
 
@@ -112,9 +115,15 @@ def steady(scene: Scene) -> Scene | None:
 
 
 def make_in_time(
-    scene: Scene, out: Path, options: RenderOptions, *, work: Path, render_still: StillRender, check: Callable[[], None]
+    scene: Scene,
+    out: Path,
+    options: RenderOptions,
+    *,
+    work: Path,
+    render_still: StillRender,
+    programs: Programs,
 ) -> None:
-    """Render the scene at its instants, and make its image, files and manifest of them.
+    """Render the scene at its instants, and make its image, files and manifest of them, unless they lie there already.
 
     Parameters
     ----------
@@ -128,10 +137,13 @@ def make_in_time(
         Folder for what is not yet whole.
     render_still : callable
         Renders the scene of one instant into a folder.
-    check : callable
-        Asked now and then; it raises to end the work.
+    programs : Programs
+        Owner of the processes, asked now and then whether the work is to end.
     """
-    start = time.monotonic()
+    start, check = time.monotonic(), programs.check
+    run_sha256 = _run_sha256(scene, options, programs, work / _IDENTITY)
+    if is_whole(out, run_sha256):
+        return
     folder = out / INSTANTS
     make_folder(folder)
     found = _found(scene, folder, options, render_still, check)
@@ -140,7 +152,7 @@ def make_in_time(
     sigma, truth_of = None if known is None else known.sigma, folder / _BASE
     images, files = write_composed(work, found.exposure, sensor, options, sigma=sigma, truth_of=truth_of, check=check)
     hashes = {name: sha256_of(work / name) for name in files}
-    manifest = _manifest(scene, options, found, images)
+    manifest = replace(_manifest(scene, found, images), run_sha256=run_sha256)
     timing = replace(manifest.timing, wall_s=time.monotonic() - start)
     summary = None if known is None else known.summary()
     write_run_manifest(work, replace(manifest, uncertainty=summary, files=hashes, timing=timing))
@@ -156,15 +168,14 @@ def _found(
         made = moving(scene, folder, options, render_still, check)
         runs = (made.base.run, *made.runs)
         cpu = math.fsum(run.timing.tracer_cpu_s for run in runs)
-        known_by = tuple(run.run_sha256 for run in runs)
-        return _Found(made.base, made.exposure, made.certificate, made.instants, made.rays, known_by, cpu)
+        return _Found(made.base, made.exposure, made.certificate, made.instants, made.rays, cpu)
     rows = by_rows(scene, folder / _BASE, options, render_still)
     run = rows.base.run
     certificate = rows.image.certificate
     if run.error.bands_gray is not None:
         certificate = certificate.with_bands(run.error.bands_gray)
     exposure = rows.image.radiant_exposure.values
-    return _Found(rows.base, exposure, certificate, 1, run.rays, (run.run_sha256,), run.timing.tracer_cpu_s)
+    return _Found(rows.base, exposure, certificate, 1, run.rays, run.timing.tracer_cpu_s)
 
 
 def _uncertainty(scene: Scene, found: _Found) -> Uncertainty | None:
@@ -174,7 +185,23 @@ def _uncertainty(scene: Scene, found: _Found) -> Uncertainty | None:
     return uncertainty(ExposureImage(found.exposure), scene.camera, Tolerances(), found.certificate.rms_gray)
 
 
-def _manifest(scene: Scene, options: RenderOptions, found: _Found, images: ImageSummary) -> RunManifest:
+def _run_sha256(scene: Scene, options: RenderOptions, programs: Programs, folder: Path) -> str:
+    """Hash of all that decides any file: what is at the middle of the first exposure, and what changes."""
+    if scene.motions:
+        options = replace(options, tracer=tracer_of_many(scene, options.tracer))
+    still = averaged(scene)
+    make_folder(folder)
+    traced = LaidOutScene(still, options, programs, folder)
+    decided = {
+        "still": identity_of(still, options, traced).run_sha256,
+        "camera": scene.camera,
+        "motions": scene.motions,
+        "strobes": scene.strobes,
+    }
+    return sha256_of_value(decided)
+
+
+def _manifest(scene: Scene, found: _Found, images: ImageSummary) -> RunManifest:
     """That of the scene at one instant, its files too, with what is of the whole exposure."""
     base, sensor = found.base.run, scene.camera.sensor
     still = gray_levels(found.base.radiant_exposure.values, sensor)
@@ -185,11 +212,9 @@ def _manifest(scene: Scene, options: RenderOptions, found: _Found, images: Image
         "strobes": scene.strobes,
         "base": base.scene_sha256,
     }
-    decided = {"document": scene.document, "runs": found.run_sha256s, "frames": options.frames, "truth": options.truth}
     return replace(
         base,
         scene_sha256=sha256_of_value(known_by),
-        run_sha256=sha256_of_value(decided),
         rays=found.rays,
         rays_per_pixel=found.rays / sensor.pixels,
         assumed=dict(sorted(scene.assumed.items())),
