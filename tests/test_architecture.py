@@ -83,6 +83,7 @@ ROOMS = {
         *(
             "methods",
             "tolerance",
+            "summed_instants",
             "mean_radiance",
             "relight",
             "forecast",
@@ -90,6 +91,7 @@ ROOMS = {
             "with_waves",
             "forecasting",
             "other_camera",
+            "timed_basis",
             "raw_relighting",
             "relighting",
             "page",

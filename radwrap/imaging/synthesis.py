@@ -274,7 +274,7 @@ def _render_into(
             if scene.camera.sensor.mosaic is not None:
                 make_mosaic(scene, out, options, work=work / _MADE, render_plane=plane, check=programs.check)
                 return load_result(scene, out)
-            if (still := steady(scene)) is None:
+            if (still := steady(scene, basis=options.basis)) is None:
                 make_in_time(scene, out, options, work=work / _MADE, render_still=plane, programs=programs)
                 return load_result(scene, out)
             for meanwhile in (warmth is not None, False):

@@ -30,7 +30,6 @@ def test_explain_says_how_fast_the_belt_may_run(capsys: pytest.CaptureFixture[st
 @pytest.mark.parametrize(
     ("words", "what"),
     [
-        (["render", BELT, "--basis", "--out"], "basis"),
         (["render", BELT, "--dry-run", "--out"], "--dry-run"),
         (["render", BELT, "--photo-realistic", "point", "--out"], "--photo-realistic"),
         (["face", BELT, "--no-browser", "--out"], "the page"),

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 import radwrap
 from radwrap.errors import InputError
-from radwrap.imaging.in_time.linear_light import allowed_exposure_error, gray_bound
-from radwrap.imaging.time_steps import places
+from radwrap.imaging.response.linear_light import allowed_exposure_error, gray_bound
+from radwrap.imaging.time_steps import lights_of, places
 from radwrap.scene.instants import at_time, lit_by, pose_time
 from radwrap.scene.look.checks import checked_at_time
 from radwrap.scene.look.image_speed import image_speeds
@@ -273,7 +273,6 @@ def test_a_finished_folder_is_not_rendered_again(moves: bool, tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("how", "told"),
     [
-        ({"basis": True}, "basis"),
         ({"method": "viewpoints"}, "method"),
         ({"max_error": 3.0}, "max_error"),
         ({"budget_rays": 1e6}, "budget_rays"),
@@ -317,6 +316,18 @@ def test_light_that_misses_the_exposure_is_an_error() -> None:
         rendered(tables, 1.0)
     del tables["targets"][0]["velocity"]
     with pytest.raises(InputError, match="no pulse meets the exposure"):
+        rendered(tables, 1.0)
+
+
+def test_a_dark_source_beside_a_pulsed_one_is_nothing() -> None:
+    """It has times of its own, at which there is no light at all."""
+    tables = document(velocity=velocity(0.6))
+    tables["sources"][0]["strobe"] = {"delay": "2 ms", "width": "1 ms"}
+    tables["sources"][1]["radiant_intensity"] = "0 W/sr"
+    lights = lights_of(radwrap.scene_from_document(tables))
+    assert [light.sources for light in lights] == [("left",)]
+    tables["sources"][0]["radiant_intensity"] = "0 W/sr"
+    with pytest.raises(InputError, match="there is no light"):
         rendered(tables, 1.0)
 
 

@@ -1,14 +1,11 @@
 """A scene in which something moves: renders at instants, each of which counts for its time in each row.
 
-An instant is rendered by a camera of the same optics whose gray levels are proportional to light: its error is then one
-of radiant exposure, and errors of light add up as light does. Of the errors of all instants it is not known how much
-they have in common, so that only the noise of their rays is taken to be independent.
+An instant is rendered by a camera of the same optics with gray levels in proportion to light, see `summed_instants`.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
@@ -18,15 +15,16 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.imaging.in_time.by_rows import StillRender
-from radwrap.imaging.in_time.linear_light import allowed_exposure_error, full_exposure, gray_bound
 from radwrap.imaging.output.run_manifest import RunManifest
 from radwrap.imaging.render_options import RenderOptions, TracerName
 from radwrap.imaging.rendered import Rendered
-from radwrap.imaging.response.sensor import gray_levels
+from radwrap.imaging.response.linear_light import allowed_exposure_error, full_exposure
+from radwrap.imaging.run_files import BASES, InstantFile, LightFile
+from radwrap.imaging.summed_instants import AtInstant, Summed, certificate_of_sum, counted, slack, strip_of, summed
 from radwrap.imaging.time_steps import Light, Steps, level_for, lights_of, steps_of
 from radwrap.imaging.tolerance.certificate import Certificate
 from radwrap.manifest import sha256_of_value
-from radwrap.scene.camera import Camera, Diffraction, Sensor
+from radwrap.scene.camera import Camera, Diffraction
 from radwrap.scene.instants import at_time, averaged, held, keys_of_time, lit_by
 from radwrap.scene.look.checks import checked_at_time
 from radwrap.scene.look.image_speed import image_speeds
@@ -45,8 +43,6 @@ _LOOSENESS: Final = (4.0, 2.0, 1.0)
 # The fewest and the most instants of a light: 2^level + 1.
 _LEAST_LEVEL: Final = 3
 MOST_LEVEL: Final = 10
-# Rows that are rendered together at least: a narrower strip costs as much.
-_FEWEST_ROWS: Final = 8
 # A pixel that saturates in so much less time than an instant counts may be off as it likes.
 _SPARE: Final = 16.0
 _LARGEST_CODE: Final = 65535.0
@@ -71,6 +67,10 @@ class Moving:
         Of all of them.
     runs : tuple of RunManifest
         Theirs.
+    lights : tuple of LightFile
+        The instants of each light.
+    folder : Path
+        Where their renders lie, in folders of the names that are told there.
     """
 
     base: Rendered
@@ -79,6 +79,8 @@ class Moving:
     instants: int
     rays: int
     runs: tuple[RunManifest, ...]
+    lights: tuple[LightFile, ...]
+    folder: Path
 
 
 @dataclass(slots=True, eq=False)
@@ -104,24 +106,47 @@ class _Instants:
     options: RenderOptions
     errors: dict[tuple[str, ...], float]
     render: StillRender
-    made: dict[tuple[tuple[str, ...], float], tuple[Rendered, int]] = field(default_factory=dict)
+    made: dict[tuple[tuple[str, ...], float], tuple[Rendered, int, str]] = field(default_factory=dict)
 
-    def at(self, steps: Steps, number: int) -> tuple[Rendered, int]:
-        """The render of an instant, and its first row in the image; of the rows in which it counts."""
+    def at(self, steps: Steps, number: int) -> AtInstant:
+        """The image at an instant, of the rows in which it counts."""
+        rendered, first, _ = self._rendered(steps, number)
+        return AtInstant(rendered.radiant_exposure.values, rendered.error, rendered.scene.camera.sensor.gain, first)
+
+    def kept(self, steps: Steps) -> LightFile:
+        """What tells of the instants of a light."""
+        light = steps.light
+        images = []
+        for number, _ in counted([steps]):
+            _, first, name = self._rendered(steps, number)
+            images.append(InstantFile(number, f"{BASES}/{name}", first))
+        return LightFile(
+            sources=light.sources,
+            strobe=light.strobe,
+            first=light.first,
+            last=light.last,
+            times=steps.times.tolist(),
+            weights=steps.weights.tolist(),
+            without_every_second=steps.without_every_second.tolist(),
+            instants=images,
+        )
+
+    def _rendered(self, steps: Steps, number: int) -> tuple[Rendered, int, str]:
+        """The render of an instant, its first row in the image, and its folder."""
         light, time = steps.light, float(steps.times[number])
         key = (light.sources, time)
         if key not in self.made:
             rows = steps.rows_of(number)
             if rows is None:
                 raise ValueError("counts in no row")
-            first, last = _strip(*rows, self.scene.camera.sensor.rows)
+            first, last = strip_of(*rows, self.scene.camera.sensor.rows)
             then = lit_by(at_time(self.scene, time), dict.fromkeys(light.sources, 1.0))
             then = replace(then, camera=self._camera(then.camera, first, last, steps, number))
             seed = int(sha256_of_value([self.options.seed, *map(str, key)])[:12], 16)
             name = f"{len(self.made):04d}"
             tolerance = self.errors[light.sources] * then.camera.sensor.gain
             options = replace(self.options, seed=seed, tolerance=tolerance)
-            self.made[key] = self.render(then, self.folder / name, options), first
+            self.made[key] = self.render(then, self.folder / name, options), first, name
         return self.made[key]
 
     def _camera(self, camera: Camera, first: int, last: int, steps: Steps, number: int) -> Camera:
@@ -150,7 +175,7 @@ def moving(
     options = replace(options, tracer=tracer_of_many(scene, options.tracer))
     levels = levels_for(scene, lights)
     _check_instants(scene, _steps(scene, lights, levels, options.seed))
-    base = render_still(averaged(scene), folder / "base", replace(options, frames=0))
+    base = render_still(averaged(scene), folder / "base", replace(options, frames=0, basis=False))
     sensor, tolerance = held(scene).camera.sensor, base.run.tolerance
     if tolerance is None:
         raise ValueError("an image at instants is made to a tolerance")
@@ -159,56 +184,29 @@ def moving(
     runs: list[RunManifest] = []
     for looseness in _LOOSENESS:
         steps = _steps(scene, lights, levels, options.seed)
-        errors = {one.light.sources: looseness * allowed / _slack(one) for one in steps}
+        errors = {one.light.sources: looseness * allowed / slack(one) for one in steps}
         instants = _Instants(decided, folder / f"{looseness:g}", how, errors, render_still)
-        made = _refined(scene, levels, instants, _STEP_SHARE * tolerance, check)
-        certificate = _certificate(made, instants, sensor)
-        levels = made.levels
-        runs += [rendered.run for rendered, _ in instants.made.values()]
+        levels, made = _refined(scene, levels, instants, _STEP_SHARE * tolerance, check)
+        certificate = certificate_of_sum(made, instants.at, sensor)
+        runs += [rendered.run for rendered, *_ in instants.made.values()]
         if certificate.rms_gray_upper95 <= tolerance:
             break
     rays = base.run.rays + sum(run.rays for run in runs)
-    return Moving(base, made.exposure, certificate, len(instants.made), rays, tuple(runs))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Composed:
-    """An image of instants.
-
-    Attributes
-    ----------
-    levels : list
-        How finely each light's time is parted.
-    steps : list of Steps
-        The instants.
-    exposure : ndarray, shape (rows, columns)
-        Radiant exposure [J m^-2].
-    motion : float
-        What the time between the instants may add, rms [gray level].
-    """
-
-    levels: list[int | None]
-    steps: list[Steps]
-    exposure: Array
-    motion: float
+    kept = tuple(instants.kept(one) for one in made.steps)
+    return Moving(base, made.exposure, certificate, len(instants.made), rays, tuple(runs), kept, instants.folder)
 
 
 def _refined(
     scene: Scene, levels: list[int | None], instants: _Instants, allowed: float, check: Callable[[], None]
-) -> _Composed:
+) -> tuple[list[int | None], Summed]:
     """The image of so many instants that the time between them may add no more than is allowed [gray level]."""
-    sensor = scene.camera.sensor
     while True:
         steps = _steps(scene, lights_of(scene), levels, instants.options.seed)
         _check_instants(scene, steps)
-        fine, coarse = _composed(steps, instants, check)
-        square = float(np.mean((gray_levels(fine, sensor) - gray_levels(coarse, sensor)) ** 2))
-        if sensor.gamma == 1:  # else it is not known what the noise makes of gray levels; it is counted elsewhere
-            square -= (sensor.gain * _noise_of_difference(steps, instants)) ** 2
-        motion = math.sqrt(max(square, 0.0))
+        made = summed(steps, instants.at, scene.camera.sensor, check)
         highest = max((level for level in levels if level is not None), default=MOST_LEVEL)
-        if motion <= allowed or highest >= MOST_LEVEL:
-            return _Composed(levels, steps, fine, motion)
+        if made.motion <= allowed or highest >= MOST_LEVEL:
+            return levels, made
         levels = [None if level is None else level + 1 for level in levels]
 
 
@@ -218,17 +216,6 @@ def _check_instants(scene: Scene, steps: list[Steps]) -> None:
         for number, time in enumerate(one.times):
             if one.rows_of(number) is not None:
                 checked_at_time(scene, float(time))
-
-
-def _noise_of_difference(steps: list[Steps], instants: _Instants) -> float:
-    """What noise of rays makes of the difference between all instants and every second one, rms [J m^-2]."""
-    squares = []
-    for number, one in _counted(steps):
-        rendered, _ = instants.at(one, number)
-        weights = one.weights[:, number] - one.without_every_second[:, number]
-        noise = rendered.error.discretisation_rms_gray / rendered.scene.camera.sensor.gain
-        squares.append(float(np.mean(weights**2)) * noise**2)
-    return math.sqrt(math.fsum(squares))
 
 
 def _decided(scene: Scene, base: RunManifest) -> Scene:
@@ -276,112 +263,3 @@ def _key_of_motion(scene: Scene) -> str:
 
 def _steps(scene: Scene, lights: tuple[Light, ...], levels: list[int | None], seed: int) -> list[Steps]:
     return [steps_of(scene, light, level or 0, seed) for light, level in zip(lights, levels, strict=True)]
-
-
-def _strip(first: int, last: int, rows: int) -> tuple[int, int]:
-    """Some more rows where there are few."""
-    spare = max(_FEWEST_ROWS - (last - first), 0)
-    first = max(0, first - spare // 2)
-    return first, min(rows, max(last, first + _FEWEST_ROWS))
-
-
-def _counted(steps: list[Steps]) -> Iterator[tuple[int, Steps]]:
-    """Instants that count in any row."""
-    for one in steps:
-        yield from ((number, one) for number in range(len(one.times)) if one.rows_of(number) is not None)
-
-
-def _composed(steps: list[Steps], instants: _Instants, check: Callable[[], None]) -> tuple[Array, Array]:
-    """Radiant exposure of all instants, and of every second one [J m^-2]."""
-    sensor = instants.scene.camera.sensor
-    fine, coarse = np.zeros((2, sensor.rows, sensor.columns))
-    for number, one in _counted(steps):
-        check()
-        rendered, first = instants.at(one, number)
-        light = rendered.radiant_exposure.values
-        rows = slice(first, first + len(light))
-        fine[rows] += one.weights[rows, number, np.newaxis] * light
-        coarse[rows] += one.without_every_second[rows, number, np.newaxis] * light
-    return fine, coarse
-
-
-def _slack(steps: Steps) -> float:
-    """By how much the error of a light is larger than that of its instants, if they have all of it in common."""
-    squares = math.fsum(math.prod(_share(steps, number)) for number, _ in _counted([steps]))
-    return math.sqrt(_total(steps) * squares)
-
-
-def _total(steps: Steps) -> float:
-    """Largest sum of weights of any row."""
-    return float(steps.weights.sum(axis=1).max())
-
-
-def _share(steps: Steps, number: int) -> tuple[float, float]:
-    """Largest weight of an instant, and the share of the image's rows in which it is rendered."""
-    rows = len(steps.weights)
-    first, last = _strip(*(steps.rows_of(number) or (0, 0)), rows)
-    return float(steps.weights[:, number].max()), (last - first) / rows
-
-
-@dataclass(frozen=True, slots=True)
-class _LightError:
-    """Errors of radiant exposure that the instants of one light leave, rms over the image [J m^-2].
-
-    Attributes
-    ----------
-    common, upper : float
-        Estimate and bound of what they may have in common.
-    noise : float
-        Of their own rays.
-    pixels, rays : int
-        What their certificates took.
-    """
-
-    common: float
-    upper: float
-    noise: float
-    pixels: int
-    rays: int
-
-
-def _error_of(steps: Steps, instants: _Instants) -> _LightError:
-    """Errors of one light.
-
-    Of weights w_k and errors e_k of the instants: (sum w_k e_k)^2 <= (sum w_k) sum w_k e_k^2 for what they have in
-    common, and sum w_k^2 n_k^2 for the noise n_k of rays of their own.
-    """
-    common, upper, noise = [], [], []
-    pixels = rays = 0
-    for number, (rendered, _) in ((number, instants.at(steps, number)) for number, _ in _counted([steps])):
-        weight = float(steps.weights[:, number].max())
-        found, gain = rendered.error, rendered.scene.camera.sensor.gain
-        pixels, rays = pixels + found.certificate_pixels, rays + found.certificate_rays
-        # Of a strip that was rendered with more rows than count, all of its error may lie in those that do.
-        share = len(rendered.radiant_exposure.values) / len(steps.weights)
-        square = (found.discretisation_rms_gray / gain) ** 2
-        noise.append(weight**2 * share * square)
-        common.append(weight * share * max((found.rms_gray / gain) ** 2 - square, 0.0))
-        upper.append(weight * share * max((found.rms_gray_upper95 / gain) ** 2 - square, 0.0))
-    total = _total(steps)
-    middle, bound = (math.sqrt(total * math.fsum(squares)) for squares in (common, upper))
-    return _LightError(middle, bound, math.sqrt(math.fsum(noise)), pixels, rays)
-
-
-def _certificate(made: _Composed, instants: _Instants, sensor: Sensor) -> Certificate:
-    """How far gray levels may be off: what lights have in common adds up, their noise is independent."""
-    exposure, error = made.exposure, made.motion
-    lights = [_error_of(one, instants) for one in made.steps]
-    noise = math.hypot(*(light.noise for light in lights))
-    common, upper = (math.fsum(getattr(light, name) for light in lights) for name in ("common", "upper"))
-    middle, bound = (gray_bound(math.hypot(part, noise), exposure, sensor) for part in (common, upper))
-    return Certificate(
-        rms_gray=math.hypot(middle, error),
-        rms_gray_upper95=math.hypot(bound, error),
-        p99_gray_upper95=None,
-        model_rms_gray=gray_bound(common, exposure, sensor),
-        discretisation_rms_gray=gray_bound(noise, exposure, sensor),
-        certificate_pixels=sum(light.pixels for light in lights),
-        certificate_rays=sum(light.rays for light in lights),
-        method="instants",
-        motion_gray=error if any(len(one.times) > 1 for one in made.steps) else None,
-    )
