@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 
 import pytest
@@ -45,13 +44,3 @@ def test_what_knows_one_instant_is_refused(
 def test_convert_says_that_files_know_one_instant(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     told = here(["convert", BELT, tmp_path / "belt.rad"], capsys).success()
     assert "targets[2].velocity: files know one instant" in told.stderr
-
-
-def test_a_dataset_of_what_moves_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder = tmp_path / "parts"
-    shutil.copytree(BELT.parents[1] / "dataset_parts", folder)
-    text = (folder / "scene.toml").read_text()
-    sensor = '[camera.sensor]\nshutter = "rolling"\nline_time = "10 us"'
-    (folder / "scene.toml").write_text(text.replace("[camera.sensor]", sensor, 1))
-    told = here(["dataset", "run", folder / "dataset.toml", "--out", tmp_path / "out"], capsys).refusal(2)
-    assert "camera.sensor.shutter" in told and "a dataset knows one instant" in told
