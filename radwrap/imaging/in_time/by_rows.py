@@ -5,9 +5,10 @@ No ray is traced for that, and the errors are those of the very gray levels, see
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,15 @@ from radwrap.scene.scene import Scene
 from radwrap.scene.sources import emitters
 
 Array = NDArray[np.float64]
-StillRender = Callable[[Scene, Path, RenderOptions], Rendered]
+
+
+class StillRender(Protocol):
+    """Renders a scene at one instant into a folder."""
+
+    def __call__(
+        self, scene: Scene, folder: Path, options: RenderOptions, /, *, instants_left: int | None = None
+    ) -> Rendered:
+        """The render; `instants_left` are to follow, where it is one of several."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -99,6 +99,10 @@ class _Instants:
         Sources of a light -> allowed error of radiant exposure of its instants [J m^-2].
     render : callable
         Renders a scene at one instant.
+    left : int
+        So many renders are known to follow.
+    made : dict
+        Sources of a light and time -> render, its first row in the image, and its folder.
     """
 
     scene: Scene
@@ -106,7 +110,13 @@ class _Instants:
     options: RenderOptions
     errors: dict[tuple[str, ...], float]
     render: StillRender
+    left: int = 0
     made: dict[tuple[tuple[str, ...], float], tuple[Rendered, int, str]] = field(default_factory=dict)
+
+    def expect(self, steps: list[Steps]) -> None:
+        """Say which instants will be asked for."""
+        asked = {(one.light.sources, float(one.times[number])) for number, one in counted(steps)}
+        self.left = len(asked - self.made.keys())
 
     def at(self, steps: Steps, number: int) -> AtInstant:
         """The image at an instant, of the rows in which it counts."""
@@ -146,7 +156,9 @@ class _Instants:
             name = f"{len(self.made):04d}"
             tolerance = self.errors[light.sources] * then.camera.sensor.gain
             options = replace(self.options, seed=seed, tolerance=tolerance)
-            self.made[key] = self.render(then, self.folder / name, options), first, name
+            self.left = max(self.left - 1, 0)
+            rendered = self.render(then, self.folder / name, options, instants_left=self.left)
+            self.made[key] = rendered, first, name
         return self.made[key]
 
     def _camera(self, camera: Camera, first: int, last: int, steps: Steps, number: int) -> Camera:
@@ -174,8 +186,10 @@ def moving(
     lights = lights_of(scene)
     options = replace(options, tracer=tracer_of_many(scene, options.tracer))
     levels = levels_for(scene, lights)
-    _check_instants(scene, _steps(scene, lights, levels, options.seed))
-    base = render_still(averaged(scene), folder / "base", replace(options, frames=0, basis=False))
+    planned = _steps(scene, lights, levels, options.seed)
+    _check_instants(scene, planned)
+    still = replace(options, frames=0, basis=False)
+    base = render_still(averaged(scene), folder / "base", still, instants_left=len(list(counted(planned))))
     sensor, tolerance = held(scene).camera.sensor, base.run.tolerance
     if tolerance is None:
         raise ValueError("an image at instants is made to a tolerance")
@@ -203,6 +217,7 @@ def _refined(
     while True:
         steps = _steps(scene, lights_of(scene), levels, instants.options.seed)
         _check_instants(scene, steps)
+        instants.expect(steps)
         made = summed(steps, instants.at, scene.camera.sensor, check)
         highest = max((level for level in levels if level is not None), default=MOST_LEVEL)
         if made.motion <= allowed or highest >= MOST_LEVEL:
