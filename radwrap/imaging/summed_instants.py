@@ -173,9 +173,12 @@ def _error_of(steps: Steps, instants: Instants) -> _LightError:
     """Errors of one light.
 
     Of weights w_k and errors e_k of the instants: (sum w_k e_k)^2 <= (sum w_k) sum w_k e_k^2 for what they have in
-    common, and sum w_k^2 n_k^2 for the noise n_k of rays of their own.
+    common, and sum w_k^2 n_k^2 for the noise n_k of rays of their own. What is not known of each e_k^2, as it was
+    looked for at some pixels by some rays, is independent, as each instant has draws of its own: squares add up. Not so
+    what bands and waves may add, which is no matter of chance.
     """
-    common, upper, noise = [], [], []
+    common, unknown, noise = [], [], []
+    chance = True
     pixels = rays = 0
     for number, image in ((number, instants(steps, number)) for number, _ in counted([steps])):
         weight = float(steps.weights[:, number].max())
@@ -186,9 +189,11 @@ def _error_of(steps: Steps, instants: Instants) -> _LightError:
         square = (found.discretisation_rms_gray / gain) ** 2
         noise.append(weight**2 * share * square)
         common.append(weight * share * max((found.rms_gray / gain) ** 2 - square, 0.0))
-        upper.append(weight * share * max((found.rms_gray_upper95 / gain) ** 2 - square, 0.0))
-    total = _total(steps)
-    middle, bound = (math.sqrt(total * math.fsum(squares)) for squares in (common, upper))
+        unknown.append(weight * share * (found.rms_gray_upper95**2 - found.rms_gray**2) / gain**2)
+        chance = chance and found.bands_gray is None and found.diffraction_gray is None
+    total, known = _total(steps), math.fsum(common)
+    more = math.hypot(*unknown) if chance else math.fsum(unknown)
+    middle, bound = (math.sqrt(total * square) for square in (known, known + more))
     return _LightError(middle, bound, math.sqrt(math.fsum(noise)), pixels, rays)
 
 
