@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from radwrap.imaging.in_time.moving import planned_instants
+from radwrap.scene.file.load import load_scene
 from tests.cli.conftest import here
 
 BELT = Path(__file__).parents[2] / "rad_scenes" / "moving_belt" / "scene.toml"
@@ -29,7 +31,6 @@ def test_explain_says_how_fast_the_belt_may_run(capsys: pytest.CaptureFixture[st
 @pytest.mark.parametrize(
     ("words", "what"),
     [
-        (["render", BELT, "--dry-run", "--out"], "--dry-run"),
         (["render", BELT, "--photo-realistic", "point", "--out"], "--photo-realistic"),
         (["face", BELT, "--no-browser", "--out"], "the page"),
     ],
@@ -39,6 +40,17 @@ def test_what_knows_one_instant_is_refused(
 ) -> None:
     told = here([*words, tmp_path / "out"], capsys).refusal(2)
     assert what in told and "camera.sensor.shutter" in told
+
+
+def test_a_dry_run_tells_the_instants(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As many as the render of the example makes; none where nothing moves."""
+    words = ["--dry-run", "--tolerance", "8"]
+    told = here(["render", BELT, *words, "--json"], capsys).success().json
+    assert told["instants"] == planned_instants(load_scene(BELT), 0) == 26 and told["rays"] > 0
+    assert "26 more instants at least" in here(["render", BELT, *words], capsys).success().stdout
+    still = tmp_path / "still.toml"
+    still.write_text("\n".join(line for line in BELT.read_text().splitlines() if "velocity" not in line))
+    assert "instants" not in here(["render", still, *words, "--json"], capsys).success().json
 
 
 def test_convert_says_that_files_know_one_instant(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -49,6 +49,18 @@ _LARGEST_CODE: Final = 65535.0
 _QUANTILE: Final = 0.995
 
 
+def planned_instants(scene: Scene, seed: int) -> int:
+    """How many instants are rendered at least.
+
+    Raises
+    ------
+    InputError
+        If the scene moves too far, or is dark at all of them.
+    """
+    lights = lights_of(scene)
+    return len(list(counted(_steps(scene, lights, levels_for(scene, lights), seed))))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Moving:
     """The image of a scene in which something moves.
