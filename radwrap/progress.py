@@ -58,6 +58,9 @@ class Progress:
         self._total = max(total, 1)
         self._done = 0
         self._skipped = 0
+        self._before = 0  # done by parts that are finished, so many of which are
+        self._finished = 0
+        self._parts_left = 0
         self._stream = stream or sys.stderr
         self._terminal = self._stream.isatty()
         self._shown = shown
@@ -74,7 +77,15 @@ class Progress:
         """Begin to count again, at another piece of the same work."""
         with self._guard:
             self._total, self._done, self._skipped = 1, 0, 0
+            self._before, self._finished, self._parts_left = 0, 0, 0
             self._start = time.monotonic()
+
+    def begin_part(self, left: int) -> None:
+        """Begin another part of the work, after which so many are left, each taken to be as large as the others."""
+        with self._guard:
+            if self._done:
+                self._before, self._finished = self._before + self._done, self._finished + 1
+            self._total, self._done, self._parts_left = 1, 0, left
 
     def left(self, amount: int) -> None:
         """Say how many units of work are left, where that is learnt on the way."""
@@ -98,7 +109,8 @@ class Progress:
     def state(self) -> Progressed:
         """How far it is now; any thread may ask."""
         with self._guard:
-            return Progressed(self._done, max(self._total, self._done), self._seconds_left(time.monotonic()))
+            done, whole = self._before + self._done, round(self._whole())
+            return Progressed(done, max(whole, done), self._seconds_left(time.monotonic()))
 
     def close(self) -> None:
         """End the line."""
@@ -111,7 +123,7 @@ class Progress:
         if not self._shown or now - self._last < (_TERMINAL_PERIOD if self._terminal else _LOG_PERIOD):
             return
         self._last = now
-        share = self._done / self._total
+        share = (self._before + self._done) / self._whole()
         # Nobody knows how much more than it was expected to be it is.
         told = (
             f"{100 * min(share, 1.0):3.0f} %{self._time_left(now)}"
@@ -127,11 +139,17 @@ class Progress:
             self._stream.write(text + "\n")
         self._stream.flush()
 
+    def _whole(self) -> float:
+        """Units of work of all parts."""
+        known = self._before + max(self._total, self._done if self._parts_left else 0)
+        return known * (1 + self._parts_left / (self._finished + 1))
+
     def _seconds_left(self, now: float) -> float | None:
-        fresh = self._done - self._skipped
-        if fresh <= 0 or self._done > _BEYOND * self._total:
+        done, whole = self._before + self._done, self._whole()
+        fresh = done - self._skipped
+        if fresh <= 0 or done > _BEYOND * whole:
             return None
-        return max((now - self._start) * (self._total - self._done) / fresh, 0.0)
+        return max((now - self._start) * (whole - done) / fresh, 0.0)
 
     def _time_left(self, now: float) -> str:
         left = self._seconds_left(now)

@@ -83,6 +83,7 @@ ROOMS = {
         *(
             "methods",
             "tolerance",
+            "summed_instants",
             "mean_radiance",
             "relight",
             "forecast",
@@ -90,6 +91,7 @@ ROOMS = {
             "with_waves",
             "forecasting",
             "other_camera",
+            "timed_basis",
             "raw_relighting",
             "relighting",
             "page",
@@ -190,8 +192,8 @@ SPELLERS = {
     "scene/file/calibration_file.py": "names a command to be copied as it is",
     "scene/look/smallness.py": "a warning of the manifest",
     "study/tolerate.py": "a note of the report",
-    "study/trade.py": "settings, told as commands to be copied as they are",
-    "study/trade_report.py": "the same",
+    "study/trade_report.py": "settings, told as commands to be copied as they are",
+    "study/trade_rows.py": "the same",
     "tracers/povray.py": "arguments of POV-Ray",
 }
 # Files that users name are read through reading.py. What else opens a file, in the words of the source, and why it may.

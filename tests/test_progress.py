@@ -38,3 +38,20 @@ def test_work_beyond_its_forecast_is_not_said_to_be_done(clock: list[float]) -> 
     work.add(10)
     assert told.getvalue() == "tracing 100 %, 0 s left\ntracing takes longer than was forecast\n"
     assert work.state.seconds_left is None and work.state.of == 111
+
+
+def test_parts_that_are_left_count_as_much_as_the_others(clock: list[float]) -> None:
+    """Of four parts two are done, of 100 and of 200 units, and half of the third, which is to have 150."""
+    told = io.StringIO()
+    work = Progress("tracing", 100, stream=told)
+    for left, total, done in ((3, 100, 100), (2, 200, 200), (1, 150, 75)):
+        work.begin_part(left)
+        work.expect(total)
+        clock[0] += done / 5
+        work.add(done)
+    # 450 units of three parts, 600 of four; 375 done in 75 s.
+    assert (work.state.done, work.state.of) == (375, 600)
+    assert work.state.seconds_left == pytest.approx(45)
+    assert told.getvalue().splitlines()[-1] == "tracing  62 %, 45 s left"
+    work.restart()
+    assert (work.state.done, work.state.of) == (0, 1)

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 from radwrap.cli import options as shared
 from radwrap.errors import CheckFailed
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.manifest import json_text
+from radwrap.scene.scene import Scene
 from radwrap.study.crosscheck import CrosscheckOptions, crosscheck
+from radwrap.study.crosscheck_colours import colours_as_json, crosscheck_colours, write_colours
 from radwrap.study.crosscheck_report import as_json, write_crosscheck
 
 _DESCRIPTION = (
@@ -74,10 +77,24 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.tolerance,
         arguments.povray,
     )
+    if scene.camera.sensor.mosaic is not None:
+        return _colours(scene, out, options, as_text=not arguments.json)
     result = crosscheck(scene, out, options)
     write_crosscheck(result, out)
     found = as_json(result)
     print(json_text(found) if arguments.json else "\n".join(_lines(found)) + "\n", end="")
+    return 0 if found["agrees"] else CheckFailed.exit_code
+
+
+def _colours(scene: Scene, out: Path, options: CrosscheckOptions, *, as_text: bool) -> int:
+    """The same of a colour camera, colour by colour."""
+    found = colours_as_json(scene, crosscheck_colours(scene, out, options))
+    write_colours(found, out)
+    if as_text:
+        for colour, one in found["colours"].items():
+            print("\n".join([f"{colour} pixels of the raw mosaic {found['mosaic']}", *_lines(one)]))
+    else:
+        print(json_text(found), end="")
     return 0 if found["agrees"] else CheckFailed.exit_code
 
 

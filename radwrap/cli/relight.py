@@ -19,6 +19,7 @@ from radwrap.imaging.raw_relighting import RawBasis
 from radwrap.imaging.relight.levels import Levels, levels_of, read_levels
 from radwrap.imaging.relight.relit import Basis
 from radwrap.imaging.relighting import Shown, basis_of, images_of, run_in
+from radwrap.imaging.timed_basis import MovingBasis
 from radwrap.manifest import SCHEMA_VERSION, json_text, plain, write_manifest
 
 RESULT: Final = "relight.json"
@@ -104,7 +105,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _run_of(folder: Path, basis: Basis | RawBasis) -> RunManifest | None:
+def _run_of(folder: Path, basis: Basis | RawBasis | MovingBasis) -> RunManifest | None:
     """The manifest of the run that made a basis, where it still lies beside it: it tells what images lack."""
     run = run_in(folder)
     return run if run is not None and run.scene_sha256 == basis.scene_sha256 else None
@@ -112,7 +113,7 @@ def _run_of(folder: Path, basis: Basis | RawBasis) -> RunManifest | None:
 
 def _write(
     out: Path,
-    basis: Basis | RawBasis,
+    basis: Basis | RawBasis | MovingBasis,
     levels: Levels,
     changes: Mapping[str, Any],
     run: RunManifest | None,

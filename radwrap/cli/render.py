@@ -13,9 +13,10 @@ from typing import Any
 from radwrap.cli import options as shared
 from radwrap.errors import InputError, ToleranceNotMet
 from radwrap.extras import require
-from radwrap.imaging.forecast.cost import duration
+from radwrap.imaging.forecast.cost import Cost, duration
 from radwrap.imaging.forecast.photo_realistic import check_drawable, write_beside
 from radwrap.imaging.forecasting import forecast
+from radwrap.imaging.in_time.planning import Planned, planned
 from radwrap.imaging.mosaicked import plane_of, refuse_for_mosaic, rendered_colours
 from radwrap.imaging.output.colour_picture import write_colour
 from radwrap.imaging.output.run_manifest import RunManifest
@@ -262,34 +263,48 @@ def _budget(text: str | None) -> dict[str, Any]:
 
 
 def _dry_run(scene: Scene, options: RenderOptions, *, as_json: bool) -> int:
-    refuse_time(scene, "--dry-run")
     if scene.camera.sensor.mosaic is not None:
         return _dry_run_of_colours(scene, options, as_json=as_json)
+    plan = planned(scene, options)
     # All that this process has done so far, of which nearly all is to load libraries and the scene.
-    cost = forecast(scene, options, started=time.process_time())
+    cost = forecast(plan.still, plan.options, started=time.process_time())
     if as_json:
-        timing = plain(cost.foretold, named=False)
-        print(json_text({"rays": cost.rays, "memory_bytes": cost.memory_bytes, "timing": timing}), end="")
+        print(json_text(_as_json(cost, plan)), end="")
         return 0
     print(cost)
     print(", ".join(f"{part} {duration(seconds)}" for part, seconds in cost.parts.items()))
     for one in cost.cheaper:
         print(one)
+    if plan.instants:
+        print(_besides(plan))
     return 0
+
+
+def _as_json(cost: Cost, plan: Planned) -> dict[str, Any]:
+    timing = plain(cost.foretold, named=False)
+    more = {"instants": plan.instants} if plan.instants else {}
+    return {"rays": cost.rays, "memory_bytes": cost.memory_bytes, **more, "timing": timing}
+
+
+def _besides(plan: Planned) -> str:
+    return (
+        f"that is the middle of the exposure; {plan.instants} more instants at least, each of some rows and to a "
+        "larger error, so that each takes about as long or less"
+    )
 
 
 def _dry_run_of_colours(scene: Scene, options: RenderOptions, *, as_json: bool) -> int:
     """What each plane of a mosaic costs that is rendered; pixels that saturate may need more planes."""
     refuse_for_mosaic(scene, options)
     single = replace(options, frames=0)
-    costs = {colour: forecast(plane_of(scene, colour), single) for colour in rendered_colours(scene, options)}
+    plans = {colour: planned(plane_of(scene, colour), single) for colour in rendered_colours(scene, options)}
+    costs = {colour: forecast(plan.still, plan.options) for colour, plan in plans.items()}
     if as_json:
-        told = {
-            colour: {"rays": cost.rays, "memory_bytes": cost.memory_bytes, "timing": plain(cost.foretold, named=False)}
-            for colour, cost in costs.items()
-        }
+        told = {colour: _as_json(cost, plans[colour]) for colour, cost in costs.items()}
         print(json_text({"rays": sum(cost.rays for cost in costs.values()), "colours": told}), end="")
         return 0
     for colour, cost in costs.items():
         print(f"{colour}: {cost}")
+        if plans[colour].instants:
+            print(_besides(plans[colour]))
     return 0

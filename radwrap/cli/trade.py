@@ -11,8 +11,9 @@ from radwrap.files import check_results
 from radwrap.imaging.forecast.cost import duration
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.manifest import json_text
-from radwrap.study.trade import Trade, TradeOptions, measure_trade
+from radwrap.study.trade import measure_trade
 from radwrap.study.trade_report import FILES, as_json, pareto_front, recommendation, write_trade
+from radwrap.study.trade_rows import Trade, TradeOptions
 
 _DESCRIPTION = (
     "Runs every method with several settings on a scene, and measures time, rays and error in gray levels against rays "

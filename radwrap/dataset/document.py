@@ -17,13 +17,13 @@ from radwrap.dataset.bop import check_camera
 from radwrap.dataset.draws import Distribution, RandomRotation, read_distribution, read_interval, read_rotation
 from radwrap.dataset.tables import BOP, DISTRIBUTIONS, MOST_COPIES, YOLO, DatasetModel, PartsModel, VaryModel
 from radwrap.errors import InputError
+from radwrap.imaging.in_time.making import refuse_for_time
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.response.noise import linear_of
 from radwrap.reading import FileKind, read_toml
 from radwrap.scene.file.faults import validated
 from radwrap.scene.file.keys import expanded, set_key, with_all_leds
 from radwrap.scene.file.load import load_scene, scene_from_document
-from radwrap.scene.instants import refuse_time
 from radwrap.scene.scene import Scene
 from radwrap.scene.targets import MeshPart
 from radwrap.study.factors import Draw
@@ -145,7 +145,7 @@ def read_dataset(path: Path) -> Dataset:
     origin = path.name
     told = validated(DatasetModel, read_toml(path, _DATASET_FILE), origin, "docs/dataset.md shows a dataset's file")
     scene = load_scene(path.parent / told.scene, told.set)
-    refuse_time(scene, "a dataset")
+    refuse_for_time(scene, RenderOptions())
     categories = tuple(target.name for target in scene.targets if isinstance(target, MeshPart))
     if not categories:
         raise InputError("the scene has no mesh part", where=f"{origin}: scene", remedy='give a target with "part"')

@@ -28,7 +28,7 @@ from radwrap.imaging.synthesis import render
 from radwrap.manifest import SCHEMA_VERSION, plain, read_manifest, write_manifest
 from radwrap.scene.camera import Camera
 from radwrap.scene.file.load import scene_from_document
-from radwrap.scene.instants import refuse_time
+from radwrap.scene.instants import held, keys_of_time, pose_time
 from radwrap.scene.scene import Scene
 from radwrap.scene.targets import MeshPart
 
@@ -128,10 +128,9 @@ def _make(job: ImageJob) -> None:
     dataset, out = job.dataset, Path(job.out)
     drawn, boxes = draw_standing(dataset, job.number)
     scene = scene_from_document(drawn.document, origin=dataset.scene_origin, folder=dataset.folder)
-    refuse_time(scene, "a dataset")
     if BOP in dataset.formats:
         check_camera(scene.camera, f"{dataset.origin}: formats")
-    hits = FirstHits(scene)
+    hits = FirstHits(held(scene))
     truth = hits.truth(drawn.categories)
     # Below the dataset's folder, where whoever goes on after a kill removes it.
     with tempfile.TemporaryDirectory(dir=out / WORK) as folder:
@@ -157,6 +156,7 @@ def _make(job: ImageJob) -> None:
             "width": sensor.columns,
             "height": sensor.rows,
             "values": drawn.values,
+            **({"poses_at_s": pose_time(scene)} if keys_of_time(scene) else {}),
             "error": plain(result.run.error, named=False),
             "met": result.run.met,
             "tracer": None if result.run.tracer is None else result.run.tracer.name,

@@ -27,7 +27,7 @@ from radwrap.fitting.places import Places, need_renders
 from radwrap.fitting.poses import aimed_keys
 from radwrap.fitting.prediction import Prediction
 from radwrap.fitting.scene_text import text_of, with_values
-from radwrap.fitting.series import Captures, State, states_of
+from radwrap.fitting.series import Captures, State, joined, states_of
 from radwrap.fitting.solution import Solution, solve
 from radwrap.fitting.told import Fit, FittedKey, as_manifest
 from radwrap.fitting.verdict import verdict
@@ -37,7 +37,6 @@ from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.response.sensor import gray_levels, image_of_levels
 from radwrap.manifest import SCHEMA_VERSION, sha256_of_value, versions
 from radwrap.reading import FileKind, read_text
-from radwrap.scene.colour_planes import refuse_mosaic
 from radwrap.scene.file.load import load_scene
 from radwrap.scene.instants import refuse_time
 from radwrap.scene.scene import Scene
@@ -122,7 +121,6 @@ def fit(
         raise InputError("goes with a scene file", where="changes", remedy="use `with_value`")
     if noise is not None and not (math.isfinite(noise) and noise >= 0):
         raise InputError("must be a number of 0 or more", where="noise")
-    refuse_mosaic(scene, "a fit")
     refuse_time(scene, "a fit")
     begun = free_scene(scene, free)
     counted = read_mask(mask) if isinstance(mask, str | Path) else mask
@@ -237,7 +235,8 @@ def _fitted(
     errors = _errors(prediction, solved, light)
     grain = GRAIN if prediction.has_renders else RANK
     sure = spread(solved.jacobian, errors, grain, _shared(solved, noise))
-    judged = verdict(solved.residual, sigma, sure, errors, captures=len(states))
+    numbers = [state.number for state in states]
+    judged = verdict(solved.residual, sigma, sure, errors, of_capture=numbers)
     scales = np.array([key.scale for key in free.keys])
     keys = tuple(
         _key(key, float(value), sure, number)
@@ -249,8 +248,10 @@ def _fitted(
     correlation = np.where(gone, np.nan, sure.correlation)
     words = in_words(sure.null, [key.key for key in free.keys], solved.values, scales)
     scene = free.at([float(value) for value in solved.values])
-    grays = tuple(
-        image_of_levels(gray_levels(part.exposure, part.sensor), part.sensor, {}) for part in solved.predicted.parts
+    levels = [gray_levels(part.exposure, part.sensor) for part in solved.predicted.parts]
+    grays = tuple(image_of_levels(image, solved.predicted.parts[0].sensor, {}) for image in joined(levels, states))
+    residual, deviation = (
+        np.concatenate(joined(np.split(image, len(states)), states)) for image in (solved.residual, sigma)
     )
     censored = int(np.count_nonzero(solved.weighed.censored))
     manifest = {
@@ -280,8 +281,8 @@ def _fitted(
         tuple(words),
         judged,
         solved.converged,
-        solved.residual,
-        sigma,
+        residual,
+        deviation,
         grays,
         censored,
         manifest,

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.files import sha256_of
@@ -16,12 +19,17 @@ from radwrap.fitting.poses import aimed_keys
 from radwrap.fitting.tables import SeriesModel
 from radwrap.fitting.weights import check_noise
 from radwrap.images import GrayImage, digest
+from radwrap.imaging.mosaicked import brightest_colour, plane_of
 from radwrap.reading import FileKind, read_toml
+from radwrap.scene.colour_planes import shares_of_light
 from radwrap.scene.file.beside import named_file
 from radwrap.scene.file.faults import validated
 from radwrap.scene.file.keys import expanded, with_all_leds
 from radwrap.scene.file.load import scene_from_document
+from radwrap.scene.mosaic import COLOURS
 
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 _FILE: Final = FileKind("file of captures", 16 << 20, "see docs/fit.md")
 
 
@@ -43,7 +51,7 @@ class Captures:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class State:
-    """One state of the bench, read and checked.
+    """One state of the bench, read and checked; of a colour camera one colour of it, whose pixels count.
 
     Attributes
     ----------
@@ -52,12 +60,18 @@ class State:
     captured : Captured
         What the camera gave.
     told : tuple of dict
-        Of each image, for the manifest.
+        Of each image, for the manifest; of a colour camera with its first colour.
+    number : int
+        Of the state of the bench.
+    own : ndarray of bool, shape (rows, columns)
+        Pixels that it stands for: all, or those of the colour.
     """
 
     free: FreeScene
     captured: Captured
     told: tuple[dict[str, Any], ...]
+    number: int
+    own: Flags
 
 
 def read_series(path: str | Path) -> tuple[Captures, ...]:
@@ -110,7 +124,7 @@ def states_of(
     if series and len(series) < len(captures):
         raise InputError("are images and states of the bench in one list", where="captures")
     repeats = [one for one in captures if not isinstance(one, Captures)]
-    found = []
+    found: list[State] = []
     for number, one in enumerate(series or [Captures(repeats)]):
         where = f"captures[{number}]"
         scene = _changed(free, one.changes, where)
@@ -120,12 +134,36 @@ def states_of(
         check_noise(scene.scene.camera.sensor, noise, taken.repeats)
         state = {"capture": number, "set": dict(one.changes)} if series else {}
         told = tuple({**_told(image, name), **state} for image, name in zip(images, names, strict=True))
-        found.append(State(scene, taken, told))
+        found += _by_colour(State(scene, taken, told, number, np.ones(taken.mask.shape, dtype=np.bool_)))
     _check_once([image for state in found for image in state.told if "file_sha256" in image])
     sensors = {(one.free.scene.camera.sensor.rows, one.free.scene.camera.sensor.columns) for one in found}
     if len(sensors) > 1:
         raise InputError("change the number of pixels", where="captures")
     return tuple(found)
+
+
+def _by_colour(state: State) -> Iterator[State]:
+    """The colours of a mosaic, that with most light first: each as if all pixels had its filter, but its own count.
+
+    A colour that gets no light says nothing.
+    """
+    scene = state.free.scene
+    mosaic = scene.camera.sensor.mosaic
+    if mosaic is None:
+        yield state
+        return
+    shares, brightest = shares_of_light(scene), brightest_colour(scene)
+    told = state.told
+    for colour in sorted(COLOURS, key=lambda colour: colour != brightest):
+        own = np.zeros(state.own.shape, dtype=np.bool_)
+        for place in mosaic.places(colour):
+            own[place] = True
+        counted = own & state.captured.mask
+        if shares[colour] == 0 or not counted.any():
+            continue
+        free = replace(state.free, scene=plane_of(scene, colour))
+        yield replace(state, free=free, captured=replace(state.captured, mask=counted), told=told, own=own)
+        told = ()
 
 
 def _check_once(images: Sequence[Mapping[str, Any]]) -> None:
@@ -174,3 +212,20 @@ def _told(image: GrayImage, name: str) -> dict[str, Any]:
     path = Path(name)
     told = {"file_sha256": sha256_of(path)} if path.is_file() else {}
     return {"file": name, **told, "pixels_sha256": digest(image.values)}
+
+
+def joined(images: Sequence[Array], states: Sequence[State]) -> list[Array]:
+    """One image for each state of the bench: of the colours of a mosaic each pixel is that of its own.
+
+    Parameters
+    ----------
+    images : sequence of ndarray, shape (rows, columns)
+        Of each state, or of each colour of it.
+    states : sequence of State
+        Whose.
+    """
+    found: dict[int, Array] = {}
+    for image, state in zip(images, states, strict=True):
+        before = found.get(state.number)
+        found[state.number] = image if before is None else np.where(state.own, image, before)
+    return list(found.values())

@@ -7,8 +7,8 @@ is no noise of the captures: it is one unknown image. Its expected square makes 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -113,7 +113,9 @@ class Verdict:
         return self.pixels.passed and (self.blocks is None or self.blocks.passed)
 
 
-def verdict(residual: Array, sigma: Array, found: Spread, errors: PredictionErrors, *, captures: int = 1) -> Verdict:
+def verdict(
+    residual: Array, sigma: Array, found: Spread, errors: PredictionErrors, *, of_capture: Sequence[int] = (0,)
+) -> Verdict:
     """Judge what a fit leaves.
 
     Parameters
@@ -126,8 +128,8 @@ def verdict(residual: Array, sigma: Array, found: Spread, errors: PredictionErro
         What the fit determined.
     errors : PredictionErrors
         Of the used pixels.
-    captures : int
-        Images that stand one below the other.
+    of_capture : sequence of int
+        For each of the images that stand one below the other, the capture that it is of, or whose pixels of one colour.
     """
     used = np.isfinite(residual)
     left = residual[used]
@@ -136,7 +138,7 @@ def verdict(residual: Array, sigma: Array, found: Spread, errors: PredictionErro
     scale = errors.freedom * errors.predictions
     common = errors.model**2 * left.size
     pixels = _test(float(left @ left), left.size - found.rank, float((off**2).sum()) / scale + common)
-    rows = len(used) // captures
+    rows = len(used) // len(of_capture)
     places = list(_blocks(used, rows))
     sums = np.zeros((len(places), left.size))
     number = np.cumsum(used.ravel()).reshape(used.shape) - 1
@@ -159,8 +161,10 @@ def verdict(residual: Array, sigma: Array, found: Spread, errors: PredictionErro
     deviations = means / spread_of
     order = np.argsort(-np.abs(deviations), kind="stable")[:_TOLD]
     gray = residual * sigma
-    worst = [_block(places[k], gray, used, float(deviations[k]), rows if captures > 1 else None) for k in order]
-    return Verdict(pixels, blocks, tuple(worst))
+    worst = [_block(places[k], gray, used, float(deviations[k]), rows) for k in order]
+    several = len(set(of_capture)) > 1
+    named = [replace(one, capture=of_capture[one.capture or 0] if several else None) for one in worst]
+    return Verdict(pixels, blocks, tuple(named))
 
 
 def _test(value: float, freedom: int, prediction: float) -> Test:
@@ -189,19 +193,17 @@ def _blocks(used: NDArray[np.bool_], rows: int) -> Iterator[tuple[slice, slice]]
                     yield place
 
 
-def _block(
-    place: tuple[slice, slice], gray: Array, used: NDArray[np.bool_], deviations: float, height: int | None
-) -> Block:
-    """What is told of a block; rows count in its own capture, where images of that height stand below each other."""
+def _block(place: tuple[slice, slice], gray: Array, used: NDArray[np.bool_], deviations: float, height: int) -> Block:
+    """What is told of a block; rows count in its own image, of those of that height that stand below each other."""
     rows, columns = place
     here = used[place]
-    capture = None if height is None else rows.start // height
-    top = 0 if capture is None or height is None else capture * height
+    image = rows.start // height
+    top = image * height
     return Block(
         (rows.start - top, rows.stop - top),
         (columns.start, columns.stop),
         float(gray[place][here].mean()),
         deviations,
         int(here.sum()),
-        capture,
+        image,
     )

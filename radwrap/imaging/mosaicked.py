@@ -103,8 +103,19 @@ def refuse_for_mosaic(scene: Scene, options: RenderOptions) -> None:
 
 
 def plane_of(scene: Scene, colour: Colour) -> Scene:
-    """The scene as a monochrome camera sees it behind the filter of one colour."""
-    return with_value(scene, "camera.sensor.mosaic", colour)
+    """The scene as a monochrome camera sees it behind the filter of one colour, diffraction as the scene has it."""
+    plane = with_value(scene, "camera.sensor.mosaic", colour)
+    return replace(plane, camera=replace(plane.camera, diffraction=scene.camera.diffraction))
+
+
+def relative_exposure(scene: Scene, colour: Colour) -> float:
+    """A colour's radiant exposure as the mosaic's sensor counts it, over that of its plane.
+
+    Without spectra a plane counts electrons by its own efficiency, the mosaic by the largest of three.
+    """
+    if scene.spectral is not None or (shares := mosaic_of(scene).relative) is None:
+        return 1.0
+    return shares[COLOURS.index(colour)]
 
 
 def rendered_colours(scene: Scene, options: RenderOptions) -> tuple[Colour, ...]:
@@ -257,14 +268,10 @@ def _planes(scene: Scene, folder: Path, options: RenderOptions, render: PlaneRen
 
 def _rendered_plane(scene: Scene, colour: Colour, folder: Path, options: RenderOptions, render: PlaneRender) -> _Plane:
     result = render(plane_of(scene, colour), folder / colour, options)
-    # Without spectra a plane counts electrons by its own efficiency, the mosaic by the largest of three.
-    relative = 1.0
-    if scene.spectral is None and (shares := mosaic_of(scene).relative) is not None:
-        relative = shares[COLOURS.index(colour)]
     run = result.run
     sigma = read_image(folder / colour / SIGMA)[0].astype(np.float64) if SIGMA in run.files else None
     parts = {} if run.uncertainty is None else run.uncertainty.parts_rms_gray
-    exposure = result.radiant_exposure.values * relative
+    exposure = result.radiant_exposure.values * relative_exposure(scene, colour)
     return _Plane(exposure, run.error, sigma, parts, colour, 1.0, run)
 
 

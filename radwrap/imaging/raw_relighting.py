@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,11 +15,13 @@ from radwrap.errors import InputError
 from radwrap.images import ExposureImage, GrayImage
 from radwrap.imaging.other_camera import basis_in_other_camera, scene_text_of
 from radwrap.imaging.output.folder import PLANES
-from radwrap.imaging.output.run_manifest import MANIFEST, RunManifest
+from radwrap.imaging.output.run_manifest import MANIFEST, RunManifest, read_run_manifest
 from radwrap.imaging.relight.basis import BASIS
 from radwrap.imaging.relight.relit import Basis, Relit, read_basis, relit
 from radwrap.imaging.relight.relit_uncertainty import relit_uncertainty
 from radwrap.imaging.response.sensor import gray_levels, image_of_levels
+from radwrap.imaging.run_files import TIMED_BASIS
+from radwrap.imaging.timed_basis import MovingBasis, read_timed_basis
 from radwrap.imaging.tolerance.raw_error import error_of_all, uncertainty_of_all, without_error
 from radwrap.imaging.tolerance.uncertainty import Uncertainty, uncertainty
 from radwrap.scene.mosaic import COLOURS, Colour, Pattern, composed, pixels_of
@@ -26,6 +29,7 @@ from radwrap.scene.tolerances import Tolerances
 
 Array = NDArray[np.float64]
 
+_NOTHING: Final[Mapping[str, Any]] = {}
 _FILTERS: Final = ("camera.sensor.mosaic", "camera.sensor.filters")
 
 
@@ -89,31 +93,62 @@ class RawRelit:
         return all(image.keeps(basis.planes[colour]) for colour, image in self.colours.items())
 
 
-def read_raw_basis(folder: Path, run: RunManifest) -> RawBasis:
+def read_raw_basis(
+    folder: Path, run: RunManifest, changes: Mapping[str, Any] = _NOTHING, scene_folder: Path | None = None
+) -> RawBasis:
     """Read the bases that ``radwrap render --basis`` wrote of a scene with a mosaic.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the run.
+    run : RunManifest
+        Its manifest.
+    changes : Mapping
+        Exposure time or electronics of the sensor that are others, see `basis_in_other_camera`.
+    scene_folder : Path, optional
+        Where files lie that its camera names.
 
     Raises
     ------
     InputError
-        If there is none, or one is not that of the run.
+        If there is none, one is not that of the run, or a change is one of the light; so is one of the filters.
     """
     made = run.mosaic
     if made is None:
         raise InputError("is not of a colour camera", where=str(folder / MANIFEST))
+    for key in changes:
+        if key.startswith(_FILTERS):
+            raise InputError("changes which light a pixel gets", where=key, remedy="render that camera")
     own = {colour: plane for colour, plane in made.colours.items() if plane.light_of == colour}
-    if not (folder / PLANES / next(iter(own)) / BASIS).is_file() or any(
+    first = folder / PLANES / next(iter(own))
+    if not any((first / name).is_file() for name in (BASIS, TIMED_BASIS)) or any(
         plane.share and colour not in own for colour, plane in made.colours.items()
     ):
         raise InputError("holds no light basis", where=str(folder), remedy="render with `basis`")
     planes: dict[Colour, Basis] = {}
+    before: dict[Colour, Basis] = {}
     for colour in COLOURS:
         if colour in own:
-            planes[colour] = read_basis(folder / PLANES / colour)
-            if planes[colour].scene_sha256 != own[colour].scene_sha256:
+            plane = partial(_plane, folder / PLANES / colour, scene_folder=scene_folder)
+            before[colour] = plane({})
+            if before[colour].scene_sha256 != own[colour].scene_sha256:
                 raise InputError(
                     "is of another run", where=str(folder / PLANES / colour), remedy="make the basis again"
                 )
-    return RawBasis(made.pattern, planes, _relative(planes, spectral=run.bands is not None), run.scene_sha256)
+            planes[colour] = plane(changes) if changes else before[colour]
+    return RawBasis(made.pattern, planes, _relative(before, spectral=run.bands is not None), run.scene_sha256)
+
+
+def _plane(folder: Path, changes: Mapping[str, Any], scene_folder: Path | None) -> Basis:
+    """The basis of one colour."""
+    if (folder / TIMED_BASIS).is_file():
+        found = read_timed_basis(folder, read_run_manifest(folder), changes, scene_folder)
+        if isinstance(found, MovingBasis):
+            raise InputError("is a basis of a colour camera in which something moves", where=str(folder))
+        return found
+    basis = read_basis(folder)
+    return basis_in_other_camera(basis, scene_text_of(folder, basis, scene_folder), changes)
 
 
 def _relative(planes: Mapping[Colour, Basis], *, spectral: bool) -> dict[Colour, float]:
@@ -123,26 +158,6 @@ def _relative(planes: Mapping[Colour, Basis], *, spectral: bool) -> dict[Colour,
     if spectral or len(known) < len(planes):
         return dict.fromkeys(planes, 1.0)
     return {colour: value / max(known.values()) for colour, value in known.items()}
-
-
-def raw_basis_in_other_camera(
-    basis: RawBasis, folder: Path, changes: Mapping[str, Any], scene_folder: Path | None = None
-) -> RawBasis:
-    """The same with another exposure time or other electronics of the sensor, see `basis_in_other_camera`.
-
-    Raises
-    ------
-    InputError
-        As that; the filters cannot change.
-    """
-    for key in changes:
-        if key.startswith(_FILTERS):
-            raise InputError("changes which light a pixel gets", where=key, remedy="render that camera")
-    planes = {}
-    for colour, one in basis.planes.items():
-        text = scene_text_of(folder / PLANES / colour, one, scene_folder)
-        planes[colour] = basis_in_other_camera(one, text, changes)
-    return replace(basis, planes=planes)
 
 
 def raw_relit(basis: RawBasis, factors: Sequence[Sequence[float]] | Array) -> Iterator[RawRelit]:

@@ -14,10 +14,11 @@ from radwrap.errors import InputError
 from radwrap.imaging.other_camera import basis_in_other_camera, scene_text_of
 from radwrap.imaging.output.folder import PLANES
 from radwrap.imaging.output.run_manifest import RunManifest, read_run_manifest
-from radwrap.imaging.raw_relighting import RawBasis, raw_basis_in_other_camera, raw_relit, read_raw_basis
+from radwrap.imaging.raw_relighting import RawBasis, raw_relit, read_raw_basis
 from radwrap.imaging.relight.levels import levels_of
 from radwrap.imaging.relight.relit import Basis, Relit, read_basis, relit
 from radwrap.imaging.relight.relit_uncertainty import relit_uncertainty
+from radwrap.imaging.timed_basis import MovingBasis, moving_relit, read_timed_basis
 from radwrap.imaging.tolerance.uncertainty import Uncertainty
 from radwrap.scene.mosaic import Colour
 
@@ -94,8 +95,10 @@ class Shown:
     colours: Mapping[Colour, Relit]
 
 
-def basis_of(folder: Path, changes: Mapping[str, Any] = _NOTHING, scene_folder: Path | None = None) -> Basis | RawBasis:
-    """The basis in a folder, or those of a mosaic's colours, in another camera where keys are changed.
+def basis_of(
+    folder: Path, changes: Mapping[str, Any] = _NOTHING, scene_folder: Path | None = None
+) -> Basis | RawBasis | MovingBasis:
+    """The basis in a folder, or those of a mosaic's colours, or of instants, in another camera where keys are changed.
 
     Raises
     ------
@@ -104,21 +107,26 @@ def basis_of(folder: Path, changes: Mapping[str, Any] = _NOTHING, scene_folder: 
     """
     run = run_in(folder)
     if run is not None and run.mosaic is not None:
-        raw = read_raw_basis(folder, run)
-        return raw_basis_in_other_camera(raw, folder, changes, scene_folder) if changes else raw
+        return read_raw_basis(folder, run, changes, scene_folder)
     if run is None and (folder / PLANES).is_dir():
         raise InputError(
             "holds colours of an unfinished render", where=str(folder), remedy="render again with the same command"
         )
+    if run is not None and run.in_time is not None:
+        return read_timed_basis(folder, run, changes, scene_folder)
     basis = read_basis(folder)
     return basis_in_other_camera(basis, scene_text_of(folder, basis, scene_folder), changes) if changes else basis
 
 
-def images_of(basis: Basis | RawBasis, factors: NDArray[np.float64]) -> Iterator[Shown]:
+def images_of(basis: Basis | RawBasis | MovingBasis, factors: NDArray[np.float64]) -> Iterator[Shown]:
     """Images for any levels of the sources, shape (images, sources); errors as `relit`."""
     if isinstance(basis, RawBasis):
         for raw in raw_relit(basis, factors):
             yield Shown(raw.image, raw.uncertainty, raw.keeps(basis), raw.colours)
+        return
+    if isinstance(basis, MovingBasis):
+        for moving in moving_relit(basis, factors):
+            yield Shown(moving.image, moving.uncertainty, moving.keeps, {})
         return
     for levels, image in zip(factors, relit(basis, factors), strict=True):
         yield Shown(image, relit_uncertainty(basis, levels, image), image.keeps(basis), {})

@@ -28,6 +28,7 @@ from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.tolerance.certificate import Certificate
 from radwrap.imaging.tolerance.uncertainty import uncertainty
 from radwrap.manifest import plain, read_manifest
+from radwrap.scene.instants import refuse_time
 from radwrap.scene.look.faces import face_towards
 from radwrap.scene.scene import Scene
 from radwrap.scene.tolerances import Tolerances
@@ -214,6 +215,7 @@ class Rendered:
         InputError
             If it was rendered without its light basis, or that is damaged.
         """
+        refuse_time(self.scene, "a page")
         if self.basis_folder is None:
             raise InputError(
                 "needs a light basis", where="page", remedy="render the scene into a folder with `basis=True`"

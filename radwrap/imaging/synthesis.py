@@ -39,11 +39,7 @@ from radwrap.imaging.output.folder import ALWAYS, is_whole, publish
 from radwrap.imaging.output.frame_files import write_frames
 from radwrap.imaging.output.identity import Identity, identity_of
 from radwrap.imaging.output.image_files import write_images
-from radwrap.imaging.output.run_manifest import (
-    Bounces,
-    Timing,
-    write_run_manifest,
-)
+from radwrap.imaging.output.run_manifest import Bounces, Timing, write_run_manifest
 from radwrap.imaging.output.sigma_file import write_sigma
 from radwrap.imaging.output.traced_run import TracedRun
 from radwrap.imaging.output.truth_files import write_truth
@@ -274,8 +270,8 @@ def _render_into(
             if scene.camera.sensor.mosaic is not None:
                 make_mosaic(scene, out, options, work=work / _MADE, render_plane=plane, check=programs.check)
                 return load_result(scene, out)
-            if (still := steady(scene)) is None:
-                make_in_time(scene, out, options, work=work / _MADE, render_still=plane, check=programs.check)
+            if (still := steady(scene, basis=options.basis)) is None:
+                make_in_time(scene, out, options, work=work / _MADE, render_still=plane, programs=programs)
                 return load_result(scene, out)
             for meanwhile in (warmth is not None, False):
                 kept = None if warmth is None else warmth.kept
@@ -295,11 +291,18 @@ def _render_into(
 
 
 def _plane_into(
-    scene: Scene, out: Path, options: RenderOptions, *, programs: Programs, progress: Progress, warmth: Warmth | None
+    scene: Scene,
+    out: Path,
+    options: RenderOptions,
+    *,
+    instants_left: int | None = None,
+    programs: Programs,
+    progress: Progress,
+    warmth: Warmth | None,
 ) -> Rendered:
-    """One colour of a mosaic, or one instant of a scene that moves."""
+    """One colour of a mosaic, or one instant of a scene that moves; of instants it is known how many are left."""
     make_folder(out)
-    progress.restart()
+    progress.restart() if instants_left is None else progress.begin_part(instants_left)
     return _render_into(scene, out, options, programs=programs, progress=progress, warmth=warmth)
 
 

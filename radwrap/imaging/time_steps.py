@@ -18,6 +18,7 @@ from radwrap.random_streams import Rendering, generator
 from radwrap.scene.instants import windows_of
 from radwrap.scene.scene import Scene
 from radwrap.scene.shutter import Strobe, lit_time, shares_of_times
+from radwrap.scene.sources import emitters
 
 Array = NDArray[np.float64]
 # How far a middle instant lies off the middle at most, as a share of the distance between its neighbours.
@@ -45,7 +46,7 @@ class Light:
 
 
 def lights_of(scene: Scene) -> tuple[Light, ...]:
-    """The light of a scene by its times; what reaches no row is left out.
+    """The light of a scene by its times; what reaches no row, or is dark at all times beside other light, is left out.
 
     Raises
     ------
@@ -73,7 +74,8 @@ def lights_of(scene: Scene) -> tuple[Light, ...]:
             where=f"{scene.origin}: sources[{pulsed}].strobe",
             remedy=f"rows are exposed from {opened * 1e3:.4g} to {closed * 1e3:.4g} ms: change delay",
         )
-    return tuple(found)
+    bright = {source.name for source in scene.sources if any(one.radiance > 0 for one in emitters(source))}
+    return tuple(light for light in found if bright.intersection(light.sources)) or tuple(found)
 
 
 def places(level: int, seed: int) -> Array:

@@ -130,7 +130,7 @@ def take_reference(
     """
     check_reference(pixels, rays)
     tell = progress or (lambda _: None)
-    sample, spent = _draw(view, pixels, seed)
+    sample, spent = drawn_sample(view, pixels, seed)
     tell(spent)
     u, v = places_of(sample.pixels, view.camera.sensor.columns)
     random = generator(seed, Trading.RAYS)
@@ -145,7 +145,7 @@ def take_reference(
     return Reference(sample, first, second, spent + 2 * rays * len(u), seed)
 
 
-def _draw(view: View, count: int, seed: int) -> tuple[PixelSample, int]:
+def drawn_sample(view: View, count: int, seed: int) -> tuple[PixelSample, int]:
     """Pixels in strata of how much a few rays of each differ in gray level, and the rays that took."""
     sensor = view.camera.sensor
     if sensor.pixels <= count:

@@ -20,7 +20,7 @@ from radwrap.random_streams import generator
 from radwrap.scene.colour_planes import refuse_mosaic
 from radwrap.scene.file.keys import expanded, set_key, steps_of
 from radwrap.scene.file.load import scene_from_document
-from radwrap.scene.instants import keys_of_time
+from radwrap.scene.instants import keys_of_time, refuse_time
 from radwrap.scene.scene import Scene
 from radwrap.study.design import Analysis, Design, check_render_option, render_options
 from radwrap.study.design_tables import MOST_RUNS
@@ -302,7 +302,9 @@ def _check_level(design: Design, factor: Factor, level: Level, options: Mapping[
 def _check_decided(scene: Scene, how: RenderOptions, basis: bool | None) -> None:
     """See that it is decided once for all runs whether they have diffraction: pilots do that, and the scene."""
     refuse_mosaic(scene, "a study")
-    refuse_for_time(scene, replace(how, basis=bool(basis)))
+    refuse_for_time(scene, how)
+    if basis:
+        refuse_time(scene, "a light basis of a study")
     camera = scene.camera
     alone = "sub-viewpoints" if how.fixed_method == "viewpoints" else "scenes that change in the course of an exposure"
     shared = how.fixed_method != "viewpoints" and not keys_of_time(scene)

@@ -13,7 +13,7 @@ from radwrap.figure_png import figure_png
 from radwrap.files import write_bytes
 from radwrap.imaging.forecast.cost import duration
 from radwrap.manifest import SCHEMA_VERSION, json_text
-from radwrap.study.trade import Row, Trade
+from radwrap.study.trade_rows import Row, Trade
 
 TABLE: Final = "trade.csv"
 NUMBERS: Final = "trade.json"
@@ -53,6 +53,8 @@ def recommendation(rows: Sequence[Row], tolerance: float) -> str:
     text = f"For an rms error below {tolerance:g} gray use `{best.setting.options}`: {_told(best)}"
     if best.setting.method == "viewpoints":
         return f"{text}; no other method that was tried is as fast."
+    if not any(row.setting.method == "viewpoints" for row in rows):
+        return f"{text}."
     if not paper:
         return f"{text}; the sub-viewpoints that were tried did not reach it."
     other = min(paper, key=lambda row: row.wall_s)

@@ -89,9 +89,6 @@ REFUSED = {
     "uniformity": ("measure", "uniformity", "{chart}/gray.png"),
     "photo-realistic": ("render", "{scene}", "--out", "{out}", "--photo-realistic"),
     "face": ("face", "{scene}", "--port", "0", "--no-browser"),
-    "crosscheck": ("crosscheck", "{scene}", "--out", "{out}"),
-    "trade": ("trade", "{scene}", "--out", "{out}"),
-    "fit": ("fit", "{scene}", "{chart}/gray.png", "--free", "camera.exposure_time=1 ms:2 ms", "--out", "{out}"),
     "convert": ("convert", "{scene}", "{out}.rad"),
 }
 

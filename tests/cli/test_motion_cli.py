@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 
 import pytest
 
+from radwrap.imaging.in_time.moving import planned_instants
+from radwrap.scene.file.load import load_scene
 from tests.cli.conftest import here
 
 BELT = Path(__file__).parents[2] / "rad_scenes" / "moving_belt" / "scene.toml"
@@ -30,10 +31,7 @@ def test_explain_says_how_fast_the_belt_may_run(capsys: pytest.CaptureFixture[st
 @pytest.mark.parametrize(
     ("words", "what"),
     [
-        (["render", BELT, "--basis", "--out"], "basis"),
-        (["render", BELT, "--dry-run", "--out"], "--dry-run"),
         (["render", BELT, "--photo-realistic", "point", "--out"], "--photo-realistic"),
-        (["trade", BELT, "--out"], "a trade"),
         (["face", BELT, "--no-browser", "--out"], "the page"),
     ],
 )
@@ -44,16 +42,17 @@ def test_what_knows_one_instant_is_refused(
     assert what in told and "camera.sensor.shutter" in told
 
 
+def test_a_dry_run_tells_the_instants(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As many as the render of the example makes; none where nothing moves."""
+    words = ["--dry-run", "--tolerance", "8"]
+    told = here(["render", BELT, *words, "--json"], capsys).success().json
+    assert told["instants"] == planned_instants(load_scene(BELT), 0) == 26 and told["rays"] > 0
+    assert "26 more instants at least" in here(["render", BELT, *words], capsys).success().stdout
+    still = tmp_path / "still.toml"
+    still.write_text("\n".join(line for line in BELT.read_text().splitlines() if "velocity" not in line))
+    assert "instants" not in here(["render", still, *words, "--json"], capsys).success().json
+
+
 def test_convert_says_that_files_know_one_instant(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     told = here(["convert", BELT, tmp_path / "belt.rad"], capsys).success()
     assert "targets[2].velocity: files know one instant" in told.stderr
-
-
-def test_a_dataset_of_what_moves_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder = tmp_path / "parts"
-    shutil.copytree(BELT.parents[1] / "dataset_parts", folder)
-    text = (folder / "scene.toml").read_text()
-    sensor = '[camera.sensor]\nshutter = "rolling"\nline_time = "10 us"'
-    (folder / "scene.toml").write_text(text.replace("[camera.sensor]", sensor, 1))
-    told = here(["dataset", "run", folder / "dataset.toml", "--out", tmp_path / "out"], capsys).refusal(2)
-    assert "camera.sensor.shutter" in told and "a dataset knows one instant" in told

@@ -57,6 +57,82 @@ def mask(path: Path) -> np.ndarray:
     return found > 0
 
 
+PULSED = """
+images = 1
+tolerance = 8
+
+[set]
+"camera.sensor.shutter" = "rolling"
+"camera.sensor.line_time" = "2 ms"
+"sources[0].strobe" = { delay = "-10 ms", width = "60 ms" }
+"""
+
+
+def test_rows_and_pulses_are_in_the_image_and_not_in_the_truth(
+    dataset_file: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Row r begins 2 r ms late: of the pulse, which ends at 50 ms, it gathers 50 - 2 r ms; exposures are of 100 ms."""
+    assert main(["dataset", "run", str(dataset_file(PULSED)), "--out", str(tmp_path / "pulsed")]) == 0
+    assert (
+        main(["dataset", "run", str(dataset_file("images = 1\ntolerance = 8")), "--out", str(tmp_path / "still")]) == 0
+    )
+    capsys.readouterr()
+    pulsed, still = (tmp_path / name / "train" / "000000" for name in ("pulsed", "still"))
+    for truth in ("depth/000000.png", "mask/000000_000000.png", "edges/000000.png"):
+        assert (pulsed / truth).read_bytes() == (still / truth).read_bytes()
+    lit, steady = (cv2.imread(str(one / "gray/000000.png"), -1)[:, 2].astype(float) - 20 for one in (pulsed, still))
+    open_time = np.clip(50 - 2 * np.arange(len(lit)), 0, None) / 100
+    assert lit / steady == pytest.approx(open_time, abs=0.03) and steady.min() > 30
+    assert read(pulsed / "records/000000.json")["poses_at_s"] == pytest.approx(0.05)
+    assert "poses_at_s" not in read(still / "records/000000.json")
+
+
+LIT = """
+images = 1
+tolerance = 4
+
+[set]
+"sources[0].radiance" = "4000 kW/m^2/sr"
+"materials.black" = { type = "lambertian", reflectance = 0.03 }
+"targets[0].material" = "black"
+"""
+FLASH = """
+"targets[1].velocity" = ["40 mm/s", "0 mm/s", "0 mm/s"]
+"sources[0].strobe" = {{ delay = "{} ms", width = "5 ms" }}
+"""
+STANDS = """
+"targets[1].position" = ["{} mm", "0 mm", "0 mm"]
+"camera.exposure_time" = "5 ms"
+"""
+
+
+@pytest.mark.long
+def test_what_moves_is_where_the_flash_found_it(
+    dataset_file: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Truth is of 50 ms: a flash then shows the block in its mask, one 45 ms later 1.8 mm beside it."""
+    centres, masks = {}, {}
+    for name, more in (
+        ("then", FLASH.format("47.5")),
+        ("later", FLASH.format("92.5")),
+        ("here", STANDS.format(0)),
+        ("beside", STANDS.format(1.8)),
+    ):
+        path = dataset_file(LIT + more)
+        assert main(["dataset", "run", str(path), "--out", str(tmp_path / name)]) == 0
+        folder = tmp_path / name / "train" / "000000"
+        gray = cv2.imread(str(folder / "gray/000000.png"), -1).astype(float)
+        block = np.clip(gray - 0.3 * gray.max(), 0, None)  # without the table
+        centres[name] = float((block * np.arange(48)).sum() / block.sum())
+        masks[name] = mask(folder / "mask_visib/000000_000000.png")
+    capsys.readouterr()
+    assert (masks["then"] == masks["here"]).all() and (masks["later"] == masks["here"]).all()
+    assert (masks["here"] != masks["beside"]).any()
+    assert centres["then"] == pytest.approx(centres["here"], abs=0.05)
+    assert centres["later"] == pytest.approx(centres["beside"], abs=0.05)
+    assert abs(centres["later"] - centres["then"]) > 1
+
+
 def test_a_dataset_is_whole_goes_on_and_agrees_with_itself(
     dataset_file: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

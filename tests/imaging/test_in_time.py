@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 import radwrap
 from radwrap.errors import InputError
-from radwrap.imaging.in_time.linear_light import allowed_exposure_error, gray_bound
-from radwrap.imaging.time_steps import places
+from radwrap.imaging.response.linear_light import allowed_exposure_error, gray_bound
+from radwrap.imaging.time_steps import lights_of, places
 from radwrap.scene.instants import at_time, lit_by, pose_time
 from radwrap.scene.look.checks import checked_at_time
 from radwrap.scene.look.image_speed import image_speeds
@@ -247,10 +247,32 @@ def test_the_same_seed_gives_the_same_bytes_with_any_number_of_workers(tmp_path:
     assert not (first / ".instants").exists()
 
 
+@pytest.mark.parametrize("moves", [False, pytest.param(True, marks=pytest.mark.long)])
+def test_a_finished_folder_is_not_rendered_again(moves: bool, tmp_path: Path) -> None:
+    """Until an option, a file, or the scene's time is another."""
+    tables = document(velocity=velocity(0.6)) if moves else document()
+    tables["camera"]["sensor"] |= {"shutter": "rolling", "line_time": "30 us"}
+    tables["sources"][0]["strobe"] = {"delay": "0.1 ms", "width": "1 ms"}
+
+    def stamp(tolerance: float = 6.0) -> tuple[int, ...]:
+        made = rendered(tables, tolerance, out=tmp_path)
+        assert made.met and made.run.in_time is not None
+        return tuple((tmp_path / name).stat().st_mtime_ns for name in ("manifest.json", "gray.png"))
+
+    first = stamp()
+    assert stamp() == first and not (tmp_path / ".instants").exists()
+    tables["sources"][0]["strobe"]["delay"] = "0.12 ms"
+    second = stamp()
+    assert second[0] > first[0] and stamp() == second
+    third = stamp(5.0)
+    assert third[0] > second[0]
+    (tmp_path / "gray.png").write_bytes(b"broken")
+    assert stamp(5.0)[0] > third[0]
+
+
 @pytest.mark.parametrize(
     ("how", "told"),
     [
-        ({"basis": True}, "basis"),
         ({"method": "viewpoints"}, "method"),
         ({"max_error": 3.0}, "max_error"),
         ({"budget_rays": 1e6}, "budget_rays"),
@@ -294,6 +316,18 @@ def test_light_that_misses_the_exposure_is_an_error() -> None:
         rendered(tables, 1.0)
     del tables["targets"][0]["velocity"]
     with pytest.raises(InputError, match="no pulse meets the exposure"):
+        rendered(tables, 1.0)
+
+
+def test_a_dark_source_beside_a_pulsed_one_is_nothing() -> None:
+    """It has times of its own, at which there is no light at all."""
+    tables = document(velocity=velocity(0.6))
+    tables["sources"][0]["strobe"] = {"delay": "2 ms", "width": "1 ms"}
+    tables["sources"][1]["radiant_intensity"] = "0 W/sr"
+    lights = lights_of(radwrap.scene_from_document(tables))
+    assert [light.sources for light in lights] == [("left",)]
+    tables["sources"][0]["radiant_intensity"] = "0 W/sr"
+    with pytest.raises(InputError, match="there is no light"):
         rendered(tables, 1.0)
 
 

@@ -4,6 +4,6 @@ The data's way::
 
     when each row collects light of which sources     imaging.time_steps
     -> nothing moves: a light basis, row by row       by_rows
-    -> something moves: renders at instants           moving (linear_light: their error in gray levels)
+    -> something moves: renders at instants           moving (imaging.summed_instants: their sum and its error)
     -> files and manifest                             making
 """

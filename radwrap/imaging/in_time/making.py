@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -16,25 +17,32 @@ from radwrap.errors import InputError
 from radwrap.files import make_folder, sha256_of
 from radwrap.images import ExposureImage
 from radwrap.imaging.in_time.by_rows import StillRender, by_rows
-from radwrap.imaging.in_time.moving import moving
+from radwrap.imaging.in_time.moving import moving, tracer_of_many
 from radwrap.imaging.output.composed_files import write_composed
-from radwrap.imaging.output.folder import INSTANTS, publish
+from radwrap.imaging.output.folder import INSTANTS, is_whole, publish
+from radwrap.imaging.output.identity import identity_of
 from radwrap.imaging.output.image_files import ImageSummary
 from radwrap.imaging.output.run_manifest import InTime, RunManifest, components_used, write_run_manifest
+from radwrap.imaging.relight.basis import BASIS
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.rendered import Rendered
 from radwrap.imaging.response.noise import linear_of
 from radwrap.imaging.response.sensor import gray_levels
+from radwrap.imaging.run_files import LightFile, RowsFile, TimedBasisFile
 from radwrap.imaging.time_steps import lights_of
+from radwrap.imaging.timed_basis import write_timed_basis
 from radwrap.imaging.tolerance.certificate import Certificate
 from radwrap.imaging.tolerance.uncertainty import Uncertainty, uncertainty
-from radwrap.manifest import plain, sha256_of_value
-from radwrap.scene.instants import held, is_even, keys_of_time, lit_by, row_levels
+from radwrap.imaging.tracing import LaidOutScene
+from radwrap.manifest import plain, read_manifest, sha256_of_value
+from radwrap.process import Programs
+from radwrap.scene.instants import averaged, held, is_even, keys_of_time, lit_by, row_levels
 from radwrap.scene.look.checks import warnings_of
 from radwrap.scene.scene import Scene
 from radwrap.scene.tolerances import Tolerances
 
 Array = NDArray[np.float64]
+_IDENTITY: Final = "identity"
 _BASE: Final = "base"  # the folder of the one instant, as `moving` has it
 
 
@@ -47,8 +55,10 @@ class _Found:
     certificate: Certificate
     instants: int
     rays: int
-    run_sha256s: tuple[str, ...]
     tracer_cpu_s: float
+    rows: RowsFile | None
+    lights: tuple[LightFile, ...]
+    folder: Path
 
 
 def refuse_for_time(scene: Scene, options: RenderOptions) -> None:
@@ -63,7 +73,6 @@ def refuse_for_time(scene: Scene, options: RenderOptions) -> None:
     if not keys:
         return
     asked = {
-        "basis": options.basis,
         "sampling": options.sampling is not None,
         "method": options.fixed_method is not None,
         "max_error": options.max_error is not None and bool(scene.motions),
@@ -77,6 +86,13 @@ def refuse_for_time(scene: Scene, options: RenderOptions) -> None:
                 where=name,
                 remedy="leave one of them out",
             )
+    if options.basis and scene.motions and scene.camera.sensor.mosaic is not None:
+        raise InputError(
+            f"is of one colour where something moves, and camera.sensor.mosaic is "
+            f'"{scene.camera.sensor.mosaic.pattern}"',
+            where="basis",
+            remedy='look at one colour: with camera.sensor.mosaic = "green" all pixels have its filter',
+        )
     if scene.tolerances is not None:
         raise InputError(
             f"know one instant only, and {keys[0]} makes the scene another one in the course of its exposure",
@@ -98,13 +114,16 @@ def refuse_for_time(scene: Scene, options: RenderOptions) -> None:
         linear_of(scene.camera.sensor)
 
 
-def steady(scene: Scene) -> Scene | None:
+def steady(scene: Scene, *, basis: bool) -> Scene | None:
     """The scene of one instant that gives the same image; None where there is none.
 
-    Where nothing moves and each source lights all rows alike, a pulse is light of a lower level.
+    Where nothing moves and each source lights all rows alike, a pulse is light of a lower level; a light basis must
+    know that it is a pulse.
     """
     if not keys_of_time(scene):
         return scene
+    if basis:
+        return None
     levels = row_levels(scene)
     if scene.motions or not is_even(levels.values()):
         return None
@@ -112,9 +131,15 @@ def steady(scene: Scene) -> Scene | None:
 
 
 def make_in_time(
-    scene: Scene, out: Path, options: RenderOptions, *, work: Path, render_still: StillRender, check: Callable[[], None]
+    scene: Scene,
+    out: Path,
+    options: RenderOptions,
+    *,
+    work: Path,
+    render_still: StillRender,
+    programs: Programs,
 ) -> None:
-    """Render the scene at its instants, and make its image, files and manifest of them.
+    """Render the scene at its instants, and make its image, files and manifest of them, unless they lie there already.
 
     Parameters
     ----------
@@ -128,10 +153,13 @@ def make_in_time(
         Folder for what is not yet whole.
     render_still : callable
         Renders the scene of one instant into a folder.
-    check : callable
-        Asked now and then; it raises to end the work.
+    programs : Programs
+        Owner of the processes, asked now and then whether the work is to end.
     """
-    start = time.monotonic()
+    start, check = time.monotonic(), programs.check
+    run_sha256 = _run_sha256(scene, options, programs, work / _IDENTITY)
+    if is_whole(out, run_sha256):
+        return
     folder = out / INSTANTS
     make_folder(folder)
     found = _found(scene, folder, options, render_still, check)
@@ -139,8 +167,10 @@ def make_in_time(
     sensor, known = scene.camera.sensor, _uncertainty(scene, found)
     sigma, truth_of = None if known is None else known.sigma, folder / _BASE
     images, files = write_composed(work, found.exposure, sensor, options, sigma=sigma, truth_of=truth_of, check=check)
+    manifest = replace(_manifest(scene, found, images), run_sha256=run_sha256)
+    if options.basis:
+        files += _write_bases(work, scene, found, manifest.scene_sha256)
     hashes = {name: sha256_of(work / name) for name in files}
-    manifest = _manifest(scene, options, found, images)
     timing = replace(manifest.timing, wall_s=time.monotonic() - start)
     summary = None if known is None else known.summary()
     write_run_manifest(work, replace(manifest, uncertainty=summary, files=hashes, timing=timing))
@@ -156,15 +186,36 @@ def _found(
         made = moving(scene, folder, options, render_still, check)
         runs = (made.base.run, *made.runs)
         cpu = math.fsum(run.timing.tracer_cpu_s for run in runs)
-        known_by = tuple(run.run_sha256 for run in runs)
-        return _Found(made.base, made.exposure, made.certificate, made.instants, made.rays, known_by, cpu)
+        return _Found(
+            made.base, made.exposure, made.certificate, made.instants, made.rays, cpu, None, made.lights, made.folder
+        )
     rows = by_rows(scene, folder / _BASE, options, render_still)
     run = rows.base.run
     certificate = rows.image.certificate
     if run.error.bands_gray is not None:
         certificate = certificate.with_bands(run.error.bands_gray)
     exposure = rows.image.radiant_exposure.values
-    return _Found(rows.base, exposure, certificate, 1, run.rays, (run.run_sha256,), run.timing.tracer_cpu_s)
+    return _Found(rows.base, exposure, certificate, 1, run.rays, run.timing.tracer_cpu_s, rows.rows, (), folder)
+
+
+def _write_bases(work: Path, scene: Scene, found: _Found, scene_sha256: str) -> list[str]:
+    """Copy the light bases of the instants, or of the rows, and tell of them; returns the files' names."""
+    told = TimedBasisFile(
+        scene_sha256=scene_sha256,
+        camera=replace(scene.camera, distortion=None),
+        tolerance=found.base.run.tolerance or 0.0,
+        rows=found.rows,
+        lights=found.lights,
+    )
+    bases = [found.rows.basis] if found.rows else [one.basis for light in found.lights for one in light.instants]
+    files = []
+    for basis in dict.fromkeys(bases):
+        made = found.folder / Path(basis).name
+        for name in (BASIS, *read_manifest(made / BASIS)["files"]):
+            make_folder((work / basis / name).parent)
+            shutil.copyfile(made / name, work / basis / name)
+            files.append(f"{basis}/{name}")
+    return [*files, write_timed_basis(work, told)]
 
 
 def _uncertainty(scene: Scene, found: _Found) -> Uncertainty | None:
@@ -174,7 +225,23 @@ def _uncertainty(scene: Scene, found: _Found) -> Uncertainty | None:
     return uncertainty(ExposureImage(found.exposure), scene.camera, Tolerances(), found.certificate.rms_gray)
 
 
-def _manifest(scene: Scene, options: RenderOptions, found: _Found, images: ImageSummary) -> RunManifest:
+def _run_sha256(scene: Scene, options: RenderOptions, programs: Programs, folder: Path) -> str:
+    """Hash of all that decides any file: what is at the middle of the first exposure, and what changes."""
+    if scene.motions:
+        options = replace(options, tracer=tracer_of_many(scene, options.tracer))
+    still = averaged(scene)
+    make_folder(folder)
+    traced = LaidOutScene(still, options, programs, folder)
+    decided = {
+        "still": identity_of(still, options, traced).run_sha256,
+        "camera": scene.camera,
+        "motions": scene.motions,
+        "strobes": scene.strobes,
+    }
+    return sha256_of_value(decided)
+
+
+def _manifest(scene: Scene, found: _Found, images: ImageSummary) -> RunManifest:
     """That of the scene at one instant, its files too, with what is of the whole exposure."""
     base, sensor = found.base.run, scene.camera.sensor
     still = gray_levels(found.base.radiant_exposure.values, sensor)
@@ -185,11 +252,9 @@ def _manifest(scene: Scene, options: RenderOptions, found: _Found, images: Image
         "strobes": scene.strobes,
         "base": base.scene_sha256,
     }
-    decided = {"document": scene.document, "runs": found.run_sha256s, "frames": options.frames, "truth": options.truth}
     return replace(
         base,
         scene_sha256=sha256_of_value(known_by),
-        run_sha256=sha256_of_value(decided),
         rays=found.rays,
         rays_per_pixel=found.rays / sensor.pixels,
         assumed=dict(sorted(scene.assumed.items())),

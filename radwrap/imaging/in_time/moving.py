@@ -1,14 +1,11 @@
 """A scene in which something moves: renders at instants, each of which counts for its time in each row.
 
-An instant is rendered by a camera of the same optics whose gray levels are proportional to light: its error is then one
-of radiant exposure, and errors of light add up as light does. Of the errors of all instants it is not known how much
-they have in common, so that only the noise of their rays is taken to be independent.
+An instant is rendered by a camera of the same optics with gray levels in proportion to light, see `summed_instants`.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
@@ -18,15 +15,16 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.imaging.in_time.by_rows import StillRender
-from radwrap.imaging.in_time.linear_light import allowed_exposure_error, full_exposure, gray_bound
 from radwrap.imaging.output.run_manifest import RunManifest
 from radwrap.imaging.render_options import RenderOptions, TracerName
 from radwrap.imaging.rendered import Rendered
-from radwrap.imaging.response.sensor import gray_levels
+from radwrap.imaging.response.linear_light import allowed_exposure_error, full_exposure
+from radwrap.imaging.run_files import BASES, InstantFile, LightFile
+from radwrap.imaging.summed_instants import AtInstant, Summed, certificate_of_sum, counted, slack, strip_of, summed
 from radwrap.imaging.time_steps import Light, Steps, level_for, lights_of, steps_of
 from radwrap.imaging.tolerance.certificate import Certificate
 from radwrap.manifest import sha256_of_value
-from radwrap.scene.camera import Camera, Diffraction, Sensor
+from radwrap.scene.camera import Camera, Diffraction
 from radwrap.scene.instants import at_time, averaged, held, keys_of_time, lit_by
 from radwrap.scene.look.checks import checked_at_time
 from radwrap.scene.look.image_speed import image_speeds
@@ -44,13 +42,23 @@ _STEP_SHARE: Final = 0.5
 _LOOSENESS: Final = (4.0, 2.0, 1.0)
 # The fewest and the most instants of a light: 2^level + 1.
 _LEAST_LEVEL: Final = 3
-_MOST_LEVEL: Final = 10
-# Rows that are rendered together at least: a narrower strip costs as much.
-_FEWEST_ROWS: Final = 8
+MOST_LEVEL: Final = 10
 # A pixel that saturates in so much less time than an instant counts may be off as it likes.
 _SPARE: Final = 16.0
 _LARGEST_CODE: Final = 65535.0
 _QUANTILE: Final = 0.995
+
+
+def planned_instants(scene: Scene, seed: int) -> int:
+    """How many instants are rendered at least.
+
+    Raises
+    ------
+    InputError
+        If the scene moves too far, or is dark at all of them.
+    """
+    lights = lights_of(scene)
+    return len(list(counted(_steps(scene, lights, levels_for(scene, lights), seed))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,6 +79,10 @@ class Moving:
         Of all of them.
     runs : tuple of RunManifest
         Theirs.
+    lights : tuple of LightFile
+        The instants of each light.
+    folder : Path
+        Where their renders lie, in folders of the names that are told there.
     """
 
     base: Rendered
@@ -79,6 +91,8 @@ class Moving:
     instants: int
     rays: int
     runs: tuple[RunManifest, ...]
+    lights: tuple[LightFile, ...]
+    folder: Path
 
 
 @dataclass(slots=True, eq=False)
@@ -97,6 +111,10 @@ class _Instants:
         Sources of a light -> allowed error of radiant exposure of its instants [J m^-2].
     render : callable
         Renders a scene at one instant.
+    left : int
+        So many renders are known to follow.
+    made : dict
+        Sources of a light and time -> render, its first row in the image, and its folder.
     """
 
     scene: Scene
@@ -104,24 +122,55 @@ class _Instants:
     options: RenderOptions
     errors: dict[tuple[str, ...], float]
     render: StillRender
-    made: dict[tuple[tuple[str, ...], float], tuple[Rendered, int]] = field(default_factory=dict)
+    left: int = 0
+    made: dict[tuple[tuple[str, ...], float], tuple[Rendered, int, str]] = field(default_factory=dict)
 
-    def at(self, steps: Steps, number: int) -> tuple[Rendered, int]:
-        """The render of an instant, and its first row in the image; of the rows in which it counts."""
+    def expect(self, steps: list[Steps]) -> None:
+        """Say which instants will be asked for."""
+        asked = {(one.light.sources, float(one.times[number])) for number, one in counted(steps)}
+        self.left = len(asked - self.made.keys())
+
+    def at(self, steps: Steps, number: int) -> AtInstant:
+        """The image at an instant, of the rows in which it counts."""
+        rendered, first, _ = self._rendered(steps, number)
+        return AtInstant(rendered.radiant_exposure.values, rendered.error, rendered.scene.camera.sensor.gain, first)
+
+    def kept(self, steps: Steps) -> LightFile:
+        """What tells of the instants of a light."""
+        light = steps.light
+        images = []
+        for number, _ in counted([steps]):
+            _, first, name = self._rendered(steps, number)
+            images.append(InstantFile(number, f"{BASES}/{name}", first))
+        return LightFile(
+            sources=light.sources,
+            strobe=light.strobe,
+            first=light.first,
+            last=light.last,
+            times=steps.times.tolist(),
+            weights=steps.weights.tolist(),
+            without_every_second=steps.without_every_second.tolist(),
+            instants=images,
+        )
+
+    def _rendered(self, steps: Steps, number: int) -> tuple[Rendered, int, str]:
+        """The render of an instant, its first row in the image, and its folder."""
         light, time = steps.light, float(steps.times[number])
         key = (light.sources, time)
         if key not in self.made:
             rows = steps.rows_of(number)
             if rows is None:
                 raise ValueError("counts in no row")
-            first, last = _strip(*rows, self.scene.camera.sensor.rows)
+            first, last = strip_of(*rows, self.scene.camera.sensor.rows)
             then = lit_by(at_time(self.scene, time), dict.fromkeys(light.sources, 1.0))
             then = replace(then, camera=self._camera(then.camera, first, last, steps, number))
             seed = int(sha256_of_value([self.options.seed, *map(str, key)])[:12], 16)
             name = f"{len(self.made):04d}"
             tolerance = self.errors[light.sources] * then.camera.sensor.gain
             options = replace(self.options, seed=seed, tolerance=tolerance)
-            self.made[key] = self.render(then, self.folder / name, options), first
+            self.left = max(self.left - 1, 0)
+            rendered = self.render(then, self.folder / name, options, instants_left=self.left)
+            self.made[key] = rendered, first, name
         return self.made[key]
 
     def _camera(self, camera: Camera, first: int, last: int, steps: Steps, number: int) -> Camera:
@@ -147,10 +196,12 @@ def moving(
 ) -> Moving:
     """Render a scene at as many instants as its tolerance asks for."""
     lights = lights_of(scene)
-    options = replace(options, tracer=_tracer_of_many(scene, options.tracer))
-    levels = _levels(scene, lights)
-    _check_instants(scene, _steps(scene, lights, levels, options.seed))
-    base = render_still(averaged(scene), folder / "base", replace(options, frames=0))
+    options = replace(options, tracer=tracer_of_many(scene, options.tracer))
+    levels = levels_for(scene, lights)
+    planned = _steps(scene, lights, levels, options.seed)
+    _check_instants(scene, planned)
+    still = replace(options, frames=0, basis=False)
+    base = render_still(averaged(scene), folder / "base", still, instants_left=len(list(counted(planned))))
     sensor, tolerance = held(scene).camera.sensor, base.run.tolerance
     if tolerance is None:
         raise ValueError("an image at instants is made to a tolerance")
@@ -159,56 +210,30 @@ def moving(
     runs: list[RunManifest] = []
     for looseness in _LOOSENESS:
         steps = _steps(scene, lights, levels, options.seed)
-        errors = {one.light.sources: looseness * allowed / _slack(one) for one in steps}
+        errors = {one.light.sources: looseness * allowed / slack(one) for one in steps}
         instants = _Instants(decided, folder / f"{looseness:g}", how, errors, render_still)
-        made = _refined(scene, levels, instants, _STEP_SHARE * tolerance, check)
-        certificate = _certificate(made, instants, sensor)
-        levels = made.levels
-        runs += [rendered.run for rendered, _ in instants.made.values()]
+        levels, made = _refined(scene, levels, instants, _STEP_SHARE * tolerance, check)
+        certificate = certificate_of_sum(made, instants.at, sensor)
+        runs += [rendered.run for rendered, *_ in instants.made.values()]
         if certificate.rms_gray_upper95 <= tolerance:
             break
     rays = base.run.rays + sum(run.rays for run in runs)
-    return Moving(base, made.exposure, certificate, len(instants.made), rays, tuple(runs))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Composed:
-    """An image of instants.
-
-    Attributes
-    ----------
-    levels : list
-        How finely each light's time is parted.
-    steps : list of Steps
-        The instants.
-    exposure : ndarray, shape (rows, columns)
-        Radiant exposure [J m^-2].
-    motion : float
-        What the time between the instants may add, rms [gray level].
-    """
-
-    levels: list[int | None]
-    steps: list[Steps]
-    exposure: Array
-    motion: float
+    kept = tuple(instants.kept(one) for one in made.steps)
+    return Moving(base, made.exposure, certificate, len(instants.made), rays, tuple(runs), kept, instants.folder)
 
 
 def _refined(
     scene: Scene, levels: list[int | None], instants: _Instants, allowed: float, check: Callable[[], None]
-) -> _Composed:
+) -> tuple[list[int | None], Summed]:
     """The image of so many instants that the time between them may add no more than is allowed [gray level]."""
-    sensor = scene.camera.sensor
     while True:
         steps = _steps(scene, lights_of(scene), levels, instants.options.seed)
         _check_instants(scene, steps)
-        fine, coarse = _composed(steps, instants, check)
-        square = float(np.mean((gray_levels(fine, sensor) - gray_levels(coarse, sensor)) ** 2))
-        if sensor.gamma == 1:  # else it is not known what the noise makes of gray levels; it is counted elsewhere
-            square -= (sensor.gain * _noise_of_difference(steps, instants)) ** 2
-        motion = math.sqrt(max(square, 0.0))
-        highest = max((level for level in levels if level is not None), default=_MOST_LEVEL)
-        if motion <= allowed or highest >= _MOST_LEVEL:
-            return _Composed(levels, steps, fine, motion)
+        instants.expect(steps)
+        made = summed(steps, instants.at, scene.camera.sensor, check)
+        highest = max((level for level in levels if level is not None), default=MOST_LEVEL)
+        if made.motion <= allowed or highest >= MOST_LEVEL:
+            return levels, made
         levels = [None if level is None else level + 1 for level in levels]
 
 
@@ -218,17 +243,6 @@ def _check_instants(scene: Scene, steps: list[Steps]) -> None:
         for number, time in enumerate(one.times):
             if one.rows_of(number) is not None:
                 checked_at_time(scene, float(time))
-
-
-def _noise_of_difference(steps: list[Steps], instants: _Instants) -> float:
-    """What noise of rays makes of the difference between all instants and every second one, rms [J m^-2]."""
-    squares = []
-    for number, one in _counted(steps):
-        rendered, _ = instants.at(one, number)
-        weights = one.weights[:, number] - one.without_every_second[:, number]
-        noise = rendered.error.discretisation_rms_gray / rendered.scene.camera.sensor.gain
-        squares.append(float(np.mean(weights**2)) * noise**2)
-    return math.sqrt(math.fsum(squares))
 
 
 def _decided(scene: Scene, base: RunManifest) -> Scene:
@@ -244,24 +258,30 @@ def _as_decided(options: RenderOptions, base: RunManifest) -> RenderOptions:
     return replace(options, truth=False, frames=0, bounces=orders, tracer=tracer)
 
 
-def _tracer_of_many(scene: Scene, asked: TracerName) -> TracerName:
+def tracer_of_many(scene: Scene, asked: TracerName) -> TracerName:
     """The compiled tracer, unless another one is asked for or it cannot show the scene: renders are many and small."""
     return "compiled" if asked == "auto" and not inexpressible(scene) and not compiler_lacks() else asked
 
 
-def _levels(scene: Scene, lights: tuple[Light, ...]) -> list[int | None]:
-    """How finely each light's time is parted; None where nothing moves."""
+def levels_for(scene: Scene, lights: tuple[Light, ...]) -> list[int | None]:
+    """How finely each light's time is parted, as `steps_of` has it; None where nothing moves.
+
+    Raises
+    ------
+    InputError
+        If it moves too far.
+    """
     if not scene.motions:
         return [None for _ in lights]
     speed = max(image_speeds(scene).values(), default=0.0)
     paths = [speed * (light.last - light.first) for light in lights]
-    if max(paths) > 2**_MOST_LEVEL:
+    if max(paths) > 2**MOST_LEVEL:
         raise InputError(
-            f"moves it over {max(paths):.3g} pixels while the frame is exposed; {2**_MOST_LEVEL} are the most",
+            f"moves it over {max(paths):.3g} pixels while the frame is exposed; {2**MOST_LEVEL} are the most",
             where=f"{scene.origin}: {_key_of_motion(scene)}",
             remedy="expose for a shorter time, strobe the sources, or check the unit",
         )
-    return [level_for(path, _LEAST_LEVEL, _MOST_LEVEL) for path in paths]
+    return [level_for(path, _LEAST_LEVEL, MOST_LEVEL) for path in paths]
 
 
 def _key_of_motion(scene: Scene) -> str:
@@ -270,112 +290,3 @@ def _key_of_motion(scene: Scene) -> str:
 
 def _steps(scene: Scene, lights: tuple[Light, ...], levels: list[int | None], seed: int) -> list[Steps]:
     return [steps_of(scene, light, level or 0, seed) for light, level in zip(lights, levels, strict=True)]
-
-
-def _strip(first: int, last: int, rows: int) -> tuple[int, int]:
-    """Some more rows where there are few."""
-    spare = max(_FEWEST_ROWS - (last - first), 0)
-    first = max(0, first - spare // 2)
-    return first, min(rows, max(last, first + _FEWEST_ROWS))
-
-
-def _counted(steps: list[Steps]) -> Iterator[tuple[int, Steps]]:
-    """Instants that count in any row."""
-    for one in steps:
-        yield from ((number, one) for number in range(len(one.times)) if one.rows_of(number) is not None)
-
-
-def _composed(steps: list[Steps], instants: _Instants, check: Callable[[], None]) -> tuple[Array, Array]:
-    """Radiant exposure of all instants, and of every second one [J m^-2]."""
-    sensor = instants.scene.camera.sensor
-    fine, coarse = np.zeros((2, sensor.rows, sensor.columns))
-    for number, one in _counted(steps):
-        check()
-        rendered, first = instants.at(one, number)
-        light = rendered.radiant_exposure.values
-        rows = slice(first, first + len(light))
-        fine[rows] += one.weights[rows, number, np.newaxis] * light
-        coarse[rows] += one.without_every_second[rows, number, np.newaxis] * light
-    return fine, coarse
-
-
-def _slack(steps: Steps) -> float:
-    """By how much the error of a light is larger than that of its instants, if they have all of it in common."""
-    squares = math.fsum(math.prod(_share(steps, number)) for number, _ in _counted([steps]))
-    return math.sqrt(_total(steps) * squares)
-
-
-def _total(steps: Steps) -> float:
-    """Largest sum of weights of any row."""
-    return float(steps.weights.sum(axis=1).max())
-
-
-def _share(steps: Steps, number: int) -> tuple[float, float]:
-    """Largest weight of an instant, and the share of the image's rows in which it is rendered."""
-    rows = len(steps.weights)
-    first, last = _strip(*(steps.rows_of(number) or (0, 0)), rows)
-    return float(steps.weights[:, number].max()), (last - first) / rows
-
-
-@dataclass(frozen=True, slots=True)
-class _LightError:
-    """Errors of radiant exposure that the instants of one light leave, rms over the image [J m^-2].
-
-    Attributes
-    ----------
-    common, upper : float
-        Estimate and bound of what they may have in common.
-    noise : float
-        Of their own rays.
-    pixels, rays : int
-        What their certificates took.
-    """
-
-    common: float
-    upper: float
-    noise: float
-    pixels: int
-    rays: int
-
-
-def _error_of(steps: Steps, instants: _Instants) -> _LightError:
-    """Errors of one light.
-
-    Of weights w_k and errors e_k of the instants: (sum w_k e_k)^2 <= (sum w_k) sum w_k e_k^2 for what they have in
-    common, and sum w_k^2 n_k^2 for the noise n_k of rays of their own.
-    """
-    common, upper, noise = [], [], []
-    pixels = rays = 0
-    for number, (rendered, _) in ((number, instants.at(steps, number)) for number, _ in _counted([steps])):
-        weight = float(steps.weights[:, number].max())
-        found, gain = rendered.error, rendered.scene.camera.sensor.gain
-        pixels, rays = pixels + found.certificate_pixels, rays + found.certificate_rays
-        # Of a strip that was rendered with more rows than count, all of its error may lie in those that do.
-        share = len(rendered.radiant_exposure.values) / len(steps.weights)
-        square = (found.discretisation_rms_gray / gain) ** 2
-        noise.append(weight**2 * share * square)
-        common.append(weight * share * max((found.rms_gray / gain) ** 2 - square, 0.0))
-        upper.append(weight * share * max((found.rms_gray_upper95 / gain) ** 2 - square, 0.0))
-    total = _total(steps)
-    middle, bound = (math.sqrt(total * math.fsum(squares)) for squares in (common, upper))
-    return _LightError(middle, bound, math.sqrt(math.fsum(noise)), pixels, rays)
-
-
-def _certificate(made: _Composed, instants: _Instants, sensor: Sensor) -> Certificate:
-    """How far gray levels may be off: what lights have in common adds up, their noise is independent."""
-    exposure, error = made.exposure, made.motion
-    lights = [_error_of(one, instants) for one in made.steps]
-    noise = math.hypot(*(light.noise for light in lights))
-    common, upper = (math.fsum(getattr(light, name) for light in lights) for name in ("common", "upper"))
-    middle, bound = (gray_bound(math.hypot(part, noise), exposure, sensor) for part in (common, upper))
-    return Certificate(
-        rms_gray=math.hypot(middle, error),
-        rms_gray_upper95=math.hypot(bound, error),
-        p99_gray_upper95=None,
-        model_rms_gray=gray_bound(common, exposure, sensor),
-        discretisation_rms_gray=gray_bound(noise, exposure, sensor),
-        certificate_pixels=sum(light.pixels for light in lights),
-        certificate_rays=sum(light.rays for light in lights),
-        method="instants",
-        motion_gray=error if any(len(one.times) > 1 for one in made.steps) else None,
-    )

@@ -19,6 +19,7 @@ from radwrap.imaging.output.sigma_file import SIGMA
 from radwrap.imaging.output.truth_files import DEPTH, PARTS, TRUTH
 from radwrap.imaging.relight.basis import BASIS, FOLDER
 from radwrap.imaging.response.noise import frames_in
+from radwrap.imaging.run_files import BASES, TIMED_BASIS
 from radwrap.imaging.tolerance.kept_replicates import REPLICATES
 from radwrap.scene.mosaic import COLOURS, Colour
 
@@ -64,8 +65,10 @@ def _remove_old(folder: Path) -> None:
     """From here on an old manifest no longer fits the files, and what only an older run wrote fits nothing."""
     if (folder / BASIS).exists():
         remove_pieces(folder / FOLDER)
+    if (folder / TIMED_BASIS).exists():
+        shutil.rmtree(folder / BASES, ignore_errors=True)
     shutil.rmtree(folder / INSTANTS, ignore_errors=True)
-    for name in (MANIFEST, BASIS, *_SOMETIMES, *frames_in(folder)):
+    for name in (MANIFEST, BASIS, TIMED_BASIS, *_SOMETIMES, *frames_in(folder)):
         (folder / name).unlink(missing_ok=True)
 
 
