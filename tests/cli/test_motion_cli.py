@@ -42,6 +42,7 @@ def test_what_knows_one_instant_is_refused(
     assert what in told and "camera.sensor.shutter" in told
 
 
+@pytest.mark.long
 def test_a_dry_run_tells_the_instants(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """As many as the render of the example makes; none where nothing moves."""
     words = ["--dry-run", "--tolerance", "8"]

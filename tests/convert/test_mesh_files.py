@@ -171,7 +171,10 @@ def outline(scene: radwrap.Scene) -> tuple[np.ndarray, np.ndarray]:
     return seen.reshape(rows, columns), touched.reshape(rows, columns)
 
 
-@pytest.mark.parametrize("name", MESHES)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.long] if number % 3 else []) for number, name in enumerate(MESHES)],
+)
 def test_the_rendered_outline_is_the_projected_one(name: str, tmp_path: Path) -> None:
     path, _, unit = lay(name, tmp_path)
     body = MESHES[name][0]

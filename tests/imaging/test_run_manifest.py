@@ -43,7 +43,7 @@ def told(once: Path, tmp_path: Path) -> dict[str, Any]:
     return manifest
 
 
-@pytest.mark.parametrize("how", HOW, ids=str)
+@pytest.mark.parametrize("how", [*(pytest.param(how, marks=pytest.mark.long) for how in HOW[:3]), *HOW[3:]], ids=str)
 def test_all_of_manifest_json_comes_back_and_is_written_again_in_its_order(how: dict[str, Any], tmp_path: Path) -> None:
     changes = {"materials.sheeting": MATT} if "bounces" in how else {}
     made = radwrap.render(scene(**changes), tmp_path / "made", workers=1, **how)

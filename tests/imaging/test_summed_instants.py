@@ -64,7 +64,7 @@ def test_noise_averages() -> None:
     assert found.rms_gray == found.rms_gray_upper95 == pytest.approx(0.5 * math.hypot(*steps.weights[0]))
 
 
-@pytest.mark.parametrize("square", [0.0, 0.04, 1.0])
+@pytest.mark.parametrize("square", [0.04, *(pytest.param(value, marks=pytest.mark.long) for value in (0.0, 1.0))])
 def test_the_bound_of_a_common_error_holds_in_95_of_100_draws(square: float) -> None:
     """All instants have the same error, of which each certificate knows the square to a normal deviate."""
     steps, _ = steps_and_sensor()

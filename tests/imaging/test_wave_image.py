@@ -61,7 +61,7 @@ def expected(view: View, place: float) -> tuple[Array, Array]:
     [(1e-4, None), (3e-4, None), (5e-4, 1.0), (1e-3, 0.6), (2e-3, 1.0)],
     ids=["pinhole of Fresnel number .5", "of 4", "focused", "out of focus", "finer than a pixel"],
 )
-@pytest.mark.parametrize("place", [0.0, 0.3])
+@pytest.mark.parametrize("place", [pytest.param(0.0, marks=pytest.mark.long), 0.3])
 def test_an_edge_becomes_its_closed_form_within_the_bound(side: float, focus: float | None, place: float) -> None:
     view = seen(side, focus, place)
     rays, change = expected(view, place)

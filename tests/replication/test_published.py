@@ -89,7 +89,15 @@ def test_open_intervals_are_told_as_bounds() -> None:
     assert judge(replace(IN_KIND, holds=(-math.inf, 0.5), reproduced=None), 0.25)[1] == "lies within at most 0.5"
 
 
-@pytest.mark.parametrize("variant", [NOMINAL, NEGATIVE, *published()["variants"]], ids=lambda variant: variant["name"])
+@pytest.mark.parametrize(
+    "variant",
+    [NOMINAL, NEGATIVE]
+    + [
+        pytest.param(variant, marks=[pytest.mark.long] if number % 3 else [])
+        for number, variant in enumerate(published()["variants"])
+    ],
+    ids=lambda variant: variant["name"],
+)
 def test_every_variant_is_a_design_that_can_run(variant: dict[str, object], tmp_path: Path) -> None:
     path = tmp_path / "design.toml"
     path.write_text(toml_text(design_of(variant, 3, tmp_path)), "utf-8")

@@ -59,6 +59,7 @@ def test_a_run_that_only_radiance_can_show_decides_for_all(
     assert one_tracer(told, [runs[0], broken], {}) == "compiled"
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("one_process")
 def test_both_tracers_give_the_same_table(design: DesignWriter, capsys: pytest.CaptureFixture[str]) -> None:
     """The plan says who traced; who is asked for later must be the same, or nobody."""

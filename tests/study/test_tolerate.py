@@ -59,6 +59,7 @@ def tolerate(capsys: pytest.CaptureFixture[str]) -> Tolerate:
     return run
 
 
+@pytest.mark.long
 def test_gray_is_linear_in_exposure_time(design: DesignWriter, tolerate: Tolerate) -> None:
     """With gamma 1 the mean is G0 + c t: it may change by 1 % as long as |dt| stays below 0.01 mean/c.
 
