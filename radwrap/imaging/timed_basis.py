@@ -132,9 +132,12 @@ def _moving(folder: Path, told: TimedBasisFile, text: SceneText, changes: Mappin
 
 
 def _check_same_instants(old: Camera, new: Camera) -> None:
+    before, after = old.sensor.shutter, new.sensor.shutter
     for key, same in (
         ("camera.exposure_time", old.exposure_time == new.exposure_time),
-        ("camera.sensor.shutter", old.sensor.shutter == new.sensor.shutter),
+        ("camera.sensor.line_time", before is None or after is None or before.line_time == after.line_time),
+        ("camera.sensor.readout", before is None or after is None or before.readout == after.readout),
+        ("camera.sensor.shutter", before == after),
     ):
         if not same:
             raise InputError(

@@ -228,3 +228,19 @@ def test_another_sensor_sees_what_moves_and_another_time_needs_rays(moving: Path
     shutter = {"camera.sensor.shutter": "rolling", "camera.sensor.line_time": "1 ms"}
     with pytest.raises(InputError, match=r"camera.sensor.shutter: changes which instants count"):
         radwrap.relight(moving, {}, shutter)
+
+
+@pytest.mark.long
+def test_rows_of_other_light_than_the_basis_was_held_against_keep_the_tolerance() -> None:
+    """In the light of the whole flash most pixels are saturated, and nothing is known of those that it misses."""
+    changes = {"rows": 16, "columns": 20, "line_time": "60 us"}
+    belt = Path(__file__).parents[2] / "rad_scenes" / "moving_belt" / "scene.toml"
+    tables = json.loads(radwrap.load_scene(belt).document)
+    for target in tables["targets"]:
+        target.pop("velocity", None)
+        target.pop("angular_velocity", None)
+    tables["camera"] |= {"exposure_time": "1.2 ms", "sensor": tables["camera"]["sensor"] | changes}
+    tables["sources"][0]["radiant_intensity"] = "0.3 W/sr"
+    made = radwrap.render(radwrap.scene_from_document(tables, folder=belt.parent), tolerance=2.0)
+    assert made.met and made.run.tolerance == 2.0
+    assert made.error.rms_gray_upper95 is not None and made.error.rms_gray_upper95 < 2.0

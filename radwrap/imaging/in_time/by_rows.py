@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,8 @@ from radwrap.scene.scene import Scene
 from radwrap.scene.sources import emitters
 
 Array = NDArray[np.float64]
+
+_ATTEMPTS: Final = 4  # each to half of the tolerance of the one before
 
 
 class StillRender(Protocol):
@@ -42,6 +44,12 @@ class ByRows:
     ----------
     base : Rendered
         All rows with the largest level that each source has in any of them.
+    tolerance : float, optional
+        That was asked for [gray level]; that of the base may be finer.
+    rays : int
+        That all bases took.
+    tracer_cpu_s : float
+        Processor time of these [s].
     image : Relit
         With its error.
     rows : RowsFile
@@ -49,18 +57,37 @@ class ByRows:
     """
 
     base: Rendered
+    tolerance: float | None
+    rays: int
+    tracer_cpu_s: float
     image: Relit
     rows: RowsFile
 
 
 def by_rows(scene: Scene, folder: Path, options: RenderOptions, render_still: StillRender) -> ByRows:
-    """Render a light basis, and weigh its rows."""
+    """Render a light basis, and weigh its rows; by finer ones where that image misses the tolerance.
+
+    A basis is held against rays where it errs in the light of all sources at their largest. Rows that a pulse misses
+    may err elsewhere, and not much is known of that.
+    """
     largest = {name: float(level.max()) for name, level in row_levels(scene).items()}
-    base = render_still(lit_by(held(scene), largest), folder, replace(options, basis=True, frames=0))
-    found = read_basis(folder)
-    rows = _rows_of(scene, largest, found, folder)
-    basis = weighed(found, row_shares(rows, scene.camera))
-    return ByRows(base, next(relit(basis, np.ones((1, len(basis.sources))))), rows)
+    then, options = lit_by(held(scene), largest), replace(options, basis=True, frames=0)
+    asked: float | None = None
+    rays, seconds = 0, 0.0
+    for attempt in range(_ATTEMPTS):
+        at = folder if attempt == 0 else folder.with_name(f"{folder.name}_{attempt}")
+        base = render_still(then, at, options)
+        rays, seconds = rays + base.run.rays, seconds + base.run.timing.tracer_cpu_s
+        found = read_basis(at)
+        rows = _rows_of(scene, largest, found, at)
+        image = next(relit(weighed(found, row_shares(rows, scene.camera)), np.ones((1, len(found.sources)))))
+        tolerance = base.run.tolerance
+        asked = tolerance if asked is None else asked
+        missed = asked is not None and image.certificate.rms_gray_upper95 > asked >= base.run.error.rms_gray_upper95
+        if not missed or tolerance is None:
+            break
+        options = replace(options, tolerance=tolerance / 2)
+    return ByRows(base, asked, rays, seconds, image, rows)
 
 
 def _rows_of(scene: Scene, largest: Mapping[str, float], basis: Basis, folder: Path) -> RowsFile:

@@ -195,7 +195,8 @@ def _found(
     if run.error.bands_gray is not None:
         certificate = certificate.with_bands(run.error.bands_gray)
     exposure = rows.image.radiant_exposure.values
-    return _Found(rows.base, exposure, certificate, 1, run.rays, run.timing.tracer_cpu_s, rows.rows, (), folder)
+    base = replace(rows.base, run=replace(run, tolerance=rows.tolerance))
+    return _Found(base, exposure, certificate, 1, rows.rays, rows.tracer_cpu_s, rows.rows, (), folder)
 
 
 def _write_bases(work: Path, scene: Scene, found: _Found, scene_sha256: str) -> list[str]:

@@ -108,6 +108,7 @@ Count = Annotated[int, Field(strict=True, ge=1, le=1_000_000)]
 Whole = Annotated[int, Field(strict=True)]
 Flag = Annotated[bool, Field(strict=True)]
 # What glass adds to the path of light: a thousand waves and more.
+TERM_NUMBER = r"^(0|[1-9][0-9]{0,2})$"  # of a polynomial of a wavefront
 LONGEST_PATH = 1e-3
 OpticalPath = Annotated[
     float, Field(ge=-LONGEST_PATH, le=LONGEST_PATH), BeforeValidator(_reader(LENGTH)), _schema(LENGTH)
@@ -139,7 +140,7 @@ def exactly_one(model: Model, *keys: str) -> None:
     """Refuse a table that has none of some keys, or more than one."""
     given = [key for key in keys if getattr(model, key) is not None]
     if len(given) != 1:
-        raise ValueError(f"needs exactly one of {' and '.join(keys)}, not {len(given)}")
+        raise ValueError(f"needs exactly one of {', '.join(keys[:-1])} and {keys[-1]}, not {len(given)}")
 
 
 def preset_or_all(schema: dict[str, Any]) -> None:

@@ -12,7 +12,7 @@ from pydantic_core import ErrorDetails
 
 from radwrap.errors import InputError
 from radwrap.nearest import did_you_mean
-from radwrap.scene.file.border import Model
+from radwrap.scene.file.border import TERM_NUMBER, Model
 from radwrap.units import dimension_of
 
 AnyModel = TypeVar("AnyModel", bound=Model)
@@ -218,6 +218,8 @@ def _message(detail: ErrorDetails, written: Any) -> str:
             )
         case "union_tag_not_found":
             return "is missing"
+        case "string_pattern_mismatch" if context.get("pattern") == TERM_NUMBER:
+            return f"{given!r} is not the number of a polynomial"
         case "string_pattern_mismatch":
             return f"{given!r} is not a name: a letter, then letters, digits, _ or -, at most 64"
         case "finite_number":

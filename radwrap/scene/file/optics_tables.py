@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from radwrap.scene.file.border import (
+    TERM_NUMBER,
     ComponentName,
     Model,
     OpticalPath,
@@ -20,7 +21,7 @@ from radwrap.scene.file.border import (
 
 FileName = Annotated[str, Field(strict=True, min_length=1, max_length=1000)]
 FNumber = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.1, le=1e6)]
-TermNumber = Annotated[str, Field(strict=True, pattern=r"^(0|[1-9][0-9]{0,2})$")]
+TermNumber = Annotated[str, Field(strict=True, pattern=TERM_NUMBER)]
 
 
 # Keys of a lens that say how it differs from a perfect one.
