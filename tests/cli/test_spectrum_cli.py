@@ -56,7 +56,7 @@ def toml(tables: dict[str, Any]) -> str:
             {"materials.red.spectrum.file": "short.csv"},
             "materials.red.spectrum: its table, 600 to 700 nm, does not cover",
         ),
-        ({"sources[0].luminous_intensity": "1 cd"}, "needs exactly one of radiance and radiant_intensity and luminous"),
+        ({"sources[0].luminous_intensity": "1 cd"}, "needs exactly one of radiance, radiant_intensity and luminous"),
         ({"camera.filter.file": "short.csv"}, "camera.filter: its table, 600 to 700 nm, does not cover"),
         ({"camera.filter.file": "large.csv"}, "above 1"),
         ({"camera.spectral_response.file": "blue.csv"}, "the sensor sees nothing of the light"),

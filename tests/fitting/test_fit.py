@@ -209,6 +209,7 @@ def test_values_go_into_the_users_text() -> None:
     assert leds == {2: 0.5, 1: 0.25}
 
 
+@pytest.mark.long
 def test_what_the_compiled_tracer_cannot_show_is_fitted_by_radiance(bench: Scene) -> None:
     """A mirror beside the target: the tracer is decided once, and told."""
     document = json.loads(bench.document)

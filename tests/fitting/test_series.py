@@ -143,6 +143,7 @@ def folder(bench: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.long
 def test_a_series_is_fitted_as_a_user_would(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     argv: list[object] = ["fit", folder / "scene.toml", "--captures", folder / "captures.toml", "--free", OFFSET]
     argv += [

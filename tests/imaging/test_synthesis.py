@@ -149,6 +149,7 @@ def test_large_sensors_are_refused_with_their_cost() -> None:
     check_size(big, 2_000_000_000, 37, 2)
 
 
+@pytest.mark.long
 def test_replicates_that_are_kept_count_in_the_forecast() -> None:
     plan = SamplingPlan("kernel", cell=0.5)
     plain, planned = (forecast(scene(), radwrap.RenderOptions(workers=1, sampling=some)) for some in (None, plan))

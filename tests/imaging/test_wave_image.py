@@ -23,6 +23,7 @@ from tests.imaging.planes import Array, Planes, camera
 WAVELENGTH, PIXEL, COLUMNS, ROWS = 550e-9, 1e-5, 96, 24
 BENCH = Path(__file__).parents[2] / "rad_scenes" / "bench_board" / "scene.toml"
 LOW, HIGH = 0.2, 1.0
+RIGHT = 0.05  # of what waves change: noise of the rays, and cells of the central image
 COMPILED = radwrap.RenderOptions(tracer="compiled")  # a fifth of Radiance's processor time; both agree ray by ray
 
 
@@ -76,6 +77,31 @@ def test_an_edge_becomes_its_closed_form_within_the_bound(side: float, focus: fl
     bound = math.sqrt(error.noise.upper + error.cells) + error.tails
     # Bounds of small changes are mostly noise of two replicates: over six seeds .04 to .86.
     assert math.sqrt(float((off**2).mean())) < bound < max(0.9, 0.3 * size), (bound, size)
+
+
+@pytest.mark.parametrize("blur", [0.2, pytest.param(0.15, marks=pytest.mark.long)])
+def test_a_grating_loses_the_contrast_of_its_frequency(blur: float) -> None:
+    """In focus behind a round lens: 2/pi (arccos s - s sqrt(1 - s^2)), s = lambda N nu, whatever the pixels' size.
+
+    Waves of a fraction of a pixel send little light, but far, and most of it to the dark lines beside.
+    """
+    plain = camera(Aperture("round", 1e-3), rows=4, columns=24, pixel=(PIXEL, PIXEL))
+    plain, period = replace(plain, lens=Lens(1.0)), 6.0
+    v = plain.image_distance
+    plain = replace(plain, aperture=Aperture("round", WAVELENGTH * v / (blur * PIXEL)))
+
+    def lines(x: Array, y: Array) -> Array:
+        return (1 + np.cos(2 * np.pi * x * v / (period * PIXEL))) * (1 + x**2 + y**2) ** 2
+
+    tracer: Tracer = Planes(((1.0, lines),))  # type: ignore[assignment]
+    view = View(plain, tracer)
+    plan = plan_waves(view, WAVELENGTH, 0.25, seed=1)
+    parts = wave_parts(view, [(view, plan)], 2, progress=lambda _: None, check=lambda: None)
+    s = blur / period
+    lost = 1 - 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s**2))
+    wave = np.cos(2 * np.pi * (np.arange(24) - 11.5) / period) * np.sinc(1 / period)
+    found = parts.change.mean(axis=(0, 1))
+    assert float(found @ wave / (wave @ wave)) == pytest.approx(-lost, rel=RIGHT)
 
 
 def scene_of(diffraction: str, **camera_values: object) -> radwrap.Scene:

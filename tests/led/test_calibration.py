@@ -181,7 +181,7 @@ def test_a_scene_with_a_wrong_calibration_is_refused(tmp_path: Path) -> None:
         ({"drive_levels": 0.9}, "the level 0.9 lies outside"),
         ({"drive_levels": [0.1]}, "1 levels for 12 LEDs"),
         ({"drive_levels": None}, "go together"),
-        ({"radiance": "1 W/m^2/sr"}, "exactly one of radiance and radiant_intensity and calibration"),
+        ({"radiance": "1 W/m^2/sr"}, "exactly one of radiance, radiant_intensity and calibration"),
     ):
         given = {key: value for key, value in changes.items() if value is not None}
         write_calibration(tmp_path / "ring.json", calibration())

@@ -85,6 +85,7 @@ def written(folder: Path, text: str = DESIGN, **more: Any) -> Path:
     return path
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("one_process")
 def test_each_run_is_measured_where_its_scene_has_the_part(tmp_path: Path) -> None:
     done = run_study(read_design(written(tmp_path)), tmp_path / "out", StudyOptions(workers=1))

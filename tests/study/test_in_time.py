@@ -65,6 +65,7 @@ def carried_out(path: Path) -> Study:
     return run_study(read_design(path), path.parent / "out", StudyOptions(workers=1, tracer="compiled"))
 
 
+@pytest.mark.long
 def test_its_numbers_are_those_of_the_render(tmp_path: Path) -> None:
     """Of a shutter: some rows see the edge where it was, others where it goes."""
     path = written(tmp_path, "camera.sensor.line_time", '"0.1 ms", "2 ms"', kind='kind = "list"\nruns = [["2 ms"]]')

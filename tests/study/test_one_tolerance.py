@@ -33,6 +33,7 @@ levels = [12, 10]
 """
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("one_process")
 def test_all_runs_keep_that_of_the_scene_of_the_design(
     design: DesignWriter, capsys: pytest.CaptureFixture[str]

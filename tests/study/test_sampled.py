@@ -70,6 +70,7 @@ def test_runs_share_a_plan_that_stands_in_the_study(finished: Path) -> None:
     assert not (out / "pilots").exists()
 
 
+@pytest.mark.long
 def test_waves_that_one_run_needs_all_runs_have(design: DesignWriter) -> None:
     """In the darker run they do not matter: by itself it would go without."""
     darker = DARKER.replace("13 ms", "5 ms").replace("0.7", "2").replace("= 24", "= 16")

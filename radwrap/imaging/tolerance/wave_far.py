@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from radwrap.imaging.methods.kernel import fast_length
 from radwrap.imaging.optics.view import View, trace_rays
 from radwrap.imaging.optics.waves import rim
-from radwrap.imaging.tolerance.wave_plan import WavePlan, bare
+from radwrap.imaging.tolerance.wave_plan import BLOCKS, FEWEST_BLOCK, WavePlan, bare
 from radwrap.random_streams import Rendering, generator
 from radwrap.scene.camera import Aperture
 
@@ -24,9 +24,7 @@ Array = NDArray[np.float64]
 # few blocks more; what goes farther still is counted as an error.
 _LEAST_FAR: Final = 20.0
 _DOUBLINGS: Final = 4
-_BLOCKS: Final = 4  # of the coarse image, in a guard band's width
-_FEWEST_BLOCK: Final = 2.0  # px
-_MOST_BLOCKS: Final = 1 << 18
+_MOST_BLOCKS: Final = 1 << 20
 # A pixel gathers most of it from just beyond its guard band: up to so many guard bands beside the sensor a block has
 # n x n rays, and one farther away.
 _DENSE: Final = 3.0
@@ -173,7 +171,7 @@ class _Coarse:
     def of(cls, plan: WavePlan) -> _Coarse:
         """As wide as few blocks allow: what lies farther is an error."""
         near = min(plan.kernel.reach_px)
-        block = max(near / _BLOCKS, _FEWEST_BLOCK)
+        block = max(near / BLOCKS, FEWEST_BLOCK)
         while (found := cls._by(plan, _LEAST_FAR * near, block)).blocks > _MOST_BLOCKS:
             block *= 2
         inside = cls._by(plan, _DENSE * near, block).blocks

@@ -23,6 +23,7 @@ from radwrap.imaging.optics.waves import Waves
 from radwrap.imaging.tolerance.plans import POINTS_SHARE
 from radwrap.imaging.tolerance.points_noise import points_noise
 from radwrap.random_streams import Rendering, generator
+from radwrap.scene.camera import Sensor
 from radwrap.tracers.noise import halvings_for
 
 Array = NDArray[np.float64]
@@ -39,6 +40,12 @@ _OFF: Final = 0.25
 _COARSEST: Final = 0.5  # px
 # The guard band in wave's lengths; light that waves send farther is taken from a coarse image, see `wave_far`.
 _NEAR: Final = 6.0
+# Blocks of that image in a guard band's width: half of what goes beyond it comes from within twice that width, so that
+# wider ones would move the light of an edge to where it is not. Their side in pixels, at least, and how many may lie on
+# the sensor.
+BLOCKS: Final = 4
+FEWEST_BLOCK: Final = 2.0
+_MOST_ON_SENSOR: Final = 1 << 19
 # The weights are made on a grid so many times as wide as they are taken from, of so many cells at most.
 _AROUND: Final = 8
 _AROUND_GLASS: Final = 4  # there are many weights then; what comes in is 5e-6 of the highest
@@ -238,7 +245,7 @@ def plan_waves(
         # Where light is even rays go on in wide steps, as waves spread what they add.
         wider = max(0, math.floor(math.log2(max(_BASE_SHARE * blur, _LEAST_BASE) / plan.grid.base)))
         plan = replace(plan, grid=replace(plan.grid, base=plan.grid.base << wider, levels=plan.grid.levels + wider))
-    plan = replace(plan, guard=max(_NEAR * blur, 1.0) + glass_reach(camera) / pitch)
+    plan = replace(plan, guard=max(_NEAR * blur, _resolved(camera.sensor)) + glass_reach(camera) / pitch)
     weights = WaveWeights(plan, _less_rays(waves), lens_field(camera, wavelength))
     if even_cell is None:
         aim /= _noise_gain(weights)
@@ -247,6 +254,14 @@ def plan_waves(
         plan, rays = replace(plan, grid=replace(plan.grid, aim=aim, halvings=halvings)), rays + looked
         weights = replace(weights, kernel=plan)
     return WavePlan(plan, waves, weights, seed, rays, None if view.with_noise(1) is view else view.smooth)
+
+
+def _resolved(sensor: Sensor) -> float:
+    """Width of a guard band beyond which blocks tell what comes from where, few enough of which cover a sensor [px]."""
+    block = FEWEST_BLOCK
+    while sensor.pixels > _MOST_ON_SENSOR * block**2:
+        block *= 2
+    return BLOCKS * block
 
 
 def _noise_gain(weights: WaveWeights) -> float:
