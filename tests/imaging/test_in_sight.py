@@ -62,7 +62,7 @@ def test_sizes_are_those_of_the_visible_face(plain: Explained) -> None:
 
 
 def test_levels_are_those_of_the_image(folder: Path) -> None:
-    scene, _, seen = explained(folder, **{"camera.sensor.scale": "1/16"})
+    scene, _, seen = explained(folder, **{"camera.sensor.scale": "1/16", "camera.diffraction": "off"})
     image = radwrap.render(scene, tolerance=30, workers=1, truth=True, tracer="compiled")
     assert image.truth is not None
     mask = image.truth["mask"] == next(n for name, n in image.truth["parts"].items() if "washer" in name)

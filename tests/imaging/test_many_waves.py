@@ -72,6 +72,7 @@ def changes_of(view: View, of_all: View, plan: WavePlan, *, sources: int, alone:
     return found + [far_change(plan, around)[0] for around in far_light(view, plan, 0, int)]
 
 
+@pytest.mark.long
 def test_waves_are_linear_in_one_pass_and_source_by_source(tmp_path: Path) -> None:
     """Two depths, so that shares of layers hang on the light: they are those of the light of all sources."""
     pytest.importorskip("numba")
@@ -240,7 +241,8 @@ def test_another_exposure_keeps_waves_and_another_wavelength_is_refused() -> Non
     check_same_light(replace(camera, diffraction=None), replace(other, diffraction=None))
 
 
-@pytest.mark.parametrize(("tolerance", "finest"), [pytest.param(2.0, False, marks=pytest.mark.long), (0.02, True)])
+@pytest.mark.long
+@pytest.mark.parametrize(("tolerance", "finest"), [(2.0, False), (0.02, True)])
 def test_even_cells_of_waves_are_as_fine_as_a_tolerance_needs(tolerance: float, finest: bool, tmp_path: Path) -> None:
     """Waves blur by a thirtieth of a pixel here. Cells that resolve that are needed for a fine tolerance only."""
     sensor = {"rows": 15, "columns": 20, "pixel_width": "110.4 um", "pixel_height": "110.4 um"}

@@ -44,7 +44,7 @@ _NEAR: Final = 6.0
 # wider ones would move the light of an edge to where it is not. Their side in pixels, at least, and how many may lie on
 # the sensor.
 BLOCKS: Final = 4
-FEWEST_BLOCK: Final = 2.0
+FEWEST_BLOCK: Final = 1.0
 _MOST_ON_SENSOR: Final = 1 << 19
 # The weights are made on a grid so many times as wide as they are taken from, of so many cells at most.
 _AROUND: Final = 8
