@@ -346,6 +346,18 @@ def test_mirrored_places_pass_mirrored_frequencies(coefficients: dict[Order, flo
     assert images_of(half, places, places.places[1]) == ((places.places[1], (1, 1)),)
 
 
+def test_weights_of_a_mirrored_place_are_those_of_its_own_glass() -> None:
+    of = lens_camera(glass_of({(3, -1): 0.3, (2, 2): 0.2}, (0.0, 1e-3)), 16, 16)
+    tracer: Tracer = Planes(((FOCUS, lambda x, _: 1 + 0 * x),))  # type: ignore[assignment]
+    plan = plan_waves(View(of, tracer), WAVELENGTH, 0.5, seed=1)
+    weights, cell = plan.weights, plan.kernel.grid.cell
+    last = weights.lens_field.places[-1]
+    assert images_of(of, weights.lens_field, last)[0][0] != last
+    for size in (cell, 2 * cell):
+        own = weights.of_layer(plan.kernel.layers[0], size, (0, 0), last)
+        assert weights.near(size, (0, 0), last)[0] == pytest.approx(own, abs=1e-9 * float(np.abs(own).max()))
+
+
 @pytest.mark.long
 def test_places_between_are_mixed_within_what_is_counted_for_it() -> None:
     """Against each pixel by its own wavefront, at pixels of one row beside lamps in a field of strong coma."""
