@@ -184,8 +184,8 @@ def test_a_long_run_says_so_before_and_what_is_cheaper(
     assert capsys.readouterr().err == "" and plain.run.timing.forecast is None
     for name in ("_LONG", "_MANY", "_PERHAPS_LONG"):
         monkeypatch.setattr(forecasting, name, 0.0)
-    # Of so short a run the parts that are left as they are may be most.
-    monkeypatch.setattr(forecasting, "_CHEAPER", 1.0)
+    # Of so short a run what is left as it is may be most, and a rehearsal as long as the run.
+    monkeypatch.setattr(forecasting, "_CHEAPER", 10.0)
     told = radwrap.render(scene(), tmp_path / "told", progress=True, **options)
     words = capsys.readouterr().err
     assert "this will take about" in words and "half as many columns and rows of pixels" in words
