@@ -175,7 +175,7 @@ def test_finer_images_count_that_follow_one_which_keeps_no_tolerance() -> None:
 
 
 @pytest.mark.parametrize(
-    "options", [pytest.param({"method": "rays", "tolerance": 2.0}, marks=pytest.mark.long), {"viewpoints": 37}]
+    "options", [pytest.param({"method": "rays", "tolerance": 0.4}, marks=pytest.mark.long), {"viewpoints": 37}]
 )
 def test_a_long_run_says_so_before_and_what_is_cheaper(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, options: dict[str, Any]
@@ -198,7 +198,7 @@ def test_a_long_run_says_so_before_and_what_is_cheaper(
     found = {one.change: one.wall_s for one in told.run.timing.forecast.cheaper}
     whole = told.run.timing.forecast.wall_s
     assert all(0 < wall <= whole for wall in found.values())
-    assert ("a tolerance of 4 gray in place of 2" if "method" in options else "19 viewpoints in place of 37") in found
+    assert ("a tolerance of 0.8 gray in place of 0.4" if "method" in options else "19 viewpoints in place of 37") in found
 
 
 def test_diffraction_is_a_part_of_what_a_run_takes(tmp_path: Path) -> None:
