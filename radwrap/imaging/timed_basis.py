@@ -19,7 +19,7 @@ from radwrap.errors import InputError
 from radwrap.images import ExposureImage
 from radwrap.imaging.other_camera import SceneText, basis_in_other_camera, check_same_light
 from radwrap.imaging.output.run_manifest import RunManifest
-from radwrap.imaging.relight.basis import SEAL, sealed
+from radwrap.imaging.relight.basis import read_sealed, sealed
 from radwrap.imaging.relight.relit import Basis, Relit, read_basis, relit
 from radwrap.imaging.relight.row_shares import row_shares, weighed
 from radwrap.imaging.response.sensor import gray_levels, image_of_levels
@@ -27,7 +27,7 @@ from radwrap.imaging.run_files import TIMED_BASIS, LightFile, TimedBasisFile
 from radwrap.imaging.summed_instants import AtInstant, certificate_of_sum, summed
 from radwrap.imaging.time_steps import Light, Steps
 from radwrap.imaging.tolerance.uncertainty import Uncertainty, uncertainty
-from radwrap.manifest import SCHEMA_VERSION, plain, read_manifest, write_manifest
+from radwrap.manifest import SCHEMA_VERSION, plain, write_manifest
 from radwrap.scene.camera import Camera
 from radwrap.scene.file.load import camera_with
 from radwrap.scene.tolerances import Tolerances
@@ -105,10 +105,7 @@ def read_timed_basis(
     path = folder / TIMED_BASIS
     if not path.is_file():
         raise InputError("holds no light basis", where=str(folder), remedy="render with `basis`")
-    read = read_manifest(path)
-    if sealed(read)[SEAL] != read.get(SEAL):
-        raise InputError("is not as it was made", where=str(path), remedy="make the basis again")
-    told: TimedBasisFile = read_back(read, TimedBasisFile, str(path))
+    told: TimedBasisFile = read_back(read_sealed(path), TimedBasisFile, str(path))
     if told.scene_sha256 != run.scene_sha256:
         raise InputError("is of another run", where=str(path), remedy="make the basis again")
     text = SceneText(run.scene, scene_folder or folder, run.bands is not None)

@@ -125,7 +125,7 @@ class LaidOutBench:
         return sub_viewpoints(aperture, setting.viewpoints, setting.layout)
 
     def _to_tolerance(self, setting: Setting, expected: float) -> tuple[NDArray[np.float64], int, bool, float]:
-        assert setting.tolerance is not None  # noqa: S101
+        assert setting.tolerance is not None  # noqa: S101  (a certified method has one)
         method = next(method for method in CERTIFIED if method == setting.method)
         folder = self.work / setting.name
         make_folder(folder)

@@ -198,7 +198,9 @@ def test_a_long_run_says_so_before_and_what_is_cheaper(
     found = {one.change: one.wall_s for one in told.run.timing.forecast.cheaper}
     whole = told.run.timing.forecast.wall_s
     assert all(0 < wall <= whole for wall in found.values())
-    assert ("a tolerance of 0.8 gray in place of 0.4" if "method" in options else "19 viewpoints in place of 37") in found
+    assert (
+        "a tolerance of 0.8 gray in place of 0.4" if "method" in options else "19 viewpoints in place of 37"
+    ) in found
 
 
 def test_diffraction_is_a_part_of_what_a_run_takes(tmp_path: Path) -> None:

@@ -2,18 +2,10 @@
 
 from __future__ import annotations
 
-import time
-from typing import Final
-
-from radwrap.imaging.forecast.rehearsal import Stopwatch, spread
+from radwrap.imaging.forecast.rehearsal import Stopwatch, for_a_while
 from radwrap.imaging.optics.view import LitView
 from radwrap.imaging.relight.basis import freeze_tile
 from radwrap.imaging.tolerance.replicates import Plan, Work
-
-# Tiles are made until so long has passed, and so many at least unless they are slow.
-_ENOUGH: Final = 0.5  # s
-_TOO_LONG: Final = 2.0  # s
-_FEWEST_TILES: Final = 4
 
 
 def rehearsed_basis(work: Work, plan: Plan, replicates: int, lit: LitView) -> float:
@@ -31,11 +23,7 @@ def rehearsed_basis(work: Work, plan: Plan, replicates: int, lit: LitView) -> fl
         The light of those sources.
     """
     in_one_pass, pixels, seconds = len(lit.names) > 1, 0, 0.0
-    begun = time.monotonic()
-    for done, tile in enumerate(spread(len(plan.tiles))):
-        passed = time.monotonic() - begun
-        if passed > _TOO_LONG or (done >= _FEWEST_TILES and passed > _ENOUGH):
-            break
+    for tile in for_a_while(len(plan.tiles)):
         # What the image's own tiles decide is there before its basis is made.
         freeze_tile(work, plan, 0, tile, in_one_pass=True)
         clock = Stopwatch(work.view.workers)

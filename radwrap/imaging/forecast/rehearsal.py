@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
@@ -40,8 +40,9 @@ _FEWEST_RAYS, _MOST_RAYS = 256, 1 << 15
 _RUN: Final = 32  # rays that lie side by side
 # A tile takes so long at most in one thread, or some of it stands for it: how many rays a tile gets hangs on all of it.
 LONGEST_TILE: Final = 2.0  # s
-# Tiles are made until so long has passed.
+# Tiles are made until so long has passed, and so many at least unless they are slow.
 _ENOUGH: Final = 0.5  # s
+_TOO_LONG: Final = 2.0  # s
 _FEWEST_TILES: Final = 4
 _CANDIDATES: Final = 16
 # So much of what another pixel takes, one takes that gathers from smooth blocks only: 0.1 to 0.2 of the ring cell.
@@ -231,6 +232,16 @@ def spread(number: int) -> list[int]:
     turned = (int(f"{place:0{bits}b}"[::-1], 2) for place in range(1 << bits))
     order = [place for place in turned if place < number]
     return order[1:] + order[:1]  # the least of all stands for few
+
+
+def for_a_while(number: int) -> Iterator[int]:
+    """Numbers below one, evenly spread, until what is done with them has told enough."""
+    begun = time.monotonic()
+    for done, place in enumerate(spread(number)):
+        passed = time.monotonic() - begun
+        if passed > _TOO_LONG or (done >= _FEWEST_TILES and passed > _ENOUGH):
+            return
+        yield place
 
 
 def _pixels(tile: tuple[int, int, int, int]) -> int:

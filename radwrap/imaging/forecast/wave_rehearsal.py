@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
-from typing import Final
 
-from radwrap.imaging.forecast.rehearsal import Rehearsed, Stopwatch, seconds_per_ray, spread
+from radwrap.imaging.forecast.rehearsal import Rehearsed, Stopwatch, for_a_while, seconds_per_ray
 from radwrap.imaging.optics.view import LitView, View
 from radwrap.imaging.tolerance.wave_far import far_rays, far_view
 from radwrap.imaging.tolerance.wave_parts import Transforms, wave_cells, wave_tile
 from radwrap.imaging.tolerance.wave_plan import WavePlan
-
-# Tiles are made until so long has passed, and so many at least unless they are slow.
-_ENOUGH: Final = 0.5  # s
-_TOO_LONG: Final = 2.0  # s
-_FEWEST_TILES: Final = 4
 
 
 def rehearsed_waves(
@@ -36,13 +29,10 @@ def rehearsed_waves(
     """
     traced, plans = (view, [plan]) if lit is None else (replace(lit.view, workers=1), [plan] * len(lit.names))
     of_all = None if lit is None or len(lit.names) > 1 else view
-    tiles, rays, pixels = spread(len(plan.kernel.tiles)), [0, 0], 0
+    rays, pixels = [0, 0], 0
     deciding = making = 0.0
-    begun, clock = time.monotonic(), Stopwatch(view.workers)
-    for done, tile in enumerate(tiles):
-        passed = time.monotonic() - begun
-        if passed > _TOO_LONG or (done >= _FEWEST_TILES and passed > _ENOUGH):
-            break
+    clock = Stopwatch(view.workers)
+    for tile in for_a_while(len(plan.kernel.tiles)):
         counted: list[int] = []
         cells = wave_cells(view, plan, tile, counted.append)
         rays[0] += sum(counted)

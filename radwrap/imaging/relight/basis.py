@@ -38,7 +38,7 @@ from radwrap.imaging.tolerance.planner import Outcome
 from radwrap.imaging.tolerance.plans import kernel_of
 from radwrap.imaging.tolerance.replicates import Plan, Work, tile_cells, tile_seed
 from radwrap.imaging.tolerance.wave_plan import WavePlan
-from radwrap.manifest import SCHEMA_VERSION, plain, sha256_of_value, write_manifest
+from radwrap.manifest import SCHEMA_VERSION, plain, read_manifest, sha256_of_value, write_manifest
 from radwrap.random_streams import Relighting, generator
 from radwrap.scene.scene import Scene
 from radwrap.tracers.radiance import PreparedScene
@@ -365,6 +365,20 @@ def sealed(description: Mapping[str, Any]) -> dict[str, Any]:
     """What tells of a basis with its own hash: a number in it that was changed would make certificates wrong."""
     rest = {key: value for key, value in description.items() if key != SEAL}
     return {**rest, SEAL: sha256_of_value(rest)}
+
+
+def read_sealed(path: Path) -> dict[str, Any]:
+    """Read what was written with `sealed`.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or is not as it was written.
+    """
+    told = read_manifest(path)
+    if sealed(told)[SEAL] != told.get(SEAL):
+        raise InputError("is not as it was made", where=str(path), remedy="make the basis again")
+    return told
 
 
 def _maker(

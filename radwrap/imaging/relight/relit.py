@@ -20,7 +20,7 @@ from radwrap.errors import InputError
 from radwrap.files import sha256_of
 from radwrap.images import ExposureImage, GrayImage, read_image
 from radwrap.imaging.methods.kernel import grid_squares
-from radwrap.imaging.relight.basis import BASIS, MAGNIFICATION, SEAL, WAVES, file_name, sealed
+from radwrap.imaging.relight.basis import BASIS, MAGNIFICATION, WAVES, file_name, read_sealed
 from radwrap.imaging.response.sensor import gray_levels, image_of_levels
 from radwrap.imaging.run_files import BasisFile, SampleFile
 from radwrap.imaging.tolerance.bounds import ALONE, NOTHING, Bounded, mean_squares, resampling
@@ -29,7 +29,6 @@ from radwrap.imaging.tolerance.kept_replicates import KeptReplicates
 from radwrap.imaging.tolerance.planner import model_quantile, noise_quantile
 from radwrap.imaging.tolerance.replicates import looks, noise_of
 from radwrap.imaging.tolerance.wave_image import lasting_wave_error, visible_gray
-from radwrap.manifest import read_manifest
 from radwrap.random_streams import Relighting
 from radwrap.scene.camera import Camera, Sensor
 from radwrap.scene.tolerances import Tolerances
@@ -161,10 +160,7 @@ def read_basis(folder: Path) -> Basis:
     """
     if not (folder / BASIS).exists():
         raise InputError(f"holds no light basis, {BASIS}", where=str(folder), remedy="render the scene with a basis")
-    told = read_manifest(folder / BASIS)
-    if sealed(told)[SEAL] != told.get(SEAL):
-        raise InputError("is not as it was made", where=str(folder / BASIS), remedy="make the basis again")
-    told_by = read_back(told, BasisFile, str(folder / BASIS))
+    told_by = read_back(read_sealed(folder / BASIS), BasisFile, str(folder / BASIS))
     try:
         return _basis(folder, told_by)
     except (KeyError, TypeError, ValueError) as error:

@@ -107,8 +107,8 @@ Factor = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=1e6)]
 Count = Annotated[int, Field(strict=True, ge=1, le=1_000_000)]
 Whole = Annotated[int, Field(strict=True)]
 Flag = Annotated[bool, Field(strict=True)]
-# What glass adds to the path of light: a thousand waves and more.
 TERM_NUMBER = r"^(0|[1-9][0-9]{0,2})$"  # of a polynomial of a wavefront
+# What glass adds to the path of light: a thousand waves and more.
 LONGEST_PATH = 1e-3
 OpticalPath = Annotated[
     float, Field(ge=-LONGEST_PATH, le=LONGEST_PATH), BeforeValidator(_reader(LENGTH)), _schema(LENGTH)
