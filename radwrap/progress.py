@@ -128,7 +128,7 @@ class Progress:
         told = (
             f"{100 * min(share, 1.0):3.0f} %{self._time_left(now)}"
             if share <= _BEYOND
-            else "takes longer than was forecast"
+            else f"takes longer than was forecast, {share:.2f} times so far"
         )
         text = f"{self._what} {told}"
         share = min(share, 1.0)

@@ -35,9 +35,9 @@ def test_work_beyond_its_forecast_is_not_said_to_be_done(clock: list[float]) -> 
     clock[0] += 20
     work.add(101)
     clock[0] += 20
-    work.add(10)
-    assert told.getvalue() == "tracing 100 %, 0 s left\ntracing takes longer than was forecast\n"
-    assert work.state.seconds_left is None and work.state.of == 111
+    work.add(29)
+    assert told.getvalue() == "tracing 100 %, 0 s left\ntracing takes longer than was forecast, 1.30 times so far\n"
+    assert work.state.seconds_left is None and work.state.of == 130
 
 
 def test_parts_that_are_left_count_as_much_as_the_others(clock: list[float]) -> None:

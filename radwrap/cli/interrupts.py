@@ -8,7 +8,7 @@ from contextlib import suppress
 
 from radwrap.errors import INTERRUPTED
 
-_MESSAGE = "radwrap: interrupted; the same command continues where it stopped"
+_MESSAGE = "radwrap: interrupted; the same command goes on from what was finished"
 _PATIENCE = 5.0  # s for a command's end, in which further signals would only disturb
 
 

@@ -217,7 +217,7 @@ def test_a_signal_while_modules_are_loaded(how: str, chosen: slice, tmp_path: Pa
     ][chosen]
     for case, done in zip(cases, side_by_side(interrupted, cases), strict=True):
         assert (case, done.returncode, done.stdout) == (case, 130, "")
-        assert done.stderr == "radwrap: interrupted; the same command continues where it stopped\n"
+        assert done.stderr == "radwrap: interrupted; the same command goes on from what was finished\n"
 
 
 _PROGRAM = "import sys; {}; from radwrap.cli.program import program; program()"

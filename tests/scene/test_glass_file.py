@@ -86,6 +86,7 @@ FIELDS = [{"height": f"{height} mm", "coefficients": {"11": "1 nm"}} for height 
         ({"convention": "noll", "fields": FIELDS[1:]}, "wavefront.fields: has heights from 0.3 to 0.5 mm"),
         ({"convention": "noll", "fields": FIELDS[:2]}, "wavefront.fields: has heights from 0 to 0.3 mm"),
         ({"convention": "noll", "fields": FIELDS[::-1]}, "wavefront.fields: needs heights that increase"),
+        ({"convention": "noll", "fields": [one | {"coefficients": {}} for one in FIELDS]}, "has no term at any height"),
         ({"convention": "noll", "fields": FIELDS, "file": "lens.csv"}, "exactly one of coefficients, file and fields"),
         ({"coefficients": {"7": "45 nm"}}, "camera.lens.wavefront.convention"),
         ({"convention": "osa"}, "exactly one of coefficients, file and fields"),

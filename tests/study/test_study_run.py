@@ -160,7 +160,7 @@ def test_ctrl_c_ends_everything_and_the_study_goes_on(tmp_path: Path, good: byte
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers too
         _, stderr = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130
-    assert "Traceback" not in stderr and stderr.endswith("the same command continues where it stopped\n"), stderr
+    assert "Traceback" not in stderr and stderr.endswith("the same command goes on from what was finished\n"), stderr
     assert _empty(out)
     study(path, out).success()
     assert (out / "results.csv").read_bytes() == good

@@ -129,6 +129,12 @@ def _listed(fields: tuple[FieldModel, ...], where: str) -> tuple[tuple[float, ..
     heights = tuple(one.height for one in fields)
     if any(a >= b for a, b in pairwise(heights)):
         raise InputError("needs heights that increase", where=where)
+    if not any(one.coefficients for one in fields):
+        raise InputError(
+            "has no term at any height, which is a perfect lens",
+            where=where,
+            remedy="give coefficients, or leave `wavefront` out",
+        )
     return heights, [{int(number): path for number, path in one.coefficients.items()} for one in fields]
 
 
