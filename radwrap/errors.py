@@ -83,7 +83,7 @@ class InputError(RadwrapError):
 
 
 class ToleranceNotMet(RadwrapError):
-    """The image stands, but not to the asked tolerance; commands end so, and `render` returns the image."""
+    """The image is written, but misses the asked tolerance. Commands end so; `render` returns it: look at its `met`."""
 
     exit_code = 3
 

@@ -38,7 +38,7 @@ _USUAL: Final = 0.7  # of the tolerance, about what an image takes of it
 _LEAST_LEFT: Final = 0.3  # of the tolerance; where the image leaves less, it is made finer
 _OF_CELLS: Final = 0.5  # of what the image leaves, what the size of their cells may change
 _FINER: Final = 0.25  # of either, where it was too much
-_TRIES: Final = 2  # plans of waves
+_TRIES: Final = 3  # plans of waves
 _LESS: Final = 0.8  # of the tolerance is left to the rays' own image, where both together break it
 _TWO: Final = 2  # replicates, where nothing is made of them but their mean
 # Degrees of freedom by which noise is known: its bound is then 1.4 of it. Two replicates have one for each block over
@@ -121,6 +121,14 @@ class _Waves:
         blocks = math.ceil(sensor.rows / plan.block) * math.ceil(sensor.columns / plan.block)
         return max(_TWO, 1 + math.ceil(_DEGREES / blocks))
 
+    def kept_or_anew(self, parts: WaveParts, plan: WavePlan, made: Made) -> tuple[WaveParts, int]:
+        """What waves add, in as many replicates as an image has that was made anew; and how many rays that took."""
+        replicates = self.replicates(made, plan)
+        if len(parts.change) == replicates:
+            return parts, 0
+        parts = self.parts(plan, replicates)
+        return parts, parts.rays
+
     def parts(
         self, plan: WavePlan, replicates: int, told_by: Callable[[WavePlan], WavePlan] = lambda plan: plan
     ) -> WaveParts:
@@ -128,6 +136,12 @@ class _Waves:
         work.progress.left(replicates * len(self.lights) * self.scene.camera.sensor.pixels)
         plans = [(light.view, told_by(plan.at(light.wavelength))) for light in self.lights]
         return wave_parts(work.view, plans, replicates, progress=work.progress.add, check=work.programs.check)
+
+
+def _finer_aim(tolerance: float, made: Made, off: WaveError) -> float:
+    """The share of an aim by which the noise of waves is expected to be what the rest leaves of a tolerance."""
+    rest = max(tolerance - off.tails, 0.0) ** 2 - made.certificate.rms_gray_upper95**2 - off.cells
+    return min(_LESS, max(_FINER, _LESS * math.sqrt(max(rest, 0.0) / off.noise.upper)))
 
 
 def refuse_waves(scene: Scene, options: RenderOptions) -> None:
@@ -232,7 +246,7 @@ def with_waves(
     if made.outcome is not None:
         work = replace(work, view=replace(work.view, smooth=made.outcome.smooth))
     waves = _Waves(scene, options, work, lights(), found.rms_gray)
-    left = max(_leaves(options.gray_tolerance, made), _LEAST_LEFT * options.gray_tolerance)
+    left = _left_to_waves(options.gray_tolerance, made)
     aim, of_cells = _AIM * left, _OF_CELLS * left
     for _ in range(_TRIES if more_may_help else 1):
         try:
@@ -244,17 +258,23 @@ def with_waves(
         parts = waves.parts(plan, waves.replicates(made, plan))
         taken += parts.rays
         whole, off = _added(made, plan, parts, waves, taken)
+        if _is_met(whole) or not _is_met(made) or not more_may_help:
+            break
+        if not remade and not _more_rays_may_do(made, waves, off):
+            taken, made, remade = taken + made.used.rays, again(_LESS * options.gray_tolerance), True
+            parts, rays = waves.kept_or_anew(parts, plan, made)
+            taken += rays
+            whole, off = _added(made, plan, parts, waves, taken)
         if _is_met(whole) or not _more_rays_may_do(made, waves, off):
             break
         if off.cells > off.noise.upper:
             of_cells *= _FINER
         else:
-            aim *= _FINER
+            aim *= _finer_aim(options.gray_tolerance, made, off)
     if not _is_met(whole) and _is_met(made) and more_may_help and not remade:
         taken, made = taken + made.used.rays, again(_LESS * options.gray_tolerance)
-        if len(parts.change) != waves.replicates(made, plan):
-            parts = waves.parts(plan, waves.replicates(made, plan))
-            taken += parts.rays
+        parts, rays = waves.kept_or_anew(parts, plan, made)
+        taken += rays
         whole, _ = _added(made, plan, parts, waves, taken)
     slope = None
     if scene.tolerances is not None and scene.tolerances.aperture_diameter:
@@ -310,6 +330,14 @@ def _told_wavelengths(lights: Sequence[Light]) -> tuple[float, ...] | None:
 def _leaves(tolerance: float, made: Made) -> float:
     """What an image leaves of a tolerance for its waves [gray level]."""
     return math.sqrt(max(tolerance**2 - made.certificate.rms_gray_upper95**2, 0.0))
+
+
+def _left_to_waves(tolerance: float, made: Made) -> float:
+    """What waves may be off by [gray level]; of an image that misses the tolerance, as where a budget ended it, more.
+
+    Waves that are surer than their image by far take rays for nothing.
+    """
+    return max(_leaves(tolerance, made), _LEAST_LEFT * max(tolerance, made.certificate.rms_gray_upper95))
 
 
 def _look(work: Work) -> Array:

@@ -23,6 +23,7 @@ from tests.imaging.planes import Array, Planes, camera
 WAVELENGTH, PIXEL, COLUMNS, ROWS = 550e-9, 1e-5, 96, 24
 BENCH = Path(__file__).parents[2] / "rad_scenes" / "bench_board" / "scene.toml"
 LOW, HIGH = 0.2, 1.0
+KEY = "camera.diffraction"
 RIGHT = 0.05  # of what waves change: noise of the rays, and cells of the central image
 COMPILED = radwrap.RenderOptions(tracer="compiled")  # a fifth of Radiance's processor time; both agree ray by ray
 
@@ -122,6 +123,24 @@ def test_a_scene_has_waves_where_they_matter() -> None:
     by_rays = radwrap.render(scene_of("on"), options=COMPILED, tolerance=2, method="rays")
     assert math.sqrt(float(((by_rays.gray.values - auto.gray.values) ** 2).mean())) < 2 * math.hypot(1, 1)
     assert radwrap.render(scene_of("auto"), options=COMPILED, tolerance=60).manifest.get("diffraction") is None
+
+
+def test_waves_are_no_surer_than_the_image_that_a_budget_left() -> None:
+    """They were aimed at the tolerance, whatever the image had come to: 200 times the budget went into them."""
+    options = radwrap.RenderOptions(tracer="compiled", tolerance=1e-3, budget_rays=1e5)
+    scene = radwrap.with_value(scene_of("on"), "camera.sensor.scale", "1/4")
+    waves, rays = (radwrap.render(radwrap.with_value(scene, KEY, key), options=options) for key in ("on", "off"))
+    assert waves.run.rays < 4 * rays.run.rays and not waves.met
+    assert waves.error.diffraction_gray is not None
+    assert waves.error.diffraction_gray < rays.error.rms_gray_upper95
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("tolerance", [0.1, 0.03])
+def test_a_fine_tolerance_is_met_with_waves(tolerance: float) -> None:
+    """Cells that did not resolve discs' rims and light from far away kept it from that, whatever the rays."""
+    made = radwrap.render(scene_of("on"), options=COMPILED, tolerance=tolerance, budget_rays=2e7)
+    assert made.met and made.run.rays < 1.5e7
 
 
 def test_one_wavelength_for_a_wide_line_is_in_the_error() -> None:

@@ -420,9 +420,10 @@ class Search:
             return "kernel", aim, "depths differ more than the survey saw"
         if self.demand.method is None and (model_fails or rest > wanted):
             return self.instead_of_kernel()
-        tried = [attempt.rays for attempt in self.attempts[-2:] if attempt.method == "kernel"]
+        tried = [attempt for attempt in self.attempts[-2:] if attempt.method == "kernel"]
+        idle = len(tried) == 2 and tried[0].rays == tried[1].rays and tried[0].aim_gray != tried[1].aim_gray
         # A smaller aim changes nothing, or the cells are as small as they may be.
-        stuck = (len(tried) == 2 and tried[0] == tried[1]) or (grid > _GRID_SHARE * wanted and not coarse)
+        stuck = idle or (grid > _GRID_SHARE * wanted and not coarse)
         if self.demand.method is None and (stuck or aim < wanted * AIM_SHARE / 4):
             aim = self._affordable("rays", self.plans.first_aim("rays"))
             return "rays", aim, "the kernel's certificate did not hold"

@@ -16,13 +16,15 @@ from radwrap.imaging.optics.view import View, trace_rays
 from radwrap.imaging.optics.waves import rim
 from radwrap.imaging.tolerance.wave_plan import BLOCKS, FEWEST_BLOCK, WavePlan, bare
 from radwrap.random_streams import Rendering, generator
-from radwrap.scene.camera import Aperture
+from radwrap.scene.camera import Aperture, Sensor
 
 Array = NDArray[np.float64]
 
 # The coarse image is so many times as wide as the guard band at least, and twice that, up to so often, where that takes
-# few blocks more; what goes farther still is counted as an error.
+# few blocks more. A second one, of wider blocks, is so many times as wide as the first; what goes farther still is
+# counted as an error.
 _LEAST_FAR: Final = 20.0
+_WIDER: Final = 8.0
 _DOUBLINGS: Final = 4
 _MOST_BLOCKS: Final = 1 << 20
 # A pixel gathers most of it from just beyond its guard band: up to so many guard bands beside the sensor a block has
@@ -44,11 +46,24 @@ def far_light(view: View, plan: WavePlan, replicate: int, progress: Callable[[in
     ndarray, shape (sources, rows of blocks, columns of blocks)
         [W m^-2 sr^-1]
     """
-    coarse = _Coarse.of(plan)
-    block, margin, (rows, columns) = coarse.block, coarse.margin, coarse.shape
     random = generator(plan.seed, Rendering.WAVE_FAR, replicate)
+    coarse, wider = _rings(plan)
+    found = _from_ring(view, plan, coarse, random, progress)
+    beyond = _from_ring(view, plan, wider, random, progress)
+    middles = [(np.arange(size, dtype=np.float64) + 0.5) * coarse.block for size in found.shape[1:]]
+    for axis, places in enumerate(middles, start=1):
+        beyond = _interpolated(beyond, places / wider.block - 0.5, axis)
+    share = wider.share(plan) / coarse.share(plan)
+    return (1 - share) * found + share * beyond
+
+
+def _from_ring(
+    view: View, plan: WavePlan, coarse: _Coarse, random: np.random.Generator, progress: Callable[[int], None]
+) -> Array:
+    """As `far_light`, of the light from a ring around each place."""
+    block, margin, (rows, columns) = coarse.block, coarse.margin, coarse.shape
     places, owners = [], []
-    for some, strata in _strata(plan, coarse):
+    for some, strata in _strata(coarse):
         row, column = np.nonzero(some)
         inside = (np.indices((strata, strata)).reshape(2, 1, -1) + random.random((2, len(row), strata**2))) / strata
         places.append(np.stack([row[:, np.newaxis] + inside[0], column[:, np.newaxis] + inside[1]]).reshape(2, -1))
@@ -56,7 +71,7 @@ def far_light(view: View, plan: WavePlan, replicate: int, progress: Callable[[in
     v, u = (np.concatenate(places, axis=1) - margin) * block - 0.5
     owner = np.concatenate(owners)
     kernel = _kernel(plan, coarse)
-    light, _ = trace_rays(_with_noise(view, plan, kernel), None, u, v)
+    light, _ = trace_rays(_with_noise(view, coarse.share(plan), kernel), None, u, v)
     progress(len(u))
     rays = np.bincount(owner, minlength=rows * columns)
     values = np.stack([np.bincount(owner, one, rows * columns) / rays for one in light.reshape(-1, len(u))])
@@ -65,33 +80,33 @@ def far_light(view: View, plan: WavePlan, replicate: int, progress: Callable[[in
 
 def far_view(view: View, plan: WavePlan) -> View:
     """By whom `far_light` traces its rays: they ask as many points of wide lights as they count for."""
-    return _with_noise(view, plan, _kernel(plan, _Coarse.of(plan)))
+    coarse, _ = _rings(plan)
+    return _with_noise(view, coarse.share(plan), _kernel(plan, coarse))
 
 
-def _with_noise(view: View, plan: WavePlan, kernel: Array) -> View:
+def _with_noise(view: View, share: float, kernel: Array) -> View:
     # So many rays have the noise of one whose light counts whole.
-    together = 1 / (float((kernel**2).sum()) * max(plan.weights.share**2, _LEAST_SHARE**2))
+    together = 1 / (float((kernel**2).sum()) * max(share**2, _LEAST_SHARE**2))
     return bare(view).together(together)
 
 
 def _kernel(plan: WavePlan, coarse: _Coarse) -> Array:
     """What a pixel gathers from the light around it: turned, and alike from both sides."""
-    near = min(plan.kernel.reach_px)
-    blur = near - (plan.kernel.guard or 0.0)
+    blur = min(plan.kernel.reach_px) - (plan.kernel.guard or 0.0)
     aperture = plan.waves.aperture
     rim_at = blur / math.sqrt(2) if aperture.shape == "square" else blur
-    return _tail_kernel(aperture, rim_at / coarse.block, near / coarse.block, coarse.far / coarse.block)
+    return _tail_kernel(aperture, *(length / coarse.block for length in (rim_at, coarse.near, coarse.far)))
 
 
 def far_rays(plan: WavePlan) -> int:
     """How many rays `far_light` takes."""
-    return sum(int(np.count_nonzero(some)) * strata**2 for some, strata in _strata(plan, _Coarse.of(plan)))
+    return sum(int(np.count_nonzero(some)) * strata**2 for ring in _rings(plan) for some, strata in _strata(ring))
 
 
-def _strata(plan: WavePlan, coarse: _Coarse) -> tuple[tuple[NDArray[np.bool_], int], ...]:
+def _strata(coarse: _Coarse) -> tuple[tuple[NDArray[np.bool_], int], ...]:
     """Blocks, shape (rows, columns), and how many rays along a side each of them gets."""
     block, margin, (rows, columns) = coarse.block, coarse.margin, coarse.shape
-    beside = min(margin, math.ceil(_DENSE * min(plan.kernel.reach_px) / block))
+    beside = min(margin, math.ceil(_DENSE * coarse.near / block))
     dense = np.zeros((rows, columns), dtype=bool)
     dense[margin - beside : rows - margin + beside, margin - beside : columns - margin + beside] = True
     # No more rays than pixels are needed to tell light that is spread so far.
@@ -125,11 +140,11 @@ def far_change(plan: WavePlan, around: Array) -> tuple[Array, Array]:
         [W m^-2 sr^-1]
     """
     sensor, share = plan.kernel.camera.sensor, plan.weights.share
-    coarse = _Coarse.of(plan)
+    coarse, wider = _rings(plan)
     mean = around
     for axis, size in enumerate((sensor.rows, sensor.columns)):
         mean = _interpolated(mean, (np.arange(size, dtype=np.float64) + 0.5) / coarse.block - 0.5, axis)
-    beyond = min(plan.waves.tail(coarse.far * plan.pitch), abs(share))
+    beyond = min(plan.waves.tail(wider.far * plan.pitch), abs(share))
     return share * mean, beyond * mean
 
 
@@ -148,12 +163,12 @@ def _interpolated(values: Array, places: Array, axis: int) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class _Coarse:
-    """The coarse image around the sensor.
+    """A coarse image around the sensor, of which each pixel sees a ring.
 
     Attributes
     ----------
-    far : float
-        How far a pixel looks [px].
+    near, far : float
+        How far from a pixel the ring begins and ends [px].
     block : float
         Side of a block [px].
     margin : int
@@ -162,35 +177,44 @@ class _Coarse:
         Rows and columns of blocks.
     """
 
+    near: float
     far: float
     block: float
     margin: int
     shape: tuple[int, int]
 
     @classmethod
-    def of(cls, plan: WavePlan) -> _Coarse:
-        """As wide as few blocks allow: what lies farther is an error."""
-        near = min(plan.kernel.reach_px)
-        block = max(near / BLOCKS, FEWEST_BLOCK)
-        while (found := cls._by(plan, _LEAST_FAR * near, block)).blocks > _MOST_BLOCKS:
-            block *= 2
-        inside = cls._by(plan, _DENSE * near, block).blocks
-        for times in range(1, _DOUBLINGS + 1):
-            wider = cls._by(plan, _LEAST_FAR * near * 2**times, block)
-            if wider.blocks > min(_MOST_BLOCKS, _STRATA * inside):
-                break
-            found = wider
-        return found
-
-    @classmethod
-    def _by(cls, plan: WavePlan, far: float, block: float) -> _Coarse:
-        sensor, margin = plan.kernel.camera.sensor, math.ceil(far / block) + 1
+    def of(cls, sensor: Sensor, near: float, far: float, block: float) -> _Coarse:
+        """As wide as the ring needs."""
+        margin = math.ceil(far / block) + 1
         rows, columns = (math.ceil(size / block) + 2 * margin for size in (sensor.rows, sensor.columns))
-        return cls(far, block, margin, (rows, columns))
+        return cls(near, far, block, margin, (rows, columns))
 
     @property
     def blocks(self) -> int:
         return self.shape[0] * self.shape[1]
+
+    def share(self, plan: WavePlan) -> float:
+        """Share of the light that waves send farther than the ring's beginning."""
+        share = plan.weights.share
+        if self.near == min(plan.kernel.reach_px):
+            return share
+        return math.copysign(min(plan.waves.tail(self.near * plan.pitch), abs(share)), share)
+
+
+def _rings(plan: WavePlan) -> tuple[_Coarse, _Coarse]:
+    """From the guard band on as wide as few blocks allow, and then by wide blocks; what lies farther is an error."""
+    sensor, near = plan.kernel.camera.sensor, min(plan.kernel.reach_px)
+    block = max(near / BLOCKS, FEWEST_BLOCK)
+    while (found := _Coarse.of(sensor, near, _LEAST_FAR * near, block)).blocks > _MOST_BLOCKS:
+        block *= 2
+    inside = _Coarse.of(sensor, near, _DENSE * near, block).blocks
+    for times in range(1, _DOUBLINGS + 1):
+        wider = _Coarse.of(sensor, near, _LEAST_FAR * near * 2**times, block)
+        if wider.blocks > min(_MOST_BLOCKS, _STRATA * inside):
+            break
+        found = wider
+    return found, _Coarse.of(sensor, found.far, _WIDER * found.far, found.far / BLOCKS)
 
 
 def _tail_kernel(aperture: Aperture, rim_at: float, near: float, far: float) -> Array:

@@ -49,7 +49,7 @@ _MOST_ON_SENSOR: Final = 1 << 19
 # The weights are made on a grid so many times as wide as they are taken from, of so many cells at most.
 _AROUND: Final = 8
 _AROUND_GLASS: Final = 4  # there are many weights then; what comes in is 5e-6 of the highest
-_MOST_AROUND: Final = 1 << 21
+_MOST_AROUND: Final = 1 << 23
 _LEAST_GAIN: Final = 0.05  # of noise; rays are so few then that fewer would save nothing
 _STEP: Final = 0.02  # of the diameter, to either side: a slope by both is off by its square
 
