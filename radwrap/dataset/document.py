@@ -15,7 +15,17 @@ from typing import Any, Final
 
 from radwrap.dataset.bop import check_camera
 from radwrap.dataset.draws import Distribution, RandomRotation, read_distribution, read_interval, read_rotation
-from radwrap.dataset.tables import BOP, DISTRIBUTIONS, MOST_COPIES, YOLO, DatasetModel, PartsModel, VaryModel
+from radwrap.dataset.tables import (
+    BOP,
+    COCO,
+    DISTRIBUTIONS,
+    MOST_COPIES,
+    YOLO,
+    DatasetModel,
+    PartsModel,
+    SegmentationName,
+    VaryModel,
+)
 from radwrap.errors import InputError
 from radwrap.imaging.in_time.making import refuse_for_time
 from radwrap.imaging.render_options import RenderOptions
@@ -97,6 +107,8 @@ class Dataset:
         How many images, what decides all draws, and how many images a shard holds.
     formats : tuple of str
         Of "coco", "bop" and "yolo".
+    segmentation : str
+        How COCO's file holds masks: "rle" or "polygons".
     tolerance : float or str
         As in `RenderOptions`.
     noise : bool
@@ -116,6 +128,7 @@ class Dataset:
     seed: int
     shard: int
     formats: tuple[str, ...]
+    segmentation: SegmentationName
     tolerance: float | str
     noise: bool
     vary: tuple[Vary, ...]
@@ -151,6 +164,8 @@ def read_dataset(path: Path) -> Dataset:
         raise InputError("the scene has no mesh part", where=f"{origin}: scene", remedy='give a target with "part"')
     if len(set(told.formats)) < len(told.formats):
         raise InputError("names a format twice", where=f"{origin}: formats")
+    if told.segmentation != "rle" and COCO not in told.formats:
+        raise InputError(f'is of the format "{COCO}"', where=f"{origin}: segmentation", remedy="name it in formats")
     _check_tolerance(told.tolerance, f"{origin}: tolerance")
     vary = tuple(_vary(table, f"{origin}: vary[{number}]") for number, table in enumerate(told.vary))
     parts = tuple(_parts(table, f"{origin}: parts[{number}]") for number, table in enumerate(told.parts))
@@ -164,6 +179,7 @@ def read_dataset(path: Path) -> Dataset:
         seed=told.seed,
         shard=told.shard,
         formats=tuple(told.formats),
+        segmentation=told.segmentation,
         tolerance=told.tolerance,
         noise=told.noise,
         vary=vary,

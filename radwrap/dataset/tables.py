@@ -17,6 +17,7 @@ COCO: Final = "coco"
 BOP: Final = "bop"
 YOLO: Final = "yolo"
 FormatName = Literal["coco", "bop", "yolo"]
+SegmentationName = Literal["rle", "polygons"]
 DISTRIBUTIONS: Final = ("uniform", "normal", "log_uniform", "choice", "rotation")
 
 
@@ -59,6 +60,7 @@ class DatasetModel(Model):
     images: Annotated[int, Field(strict=True, ge=1, le=MOST_IMAGES)]
     seed: Annotated[int, Field(strict=True, ge=0, le=_LARGEST_SEED)] = 0
     formats: Annotated[tuple[FormatName, ...], Field(min_length=1)] = ("coco",)
+    segmentation: SegmentationName = "rle"
     tolerance: Any = 1
     noise: Flag = False
     shard: Annotated[int, Field(strict=True, ge=1, le=MOST_IMAGES)] = 1000
