@@ -280,7 +280,8 @@ def _write_roots(dataset: Dataset, out: Path) -> None:
     """What the formats have of all shards."""
     if BOP in dataset.formats:
         base = scene_from_document(dataset.document, origin=dataset.scene_origin, folder=dataset.folder)
-        write_models(out, (target for target in base.targets if isinstance(target, MeshPart)))
+        parts = (target for target in base.targets if isinstance(target, MeshPart))
+        write_models(out, parts, dataset.symmetries)
     if YOLO in dataset.formats:
         shards = range(-(-dataset.images // dataset.shard))
         folders = [f"{TRAIN}/{number:06d}/{dataset.gray_folder}" for number in shards]
