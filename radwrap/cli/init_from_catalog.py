@@ -36,6 +36,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help='a light, LED or lamp of the catalog, such as generic_ring_90mm_24led="50 mW/sr"; without a level that of '
         "its file is assumed; may be repeated",
     )
+    parser.add_argument("--filter", metavar="NAME", help="a filter of the catalog, before the lens; not needed")
     parser.add_argument("--part", metavar="FILE", help="mesh of the part, which the camera looks at along -z")
     parser.add_argument("--length-unit", metavar="UNIT", help='what a length of 1 in the mesh is, such as "mm"')
 
@@ -52,6 +53,8 @@ def is_asked(arguments: argparse.Namespace) -> bool:
     if not given:
         if arguments.length_unit is not None:
             raise InputError("goes with --part", where="--length-unit")
+        if arguments.filter is not None:
+            raise InputError("goes with --camera", where="--filter")
         return False
     for other in ("template", "example"):
         if getattr(arguments, other) is not None:
@@ -86,6 +89,8 @@ def write_scene(arguments: argparse.Namespace, folder: Path) -> tuple[Path, list
     part = _part(source, arguments.length_unit)
     content = read_bytes(source, _PART, f"--part {source}")
     document = first_scene(part, sensor, lens, lights, _FIRST_EXPOSURE)
+    if arguments.filter is not None:
+        document["camera"]["filter"] = {"preset": _filter(arguments.filter, lights)}
     is_new = not folder.exists()
     make_folder(folder)
     for name in (part.file, SCENE):
@@ -116,6 +121,19 @@ def _light(text: str) -> ChosenLight:
     if equals and not level:
         raise InputError("has no level after =", where=where, remedy="give one, or leave = out")
     return ChosenLight(component, level or None)
+
+
+def _filter(name: str, lights: list[ChosenLight]) -> str:
+    """The name of a filter, where light is known over wavelength."""
+    find("filters", name, None, "--filter")
+    for light in lights:
+        if "spectrum" not in light.component.values:
+            raise InputError(
+                f"lets through what hangs on wavelength, and {light.component.name} has no spectrum",
+                where=f"--filter {name}",
+                remedy="take LEDs, see `radwrap catalog list leds`",
+            )
+    return name
 
 
 def _part(path: Path, unit: str | None) -> Part:

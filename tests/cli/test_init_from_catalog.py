@@ -125,3 +125,50 @@ def test_what_is_wrong_leaves_no_folder(
     assert main(["init", str(tmp_path / "new"), *map(str, words)]) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "new").exists()
+
+
+def words_of_a_filter(out: Path, light: str, *glass: str) -> list[str]:
+    words = [
+        "init",
+        str(out),
+        "--camera",
+        "sony_imx287.allied_alvium_1800_c",
+        "--lens",
+        "generic_25mm",
+        "--light",
+        light,
+    ]
+    return [*words, "--part", str(WASHER), "--length-unit", "mm", *glass]
+
+
+@pytest.mark.long
+def test_the_exposure_makes_up_for_what_a_filter_stops(tmp_path: Path) -> None:
+    times, counts = [], []
+    for glass in ((), ("--filter", "midopt_bp635")):
+        out = tmp_path / f"red{len(glass)}"
+        assert main(words_of_a_filter(out, "osram_latb_t686_617nm", *glass)) == 0
+        scene = load_scene(out / "scene.toml")
+        assert scene.spectral is not None
+        times.append(scene.camera.exposure_time)
+        counts.append(scene.spectral.counts[0])
+    assert 1.1 < counts[0] / counts[1] < 1.6
+    assert times[1] / times[0] == pytest.approx(counts[0] / counts[1], rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("generic_ring_90mm_24led", "--filter", "midopt_bp635"), "generic_ring_90mm_24led has no spectrum; take LEDs"),
+        (("osram_latb_t686_617nm", "--filter", "midopt_bp636"), 'no filter "midopt_bp636"; did you mean'),
+    ],
+)
+def test_a_filter_that_cannot_be_is_refused(
+    words: tuple[str, ...], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words_of_a_filter(tmp_path / "new", *words)) == 2
+    assert message in capsys.readouterr().err and not (tmp_path / "new").exists()
+
+
+def test_a_filter_goes_with_a_camera(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["init", str(tmp_path / "new"), "--filter", "midopt_bp635"]) == 2
+    assert "--filter: goes with --camera" in capsys.readouterr().err
