@@ -67,6 +67,11 @@ def is_asked(arguments: argparse.Namespace) -> bool:
     return True
 
 
+def has_mosaic(arguments: argparse.Namespace) -> bool:
+    """Whether the camera's pixels have several colours."""
+    return "mosaic" in find("sensors", arguments.camera, None, "--camera").values
+
+
 def write_scene(arguments: argparse.Namespace, folder: Path) -> tuple[Path, list[str]]:
     """Write the scene and the part into a folder.
 
@@ -156,15 +161,12 @@ def _part(path: Path, unit: str | None) -> Part:
 
 
 def _exposure(document: Mapping[str, Any], folder: Path, sensor: Component, lens: Component) -> float:
-    """Exposure time that brings the 99.9 % quantile of a coarse picture to 80 % of the range [s]."""
-    import numpy as np
+    """Exposure time that brings the 99.9 % quantile of a coarse picture to 80 % of the range [s].
 
-    from radwrap.imaging.forecast.in_sight import exposure_for_advice
-    from radwrap.imaging.optics.falloff import whole_falloff
-    from radwrap.imaging.response.exposure import exposure_of_radiance
-    from radwrap.imaging.synthesis import render
-    from radwrap.scene.file.load import scene_from_document
+    Behind a mosaic that of the colour that gets most light, each as if all pixels had its filter.
+    """
     from radwrap.scene.file.optics_tables import GLASS
+    from radwrap.scene.mosaic import COLOURS
 
     pixels = sensor.values["rows"] * sensor.values["columns"]
     block = max(1, round(math.sqrt(pixels / _COARSE_PIXELS)))
@@ -172,16 +174,31 @@ def _exposure(document: Mapping[str, Any], folder: Path, sensor: Component, lens
     changes: dict[str, Any] = {} if any(key in lens.values for key in GLASS) else {"camera.diffraction": "off"}
     if block > 1:
         changes["camera.sensor.scale"] = f"1/{block}"
+    planes = [{"camera.sensor.mosaic": colour} for colour in COLOURS] if "mosaic" in sensor.values else [{}]
+    advised = [_exposure_of_one(document, changes | plane, folder) for plane in planes]
+    found = [time for time in advised if time is not None]
+    if not found:
+        raise InputError("no light reaches what the camera sees", where="--light", remedy="choose another light")
+    return min(found)
+
+
+def _exposure_of_one(document: Mapping[str, Any], changes: Mapping[str, Any], folder: Path) -> float | None:
+    """As `_exposure`, of a camera whose pixels are all alike; None where nothing is seen."""
+    import numpy as np
+
+    from radwrap.imaging.forecast.in_sight import exposure_for_advice
+    from radwrap.imaging.optics.falloff import whole_falloff
+    from radwrap.imaging.response.exposure import exposure_of_radiance
+    from radwrap.imaging.synthesis import render
+    from radwrap.scene.file.load import scene_from_document
+
     scene = scene_from_document(document, changes, origin=SCENE, folder=folder)
     exposure = render(scene, method="pinhole", pixel_samples=_SAMPLES, bounces=0).radiant_exposure.values
     brightest = float(np.percentile(exposure, _QUANTILE)) / exposure_of_radiance(scene.camera)
     # From a wide opening's rim light comes slanted: less than through its middle.
     on_axis = np.array([[0.0, 0.0, scene.camera.image_distance]])
     brightest *= float(whole_falloff(scene.camera, on_axis)[0])
-    advised = exposure_for_advice(scene.camera, brightest)
-    if advised is None:
-        raise InputError("no light reaches what the camera sees", where="--light", remedy="choose another light")
-    return advised
+    return exposure_for_advice(scene.camera, brightest)
 
 
 def _assumed(lights: list[ChosenLight], document: Mapping[str, Any]) -> list[str]:
