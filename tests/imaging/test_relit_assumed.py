@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 import radwrap
 from radwrap.cli.main import main
+from radwrap.errors import InputError
 from radwrap.imaging.response.sensor import gray_levels
-from radwrap.scene.file.load import scene_from_document
+from radwrap.scene.file.load import scene_from_document, with_changes
 
 RING = {"type": "ring", "preset": "generic_ring_60mm_16led", "look_at": ["0 mm", "0 mm", "0 mm"]}
-SCENE = {
+SCENE: dict[str, Any] = {
     "camera": {
         "position": ["0 mm", "0 mm", "400 mm"],
         "look_at": ["0 mm", "0 mm", "0 mm"],
@@ -75,3 +78,19 @@ def test_what_is_not_known_any_more_is_not_told(tmp_path: Path, monkeypatch: pyt
     assert main(["relight", str(lit), "--out", str(out)]) == 0
     (image,) = json.loads((out / "relight.json").read_text())["images"].values()
     assert "assumed_effects" not in image
+
+
+@pytest.mark.long  # without spectra the same is seen in test_turned_basis
+def test_what_comes_after_the_electrons_may_change_under_spectra(tmp_path: Path) -> None:
+    """As a fresh scene has it: none of these keys weighs light of another wavelength otherwise."""
+    sources = [one | {"spectrum": {"line": "630 nm", "width": "20 nm"}} for one in SCENE["sources"][:1]]
+    scene = scene_from_document(SCENE | {"sources": sources})
+    radwrap.render(scene, tmp_path / "lit", tolerance=40, basis=True)
+    changes = {"camera.sensor.offset": 100, "camera.sensor.system_gain": "0.002 DN/e"}
+    exposure = radwrap.relight(tmp_path / "lit").radiant_exposure.values
+    other = with_changes(scene, changes).camera.sensor
+    made = radwrap.relight(tmp_path / "lit", {}, changes)
+    assert made.gray.values == pytest.approx(np.rint(gray_levels(exposure, other)), abs=1e-9)
+    assert np.ptp(made.gray.values) > 10
+    with pytest.raises(InputError, match="may weigh the scene's spectra"):
+        radwrap.relight(tmp_path / "lit", {}, {"camera.sensor.wavelength": "620 nm"})
