@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from radwrap.cli import catalog_import
+from radwrap.cli import catalog_effects, catalog_import
 from radwrap.cli import options as shared
 from radwrap.errors import InputError
 from radwrap.files import make_folder, write_bytes
@@ -51,6 +51,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     one.add_argument("--replace", action="store_true", help="replace one of the same revision")
     _finish(one, run_add)
     catalog_import.add_to(kinds)
+    catalog_effects.add_to(kinds)
 
 
 def _finish(parser: argparse.ArgumentParser, run: Any) -> None:

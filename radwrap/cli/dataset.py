@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from radwrap.cli import options as shared
+from radwrap.cli.study_run import add_workers, worker_options
 from radwrap.errors import ToleranceNotMet
 from radwrap.manifest import json_text
 
@@ -26,9 +27,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         "dataset", metavar="DATASET.toml", type=Path, help="scene, number of images, distributions; see docs/dataset.md"
     )
     made.add_argument("--out", metavar="DIR", help="folder for the shards")
-    made.add_argument(
-        "--workers", metavar="N", type=shared.whole(), help="processes, each with one image (default: all cores)"
-    )
+    add_workers(made)
     made.add_argument("--force", action="store_true", help="remove another dataset from the folder first")
     shared.add_tracer(made)
     shared.add_json(made)
@@ -45,7 +44,10 @@ def run(arguments: argparse.Namespace) -> int:
     dataset = read_dataset(arguments.dataset)
     check_results(out, (DATASET,))
     options = RunOptions(
-        workers=arguments.workers, force=arguments.force, progress=True, **shared.tracer_options(arguments)
+        **worker_options(arguments),
+        force=arguments.force,
+        progress=True,
+        **shared.tracer_options(arguments),
     )
     told = run_dataset(dataset, out, options)
     if arguments.json:

@@ -36,6 +36,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help='a light, LED or lamp of the catalog, such as generic_ring_90mm_24led="50 mW/sr"; without a level that of '
         "its file is assumed; may be repeated",
     )
+    parser.add_argument("--filter", metavar="NAME", help="a filter of the catalog, before the lens; not needed")
     parser.add_argument("--part", metavar="FILE", help="mesh of the part, which the camera looks at along -z")
     parser.add_argument("--length-unit", metavar="UNIT", help='what a length of 1 in the mesh is, such as "mm"')
 
@@ -52,6 +53,8 @@ def is_asked(arguments: argparse.Namespace) -> bool:
     if not given:
         if arguments.length_unit is not None:
             raise InputError("goes with --part", where="--length-unit")
+        if arguments.filter is not None:
+            raise InputError("goes with --camera", where="--filter")
         return False
     for other in ("template", "example"):
         if getattr(arguments, other) is not None:
@@ -62,6 +65,11 @@ def is_asked(arguments: argparse.Namespace) -> bool:
                 "is missing", where=f"--{name}", remedy=f"{', '.join(f'--{n}' for n in OPTIONS)} go together"
             )
     return True
+
+
+def has_mosaic(arguments: argparse.Namespace) -> bool:
+    """Whether the camera's pixels have several colours."""
+    return "mosaic" in find("sensors", arguments.camera, None, "--camera").values
 
 
 def write_scene(arguments: argparse.Namespace, folder: Path) -> tuple[Path, list[str]]:
@@ -86,6 +94,8 @@ def write_scene(arguments: argparse.Namespace, folder: Path) -> tuple[Path, list
     part = _part(source, arguments.length_unit)
     content = read_bytes(source, _PART, f"--part {source}")
     document = first_scene(part, sensor, lens, lights, _FIRST_EXPOSURE)
+    if arguments.filter is not None:
+        document["camera"]["filter"] = {"preset": _filter(arguments.filter, lights)}
     is_new = not folder.exists()
     make_folder(folder)
     for name in (part.file, SCENE):
@@ -118,6 +128,19 @@ def _light(text: str) -> ChosenLight:
     return ChosenLight(component, level or None)
 
 
+def _filter(name: str, lights: list[ChosenLight]) -> str:
+    """The name of a filter, where light is known over wavelength."""
+    find("filters", name, None, "--filter")
+    for light in lights:
+        if "spectrum" not in light.component.values:
+            raise InputError(
+                f"lets through what hangs on wavelength, and {light.component.name} has no spectrum",
+                where=f"--filter {name}",
+                remedy="take LEDs, see `radwrap catalog list leds`",
+            )
+    return name
+
+
 def _part(path: Path, unit: str | None) -> Part:
     """The part's box; a unit is told as "mm" or as a length, "25.4 mm"."""
     from radwrap.scene.mesh_files.parts import joined, read_part_file
@@ -138,15 +161,12 @@ def _part(path: Path, unit: str | None) -> Part:
 
 
 def _exposure(document: Mapping[str, Any], folder: Path, sensor: Component, lens: Component) -> float:
-    """Exposure time that brings the 99.9 % quantile of a coarse picture to 80 % of the range [s]."""
-    import numpy as np
+    """Exposure time that brings the 99.9 % quantile of a coarse picture to 80 % of the range [s].
 
-    from radwrap.imaging.forecast.in_sight import exposure_for_advice
-    from radwrap.imaging.optics.falloff import whole_falloff
-    from radwrap.imaging.response.exposure import exposure_of_radiance
-    from radwrap.imaging.synthesis import render
-    from radwrap.scene.file.load import scene_from_document
+    Behind a mosaic that of the colour that gets most light, each as if all pixels had its filter.
+    """
     from radwrap.scene.file.optics_tables import GLASS
+    from radwrap.scene.mosaic import COLOURS
 
     pixels = sensor.values["rows"] * sensor.values["columns"]
     block = max(1, round(math.sqrt(pixels / _COARSE_PIXELS)))
@@ -154,16 +174,31 @@ def _exposure(document: Mapping[str, Any], folder: Path, sensor: Component, lens
     changes: dict[str, Any] = {} if any(key in lens.values for key in GLASS) else {"camera.diffraction": "off"}
     if block > 1:
         changes["camera.sensor.scale"] = f"1/{block}"
+    planes = [{"camera.sensor.mosaic": colour} for colour in COLOURS] if "mosaic" in sensor.values else [{}]
+    advised = [_exposure_of_one(document, changes | plane, folder) for plane in planes]
+    found = [time for time in advised if time is not None]
+    if not found:
+        raise InputError("no light reaches what the camera sees", where="--light", remedy="choose another light")
+    return min(found)
+
+
+def _exposure_of_one(document: Mapping[str, Any], changes: Mapping[str, Any], folder: Path) -> float | None:
+    """As `_exposure`, of a camera whose pixels are all alike; None where nothing is seen."""
+    import numpy as np
+
+    from radwrap.imaging.forecast.in_sight import exposure_for_advice
+    from radwrap.imaging.optics.falloff import whole_falloff
+    from radwrap.imaging.response.exposure import exposure_of_radiance
+    from radwrap.imaging.synthesis import render
+    from radwrap.scene.file.load import scene_from_document
+
     scene = scene_from_document(document, changes, origin=SCENE, folder=folder)
     exposure = render(scene, method="pinhole", pixel_samples=_SAMPLES, bounces=0).radiant_exposure.values
     brightest = float(np.percentile(exposure, _QUANTILE)) / exposure_of_radiance(scene.camera)
     # From a wide opening's rim light comes slanted: less than through its middle.
     on_axis = np.array([[0.0, 0.0, scene.camera.image_distance]])
     brightest *= float(whole_falloff(scene.camera, on_axis)[0])
-    advised = exposure_for_advice(scene.camera, brightest)
-    if advised is None:
-        raise InputError("no light reaches what the camera sees", where="--light", remedy="choose another light")
-    return advised
+    return exposure_for_advice(scene.camera, brightest)
 
 
 def _assumed(lights: list[ChosenLight], document: Mapping[str, Any]) -> list[str]:

@@ -14,11 +14,12 @@ from radwrap.cli import options as shared
 from radwrap.errors import InputError, ToleranceNotMet
 from radwrap.files import check_result, make_folder, sha256_of, sole_owner
 from radwrap.images import PREVIEW_BITS, preview_codes, write_exr, write_png
+from radwrap.imaging.output.assumed_values import Assumptions
 from radwrap.imaging.output.run_manifest import RunManifest
 from radwrap.imaging.raw_relighting import RawBasis
 from radwrap.imaging.relight.levels import Levels, levels_of, read_levels
 from radwrap.imaging.relight.relit import Basis
-from radwrap.imaging.relighting import Shown, basis_of, images_of, run_in
+from radwrap.imaging.relighting import Shown, assumptions_of, basis_of, effects_of_levels, images_of, run_in
 from radwrap.imaging.timed_basis import MovingBasis
 from radwrap.manifest import SCHEMA_VERSION, json_text, plain, write_manifest
 
@@ -89,7 +90,9 @@ def run(arguments: argparse.Namespace) -> int:
     make_folder(out)
     with sole_owner(out):
         run = _run_of(Path(arguments.basis), basis)
-        result = _write(out, basis, levels, changes, run, with_exposure=arguments.exposure)
+        place = None if arguments.scene_folder is None else Path(arguments.scene_folder)
+        assumed = assumptions_of(folder, basis, changes, place)
+        result = _write(out, basis, levels, changes, run, assumed=assumed, with_exposure=arguments.exposure)
     failed = [name for name, image in result["images"].items() if not image["met"]]
     if arguments.json:
         print(json_text(result), end="")
@@ -118,6 +121,7 @@ def _write(
     changes: Mapping[str, Any],
     run: RunManifest | None,
     *,
+    assumed: Assumptions | None,
     with_exposure: bool,
 ) -> dict[str, Any]:
     """Write all images, and what is told of them last."""
@@ -144,6 +148,7 @@ def _write(
             **_summary(shown),
             "uncertainty": plain(shown.uncertainty.summary(), named=False),
             "met": shown.met,
+            **_assumed(basis, assumed, factors, shown),
             "files": {file: sha256_of(out / file) for file in files},
         }
     result = {
@@ -158,6 +163,16 @@ def _write(
     }
     write_manifest(out / RESULT, result)
     return result
+
+
+def _assumed(
+    basis: Basis | RawBasis | MovingBasis, told: Assumptions | None, factors: Any, shown: Shown
+) -> dict[str, Any]:
+    """What an image hangs on, as the manifest of a render has it."""
+    if told is None or not isinstance(basis, Basis):
+        return {}
+    effects = effects_of_levels(basis, told, factors, shown)
+    return {"assumed_effects": [plain(one, named=False) for one in effects]} if effects else {}
 
 
 def _summary(shown: Shown) -> dict[str, Any]:

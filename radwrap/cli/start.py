@@ -50,7 +50,7 @@ def run_init(arguments: argparse.Namespace) -> int:
         path, assumed = init_from_catalog.write_scene(arguments, folder)
         for line in assumed:
             print(f"assumed: {line}")
-        _tell_next(path, folder, look=True)
+        _tell_next(path, folder, look=True, plane=init_from_catalog.has_mosaic(arguments))
         return 0
     if arguments.example is not None:
         return _write_example(arguments, folder)
@@ -84,10 +84,11 @@ def _write_example(arguments: argparse.Namespace, folder: Path) -> int:
     return 0
 
 
-def _tell_next(path: Path, folder: Path, *, look: bool) -> None:
+def _tell_next(path: Path, folder: Path, *, look: bool, plane: bool = False) -> None:
     print(f"{path}\nrender it: radwrap render {path} --out {folder / 'out'}")
     if look:
-        print(f"a first look: radwrap render {path} --scale 1/4 --out {folder / 'look'}")
+        one = " --set camera.sensor.mosaic=green" if plane else ""  # pixels of several colours are not added up
+        print(f"a first look: radwrap render {path}{one} --scale 1/4 --out {folder / 'look'}")
 
 
 def _files_of(template: str) -> dict[str, bytes]:

@@ -48,7 +48,7 @@ def add_workers(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--worker-timeout",
         metavar="TIME",
-        help='how long the cluster may have no worker before the study ends (default "60 s")',
+        help='how long the cluster may have no worker before the command ends (default "60 s")',
     )
 
 

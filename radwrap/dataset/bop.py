@@ -6,13 +6,14 @@ Frames are OpenCV's: x right, y down, z forward; ``cam_R_m2c`` and
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from radwrap.dataset.symmetries import Symmetry, told_symmetries
 from radwrap.errors import InputError
 from radwrap.files import make_folder, write_bytes
 from radwrap.manifest import json_text
@@ -61,14 +62,15 @@ def _seen(one: Mapping[str, Any]) -> dict[str, Any]:
     return told
 
 
-def write_models(folder: Path, parts: Iterable[MeshPart]) -> None:
-    """Write the mesh of each category as PLY [mm], and their sizes; the first has the number 1."""
+def write_models(folder: Path, parts: Iterable[MeshPart], symmetries: Sequence[Symmetry] = ()) -> None:
+    """Write the mesh of each category as PLY [mm], and their sizes and symmetries; the first has the number 1."""
     make_folder(folder / MODELS)
     sizes: dict[str, Any] = {}
     for number, part in enumerate(parts, 1):
         vertices = part.mesh.vertices * _MM
         write_bytes(folder / MODELS / f"obj_{number:06d}.ply", ply_text(vertices, part.mesh.faces).encode())
-        sizes[str(number)] = model_size(vertices)
+        mine = [one for one in symmetries if one.target == part.name]
+        sizes[str(number)] = model_size(vertices) | told_symmetries(mine)
     write_bytes(folder / MODELS / "models_info.json", json_text(sizes).encode())
 
 

@@ -6,13 +6,17 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 from radwrap.dataset.first_hits import ImageTruth
+from radwrap.dataset.outlines import polygons
 from radwrap.dataset.run_lengths import segmentation
+from radwrap.dataset.tables import SegmentationName
 
 COCO_FILE: Final = "coco.json"
 _OBJECTS: Final = 10_000  # of one image at most, so that numbers of annotations hang on the image alone
 
 
-def annotations_of(truth: ImageTruth, categories: Mapping[str, int], image: int) -> list[dict[str, Any]]:
+def annotations_of(
+    truth: ImageTruth, categories: Mapping[str, int], image: int, kind: SegmentationName = "rle"
+) -> list[dict[str, Any]]:
     """Annotations of what is seen in an image.
 
     Parameters
@@ -23,6 +27,8 @@ def annotations_of(truth: ImageTruth, categories: Mapping[str, int], image: int)
         Name of each object -> number of its category, from 1.
     image : int
         Its number.
+    kind : str
+        How masks are held: "rle", run lengths, or "polygons".
 
     Returns
     -------
@@ -42,7 +48,7 @@ def annotations_of(truth: ImageTruth, categories: Mapping[str, int], image: int)
                 "bbox": one.visible_box.values,
                 "area": one.visible_pixels,
                 "iscrowd": 0,
-                "segmentation": segmentation(one.visible),
+                "segmentation": polygons(one.visible) if kind == "polygons" else segmentation(one.visible),
                 "bbox_whole": one.whole_box.values,
                 "visible_share": one.visible_share,
                 "name": one.part.name,

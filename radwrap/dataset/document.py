@@ -6,6 +6,7 @@ Errors name the file and the key, such as ``dataset.toml: vary[1].uniform``.
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Mapping
 from copy import deepcopy
@@ -15,7 +16,18 @@ from typing import Any, Final
 
 from radwrap.dataset.bop import check_camera
 from radwrap.dataset.draws import Distribution, RandomRotation, read_distribution, read_interval, read_rotation
-from radwrap.dataset.tables import BOP, DISTRIBUTIONS, MOST_COPIES, YOLO, DatasetModel, PartsModel, VaryModel
+from radwrap.dataset.symmetries import Symmetry, check_symmetry, told_symmetries
+from radwrap.dataset.tables import (
+    BOP,
+    COCO,
+    DISTRIBUTIONS,
+    MOST_COPIES,
+    YOLO,
+    DatasetModel,
+    PartsModel,
+    SegmentationName,
+    VaryModel,
+)
 from radwrap.errors import InputError
 from radwrap.imaging.in_time.making import refuse_for_time
 from radwrap.imaging.render_options import RenderOptions
@@ -97,6 +109,8 @@ class Dataset:
         How many images, what decides all draws, and how many images a shard holds.
     formats : tuple of str
         Of "coco", "bop" and "yolo".
+    segmentation : str
+        How COCO's file holds masks: "rle" or "polygons".
     tolerance : float or str
         As in `RenderOptions`.
     noise : bool
@@ -105,6 +119,8 @@ class Dataset:
     parts : tuple of Parts
     categories : tuple of str
         Names of the scene's mesh parts in their order; the first has the number 1.
+    symmetries : tuple of Symmetry
+        Turns after which parts look the same; for BOP.
     """
 
     title: str
@@ -116,11 +132,13 @@ class Dataset:
     seed: int
     shard: int
     formats: tuple[str, ...]
+    segmentation: SegmentationName
     tolerance: float | str
     noise: bool
     vary: tuple[Vary, ...]
     parts: tuple[Parts, ...]
     categories: tuple[str, ...]
+    symmetries: tuple[Symmetry, ...] = ()
 
     @property
     def gray_folder(self) -> str:
@@ -151,6 +169,8 @@ def read_dataset(path: Path) -> Dataset:
         raise InputError("the scene has no mesh part", where=f"{origin}: scene", remedy='give a target with "part"')
     if len(set(told.formats)) < len(told.formats):
         raise InputError("names a format twice", where=f"{origin}: formats")
+    if told.segmentation != "rle" and COCO not in told.formats:
+        raise InputError(f'is of the format "{COCO}"', where=f"{origin}: segmentation", remedy="name it in formats")
     _check_tolerance(told.tolerance, f"{origin}: tolerance")
     vary = tuple(_vary(table, f"{origin}: vary[{number}]") for number, table in enumerate(told.vary))
     parts = tuple(_parts(table, f"{origin}: parts[{number}]") for number, table in enumerate(told.parts))
@@ -164,11 +184,13 @@ def read_dataset(path: Path) -> Dataset:
         seed=told.seed,
         shard=told.shard,
         formats=tuple(told.formats),
+        segmentation=told.segmentation,
         tolerance=told.tolerance,
         noise=told.noise,
         vary=vary,
         parts=parts,
         categories=categories,
+        symmetries=_symmetries(told, scene, origin),
     )
     if BOP in dataset.formats:
         check_camera(scene.camera, f"{origin}: formats")
@@ -177,6 +199,32 @@ def read_dataset(path: Path) -> Dataset:
     _check_parts(dataset)
     _check_vary(dataset)
     return dataset
+
+
+def _symmetries(told: DatasetModel, scene: Scene, origin: str) -> tuple[Symmetry, ...]:
+    meshes = {target.name: target.mesh for target in scene.targets if isinstance(target, MeshPart)}
+    found = []
+    for number, table in enumerate(told.symmetries):
+        where = f"{origin}: symmetries[{number}]"
+        if BOP not in told.formats:
+            raise InputError(f'is of the format "{BOP}"', where=where, remedy="name it in formats")
+        if table.target not in meshes:
+            raise InputError(
+                f'the scene has no mesh part "{table.target}"',
+                where=f"{where}.target",
+                remedy=f"it has {', '.join(meshes)}",
+            )
+        length = math.hypot(*table.axis)
+        if not 0 < length < math.inf:
+            raise InputError("needs a length above zero", where=f"{where}.axis")
+        x, y, z = (part / length for part in table.axis)
+        fold = None if table.fold == "continuous" else table.fold
+        one = Symmetry(table.target, (x, y, z), table.through, fold, where)
+        check_symmetry(one, meshes[table.target])
+        found.append(one)
+    for name in meshes:
+        told_symmetries([one for one in found if one.target == name])
+    return tuple(found)
 
 
 def _named(document: dict[str, Any], targets: tuple[Any, ...]) -> dict[str, Any]:

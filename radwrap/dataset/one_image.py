@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -17,10 +17,10 @@ from radwrap.dataset.collisions import Standing, body_of
 from radwrap.dataset.document import Dataset
 from radwrap.dataset.drawn import DrawnImage, drawn_image
 from radwrap.dataset.edges import edge_image
-from radwrap.dataset.first_hits import FirstHits, ObjectTruth
+from radwrap.dataset.first_hits import FirstHits, ImageTruth, ObjectTruth
 from radwrap.dataset.tables import BOP
 from radwrap.errors import EnvironmentFailure, InputError
-from radwrap.files import make_folder, sha256_of
+from radwrap.files import disk_failure, move_files, sha256_of
 from radwrap.frames import points_to_local
 from radwrap.images import write_png
 from radwrap.imaging.render_options import RenderOptions
@@ -80,7 +80,12 @@ class Place:
     @property
     def record(self) -> Path:
         """The image's record."""
-        return self.shard / self.file(RECORDS, ".json")
+        return self.shard / self.record_name
+
+    @property
+    def record_name(self) -> str:
+        """Its name below the shard's folder."""
+        return self.file(RECORDS, ".json")
 
 
 def make_image(job: ImageJob) -> int:
@@ -132,27 +137,24 @@ def _make(job: ImageJob) -> None:
         check_camera(scene.camera, f"{dataset.origin}: formats")
     hits = FirstHits(held(scene))
     truth = hits.truth(drawn.categories)
-    # Below the dataset's folder, where whoever goes on after a kill removes it.
-    with tempfile.TemporaryDirectory(dir=out / WORK) as folder:
-        result = render(scene, folder, job.options, seed=drawn.seed)
     place = Place.of(out, dataset, job.number)
-    numbers = {name: dataset.categories.index(category) + 1 for name, category in drawn.categories.items()}
-    gray, scale = place.file(dataset.gray_folder, ".png"), depth_scale(truth.depth)
-    image = result.frames(1)[0] if dataset.noise else result.gray
-    files = {gray: image.codes, place.file("depth", ".png"): depth_codes(truth.depth, scale)}
-    files[place.file("edges", ".png")] = edge_image(hits, truth)
-    for number, one in enumerate(truth.objects):
-        files[place.file("mask", ".png", number)] = one.whole * _MASK
-        files[place.file("mask_visib", ".png", number)] = one.visible * _MASK
-    _write(place.shard, files)
-    sensor = scene.camera.sensor
-    write_manifest(
-        place.record,
-        {
+    # Below the dataset's folder, where whoever goes on after a kill removes it. From there files are moved: two workers
+    # of a cluster who are at one image move the same bytes, and one whose folder is gone moves nothing.
+    with tempfile.TemporaryDirectory(dir=out / WORK) as folder:
+        result = render(scene, Path(folder) / "run", job.options, seed=drawn.seed)
+        image = result.frames(1)[0] if dataset.noise else result.gray
+        scale = depth_scale(truth.depth)
+        pictures = _pictures(place, dataset.gray_folder, image.codes, depth_codes(truth.depth, scale), truth)
+        pictures[place.file("edges", ".png")] = edge_image(hits, truth)
+        made = Path(folder) / "made"
+        _write(made, pictures)
+        numbers = {name: dataset.categories.index(category) + 1 for name, category in drawn.categories.items()}
+        sensor = scene.camera.sensor
+        record = {
             "schema_version": SCHEMA_VERSION,
             "image": job.number,
             "seed": drawn.seed,
-            "gray": gray,
+            "gray": place.file(dataset.gray_folder, ".png"),
             "width": sensor.columns,
             "height": sensor.rows,
             "values": drawn.values,
@@ -164,17 +166,40 @@ def _make(job: ImageJob) -> None:
             "camera": _camera(scene.camera, scale),
             "objects": [_object(scene, one, drawn.categories, numbers) for one in truth.objects],
             "by_box": list(boxes),
-            "coco": annotations_of(truth, numbers, job.number),
-            "files": {name: sha256_of(place.shard / name) for name in files},
-        },
-    )
+            "coco": annotations_of(truth, numbers, job.number, dataset.segmentation),
+            "files": {name: sha256_of(made / name) for name in pictures},
+        }
+        write_manifest(made / place.record_name, record)
+        _move(made, place.shard, [*pictures, place.record_name])
 
 
-def _write(shard: Path, files: Mapping[str, NDArray[Any]]) -> None:
+def _pictures(
+    place: Place, gray: str, codes: NDArray[Any], depth: NDArray[np.uint16], truth: ImageTruth
+) -> dict[str, NDArray[Any]]:
+    """Name below the shard's folder -> codes: the image, depth, and both masks of each object."""
+    pictures: dict[str, NDArray[Any]] = {place.file(gray, ".png"): codes, place.file("depth", ".png"): depth}
+    for number, one in enumerate(truth.objects):
+        pictures[place.file("mask", ".png", number)] = one.whole * _MASK
+        pictures[place.file("mask_visib", ".png", number)] = one.visible * _MASK
+    return pictures
+
+
+def _write(folder: Path, files: Mapping[str, NDArray[Any]]) -> None:
+    try:
+        folder.mkdir()  # without those above it, which whoever goes on may have removed
+        for place in sorted({(folder / name).parent for name in (*files, f"{RECORDS}/x")}):
+            place.mkdir()
+    except OSError as error:
+        raise disk_failure(folder, error) from error
     for name, codes in files.items():
-        make_folder((shard / name).parent)
-        write_png(shard / name, codes)
-    make_folder(shard / RECORDS)
+        write_png(folder / name, codes)
+
+
+def _move(made: Path, shard: Path, names: Sequence[str]) -> None:
+    try:
+        move_files(made, shard, names)
+    except OSError as error:
+        raise disk_failure(shard, error) from error
 
 
 def depth_scale(depth: NDArray[np.float64]) -> float:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import shutil
+import time
 from collections import Counter
 from collections.abc import Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -32,17 +33,19 @@ from radwrap.manifest import (
     versions,
     write_manifest,
 )
-from radwrap.process import MOST_WORKERS, available_cores
+from radwrap.process import available_cores
 from radwrap.progress import Progress
 from radwrap.scene.file.input_hashes import input_hashes
 from radwrap.scene.file.load import scene_from_document
 from radwrap.scene.targets import MeshPart
-from radwrap.study.pool import LocalPool
+from radwrap.study.pool import WORKER_TIMEOUT, DaskPool, LocalPool, Pool, check_workers
 
 DATASET: Final = "dataset.json"
 MANIFEST: Final = "manifest.json"
 _AHEAD: Final = 2  # jobs in the pool's hands for each worker
 _LOOK: Final = 1.0  # s for which an interrupt may wait at most
+# What decides images besides radwrap's own needs: which parts cross, and where rays meet them.
+_PACKAGES: Final = ("python-fcl", "trimesh", "scipy")
 _DEATHS: Final = 3  # of workers over one image, after which it is blamed
 
 
@@ -54,6 +57,10 @@ class RunOptions:
     ----------
     workers : int, optional
         Processes; default one a core.
+    dask : str, optional
+        Address of a Dask scheduler, in place of own processes.
+    worker_timeout : float, optional
+        How long the cluster may have no worker before the run ends [s]; default 60.
     force : bool
         Remove another dataset from the folder.
     trust, radiance, tracer_timeout, tracer
@@ -63,6 +70,8 @@ class RunOptions:
     """
 
     workers: int | None = None
+    dask: str | None = None
+    worker_timeout: float | None = None
     force: bool = False
     trust: bool = False
     radiance: str | None = None
@@ -71,8 +80,7 @@ class RunOptions:
     progress: bool = False
 
     def __post_init__(self) -> None:
-        if self.workers is not None and not 1 <= self.workers <= MOST_WORKERS:
-            raise InputError(f"must lie between 1 and {MOST_WORKERS}, not {self.workers}", where="workers")
+        check_workers(self.workers, self.dask, self.worker_timeout)
 
 
 def run_dataset(dataset: Dataset, out: Path, options: RunOptions) -> dict[str, Any]:
@@ -102,16 +110,26 @@ def run_dataset(dataset: Dataset, out: Path, options: RunOptions) -> dict[str, A
     )
     make_folder(out)
     with sole_owner(out):
+        _remove_work(out)  # of a run that was killed
         told = _take_possession(dataset, out, options)
         due = [number for number in range(dataset.images) if not is_whole(Place.of(out, dataset, number))]
-        shutil.rmtree(out / WORK, ignore_errors=True)  # of a run that was killed
         if due:
             make_folder(out / WORK)
             try:
                 _make(dataset, out, how, options, due)
             finally:
-                shutil.rmtree(out / WORK, ignore_errors=True)
+                _remove_work(out)
         return {**told, **_gather(dataset, out), "made": len(due)}
+
+
+def _remove_work(out: Path) -> None:
+    """Remove what is not whole. A cluster's worker who is still at an image finds no folder of that name any more."""
+    gone = out / f"{WORK}.gone"
+    shutil.rmtree(gone, ignore_errors=True)
+    with suppress(OSError):
+        (out / WORK).rename(gone)
+    for folder in (gone, out / WORK):
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _take_possession(dataset: Dataset, out: Path, options: RunOptions) -> dict[str, Any]:
@@ -167,7 +185,8 @@ def _make(dataset: Dataset, out: Path, how: RenderOptions, options: RunOptions, 
     deaths: Counter[int] = Counter()
     progress = Progress("images", dataset.images, shown=options.progress)
     progress.skip(dataset.images - len(due))
-    with closing(progress), closing(LocalPool(min(options.workers or available_cores(), len(due)))) as pool:
+    dataset = replace(dataset, folder=dataset.folder.absolute())  # workers of a cluster have their own working folder
+    with closing(progress), closing(_open_pool(options, out, len(due))) as pool:
         while waiting or running:
             broken: list[int] = []
             while waiting and len(running) < _AHEAD * pool.workers:
@@ -179,24 +198,51 @@ def _make(dataset: Dataset, out: Path, how: RenderOptions, options: RunOptions, 
                         raise
                     broken.append(number)
                     break
-            for future in wait(running, _LOOK, FIRST_COMPLETED).done if running else ():
-                number = running.pop(future)
-                failure = future.exception()
-                if failure is None:
-                    progress.add(1)
-                elif pool.is_broken(failure):
-                    broken.append(number)
-                else:
-                    raise failure
+            done = _done(running, pool)
+            while done or (broken and running):  # the others of a broken pool come to an end too
+                for future in done:
+                    number = running.pop(future)
+                    if future.cancelled():
+                        pool.look()  # which may know why
+                        raise EnvironmentFailure(
+                            "its work was cancelled by somebody else", remedy="the same command continues"
+                        )
+                    failure = future.exception()
+                    if failure is None:
+                        progress.add(1)
+                    elif pool.is_broken(failure):
+                        broken.append(number)
+                    else:
+                        raise failure
+                done = _done(running, pool) if broken else set()
             if broken:
-                broken += running.values()  # they end with the pool; what they have written is made again, the same
-                running.clear()
                 deaths.update(broken)
                 number, times = deaths.most_common(1)[0]
                 if times > _DEATHS:
                     raise EnvironmentFailure(f"its worker died {times} times", where=f"image {number}")
                 waiting += sorted(broken, reverse=True)
                 pool.rebuild()
+
+
+def _done(running: Mapping[Future[Any], int], pool: Pool) -> set[Future[Any]]:
+    """Jobs that came to an end; where none did for a while, the workers are looked after."""
+    if running:
+        done = wait(running, _LOOK, FIRST_COMPLETED).done
+    else:
+        done = set()
+        if not pool.workers:
+            time.sleep(_LOOK)
+    if not done:
+        pool.look()
+    return done
+
+
+def _open_pool(options: RunOptions, out: Path, jobs: int) -> Pool:
+    """Workers for the dataset in a folder, to be closed by the caller."""
+    if options.dask is not None:
+        patience = options.worker_timeout or WORKER_TIMEOUT
+        return DaskPool(options.dask, out, options.radiance, patience, _PACKAGES)
+    return LocalPool(min(options.workers or available_cores(), jobs))
 
 
 def _gather(dataset: Dataset, out: Path) -> dict[str, Any]:
@@ -234,7 +280,8 @@ def _write_roots(dataset: Dataset, out: Path) -> None:
     """What the formats have of all shards."""
     if BOP in dataset.formats:
         base = scene_from_document(dataset.document, origin=dataset.scene_origin, folder=dataset.folder)
-        write_models(out, (target for target in base.targets if isinstance(target, MeshPart)))
+        parts = (target for target in base.targets if isinstance(target, MeshPart))
+        write_models(out, parts, dataset.symmetries)
     if YOLO in dataset.formats:
         shards = range(-(-dataset.images // dataset.shard))
         folders = [f"{TRAIN}/{number:06d}/{dataset.gray_folder}" for number in shards]

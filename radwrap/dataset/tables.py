@@ -6,10 +6,11 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, model_validator
 
-from radwrap.scene.file.border import Flag, Model, Name, default, exactly_one
+from radwrap.scene.file.border import Direction, Flag, Model, Name, Point, default, exactly_one
 
 MOST_IMAGES: Final = 1_000_000
 MOST_COPIES: Final = 1000  # of one target in one image
+_MOST_FOLD: Final = 360
 _LARGEST_SEED: Final = 2**32 - 1
 
 Text = Annotated[str, Field(strict=True, min_length=1)]
@@ -17,6 +18,7 @@ COCO: Final = "coco"
 BOP: Final = "bop"
 YOLO: Final = "yolo"
 FormatName = Literal["coco", "bop", "yolo"]
+SegmentationName = Literal["rle", "polygons"]
 DISTRIBUTIONS: Final = ("uniform", "normal", "log_uniform", "choice", "rotation")
 
 
@@ -50,6 +52,15 @@ class PartsModel(Model):
     rotation: Any = default("any")
 
 
+class SymmetryModel(Model):
+    """[[symmetries]]: a turn after which a part looks the same."""
+
+    target: Name
+    axis: Direction
+    through: Point = default(("0 mm", "0 mm", "0 mm"))
+    fold: Annotated[int, Field(strict=True, ge=2, le=_MOST_FOLD)] | Literal["continuous"]
+
+
 class DatasetModel(Model):
     """A dataset's file."""
 
@@ -59,8 +70,10 @@ class DatasetModel(Model):
     images: Annotated[int, Field(strict=True, ge=1, le=MOST_IMAGES)]
     seed: Annotated[int, Field(strict=True, ge=0, le=_LARGEST_SEED)] = 0
     formats: Annotated[tuple[FormatName, ...], Field(min_length=1)] = ("coco",)
+    segmentation: SegmentationName = "rle"
     tolerance: Any = 1
     noise: Flag = False
     shard: Annotated[int, Field(strict=True, ge=1, le=MOST_IMAGES)] = 1000
     vary: tuple[VaryModel, ...] = ()
     parts: tuple[PartsModel, ...] = ()
+    symmetries: tuple[SymmetryModel, ...] = ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.imaging.other_camera import basis_in_other_camera, scene_text_of
+from radwrap.imaging.output.assumed_values import AssumedEffect, Assumptions, effects_of, with_assumed_level
 from radwrap.imaging.output.folder import PLANES
 from radwrap.imaging.output.run_manifest import RunManifest, read_run_manifest
 from radwrap.imaging.raw_relighting import RawBasis, raw_relit, read_raw_basis
@@ -20,6 +22,8 @@ from radwrap.imaging.relight.relit import Basis, Relit, read_basis, relit
 from radwrap.imaging.relight.relit_uncertainty import relit_uncertainty
 from radwrap.imaging.timed_basis import MovingBasis, moving_relit, read_timed_basis
 from radwrap.imaging.tolerance.uncertainty import Uncertainty
+from radwrap.scene.catalog.presets import with_presets
+from radwrap.scene.file.load import camera_with
 from radwrap.scene.mosaic import Colour
 
 _NOTHING: Final[Mapping[str, Any]] = {}
@@ -130,6 +134,83 @@ def images_of(basis: Basis | RawBasis | MovingBasis, factors: NDArray[np.float64
         return
     for levels, image in zip(factors, relit(basis, factors), strict=True):
         yield Shown(image, relit_uncertainty(basis, levels, image), image.keeps(basis), {})
+
+
+def assumptions_of(
+    folder: Path,
+    basis: Basis | RawBasis | MovingBasis,
+    changes: Mapping[str, Any] = _NOTHING,
+    scene_folder: Path | None = None,
+) -> Assumptions | None:
+    """What images of a basis hang on that nobody published.
+
+    None where that is not known any more: its run's manifest is gone, a component is another one by now, or cannot be
+    found from here; and of raw images and of what moves.
+    """
+    run = run_in(folder)
+    if run is None or not isinstance(basis, Basis) or run.scene_sha256 != basis.scene_sha256:
+        return None
+    try:
+        return assumptions_of_run(run, scene_folder or folder, changes)
+    except InputError:
+        return None
+
+
+def assumptions_of_run(run: RunManifest, folder: Path, changes: Mapping[str, Any] = _NOTHING) -> Assumptions:
+    """What the image of a run hangs on that nobody published, from its manifest.
+
+    Parameters
+    ----------
+    run : RunManifest
+        The run's manifest.
+    folder : Path
+        Where files lie that its camera names, and components that its scene's folder has.
+    changes : Mapping
+        Keys of the camera with other values, as of `relight`.
+
+    Raises
+    ------
+    InputError
+        If a component is another one by now, or a file or component cannot be found from here.
+    """
+    spectral = run.bands is not None
+    other = camera_with(run.scene, changes, origin="scene", folder=folder, spectral=spectral)
+    tables = json.loads(run.scene)["sources"]
+    taken = (*other.components, *with_presets({"sources": tables}, "scene", folder)[1])
+    known = {one.key: one.sha256 for one in run.components or ()}
+    for one in taken:
+        if known.get(one.key, one.component.sha256) != one.component.sha256:
+            raise InputError(
+                f'"{one.component.name}" is another component than the run took',
+                where=one.key,
+                remedy="render the scene again",
+            )
+    names = tuple(table["name"] for table in tables)
+    return Assumptions(other.camera.sensor, taken, names, other.document, "scene", folder, spectral)
+
+
+def effects_of_levels(
+    basis: Basis, told: Assumptions, factors: NDArray[np.float64], shown: Shown
+) -> tuple[AssumedEffect, ...]:
+    """How an image of a basis changes over the range of each assumed value, the level of each source included.
+
+    Parameters
+    ----------
+    basis : Basis
+        Of which the image was made.
+    told : Assumptions
+        As `assumptions_of` gives it.
+    factors : ndarray, shape (sources,)
+        Levels of the image.
+    shown : Shown
+        The image.
+    """
+    parts: dict[str, NDArray[np.float64]] = {}
+    for name in with_assumed_level(told):
+        mine = np.array([source == name or source.startswith(f"{name}.") for source in basis.sources])
+        (alone,) = relit(basis, np.where(mine, factors, 0.0)[np.newaxis])
+        parts[name] = alone.radiant_exposure.values
+    return effects_of(told, shown.image.radiant_exposure.values, parts)
 
 
 def run_in(folder: Path) -> RunManifest | None:

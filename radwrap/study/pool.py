@@ -14,7 +14,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
@@ -25,6 +25,8 @@ from urllib.parse import urlsplit
 
 from radwrap.errors import INTERRUPTED, EnvironmentFailure, InputError, one_line
 from radwrap.extras import require
+from radwrap.manifest import STUDY_PACKAGES
+from radwrap.process import MOST_WORKERS
 from radwrap.progress import note
 from radwrap.study.seal import Seal, break_seal, check_fit, seal_of, why_unfit
 
@@ -32,6 +34,7 @@ from radwrap.study.seal import Seal, break_seal, check_fit, seal_of, why_unfit
 _GRACE: Final = 10.0
 # So long a cluster may have no worker [s]: one that was killed is back by then; whoever queues for hours says so.
 WORKER_TIMEOUT: Final = 60.0
+_LONGEST: Final = 1e9  # s that a limit of time may be, as in `RenderOptions`
 
 
 class Pool(Protocol):
@@ -102,6 +105,24 @@ class LocalPool:
             self._reader.close()
 
 
+def check_workers(workers: int | None, dask: str | None, worker_timeout: float | None) -> None:
+    """See that what is said of workers goes together.
+
+    Raises
+    ------
+    InputError
+        If a number is out of range, or is for the other kind of pool.
+    """
+    if workers is not None and not 1 <= workers <= MOST_WORKERS:
+        raise InputError(f"must lie between 1 and {MOST_WORKERS}, not {workers}", where="workers")
+    if workers is not None and dask is not None:
+        raise InputError("the cluster has its own workers", where="workers", remedy="leave it out with `dask`")
+    if worker_timeout is not None and dask is None:
+        raise InputError("only a cluster can be without workers", where="worker_timeout", remedy="give `dask` too")
+    if worker_timeout is not None and not 0 < worker_timeout <= _LONGEST:
+        raise InputError(f"must lie between 0 and {_LONGEST:g} s", where="worker_timeout")
+
+
 @contextmanager
 def _without_interrupts() -> Iterator[None]:
     if sys.platform == "win32" or threading.current_thread() is not threading.main_thread():
@@ -143,6 +164,8 @@ class DaskPool:
         Folder of the Radiance that is asked for.
     worker_timeout : float
         How long there may be no worker [s].
+    packages : sequence of str
+        Whose versions must be the same on each worker, besides radwrap's own needs.
 
     Raises
     ------
@@ -153,7 +176,12 @@ class DaskPool:
     """
 
     def __init__(
-        self, address: str, folder: Path, radiance: str | None, worker_timeout: float = WORKER_TIMEOUT
+        self,
+        address: str,
+        folder: Path,
+        radiance: str | None,
+        worker_timeout: float = WORKER_TIMEOUT,
+        packages: Sequence[str] = STUDY_PACKAGES,
     ) -> None:
         require("cluster", f"dask={address}")
         from distributed import Client
@@ -165,7 +193,7 @@ class DaskPool:
         except (OSError, ValueError, TimeoutError) as error:
             raise InputError(f"no scheduler at {address}", where="dask", remedy="start one: dask scheduler") from error
         self._address = address
-        self._seal = seal_of(folder, radiance)
+        self._seal = seal_of(folder, radiance, packages)
         self._executors: list[Executor] = []
         self._cores: dict[str, int] = {}
         self._unfit: dict[str, str] = {}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import secrets
 import socket
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.resources import files
@@ -39,6 +39,8 @@ class Seal:
         Program or package -> version, or digest.
     radiance : str or None
         Folder of the Radiance that is asked for.
+    packages : tuple of str
+        Which packages decide a result besides radwrap's own needs.
     mark : str
         A file in the study's folder.
     content : str
@@ -47,16 +49,17 @@ class Seal:
 
     programs: Mapping[str, str]
     radiance: str | None
+    packages: tuple[str, ...]
     mark: str
     content: str
 
 
-def seal_of(folder: Path, radiance: str | None) -> Seal:
-    """Seal of a study, whose mark is laid into its folder."""
+def seal_of(folder: Path, radiance: str | None, packages: Sequence[str] = STUDY_PACKAGES) -> Seal:
+    """Seal of a study, or of other work on a folder, into which its mark is laid."""
     mark = folder.absolute() / _MARK
     content = secrets.token_hex(16)
     write_bytes(mark, content.encode())
-    return Seal(_programs(radiance), radiance, str(mark), content)
+    return Seal(_programs(radiance, packages), radiance, tuple(packages), str(mark), content)
 
 
 def break_seal(seal: Seal) -> None:
@@ -68,7 +71,7 @@ def break_seal(seal: Seal) -> None:
 def why_unfit(seal: Seal) -> str:
     """Why this machine may not work at a study; empty where it may."""
     try:
-        here = _programs(seal.radiance)
+        here = _programs(seal.radiance, seal.packages)
     except RadwrapError as error:
         return str(error)
     other = [name for name in seal.programs if here.get(name) != seal.programs[name]]
@@ -94,14 +97,24 @@ def check_fit(seal: Seal) -> None:
         raise Unfit(why, where=socket.gethostname())
 
 
-def _programs(radiance: str | None) -> dict[str, str]:
-    packages = versions(*STUDY_PACKAGES, *COMPILER_PACKAGES)
-    found = {name: version for name, version in packages.items() if name != "platform"}
-    with Programs() as programs:
-        found["radiance"] = radiance_version(find_radiance(radiance), programs)
+def _programs(radiance: str | None, packages: Sequence[str]) -> dict[str, str]:
+    told = versions(*packages, *COMPILER_PACKAGES)
+    found = {name: version for name, version in told.items() if name != "platform"}
+    found["radiance"] = _radiance(radiance)
     digest = hashlib.sha256()
     _add(digest, files("radwrap"))
     return {**found, "radwrap's files": digest.hexdigest()[:16]}
+
+
+def _radiance(asked: str | None) -> str:
+    """Version of Radiance; "none" where it is missing and nobody asked for one: what is traced may not need it."""
+    try:
+        with Programs() as programs:
+            return radiance_version(find_radiance(asked), programs)
+    except EnvironmentFailure:
+        if asked is not None:
+            raise
+        return "none"
 
 
 def _add(digest: hashlib._Hash, folder: Traversable) -> None:

@@ -16,7 +16,7 @@ from radwrap.imaging.asked_tolerance import USUAL
 from radwrap.imaging.render_options import TracerName
 from radwrap.imaging.tolerance.lit_noise import ToleranceAsked
 from radwrap.manifest import SCHEMA_VERSION, STUDY_PACKAGES, read_manifest, sha256_of_value, versions, write_manifest
-from radwrap.process import MOST_WORKERS, Programs, available_cores
+from radwrap.process import Programs, available_cores
 from radwrap.progress import Progress
 from radwrap.scene.file.input_hashes import input_hashes
 from radwrap.study.design import Design, render_options
@@ -26,7 +26,7 @@ from radwrap.study.light import reference_levels, split_light, with_levels
 from radwrap.study.one_tolerance import with_one_tolerance
 from radwrap.study.one_tracer import one_tracer
 from radwrap.study.pilots import Plans, told_of
-from radwrap.study.pool import WORKER_TIMEOUT, DaskPool, LocalPool, Pool
+from radwrap.study.pool import WORKER_TIMEOUT, DaskPool, LocalPool, Pool, check_workers
 from radwrap.study.responses import Response
 from radwrap.study.runner import Scheduler, Step, chunks
 from radwrap.study.runs import Run, analysis_of, check_design, runs_of
@@ -47,7 +47,6 @@ _BASIS_OVERHEAD: Final = 2
 # and longer jobs, but enough for many workers, and each ends soon.
 _FEWEST_RELIT, _MOST_RELIT = 32, 256
 _RELIT_JOBS: Final = 32
-_LONGEST: Final = 1e9  # s that a limit of time may be, as in `RenderOptions`
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,14 +80,7 @@ class StudyOptions:
     progress: bool = False
 
     def __post_init__(self) -> None:
-        if self.workers is not None and not 1 <= self.workers <= MOST_WORKERS:
-            raise InputError(f"must lie between 1 and {MOST_WORKERS}, not {self.workers}", where="workers")
-        if self.workers is not None and self.dask is not None:
-            raise InputError("the cluster has its own workers", where="workers", remedy="leave it out with `dask`")
-        if self.worker_timeout is not None and self.dask is None:
-            raise InputError("only a cluster can be without workers", where="worker_timeout", remedy="give `dask` too")
-        if self.worker_timeout is not None and not 0 < self.worker_timeout <= _LONGEST:
-            raise InputError(f"must lie between 0 and {_LONGEST:g} s", where="worker_timeout")
+        check_workers(self.workers, self.dask, self.worker_timeout)
 
     @property
     def of_render(self) -> dict[str, Any]:

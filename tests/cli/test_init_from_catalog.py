@@ -6,8 +6,10 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+import radwrap
 from radwrap.cli import init_from_catalog
 from radwrap.cli.main import main
 from radwrap.errors import InputError
@@ -125,3 +127,69 @@ def test_what_is_wrong_leaves_no_folder(
     assert main(["init", str(tmp_path / "new"), *map(str, words)]) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "new").exists()
+
+
+def words_of_a_filter(out: Path, light: str, *glass: str) -> list[str]:
+    words = [
+        "init",
+        str(out),
+        "--camera",
+        "sony_imx287.allied_alvium_1800_c",
+        "--lens",
+        "generic_25mm",
+        "--light",
+        light,
+    ]
+    return [*words, "--part", str(WASHER), "--length-unit", "mm", *glass]
+
+
+@pytest.mark.long
+def test_the_exposure_makes_up_for_what_a_filter_stops(tmp_path: Path) -> None:
+    times, counts = [], []
+    for glass in ((), ("--filter", "midopt_bp635")):
+        out = tmp_path / f"red{len(glass)}"
+        assert main(words_of_a_filter(out, "osram_latb_t686_617nm", *glass)) == 0
+        scene = load_scene(out / "scene.toml")
+        assert scene.spectral is not None
+        times.append(scene.camera.exposure_time)
+        counts.append(scene.spectral.counts[0])
+    assert 1.1 < counts[0] / counts[1] < 1.6
+    assert times[1] / times[0] == pytest.approx(counts[0] / counts[1], rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("generic_ring_90mm_24led", "--filter", "midopt_bp635"), "generic_ring_90mm_24led has no spectrum; take LEDs"),
+        (("osram_latb_t686_617nm", "--filter", "midopt_bp636"), 'no filter "midopt_bp636"; did you mean'),
+    ],
+)
+def test_a_filter_that_cannot_be_is_refused(
+    words: tuple[str, ...], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words_of_a_filter(tmp_path / "new", *words)) == 2
+    assert message in capsys.readouterr().err and not (tmp_path / "new").exists()
+
+
+def test_a_filter_goes_with_a_camera(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["init", str(tmp_path / "new"), "--filter", "midopt_bp635"]) == 2
+    assert "--filter: goes with --camera" in capsys.readouterr().err
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("led", "colour"), [("osram_w5sg_528nm", "green"), ("osram_latb_t686_617nm", "red")])
+def test_the_brightest_colour_of_a_mosaic_decides(
+    led: str, colour: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its 99.9 % quantile is at 80 % of the range: by the pinhole's picture of that colour."""
+    words = ["--camera", "ams_cmv12000.colour", "--lens", "generic_35mm", "--light", led]
+    assert main(["init", str(tmp_path / "new"), *words, "--part", str(WASHER), "--length-unit", "mm"]) == 0
+    assert "--set camera.sensor.mosaic=green --scale 1/4" in capsys.readouterr().out
+    peaks = {}
+    for one in ("red", "green", "blue"):
+        changes = {"camera.sensor.mosaic": one, "camera.sensor.scale": "1/32", "camera.diffraction": "off"}
+        scene = load_scene(tmp_path / "new" / "scene.toml", changes)
+        gray = radwrap.render(scene, method="pinhole", pixel_samples=2, bounces=0).gray.values
+        peaks[one] = float(np.percentile(gray, 99.9)) / scene.camera.sensor.saturation_gray
+    assert max(peaks, key=lambda one: peaks[one]) == colour
+    assert peaks[colour] == pytest.approx(0.8, abs=0.02)

@@ -8,6 +8,11 @@ from typing import Final
 
 import pytest
 
+from radwrap.dataset import run
+from radwrap.dataset.document import read_dataset
+from radwrap.files import sha256_of
+from tests.study.conftest import OneThread
+
 SCENE: Final = """
 [camera]
 position = ["0 mm", "0 mm", "300 mm"]
@@ -64,6 +69,20 @@ BLOCK: Final = "".join(f"v {x} {y} {z}\n" for x, y, z in _CORNERS) + "".join(
     f"f {' '.join(map(str, side))}\n" for side in _SIDES
 )
 
+# A dataset of two blocks at most.
+TEXT: Final = """
+images = {images}
+shard = 4
+tolerance = 8
+formats = ["coco", "bop", "yolo"]
+
+[[parts]]
+target = "block"
+count = [1, 2]
+x = ["-15 mm", "15 mm"]
+y = ["-10 mm", "10 mm"]
+"""
+
 Write = Callable[[str], Path]
 
 
@@ -79,3 +98,22 @@ def dataset_file(tmp_path: Path) -> Write:
         return path
 
     return write
+
+
+def contents(out: Path) -> dict[str, str]:
+    """Hash of each file but the lock; what begins with a dot otherwise would be left of a killed run."""
+    found = (one for one in out.rglob("*") if one.is_file() and one.name != ".radwrap.lock")
+    return {str(one.relative_to(out)): sha256_of(one) for one in found}
+
+
+@pytest.fixture
+def good(dataset_file: Write, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[int], dict[str, str]]:
+    """What a run in this process writes of so many images."""
+
+    def made(images: int) -> dict[str, str]:
+        with monkeypatch.context() as patch:
+            patch.setattr(run, "LocalPool", OneThread)
+            run.run_dataset(read_dataset(dataset_file(TEXT.format(images=images))), tmp_path / "good", run.RunOptions())
+        return contents(tmp_path / "good")
+
+    return made

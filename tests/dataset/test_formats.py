@@ -15,7 +15,9 @@ import trimesh
 from radwrap.dataset import run
 from radwrap.dataset.bop import model_size, ply_text, scene_files
 from radwrap.dataset.document import read_dataset
+from radwrap.dataset.symmetries import Symmetry, told_symmetries
 from radwrap.dataset.yolo import data_text, label_text
+from radwrap.errors import InputError
 from radwrap.frames import to_world
 from radwrap.imaging import tracer_choice
 from radwrap.scene.file.load import scene_from_document
@@ -128,3 +130,63 @@ def test_what_is_not_seen_has_no_label_and_no_box() -> None:
     boxes = [told["bbox_visib"] for told in scene_files([record])["scene_gt_info.json"]["0"]]
     assert boxes == [[-1, -1, -1, -1], [2, 0, 4, 2]]
     assert data_text(["train/000000/images"], ["nut"]).splitlines()[-1] == '  0: "nut"'
+
+
+BLOCK_TURNS = """
+images = 1
+tolerance = 20
+formats = ["bop"]
+
+[[symmetries]]
+target = "block"
+axis = [0, 0, 2]
+fold = 2
+
+[[symmetries]]
+target = "block"
+axis = [1, 0, 0]
+fold = 2
+"""
+
+
+def matrices(told: dict[str, Any]) -> list[np.ndarray]:
+    return [np.reshape(one, (4, 4)) for one in told["symmetries_discrete"]]
+
+
+def test_two_half_turns_of_a_block_make_its_three(dataset_file: Write) -> None:
+    found = read_dataset(dataset_file(BLOCK_TURNS)).symmetries
+    turns = matrices(told_symmetries(found))
+    expected = [np.diag([x, y, z, 1.0]) for x, y, z in ((-1, -1, 1), (1, -1, -1), (-1, 1, -1))]
+    assert len(turns) == 3
+    assert all(any(np.allclose(turn, one, atol=1e-12) for turn in turns) for one in expected)
+
+
+def test_cubes_have_24_turns_and_axes_beside_the_origin_move() -> None:
+    quarter = [Symmetry("cube", axis, (0.0, 0.0, 0.0), 4, "x") for axis in ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0))]
+    assert len(matrices(told_symmetries(quarter))) == 23
+    (turn,) = matrices(told_symmetries([Symmetry("bar", (0.0, 0.0, 1.0), (0.01, 0.02, 0.0), 2, "x")]))
+    assert turn @ [10, 20, 5, 1] == pytest.approx([10, 20, 5, 1]), "the axis stays [mm]"
+    assert turn @ [11, 20, 5, 1] == pytest.approx([9, 20, 5, 1])
+    told = told_symmetries([Symmetry("ring", (0.0, 1.0, 0.0), (0.01, 0.0, 0.0), None, "x")])
+    assert told == {"symmetries_continuous": [{"axis": [0.0, 1.0, 0.0], "offset": [10.0, 0.0, 0.0]}]}
+    apart = [Symmetry("two", (0.0, 0.0, 1.0), (x, 0.0, 0.0), 2, "x") for x in (0.0, 0.01)]
+    with pytest.raises(InputError, match="which no part has"):
+        told_symmetries(apart)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("axis = [1, 0, 0]\nfold = 2", "axis = [1, 0, 0]\nfold = 4", "another after a turn by 90 degrees"),
+        ("axis = [1, 0, 0]\nfold = 2", 'axis = [1, 0, 0]\nfold = "continuous"', "another after a turn by 15 degrees"),
+        ("axis = [1, 0, 0]", 'axis = [1, 0, 0]\nthrough = ["0 mm", "1 mm", "0 mm"]', "mm beside the mesh"),
+        ("axis = [1, 0, 0]", "axis = [0, 0, 0]", r"symmetries\[1\].axis: needs a length above zero"),
+        ('formats = ["bop"]', 'formats = ["coco"]', 'symmetries\\[0\\]: is of the format "bop"'),
+        ('target = "block"\naxis = [1', 'target = "table"\naxis = [1', 'no mesh part "table"'),
+        ("fold = 2", "fold = 1", "fold"),
+    ],
+)
+def test_what_is_no_symmetry_is_refused(old: str, new: str, message: str, dataset_file: Write) -> None:
+    assert old in BLOCK_TURNS
+    with pytest.raises(InputError, match=message):
+        read_dataset(dataset_file(BLOCK_TURNS.replace(old, new)))

@@ -12,42 +12,9 @@ import pytest
 
 from radwrap.dataset import run
 from radwrap.dataset.document import read_dataset
-from radwrap.files import sha256_of
 from tests.cli.conftest import PATIENCE, start, wait_for
-from tests.dataset.conftest import Write
+from tests.dataset.conftest import Write, contents
 from tests.study.conftest import OneThread
-
-TEXT = """
-images = {images}
-shard = 4
-tolerance = 8
-formats = ["coco", "bop", "yolo"]
-
-[[parts]]
-target = "block"
-count = [1, 2]
-x = ["-15 mm", "15 mm"]
-y = ["-10 mm", "10 mm"]
-"""
-
-
-def contents(out: Path) -> dict[str, str]:
-    """Hash of each file but the lock; what begins with a dot otherwise would be left of a killed run."""
-    found = (one for one in out.rglob("*") if one.is_file() and one.name != ".radwrap.lock")
-    return {str(one.relative_to(out)): sha256_of(one) for one in found}
-
-
-@pytest.fixture
-def good(dataset_file: Write, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[int], dict[str, str]]:
-    """What a run in this process writes of so many images."""
-
-    def made(images: int) -> dict[str, str]:
-        with monkeypatch.context() as patch:
-            patch.setattr(run, "LocalPool", OneThread)
-            run.run_dataset(read_dataset(dataset_file(TEXT.format(images=images))), tmp_path / "good", run.RunOptions())
-        return contents(tmp_path / "good")
-
-    return made
 
 
 def records(out: Path) -> int:

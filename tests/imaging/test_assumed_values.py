@@ -71,3 +71,28 @@ def test_a_quantum_efficiency_at_another_wavelength_may_be_another() -> None:
     assert key not in effects_of(scene_with(), 3000)
     found = effects_of(scene_with(wavelength="630 nm"), 3000)[key]
     assert found.mean_gray == pytest.approx((-0.26 * 3000 * 0.37, 0.36 * 3000 * 0.37), rel=1e-6)
+
+
+def under_a_line(name: str, wavelength: str) -> Scene:
+    camera = START["camera"] | {"sensor": {"preset": name, "wavelength": wavelength}, "focal_length": "25 mm"}
+    sources = [one | {"spectrum": {"line": wavelength, "width": "20 nm"}} for one in START["sources"]]
+    return scene_from_document(START | {"camera": camera, "sources": sources})
+
+
+def test_what_comes_after_the_electrons_counts_under_spectra_too() -> None:
+    found = effects_of(under_a_line(SENSOR, "550 nm"), 3000)
+    assert found["camera.sensor.offset"].mean_gray == pytest.approx((-64, 176), abs=1e-9)
+    plain = effects_of(scene_with(), 3000)
+    assert set(found) == set(plain)
+    assert found["camera.sensor.prnu"].noise == pytest.approx(plain["camera.sensor.prnu"].noise)
+
+
+def test_a_factor_on_a_curve_is_one_on_the_electrons_of_spectra() -> None:
+    found = effects_of(under_a_line(SENSOR, "630 nm"), 3000)["camera.sensor.quantum_efficiencies"]
+    assert found.mean_gray == pytest.approx((-0.26 * 3000 * 0.37, 0.36 * 3000 * 0.37), rel=1e-6)
+
+
+def test_a_curve_ends_at_one_electron_for_each_photon() -> None:
+    """The curve of IMX900 has .8858 at most: 1.36 times as much stops at 1."""
+    found = effects_of(under_a_line("sony_imx900.framos_hcg", "630 nm"), 300)["camera.sensor.quantum_efficiencies"]
+    assert found.mean_gray == pytest.approx((-0.26 * 300 * 1.673, (1 / 0.8858 - 1) * 300 * 1.673), rel=1e-6)

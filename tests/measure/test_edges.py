@@ -585,3 +585,11 @@ def long_edge(size: int, blur: float) -> Array:
     across = np.clip((u - size / 2) * math.cos(angle) + (v - size / 2) * math.sin(angle), -2 * blur, 2 * blur)
     noise = np.random.default_rng(2).normal(0, 1, (size, size))
     return np.asarray(20 + 160 * disc_edge(across, blur) + noise)
+
+
+def test_light_that_only_slopes_has_no_edge() -> None:
+    """An edge that is blurred over more than the picture; it was an error of radwrap's own."""
+    rows, columns = np.mgrid[:24, :32]
+    levels = np.rint(148 - 0.55 * rows + (5 + 0.012 * columns) * columns)
+    with pytest.raises(InputError, match="shows no straight edge: its gradients lie along no line"):
+        measure_edge(GrayImage(levels, 12), gamma=1)

@@ -7,6 +7,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import radwrap
@@ -14,11 +15,13 @@ from radwrap.errors import InputError
 from radwrap.imaging.output.run_manifest import components_used
 from radwrap.scene.catalog.places import find, listed
 from radwrap.scene.catalog.presets import with_presets
+from radwrap.scene.file.input_hashes import input_hashes
 from radwrap.scene.file.load import scene_from_document, with_camera
 from radwrap.scene.scene import Scene
 
 SENSOR = "sony_imx900.framos_hcg"
 FILE = (files("radwrap") / "data" / "sensors" / f"{SENSOR}.toml").read_text("utf-8")
+KINDS = ("sensors", "lamps", "sheetings", "filters")
 START = tomllib.loads((files("radwrap") / "data" / "init" / "scene.toml").read_text("utf-8"))
 
 
@@ -123,8 +126,8 @@ def test_an_error_in_a_component_names_its_file(tmp_path: Path) -> None:
 
 
 def test_all_files_of_the_package_are_components() -> None:
-    found = [find(kind, name, None, name) for kind in ("sensors", "lamps", "sheetings") for name, _, _ in listed(kind)]
-    assert len(found) == 22 + 1 + 3
+    found = [find(kind, name, None, name) for kind in KINDS for name, _, _ in listed(kind)]
+    assert len(found) == 24 + 1 + 3 + 10
     for one in found:
         assert set(one.entries) == {key for key in one.values if key not in ("type", "model")}, one.name
         assert all(entry.basis == "assumed" or entry.source or entry.note for entry in one.entries.values())
@@ -146,3 +149,90 @@ def test_another_level_stands_for_that_of_a_preset(kind: str) -> None:
     (source,) = whole["sources"]
     assert source["radiant_flux"] == "5 mW" and "radiant_intensity" not in source
     assert "radiant_intensity" not in taken.used
+
+
+def lit_by_a_line(folder: Path, camera: dict[str, Any], centre: float, width: float) -> Scene:
+    line = {"spectrum": {"line": f"{centre} nm", "width": f"{width} nm"}}
+    sources = [source | line for source in START["sources"]]
+    tables = START | {"camera": START["camera"] | camera, "sources": sources}
+    return scene_from_document(tables, origin="scene.toml", folder=folder)
+
+
+def share_of_a_line(centre: float, width: float, *factors: list[tuple[float, float]]) -> float:
+    """Mean of some curves over a Gaussian line, by a sum over steps of 0.01 nm [all in nm]."""
+    steps = np.arange(centre - 6 * width, centre + 6 * width, 0.01)
+    power = np.exp(-4 * np.log(2) * ((steps - centre) / width) ** 2)
+    passed = power.copy()
+    for curve in factors:
+        passed *= np.interp(steps, *zip(*curve, strict=True))
+    return float(passed.sum() / power.sum())
+
+
+def table_of(values: list[list[Any]]) -> list[tuple[float, float]]:
+    return [(float(wavelength.removesuffix(" nm")), share) for wavelength, share in values]
+
+
+@pytest.mark.parametrize(("name", "centre", "width"), [("midopt_bp635", 660, 20), ("midopt_lp610", 610, 30)])
+def test_a_filter_by_its_name_passes_its_share_of_a_line(
+    name: str, centre: float, width: float, tmp_path: Path
+) -> None:
+    scene = lit_by_a_line(tmp_path, {"filter": {"preset": name}}, centre, width)
+    curve = table_of(
+        tomllib.loads((files("radwrap") / "data" / "filters" / f"{name}.toml").read_text())["transmissions"]
+    )
+    assert scene.spectral is not None
+    expected = share_of_a_line(centre, width, curve)
+    assert 0.3 < expected < 0.7
+    assert scene.spectral.counts[0] == pytest.approx(expected, rel=1e-3)  # a line's nodes are straight between
+    (used,) = [one for one in components_used(scene) or () if one.kind == "filters"]
+    assert (used.key, used.used) == ("camera.filter.preset", ("transmissions",))
+
+
+def test_the_same_filter_by_a_table_of_the_scene(tmp_path: Path) -> None:
+    values = [["600 nm", 0.0], ["650 nm", 0.8], ["700 nm", 0.8]]
+    scene = lit_by_a_line(tmp_path, {"filter": {"transmissions": values}}, 650, 10)
+    assert scene.spectral is not None
+    assert scene.spectral.counts[0] == pytest.approx(share_of_a_line(650, 10, table_of(values)), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ({"preset": "midopt_bp635", "file": "x.csv"}, "camera.filter: needs exactly one of file and transmissions"),
+        ({}, "camera.filter: needs exactly one of file and transmissions"),
+        ({"transmissions": [["650 nm", 0.1], ["640 nm", 0.2]]}, "camera.filter: transmissions: wavelengths must"),
+        ({"transmissions": [["600 nm", 0.1], ["700 nm", 1.2]]}, "must be at most 1"),
+        ({"preset": "midopt_bp636"}, 'camera.filter.preset: no filter "midopt_bp636"; did you mean'),
+        ({"transmissions": [["648 nm", 0.1], ["652 nm", 0.2]]}, "648 to 652 nm, does not cover the light"),
+    ],
+)
+def test_what_is_no_filter_is_refused(table: dict[str, Any], message: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=message):
+        lit_by_a_line(tmp_path, {"filter": table}, 650, 10)
+
+
+def test_what_a_scene_hangs_on_includes_its_filter(tmp_path: Path) -> None:
+    """Else a study would go on with the images of another filter."""
+    document = {"camera": {"filter": {"preset": "midopt_bp470"}}}
+    assert "catalog: filters/midopt_bp470" in input_hashes([document], "x", tmp_path, trust=False)
+
+
+def test_a_colour_camera_by_its_name(tmp_path: Path) -> None:
+    """A red line is seen behind each colour as the sheet's curve says, photon by photon, through the filter."""
+    camera = {"sensor": {"preset": "ams_cmv12000.colour"}, "filter": {"preset": "midopt_sp675"}}
+    scene = lit_by_a_line(tmp_path, camera | {"focal_length": "25 mm"}, 620, 20)
+    mosaic, spectral = scene.camera.sensor.mosaic, scene.spectral
+    assert mosaic is not None and mosaic.pattern == "RGGB" and spectral is not None
+    values = find("sensors", "ams_cmv12000.colour", None, "x").values["filters"]
+    glass = table_of(find("filters", "midopt_sp675", None, "x").values["transmissions"])
+    photons = [(300.0, 300 / 555), (1100.0, 1100 / 555)]
+    expected = {
+        colour: share_of_a_line(620, 20, glass, photons, table_of(values[colour]["quantum_efficiencies"]))
+        for colour in ("red", "green", "blue")
+    }
+    assert expected["red"] > 4 * expected["green"]
+    largest = max(
+        float(np.interp(555, *zip(*table_of(values[c]["quantum_efficiencies"]), strict=True))) for c in expected
+    )
+    for colour, share in expected.items():
+        assert spectral.planes[colour].counts[0] == pytest.approx(share / largest, rel=1e-3)

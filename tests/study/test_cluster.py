@@ -7,11 +7,9 @@ import shutil
 import signal
 import socket
 import subprocess
-import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,7 +22,8 @@ from radwrap.study import pool
 from radwrap.study.design import read_design
 from radwrap.study.seal import Unfit, break_seal, check_fit, seal_of, why_unfit
 from radwrap.study.study import StudyOptions, run_study
-from tests.cli.conftest import clean_environment, scene_text, start, wait_for
+from tests.cli.conftest import scene_text, start, wait_for
+from tests.study.cluster import scheduler, wait_for_workers, worker
 from tests.study.conftest import EDGE, PATIENCE, TINY_SMALL, command
 
 GRAY = '[responses.mean]\nmeasure = "mean_gray"\n'
@@ -67,41 +66,6 @@ def test_a_folder_with_an_owner_is_told_from_a_broken_one(tmp_path: Path) -> Non
         pass
 
 
-@contextmanager
-def _process(module: str, *words: object, path: Path | None = None) -> Iterator[subprocess.Popen[str]]:
-    environment = clean_environment({} if path is None else {"PYTHONPATH": str(path)})
-    argv = [sys.executable, "-m", f"distributed.cli.{module}", *map(str, words)]
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "stdin": subprocess.DEVNULL}
-    # Python looks for modules in the working folder first.
-    process = subprocess.Popen(argv, env=environment, text=True, cwd=path or "/", **quiet)
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.wait()
-
-
-@contextmanager
-def _scheduler(folder: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    file = folder / "scheduler.json"
-    words = ["--port", 0, "--host", "127.0.0.1", "--no-dashboard", "--scheduler-file", file]
-    with _process("dask_scheduler", *words) as process:
-        assert wait_for(lambda: file.exists() and "address" in file.read_text(), process)
-        yield process, file.read_text().split('"address": "')[1].split('"')[0]
-
-
-def _worker(address: str, folder: Path, path: Path | None = None) -> AbstractContextManager[subprocess.Popen[str]]:
-    words = [address, "--nthreads", 1, "--no-nanny", "--no-dashboard", "--local-directory", folder]
-    return _process("dask_worker", *words, path=path)
-
-
-def _wait_for_workers(address: str, number: int) -> None:
-    from distributed import Client
-
-    with Client(address, set_as_default=False) as client:
-        client.wait_for_workers(number, timeout=PATIENCE)
-
-
 def _other_radwrap(folder: Path) -> Path:
     """A copy whose mean gray is wrong by 1000."""
     package = Path(radwrap.__file__).parent
@@ -119,15 +83,15 @@ def test_workers_may_come_late_and_go_early(tmp_path: Path) -> None:
     """The last one is killed at work; another goes on, and the table is the one of this process."""
     design, out = _laid(tmp_path), tmp_path / "late"
     with ExitStack() as stack:
-        _, address = stack.enter_context(_scheduler(tmp_path))
+        _, address = stack.enter_context(scheduler(tmp_path))
         with start([*_words(design, address), out]) as study:
             mark = out / ".radwrap.cluster"
             assert wait_for(mark.exists, study, PATIENCE)
             time.sleep(1.5)
-            first = stack.enter_context(_worker(address, tmp_path / "w1"))
+            first = stack.enter_context(worker(address, tmp_path / "w1"))
             assert wait_for(lambda: (out / "results.csv").read_bytes().count(b"\n") > 1, study, PATIENCE)
             first.kill()
-            stack.enter_context(_worker(address, tmp_path / "w2"))
+            stack.enter_context(worker(address, tmp_path / "w2"))
             _, told = study.communicate(timeout=PATIENCE)
         assert study.returncode == 0 and "no worker is available" in told, told
         assert not mark.exists()
@@ -143,13 +107,13 @@ def test_workers_that_would_answer_otherwise_are_left_out(tmp_path: Path) -> Non
     """
     design = _laid(tmp_path)
     with ExitStack() as stack:
-        scheduler, address = stack.enter_context(_scheduler(tmp_path))
-        stack.enter_context(_worker(address, tmp_path / "w1"))
-        stack.enter_context(_worker(address, tmp_path / "w2", _other_radwrap(tmp_path / "other")))
-        _wait_for_workers(address, 2)
+        server, address = stack.enter_context(scheduler(tmp_path))
+        stack.enter_context(worker(address, tmp_path / "w1"))
+        stack.enter_context(worker(address, tmp_path / "w2", _other_radwrap(tmp_path / "other")))
+        wait_for_workers(address, 2)
         with start([*_words(design, address), tmp_path / "lost"]) as study:
             assert wait_for((tmp_path / "lost" / "started.log").exists, study, PATIENCE)
-            os.kill(scheduler.pid, signal.SIGKILL)
+            os.kill(server.pid, signal.SIGKILL)
             _, told = study.communicate(timeout=PATIENCE)
         assert study.returncode == 4
         left_out, gone = told.splitlines()
@@ -177,9 +141,9 @@ def test_a_study_for_which_no_worker_is_fit_is_not_begun(tmp_path: Path) -> None
     design, out = tmp_path / "design.toml", tmp_path / "out"
     design.write_text(f'scene = "scene.toml"\n{TINY_SMALL}\n{GRAY}')
     with ExitStack() as stack:
-        _, address = stack.enter_context(_scheduler(tmp_path))
-        stack.enter_context(_worker(address, tmp_path / "w", _other_radwrap(tmp_path / "other")))
-        _wait_for_workers(address, 1)
+        _, address = stack.enter_context(scheduler(tmp_path))
+        stack.enter_context(worker(address, tmp_path / "w", _other_radwrap(tmp_path / "other")))
+        wait_for_workers(address, 1)
         done = command("study", "run", design, "--out", out, "--no-report", "--dask", address)
         assert done.code == 4 and "no worker is fit: another radwrap's files" in done.stderr
         assert not (out / "started.log").exists()
@@ -189,7 +153,7 @@ def test_a_study_for_which_no_worker_is_fit_is_not_begun(tmp_path: Path) -> None
 def test_a_study_without_workers_ends(tmp_path: Path) -> None:
     """It says once that it waits; then it gives up."""
     design = _laid(tmp_path)
-    with _scheduler(tmp_path) as (_, address):
+    with scheduler(tmp_path) as (_, address):
         with start([*_words(design, address), tmp_path / "none", "--worker-timeout", "2 s"]) as study:
             _, told = study.communicate(timeout=PATIENCE)
         assert study.returncode == 4
@@ -200,11 +164,11 @@ def test_a_study_without_workers_ends(tmp_path: Path) -> None:
 def test_a_study_whose_last_worker_is_killed_ends(tmp_path: Path) -> None:
     """Long: what it does without a worker is seen above."""
     design = _laid(tmp_path)
-    with _scheduler(tmp_path) as (_, address), _worker(address, tmp_path / "w") as worker:
-        _wait_for_workers(address, 1)
+    with scheduler(tmp_path) as (_, address), worker(address, tmp_path / "w") as last:
+        wait_for_workers(address, 1)
         with start([*_words(design, address), tmp_path / "killed", "--worker-timeout", "3 s"]) as study:
             assert wait_for((tmp_path / "killed" / "started.log").exists, study, PATIENCE)
-            worker.kill()
+            last.kill()
             _, told = study.communicate(timeout=PATIENCE)
         assert study.returncode == 4
         _says_once_that_it_waits(told, address, 3)

@@ -3,16 +3,17 @@
 Keys of components that are assumed and tell a range are looked at one by one,
 through the sensor model and without a ray: those of the sensor, the share of
 light that a lens lets through and its f-number, and the level of a scene's one
-source. What changes the picture itself is not: focal length, beams, sizes, the
-blur of another f-number, one of several sources.
+source, or of those whose shares of the light are known. What changes the picture
+itself is not: focal length, beams, sizes, the blur of another f-number.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -22,9 +23,8 @@ from radwrap.errors import InputError
 from radwrap.imaging.response.noise import noise_variance
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.scene.camera import Sensor
-from radwrap.scene.catalog.component import Entry
 from radwrap.scene.catalog.presets import Taken
-from radwrap.scene.file.load import with_camera
+from radwrap.scene.file.load import BEHIND_THE_LIGHT, camera_with
 from radwrap.scene.scene import Scene
 
 _MOST_PIXELS: Final = 1 << 14  # evenly spread: means of more of them are hardly others
@@ -32,8 +32,11 @@ _NOTABLE_MEAN: Final = 0.01  # of the range of gray levels, from which on an ima
 _NOTABLE_NOISE: Final = 0.1
 _SHOWN_GRAY: Final = 0.01
 _SHOWN_NOISE: Final = 0.005
+_NUMBER: Final = re.compile(r"\[(\d+)\]")
 _QUANTITY: Final = re.compile(r"(\S+) (\S+)")
 _SENSOR: Final = "camera.sensor"
+_LIGHTS: Final = ("lights", "leds", "lamps")
+_CURVE: Final = "quantum_efficiencies"
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +65,59 @@ class AssumedEffect:
     notable: bool
 
 
+@dataclass(frozen=True, slots=True)
+class Assumptions:
+    """What an image hangs on: its camera, and what the scene takes from the catalog.
+
+    Attributes
+    ----------
+    sensor : Sensor
+        Of the camera.
+    components : tuple of Taken
+        What the scene takes from the catalog.
+    sources : tuple of str
+        Names of all sources.
+    document, origin, folder : str, str, Path
+        As of `Scene`.
+    spectral : bool
+        Whether the scene tells spectra.
+    """
+
+    sensor: Sensor
+    components: tuple[Taken, ...]
+    sources: tuple[str, ...]
+    document: str
+    origin: str
+    folder: Path
+    spectral: bool
+
+    @classmethod
+    def of(cls, scene: Scene) -> Assumptions:
+        """Of a scene."""
+        names = tuple(source.name for source in scene.sources)
+        spectral = scene.spectral is not None
+        return cls(scene.camera.sensor, scene.components, names, scene.document, scene.origin, scene.folder, spectral)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class End:
+    """An image where an assumed value is at one end of its range.
+
+    Attributes
+    ----------
+    value : str
+        That end, as a scene writes it.
+    sensor : Sensor
+        That gives the image.
+    light : ndarray of float64, shape (rows, columns)
+        What it gets [J m^-2].
+    """
+
+    value: str
+    sensor: Sensor
+    light: NDArray[np.float64]
+
+
 def assumed_effects(scene: Scene, exposure: NDArray[np.float64]) -> tuple[AssumedEffect, ...]:
     """Effects of all assumed values of a scene's components that tell a range.
 
@@ -72,14 +128,42 @@ def assumed_effects(scene: Scene, exposure: NDArray[np.float64]) -> tuple[Assume
     exposure : ndarray, shape (rows, columns)
         Radiant exposure [J m^-2].
     """
+    return effects_of(Assumptions.of(scene), exposure)
+
+
+def effects_of(
+    told: Assumptions, exposure: NDArray[np.float64], lights: Mapping[str, NDArray[np.float64]] | None = None
+) -> tuple[AssumedEffect, ...]:
+    """As `assumed_effects`, of an image of which only this is known.
+
+    Parameters
+    ----------
+    told : Assumptions
+        Of the image.
+    exposure : ndarray, shape (rows, columns)
+        Radiant exposure [J m^-2].
+    lights : Mapping of str to ndarray, optional
+        Name of a source -> its share of the exposure; of a scene's only source all of it is.
+    """
     step = max(1, math.ceil(math.sqrt(exposure.size / _MOST_PIXELS)))
     light = np.ascontiguousarray(exposure[::step, ::step])
-    return tuple(
-        _effect(scene, taken, key, taken.component.entries[key], light)
-        for taken in scene.components
-        for key in taken.used
-        if _is_looked_at(scene, taken, key)
-    )
+    parts = {name: np.ascontiguousarray(part[::step, ::step]) for name, part in (lights or {}).items()}
+    before = _image(told.sensor, light)
+    return tuple(_effect(told.sensor, before, key, ends) for key, ends in assumed_ends(told, light, parts))
+
+
+def assumed_ends(
+    told: Assumptions, light: NDArray[np.float64], lights: Mapping[str, NDArray[np.float64]] | None = None
+) -> Iterator[tuple[str, tuple[End, End]]]:
+    """Key of each assumed value that tells a range, and the image at both ends; arguments as `effects_of`."""
+    parts = dict(lights or {})
+    if len(told.sources) == 1:
+        parts[told.sources[0]] = light
+    for taken in told.components:
+        for key in taken.used:
+            if _is_looked_at(told, taken, key, parts):
+                low, high = _ends(told, taken, key, light, parts)
+                yield f"{taken.place_of(key)}.{key}", (low, high)
 
 
 def warnings_of_assumed(effects: tuple[AssumedEffect, ...]) -> Iterator[str]:
@@ -100,7 +184,17 @@ def _changes(effect: AssumedEffect) -> str:
     return ", ".join(told)
 
 
-def _is_looked_at(scene: Scene, taken: Taken, key: str) -> bool:
+def with_assumed_level(told: Assumptions) -> tuple[str, ...]:
+    """Names of the sources whose level nobody published, where a range of it is told."""
+    parts = dict.fromkeys(told.sources)
+    return tuple(
+        _source_of(told, taken)
+        for taken in told.components
+        if taken.component.kind in _LIGHTS and any(_is_looked_at(told, taken, key, parts) for key in taken.used)
+    )
+
+
+def _is_looked_at(told: Assumptions, taken: Taken, key: str, parts: Mapping[str, Any]) -> bool:
     entry = taken.component.entries.get(key)
     if entry is None or (entry.range is None and entry.range_factor is None):
         return False
@@ -108,31 +202,57 @@ def _is_looked_at(scene: Scene, taken: Taken, key: str) -> bool:
         return False
     match taken.component.kind:
         case "sensors":
-            return scene.spectral is None  # where spectra are told, a sensor is weighed by them
+            # Where spectra are told, they are weighed by the sensor: a factor on all of its curve is one on the light.
+            by_factor = key == _CURVE and entry.range_factor is not None
+            return not told.spectral or by_factor or f"{_SENSOR}.{key}" in BEHIND_THE_LIGHT
         case "lenses":
             return key in ("transmission", "f_number")
-        case "lights" | "leds" | "lamps":
-            return key.startswith("radian") and len(scene.sources) == 1
+        case kind if kind in _LIGHTS:
+            return key.startswith("radian") and _source_of(told, taken) in parts
     return False
 
 
-def _effect(scene: Scene, taken: Taken, key: str, entry: Entry, light: NDArray[np.float64]) -> AssumedEffect:
-    value = taken.component.values[key]
+def _source_of(told: Assumptions, taken: Taken) -> str:
+    """Name of the source that takes a component."""
+    number = _NUMBER.search(taken.key)
+    return told.sources[int(number[1])] if number else ""
+
+
+def _ends(
+    told: Assumptions, taken: Taken, key: str, light: NDArray[np.float64], parts: Mapping[str, NDArray[np.float64]]
+) -> Iterator[End]:
+    value, entry = taken.component.values[key], taken.component.entries[key]
     ends = entry.range or tuple(_times(value, factor) for factor in entry.range_factor or ())
-    sensor = scene.camera.sensor
-    before = _image(sensor, light)
-    images = []
-    for end in ends:
-        if taken.component.kind == "sensors":
-            try:
-                other = with_camera(scene, {f"{_SENSOR}.{key}": end}).camera.sensor
-            except InputError as error:
-                where = f"{taken.component.path}: catalog.from.{key}.range"
-                raise InputError(error.what, where=where, remedy="see `radwrap catalog check`") from error
-            images.append(_image(other, light))
-        else:
+    for number, end in enumerate(ends):
+        shown = f"{end:g}" if isinstance(end, int | float) else str(end)
+        if isinstance(value, list) and entry.range_factor is not None:
+            shown = f"{entry.range_factor[number]:g} times"
+        sensor, seen = told.sensor, light
+        if told.spectral and key == _CURVE:
+            # Also the end of a curve that would pass one electron for each photon somewhere.
+            seen = light * (max(one for _, one in end) / max(one for _, one in value))
+        elif taken.component.kind == "sensors":
+            sensor = _other_sensor(told, taken, key, end)
+        elif taken.component.kind == "lenses":
             share = _number(end) / _number(value)
-            images.append(_image(sensor, light * (share**-2 if key == "f_number" else share)))
+            seen = light * (share**-2 if key == "f_number" else share)
+        else:
+            seen = light + parts[_source_of(told, taken)] * (_number(end) / _number(value) - 1)
+        yield End(shown, sensor, seen)
+
+
+def _other_sensor(told: Assumptions, taken: Taken, key: str, end: Any) -> Sensor:
+    try:
+        changes = {f"{_SENSOR}.{key}": end}
+        made = camera_with(told.document, changes, origin=told.origin, folder=told.folder, spectral=told.spectral)
+    except InputError as error:
+        where = f"{taken.component.path}: catalog.from.{key}.range"
+        raise InputError(error.what, where=where, remedy="see `radwrap catalog check`") from error
+    return made.camera.sensor
+
+
+def _effect(sensor: Sensor, before: tuple[float, float | None], key: str, ends: tuple[End, End]) -> AssumedEffect:
+    images = [_image(end.sensor, end.light) for end in ends]
     low, high = (mean - before[0] for mean, _ in images)
     noise = None
     if before[1] is not None:
@@ -142,10 +262,7 @@ def _effect(scene: Scene, taken: Taken, key: str, entry: Entry, light: NDArray[n
     notable = max(abs(low), abs(high)) >= _NOTABLE_MEAN * span or (
         noise is not None and max(map(abs, noise)) >= _NOTABLE_NOISE
     )
-    shown = [f"{end:g}" if isinstance(end, int | float) else str(end) for end in ends]
-    if isinstance(value, list):
-        shown = [f"{factor:g} times" for factor in entry.range_factor or ()]
-    return AssumedEffect(f"{taken.place_of(key)}.{key}", shown[0], shown[1], (low, high), noise, notable)
+    return AssumedEffect(key, ends[0].value, ends[1].value, (low, high), noise, notable)
 
 
 def _image(sensor: Sensor, light: NDArray[np.float64]) -> tuple[float, float | None]:

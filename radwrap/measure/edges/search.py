@@ -71,6 +71,12 @@ def find_line(values: Array, progress: Progress | None = None) -> Line:
     for reach in (4.0, 4.0, 3.0, 3.0):
         distance = u * math.cos(angle) + v * math.sin(angle) - rho
         near = (np.abs(distance) < reach + _spread(distance, weight)) & (_turn(direction, angle) < math.radians(25))
+        if not near.any():
+            raise InputError(
+                "shows no straight edge: its gradients lie along no line",
+                where="the image",
+                remedy="name a region that holds one edge",
+            )
         angle, centre = _through(u[near], v[near], weight[near] ** 2, angle)
         rho = centre[0] * math.cos(angle) + centre[1] * math.sin(angle)
     distance = u * math.cos(angle) + v * math.sin(angle) - rho

@@ -66,9 +66,13 @@ class Taken:
             table = self.place_of(key)
             entry = self.component.entries.get(key)
             if entry is not None and (entry.basis == "assumed" or key in self.elsewhere):
-                value = f"measured at {entry.at}" if key in self.elsewhere else self.component.values[key]
+                value = f"measured at {entry.at}" if key in self.elsewhere else _shown(self.component.values[key])
                 why = "scaled from there along another curve" if key in self.elsewhere else "which nobody measured"
                 yield f"{table}.{key}", f"{value}: of the preset {self.component.name}, {why}"
+
+
+def _shown(value: Any) -> Any:
+    return "a table" if isinstance(value, list | Mapping) else value
 
 
 def with_presets(
@@ -108,6 +112,8 @@ def with_presets(
         changed = {**camera}
         if "sensor" in camera:
             changed["sensor"] = merged(camera["sensor"], "sensors", "camera.sensor")
+        if "filter" in camera:
+            changed["filter"] = merged(camera["filter"], "filters", "camera.filter")
         if isinstance(camera.get("lens"), dict) and KEY in camera["lens"]:
             component = find("lenses", camera["lens"][KEY], folder, f"{origin}: camera.lens.{KEY}")
             changed, used = _with_lens(changed, component, f"{origin}: camera")
@@ -133,7 +139,7 @@ def naming_presets(document: Mapping[str, Any]) -> dict[str, Any]:
         return {key: table[key] for key in (KEY, *UNSOURCED) if key in table} if isinstance(table, dict) else {}
 
     camera, sources, materials = (document.get(key) for key in ("camera", "sources", "materials"))
-    parts = {part: names(camera.get(part)) for part in ("sensor", "lens")} if isinstance(camera, dict) else {}
+    parts = {part: names(camera.get(part)) for part in ("sensor", "lens", "filter")} if isinstance(camera, dict) else {}
     found = {
         "camera": {part: one for part, one in parts.items() if KEY in one},
         "sources": [one for one in map(names, sources) if KEY in one] if isinstance(sources, list) else [],

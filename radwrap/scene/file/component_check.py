@@ -14,7 +14,7 @@ from radwrap.scene.file import source_tables as sources
 from radwrap.scene.file.border import Model
 from radwrap.scene.file.document import DistortionModel
 from radwrap.scene.file.faults import validated
-from radwrap.scene.file.optics_tables import LensModel
+from radwrap.scene.file.optics_tables import LensModel, TransmissionModel
 from radwrap.scene.file.sensor_tables import LinearSensorModel, SensorModel
 from radwrap.units import LENGTH, dimension_of, parse_quantity
 
@@ -101,7 +101,7 @@ def _of_keys(component: Component, where: str) -> Iterator[str]:
             case "materials":
                 validated(_shape(_MATERIALS, values, where), values, where)
             case "filters":
-                raise InputError("filters have no keys in a scene yet", where=where)
+                validated(TransmissionModel, values, where)
             case _:
                 shape = sources.LampModel if component.kind == "lamps" else _shape(_LIGHTS, values, where)
                 placed = {key: value for key, value in _PLACED.items() if key in shape.model_fields}

@@ -26,7 +26,7 @@ from radwrap.scene.file.border import (
     exactly_one,
 )
 from radwrap.scene.file.material_tables import MaterialModel
-from radwrap.scene.file.optics_tables import GLASS, CurveModel, LensModel
+from radwrap.scene.file.optics_tables import GLASS, CurveModel, LensModel, TransmissionModel
 from radwrap.scene.file.pattern_tables import (
     CharucoModel,
     ChessboardModel,
@@ -147,7 +147,7 @@ class CameraModel(Aimed):
     """Whether images have diffraction: where it matters, always, or never."""
     spectral_response: CurveModel | None = None
     """Relative response of the sensor over wavelength."""
-    filter: CurveModel | None = None
+    filter: TransmissionModel | None = None
     """Transmittance of a filter over wavelength."""
 
     @model_validator(mode="after")

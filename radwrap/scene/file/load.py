@@ -33,6 +33,12 @@ from radwrap.scene.look.wide_sources import outlined
 from radwrap.scene.materials import Glass, Material, Mirror, PrintedImage
 from radwrap.scene.scene import Scene
 
+# Keys of a camera that change nothing of what spectra are weighed by: the time, and what comes after the electrons.
+BEHIND_THE_LIGHT: Final = (
+    "camera.exposure_time",
+    *(f"camera.sensor.{key}" for key in ("system_gain", "offset", "full_well", "read_noise", "dsnu", "prnu")),
+    *(f"camera.sensor.{key}" for key in ("dark_current", "temperature")),
+)
 _SCENE_FILE: Final = FileKind("scene file", 16 << 20, "`radwrap init DIR` writes one to start from")  # written by hand
 
 
@@ -214,7 +220,7 @@ def camera_with(
     for key, value in overrides.items():
         if not key.startswith("camera."):
             raise InputError("is not a key of the camera", where=f"{origin}: {key}")
-        if spectral and key != "camera.exposure_time":
+        if spectral and key not in BEHIND_THE_LIGHT:
             raise InputError("may weigh the scene's spectra differently", where=key, remedy="render that camera")
         tables = set_all(tables, key, value, origin)
     text = _checked_json(tables, origin)

@@ -13,6 +13,7 @@ from radwrap.scene.file.border import (
     Model,
     OpticalPath,
     PositiveShare,
+    Share,
     Size,
     SizeOrZero,
     Wavelength,
@@ -126,6 +127,25 @@ class CurveModel(Model):
 
     file: FileName
     """CSV table beside the scene: wavelength [nm] and value."""
+
+
+class TransmissionModel(Model):
+    """[camera.filter]: what a filter before the lens lets through, by its name in the catalog, a file or a table."""
+
+    preset: ComponentName | None = None
+    """Name of a filter of the catalog."""
+    file: FileName | None = None
+    """CSV table beside the scene: wavelength [nm] and transmittance."""
+    transmissions: Annotated[tuple[tuple[Wavelength, Share], ...], Field(min_length=2, max_length=10_000)] | None = None
+    """Pairs of wavelength and transmittance; in place of file."""
+
+    @model_validator(mode="after")
+    def _one_curve(self) -> TransmissionModel:
+        exactly_one(self, "file", "transmissions")
+        wavelengths = [wavelength for wavelength, _ in self.transmissions or ()]
+        if any(a >= b for a, b in pairwise(wavelengths)):
+            raise ValueError("transmissions: wavelengths must increase")
+        return self
 
 
 class SpectrumModel(Model):

@@ -32,7 +32,7 @@ from radwrap.scene.wide_shapes import area
 if TYPE_CHECKING:
     from radwrap.scene.file import document as tables
     from radwrap.scene.file.material_tables import MaterialModel
-    from radwrap.scene.file.optics_tables import CurveModel, SpectrumModel
+    from radwrap.scene.file.optics_tables import CurveModel, SpectrumModel, TransmissionModel
     from radwrap.scene.file.source_tables import Shining
     from radwrap.scene.scene import Scene
 
@@ -171,11 +171,13 @@ def _whole(scene: Scene, plane: Spectral) -> float:
 
 def _path(scene: Scene, model: tables.SceneModel, colour: Colour | None) -> dict[str, Curve]:
     """What light passes before it counts, by the key that tells it; quantum efficiencies come besides."""
-    places = {
-        "camera.spectral_response": (model.camera.spectral_response, math.inf),
-        "camera.filter": (model.camera.filter, 1.0),
-    }
-    found = {key: _factor(table, scene, key, largest) for key, (table, largest) in places.items() if table is not None}
+    found: dict[str, Curve] = {}
+    if model.camera.spectral_response is not None:
+        found["camera.spectral_response"] = _factor(
+            model.camera.spectral_response, scene, "camera.spectral_response", math.inf
+        )
+    if model.camera.filter is not None:
+        found["camera.filter"] = _transmission(model.camera.filter, scene)
     filters = model.camera.sensor.filters
     if filters is not None and colour is not None and not isinstance(model.camera.sensor, LinearSensorModel):
         key = f"camera.sensor.filters.{colour}"
@@ -270,6 +272,14 @@ def _colour(material: MaterialModel) -> CurveModel | None:
 
 def _factor(table: CurveModel, scene: Scene, key: str, largest: float) -> Curve:
     return curve_beside(table.file, scene.folder, f"{scene.origin}: {key}", largest)
+
+
+def _transmission(table: TransmissionModel, scene: Scene) -> Curve:
+    """Transmittance of the filter, from its table or its file."""
+    if table.transmissions is not None:
+        wavelengths, shares = zip(*table.transmissions, strict=True)
+        return Curve(wavelengths, shares)
+    return curve_beside(table.file or "", scene.folder, f"{scene.origin}: camera.filter", 1.0)
 
 
 def _used(scene: Scene) -> set[str]:
