@@ -27,7 +27,9 @@ sys.path.insert(0, str(ROOT))
 from radwrap.face.assets import assets  # noqa: E402  (the tests' own server is used)
 from tests.face.conftest import Served, serving  # noqa: E402
 
-API: Final = [f"/api/{name}" for name in "watch planes turn pixel profile png scene save trace stop".split()]
+API: Final = [
+    f"/api/{name}" for name in "watch planes turn pixel profile measure photo compare png scene save trace stop".split()
+]
 OPEN: Final = sorted(assets())
 HOSTS: Final = ["evil.test", "evil.test:{port}", "127.0.0.1.evil.test:{port}", "127.0.0.1:1", "0.0.0.0:{port}", "x", ""]
 ORIGINS: Final = [

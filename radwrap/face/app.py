@@ -21,7 +21,9 @@ from starlette.routing import Route
 
 from radwrap.errors import InputError, RadwrapError
 from radwrap.face.assets import Asset, assets
-from radwrap.face.gate import App, Door, Gate
+from radwrap.face.decoder import LARGEST
+from radwrap.face.gate import LARGEST_BODY, OCTETS, App, Door, Gate
+from radwrap.face.photo import Photos, compared
 from radwrap.face.profile import ends_of, profile_table, width_of
 from radwrap.face.saving import save, scene_text, turned_scene
 from radwrap.face.session import Image, Session, Status, Traced
@@ -37,7 +39,7 @@ _LOOK: Final = 0.1  # s between looks at how far a trace is
 _LONGEST_WATCH: Final = 1.0  # s
 _GRACE: Final = 2.0  # s for a page that is loaded again
 MOST_PLANES: Final = 512 << 20  # byte; a page with more of them leaves mixing to the server
-_OCTETS: Final = "application/octet-stream"
+PHOTO: Final = "/api/photo"
 
 Numbers = np.ndarray[Any, Any]
 _T = TypeVar("_T")
@@ -59,6 +61,8 @@ def gated(session: Session, *, port: int, token: str) -> App:
             ("png", answers.png),
             ("scene", answers.scene),
             ("measure", answers.measure),
+            ("photo", answers.photo),
+            ("compare", answers.compare),
             ("save", answers.save),
             ("trace", answers.trace),
             ("stop", answers.stop),
@@ -71,6 +75,7 @@ def gated(session: Session, *, port: int, token: str) -> App:
     table = {path: Door("GET", guarded=False) for path in shipped} | {
         path: Door("POST", guarded=True) for path in posts
     }
+    table[PHOTO] = Door("POST", guarded=True, content=OCTETS, largest=LARGEST + LARGEST_BODY)
     return Gate(app, table, port=port, token=token)
 
 
@@ -115,6 +120,7 @@ class _Answers:
         self._session = session
         self._one = asyncio.Lock()
         self._measuring = asyncio.Lock()
+        self._photos = Photos(session.work)
         self._watchers = 0
         self._watched = 0.0
 
@@ -212,6 +218,33 @@ class _Answers:
                 raise _Gone
             found = await left_behind(lambda: _measured(traced, image))
         return JSONResponse({"measured": [_finite(asdict(one)) for one in found]})
+
+    async def photo(self, request: Request) -> Response:
+        """Take a photo, whose bytes follow a line of JSON that tells basis and turn; its gray levels come back."""
+        body = await request.body()
+        head, _, _ = body[:LARGEST_BODY].partition(b"\n")
+        told = _told(head)
+        traced = self._session.finished(_number(told))
+        image = await self._image(request, traced, _turn(told, traced))
+        sensor, content = image.relighter.basis.sensor, memoryview(body)[len(head) + 1 :]
+        photo = await asyncio.to_thread(self._photos.take, content, sensor)
+
+        async def each() -> AsyncIterator[Numbers]:
+            yield photo.values
+
+        answer = {"photo": photo.number, "bit_depth": photo.bit_depth, "notes": photo.notes}
+        return _octets(answer, [photo.values.size], each())
+
+    async def compare(self, request: Request) -> Response:
+        """How a photo differs from an image."""
+        traced, told = await self._asked(request, kept=True)
+        photo = self._photos.kept(told.get("photo"))
+        image = await self._image(request, traced, _turn(told, traced))
+        async with self._measuring:
+            if await request.is_disconnected():
+                raise _Gone
+            found = await left_behind(lambda: compared(photo, image))
+        return JSONResponse(_finite(found))
 
     async def png(self, request: Request) -> Response:
         """The image as gray.png has it."""
@@ -333,7 +366,7 @@ def _octets(told: Mapping[str, Any], sizes: list[int], blocks: AsyncIterator[Num
             for start in range(0, len(octets), _BLOCK):
                 yield octets[start : start + _BLOCK]
 
-    return StreamingResponse(parts(), media_type=_OCTETS)
+    return StreamingResponse(parts(), media_type=OCTETS.decode())
 
 
 def _finite(value: Any) -> Any:

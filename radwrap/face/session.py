@@ -282,6 +282,11 @@ class Session:
         self._thread: threading.Thread | None = None
 
     @property
+    def work(self) -> Path:
+        """A folder of the server's own."""
+        return self._work
+
+    @property
     def status(self) -> Status:
         """How far it is."""
         return self._status

@@ -7,6 +7,7 @@ import { take } from "./handover.js";
 import { KnobPanel } from "./knobs.js";
 import { Measurement } from "./measuring.js";
 import { coloursOf } from "./mix.js";
+import { PhotoComparison } from "./photo.js";
 import { HistogramPlot, ProfilePlot } from "./plots.js";
 import { RayKnobs } from "./ray_knobs.js";
 import { Readings } from "./readings.js";
@@ -68,6 +69,7 @@ export class Explorer {
     this.readings = new Readings(this, this.leave.signal);
     this.comparison = new Comparison(this, a, this.leave.signal);
     this.measurement = new Measurement(this, this.leave.signal);
+    this.photo = new PhotoComparison(this, this.leave.signal);
     this.profile = new ProfilePlot(fresh("profile"), byId("profiletable"));
     this.histogram = new HistogramPlot(fresh("histogram"), byId("histogramtable"));
     this.listen();
@@ -133,6 +135,7 @@ export class Explorer {
     this.asking?.abort();
     this.setStale("measuring");
     this.measurement.turned();
+    this.photo.turned();
     this.respond();
     this.comparison.refresh();
     this.draw();

@@ -40,8 +40,14 @@
  * An image as the server has made it.
  *
  * @typedef {{rows: number, columns: number, basis: number, turn: Turn, exposure: Float32Array, sigma: Float32Array,
- *   thresholds: Thresholds, told: Told}} KeptPicture
- * A picture that is kept to compare with, as it was certified.
+ *   thresholds: Thresholds, told: Told, photo?: {number: number, name: string}}} KeptPicture
+ * A picture that is kept to compare with, as it was certified; of a photo its number with the server, and its file's name.
+ *
+ * @typedef {{mean: number, rms: number, expected_rms: number, beyond: number,
+ *   worst: {column: number, row: number, photo: number, picture: number},
+ *   causes: {mainly: string | null, as_is: number, dark_level: number, exposure: number, exposure_factor: number | null,
+ *     geometry: number | null, shift: [number, number] | null}, notes: string[]}} PhotoFound
+ * What a photo differs by from a picture [gray level].
  *
  * @typedef {"a" | "b" | "wipe" | "difference"} Shown
  * What the canvas shows: the kept picture, that of the knobs, both, or the second less the first.

@@ -414,6 +414,47 @@ test("a knob that needs rays traces anew, coarse first, with the other knobs whe
   assert.match(await shown(), /^0\.[23] mm$/);
 });
 
+test("a photo is held against the picture, and what is none is said", async (t) => {
+  const { page } = await loaded(t, { expected: /422/ });
+  const [png] = await Promise.all([page.waitForEvent("download"), page.click("#png")]);
+  const gray = readFileSync(await png.path());
+  const find = (name) => page.locator(`#photofound tr:has(th:text-is("${name}")) td`);
+  const open = (name, buffer, mimeType = "image/png") => page.setInputFiles("#photo", { name, mimeType, buffer });
+  for (const [name, buffer, says] of [["no.gif", Buffer.from("GIF89a0000"), "is none of PNG"], ["cut.png", gray.subarray(0, 900), "is not complete"]]) {
+    await open(name, buffer);
+    await page.waitForFunction((text) => document.getElementById("photoof").textContent.includes(text), says);
+    assert.ok(await page.isDisabled("#compare"));
+  }
+  const name = "</b><script>alert(1)</script>.png"; // a name is text
+  await open(name, gray);
+  await page.waitForFunction(() => /^the photo .* less the picture as it is shown$/.test(document.getElementById("photoof").textContent));
+  assert.ok((await page.textContent("#compared")).includes(name));
+  assert.ok(Number((await find("rms").textContent()).split(" ")[0]) < 0.5); // rounding alone
+  assert.equal(await find("pixels beyond 1.96 σ").textContent(), "0 % (5 % by chance)");
+  // It is A: its codes on the canvas, and none of its pixels differs.
+  await page.check("input[name=side][value=a]");
+  await page.waitForFunction(() => document.querySelector("input[name=side][value=a]").checked);
+  writeFileSync(join(folder, "photo.png"), gray);
+  assert.deepEqual(await picture(page, 165, 192), await codesOf(join(folder, "photo.png")));
+  await page.keyboard.press("g");
+  await page.waitForFunction(() => /B − A: 0 % of the pixels/.test(document.getElementById("compared").textContent));
+  await page.keyboard.press("ArrowRight");
+  await page.waitForFunction(() => /photo: \d+/.test(document.getElementById("probe").textContent));
+  assert.ok(await page.isDisabled("#toa"));
+  // With half the light the photo is brighter, and exposure would explain it.
+  await type(page, "level:all", "0.5");
+  await page.waitForFunction(() => document.getElementById("photoof").textContent === "of the knobs before they were turned");
+  await measured(page);
+  await page.waitForFunction(() => /B − A: [1-9]/.test(document.getElementById("compared").textContent));
+  await page.click("#compare");
+  await page.waitForFunction(() => /mainly light or exposure: 1\.8\d* times/.test(document.getElementById("photofound").textContent)); // 2 ** 0.85
+  assert.ok(Number((await find("mean").textContent()).split(" ")[0]) > 1);
+  // A picture that is kept takes its place.
+  await page.focus("#picture");
+  await page.keyboard.press("a");
+  assert.ok(await page.isDisabled("#compare"));
+});
+
 test("a basis that is too large to mix: the picture follows when a knob rests", async (t) => {
   const code = "import radwrap.face.app as app, sys; app.MOST_PLANES = 1; from radwrap.cli.main import main; sys.exit(main())";
   const own = await served([join(ROOT, ".venv/bin/python"), "-c", code], ["--tolerance", "2"]);

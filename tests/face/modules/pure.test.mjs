@@ -4,6 +4,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { colourOf, differenceOf, graysOf, together } from "../../../radwrap/data/face/difference.js";
 import { addPlane, codeOf, coloursOf, frameOf, MAPS, ranksOf, sumPlanes, timesOf } from "../../../radwrap/data/face/mix.js";
+import { causeText, pictureOf } from "../../../radwrap/data/face/photo.js";
 import { grayOf, rankOf, thresholdsOf, turnedSensor } from "../../../radwrap/data/face/response.js";
 import { History, sameTurn, untouched, withKnob, withLevels } from "../../../radwrap/data/face/state.js";
 import { draggedWindow, grouped, linePixels, profileCsv, quantile, stripPixels, summary } from "../../../radwrap/data/face/statistics.js";
@@ -288,4 +289,25 @@ test("one pixel that differs is seen in a bin, and bands are one picture", () =>
   const shown = bands.flatMap(({ rgba }) => [...new Uint32Array(rgba.buffer)]);
   assert.deepEqual(shown.flatMap((colour, k) => (colour === colourOf(1) ? [k] : [])), [50 * 9 + 6]);
   assert.equal(shown.filter((colour) => colour === 0xff767676).length, shown.length - 1);
+});
+
+test("a photo's gray levels are its codes, as those of a picture are", () => {
+  const values = Float32Array.of(0, 1, 21.4, 21.6, 254, 255);
+  const photo = pictureOf({ number: 3, name: "x", values, bits: 8, rows: 1, columns: 6, sensor: EQ5 });
+  assert.deepEqual([...values].map((value) => rankOf(value, photo.thresholds)), [0, 1, 21, 22, 254, 255]);
+  assert.deepEqual([...graysOf(values, photo.told.sensor)], [...values]);
+  const ranks = ranksOf(photo.thresholds);
+  assert.deepEqual([...values].map((value) => codeOf(value, ranks)), [0, 1, 21, 22, 254, 255]);
+  // A picture of the same gray levels does not differ from it; a brighter one is B more than A.
+  const now = { light: values, gray: values.map((value) => value + 2), sigma: new Float32Array(6).fill(0.5), ranks };
+  const a = { gray: graysOf(values, photo.told.sensor), sigma: photo.sigma };
+  const { apart } = differenceOf(a, now, 6, 0, { x0: 0, y0: 0, x1: 6, y1: 1, bin: 1 }, 16, 256);
+  assert.deepEqual([apart.beyond, apart.least, apart.largest], [6, 2, 2]);
+});
+
+test("what explains a difference is said with what it leaves", () => {
+  const causes = { mainly: null, as_is: 4, dark_level: 3.9, exposure: 1.5, exposure_factor: 1.234567, geometry: null, shift: null };
+  assert.equal(causeText({ ...causes, mainly: "exposure" }), "mainly light or exposure: 1.23 times as bright above dark, and 1.5 gray rms of 4 stay");
+  assert.match(causeText({ ...causes, mainly: "geometry", geometry: 1, shift: [0.5, -2] }), /moved by 0.50, -2.00 px, and 1 gray rms of 4 stay/);
+  assert.match(causeText(causes), /neither/);
 });
