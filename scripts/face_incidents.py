@@ -28,7 +28,8 @@ from radwrap.face.assets import assets  # noqa: E402  (the tests' own server is 
 from tests.face.conftest import Served, serving  # noqa: E402
 
 API: Final = [
-    f"/api/{name}" for name in "watch planes turn pixel profile measure photo compare png scene save trace stop".split()
+    f"/api/{name}"
+    for name in "watch planes turn pixel profile measure photo compare matters png scene save trace stop".split()
 ]
 OPEN: Final = sorted(assets())
 HOSTS: Final = ["evil.test", "evil.test:{port}", "127.0.0.1.evil.test:{port}", "127.0.0.1:1", "0.0.0.0:{port}", "x", ""]

@@ -48,6 +48,9 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         help="serve nothing, but write the page and its basis as one file of at most 4 MB, which needs no server",
     )
     parser.add_argument(
+        "--study", metavar="DIR", type=Path, help="show the results of the study in this folder beside the picture"
+    )
+    parser.add_argument(
         "--seed", metavar="S", type=shared.whole(), default=0, help="seed of all random draws (default 0)"
     )
     shared.add_tracer(parser)
@@ -69,12 +72,14 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.export is not None:
         return _export(arguments, scene, options)
     require("face", "face")
+    from radwrap.face.matters import study_told
     from radwrap.face.recipe import Recipe
     from radwrap.face.serve import serve
 
+    study = None if arguments.study is None else study_told(arguments.study)
     browser = None if arguments.no_browser or not _has_screen() else _open
     recipe = Recipe(_words(arguments), arguments.scene, shared.overrides_of(arguments), _unusual(options))
-    serve(scene, options, port=arguments.port, out=out, recipe=recipe, opened=browser)
+    serve(scene, options, port=arguments.port, out=out, recipe=recipe, study=study, opened=browser)
     return 0
 
 

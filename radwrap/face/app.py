@@ -23,6 +23,7 @@ from radwrap.errors import InputError, RadwrapError
 from radwrap.face.assets import Asset, assets
 from radwrap.face.decoder import LARGEST
 from radwrap.face.gate import LARGEST_BODY, OCTETS, App, Door, Gate
+from radwrap.face.matters import parts_of
 from radwrap.face.photo import Photos, compared
 from radwrap.face.profile import ends_of, profile_table, width_of
 from radwrap.face.saving import save, scene_text, turned_scene
@@ -63,6 +64,7 @@ def gated(session: Session, *, port: int, token: str) -> App:
             ("measure", answers.measure),
             ("photo", answers.photo),
             ("compare", answers.compare),
+            ("matters", answers.matters),
             ("save", answers.save),
             ("trace", answers.trace),
             ("stop", answers.stop),
@@ -160,7 +162,9 @@ class _Answers:
         if traced is not None:
             size = len(traced.sources) * traced.relighter.basis.sensor.pixels * 4
             mixes, saves = size <= MOST_PLANES, self._session.out is not None
-            told["described"] = {**traced.described(), "mixes": mixes, "saves": saves}
+            told["described"] = _finite({**traced.described(), "mixes": mixes, "saves": saves})
+            if self._session.study is not None:
+                told["described"]["study"] = _finite(self._session.study)
         return told
 
     def _stop_unwatched(self) -> None:
@@ -245,6 +249,14 @@ class _Answers:
                 raise _Gone
             found = await left_behind(lambda: compared(photo, image))
         return JSONResponse(_finite(found))
+
+    async def matters(self, request: Request) -> Response:
+        """What matters to an image: causes of its deviation, and effects that are measured anew in its light."""
+        traced, told = await self._asked(request, kept=True)
+        turn = _turn(told, traced)
+        image = await self._image(request, traced, turn)
+        found = await left_behind(lambda: self._session.effects(traced, turn))
+        return JSONResponse(_finite({"parts": parts_of(image), **found}))
 
     async def png(self, request: Request) -> Response:
         """The image as gray.png has it."""
@@ -373,4 +385,6 @@ def _finite(value: Any) -> Any:
     """JSON knows no infinity: what has no bound is null."""
     if isinstance(value, Mapping):
         return {key: _finite(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(one) for one in value]
     return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -114,6 +114,7 @@ def serve(
     port: int,
     out: Path | None,
     recipe: Recipe | None,
+    study: Mapping[str, Any] | None,
     opened: Callable[[Path], object] | None,
 ) -> None:
     """Serve a scene until a signal comes.
@@ -130,6 +131,8 @@ def serve(
         For results.
     recipe : Recipe or None
         How the basis is made without the page.
+    study : Mapping or None
+        Results of a study, see `study_told`.
     opened : callable or None
         Opens a file in the user's browser.
 
@@ -147,7 +150,7 @@ def serve(
     ):
         work = Path(folder)
         at = listener.getsockname()[1]
-        session = Session(scene, options, work=work, out=out, recipe=recipe)
+        session = Session(scene, options, work=work, out=out, recipe=recipe, study=study)
         before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
         try:
             session.trace()

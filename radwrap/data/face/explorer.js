@@ -5,6 +5,7 @@ import { byId, download, element, focusKnob } from "./dom.js";
 import { Field } from "./field.js";
 import { take } from "./handover.js";
 import { KnobPanel } from "./knobs.js";
+import { Mattering } from "./matters.js";
 import { Measurement } from "./measuring.js";
 import { coloursOf } from "./mix.js";
 import { PhotoComparison } from "./photo.js";
@@ -70,6 +71,7 @@ export class Explorer {
     this.comparison = new Comparison(this, a, this.leave.signal);
     this.measurement = new Measurement(this, this.leave.signal);
     this.photo = new PhotoComparison(this, this.leave.signal);
+    this.mattering = new Mattering(this, this.leave.signal);
     this.profile = new ProfilePlot(fresh("profile"), byId("profiletable"));
     this.histogram = new HistogramPlot(fresh("histogram"), byId("histogramtable"));
     this.listen();
@@ -136,6 +138,7 @@ export class Explorer {
     this.setStale("measuring");
     this.measurement.turned();
     this.photo.turned();
+    this.mattering.turned();
     this.respond();
     this.comparison.refresh();
     this.draw();

@@ -20,7 +20,7 @@
  * @typedef {{basis: number, title: string, rows: number, columns: number, sources: Source[], dark_sources: string[],
  *   exposure_time: number, exposure_of_radiance: number, sensor: Sensor, tolerance: number, left_out: Effect[],
  *   warnings: string[], mixes: boolean, saves: boolean, coarse?: number, replaces?: number,
- *   ray_knobs?: Record<string, string>, ray_knobs_of_file?: Record<string, string>}} Described
+ *   study?: Study, ray_knobs?: Record<string, string>, ray_knobs_of_file?: Record<string, string>}} Described
  * A coarse picture tells how many pixels a side are one; the next one tells which coarse picture stood for it.
  *
  * @typedef {{history: import("./state.js").History, pin: {u: number, v: number} | null, line: number[] | null,
@@ -42,6 +42,17 @@
  * @typedef {{rows: number, columns: number, basis: number, turn: Turn, exposure: Float32Array, sigma: Float32Array,
  *   thresholds: Thresholds, told: Told, photo?: {number: number, name: string}}} KeptPicture
  * A picture that is kept to compare with, as it was certified; of a photo its number with the server, and its file's name.
+ *
+ * @typedef {{parts: Record<string, number>, tolerance: number, exposure_time: number, effects_exposure_time: number,
+ *   effects: {name: string, left_out: string, rms_gray: number | null, rms_gray_upper95: number | null, needed: boolean}[],
+ *   method: string, why: string, advice: string, best_opening: {steepest_diameter: number} | null,
+ *   eight_bits: {enough: boolean, target: string} | null}} Matters
+ * Causes of the deviation and effects [gray level], times [s], diameters [m].
+ *
+ * @typedef {{title: string, responses: {response: string, runs: number, margin: number | null, sentences: string[],
+ *   effects: {name: string, label: string, effect: number, image_error: number, significant: boolean | null,
+ *     from: string | null, to: string | null}[]}[]}} Study
+ * Results of a study, in the units of its responses.
  *
  * @typedef {{mean: number, rms: number, expected_rms: number, beyond: number,
  *   worst: {column: number, row: number, photo: number, picture: number},

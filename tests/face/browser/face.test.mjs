@@ -2,7 +2,7 @@
 
 import assert from "node:assert/strict";
 import { execFile, spawn } from "node:child_process";
-import { existsSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
+import { existsSync, mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
@@ -453,6 +453,34 @@ test("a photo is held against the picture, and what is none is said", async (t) 
   await page.focus("#picture");
   await page.keyboard.press("a");
   assert.ok(await page.isDisabled("#compare"));
+});
+
+test("what matters is measured for the knobs as they stand, and a study stands beside it", async (t) => {
+  const study = join(folder, "study");
+  mkdirSync(study);
+  const lines = Array.from({ length: 8 }, (_, k) => `${k},1,1,${"LH"[k % 2]},${"LH"[(k >> 1) % 2]},${12 + 4 * (k % 2) + (k >> 2) / 100},0.01`);
+  writeFileSync(join(study, "results.csv"), `run,replicate,seed,A,<b>B</b>,f [mm],f_error [mm]\n${lines.join("\n")}\n`);
+  const own = await serve("--tolerance", "2", "--study", study);
+  t.after(() => own.process.kill("SIGTERM"));
+  const { page } = await loaded(t, { at: own.link });
+  assert.match(await page.textContent("#study"), /A moves f by 4\.0.*\*/s);
+  assert.match(await page.textContent("#study"), /<b>B<\/b>/);
+  const rows = async () => Object.fromEntries(await page.$$eval("#mattering .table tbody tr", (lines) =>
+    lines.map((line) => [line.cells[0].textContent.replace("⚠ ", ""), Number(line.cells[1].textContent.replace("< ", ""))])));
+  const anew = () => page.waitForFunction(() => /^measured anew/.test(document.getElementById("matteringof").textContent),
+    undefined, { timeout: PATIENCE });
+  await page.focus("#matters");
+  await page.keyboard.press("Enter");
+  await anew();
+  const before = await rows();
+  assert.ok(before["finite aperture"] > 0 && "diffraction" in before);
+  await type(page, "gain", "0.5");
+  await page.waitForFunction(() => document.getElementById("matteringof").textContent === "of the knobs before they were turned");
+  await measured(page);
+  await page.click("#matters");
+  await anew();
+  assert.ok(Math.abs((await rows())["finite aperture"] / before["finite aperture"] - 0.5) < 0.05);
+  assert.match(await page.textContent("#mattering"), /exposure: /);
 });
 
 test("a basis that is too large to mix: the picture follows when a knob rests", async (t) => {

@@ -4,6 +4,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { colourOf, differenceOf, graysOf, together } from "../../../radwrap/data/face/difference.js";
 import { addPlane, codeOf, coloursOf, frameOf, MAPS, ranksOf, sumPlanes, timesOf } from "../../../radwrap/data/face/mix.js";
+import { adviceOf, effectRows } from "../../../radwrap/data/face/matters.js";
 import { causeText, pictureOf } from "../../../radwrap/data/face/photo.js";
 import { grayOf, rankOf, thresholdsOf, turnedSensor } from "../../../radwrap/data/face/response.js";
 import { History, sameTurn, untouched, withKnob, withLevels } from "../../../radwrap/data/face/state.js";
@@ -310,4 +311,16 @@ test("what explains a difference is said with what it leaves", () => {
   assert.equal(causeText({ ...causes, mainly: "exposure" }), "mainly light or exposure: 1.23 times as bright above dark, and 1.5 gray rms of 4 stay");
   assert.match(causeText({ ...causes, mainly: "geometry", geometry: 1, shift: [0.5, -2] }), /moved by 0.50, -2.00 px, and 1 gray rms of 4 stay/);
   assert.match(causeText(causes), /neither/);
+});
+
+test("effects stand in a table by their size, and what is needed is marked", () => {
+  const rows = effectRows([{ name: "cos4", left_out: "no falloff", rms_gray: 0.5, rms_gray_upper95: 0.6, needed: false },
+    { name: "finite_aperture", left_out: "a sharp image", rms_gray: 3.21, rms_gray_upper95: 3.45, needed: true },
+    { name: "bands", left_out: "one", rms_gray: 1e-5, rms_gray_upper95: 1e-4, needed: false }]);
+  assert.deepEqual(rows, [["⚠ finite aperture", "3.2", "3.5", "a sharp image"], ["cos4", "0.50", "0.60", "no falloff"],
+    ["bands", "< 0.001", "< 0.001", "one"]]);
+  const found = { parts: {}, tolerance: 1, effects: [], method: "kernel", why: "w", advice: "a", best_opening: { steepest_diameter: 2e-3 },
+    eight_bits: { enough: false, target: "board" }, exposure_time: 1, effects_exposure_time: 0.25 };
+  assert.match(adviceOf(found).join("; "), /exposure of 250 ms, as the picture saturates.*2 mm has the steepest edges.*8 bits are too few/);
+  assert.doesNotMatch(adviceOf({ ...found, effects_exposure_time: 1 }).join("; "), /saturates/);
 });
