@@ -29,7 +29,7 @@ from tests.face.conftest import Served, serving  # noqa: E402
 
 API: Final = [
     f"/api/{name}"
-    for name in "watch planes turn pixel profile measure photo compare matters png scene save trace stop".split()
+    for name in "watch planes turn pixel profile measure photo compare matters layout png scene save trace stop".split()
 ]
 OPEN: Final = sorted(assets())
 HOSTS: Final = ["evil.test", "evil.test:{port}", "127.0.0.1.evil.test:{port}", "127.0.0.1:1", "0.0.0.0:{port}", "x", ""]

@@ -23,6 +23,7 @@ from radwrap.errors import InputError, RadwrapError
 from radwrap.face.assets import Asset, assets
 from radwrap.face.decoder import LARGEST
 from radwrap.face.gate import LARGEST_BODY, OCTETS, App, Door, Gate
+from radwrap.face.layout import layout
 from radwrap.face.matters import parts_of
 from radwrap.face.photo import Photos, compared
 from radwrap.face.profile import ends_of, profile_table, width_of
@@ -65,6 +66,7 @@ def gated(session: Session, *, port: int, token: str) -> App:
             ("photo", answers.photo),
             ("compare", answers.compare),
             ("matters", answers.matters),
+            ("layout", answers.layout),
             ("save", answers.save),
             ("trace", answers.trace),
             ("stop", answers.stop),
@@ -257,6 +259,11 @@ class _Answers:
         image = await self._image(request, traced, turn)
         found = await left_behind(lambda: self._session.effects(traced, turn))
         return JSONResponse(_finite({"parts": parts_of(image), **found}))
+
+    async def layout(self, request: Request) -> Response:
+        """Where things stand."""
+        traced, _ = await self._asked(request)
+        return JSONResponse(await asyncio.to_thread(layout, traced.scene))
 
     async def png(self, request: Request) -> Response:
         """The image as gray.png has it."""

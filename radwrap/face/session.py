@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import Cancelled, InputError, RadwrapError
 from radwrap.face.coarse import Coarse, coarse_of
+from radwrap.face.layout import seen_at
 from radwrap.face.ray_knobs import ray_changes, ray_knobs
 from radwrap.face.recipe import Recipe, lines
 from radwrap.face.renderer import Renderer
@@ -218,6 +219,7 @@ class Traced:
             "radiant_exposure": exposure,
             "parts": {name: math.sqrt(float(square[row, column])) for name, square in image.squares.items()},
             "saturated": level >= basis.sensor.saturation_gray,
+            "sees": seen_at(self.scene, column, row),
         }
 
 

@@ -5,6 +5,7 @@ import { byId, download, element, focusKnob } from "./dom.js";
 import { Field } from "./field.js";
 import { take } from "./handover.js";
 import { KnobPanel } from "./knobs.js";
+import { LayoutView } from "./layout_view.js";
 import { Mattering } from "./matters.js";
 import { Measurement } from "./measuring.js";
 import { coloursOf } from "./mix.js";
@@ -72,6 +73,7 @@ export class Explorer {
     this.measurement = new Measurement(this, this.leave.signal);
     this.photo = new PhotoComparison(this, this.leave.signal);
     this.mattering = new Mattering(this, this.leave.signal);
+    this.layout = new LayoutView(this, this.leave.signal);
     this.profile = new ProfilePlot(fresh("profile"), byId("profiletable"));
     this.histogram = new HistogramPlot(fresh("histogram"), byId("histogramtable"));
     this.listen();
@@ -139,6 +141,7 @@ export class Explorer {
     this.measurement.turned();
     this.photo.turned();
     this.mattering.turned();
+    this.layout.draw();
     this.respond();
     this.comparison.refresh();
     this.draw();

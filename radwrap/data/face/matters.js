@@ -13,13 +13,14 @@ const FEW = 1e-3; // gray levels, less than which is none
 const words = (name) => name.replaceAll("_", " ");
 
 /**
- * Rows of the effects, the largest first: name, what it is worth, its bound, what would be without it.
+ * Rows of the effects, the largest first: name, what it is worth, its bound, whether the tolerance needs it, what would be without.
  * @param {Matters["effects"]} effects
  */
 export function effectRows(effects) {
   return [...effects].sort((a, b) => (b.rms_gray_upper95 ?? Infinity) - (a.rms_gray_upper95 ?? Infinity))
-    .map(({ name, rms_gray: rms, rms_gray_upper95: bound, needed, left_out: what }) => [`${needed ? "⚠ " : ""}${words(name)}`,
-      rms !== null && rms < FEW ? "< 0.001" : errorText(rms), bound !== null && bound < FEW ? "< 0.001" : errorText(bound), what]);
+    .map(({ name, rms_gray: rms, rms_gray_upper95: bound, needed, left_out: what }) => [words(name),
+      rms !== null && rms < FEW ? "< 0.001" : errorText(rms), bound !== null && bound < FEW ? "< 0.001" : errorText(bound),
+      needed ? "yes" : "no", what]);
 }
 
 /** What is advised, in sentences. @param {Matters} found */
@@ -73,9 +74,9 @@ export class Mattering {
     byId("mattering").classList.remove("stale");
     byId("mattering").replaceChildren(
       tableOf("Parts of the deviation, over the picture", ["part of σ, over all pixels", "gray rms"], parts),
-      wide(tableOf("Effects", ["effect", "gray rms", "at most (95 %)", "without it"], effectRows(found.effects)), "Effects"),
+      wide(tableOf("Effects", ["effect", "gray rms", "at most (95 %)", "needed", "without it"], effectRows(found.effects)), "Effects"),
       ...adviceOf(found).map((text) => element("p", { class: "note" }, text)));
-    byId("matteringof").textContent = `measured anew for the picture as it is shown; ⚠ is needed at the tolerance ${shortNumber(found.tolerance)}`;
+    byId("matteringof").textContent = `measured anew for the picture as it is shown; needed: at the tolerance ${shortNumber(found.tolerance)}`;
   }
 }
 

@@ -43,6 +43,17 @@
  *   thresholds: Thresholds, told: Told, photo?: {number: number, name: string}}} KeptPicture
  * A picture that is kept to compare with, as it was certified; of a photo its number with the server, and its file's name.
  *
+ * @typedef {{targets: {name: string, place: [number, number, number], world: [number, number, number], boxed: boolean,
+ *     surfaces: {colour: number[], decal: boolean, vertices: [number, number, number][], faces: number[][]}[]}[],
+ *   sources: {name: string, place: [number, number, number], world: [number, number, number], axis: [number, number, number],
+ *     radius: number, half_angle: number | null}[],
+ *   camera: {world: [number, number, number], corners: [number, number, number][], depth: number, focus: number | null},
+ *   unknown: string[]}} Layout
+ * Where things stand in the camera's frame, and in the scene file's [m, rad].
+ *
+ * @typedef {{target: string, distance: number, place: [number, number, number]}} Sight
+ * What a pixel sees [m].
+ *
  * @typedef {{parts: Record<string, number>, tolerance: number, exposure_time: number, effects_exposure_time: number,
  *   effects: {name: string, left_out: string, rms_gray: number | null, rms_gray_upper95: number | null, needed: boolean}[],
  *   method: string, why: string, advice: string, best_opening: {steepest_diameter: number} | null,
@@ -67,7 +78,7 @@
  * How many pixels differ by more than their errors, the sum of squares of all differences, and their extremes [gray level].
  *
  * @typedef {{code: number, gray: number, sigma: number, radiant_exposure: number, parts: Record<string, number>,
- *   saturated: boolean}} PixelTold
+ *   saturated: boolean, sees?: Sight | null}} PixelTold
  *
  * @typedef {{name: string, what: string, unit: string, value: number | null, error: number | null, notes: string[]}} Measured
  * What an algorithm reads, with its standard uncertainty; null where the picture does not show it.

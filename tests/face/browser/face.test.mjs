@@ -466,7 +466,7 @@ test("what matters is measured for the knobs as they stand, and a study stands b
   assert.match(await page.textContent("#study"), /A moves f by 4\.0.*\*/s);
   assert.match(await page.textContent("#study"), /<b>B<\/b>/);
   const rows = async () => Object.fromEntries(await page.$$eval("#mattering .table tbody tr", (lines) =>
-    lines.map((line) => [line.cells[0].textContent.replace("⚠ ", ""), Number(line.cells[1].textContent.replace("< ", ""))])));
+    lines.map((line) => [line.cells[0].textContent, Number(line.cells[1].textContent.replace("< ", ""))])));
   const anew = () => page.waitForFunction(() => /^measured anew/.test(document.getElementById("matteringof").textContent),
     undefined, { timeout: PATIENCE });
   await page.focus("#matters");
@@ -481,6 +481,56 @@ test("what matters is measured for the knobs as they stand, and a study stands b
   await anew();
   assert.ok(Math.abs((await rows())["finite aperture"] / before["finite aperture"] - 0.5) < 0.05);
   assert.match(await page.textContent("#mattering"), /exposure: /);
+});
+
+test("the layout is drawn, turned by keys and by dragging, and stands in a table", async (t) => {
+  const { page } = await loaded(t);
+  await page.click("#layout summary");
+  const drawing = () => page.evaluate(() => {
+    const canvas = document.getElementById("scene");
+    const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+    let sum = 0, filled = 0;
+    for (let k = 0; k < data.length; k += 4) { filled += data[k + 3] > 0; sum = (sum * 31 + data[k] + 7 * data[k + 1] + 13 * data[k + 3]) % 1000003; }
+    return { sum, filled };
+  });
+  await page.waitForFunction(() => Number(document.getElementById("scene").dataset.drawn) > 0);
+  const first = await drawing();
+  assert.ok(first.filled > 2000, "nothing is drawn");
+  const seen = new Set([first.sum]);
+  await page.focus("#scene");
+  for (const key of ["ArrowRight", "ArrowUp", "a", "s", "c", "+"]) {
+    await page.keyboard.press(key);
+    seen.add((await drawing()).sum);
+  }
+  assert.equal(seen.size, 7);
+  await page.keyboard.press("o");
+  await page.keyboard.press("-");
+  assert.equal((await drawing()).sum, first.sum);
+  await page.locator("#scene").scrollIntoViewIfNeeded();
+  const box = await page.locator("#scene").boundingBox();
+  await page.mouse.move(box.x + 100, box.y + 100);
+  await page.mouse.down();
+  await page.mouse.move(box.x + 160, box.y + 120, { steps: 3 });
+  await page.mouse.up();
+  assert.notEqual((await drawing()).sum, first.sum);
+  // What a pinned pixel sees is said and drawn; without beams there is less.
+  await page.click('#views button[value="side"]');
+  const side = await drawing();
+  await page.focus("#picture");
+  await page.keyboard.press("ArrowRight");
+  await page.waitForSelector("#probe .sees");
+  assert.match(await page.textContent("#probe .sees"), /^sees board, [\d.]+ mm away$/);
+  assert.notEqual((await drawing()).sum, side.sum);
+  await page.keyboard.press("Enter");
+  await page.uncheck("#beams");
+  assert.ok((await drawing()).filled < side.filled);
+  // An LED that is out is not filled.
+  const lit = (await drawing()).filled;
+  await type(page, "level:all", "0");
+  assert.ok((await drawing()).filled < lit);
+  const rows = await page.$$eval("#layouttable tbody tr", (lines) => lines.map((line) => [...line.cells].map((cell) => cell.textContent)));
+  assert.equal(rows.length, 14); // camera, board, twelve LEDs
+  assert.ok(rows.some(([name, is]) => name === "board" && is === "target"));
 });
 
 test("a basis that is too large to mix: the picture follows when a knob rests", async (t) => {
@@ -574,6 +624,9 @@ test("accessible: axe finds nothing serious, in light and dark, and all is reach
     await page.keyboard.press("ArrowRight");
     await page.waitForSelector("#probe table");
     for (const summary of await page.locator("summary").all()) await summary.click();
+    await page.waitForSelector("#layouttable table");
+    await page.click("#matters");
+    await page.waitForFunction(() => /^measured anew/.test(document.getElementById("matteringof").textContent), undefined, { timeout: PATIENCE });
     // Not through a script element: the page's policy refuses it.
     await page.evaluate(axe.source);
     const { violations } = await page.evaluate(() => globalThis.axe.run());
