@@ -173,6 +173,24 @@ DEFENCES: Final = (
         "if False:",
         ("photo", "upper_end"),
     ),
+    Defence(
+        "rings whose page is gone",
+        "face/ring.py",
+        "if time.monotonic() - self._heard > MISSED:",
+        "if False:",
+        ("ring", "knobs_stand"),
+    ),
+    Defence(
+        "rings of two tabs",
+        "face/ring.py",
+        "if self._holder not in (None, name):",
+        "if False:",
+        ("ring", "knobs_stand"),
+    ),
+    Defence("rings that nobody asked for", "face/app.py", "[] if ring is None else ", "", ("ring", "no_such_route")),
+    Defence(
+        "light that nobody agreed to", "cli/face.py", '.strip() != "yes"', '.strip() == "no"', ("ring", "confirmed")
+    ),
     Defence("closed pages", "face/app.py", "        if alone and", "        if False and", ("life", "closed")),
     Defence(
         "stale bases",

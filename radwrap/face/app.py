@@ -27,10 +27,11 @@ from radwrap.face.layout import layout
 from radwrap.face.matters import parts_of
 from radwrap.face.photo import Photos, compared
 from radwrap.face.profile import ends_of, profile_table, width_of
+from radwrap.face.ring import HeldRing
 from radwrap.face.saving import save, scene_text, turned_scene
 from radwrap.face.session import Image, Session, Status, Traced
 from radwrap.images import png_bytes
-from radwrap.imaging.page.turn import Turn, turn_of
+from radwrap.imaging.page.turn import Turn, changes_of, turn_of
 from radwrap.scene.file.load import with_camera
 
 if TYPE_CHECKING:
@@ -48,10 +49,10 @@ _T = TypeVar("_T")
 Answer = Callable[[Request], Awaitable[Response]]
 
 
-def gated(session: Session, *, port: int, token: str) -> App:
+def gated(session: Session, *, port: int, token: str, ring: HeldRing | None = None) -> App:
     """All of the server behind its gate."""
     shipped = assets()
-    answers = _Answers(session)
+    answers = _Answers(session, ring)
     posts: dict[str, Answer] = {
         f"/api/{name}": _careful(answer)
         for name, answer in (
@@ -70,6 +71,7 @@ def gated(session: Session, *, port: int, token: str) -> App:
             ("save", answers.save),
             ("trace", answers.trace),
             ("stop", answers.stop),
+            *([] if ring is None else [("ring", answers.ring)]),
         )
     }
     routes = [Route(path, _shipped(asset), methods=["GET"]) for path, asset in shipped.items()]
@@ -120,11 +122,12 @@ class _Gone(Exception):
 class _Answers:
     """The answers of a session; images are made one at a time, and none for who has gone."""
 
-    def __init__(self, session: Session) -> None:
-        self._session = session
+    def __init__(self, session: Session, ring: HeldRing | None) -> None:
+        self._session, self._ring = session, ring
         self._one = asyncio.Lock()
         self._measuring = asyncio.Lock()
         self._photos = Photos(session.work)
+        self._ring_told = None if ring is None else ring.described()
         self._watchers = 0
         self._watched = 0.0
 
@@ -165,6 +168,8 @@ class _Answers:
             size = len(traced.sources) * traced.relighter.basis.sensor.pixels * 4
             mixes, saves = size <= MOST_PLANES, self._session.out is not None
             told["described"] = _finite({**traced.described(), "mixes": mixes, "saves": saves})
+            if self._ring is not None:
+                told["described"]["ring"] = self._ring_told
             if self._session.study is not None:
                 told["described"]["study"] = _finite(self._session.study)
         return told
@@ -309,6 +314,25 @@ class _Answers:
         del request
         self._session.stop()
         return JSONResponse({})
+
+    async def ring(self, request: Request) -> Response:
+        """Light the ring as the knobs stand, hear that the tab which holds it is there, or turn it off."""
+        assert self._ring is not None  # noqa: S101  (there is no such route without it)
+        told = _told(await request.body())
+        tab, what = told.get("tab"), told.get("do")
+        if what == "beat":
+            return JSONResponse(await asyncio.to_thread(self._ring.beat, tab))
+        if what == "dark":
+            await asyncio.to_thread(self._ring.dark, tab)
+            return JSONResponse({})
+        if what != "light":
+            raise InputError('must be "light", "beat" or "dark"', where="do")
+        traced = self._session.finished(_number(told))
+        turn = _turn(told, traced)
+        scene = with_camera(traced.scene, changes_of(turn, traced.scene.camera))
+        factors = dict(zip(traced.sources, turn.factors, strict=True))
+        lit = await asyncio.to_thread(self._ring.light, tab, scene, factors, scene.camera.exposure_time)
+        return JSONResponse(lit)
 
     async def _asked(self, request: Request, *, kept: bool = False) -> tuple[Traced, dict[str, Any]]:
         """The basis that is asked for, of a picture that is to be kept no coarse one; and what else is told."""

@@ -1,7 +1,7 @@
 """Where things stand, for a page that draws them: targets, sources with their beams, the camera and what it sees.
 
-All places are in the camera's frame: x to the right and y down as it looks, z the way that it looks [m]. So a page needs
-no geometry but a rotation.
+All places are in the camera's frame: x to the right and y down as it looks, z the way that it looks [m]. So
+a page needs no geometry but a rotation.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def layout(scene: Scene) -> dict[str, Any]:
         ``targets``: name, ``place`` (its middle), ``world`` (its origin in the scene file), ``boxed``: whether only its
         bounds are drawn, ``surfaces``: colour, ``decal``, vertices and faces; ``sources``: name, place, world, axis,
         radius, ``half_angle``: at which the radiant intensity is half of that on the axis [rad], None where it shines
-        all around; ``camera``: ``world``, ``corners``: of what the sensor sees, at the depth 1, ``depth`` of the farthest
+        all around; ``camera``: ``world``, ``corners``: of what the sensor sees, at depth 1, ``depth`` of the farthest
         target's middle, ``focus`` of a lens; ``unknown``: targets whose shapes are not known.
     """
     camera, left = scene.camera, MOST_TRIANGLES

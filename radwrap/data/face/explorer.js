@@ -12,6 +12,7 @@ import { coloursOf } from "./mix.js";
 import { PhotoComparison } from "./photo.js";
 import { HistogramPlot, ProfilePlot } from "./plots.js";
 import { RayKnobs } from "./ray_knobs.js";
+import { RingControl } from "./ring.js";
 import { Readings } from "./readings.js";
 import { grayOf, rankOf, thresholdsOf, turnedSensor } from "./response.js";
 import { History, sameTurn, untouched } from "./state.js";
@@ -74,6 +75,7 @@ export class Explorer {
     this.photo = new PhotoComparison(this, this.leave.signal);
     this.mattering = new Mattering(this, this.leave.signal);
     this.layout = new LayoutView(this, this.leave.signal);
+    this.ring = new RingControl(this, this.leave.signal);
     this.profile = new ProfilePlot(fresh("profile"), byId("profiletable"));
     this.histogram = new HistogramPlot(fresh("histogram"), byId("histogramtable"));
     this.listen();
@@ -138,9 +140,7 @@ export class Explorer {
     this.certified = null;
     this.asking?.abort();
     this.setStale("measuring");
-    this.measurement.turned();
-    this.photo.turned();
-    this.mattering.turned();
+    for (const part of [this.measurement, this.photo, this.mattering, this.ring]) part.turned();
     this.layout.draw();
     this.respond();
     this.comparison.refresh();
@@ -196,6 +196,7 @@ export class Explorer {
       this.field.certify(certified.exposure, certified.sigma);
       this.tellError(certified);
       this.comparison.refresh();
+      this.ring.follow();
       this.draw();
       await this.readings.certify();
     } catch (error) {

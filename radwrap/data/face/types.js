@@ -20,7 +20,7 @@
  * @typedef {{basis: number, title: string, rows: number, columns: number, sources: Source[], dark_sources: string[],
  *   exposure_time: number, exposure_of_radiance: number, sensor: Sensor, tolerance: number, left_out: Effect[],
  *   warnings: string[], mixes: boolean, saves: boolean, coarse?: number, replaces?: number,
- *   study?: Study, ray_knobs?: Record<string, string>, ray_knobs_of_file?: Record<string, string>}} Described
+ *   study?: Study, ring?: {count: number, emulated: boolean, wavelength: number | null, max_on_time: number | null}, ray_knobs?: Record<string, string>, ray_knobs_of_file?: Record<string, string>}} Described
  * A coarse picture tells how many pixels a side are one; the next one tells which coarse picture stood for it.
  *
  * @typedef {{history: import("./state.js").History, pin: {u: number, v: number} | null, line: number[] | null,

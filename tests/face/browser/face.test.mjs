@@ -533,6 +533,38 @@ test("the layout is drawn, turned by keys and by dragging, and stands in a table
   assert.ok(rows.some(([name, is]) => name === "board" && is === "target"));
 });
 
+test("the LED ring shines as the knobs stand, while its tab lives", async (t) => {
+  const drive = join(folder, "drive.toml");
+  writeFileSync(drive, 'count = 12\nwavelength = "850 nm"\nrated_current = "100 mA"\ndrive_current = "50 mA"\nmax_level = 0.8\n'
+    + 'max_sum = 9.0\nmax_on_time = "60 s"\n');
+  const intensity = (await run(join(ROOT, ".venv/bin/python"), ["-c", "import radwrap, sys;"
+    + "print(2 * radwrap.load_scene(sys.argv[1]).emitters[0].radiant_intensity)", SCENE])).stdout.trim();
+  const own = await serve("--tolerance", "2", "--led", drive, "--full-scale", `${intensity} W/sr`, "--emulate");
+  t.after(() => own.process.kill("SIGTERM"));
+  const { page } = await loaded(t, { at: own.link, expected: /422/ });
+  const says = (text) => page.waitForFunction((part) => document.getElementById("ringsays").textContent.includes(part), text,
+    { timeout: PATIENCE });
+  assert.match(await page.textContent("#ringis"), /^12 LEDs of 850 nm, .*emulated, no light shines$/);
+  await says("The ring is off.");
+  await page.focus("#ringlight");
+  await page.keyboard.press("Enter");
+  await says("levels from 0.5 to 0.5, as it says itself");
+  await type(page, "level:ring.led03", "0.25");
+  await says("levels from 0.125 to 0.5");
+  // Too much is refused, and the light stays.
+  await type(page, "level:all", "1.8");
+  await says("shines as before: ");
+  const { page: other } = await loaded(t, { at: own.link, expected: /422/ });
+  await other.click("#ringlight");
+  await other.waitForFunction(() => document.getElementById("ringsays").textContent.includes("another tab holds the ring"));
+  await page.close(); // its heart beats no more
+  await other.waitForTimeout(2000);
+  await other.click("#ringlight");
+  await other.waitForFunction(() => document.getElementById("ringsays").textContent.includes("levels from 0.5 to 0.5"));
+  await other.click("#ringlight");
+  await other.waitForFunction(() => document.getElementById("ringsays").textContent === "The ring is off.");
+});
+
 test("a basis that is too large to mix: the picture follows when a knob rests", async (t) => {
   const code = "import radwrap.face.app as app, sys; app.MOST_PLANES = 1; from radwrap.cli.main import main; sys.exit(main())";
   const own = await served([join(ROOT, ".venv/bin/python"), "-c", code], ["--tolerance", "2"]);
