@@ -30,9 +30,10 @@ from radwrap.scene.camera import Sensor
 _CLOCK: Final = 3.0 * SECONDS  # s: what takes the processor as long as it may takes longer on a busy machine
 LIMITS: Final = Limits(silence=_CLOCK, total=_CLOCK, memory=MEMORY)
 WHERE: Final = "photo"
+# Rms over what is expected, up to which no cause is looked for: mere scatter may have one too.
+TELLING: Final = 1.2
 BEYOND: Final = 1.96  # standard deviations, that one in twenty pixels exceeds by chance
 _KEPT: Final = 2  # photos
-_FLOATS: Final = 16  # bits that a file of floats is said to hold
 _EIGHT: Final = 8
 
 
@@ -212,15 +213,14 @@ def compared(photo: Photo, image: Image) -> dict[str, Any]:
     dict
         ``mean``, ``rms`` of photo - picture before rounding, over all pixels [gray level]; ``expected_rms``: of the
         picture's deviation; ``beyond``: share of the pixels that differ by more than 1.96 of their own standard
-        deviations; ``worst``: column, row, and both gray levels; ``causes``: see `Causes`; ``notes``.
+        deviations; ``worst``: column, row, and both gray levels; ``causes``: see `Causes`, None where the rms is hardly
+        more than is expected; ``notes``.
 
     Raises
     ------
     InputError
         If the picture has another size or other bits.
     """
-    from radwrap.measure.compare import compare  # with OpenCV, which the first picture need not wait for
-
     sensor = image.relighter.basis.sensor
     if photo.values.shape != image.sigma.shape or photo.bit_depth != sensor.bit_depth:
         has = f"{photo.values.shape[1]} x {photo.values.shape[0]} pixels of {photo.bit_depth} bits"
@@ -229,17 +229,18 @@ def compared(photo: Photo, image: Image) -> dict[str, Any]:
     captured = photo.values.astype(np.float64)
     predicted = gray_levels(image.relit.radiant_exposure.values, sensor)
     off = captured - predicted
-    found = compare(
-        GrayImage(captured, sensor.bit_depth),
-        GrayImage(predicted, sensor.bit_depth),
-        dark=sensor.dark_gray,
-        saturation=sensor.saturation_gray,
-    )
+    rms, expected = (math.sqrt(float(np.mean(values**2))) for values in (off, image.sigma))
+    causes = None
+    if rms > TELLING * expected:
+        from radwrap.measure.compare import compare  # with OpenCV, which the first picture need not wait for
+
+        pair = (GrayImage(values, sensor.bit_depth) for values in (captured, predicted))
+        causes = asdict(compare(*pair, dark=sensor.dark_gray, saturation=sensor.saturation_gray).causes)
     row, column = divmod(int(np.argmax(np.abs(off))), off.shape[1])
     return {
         "mean": float(off.mean()),
-        "rms": math.sqrt(float(np.mean(off**2))),
-        "expected_rms": math.sqrt(float(np.mean(image.sigma**2))),
+        "rms": rms,
+        "expected_rms": expected,
         "beyond": float(np.mean(np.abs(off) > BEYOND * image.sigma)),
         "worst": {
             "column": column,
@@ -247,6 +248,6 @@ def compared(photo: Photo, image: Image) -> dict[str, Any]:
             "photo": float(captured[row, column]),
             "picture": float(predicted[row, column]),
         },
-        "causes": asdict(found.causes),
+        "causes": causes,
         "notes": photo.notes,
     }

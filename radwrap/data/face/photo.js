@@ -30,7 +30,9 @@ export function pictureOf({ number, name, values, bits, rows, columns, sensor })
 }
 
 /** What explains most of a difference, in words. @param {PhotoFound["causes"]} causes */
-export function causeText({ mainly, as_is: all, dark_level: dark, exposure, exposure_factor: factor, geometry, shift }) {
+export function causeText(causes) {
+  if (!causes) return "hardly more than is expected: no cause is looked for";
+  const { mainly, as_is: all, dark_level: dark, exposure, exposure_factor: factor, geometry, shift } = causes;
   const left = (/** @type {number} */ rms) => `${shortNumber(rms, 3)} gray rms of ${shortNumber(all, 3)} stay`;
   if (mainly === "dark level") return `mainly the dark level: with another one ${left(dark)}`;
   if (mainly === "exposure") return `mainly light or exposure: ${shortNumber(factor ?? 1, 3)} times as bright above dark, and ${left(exposure)}`;

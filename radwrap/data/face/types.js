@@ -67,7 +67,7 @@
  *
  * @typedef {{mean: number, rms: number, expected_rms: number, beyond: number,
  *   worst: {column: number, row: number, photo: number, picture: number},
- *   causes: {mainly: string | null, as_is: number, dark_level: number, exposure: number, exposure_factor: number | null,
+ *   causes: null | {mainly: string | null, as_is: number, dark_level: number, exposure: number, exposure_factor: number | null,
  *     geometry: number | null, shift: [number, number] | null}, notes: string[]}} PhotoFound
  * What a photo differs by from a picture [gray level].
  *

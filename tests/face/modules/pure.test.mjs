@@ -312,6 +312,7 @@ test("what explains a difference is said with what it leaves", () => {
   assert.equal(causeText({ ...causes, mainly: "exposure" }), "mainly light or exposure: 1.23 times as bright above dark, and 1.5 gray rms of 4 stay");
   assert.match(causeText({ ...causes, mainly: "geometry", geometry: 1, shift: [0.5, -2] }), /moved by 0.50, -2.00 px, and 1 gray rms of 4 stay/);
   assert.match(causeText(causes), /neither/);
+  assert.match(causeText(null), /no cause is looked for/);
 });
 
 test("effects stand in a table by their size, and what is needed is said", () => {
