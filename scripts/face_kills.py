@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import os
 import shutil
 import signal
 import subprocess
@@ -70,10 +71,15 @@ def _lives(process: psutil.Process) -> bool:
         return False
 
 
+def _folders(places: set[Path]) -> set[Path]:
+    """Locks of rings are files that stay, and hold nothing."""
+    return {place for place in places if place.is_dir()}
+
+
 def _nothing_left(found: Found, family: list[psutil.Process], served: Served, warm: set[Path]) -> None:
     found.until(lambda: not any(map(_lives, family)), GONE_WITHIN, "a process is left")
     found.until(lambda: not served.link.parent.exists(), GONE_WITHIN, "the server's folder is left")
-    found.suspects |= warm
+    found.suspects |= _folders(warm)
     try:
         with sole_owner(served.out):
             pass
@@ -119,7 +125,7 @@ def kill_renderer(found: Found, folder: Path, _: EmulatorProcess) -> None:
         if "renderer" not in served.settled().get("error", ""):
             found.append("its end was not said")
         found.until(lambda: not any(map(_lives, [renderer, *running])), GONE_WITHIN, "a process is left")
-        found.suspects |= warm
+        found.suspects |= _folders(warm)
         if served.post("/api/trace", {}).status != 200 or not wait_for_tracers(served):
             found.append("it traces no more")
         _end(found, served, before)
@@ -215,11 +221,14 @@ def main() -> int:
     rounds = parser.parse_args().rounds
     found = {kind: Found() for kind in KINDS}
     counts = dict.fromkeys(KINDS, 0)
-    with EmulatorProcess("mcp2221a_pca9685", COUNT) as emulator:
+    with tempfile.TemporaryDirectory(prefix="kills-") as own, EmulatorProcess("mcp2221a_pca9685", COUNT) as emulator:
+        # Where this script's servers keep their files, unless that is in memory, which other programs share.
+        os.environ["TMPDIR"] = tempfile.tempdir = own
         for kind in itertools.islice(itertools.cycle(KINDS), rounds):
             with tempfile.TemporaryDirectory(prefix="face-kills-") as folder:
                 kind(found[kind], Path(folder), emulator)
             counts[kind] += 1
+        kept = sorted(path.name for path in Path(own).iterdir())
     end = time.monotonic() + _OTHERS
     while any(one.suspects & warm_folders() for one in found.values()) and time.monotonic() < end:
         time.sleep(1.0)
@@ -228,7 +237,9 @@ def main() -> int:
         dark = f", dark after {one.dark:.2f} s at most" if one.dark else ""
         left = "; ".join(one) or "nothing left"
         print(f"{kind.__name__:16} {counts[kind]:3} kills: {left}; {one.longest:.2f} s at most{dark}", flush=True)
-    wrong = sum(map(len, found.values()))
+    if kept:
+        print(f"left beside: {', '.join(kept)}")
+    wrong = len(kept) + sum(map(len, found.values()))
     print(f"{sum(counts.values())} kills, {wrong} faults")
     return 1 if wrong else 0
 

@@ -86,8 +86,6 @@ def _held(stream: BinaryIO) -> int:
     """Descriptor of memory that holds the bytes; from then on no file can be written."""
     import resource
 
-    if sys.platform != "linux":
-        raise InputError("photos are read on Linux only, where memory can be limited")
     held = os.memfd_create("photo")
     size = 0
     while block := stream.read(_BLOCK):

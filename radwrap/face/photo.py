@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import tempfile
 import threading
 from collections import OrderedDict
 from collections.abc import Mapping
@@ -133,20 +134,26 @@ def decoded(
     ------
     InputError
         If it is none of the kinds that are read, has other pixels, is in colour or not whole, or exceeds a limit.
+    EnvironmentFailure
+        If this is not Linux.
     """
+    if not hasattr(os, "memfd_create"):
+        raise EnvironmentFailure("photos are read on Linux only, where a process can be limited", where=WHERE)
     if len(content) > LARGEST:
         raise InputError(f"has more than {LARGEST >> 20} MiB", where=WHERE)
     if kind_of(bytes(content[:16])) is None:
         raise InputError(NONE_OF_THEM, where=WHERE, remedy="save it as one of them")
     # Each arena and each thread of a library takes address space, of which there is a limit.
     environment = {**os.environ, "MALLOC_ARENA_MAX": "2", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    arguments = (str(columns), str(rows), str(work))
     try:
-        with Programs() as programs:
+        # One that is killed leaves the link.
+        with tempfile.TemporaryDirectory(dir=work) as folder, Programs() as programs:
             answer = run_module(
                 programs,
                 "radwrap.face.decoder",
-                *arguments,
+                str(columns),
+                str(rows),
+                folder,
                 stdin=content,
                 limits=LIMITS,
                 environment=environment,

@@ -60,6 +60,7 @@ def test_where_the_picture_saturates_that_is_said() -> None:
     assert "saturated" in bright["advice"]
 
 
+@pytest.mark.long
 def test_a_trace_ends_the_measurement(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """And the other way round it is refused; in no case do both wait for each other."""
     session = Session(radwrap.scene_from_document(scene_with(TWO)), OPTIONS, work=tmp_path, out=None, recipe=None)

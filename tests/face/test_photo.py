@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 import pytest
 
-from radwrap.errors import InputError
+from radwrap.errors import EnvironmentFailure, InputError
 from radwrap.face import decoder, photo
 from radwrap.face.decoder import LARGEST, kind_of
 from radwrap.face.gate import LARGEST_BODY, OCTETS, Door, Gate
@@ -153,7 +153,12 @@ def test_a_process_of_its_own_decodes_with_limits(tmp_path: Path, monkeypatch: p
     content = encoded(".png", GRAYS.astype(np.uint8))
     told, found = decoded(content, ROWS, COLUMNS, tmp_path)
     assert np.array_equal(found, GRAYS) and told["kind"] == "png"
-    for limits in (Limits(silence=0.01, total=0.01), Limits(memory=32 << 20)):  # no picture is so small
+    for limits in (
+        Limits(total=0.01),
+        Limits(total=0.1),
+        Limits(total=0.2),
+        Limits(memory=32 << 20),
+    ):  # no picture is so small
         monkeypatch.setattr(photo, "LIMITS", limits)
         with pytest.raises(InputError, match="cannot be decoded within"):
             decoded(content, ROWS, COLUMNS, tmp_path)
@@ -193,6 +198,12 @@ def test_the_largest_photo_that_is_allowed_is_decoded(tmp_path: Path) -> None:
     for suffix in (".png", ".tif", ".pgm"):
         _, found = decoded(encoded(suffix, pixels), 8192, 8192, tmp_path)
         assert found[5000, 77] == 77 and found.sum(dtype=np.float64) == 8192.0 * 8191 * 4096
+
+
+def test_where_memory_cannot_be_limited_no_photo_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(photo.os, "memfd_create")
+    with pytest.raises(EnvironmentFailure, match="Linux only"):
+        decoded(encoded(".png", GRAYS.astype(np.uint8)), ROWS, COLUMNS, tmp_path)
 
 
 def test_larger_photos_are_refused_before_they_are_read(tmp_path: Path) -> None:

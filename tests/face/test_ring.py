@@ -180,7 +180,7 @@ def test_what_is_wrong_with_the_ring_is_told_before_anything_is_served(
     assert "has 5 LEDs" in refusal(tmp_path, capsys, *options)
 
 
-@pytest.mark.parametrize(("typed", "allowed"), [("yes\n", True), ("y\n", False), ("", False)])
+@pytest.mark.parametrize(("typed", "allowed"), [("yes\n", True), ("y\n", False)])
 def test_a_real_ring_is_confirmed_in_the_terminal(
     tmp_path: Path,
     emulator: EmulatorProcess,
