@@ -153,12 +153,7 @@ def test_a_process_of_its_own_decodes_with_limits(tmp_path: Path, monkeypatch: p
     content = encoded(".png", GRAYS.astype(np.uint8))
     told, found = decoded(content, ROWS, COLUMNS, tmp_path)
     assert np.array_equal(found, GRAYS) and told["kind"] == "png"
-    for limits in (
-        Limits(total=0.01),
-        Limits(total=0.1),
-        Limits(total=0.2),
-        Limits(memory=32 << 20),
-    ):  # no picture is so small
+    for limits in (Limits(total=0.01), Limits(total=0.05), Limits(memory=32 << 20)):  # no picture is so small
         monkeypatch.setattr(photo, "LIMITS", limits)
         with pytest.raises(InputError, match="cannot be decoded within"):
             decoded(content, ROWS, COLUMNS, tmp_path)
