@@ -228,7 +228,8 @@ def main() -> int:
             with tempfile.TemporaryDirectory(prefix="face-kills-") as folder:
                 kind(found[kind], Path(folder), emulator)
             counts[kind] += 1
-        kept = sorted(path.name for path in Path(own).iterdir())
+        # A browser that is killed leaves a folder of its own.
+        kept = sorted(path.name for path in Path(own).iterdir() if not path.name.startswith("org.chromium"))
     end = time.monotonic() + _OTHERS
     while any(one.suspects & warm_folders() for one in found.values()) and time.monotonic() < end:
         time.sleep(1.0)
