@@ -59,7 +59,7 @@ DEFENCES: Final = (
         "if given != self._token:",
         ("gate", "constant"),
     ),
-    Defence("form bodies", GATE, "!= [JSON]:", "== []:", ("gate", "only_json")),
+    Defence("form bodies", GATE, "!= [door.content]:", "== []:", ("gate", "only_json")),
     Defence("methods", GATE, 'if scope["method"] != door.method:', "if False:", ("gate", "only_json or own_files")),
     Defence(
         "encoded paths",
@@ -68,8 +68,8 @@ DEFENCES: Final = (
         "",
         ("gate", "word_of_a_table"),
     ),
-    Defence("long bodies", GATE, "if size > LARGEST_BODY:", "if False:", ("gate", "bodies")),
-    Defence("announced long bodies", GATE, "int(lengths[0][:12]) > LARGEST_BODY", "False", ("gate", "bodies")),
+    Defence("long bodies", GATE, "if size > largest:", "if False:", ("gate", "bodies")),
+    Defence("announced long bodies", GATE, "int(lengths[0][:12]) > door.largest", "False", ("gate", "bodies")),
     Defence("slow bodies", GATE, "BODY_PATIENCE: Final = 5.0", "BODY_PATIENCE: Final = 500.0", ("gate", "slow")),
     Defence(
         "headers",
@@ -123,6 +123,73 @@ DEFENCES: Final = (
         "now - asked_to_stop > OBEYS_WITHIN",
         "False",
         ("life", "stopped_begun"),
+    ),
+    Defence(
+        "photos of other kinds",
+        "face/decoder.py",
+        "if begin.startswith(magic)), None)",
+        '), ".png")',
+        ("photo", "not_even_tried"),
+    ),
+    Defence(
+        "photos that take long", "face/decoder.py", "(resource.RLIMIT_CPU, SECONDS),", "", ("photo", "limits_itself")
+    ),
+    Defence("photos that hang", "face/photo.py", "limits=LIMITS,", "limits=Limits(),", ("photo", "decodes_with")),
+    Defence(
+        "photos that take memory", "face/decoder.py", "(resource.RLIMIT_AS, MEMORY),", "", ("photo", "limits_itself")
+    ),
+    Defence(
+        "photos on the disk",
+        "face/decoder.py",
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))",
+        "pass",
+        ("photo", "limits_itself"),
+    ),
+    Defence(
+        "photos of strangers",
+        GATE,
+        "if refused is None and door is not None and door.is_wide:",
+        "if door is not None and door.is_wide:",
+        ("photo", "knows"),
+    ),
+    Defence(
+        "many photos at a time",
+        GATE,
+        "            async with self._wide:\n",
+        "            if True:\n",
+        ("photo", "at_a_time"),
+    ),
+    Defence(
+        "photos of another size",
+        "face/decoder.py",
+        "if image.values.shape != (rows, columns):",
+        "if False:",
+        ("photo", "clear_error"),
+    ),
+    Defence(
+        "shifted bits",
+        "face/photo.py",
+        "if whole and wide and highest > 0 and not (values % step).any():",
+        "if False:",
+        ("photo", "upper_end"),
+    ),
+    Defence(
+        "rings whose page is gone",
+        "face/ring.py",
+        "if time.monotonic() - self._heard > MISSED:",
+        "if False:",
+        ("ring", "knobs_stand"),
+    ),
+    Defence(
+        "rings of two tabs",
+        "face/ring.py",
+        "if self._holder not in (None, name):",
+        "if False:",
+        ("ring", "knobs_stand"),
+    ),
+    Defence("rings that nobody asked for", "face/app.py", "[] if ring is None else ", "", ("ring", "no_such_route")),
+    Defence(
+        "light that nobody agreed to", "cli/face.py", '.strip() != "yes"', '.strip() == "no"', ("ring", "confirmed")
     ),
     Defence("closed pages", "face/app.py", "        if alone and", "        if False and", ("life", "closed")),
     Defence(

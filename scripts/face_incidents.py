@@ -24,10 +24,16 @@ import psutil
 ROOT: Final = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
+from radwrap.face.app import PHOTO  # noqa: E402
 from radwrap.face.assets import assets  # noqa: E402  (the tests' own server is used)
+from radwrap.face.gate import OCTETS  # noqa: E402
 from tests.face.conftest import Served, serving  # noqa: E402
+from tests.face.test_photo import bombs  # noqa: E402
 
-API: Final = [f"/api/{name}" for name in "watch planes turn pixel profile png scene save trace stop".split()]
+API: Final = [
+    f"/api/{name}"
+    for name in "watch planes turn pixel profile measure photo compare matters layout png scene save trace stop".split()
+]
 OPEN: Final = sorted(assets())
 HOSTS: Final = ["evil.test", "evil.test:{port}", "127.0.0.1.evil.test:{port}", "127.0.0.1:1", "0.0.0.0:{port}", "x", ""]
 ORIGINS: Final = [
@@ -165,7 +171,8 @@ def _file_routes(served: Served) -> Iterator[Sent]:
     for name, path, key in itertools.product(FILES, API, ("path", "file", "folder", "name", "scene", "out")):
         if path not in ("/api/trace", "/api/stop", "/api/save", "/api/watch"):
             body = json.dumps({key: name, "basis": name, "turn": {key: name}}).encode()
-            yield Sent(_octets(served, "POST", path, body, **_own(served)), (422,))
+            kind = {"Content_Type": OCTETS.decode()} if path == PHOTO else {}
+            yield Sent(_octets(served, "POST", path, body, **{**_own(served), **kind}), (422,))
 
 
 def _ranges(served: Served) -> Iterator[Sent]:
@@ -183,6 +190,17 @@ def _uploads(served: Served) -> Iterator[Sent]:
         yield Sent(_octets(served, "POST", path, b"{}", **{**_own(served), "Content_Type": kind}))
 
 
+def _photos(served: Served) -> Iterator[Sent]:
+    """Bombs, pictures that are cut, in colour, of another size, and what is no picture."""
+    head = json.dumps({"basis": served.ready()["basis"], "turn": {}}).encode() + b"\n"
+    own = {**_own(served), "Content_Type": OCTETS.decode()}
+    with tempfile.TemporaryDirectory() as folder:
+        for content, _ in bombs(Path(folder)).values():
+            yield Sent(_octets(served, "POST", PHOTO, head + content, **own), (422,))
+            strange = {**own, "Authorization": "Bearer x"}
+            yield Sent(_octets(served, "POST", PHOTO, head + content, **strange))
+
+
 CLASSES: Final = {
     "DNS rebinding: a foreign Host": _rebinding,
     "another site's page: Origin, CORS, preflight": _origins,
@@ -193,6 +211,7 @@ CLASSES: Final = {
     "routes and values that name files or other machines": _file_routes,
     "Range of many parts": _ranges,
     "uploads and forms": _uploads,
+    "photos that do harm": _photos,
 }
 
 

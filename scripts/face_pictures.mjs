@@ -21,8 +21,9 @@ try {
   server.stderr.on("data", (text) => { said += text; });
   while (!said.includes("/link\n")) await new Promise((resolve) => { setTimeout(resolve, 20); });
   const link = readFileSync(said.match(/\/\S+\/link/)[0], "utf8").trim();
-  for (const [name, colorScheme] of [["face", "light"], ["face_turned", "dark"]]) {
-    const page = await (await browser.newContext({ viewport: { width: 1280, height: 860 }, colorScheme })).newPage();
+  for (const [name, colorScheme] of [["face", "light"], ["face_turned", "dark"], ["face_photo", "light"]]) {
+    const viewport = { width: 1280, height: name === "face_photo" ? 1180 : 860 };
+    const page = await (await browser.newContext({ viewport, colorScheme })).newPage();
     const measured = () => page.waitForFunction(() => document.getElementById("state").textContent === "measured", undefined,
       { timeout: 300_000 });
     await page.goto(link);
@@ -39,6 +40,25 @@ try {
       await page.focus("#picture");
       for (const key of ["s", "x"]) await page.keyboard.press(key);
       await measured();
+    }
+    if (name === "face_photo") {
+      // A photo that is 9 % brighter: here the page's own picture with the light turned up.
+      const level = page.locator('[data-knob="level:all"] input[type=text]');
+      await level.fill("1.1");
+      await level.press("Enter");
+      await measured();
+      const [png] = await Promise.all([page.waitForEvent("download"), page.click("#png")]);
+      await level.fill("1");
+      await level.press("Enter");
+      await measured();
+      await page.setInputFiles("#photo", { name: "capture_0001.png", mimeType: "image/png", buffer: readFileSync(await png.path()) });
+      await page.waitForFunction(() => /^the photo/.test(document.getElementById("photoof").textContent));
+      await page.click("#matters");
+      await page.waitForFunction(() => /^measured anew/.test(document.getElementById("matteringof").textContent), undefined, { timeout: 300_000 });
+      await page.click("#layout summary");
+      await page.focus("#picture");
+      await page.keyboard.press("g");
+      await page.evaluate(() => scrollTo(0, 0));
     }
     await page.waitForFunction(() => document.querySelector("#profile canvas") && document.querySelector("#probe table"));
     await page.waitForTimeout(500); // plots are drawn some frames later

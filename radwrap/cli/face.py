@@ -9,10 +9,12 @@ import sys
 import tempfile
 import webbrowser
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 from radwrap.cli import options as shared
+from radwrap.cli.led_device import add_device, add_light, ring_of
 from radwrap.errors import InputError, ToleranceNotMet
 from radwrap.extras import require
 from radwrap.files import make_folder
@@ -48,9 +50,14 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         help="serve nothing, but write the page and its basis as one file of at most 4 MB, which needs no server",
     )
     parser.add_argument(
+        "--study", metavar="DIR", type=Path, help="show the results of the study in this folder beside the picture"
+    )
+    parser.add_argument(
         "--seed", metavar="S", type=shared.whole(), default=0, help="seed of all random draws (default 0)"
     )
     shared.add_tracer(parser)
+    add_light(parser, "--led")
+    add_device(parser)
     parser.set_defaults(run=run)
 
 
@@ -66,16 +73,60 @@ def run(arguments: argparse.Namespace) -> int:
         if out is None:
             raise InputError("has no name", where="--out", remedy="name a folder")
         make_folder(out)
+    _check_led(arguments)
     if arguments.export is not None:
         return _export(arguments, scene, options)
     require("face", "face")
+    from radwrap.face.matters import study_told
     from radwrap.face.recipe import Recipe
     from radwrap.face.serve import serve
 
+    study = None if arguments.study is None else study_told(arguments.study)
     browser = None if arguments.no_browser or not _has_screen() else _open
     recipe = Recipe(_words(arguments), arguments.scene, shared.overrides_of(arguments), _unusual(options))
-    serve(scene, options, port=arguments.port, out=out, recipe=recipe, opened=browser)
+    ring = None
+    if arguments.drive is not None:
+        _confirm(arguments, scene)
+        ring = partial(ring_of, arguments, scene)
+    serve(scene, options, port=arguments.port, out=out, recipe=recipe, study=study, ring=ring, opened=browser)
     return 0
+
+
+def _check_led(arguments: argparse.Namespace) -> None:
+    """Options of the ring go with it only, and no file can light it."""
+    if arguments.drive is not None:
+        if arguments.export is not None:
+            raise InputError("needs the server", where="--led", remedy="leave out --export")
+        if arguments.calibration is None and arguments.full_scale is None:
+            what = "needs to know how bright a level is"
+            raise InputError(what, where="--led", remedy="give --calibration or --full-scale")
+        return
+    for name in ("calibration", "full_scale", "which", "emulate", "count"):
+        if getattr(arguments, name) is not None:
+            option = "device" if name == "which" else name.replace("_", "-")
+            raise InputError("is of the LED ring", where=f"--{option}", remedy="give --led DRIVE.toml too")
+    if arguments.emulator:
+        raise InputError("is of the LED ring", where="--emulator", remedy="give --led DRIVE.toml too")
+
+
+def _confirm(arguments: argparse.Namespace, scene: Scene) -> None:
+    """Somebody at the terminal must agree that a page may light a real ring; an emulated one gives no light."""
+    if arguments.emulate is not None or arguments.emulator:
+        return
+    with ring_of(arguments, scene) as ring:
+        told, drive = ring.capabilities, ring.drive
+    if not sys.stdin or not sys.stdin.isatty():
+        raise InputError("must be confirmed in a terminal", where="--led", remedy="start the command in one")
+    nanometres = "" if drive is None else f" of {drive.wavelength * 1e9:.0f} nm"
+    print(
+        f"radwrap: the page may light {told.count} LEDs{nanometres} of the ring with the serial "
+        f'{told.serial or "none"}, without warning: nobody may look into them. Type "yes" to allow it: ',
+        end="",
+        file=sys.stderr,
+        flush=True,
+    )
+    if sys.stdin.readline().strip() != "yes":
+        raise InputError("was not confirmed", where="--led")
 
 
 def _export(arguments: argparse.Namespace, scene: Scene, options: dict[str, Any]) -> int:

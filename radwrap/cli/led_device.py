@@ -54,10 +54,13 @@ def add_device(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_light(parser: argparse.ArgumentParser) -> None:
-    """--drive, --calibration and --full-scale."""
+def add_light(parser: argparse.ArgumentParser, drive: str = "--drive") -> None:
+    """--drive, or as that is called, --calibration and --full-scale."""
     parser.add_argument(
-        "--drive", metavar="DRIVE.toml", help="the LEDs' rated current and limits, without which there is no light"
+        drive,
+        dest="drive",
+        metavar="DRIVE.toml",
+        help="the LEDs' rated current and limits, without which there is no light",
     )
     light = parser.add_mutually_exclusive_group()
     light.add_argument("--calibration", metavar="FILE", help="calibration that radwrap led calibrate wrote")

@@ -57,7 +57,7 @@ def write_preview(scene: Scene, path: Path) -> tuple[Path, ...]:
     preview = trimesh.Scene()
     for surface in scene.surfaces:
         lift = _LIFT if surface.is_decal else 0.0
-        colour = _colour(scene.materials[surface.material])
+        colour = colour_of(scene.materials[surface.material])
         _add(preview, surface.name, surface.shape, colour, lift)
     for emitter in scene.emitters:
         _add(preview, emitter.name, DiscShape(emitter.position, emitter.axis, emitter.radius), _SOURCE, 0.0)
@@ -76,7 +76,7 @@ def _library() -> Any:
 
 def _add(preview: Any, name: str, shape: Shape, colour: tuple[int, int, int, int], lift: float) -> None:
     trimesh = _library()
-    vertices, faces = _triangles(shape)
+    vertices, faces = triangles(shape)
     if lift:
         first = vertices[faces[0]]
         across = np.cross(first[1] - first[0], first[2] - first[0])
@@ -88,7 +88,8 @@ def _add(preview: Any, name: str, shape: Shape, colour: tuple[int, int, int, int
     preview.add_geometry(body, node_name=name, geom_name=name)
 
 
-def _colour(material: Material) -> tuple[int, int, int, int]:
+def colour_of(material: Material) -> tuple[int, int, int, int]:
+    """Red, green, blue and opacity of 255 that stand for a material: its reflectance, or a colour of its kind."""
     match material:
         case Lambertian(reflectance):
             share = reflectance
@@ -110,7 +111,8 @@ def _colour(material: Material) -> tuple[int, int, int, int]:
     return (level, level, level, 255)
 
 
-def _triangles(shape: Shape) -> tuple[Array, Index]:
+def triangles(shape: Shape) -> tuple[Array, Index]:
+    """Vertices, shape (n, 3) [m], and numbers of each triangle's three, shape (m, 3); circles have 64 corners."""
     match shape:
         case MeshShape(vertices, faces):
             return vertices, faces

@@ -21,12 +21,17 @@ from starlette.routing import Route
 
 from radwrap.errors import InputError, RadwrapError
 from radwrap.face.assets import Asset, assets
-from radwrap.face.gate import App, Door, Gate
+from radwrap.face.decoder import LARGEST
+from radwrap.face.gate import LARGEST_BODY, OCTETS, App, Door, Gate
+from radwrap.face.layout import layout
+from radwrap.face.matters import parts_of
+from radwrap.face.photo import Photos, compared
 from radwrap.face.profile import ends_of, profile_table, width_of
+from radwrap.face.ring import HeldRing
 from radwrap.face.saving import save, scene_text, turned_scene
 from radwrap.face.session import Image, Session, Status, Traced
 from radwrap.images import png_bytes
-from radwrap.imaging.page.turn import Turn, turn_of
+from radwrap.imaging.page.turn import Turn, changes_of, turn_of
 from radwrap.scene.file.load import with_camera
 
 if TYPE_CHECKING:
@@ -37,17 +42,17 @@ _LOOK: Final = 0.1  # s between looks at how far a trace is
 _LONGEST_WATCH: Final = 1.0  # s
 _GRACE: Final = 2.0  # s for a page that is loaded again
 MOST_PLANES: Final = 512 << 20  # byte; a page with more of them leaves mixing to the server
-_OCTETS: Final = "application/octet-stream"
+PHOTO: Final = "/api/photo"
 
 Numbers = np.ndarray[Any, Any]
 _T = TypeVar("_T")
 Answer = Callable[[Request], Awaitable[Response]]
 
 
-def gated(session: Session, *, port: int, token: str) -> App:
+def gated(session: Session, *, port: int, token: str, ring: HeldRing | None = None) -> App:
     """All of the server behind its gate."""
     shipped = assets()
-    answers = _Answers(session)
+    answers = _Answers(session, ring)
     posts: dict[str, Answer] = {
         f"/api/{name}": _careful(answer)
         for name, answer in (
@@ -59,9 +64,14 @@ def gated(session: Session, *, port: int, token: str) -> App:
             ("png", answers.png),
             ("scene", answers.scene),
             ("measure", answers.measure),
+            ("photo", answers.photo),
+            ("compare", answers.compare),
+            ("matters", answers.matters),
+            ("layout", answers.layout),
             ("save", answers.save),
             ("trace", answers.trace),
             ("stop", answers.stop),
+            *([] if ring is None else [("ring", answers.ring)]),
         )
     }
     routes = [Route(path, _shipped(asset), methods=["GET"]) for path, asset in shipped.items()]
@@ -71,6 +81,7 @@ def gated(session: Session, *, port: int, token: str) -> App:
     table = {path: Door("GET", guarded=False) for path in shipped} | {
         path: Door("POST", guarded=True) for path in posts
     }
+    table[PHOTO] = Door("POST", guarded=True, content=OCTETS, largest=LARGEST + LARGEST_BODY)
     return Gate(app, table, port=port, token=token)
 
 
@@ -111,10 +122,12 @@ class _Gone(Exception):
 class _Answers:
     """The answers of a session; images are made one at a time, and none for who has gone."""
 
-    def __init__(self, session: Session) -> None:
-        self._session = session
+    def __init__(self, session: Session, ring: HeldRing | None) -> None:
+        self._session, self._ring = session, ring
         self._one = asyncio.Lock()
         self._measuring = asyncio.Lock()
+        self._photos = Photos(session.work)
+        self._ring_told = None if ring is None else ring.described()
         self._watchers = 0
         self._watched = 0.0
 
@@ -154,7 +167,11 @@ class _Answers:
         if traced is not None:
             size = len(traced.sources) * traced.relighter.basis.sensor.pixels * 4
             mixes, saves = size <= MOST_PLANES, self._session.out is not None
-            told["described"] = {**traced.described(), "mixes": mixes, "saves": saves}
+            told["described"] = _finite({**traced.described(), "mixes": mixes, "saves": saves})
+            if self._ring is not None:
+                told["described"]["ring"] = self._ring_told
+            if self._session.study is not None:
+                told["described"]["study"] = _finite(self._session.study)
         return told
 
     def _stop_unwatched(self) -> None:
@@ -213,6 +230,46 @@ class _Answers:
             found = await left_behind(lambda: _measured(traced, image))
         return JSONResponse({"measured": [_finite(asdict(one)) for one in found]})
 
+    async def photo(self, request: Request) -> Response:
+        """Take a photo, whose bytes follow a line of JSON that tells basis and turn; its gray levels come back."""
+        body = await request.body()
+        head, _, _ = body[:LARGEST_BODY].partition(b"\n")
+        told = _told(head)
+        traced = self._session.finished(_number(told))
+        image = await self._image(request, traced, _turn(told, traced))
+        sensor, content = image.relighter.basis.sensor, memoryview(body)[len(head) + 1 :]
+        photo = await asyncio.to_thread(self._photos.take, content, sensor)
+
+        async def each() -> AsyncIterator[Numbers]:
+            yield photo.values
+
+        answer = {"photo": photo.number, "bit_depth": photo.bit_depth, "notes": photo.notes}
+        return _octets(answer, [photo.values.size], each())
+
+    async def compare(self, request: Request) -> Response:
+        """How a photo differs from an image."""
+        traced, told = await self._asked(request, kept=True)
+        photo = self._photos.kept(told.get("photo"))
+        image = await self._image(request, traced, _turn(told, traced))
+        async with self._measuring:
+            if await request.is_disconnected():
+                raise _Gone
+            found = await left_behind(lambda: compared(photo, image))
+        return JSONResponse(_finite(found))
+
+    async def matters(self, request: Request) -> Response:
+        """What matters to an image: causes of its deviation, and effects that are measured anew in its light."""
+        traced, told = await self._asked(request, kept=True)
+        turn = _turn(told, traced)
+        image = await self._image(request, traced, turn)
+        found = await left_behind(lambda: self._session.effects(traced, turn))
+        return JSONResponse(_finite({"parts": parts_of(image), **found}))
+
+    async def layout(self, request: Request) -> Response:
+        """Where things stand."""
+        traced, _ = await self._asked(request)
+        return JSONResponse(await asyncio.to_thread(layout, traced.scene))
+
     async def png(self, request: Request) -> Response:
         """The image as gray.png has it."""
         traced, told = await self._asked(request, kept=True)
@@ -257,6 +314,25 @@ class _Answers:
         del request
         self._session.stop()
         return JSONResponse({})
+
+    async def ring(self, request: Request) -> Response:
+        """Light the ring as the knobs stand, hear that the tab which holds it is there, or turn it off."""
+        assert self._ring is not None  # noqa: S101  (there is no such route without it)
+        told = _told(await request.body())
+        tab, what = told.get("tab"), told.get("do")
+        if what == "beat":
+            return JSONResponse(await asyncio.to_thread(self._ring.beat, tab))
+        if what == "dark":
+            await asyncio.to_thread(self._ring.dark, tab)
+            return JSONResponse({})
+        if what != "light":
+            raise InputError('must be "light", "beat" or "dark"', where="do")
+        traced = self._session.finished(_number(told))
+        turn = _turn(told, traced)
+        scene = with_camera(traced.scene, changes_of(turn, traced.scene.camera))
+        factors = dict(zip(traced.sources, turn.factors, strict=True))
+        lit = await asyncio.to_thread(self._ring.light, tab, scene, factors, scene.camera.exposure_time)
+        return JSONResponse(lit)
 
     async def _asked(self, request: Request, *, kept: bool = False) -> tuple[Traced, dict[str, Any]]:
         """The basis that is asked for, of a picture that is to be kept no coarse one; and what else is told."""
@@ -333,11 +409,13 @@ def _octets(told: Mapping[str, Any], sizes: list[int], blocks: AsyncIterator[Num
             for start in range(0, len(octets), _BLOCK):
                 yield octets[start : start + _BLOCK]
 
-    return StreamingResponse(parts(), media_type=_OCTETS)
+    return StreamingResponse(parts(), media_type=OCTETS.decode())
 
 
 def _finite(value: Any) -> Any:
     """JSON knows no infinity: what has no bound is null."""
     if isinstance(value, Mapping):
         return {key: _finite(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(one) for one in value]
     return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -20,6 +20,7 @@ App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 LARGEST_BODY: Final = 1 << 18  # byte; levels of 4096 sources take a third of it
 BODY_PATIENCE: Final = 5.0  # s until a body is whole
+LARGE_BODY_PATIENCE: Final = 30.0  # s until one is whole that may be larger
 POLICY: Final = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; "
     "worker-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
@@ -36,6 +37,7 @@ HEADERS: Final = (
 )
 PAGE: Final = "/"
 JSON: Final = b"application/json"
+OCTETS: Final = b"application/octet-stream"
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,10 +50,21 @@ class Door:
         The one method.
     guarded : bool
         Whether the token is needed.
+    content : bytes
+        Type of what it takes.
+    largest : int
+        So many bytes it takes.
     """
 
     method: str
     guarded: bool
+    content: bytes = JSON
+    largest: int = LARGEST_BODY
+
+    @property
+    def is_wide(self) -> bool:
+        """Whether it takes more than others; one such body is held at a time."""
+        return self.largest > LARGEST_BODY
 
 
 class Gate:
@@ -73,6 +86,7 @@ class Gate:
         self._app, self._table = app, table
         self._hosts = {f"{name}:{port}".encode() for name in ("127.0.0.1", "localhost", "[::1]")}
         self._token = f"Bearer {token}".encode()
+        self._wide = asyncio.Lock()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request, or let it in."""
@@ -81,9 +95,27 @@ class Gate:
                 await send({"type": "websocket.close", "code": 1008})
             return
         refused = self._judged(scope)
+        door = self._table.get(scope["path"])
+        if refused is None and door is not None and door.is_wide:
+            async with self._wide:
+                await self._passed(scope, receive, send, largest=door.largest, patience=LARGE_BODY_PATIENCE)
+            return
+        await self._passed(scope, receive, send, largest=LARGEST_BODY, patience=BODY_PATIENCE, refused=refused)
+
+    async def _passed(
+        self,
+        scope: Scope,
+        receive: Receive,
+        send: Send,
+        *,
+        largest: int,
+        patience: float,
+        refused: tuple[int, str] | None = None,
+    ) -> None:
+        """Read a body, and let the request in with it, or tell why not."""
         try:
             # A connection that is closed before its request was read is reset, and the refusal lost with it.
-            body = await asyncio.wait_for(_whole(receive), BODY_PATIENCE)
+            body = await asyncio.wait_for(_whole(receive, largest), patience)
         except TimeoutError:
             refused = refused or (408, "the request did not come in time")
             body = None
@@ -91,7 +123,7 @@ class Gate:
             await _refuse(send, *refused)
             return
         if body is None:
-            await _refuse(send, 413, f"a request may have {LARGEST_BODY} bytes")
+            await _refuse(send, 413, _too_long(largest))
             return
         await self._app(scope, _again(body, receive), _with_headers(send))
 
@@ -122,11 +154,11 @@ class Gate:
             given = tokens[0] if len(tokens) == 1 else b""
             if not hmac.compare_digest(given, self._token):
                 return 401, "open the link that the command printed"
-            if [kind.split(b";")[0].strip().lower() for kind in all_of(b"content-type")] != [JSON]:
-                return 403, "send application/json"
+            if [kind.split(b";")[0].strip().lower() for kind in all_of(b"content-type")] != [door.content]:
+                return 403, f"send {door.content.decode()}"
         lengths = all_of(b"content-length")
-        if lengths and (len(lengths) > 1 or not lengths[0].isdigit() or int(lengths[0][:12]) > LARGEST_BODY):
-            return 413, f"a request may have {LARGEST_BODY} bytes"
+        if lengths and (len(lengths) > 1 or not lengths[0].isdigit() or int(lengths[0][:12]) > door.largest):
+            return 413, _too_long(door.largest)
         return None
 
 
@@ -144,7 +176,11 @@ def _same_site(scope: Scope, all_of: Callable[[bytes], list[bytes]]) -> bool:
     )
 
 
-async def _whole(receive: Receive) -> bytes | None:
+def _too_long(largest: int) -> str:
+    return f"a request may have {largest} bytes"
+
+
+async def _whole(receive: Receive, largest: int) -> bytes | None:
     """The body; None where it is too large."""
     parts, size = [], 0
     while True:
@@ -152,7 +188,7 @@ async def _whole(receive: Receive) -> bytes | None:
         if message["type"] != "http.request":
             return b""  # it has gone: the answer goes nowhere
         size += len(message.get("body", b""))
-        if size > LARGEST_BODY:
+        if size > largest:
             return None
         parts.append(message.get("body", b""))
         if not message.get("more_body"):

@@ -31,6 +31,7 @@ _START: Final = 60.0  # s, on a busy machine
 _LISTEN: Final = 0.05  # s between looks at whether to stop
 _FAREWELL: Final = 3.0  # s
 _STOP, _BYE, _RENDER = "stop", "bye", "render"
+EFFECTS: Final = "effects"
 _ERRORS: Final[dict[str, type[RadwrapError]]] = {
     kind.__name__: kind for kind in (InputError, EnvironmentFailure, TracerError, Cancelled)
 }
@@ -51,6 +52,7 @@ class Renderer:
         self._warm: Path | None = None  # where its warm scene lies
         self._asked = 0
         self._stop = threading.Event()
+        self._one = threading.Lock()
 
     def begin(self) -> None:
         """What follows is not to end: an earlier `stop` is forgotten."""
@@ -59,6 +61,10 @@ class Renderer:
     def stop(self) -> None:
         """Tell the render that is under way, and those that follow, to end."""
         self._stop.set()
+
+    def effects(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Measure what effects of a scene are worth, see `measured_effects`; as `render`, one of them at a time."""
+        return self._answer({**request, "what": EFFECTS}, lambda _: None)
 
     def render(self, request: Mapping[str, Any], told: Callable[[Mapping[str, Any]], object]) -> None:
         """Render, in the caller's thread; one at a time.
@@ -75,6 +81,13 @@ class Renderer:
         RadwrapError
             What the render raised; `Cancelled` after `stop`.
         """
+        self._answer(request, told)
+
+    def _answer(self, request: Mapping[str, Any], told: Callable[[Mapping[str, Any]], object]) -> Mapping[str, Any]:
+        with self._one:
+            return self._heard(request, told)
+
+    def _heard(self, request: Mapping[str, Any], told: Callable[[Mapping[str, Any]], object]) -> Mapping[str, Any]:
         if self._stop.is_set():
             raise _stopped()
         self._asked += 1
@@ -102,7 +115,8 @@ class Renderer:
                 continue
             answer = json.loads(line) if line.startswith("{") else {}
             if "done" in answer:
-                return
+                found: Mapping[str, Any] = answer.get("found", {})
+                return found
             if "error" in answer:
                 kind = _ERRORS.get(answer["kind"], EnvironmentFailure)
                 raise kind(answer["error"], where=answer["where"], remedy=answer["remedy"])
@@ -171,6 +185,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _answered(warmth: Any, path: Path, ears: _Ears) -> dict[str, Any]:
     try:
         request = json.loads(path.read_bytes())
+        if request.get("what") == EFFECTS:
+            from radwrap.face.effects import measured_effects  # which the first picture does not need
+
+            return {"done": True, "found": measured_effects(request)}
         warmth.render(
             request,
             ears.stop.is_set,

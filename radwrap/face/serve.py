@@ -22,6 +22,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from radwrap.errors import EnvironmentFailure
 from radwrap.face.app import gated
 from radwrap.face.recipe import Recipe
+from radwrap.face.ring import HeldRing, Opened
 from radwrap.face.session import Session
 from radwrap.scene.scene import Scene
 
@@ -114,6 +115,8 @@ def serve(
     port: int,
     out: Path | None,
     recipe: Recipe | None,
+    study: Mapping[str, Any] | None,
+    ring: Opened | None,
     opened: Callable[[Path], object] | None,
 ) -> None:
     """Serve a scene until a signal comes.
@@ -130,6 +133,10 @@ def serve(
         For results.
     recipe : Recipe or None
         How the basis is made without the page.
+    study : Mapping or None
+        Results of a study, see `study_told`.
+    ring : callable or None
+        Opens the LED ring; without it the page has none.
     opened : callable or None
         Opens a file in the user's browser.
 
@@ -147,22 +154,25 @@ def serve(
     ):
         work = Path(folder)
         at = listener.getsockname()[1]
-        session = Session(scene, options, work=work, out=out, recipe=recipe)
+        session = Session(scene, options, work=work, out=out, recipe=recipe, study=study)
+        stack = contextlib.ExitStack()
         before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
         try:
+            held = None if ring is None else stack.enter_context(HeldRing(ring))
             session.trace()
             _tell_link(work, f"http://{LOOPBACK}:{at}/#{token}", opened)
-            asyncio.run(_served(gated(session, port=at, token=token), listener))
+            asyncio.run(_served(gated(session, port=at, token=token, ring=held), listener, held))
         finally:
             for number in before:  # one interrupt is enough: the rest is short, and must be whole
                 signal.signal(number, signal.SIG_IGN)
+            stack.close()
             session.close()
             for number, handler in before.items():
                 signal.signal(number, handler)
     raise KeyboardInterrupt
 
 
-async def _served(app: Any, listener: socket.socket) -> None:
+async def _served(app: Any, listener: socket.socket, ring: HeldRing | None) -> None:
     logging.getLogger("uvicorn").setLevel(logging.CRITICAL)  # what a stranger sends is no news
     config = uvicorn.Config(
         app,
@@ -184,6 +194,8 @@ async def _served(app: Any, listener: socket.socket) -> None:
     def end() -> None:
         server.force_exit = server.should_exit
         server.should_exit = True
+        if ring is not None:  # at once, and not after answers that are under way
+            threading.Thread(target=ring.close, daemon=True).start()
 
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):

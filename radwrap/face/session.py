@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import Cancelled, InputError, RadwrapError
 from radwrap.face.coarse import Coarse, coarse_of
+from radwrap.face.layout import seen_at
 from radwrap.face.ray_knobs import ray_changes, ray_knobs
 from radwrap.face.recipe import Recipe, lines
 from radwrap.face.renderer import Renderer
@@ -218,6 +219,7 @@ class Traced:
             "radiant_exposure": exposure,
             "parts": {name: math.sqrt(float(square[row, column])) for name, square in image.squares.items()},
             "saturated": level >= basis.sensor.saturation_gray,
+            "sees": seen_at(self.scene, column, row),
         }
 
 
@@ -264,11 +266,21 @@ class Session:
         Where results are saved and the first basis stays; without it nothing stays.
     recipe : Recipe or None
         How the first basis is made without the page; None where that is not told.
+    study : Mapping or None
+        Results of a study, see `study_told`.
     """
 
     def __init__(
-        self, scene: Scene, options: Mapping[str, Any], *, work: Path, out: Path | None, recipe: Recipe | None
+        self,
+        scene: Scene,
+        options: Mapping[str, Any],
+        *,
+        work: Path,
+        out: Path | None,
+        recipe: Recipe | None,
+        study: Mapping[str, Any] | None = None,
     ) -> None:
+        self.study = study
         self._options, self._work, self._recipe = dict(options), work, recipe
         self.out = out
         self._scene = scene
@@ -280,6 +292,12 @@ class Session:
         self._status = Status("stopped")
         self._guard = threading.Lock()
         self._thread: threading.Thread | None = None
+        self._measuring = threading.Lock()  # effects
+
+    @property
+    def work(self) -> Path:
+        """A folder of the server's own."""
+        return self._work
 
     @property
     def status(self) -> Status:
@@ -360,10 +378,42 @@ class Session:
 
     def _begin(self, scene: Scene, recipe: Recipe | None, *, anew: bool = False) -> None:
         self._traces += 1
+        self._end_measuring()
         self._renderer.begin()
         self._status = Status("tracing")
         self._thread = threading.Thread(target=self._carry_out, args=(scene, recipe, self._traces, anew), daemon=True)
         self._thread.start()
+
+    def effects(self, traced: Traced, turn: Turn) -> Mapping[str, Any]:
+        """What effects are worth in the light of a turn, measured by rays of their own; a trace that begins ends it.
+
+        Raises
+        ------
+        InputError
+            If a trace or another such measurement is under way, or a scene file cannot tell such levels.
+        RadwrapError
+            What measuring raised; `Cancelled` where a trace has begun.
+        """
+        scene = traced.scene
+        factors, changes = turn.factors, changes_of(turn, scene.camera)
+        if changes or any(factor != 1.0 for factor in factors):
+            scene = with_levels(scene, dict(zip(traced.sources, factors, strict=True)), changes)
+        with self._guard:
+            tracing = self._thread is not None and self._thread.is_alive()
+            if tracing or not self._measuring.acquire(blocking=False):
+                raise InputError("is under way", where="trace", remedy="wait for its end")
+            self._renderer.begin()
+        try:
+            return self._renderer.effects(self._request(scene, self._options))
+        finally:
+            self._measuring.release()
+
+    def _end_measuring(self) -> None:
+        """Effects that are measured hold the process that traces: they are given up for a trace."""
+        if not self._measuring.acquire(blocking=False):
+            self._renderer.stop()
+            self._measuring.acquire()
+        self._measuring.release()
 
     def stop(self) -> None:
         """Stop tracing."""
@@ -421,14 +471,13 @@ class Session:
             shutil.rmtree(before.folder, ignore_errors=True)
 
     def _render(self, scene: Scene, options: Mapping[str, Any], folder: Path) -> None:
-        request = {
-            "document": scene.document,
-            "origin": scene.origin,
-            "folder": str(scene.folder.absolute()),
-            "out": str(folder.absolute()),
-            "options": dict(options),
-        }
+        request = {**self._request(scene, options), "out": str(folder.absolute())}
         self._renderer.render(request, lambda progress: self._progressed(int(progress["done"]), int(progress["of"])))
+
+    @staticmethod
+    def _request(scene: Scene, options: Mapping[str, Any]) -> dict[str, Any]:
+        folder = str(scene.folder.absolute())
+        return {"document": scene.document, "origin": scene.origin, "folder": folder, "options": dict(options)}
 
     def _read(self, scene: Scene, folder: Path, **more: Any) -> Traced:
         relighter = Relighter(read_basis(folder))

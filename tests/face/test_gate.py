@@ -27,7 +27,8 @@ from tests.cli.conftest import SMALL
 from tests.face.conftest import HOSTILE_TITLE, Served
 
 GUARDED: Final = [
-    f"/api/{name}" for name in "watch planes turn pixel profile measure png scene save trace stop".split()
+    f"/api/{name}"
+    for name in "watch planes turn pixel profile measure photo compare matters layout png scene save trace stop".split()
 ]
 OPEN: Final = sorted(assets())
 NAME: Final = "127.0.0.1"

@@ -50,8 +50,14 @@ export class Comparison {
     const { certified, described: { rows, columns, basis, coarse }, history } = this.explorer;
     if (!certified || coarse) return;
     const { exposure, sigma, thresholds, told } = certified;
-    this.a = { rows, columns, basis, turn: history.now, exposure, sigma, thresholds, told };
-    this.held = this.a;
+    this.hold({ rows, columns, basis, turn: history.now, exposure, sigma, thresholds, told });
+    this.explorer.photo.offer();
+  }
+
+  /** @param {KeptPicture} a kept, or a photo */
+  hold(a) {
+    this.a = a;
+    this.held = a;
     this.share();
     this.explorer.draw();
   }
@@ -120,7 +126,7 @@ export class Comparison {
     const said = [];
     if (a) {
       const { rms_gray: rms, rms_gray_upper95: bound } = a.told.error;
-      said.push(`A: error ${errorText(rms)} gray rms, below ${errorText(bound)} (95 %)`);
+      said.push(a.photo ? `A: the photo ${a.photo.name}` : `A: error ${errorText(rms)} gray rms, below ${errorText(bound)} (95 %)`);
     }
     if (this.mode === "difference") {
       const pixels = explorer.described.rows * explorer.described.columns;
@@ -164,7 +170,8 @@ export class Comparison {
   probed(pixel, { gray, sigma }) {
     const [before] = this.values([pixel]);
     if (!before || before.sigma === null) return [];
-    const lines = [`A: ${before.code}, gray ${before.gray.toFixed(2)} ± ${shortNumber(before.sigma, 2)}`];
+    const lines = [this.a?.photo ? `photo: ${shortNumber(before.gray, 6)}`
+      : `A: ${before.code}, gray ${before.gray.toFixed(2)} ± ${shortNumber(before.sigma, 2)}`];
     if (this.alike && sigma !== null) {
       const off = gray - before.gray, error = Math.hypot(sigma, before.sigma);
       lines.push(`B − A: ${off.toFixed(2)} ± ${shortNumber(error, 2)}${Math.abs(off) > SURE * error ? "" : ", may be error only"}`);

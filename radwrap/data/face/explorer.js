@@ -5,10 +5,14 @@ import { byId, download, element, focusKnob } from "./dom.js";
 import { Field } from "./field.js";
 import { take } from "./handover.js";
 import { KnobPanel } from "./knobs.js";
+import { LayoutView } from "./layout_view.js";
+import { Mattering } from "./matters.js";
 import { Measurement } from "./measuring.js";
 import { coloursOf } from "./mix.js";
+import { PhotoComparison } from "./photo.js";
 import { HistogramPlot, ProfilePlot } from "./plots.js";
 import { RayKnobs } from "./ray_knobs.js";
+import { RingControl } from "./ring.js";
 import { Readings } from "./readings.js";
 import { grayOf, rankOf, thresholdsOf, turnedSensor } from "./response.js";
 import { History, sameTurn, untouched } from "./state.js";
@@ -68,6 +72,10 @@ export class Explorer {
     this.readings = new Readings(this, this.leave.signal);
     this.comparison = new Comparison(this, a, this.leave.signal);
     this.measurement = new Measurement(this, this.leave.signal);
+    this.photo = new PhotoComparison(this, this.leave.signal);
+    this.mattering = new Mattering(this, this.leave.signal);
+    this.layout = new LayoutView(this, this.leave.signal);
+    this.ring = new RingControl(this, this.leave.signal);
     this.profile = new ProfilePlot(fresh("profile"), byId("profiletable"));
     this.histogram = new HistogramPlot(fresh("histogram"), byId("histogramtable"));
     this.listen();
@@ -132,7 +140,8 @@ export class Explorer {
     this.certified = null;
     this.asking?.abort();
     this.setStale("measuring");
-    this.measurement.turned();
+    for (const part of [this.measurement, this.photo, this.mattering, this.ring]) part.turned();
+    this.layout.draw();
     this.respond();
     this.comparison.refresh();
     this.draw();
@@ -187,6 +196,7 @@ export class Explorer {
       this.field.certify(certified.exposure, certified.sigma);
       this.tellError(certified);
       this.comparison.refresh();
+      this.ring.follow();
       this.draw();
       await this.readings.certify();
     } catch (error) {

@@ -57,7 +57,7 @@ const page = new Explorer(new Exported(held), held.described, {
     byId("banner").textContent = text ?? "";
   },
 });
-for (const id of ["png", "toml", "comparing", "measurement", "needsrays"]) byId(id).hidden = true;
+for (const id of ["png", "toml", "comparing", "measurement", "photos", "whatmatters", "layout", "needsrays"]) byId(id).hidden = true;
 const { binned } = held.described;
 const coarse = binned > 1 ? ` ${binned} × ${binned} pixels are one here: codes are those of their mean light.` : "";
 byId("cannot").textContent = CANNOT + coarse;

@@ -43,7 +43,10 @@ export class Readings {
     if (!pin || !explorer.certified) return;
     const { certified } = explorer;
     const told = await explorer.source.pixel?.(explorer.described.basis, explorer.history.now, pin);
-    if (certified === explorer.certified && pin === this.pin && told) this.told = told;
+    if (certified === explorer.certified && pin === this.pin && told) {
+      this.told = told;
+      explorer.layout.see(told.sees ?? null);
+    }
     await this.showProbe();
   }
 
@@ -82,6 +85,7 @@ export class Readings {
       element("div", { class: "code", "data-u": String(u), "data-v": String(v) }, String(code)),
       element("div", { class: "gray" }, `gray ${gray.toFixed(2)} ${off} (1 σ)${full}`),
       element("div", { class: "exposure", title: `${exposure} J/m²` }, `H ${exposureText(exposure)}`),
+      ...(told?.sees ? [element("div", { class: "sees" }, `sees ${told.sees.target}, ${shortNumber(1e3 * told.sees.distance, 5)} mm away`)] : []),
       ...explorer.comparison.probed(pixel, { ...value, gray, sigma }),
       ...(told ? [tableOf("Parts of the deviation", ["part of σ", "gray"],
         Object.entries(told.parts).map(([name, part]) => [name.replaceAll("_", " "), shortNumber(part, 2)]))] : []),
@@ -115,6 +119,7 @@ export class Readings {
   setPin(pixel) {
     this.pin = pixel;
     this.told = null;
+    this.explorer.layout.see(null);
     if (pixel) this.explorer.view.reveal(pixel);
     this.changed();
     void this.certify();

@@ -59,8 +59,18 @@ export class Server {
    * @param {AbortSignal} [signal]
    */
   async ask(name, told, signal) {
-    const headers = { Authorization: `Bearer ${this.token}`, "Content-Type": "application/json" };
-    const answer = await fetch(`/api/${name}`, { method: "POST", headers, body: JSON.stringify(told), signal });
+    return this.send(name, JSON.stringify(told), "application/json", signal);
+  }
+
+  /**
+   * @param {string} name
+   * @param {string | Blob} body
+   * @param {string} type
+   * @param {AbortSignal} [signal]
+   */
+  async send(name, body, type, signal) {
+    const headers = { Authorization: `Bearer ${this.token}`, "Content-Type": type };
+    const answer = await fetch(`/api/${name}`, { method: "POST", headers, body, signal });
     if (answer.ok) {
       if (name === "trace") this.wake();
       return answer;
@@ -104,6 +114,20 @@ export class Server {
     } catch {
       return null;
     }
+  }
+
+  /**
+   * Send a photo; it comes back as gray levels.
+   * @param {{basis: number, turn: Turn}} told
+   * @param {Blob} file
+   * @param {AbortSignal} signal
+   * @returns {Promise<{told: {photo: number, bit_depth: number, notes: string[]}, values: Float32Array}>}
+   */
+  async photo(told, file, signal) {
+    const body = new Blob([`${JSON.stringify(told)}\n`, file]);
+    const blocks = new Blocks(await this.send("photo", body, "application/octet-stream", signal));
+    const found = await blocks.head();
+    return { told: found, values: await blocks.numbers(found.blocks[0]) };
   }
 
   /**

@@ -20,7 +20,7 @@
  * @typedef {{basis: number, title: string, rows: number, columns: number, sources: Source[], dark_sources: string[],
  *   exposure_time: number, exposure_of_radiance: number, sensor: Sensor, tolerance: number, left_out: Effect[],
  *   warnings: string[], mixes: boolean, saves: boolean, coarse?: number, replaces?: number,
- *   ray_knobs?: Record<string, string>, ray_knobs_of_file?: Record<string, string>}} Described
+ *   study?: Study, ring?: {count: number, emulated: boolean, wavelength: number | null, max_on_time: number | null}, ray_knobs?: Record<string, string>, ray_knobs_of_file?: Record<string, string>}} Described
  * A coarse picture tells how many pixels a side are one; the next one tells which coarse picture stood for it.
  *
  * @typedef {{history: import("./state.js").History, pin: {u: number, v: number} | null, line: number[] | null,
@@ -40,8 +40,36 @@
  * An image as the server has made it.
  *
  * @typedef {{rows: number, columns: number, basis: number, turn: Turn, exposure: Float32Array, sigma: Float32Array,
- *   thresholds: Thresholds, told: Told}} KeptPicture
- * A picture that is kept to compare with, as it was certified.
+ *   thresholds: Thresholds, told: Told, photo?: {number: number, name: string}}} KeptPicture
+ * A picture that is kept to compare with, as it was certified; of a photo its number with the server, and its file's name.
+ *
+ * @typedef {{targets: {name: string, place: [number, number, number], world: [number, number, number], boxed: boolean,
+ *     surfaces: {colour: number[], decal: boolean, vertices: [number, number, number][], faces: number[][]}[]}[],
+ *   sources: {name: string, place: [number, number, number], world: [number, number, number], axis: [number, number, number],
+ *     radius: number, half_angle: number | null}[],
+ *   camera: {world: [number, number, number], corners: [number, number, number][], depth: number, focus: number | null},
+ *   unknown: string[]}} Layout
+ * Where things stand in the camera's frame, and in the scene file's [m, rad].
+ *
+ * @typedef {{target: string, distance: number, place: [number, number, number]}} Sight
+ * What a pixel sees [m].
+ *
+ * @typedef {{parts: Record<string, number>, tolerance: number, exposure_time: number, effects_exposure_time: number,
+ *   effects: {name: string, left_out: string, rms_gray: number | null, rms_gray_upper95: number | null, needed: boolean}[],
+ *   method: string, why: string, advice: string, best_opening: {steepest_diameter: number} | null,
+ *   eight_bits: {enough: boolean, target: string} | null}} Matters
+ * Causes of the deviation and effects [gray level], times [s], diameters [m].
+ *
+ * @typedef {{title: string, responses: {response: string, runs: number, margin: number | null, sentences: string[],
+ *   effects: {name: string, label: string, effect: number, image_error: number, significant: boolean | null,
+ *     from: string | null, to: string | null}[]}[]}} Study
+ * Results of a study, in the units of its responses.
+ *
+ * @typedef {{mean: number, rms: number, expected_rms: number, beyond: number,
+ *   worst: {column: number, row: number, photo: number, picture: number},
+ *   causes: null | {mainly: string | null, as_is: number, dark_level: number, exposure: number, exposure_factor: number | null,
+ *     geometry: number | null, shift: [number, number] | null}, notes: string[]}} PhotoFound
+ * What a photo differs by from a picture [gray level].
  *
  * @typedef {"a" | "b" | "wipe" | "difference"} Shown
  * What the canvas shows: the kept picture, that of the knobs, both, or the second less the first.
@@ -50,7 +78,7 @@
  * How many pixels differ by more than their errors, the sum of squares of all differences, and their extremes [gray level].
  *
  * @typedef {{code: number, gray: number, sigma: number, radiant_exposure: number, parts: Record<string, number>,
- *   saturated: boolean}} PixelTold
+ *   saturated: boolean, sees?: Sight | null}} PixelTold
  *
  * @typedef {{name: string, what: string, unit: string, value: number | null, error: number | null, notes: string[]}} Measured
  * What an algorithm reads, with its standard uncertainty; null where the picture does not show it.

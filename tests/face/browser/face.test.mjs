@@ -2,7 +2,7 @@
 
 import assert from "node:assert/strict";
 import { execFile, spawn } from "node:child_process";
-import { existsSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
+import { existsSync, mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
@@ -414,6 +414,157 @@ test("a knob that needs rays traces anew, coarse first, with the other knobs whe
   assert.match(await shown(), /^0\.[23] mm$/);
 });
 
+test("a photo is held against the picture, and what is none is said", async (t) => {
+  const { page } = await loaded(t, { expected: /422/ });
+  const [png] = await Promise.all([page.waitForEvent("download"), page.click("#png")]);
+  const gray = readFileSync(await png.path());
+  const find = (name) => page.locator(`#photofound tr:has(th:text-is("${name}")) td`);
+  const open = (name, buffer, mimeType = "image/png") => page.setInputFiles("#photo", { name, mimeType, buffer });
+  for (const [name, buffer, says] of [["no.gif", Buffer.from("GIF89a0000"), "is none of PNG"], ["cut.png", gray.subarray(0, 900), "is not complete"]]) {
+    await open(name, buffer);
+    await page.waitForFunction((text) => document.getElementById("photoof").textContent.includes(text), says);
+    assert.ok(await page.isDisabled("#compare"));
+  }
+  const name = "</b><script>alert(1)</script>.png"; // a name is text
+  await open(name, gray);
+  await page.waitForFunction(() => /^the photo .* less the picture as it is shown$/.test(document.getElementById("photoof").textContent));
+  assert.ok((await page.textContent("#compared")).includes(name));
+  assert.ok(Number((await find("rms").textContent()).split(" ")[0]) < 0.5); // rounding alone
+  assert.equal(await find("pixels beyond 1.96 σ").textContent(), "0 % (5 % by chance)");
+  // It is A: its codes on the canvas, and none of its pixels differs.
+  await page.check("input[name=side][value=a]");
+  await page.waitForFunction(() => document.querySelector("input[name=side][value=a]").checked);
+  writeFileSync(join(folder, "photo.png"), gray);
+  assert.deepEqual(await picture(page, 165, 192), await codesOf(join(folder, "photo.png")));
+  await page.keyboard.press("g");
+  await page.waitForFunction(() => /B − A: 0 % of the pixels/.test(document.getElementById("compared").textContent));
+  await page.keyboard.press("ArrowRight");
+  await page.waitForFunction(() => /photo: \d+/.test(document.getElementById("probe").textContent));
+  assert.ok(await page.isDisabled("#toa"));
+  // With half the light the photo is brighter, and exposure would explain it.
+  await type(page, "level:all", "0.5");
+  await page.waitForFunction(() => document.getElementById("photoof").textContent === "of the knobs before they were turned");
+  await measured(page);
+  await page.waitForFunction(() => /B − A: [1-9]/.test(document.getElementById("compared").textContent));
+  await page.click("#compare");
+  await page.waitForFunction(() => /mainly light or exposure: 1\.8\d* times/.test(document.getElementById("photofound").textContent)); // 2 ** 0.85
+  assert.ok(Number((await find("mean").textContent()).split(" ")[0]) > 1);
+  // A picture that is kept takes its place.
+  await page.focus("#picture");
+  await page.keyboard.press("a");
+  assert.ok(await page.isDisabled("#compare"));
+});
+
+test("what matters is measured for the knobs as they stand, and a study stands beside it", async (t) => {
+  const study = join(folder, "study");
+  mkdirSync(study);
+  const lines = Array.from({ length: 8 }, (_, k) => `${k},1,1,${"LH"[k % 2]},${"LH"[(k >> 1) % 2]},${12 + 4 * (k % 2) + (k >> 2) / 100},0.01`);
+  writeFileSync(join(study, "results.csv"), `run,replicate,seed,A,<b>B</b>,f [mm],f_error [mm]\n${lines.join("\n")}\n`);
+  const own = await serve("--tolerance", "2", "--study", study);
+  t.after(() => own.process.kill("SIGTERM"));
+  const { page } = await loaded(t, { at: own.link });
+  assert.match(await page.textContent("#study"), /A moves f by 4\.0.*\*/s);
+  assert.match(await page.textContent("#study"), /<b>B<\/b>/);
+  const rows = async () => Object.fromEntries(await page.$$eval("#mattering .table tbody tr", (lines) =>
+    lines.map((line) => [line.cells[0].textContent, Number(line.cells[1].textContent.replace("< ", ""))])));
+  const anew = () => page.waitForFunction(() => /^measured anew/.test(document.getElementById("matteringof").textContent),
+    undefined, { timeout: PATIENCE });
+  await page.focus("#matters");
+  await page.keyboard.press("Enter");
+  await anew();
+  const before = await rows();
+  assert.ok(before["finite aperture"] > 0 && "diffraction" in before);
+  await type(page, "gain", "0.5");
+  await page.waitForFunction(() => document.getElementById("matteringof").textContent === "of the knobs before they were turned");
+  await measured(page);
+  await page.click("#matters");
+  await anew();
+  assert.ok(Math.abs((await rows())["finite aperture"] / before["finite aperture"] - 0.5) < 0.05);
+  assert.match(await page.textContent("#mattering"), /exposure: /);
+});
+
+test("the layout is drawn, turned by keys and by dragging, and stands in a table", async (t) => {
+  const { page } = await loaded(t);
+  await page.click("#layout summary");
+  const drawing = () => page.evaluate(() => {
+    const canvas = document.getElementById("scene");
+    const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+    let sum = 0, filled = 0;
+    for (let k = 0; k < data.length; k += 4) { filled += data[k + 3] > 0; sum = (sum * 31 + data[k] + 7 * data[k + 1] + 13 * data[k + 3]) % 1000003; }
+    return { sum, filled };
+  });
+  await page.waitForFunction(() => Number(document.getElementById("scene").dataset.drawn) > 0);
+  const first = await drawing();
+  assert.ok(first.filled > 2000, "nothing is drawn");
+  const seen = new Set([first.sum]);
+  await page.focus("#scene");
+  for (const key of ["ArrowRight", "ArrowUp", "a", "s", "c", "+"]) {
+    await page.keyboard.press(key);
+    seen.add((await drawing()).sum);
+  }
+  assert.equal(seen.size, 7);
+  await page.keyboard.press("o");
+  await page.keyboard.press("-");
+  assert.equal((await drawing()).sum, first.sum);
+  await page.locator("#scene").scrollIntoViewIfNeeded();
+  const box = await page.locator("#scene").boundingBox();
+  await page.mouse.move(box.x + 100, box.y + 100);
+  await page.mouse.down();
+  await page.mouse.move(box.x + 160, box.y + 120, { steps: 3 });
+  await page.mouse.up();
+  assert.notEqual((await drawing()).sum, first.sum);
+  // What a pinned pixel sees is said and drawn; without beams there is less.
+  await page.click('#views button[value="side"]');
+  const side = await drawing();
+  await page.focus("#picture");
+  await page.keyboard.press("ArrowRight");
+  await page.waitForSelector("#probe .sees");
+  assert.match(await page.textContent("#probe .sees"), /^sees board, [\d.]+ mm away$/);
+  assert.notEqual((await drawing()).sum, side.sum);
+  await page.keyboard.press("Enter");
+  await page.uncheck("#beams");
+  assert.ok((await drawing()).filled < side.filled);
+  // An LED that is out is not filled.
+  const lit = (await drawing()).filled;
+  await type(page, "level:all", "0");
+  assert.ok((await drawing()).filled < lit);
+  const rows = await page.$$eval("#layouttable tbody tr", (lines) => lines.map((line) => [...line.cells].map((cell) => cell.textContent)));
+  assert.equal(rows.length, 14); // camera, board, twelve LEDs
+  assert.ok(rows.some(([name, is]) => name === "board" && is === "target"));
+});
+
+test("the LED ring shines as the knobs stand, while its tab lives", async (t) => {
+  const drive = join(folder, "drive.toml");
+  writeFileSync(drive, 'count = 12\nwavelength = "850 nm"\nrated_current = "100 mA"\ndrive_current = "50 mA"\nmax_level = 0.8\n'
+    + 'max_sum = 9.0\nmax_on_time = "60 s"\n');
+  const intensity = (await run(join(ROOT, ".venv/bin/python"), ["-c", "import radwrap, sys;"
+    + "print(2 * radwrap.load_scene(sys.argv[1]).emitters[0].radiant_intensity)", SCENE])).stdout.trim();
+  const own = await serve("--tolerance", "2", "--led", drive, "--full-scale", `${intensity} W/sr`, "--emulate");
+  t.after(() => own.process.kill("SIGTERM"));
+  const { page } = await loaded(t, { at: own.link, expected: /422/ });
+  const says = (text) => page.waitForFunction((part) => document.getElementById("ringsays").textContent.includes(part), text,
+    { timeout: PATIENCE });
+  assert.match(await page.textContent("#ringis"), /^12 LEDs of 850 nm, .*emulated, no light shines$/);
+  await says("The ring is off.");
+  await page.focus("#ringlight");
+  await page.keyboard.press("Enter");
+  await says("levels from 0.5 to 0.5, as it says itself");
+  await type(page, "level:ring.led03", "0.25");
+  await says("levels from 0.125 to 0.5");
+  // Too much is refused, and the light stays.
+  await type(page, "level:all", "1.8");
+  await says("shines as before: ");
+  const { page: other } = await loaded(t, { at: own.link, expected: /422/ });
+  await other.click("#ringlight");
+  await other.waitForFunction(() => document.getElementById("ringsays").textContent.includes("another tab holds the ring"));
+  await page.close(); // its heart beats no more
+  await other.waitForTimeout(2000);
+  await other.click("#ringlight");
+  await other.waitForFunction(() => document.getElementById("ringsays").textContent.includes("levels from 0.5 to 0.5"));
+  await other.click("#ringlight");
+  await other.waitForFunction(() => document.getElementById("ringsays").textContent === "The ring is off.");
+});
+
 test("a basis that is too large to mix: the picture follows when a knob rests", async (t) => {
   const code = "import radwrap.face.app as app, sys; app.MOST_PLANES = 1; from radwrap.cli.main import main; sys.exit(main())";
   const own = await served([join(ROOT, ".venv/bin/python"), "-c", code], ["--tolerance", "2"]);
@@ -505,6 +656,9 @@ test("accessible: axe finds nothing serious, in light and dark, and all is reach
     await page.keyboard.press("ArrowRight");
     await page.waitForSelector("#probe table");
     for (const summary of await page.locator("summary").all()) await summary.click();
+    await page.waitForSelector("#layouttable table");
+    await page.click("#matters");
+    await page.waitForFunction(() => /^measured anew/.test(document.getElementById("matteringof").textContent), undefined, { timeout: PATIENCE });
     // Not through a script element: the page's policy refuses it.
     await page.evaluate(axe.source);
     const { violations } = await page.evaluate(() => globalThis.axe.run());

@@ -4,6 +4,9 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { colourOf, differenceOf, graysOf, together } from "../../../radwrap/data/face/difference.js";
 import { addPlane, codeOf, coloursOf, frameOf, MAPS, ranksOf, sumPlanes, timesOf } from "../../../radwrap/data/face/mix.js";
+import { drawn, frustum, placesOf, rim, turn, VIEWS } from "../../../radwrap/data/face/layout.js";
+import { adviceOf, effectRows } from "../../../radwrap/data/face/matters.js";
+import { causeText, pictureOf } from "../../../radwrap/data/face/photo.js";
 import { grayOf, rankOf, thresholdsOf, turnedSensor } from "../../../radwrap/data/face/response.js";
 import { History, sameTurn, untouched, withKnob, withLevels } from "../../../radwrap/data/face/state.js";
 import { draggedWindow, grouped, linePixels, profileCsv, quantile, stripPixels, summary } from "../../../radwrap/data/face/statistics.js";
@@ -288,4 +291,76 @@ test("one pixel that differs is seen in a bin, and bands are one picture", () =>
   const shown = bands.flatMap(({ rgba }) => [...new Uint32Array(rgba.buffer)]);
   assert.deepEqual(shown.flatMap((colour, k) => (colour === colourOf(1) ? [k] : [])), [50 * 9 + 6]);
   assert.equal(shown.filter((colour) => colour === 0xff767676).length, shown.length - 1);
+});
+
+test("a photo's gray levels are its codes, as those of a picture are", () => {
+  const values = Float32Array.of(0, 1, 21.4, 21.6, 254, 255);
+  const photo = pictureOf({ number: 3, name: "x", values, bits: 8, rows: 1, columns: 6, sensor: EQ5 });
+  assert.deepEqual([...values].map((value) => rankOf(value, photo.thresholds)), [0, 1, 21, 22, 254, 255]);
+  assert.deepEqual([...graysOf(values, photo.told.sensor)], [...values]);
+  const ranks = ranksOf(photo.thresholds);
+  assert.deepEqual([...values].map((value) => codeOf(value, ranks)), [0, 1, 21, 22, 254, 255]);
+  // A picture of the same gray levels does not differ from it; a brighter one is B more than A.
+  const now = { light: values, gray: values.map((value) => value + 2), sigma: new Float32Array(6).fill(0.5), ranks };
+  const a = { gray: graysOf(values, photo.told.sensor), sigma: photo.sigma };
+  const { apart } = differenceOf(a, now, 6, 0, { x0: 0, y0: 0, x1: 6, y1: 1, bin: 1 }, 16, 256);
+  assert.deepEqual([apart.beyond, apart.least, apart.largest], [6, 2, 2]);
+});
+
+test("what explains a difference is said with what it leaves", () => {
+  const causes = { mainly: null, as_is: 4, dark_level: 3.9, exposure: 1.5, exposure_factor: 1.234567, geometry: null, shift: null };
+  assert.equal(causeText({ ...causes, mainly: "exposure" }), "mainly light or exposure: 1.23 times as bright above dark, and 1.5 gray rms of 4 stay");
+  assert.match(causeText({ ...causes, mainly: "geometry", geometry: 1, shift: [0.5, -2] }), /moved by 0.50, -2.00 px, and 1 gray rms of 4 stay/);
+  assert.match(causeText(causes), /neither/);
+  assert.match(causeText(null), /no cause is looked for/);
+});
+
+test("effects stand in a table by their size, and what is needed is said", () => {
+  const rows = effectRows([{ name: "cos4", left_out: "no falloff", rms_gray: 0.5, rms_gray_upper95: 0.6, needed: false },
+    { name: "finite_aperture", left_out: "a sharp image", rms_gray: 3.21, rms_gray_upper95: 3.45, needed: true },
+    { name: "bands", left_out: "one", rms_gray: 1e-5, rms_gray_upper95: 1e-4, needed: false }]);
+  assert.deepEqual(rows, [["finite aperture", "3.2", "3.5", "yes", "a sharp image"], ["cos4", "0.50", "0.60", "no", "no falloff"],
+    ["bands", "< 0.001", "< 0.001", "no", "one"]]);
+  const found = { parts: {}, tolerance: 1, effects: [], method: "kernel", why: "w", advice: "a", best_opening: { steepest_diameter: 2e-3 },
+    eight_bits: { enough: false, target: "board" }, exposure_time: 1, effects_exposure_time: 0.25 };
+  assert.match(adviceOf(found).join("; "), /exposure of 250 ms, as the picture saturates.*2 mm has the steepest edges.*8 bits are too few/);
+  assert.doesNotMatch(adviceOf({ ...found, effects_exposure_time: 1 }).join("; "), /saturates/);
+});
+
+const near = (found, wanted) => found.forEach((value, k) => assert.ok(Math.abs(value - wanted[k]) < 1e-12, `${found} is not ${wanted}`));
+
+test("a layout is seen from where its button says", () => {
+  near(turn([1, 2, 3], VIEWS.camera), [1, 2, 3]); // right, down, away
+  near(turn([1, 2, 3], VIEWS.above), [1, -3, 2]); // what is farther from the camera is higher up, what is lower is farther away
+  near(turn([1, 2, 3], VIEWS.side), [3, 2, -1]); // away from the camera is to the right, its right is near
+  for (let k = 0; k < 20; k++) { // a rotation: lengths and hands stay
+    const turned = { yaw: 7 * next(), pitch: 3 * next() - 1.5 };
+    const [x, y, z] = [[1, 0, 0], [0, 1, 0], [0, 0, 1]].map((axis) => turn(axis, turned));
+    near([Math.hypot(...x), Math.hypot(...y), Math.hypot(...z)], [1, 1, 1]);
+    near([x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0]], z);
+  }
+});
+
+test("a beam's rim lies at its half angle about its axis, and the field of view in its depth", () => {
+  const source = { name: "a", place: [0.1, 0, 0], world: [0, 0, 0], axis: [0, 0.6, 0.8], radius: 0, half_angle: 0.3 };
+  for (const point of rim(source, 2)) {
+    const [x, y, z] = point.map((value, k) => value - source.place[k]);
+    near([(0.6 * y + 0.8 * z), Math.acos((0.6 * y + 0.8 * z) / Math.hypot(x, y, z))], [2, 0.3]);
+  }
+  assert.deepEqual(rim({ ...source, half_angle: null }, 1), []);
+  const camera = { world: [0, 0, 0], corners: [[-0.1, -0.2, 1], [0.1, -0.2, 1], [0.1, 0.2, 1], [-0.1, 0.2, 1]], depth: 0.5, focus: null };
+  near(frustum(camera)[2], [0.05, 0.1, 0.5]);
+  assert.equal(placesOf({ targets: [], sources: [source], camera, unknown: [] }).length, 6);
+});
+
+test("what is nearer is drawn later, and a decal after what it is painted on", () => {
+  const square = (z, colour, size = 1) => ({ colour: [colour], decal: size < 1,
+    vertices: [[-size, -size, z], [size, -size, z], [size, size, z], [-size, size, z]], faces: [[0, 1, 2], [0, 2, 3]] });
+  const target = (name, z, ...surfaces) => ({ name, place: [0, 0, z], world: [0, 0, 0], boxed: false, surfaces });
+  const targets = [target("near", 1, square(1, 3), square(1, 4, 0.5)), target("far", 2, square(2, 1), square(2, 2, 0.5))];
+  const colours = (turned) => drawn(targets, turned).map(({ colour: [one] }) => one);
+  assert.deepEqual(colours(VIEWS.camera), [1, 1, 2, 2, 3, 3, 4, 4]);
+  assert.deepEqual(colours({ yaw: Math.PI, pitch: 0 }), [3, 3, 4, 4, 1, 1, 2, 2]); // from behind
+  assert.ok(drawn(targets, VIEWS.camera).every(({ facing }) => facing === 1));
+  assert.ok(drawn(targets, VIEWS.side).every(({ facing }) => facing < 1e-9));
 });
