@@ -25,7 +25,8 @@ from radwrap.designing.quantities import (
     limits_of,
     quantity_of,
 )
-from radwrap.designing.tables import ConstraintModel, ObjectiveModel, ProblemModel
+from radwrap.designing.tables import FEWEST_RENDERS, ConstraintModel, ObjectiveModel, ProblemModel
+from radwrap.designing.worst import MOST, Allowed, read_allowed
 from radwrap.errors import InputError
 from radwrap.imaging.forecast.cost import check_size
 from radwrap.reading import FileKind, read_text, read_toml
@@ -39,7 +40,7 @@ from radwrap.study.responses import Response, check_response
 
 _DESIGN_FILE: Final = FileKind("design file", 64 << 20)
 _SCENE_FILE: Final = FileKind("scene file", 16 << 20, "")
-_NOMINAL: Final = "nominal"
+_WORST: Final = "worst"
 _GRAY: Final = {"peak_gray", "mean_gray"}  # responses that go from black to white
 _ROUNDING: Final = 1e-9  # of a limit
 _TAKEN: Final = {"trial", "stage", "seed", "image_error", "met", "feasible", "warnings", "error"}
@@ -70,6 +71,8 @@ class Problem:
         How many candidates are asked for at a time.
     coarse : float
         How much coarser than the tolerance images are while it is searched.
+    allowed : tuple of Allowed
+        What the bench may be off by, where the worst case counts.
     """
 
     study: Design
@@ -82,6 +85,12 @@ class Problem:
     budget: int
     batch: int
     coarse: float
+    allowed: tuple[Allowed, ...] = ()
+
+    @property
+    def images_each(self) -> int:
+        """Images of a candidate: it, and each corner of its tolerances."""
+        return 1 + 2 ** len(self.allowed) if self.allowed else 1
 
     @property
     def origin(self) -> str:
@@ -144,12 +153,6 @@ def read_problem(path: Path, *, trust: bool = False) -> Problem:
     """
     origin = path.name
     told = validated(ProblemModel, read_toml(path, _DESIGN_FILE), origin, "docs/design.md shows a design file")
-    if told.case != _NOMINAL:
-        raise InputError(
-            f'is "{told.case}", and only "{_NOMINAL}" is in: the worst case within tolerances is not',
-            where=f"{origin}: case",
-            remedy="leave it out; `radwrap study tolerate` finds tolerances of the best scene",
-        )
     scene_path = path.parent / told.scene
     scene = load_scene(scene_path, told.set)
     keys = tuple(read_key(name, table, f"{origin}: keys.{name}") for name, table in told.keys.items())
@@ -187,9 +190,28 @@ def read_problem(path: Path, *, trust: bool = False) -> Problem:
         budget=told.budget,
         batch=told.batch,
         coarse=1.0 if is_fixed else float(told.coarse),
+        allowed=_allowed(told, origin),
     )
     _check(problem, keys, trust=trust, is_fixed=is_fixed)
     return problem
+
+
+def _allowed(told: ProblemModel, origin: str) -> tuple[Allowed, ...]:
+    """Tolerances of the worst case."""
+    where = f"{origin}: tolerances"
+    if (told.case == _WORST) != bool(told.tolerances):
+        raise InputError(
+            f'go with case = "{_WORST}", and that needs them',
+            where=where,
+            remedy="give both or none, see docs/design.md",
+        )
+    if len(told.tolerances) > MOST:
+        raise InputError(
+            f"are {len(told.tolerances)}, whose corners would be {2 ** len(told.tolerances)} images for each candidate",
+            where=where,
+            remedy=f"give the {MOST} that matter most; several keys may be off together",
+        )
+    return tuple(read_allowed(name, table, f"{where}.{name}") for name, table in told.tolerances.items())
 
 
 def _with_peak(responses: tuple[Response, ...], asked: Sequence[str]) -> tuple[Response, ...]:
@@ -262,9 +284,31 @@ def _check(problem: Problem, keys: Sequence[SearchKey], *, trust: bool, is_fixed
         check_response(response, base, f"{study.origin}: responses.{response.told_in}")
     _check_apart(study, keys, problem.changes)
     _check_costs(problem)
+    _check_corners(problem)
     ends = [_ends(problem, key) for key in keys]
     levels_of(problem.levels, study.document, base, study.origin)
     _check_reach(problem, base, ends)
+
+
+def _check_corners(problem: Problem) -> None:
+    """Refuse tolerances that do not fit the scene, and a budget that is too small for their corners."""
+    document = problem.with_leds(problem.study.document)
+    for one in problem.allowed:
+        where = f"{problem.origin}: tolerances.{one.name}"
+        for sign in (-1.0, 1.0):
+            moved = one.moved(document, sign, where)
+            try:
+                problem.scene(moved)
+            except InputError as error:
+                raise InputError(f"the scene does not take it: {error}", where=where, remedy=error.remedy) from error
+    least = FEWEST_RENDERS * problem.images_each
+    if problem.budget < least:
+        raise InputError(
+            f"is {problem.budget}, and each candidate takes {problem.images_each} images with the corners of its "
+            "tolerances",
+            where=f"{problem.origin}: budget",
+            remedy=f"give {least} or more",
+        )
 
 
 def _ends(problem: Problem, key: SearchKey) -> list[Scene]:
