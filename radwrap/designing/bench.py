@@ -9,7 +9,8 @@ from typing import Any, Final
 
 from radwrap.designing.candidates import Candidate, candidate_of, corners
 from radwrap.designing.document import Problem
-from radwrap.designing.light import LightAim, levels_of
+from radwrap.designing.light import LightAim, levels_of, time_of
+from radwrap.designing.quantities import LEDS, TIME_OF_EXPOSURE
 from radwrap.designing.trials import Trial, read_record, trial_of, write_record
 from radwrap.designing.worker import CandidateJob, carry_out_candidate
 from radwrap.errors import EnvironmentFailure, InputError
@@ -112,10 +113,15 @@ class Bench:
 
     def _is_worth(self, candidate: Candidate) -> bool:
         """Whether a candidate keeps all limits that are known without a ray."""
+        problem = self._problem
+        # Levels and the time are not known yet; where they are, they are no levels of the problem's own scene.
+        sought = {LEDS} if problem.levels else set()
+        if problem.time is not None and not candidate.levels:
+            sought.add(TIME_OF_EXPOSURE)
         return not any(
             one.excess(candidate.own[one.quantity.name].value)
             for one in self._problem.constraints
-            if one.quantity.name in candidate.own and not (self._problem.levels and one.quantity.name == "leds")
+            if one.quantity.name in candidate.own and one.quantity.name not in sought
         )
 
     def _job(
@@ -156,7 +162,8 @@ class Bench:
         problem = self._problem
         scene = problem.scene(candidate.document)
         levels = levels_of(problem.levels, candidate.document, scene, problem.origin)
-        return LightAim(levels, problem.objectives[0], problem.constraints, problem.study.responses)
+        time = None if problem.time is None else time_of(problem.time, scene)
+        return LightAim(levels, problem.objectives[0], problem.constraints, problem.study.responses, time)
 
     def _record(self, job: CandidateJob) -> Path:
         return self._out / RECORDS / f"{Path(job.image).name}.json"

@@ -41,6 +41,7 @@ from radwrap.study.responses import Response, check_response
 _DESIGN_FILE: Final = FileKind("design file", 64 << 20)
 _SCENE_FILE: Final = FileKind("scene file", 16 << 20, "")
 _WORST: Final = "worst"
+_TIME: Final = "camera.exposure_time"
 _GRAY: Final = {"peak_gray", "mean_gray"}  # responses that go from black to white
 _ROUNDING: Final = 1e-9  # of a limit
 _TAKEN: Final = {"trial", "stage", "seed", "image_error", "met", "feasible", "warnings", "error"}
@@ -62,6 +63,8 @@ class Problem:
         What a search varies.
     levels : tuple of SearchKey
         Levels of sources, which are solved for on a light basis.
+    time : SearchKey or None
+        The exposure time, where it is solved for with them.
     objectives : tuple of Objective
         One or two.
     constraints : tuple of Constraint
@@ -85,6 +88,7 @@ class Problem:
     budget: int
     batch: int
     coarse: float
+    time: SearchKey | None = None
     allowed: tuple[Allowed, ...] = ()
 
     @property
@@ -113,9 +117,8 @@ class Problem:
 
     def documents(self) -> list[dict[str, Any]]:
         """Tables of the scene with each end or choice of each key, the others as the scene has them."""
-        return [
-            with_values(self.study, key, key.values(code)) for key in (*self.keys, *self.levels) for code in key.ends()
-        ]
+        keys = (*self.keys, *self.levels, *((self.time,) if self.time is not None else ()))
+        return [with_values(self.study, key, key.values(code)) for key in keys for code in key.ends()]
 
 
 def with_values(study: Design, key: SearchKey, values: Sequence[Any]) -> dict[str, Any]:
@@ -179,17 +182,19 @@ def read_problem(path: Path, *, trust: bool = False) -> Problem:
         home=path.parent,
     )
     is_fixed = render_options(study.render, origin).fixed_method is not None
+    time = _time(keys, study, scene)
     problem = Problem(
         study=study,
         text=read_text(scene_path, _SCENE_FILE),
         changes=told.set,
-        keys=tuple(key for key in keys if not key.is_level),
+        keys=tuple(key for key in keys if not key.is_level and key is not time),
         levels=tuple(key for key in keys if key.is_level),
         objectives=_objectives(told.objectives, responses, origin),
         constraints=_constraints(told.constraints, responses, origin),
         budget=told.budget,
         batch=told.batch,
         coarse=1.0 if is_fixed else float(told.coarse),
+        time=time,
         allowed=_allowed(told, origin),
     )
     _check(problem, keys, trust=trust, is_fixed=is_fixed)
@@ -212,6 +217,23 @@ def _allowed(told: ProblemModel, origin: str) -> tuple[Allowed, ...]:
             remedy=f"give the {MOST} that matter most; several keys may be off together",
         )
     return tuple(read_allowed(name, table, f"{where}.{name}") for name, table in told.tolerances.items())
+
+
+def _time(keys: Sequence[SearchKey], study: Design, scene: Scene) -> SearchKey | None:
+    """The key of the exposure time where levels are sought, and nothing but light hangs on it."""
+    found = next((key for key in keys if key.span is not None and key.keys == (_TIME,)), None)
+    if found is None or not any(key.is_level for key in keys):
+        return None
+    for code in found.ends():
+        try:
+            other = scene_from_document(
+                with_values(study, found, found.values(code)), origin=study.scene_origin, folder=study.folder
+            )
+        except InputError:
+            return None  # told where bounds are held against the scene
+        if other.camera.sensor != scene.camera.sensor:  # dark current
+            return None
+    return found
 
 
 def _with_peak(responses: tuple[Response, ...], asked: Sequence[str]) -> tuple[Response, ...]:
