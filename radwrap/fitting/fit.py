@@ -51,6 +51,7 @@ _WORK: Final = ".fit"
 _COARSE: Final = "coarse"
 _NEAR: Final = "near"
 _PLACES: Final = 4  # at most, where it is looked for the end by unbiased rays
+_ARRIVED: Final = 0.5  # expected deviations: by so little the prediction moves in a last step
 PACKAGES: Final = ("tomlkit",)
 
 
@@ -206,16 +207,22 @@ def _ended(
     noise: float | None,
     robust: bool,
 ) -> _Ended:
-    """Settle by unbiased rays where a search ended; where that leads farther than slopes reach, from there on again."""
-    place = begin
+    """Settle by unbiased rays where a search ended, and where that leads to once more, until it leads nowhere else.
+
+    A step of some deviations leaves what is not linear in it: along what the captures hardly determine, keys go far.
+    """
+    place, scales = begin, np.array([key.scale for key in keys])
+    near: Settled | None = None
     for _ in range(_PLACES):
         bases = [light.unbiased(places.scene(place)) for places in prediction.places]
-        near = Settled(prediction, keys, place, bases)
+        near = Settled(prediction, keys, place, bases, near)
         solved, grain = settle(keys, near, captures, noise, robust=robust, begin=place)
+        way = (solved.values - place) / scales
         place = solved.values
-        if near.reaches(place):
+        if not prediction.has_renders or float(np.linalg.norm(solved.jacobian @ way)) < _ARRIVED:
             break
-    else:
+    assert near is not None  # noqa: S101  (there is a first place)
+    if not near.reaches(place):
         solved = replace(solved, converged=False)
     used = solved.weighed.used
     sigma = solved.weighed.sigma[used]

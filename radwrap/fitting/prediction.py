@@ -24,6 +24,8 @@ _STEP: Final = 1e-4  # of a key's scale: levels are linear in it, and the sensor
 _CHANGE: Final = 0.15
 _SMOOTH: Final = 0.5  # px: what single pixels show may be the grain of the rays
 _FARTHER: Final = 10.0
+_LEAST_ROOM: Final = 0.1  # of a step
+_FARTHEST: Final = 30.0  # steps of single keys, where several are moved together
 _TRIED_STEP: Final = 0.02  # of such a key's scale, to begin with
 _SMALLEST, _LARGEST = 1e-7, 0.5  # of such a key's scale: steps
 # The same of a value of 0, a pose's say, that has no scale of its own but its unit: turned by more, a lattice of dots
@@ -196,7 +198,7 @@ class Prediction:
         sigma = max(blur, _SMOOTH)
         target = _CHANGE * float(np.ptp(self._smooth(self.at(values).unclipped, sigma)))
         key = self._keys[number]
-        largest = _LARGEST if key.value else _LARGEST_FROM_0.get(key.unit, _LARGEST_ELSE)
+        largest = self._largest(key)
         taken = 0.0
         for _ in range(_TRIALS):
             try:
@@ -240,20 +242,66 @@ class Prediction:
         return (float(ends[0][number]), float(ends[1][number])), (ends[0], ends[1])
 
     def steepness(self, values: Array) -> Steepness:
-        """Change of the radiant exposure with each key that needs renders, by each replicate of the bases."""
+        """Change of the radiant exposure with each key that needs renders, by each replicate of the bases.
+
+        Keys that nearly cancel each other are moved together, as far as it takes to see what is left: the difference of
+        two large slopes would be off by their grain, and by what a finite step leaves out of each.
+        """
+        slopes = self.slopes(values)
         near = self._near(values, 0.0)
-        reach = np.array(self._steps[0.0]) * np.array([key.scale for key in self._keys])
+        scales = np.array([key.scale for key in self._keys])
+        reach = np.array(self._steps[0.0]) * scales
         if (np.abs(values - near) > _NEAR_ENOUGH * reach)[self._rendered].any():
             near = np.array(values, dtype=np.float64)
         numbers = np.flatnonzero(self._rendered)
-        changes = []
-        for number in numbers.tolist():
-            (high, low), ends = self._ends(near, number, self._steps[0.0][number])
-            above, below = (self._exposures(end) for end in ends)
+        moved = slopes[numbers] * (reach / scales)[numbers, np.newaxis, np.newaxis]
+        ways = np.linalg.svd(moved.reshape(len(numbers), -1), full_matrices=False)[0].T
+        target = _CHANGE * float(np.ptp(self._smooth(self.at(near).unclipped, _SMOOTH)))
+        steps = np.zeros((len(numbers), len(self._keys)))
+        steps[:, numbers] = ways * reach[numbers]
+        if min(self._room(near, step) for step in steps) < _LEAST_ROOM:  # a key at its bound: each key by itself
+            ways = np.eye(len(numbers))
+            steps[:, numbers] = ways * reach[numbers]
+        seen, gone = [], np.ones(len(numbers))
+        for way, step in zip(ways, steps, strict=True):
+            change = float(np.abs(self._smooth(np.tensordot(way, moved, axes=1), _SMOOTH)).max())
+            times = min(target / max(change, target / _FARTHEST), max(self._room(near, step), 1.0))
+            above, below, span = self._both(near, step, times)
             count = min(len(above), len(below))
-            span = (high - low) / self._keys[number].scale
-            changes.append((_joined(above, count) - _joined(below, count)) / span)
-        return Steepness(numbers, np.stack(changes), reach[numbers])
+            seen.append((_joined(above, count) - _joined(below, count)) / span)
+            gone = np.maximum(gone, times * np.abs(way))
+        count = min(len(one) for one in seen)
+        images = np.stack([_joined(one, count) for one in seen])
+        changes = np.tensordot(ways, images, axes=(0, 0)) * (scales / reach)[numbers, None, None, None]
+        return Steepness(numbers, changes, gone * reach[numbers])
+
+    def _room(self, values: Array, step: Array) -> float:
+        """How many times a step may be gone both ways: within bounds, and no farther than one key is ever moved."""
+        room = [_FARTHEST]
+        for value, part, key in zip(values, np.abs(step), self._keys, strict=True):
+            if part > 0:
+                largest = self._largest(key) * key.scale
+                room.append(float(min(value - key.low, key.high - value, largest) / part))
+        return min(room)
+
+    def _both(self, values: Array, step: Array, times: float) -> tuple[Array, Array, float]:
+        """Radiant exposures on both sides, and how many steps lie between: fewer where the scene does not take them."""
+        low, high = np.array([[key.low, key.high] for key in self._keys]).T
+        for trial in range(_TRIALS):
+            ends = [np.clip(values + sign * times * step, low, high) for sign in (1.0, -1.0)]
+            try:
+                images = [self._exposures(end) for end in ends]
+                break
+            except InputError:
+                if trial == _TRIALS - 1:
+                    raise
+                times /= _FARTHER
+        return images[0], images[1], float((ends[0] - ends[1]) @ step / (step @ step))
+
+    @staticmethod
+    def _largest(key: FreeKey) -> float:
+        """The largest step of a key, over its scale."""
+        return _LARGEST if key.value else _LARGEST_FROM_0.get(key.unit, _LARGEST_ELSE)
 
     def _exposures(self, values: Array) -> Array:
         """Radiant exposure of all captures by each replicate, shape (replicates, captures * rows, columns)."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from radwrap.fitting.free_keys import FreeKey, FreeScene
 from radwrap.fitting.places import Lit
-from radwrap.fitting.prediction import Part, Predicted, Prediction, factors_of
+from radwrap.fitting.prediction import Part, Predicted, Prediction, Steepness, factors_of
 from radwrap.imaging.relight.relit import Basis
 from radwrap.imaging.response.exposure import exposure_of_radiance
 from radwrap.imaging.response.sensor import unclipped_gray
@@ -25,6 +25,7 @@ from radwrap.imaging.tolerance.wave_image import visible_gray
 from radwrap.scene.scene import Scene
 
 Array = NDArray[np.float64]
+_NEARER: Final = 0.25  # of what keys are moved for slopes: so near these are the same
 _STEP: Final = 1e-4  # of a key's scale, and of the light: what is predicted here is smooth
 
 
@@ -61,9 +62,18 @@ class Settled:
         Where.
     bases : sequence of Basis
         By independent rays of the scene there, in each of the prediction's places.
+    before : Settled, optional
+        Near another place, whose slopes are taken if they still hold.
     """
 
-    def __init__(self, prediction: Prediction, keys: Sequence[FreeKey], place: Array, bases: Sequence[Basis]) -> None:
+    def __init__(
+        self,
+        prediction: Prediction,
+        keys: Sequence[FreeKey],
+        place: Array,
+        bases: Sequence[Basis],
+        before: Settled | None = None,
+    ) -> None:
         self._place = np.array(place, dtype=np.float64)
         self._scales = np.array([key.scale for key in keys])
         self._keys = tuple(keys)
@@ -73,17 +83,25 @@ class Settled:
         }
         self._shots: list[tuple[FreeScene, Lit]] = [(free, lit[id(places)]) for free, places in prediction.shots]
         self.has_renders = prediction.has_renders
-        steep = prediction.steepness(self._place) if self.has_renders else None
+        kept = before.steep if before is not None and before.reaches(self._place, _NEARER) else None
+        steep = kept or (prediction.steepness(self._place) if self.has_renders else None)
+        self.steep: Steepness | None = steep
+        self._seen = self._place if kept is None or before is None else before.seen
         rows, columns = self._shots[0][1].images.shape[1:]
         none = np.zeros((0, 2, len(self._shots) * rows, columns))
         self._rendered = np.zeros(0, dtype=np.intp) if steep is None else steep.numbers
         self._changes = none if steep is None else steep.changes
         self._reach = np.zeros(0) if steep is None else steep.reach
 
-    def reaches(self, values: Array) -> bool:
-        """Whether slopes that were seen here hold for some values."""
-        away = np.abs(values - self._place)[self._rendered]
-        return bool((away <= self._reach).all())
+    @property
+    def seen(self) -> Array:
+        """Where its slopes were seen."""
+        return self._seen
+
+    def reaches(self, values: Array, share: float = 1.0) -> bool:
+        """Whether no key lies farther away than it was moved for slopes, or than a share of that."""
+        away = np.abs(values - self._seen)[self._rendered]
+        return bool((away <= share * self._reach).all())
 
     def at(self, values: Sequence[float] | Array) -> Predicted:
         """Gray levels for some values; InputError where a scene does not take them."""

@@ -17,6 +17,7 @@ from radwrap.fitting.prediction import Prediction
 from radwrap.fitting.settled import Settled
 from radwrap.fitting.solution import settle
 from radwrap.imaging.relight.relit import Basis
+from radwrap.imaging.response.exposure import exposure_of_radiance
 from radwrap.random_streams import generator
 from radwrap.scene.scene import Scene
 from tests.fitting.conftest import begun, taken
@@ -166,3 +167,31 @@ def test_slopes_with_grain_neither_shorten_the_way_nor_swing(bench: Scene, basis
 def prediction_of(keys: FreeScene, trace: Callable[[Scene], Basis]) -> Prediction:
     """By another tracer."""
     return Prediction([(keys, Places(keys, [True] * 6, trace))])
+
+
+def test_keys_that_nearly_cancel_are_moved_together(bench: Scene, basis: Basis) -> None:
+    """Two keys shift a spot alike, and dim it a little by their difference: that is not lost in the grain of each."""
+    keys = free_scene(bench, ["pose:edge"])
+    rows, columns = np.mgrid[0:20, 0:24]
+
+    def traced(scene: Scene) -> Basis:
+        x, y, _ = (one * 1e3 / PIXEL for one in scene.targets[0].pose.position)
+        # Along (1, 1) the spot goes; along (1, -1) it dims by a fiftieth for each pixel.
+        away = (columns - 11.5 - x - y) ** 2 + (rows - 9.5) ** 2
+        shown = LEVEL * (0.5 + (1 + 0.02 * (x - y)) * np.exp(-away / (2 * BLUR**2)))
+        seed = int.from_bytes(hashlib.sha256(repr((x, y)).encode()).digest()[:4], "big")
+        grained = shown + 0.002 * LEVEL * generator(seed, 2).standard_normal((4, *shown.shape))
+        return replace(basis, images=np.broadcast_to(grained / 3, (3, *grained.shape)).astype(np.float32))
+
+    prediction = prediction_of(keys, traced)
+    steep = prediction.steepness(np.zeros(6))
+    scale = exposure_of_radiance(bench.camera)
+    # Shifts are along the target's own axes.
+    own = np.array(bench.targets[0].pose.rotation)[:2, :2].T @ [1.0, -1.0]
+    dims = np.tensordot(own, steep.changes[:2].mean(axis=1), axes=1) / scale
+    spot = np.exp(-((columns - 11.5) ** 2 + (rows - 9.5) ** 2) / (2 * BLUR**2))
+    exact = LEVEL * 0.02 * 2 * spot / PIXEL  # for a millimetre of one, and one back of the other
+    share = float((dims * exact).sum() / (exact**2).sum())
+    assert share == pytest.approx(1.0, abs=0.05)
+    # Nor does what single steps leave out of each slope show in it.
+    assert float(np.linalg.norm(dims - exact) / np.linalg.norm(exact)) < 0.3
