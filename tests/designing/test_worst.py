@@ -114,7 +114,7 @@ def test_a_design_keeps_its_limits_in_the_worst_case(
         rows = list(csv.DictReader(file))
     # 50 and 100 ms with two corners each, 140 ms by itself and in the corner of 126 ms; one is decided and checked.
     assert [row["feasible"] for row in rows] == ["1", "1", "0", "1", "1"] and told["renders"] == 3 + 3 + 2 + 3 + 3
-    assert rows[1]["mean_least"] and "within tolerances 90 to 110 ms" in _again(design_file, out, capsys)
+    assert rows[1]["mean_least"] and "within tolerances 90 ms to 110 ms" in _again(design_file, out, capsys)
 
 
 def _again(design_file: Write, out: Path, capsys: pytest.CaptureFixture[str]) -> str:

@@ -82,7 +82,7 @@ def _process(module: str, *words: object, path: Path | None = None) -> Iterator[
 
 
 @contextmanager
-def _scheduler(folder: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
+def dask_scheduler(folder: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
     file = folder / "scheduler.json"
     words = ["--port", 0, "--host", "127.0.0.1", "--no-dashboard", "--scheduler-file", file]
     with _process("dask_scheduler", *words) as process:
@@ -90,7 +90,7 @@ def _scheduler(folder: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
         yield process, file.read_text().split('"address": "')[1].split('"')[0]
 
 
-def _worker(address: str, folder: Path, path: Path | None = None) -> AbstractContextManager[subprocess.Popen[str]]:
+def dask_worker(address: str, folder: Path, path: Path | None = None) -> AbstractContextManager[subprocess.Popen[str]]:
     words = [address, "--nthreads", 1, "--no-nanny", "--no-dashboard", "--local-directory", folder]
     return _process("dask_worker", *words, path=path)
 
@@ -119,15 +119,15 @@ def test_workers_may_come_late_and_go_early(tmp_path: Path) -> None:
     """The last one is killed at work; another goes on, and the table is the one of this process."""
     design, out = _laid(tmp_path), tmp_path / "late"
     with ExitStack() as stack:
-        _, address = stack.enter_context(_scheduler(tmp_path))
+        _, address = stack.enter_context(dask_scheduler(tmp_path))
         with start([*_words(design, address), out]) as study:
             mark = out / ".radwrap.cluster"
             assert wait_for(mark.exists, study, PATIENCE)
             time.sleep(1.5)
-            first = stack.enter_context(_worker(address, tmp_path / "w1"))
+            first = stack.enter_context(dask_worker(address, tmp_path / "w1"))
             assert wait_for(lambda: (out / "results.csv").read_bytes().count(b"\n") > 1, study, PATIENCE)
             first.kill()
-            stack.enter_context(_worker(address, tmp_path / "w2"))
+            stack.enter_context(dask_worker(address, tmp_path / "w2"))
             _, told = study.communicate(timeout=PATIENCE)
         assert study.returncode == 0 and "no worker is available" in told, told
         assert not mark.exists()
@@ -143,9 +143,9 @@ def test_workers_that_would_answer_otherwise_are_left_out(tmp_path: Path) -> Non
     """
     design = _laid(tmp_path)
     with ExitStack() as stack:
-        scheduler, address = stack.enter_context(_scheduler(tmp_path))
-        stack.enter_context(_worker(address, tmp_path / "w1"))
-        stack.enter_context(_worker(address, tmp_path / "w2", _other_radwrap(tmp_path / "other")))
+        scheduler, address = stack.enter_context(dask_scheduler(tmp_path))
+        stack.enter_context(dask_worker(address, tmp_path / "w1"))
+        stack.enter_context(dask_worker(address, tmp_path / "w2", _other_radwrap(tmp_path / "other")))
         _wait_for_workers(address, 2)
         with start([*_words(design, address), tmp_path / "lost"]) as study:
             assert wait_for((tmp_path / "lost" / "started.log").exists, study, PATIENCE)
@@ -177,8 +177,8 @@ def test_a_study_for_which_no_worker_is_fit_is_not_begun(tmp_path: Path) -> None
     design, out = tmp_path / "design.toml", tmp_path / "out"
     design.write_text(f'scene = "scene.toml"\n{TINY_SMALL}\n{GRAY}')
     with ExitStack() as stack:
-        _, address = stack.enter_context(_scheduler(tmp_path))
-        stack.enter_context(_worker(address, tmp_path / "w", _other_radwrap(tmp_path / "other")))
+        _, address = stack.enter_context(dask_scheduler(tmp_path))
+        stack.enter_context(dask_worker(address, tmp_path / "w", _other_radwrap(tmp_path / "other")))
         _wait_for_workers(address, 1)
         done = command("study", "run", design, "--out", out, "--no-report", "--dask", address)
         assert done.code == 4 and "no worker is fit: another radwrap's files" in done.stderr
@@ -189,7 +189,7 @@ def test_a_study_for_which_no_worker_is_fit_is_not_begun(tmp_path: Path) -> None
 def test_a_study_without_workers_ends(tmp_path: Path) -> None:
     """It says once that it waits; then it gives up."""
     design = _laid(tmp_path)
-    with _scheduler(tmp_path) as (_, address):
+    with dask_scheduler(tmp_path) as (_, address):
         with start([*_words(design, address), tmp_path / "none", "--worker-timeout", "2 s"]) as study:
             _, told = study.communicate(timeout=PATIENCE)
         assert study.returncode == 4
@@ -200,7 +200,7 @@ def test_a_study_without_workers_ends(tmp_path: Path) -> None:
 def test_a_study_whose_last_worker_is_killed_ends(tmp_path: Path) -> None:
     """Long: what it does without a worker is seen above."""
     design = _laid(tmp_path)
-    with _scheduler(tmp_path) as (_, address), _worker(address, tmp_path / "w") as worker:
+    with dask_scheduler(tmp_path) as (_, address), dask_worker(address, tmp_path / "w") as worker:
         _wait_for_workers(address, 1)
         with start([*_words(design, address), tmp_path / "killed", "--worker-timeout", "3 s"]) as study:
             assert wait_for((tmp_path / "killed" / "started.log").exists, study, PATIENCE)
