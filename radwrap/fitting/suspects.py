@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 _LEVEL: Final = 0.01  # that any is named by chance
 _SHARE: Final = 0.1  # of what is left beyond its expectation: a suspect that explains less is not named
 _MOST: Final = 3
+_ALIKE: Final = 0.9  # of what the best one explains: who explains more is named beside it
 _OWN: Final = 1e-2  # of a suspect's image, by its length: what the free keys leave of it
 
 
@@ -38,16 +39,20 @@ class Suspect:
         In which.
     lowers : float
         By how much the sum of squares would be lower.
+    alike : tuple of str
+        In words, what would explain nearly as much.
     """
 
     name: str
     amount: float
     unit: str
     lowers: float
+    alike: tuple[str, ...] = ()
 
     def told(self) -> str:
         """In words."""
-        return f"{_WORDS[self.name](self.amount)} (chi-square would be lower by {self.lowers:.3g})"
+        others = "".join(f", or {words}" for words in self.alike)
+        return f"{_WORDS[self.name](self.amount)}{others} (chi-square would be lower by {self.lowers:.3g})"
 
 
 def _more(amount: float) -> str:
@@ -99,7 +104,8 @@ def changes_of(part: Part) -> dict[str, Array]:
     share = (u**2 + v**2) / corner**2
     return {
         "falloff": -percent * share,
-        "distortion": outwards * share,
+        # Light is conserved: what is spread over 4 a r^2 more area is dimmer by that share.
+        "distortion": (outwards - 4 / corner * 100 * percent) * share,
         "size": outwards,
         "shift along u": -right,
         "shift along v": -down,
@@ -151,19 +157,23 @@ def suspects(
     named: list[Suspect] = []
     while images and len(named) < _MOST:
         best, best_own, lowers = "", left, 0.0
+        gains: dict[str, tuple[float, float]] = {}
         for name, image in images.items():
             own = _beside(image, basis)
             own = own / float(np.linalg.norm(own))
             # The prediction's own error may look like it too.
             may = 1.0 + float(((off @ own) ** 2).sum()) + float(np.abs(own) @ errors.bound) ** 2
             gain = float(own @ left) ** 2
+            gains[name] = gain, float(own @ left) / float(own @ image)
             if gain / may > limit and gain > lowers:
                 best, best_own, lowers = name, own, gain
         excess = float(left @ left) - (left.size - basis.shape[1])
         if not best or lowers < _SHARE * excess:
             break
+        close = [name for name, (gain, _) in gains.items() if name != best and gain > _ALIKE * lowers]
+        alike = tuple(_WORDS[name](gains[name][1]) for name in close)
         amount = float(best_own @ left) / float(best_own @ images[best])
-        named.append(Suspect(best, amount, _UNITS.get(best, "px" if best != "offset" else "gray"), lowers))
+        named.append(Suspect(best, amount, _UNITS.get(best, "px" if best != "offset" else "gray"), lowers, alike))
         left = left - best_own * float(best_own @ left)
         basis = np.concatenate([basis, best_own[:, np.newaxis]], axis=1)
         del images[best]

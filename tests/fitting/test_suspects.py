@@ -67,7 +67,13 @@ def test_vignetting_is_named(bench: Scene, basis: Basis, percent: float) -> None
 
 @pytest.mark.parametrize("corner", [0.5, -0.8])
 def test_distortion_is_named(bench: Scene, basis: Basis, corner: float) -> None:
-    found = _named(bench, basis, [EXPOSURE], lambda image: _moved(image, corner * _around() * _share() / CORNER))
+    dark = bench.camera.sensor.dark_gray
+
+    def bent(image: Array) -> Array:
+        spread = 1 - 4 * corner / CORNER * _share()
+        return dark + (_moved(image, corner * _around() * _share() / CORNER) - dark) * spread
+
+    found = _named(bench, basis, [EXPOSURE], bent)
     named = {one.name: one for one in found}
     assert "distortion" in named, found
     assert named["distortion"].amount == pytest.approx(corner, rel=0.25)
@@ -110,7 +116,7 @@ def test_a_lens_that_the_scene_does_not_state_is_told(bench: Scene, kind: str, w
         dimmed = dark + (made.frames(1)[0].values - dark) * (1 - 0.08 * _share())
         capture = GrayImage(np.rint(dimmed), 8)
     fine = radwrap.RenderOptions(tolerance=0.4, workers=1)
-    found = radwrap.fit(bench, [capture], [EXPOSURE, "sources[0].leds[0].radiance_factor"], options=fine)
+    found = radwrap.fit(bench, [capture], [EXPOSURE], options=fine)
     assert not found.explained
     told = "\n".join(found.lines())
     assert "errors: no" in told and "rows" in told and words in told, told
