@@ -7,9 +7,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
-from radwrap.designing.candidates import Candidate, candidate_of
+from radwrap.designing.candidates import Candidate, candidate_of, corners
 from radwrap.designing.document import Problem
-from radwrap.designing.light import LightAim, levels_of
+from radwrap.designing.light import LightAim, levels_of, time_of
+from radwrap.designing.quantities import LEDS, TIME_OF_EXPOSURE
 from radwrap.designing.trials import Trial, read_record, trial_of, write_record
 from radwrap.designing.worker import CandidateJob, carry_out_candidate
 from radwrap.errors import EnvironmentFailure, InputError
@@ -76,6 +77,25 @@ class Bench:
         sought : bool
             Whether levels are solved for, where the problem has any.
         """
+        seen = self._seen(candidates, tolerance, seed, sought=sought)
+        first = [trial_of(0, stage, seed, one, record) for one, record in seen]
+        # What breaks a limit as it stands, is no better off it.
+        kept = [
+            bool(self._problem.allowed) and record is not None and trial.may_be_feasible(self._problem)
+            for trial, (_, record) in zip(first, seen, strict=True)
+        ]
+        groups = [corners(self._problem, one) if is_kept else [] for is_kept, (one, _) in zip(kept, seen, strict=True)]
+        others = iter(self._seen([one for group in groups for one in group], tolerance, seed, sought=False))
+        for (one, record), group in zip(seen, groups, strict=True):
+            around = [next(others) for _ in group]
+            self.trials.append(trial_of(len(self.trials) + 1, stage, seed, one, record, corners=around))
+        return self.trials[len(self.trials) - len(candidates) :]
+
+    def _seen(
+        self, candidates: Sequence[Candidate], tolerance: float | None, seed: int, *, sought: bool
+    ) -> list[tuple[Candidate, dict[str, Any] | None]]:
+        """Candidates with their levels, and what is on record of them; None where they were not rendered."""
+        found = []
         jobs: list[CandidateJob | None] = []
         for number, candidate in enumerate(candidates):
             is_due = not candidate.fault and self._is_worth(candidate)
@@ -88,15 +108,20 @@ class Bench:
             made = candidate
             if record is not None and record.get("levels"):  # LEDs that are off do not count
                 made = candidate_of(self._problem, candidate.codes, record["levels"])
-            self.trials.append(trial_of(len(self.trials) + 1, stage, seed, made, record))
-        return self.trials[len(self.trials) - len(candidates) :]
+            found.append((made, record))
+        return found
 
     def _is_worth(self, candidate: Candidate) -> bool:
         """Whether a candidate keeps all limits that are known without a ray."""
+        problem = self._problem
+        # Levels and the time are not known yet; where they are, they are no levels of the problem's own scene.
+        sought = {LEDS} if problem.levels else set()
+        if problem.time is not None and not candidate.levels:
+            sought.add(TIME_OF_EXPOSURE)
         return not any(
             one.excess(candidate.own[one.quantity.name].value)
             for one in self._problem.constraints
-            if one.quantity.name in candidate.own and not (self._problem.levels and one.quantity.name == "leds")
+            if one.quantity.name in candidate.own and one.quantity.name not in sought
         )
 
     def _job(
@@ -137,7 +162,8 @@ class Bench:
         problem = self._problem
         scene = problem.scene(candidate.document)
         levels = levels_of(problem.levels, candidate.document, scene, problem.origin)
-        return LightAim(levels, problem.objectives[0], problem.constraints, problem.study.responses)
+        time = None if problem.time is None else time_of(problem.time, scene)
+        return LightAim(levels, problem.objectives[0], problem.constraints, problem.study.responses, time)
 
     def _record(self, job: CandidateJob) -> Path:
         return self._out / RECORDS / f"{Path(job.image).name}.json"

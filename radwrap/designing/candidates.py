@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 from radwrap.designing.document import Problem, set_values
@@ -71,3 +72,26 @@ def candidate_of(problem: Problem, codes: Sequence[Code], levels: Mapping[str, A
     except InputError as error:
         return Candidate(tuple(codes), document, values, {}, found, str(error))
     return Candidate(tuple(codes), document, values, scenes_own(scene, cost), found)
+
+
+def corners(problem: Problem, candidate: Candidate) -> list[Candidate]:
+    """A candidate with each combination of its tolerances at their ends; levels that were found stay.
+
+    Raises
+    ------
+    InputError
+        If a tolerance does not fit the scene.
+    """
+    made = []
+    for signs in product((-1.0, 1.0), repeat=len(problem.allowed)):
+        document: Mapping[str, Any] = candidate.document
+        for one, sign in zip(problem.allowed, signs, strict=True):
+            document = one.moved(document, sign, f"{problem.origin}: tolerances.{one.name}")
+        try:
+            scene = problem.scene(document)
+        except InputError as error:
+            made.append(replace(candidate, document=document, own={}, fault=str(error)))
+            continue
+        own = scenes_own(scene, candidate.own["cost"].value)
+        made.append(replace(candidate, document=document, own=own))
+    return made

@@ -57,6 +57,9 @@ class EvenLight:
         Bounds of the levels, from 0 on.
     limits : tuple of Limit
         Of light.
+    is_timed : bool
+        Whether the last source is the exposure time: its level multiplies the bounds of all others, whose levels are
+        those that their light has then; no light is there that does not change.
     """
 
     cells: Array
@@ -64,6 +67,7 @@ class EvenLight:
     low: Array
     high: Array
     limits: tuple[Limit, ...] = ()
+    is_timed: bool = False
 
 
 def unevenness(problem: EvenLight, levels: Array, measure: Measure) -> float:
@@ -88,7 +92,7 @@ def most_even(problem: EvenLight, measure: Measure) -> Array:
     Returns
     -------
     ndarray, shape (n,)
-        Levels within their bounds.
+        Levels within their bounds; with a time those of the light: level times time, and the time.
 
     Raises
     ------
@@ -121,6 +125,10 @@ def _bounds(problem: EvenLight) -> Array:
     one = np.eye(count)
     below = np.hstack([-one, problem.low[:, np.newaxis]])
     above = np.hstack([one, -problem.high[:, np.newaxis]])
+    if problem.is_timed:
+        for rows in (below, above):
+            rows[:-1, -2] += rows[:-1, -1]
+            rows[:-1, -1] = 0.0
     return np.vstack([below, above, np.append(np.zeros(count), -1.0)])
 
 
@@ -191,12 +199,18 @@ def _program(square: Array, cost: Array, held: Array, rows: Array) -> Array:
 
 def _levels(problem: EvenLight, limits: list[Limit], point: Array) -> Array:
     """Levels of (y, t); without light that does not change, t may fall until a limit holds it."""
-    y, t = point[:-1], float(point[-1])
+    y, t = point[:-1].copy(), float(point[-1])
+    if problem.is_timed and not any(parts[:, -2].any() for parts in (problem.cells, *(one.light for one in limits))):
+        # No light hangs on the time by itself: the shortest one in which the sources give theirs.
+        y[-1] = float((y[:-1] / problem.high[:-1]).max())
     rows = [_bounds(problem), *(_rows(limit, np.ones(len(limit.light), dtype=bool)) for limit in limits)]
     is_free = not problem.cells[:, -1].any() and not any(limit.light[:, -1].any() for limit in limits)
     if is_free or t <= 0:
         every = np.vstack(rows)
         held = every[:, -1] < 0
         t = float((every[held, :-1] @ y / -every[held, -1]).max())
-    levels: Array = np.clip(y / t, problem.low, problem.high)
-    return levels
+    levels: Array = y / t
+    if problem.is_timed:
+        time = min(max(float(levels[-1]), float(problem.low[-1])), float(problem.high[-1]))
+        return np.append(np.clip(levels[:-1], problem.low[:-1] * time, problem.high[:-1] * time), time)
+    return np.clip(levels, problem.low, problem.high)

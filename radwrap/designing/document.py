@@ -25,7 +25,8 @@ from radwrap.designing.quantities import (
     limits_of,
     quantity_of,
 )
-from radwrap.designing.tables import ConstraintModel, ObjectiveModel, ProblemModel
+from radwrap.designing.tables import FEWEST_RENDERS, ConstraintModel, ObjectiveModel, ProblemModel
+from radwrap.designing.worst import MOST, Allowed, read_allowed
 from radwrap.errors import InputError
 from radwrap.imaging.forecast.cost import check_size
 from radwrap.reading import FileKind, read_text, read_toml
@@ -39,7 +40,8 @@ from radwrap.study.responses import Response, check_response
 
 _DESIGN_FILE: Final = FileKind("design file", 64 << 20)
 _SCENE_FILE: Final = FileKind("scene file", 16 << 20, "")
-_NOMINAL: Final = "nominal"
+_WORST: Final = "worst"
+_TIME: Final = "camera.exposure_time"
 _GRAY: Final = {"peak_gray", "mean_gray"}  # responses that go from black to white
 _ROUNDING: Final = 1e-9  # of a limit
 _TAKEN: Final = {"trial", "stage", "seed", "image_error", "met", "feasible", "warnings", "error"}
@@ -61,6 +63,8 @@ class Problem:
         What a search varies.
     levels : tuple of SearchKey
         Levels of sources, which are solved for on a light basis.
+    time : SearchKey or None
+        The exposure time, where it is solved for with them.
     objectives : tuple of Objective
         One or two.
     constraints : tuple of Constraint
@@ -70,6 +74,8 @@ class Problem:
         How many candidates are asked for at a time.
     coarse : float
         How much coarser than the tolerance images are while it is searched.
+    allowed : tuple of Allowed
+        What the bench may be off by, where the worst case counts.
     """
 
     study: Design
@@ -82,6 +88,13 @@ class Problem:
     budget: int
     batch: int
     coarse: float
+    time: SearchKey | None = None
+    allowed: tuple[Allowed, ...] = ()
+
+    @property
+    def images_each(self) -> int:
+        """Images of a candidate: it, and each corner of its tolerances."""
+        return 1 + 2 ** len(self.allowed) if self.allowed else 1
 
     @property
     def origin(self) -> str:
@@ -104,9 +117,8 @@ class Problem:
 
     def documents(self) -> list[dict[str, Any]]:
         """Tables of the scene with each end or choice of each key, the others as the scene has them."""
-        return [
-            with_values(self.study, key, key.values(code)) for key in (*self.keys, *self.levels) for code in key.ends()
-        ]
+        keys = (*self.keys, *self.levels, *((self.time,) if self.time is not None else ()))
+        return [with_values(self.study, key, key.values(code)) for key in keys for code in key.ends()]
 
 
 def with_values(study: Design, key: SearchKey, values: Sequence[Any]) -> dict[str, Any]:
@@ -144,12 +156,6 @@ def read_problem(path: Path, *, trust: bool = False) -> Problem:
     """
     origin = path.name
     told = validated(ProblemModel, read_toml(path, _DESIGN_FILE), origin, "docs/design.md shows a design file")
-    if told.case != _NOMINAL:
-        raise InputError(
-            f'is "{told.case}", and only "{_NOMINAL}" is in: the worst case within tolerances is not',
-            where=f"{origin}: case",
-            remedy="leave it out; `radwrap study tolerate` finds tolerances of the best scene",
-        )
     scene_path = path.parent / told.scene
     scene = load_scene(scene_path, told.set)
     keys = tuple(read_key(name, table, f"{origin}: keys.{name}") for name, table in told.keys.items())
@@ -176,20 +182,58 @@ def read_problem(path: Path, *, trust: bool = False) -> Problem:
         home=path.parent,
     )
     is_fixed = render_options(study.render, origin).fixed_method is not None
+    time = _time(keys, study, scene)
     problem = Problem(
         study=study,
         text=read_text(scene_path, _SCENE_FILE),
         changes=told.set,
-        keys=tuple(key for key in keys if not key.is_level),
+        keys=tuple(key for key in keys if not key.is_level and key is not time),
         levels=tuple(key for key in keys if key.is_level),
         objectives=_objectives(told.objectives, responses, origin),
         constraints=_constraints(told.constraints, responses, origin),
         budget=told.budget,
         batch=told.batch,
         coarse=1.0 if is_fixed else float(told.coarse),
+        time=time,
+        allowed=_allowed(told, origin),
     )
     _check(problem, keys, trust=trust, is_fixed=is_fixed)
     return problem
+
+
+def _allowed(told: ProblemModel, origin: str) -> tuple[Allowed, ...]:
+    """Tolerances of the worst case."""
+    where = f"{origin}: tolerances"
+    if (told.case == _WORST) != bool(told.tolerances):
+        raise InputError(
+            f'go with case = "{_WORST}", and that needs them',
+            where=where,
+            remedy="give both or none, see docs/design.md",
+        )
+    if len(told.tolerances) > MOST:
+        raise InputError(
+            f"are {len(told.tolerances)}, whose corners would be {2 ** len(told.tolerances)} images for each candidate",
+            where=where,
+            remedy=f"give the {MOST} that matter most; several keys may be off together",
+        )
+    return tuple(read_allowed(name, table, f"{where}.{name}") for name, table in told.tolerances.items())
+
+
+def _time(keys: Sequence[SearchKey], study: Design, scene: Scene) -> SearchKey | None:
+    """The key of the exposure time where levels are sought, and nothing but light hangs on it."""
+    found = next((key for key in keys if key.span is not None and key.keys == (_TIME,)), None)
+    if found is None or not any(key.is_level for key in keys):
+        return None
+    for code in found.ends():
+        try:
+            other = scene_from_document(
+                with_values(study, found, found.values(code)), origin=study.scene_origin, folder=study.folder
+            )
+        except InputError:
+            return None  # told where bounds are held against the scene
+        if other.camera.sensor != scene.camera.sensor:  # dark current
+            return None
+    return found
 
 
 def _with_peak(responses: tuple[Response, ...], asked: Sequence[str]) -> tuple[Response, ...]:
@@ -262,9 +306,31 @@ def _check(problem: Problem, keys: Sequence[SearchKey], *, trust: bool, is_fixed
         check_response(response, base, f"{study.origin}: responses.{response.told_in}")
     _check_apart(study, keys, problem.changes)
     _check_costs(problem)
+    _check_corners(problem)
     ends = [_ends(problem, key) for key in keys]
     levels_of(problem.levels, study.document, base, study.origin)
     _check_reach(problem, base, ends)
+
+
+def _check_corners(problem: Problem) -> None:
+    """Refuse tolerances that do not fit the scene, and a budget that is too small for their corners."""
+    document = problem.with_leds(problem.study.document)
+    for one in problem.allowed:
+        where = f"{problem.origin}: tolerances.{one.name}"
+        for sign in (-1.0, 1.0):
+            moved = one.moved(document, sign, where)
+            try:
+                problem.scene(moved)
+            except InputError as error:
+                raise InputError(f"the scene does not take it: {error}", where=where, remedy=error.remedy) from error
+    least = FEWEST_RENDERS * problem.images_each
+    if problem.budget < least:
+        raise InputError(
+            f"is {problem.budget}, and each candidate takes {problem.images_each} images with the corners of its "
+            "tolerances",
+            where=f"{problem.origin}: budget",
+            remedy=f"give {least} or more",
+        )
 
 
 def _ends(problem: Problem, key: SearchKey) -> list[Scene]:

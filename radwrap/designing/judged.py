@@ -99,10 +99,10 @@ def limited_by(problem: Problem, best: Trial) -> list[str]:
     """What holds the best scene where it is: limits that it nearly breaks, and bounds that it lies at."""
     told = []
     for one in problem.constraints:
-        answer = best.answers.get(one.quantity.name)
-        if answer is None:
+        ends = best.ends(one)
+        if ends is None:
             continue
-        for limit in (one.low, one.high):
+        for limit, answer in zip((one.low, one.high), ends, strict=True):
             room = abs(limit - answer.value)
             if math.isfinite(limit) and room <= max(_AT_LIMIT * abs(limit), TIE * answer.error):
                 told.append(f"{one.told()}: it is {one.quantity.told(answer.value)}")

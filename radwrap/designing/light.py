@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from radwrap.designing.convex import EvenLight, Limit, Measure, most_even, unevenness
 from radwrap.designing.keys import SearchKey
-from radwrap.designing.quantities import SCENES_OWN, Constraint, Objective
+from radwrap.designing.quantities import SCENES_OWN, TIME_OF_EXPOSURE, Constraint, Objective
 from radwrap.errors import InputError
 from radwrap.images import GrayImage
 from radwrap.imaging.relight.relit import Basis
@@ -83,12 +83,25 @@ class LightAim:
     constraints : tuple of Constraint
     responses : tuple of Response
         That these name.
+    time : Level, optional
+        The exposure time, where it is sought too.
     """
 
     levels: tuple[Level, ...]
     objective: Objective
     constraints: tuple[Constraint, ...]
     responses: tuple[Response, ...]
+    time: Level | None = None
+
+    @property
+    def sought(self) -> tuple[Level, ...]:
+        """Levels, and the time behind them, within what is allowed of it."""
+        if self.time is None:
+            return self.levels
+        own = [one for one in self.constraints if one.quantity.name == TIME_OF_EXPOSURE]
+        low = max([self.time.low, *(one.low / self.time.value for one in own)])
+        high = min([self.time.high, *(one.high / self.time.value for one in own)])
+        return (*self.levels, replace(self.time, low=low, high=high))
 
     def response(self, name: str) -> Response | None:
         """The response of a name; None of what a scene tells without a ray."""
@@ -182,6 +195,14 @@ def _level(key: SearchKey, path: str, document: Mapping[str, Any], scene: Scene,
     return Level(path, names, value, key.span.unit, low / value, high / value)
 
 
+def time_of(key: SearchKey, scene: Scene) -> Level:
+    """The exposure time as a level of all light."""
+    assert key.span is not None  # noqa: S101  (it has bounds)
+    value = scene.camera.exposure_time
+    low, high = (in_si(key.span.written(end)) or 0.0 for end in (key.span.low, key.span.high))
+    return Level(key.keys[0], (), value, key.span.unit, low / value, high / value)
+
+
 def best_levels(aim: LightAim, basis: Basis, scene: Scene) -> FoundLevels:
     """The best levels that a basis can tell.
 
@@ -196,17 +217,18 @@ def best_levels(aim: LightAim, basis: Basis, scene: Scene) -> FoundLevels:
     light = LitBy(aim, basis, scene)
     way = aim.way(basis.sensor)
     factors, value = light.convex() if way == CONVEX else light.local()
-    by_source = dict.fromkeys(basis.sources, 1.0)
+    time = float(factors[-1]) if aim.time is not None else 1.0
+    by_source = dict.fromkeys(basis.sources, time)
     levels: dict[str, Any] = {}
     at_low: list[str] = []
     at_high: list[str] = []
-    for level, found_factor in zip(aim.levels, factors.tolist(), strict=True):
+    for level, found_factor in zip(aim.sought, factors.tolist(), strict=True):
         near, factor = _AT_BOUND * (level.high - level.low), found_factor
         if factor <= level.low + near:
             factor, at_low = level.low, [*at_low, level.path]
         elif factor >= level.high - near:
             factor, at_high = level.high, [*at_high, level.path]
-        by_source |= dict.fromkeys(level.names, factor)
+        by_source |= dict.fromkeys(level.names, factor * time)
         levels[level.path] = level.written(factor)
     return FoundLevels(by_source, levels, way, value, tuple(at_low), tuple(at_high))
 
@@ -223,8 +245,13 @@ class LitBy:
         fixed = [number for number in range(len(basis.sources)) if number not in taken]
         parts = [exposure[rows].sum(axis=0) for rows in (*governed, fixed)]
         self._light: Array = np.stack(parts, axis=-1)  # (rows, columns, levels + 1) [J m^-2]
-        self._low = np.array([level.low for level in aim.levels])
-        self._high = np.array([level.high for level in aim.levels])
+        self._low = np.array([level.low for level in aim.sought])
+        self._high = np.array([level.high for level in aim.sought])
+        if (self._low > self._high).any():
+            raise InputError("no exposure time keeps all limits", where="levels")
+        if aim.time is not None:  # all light hangs on it: what does not change is none
+            none = np.zeros((*self._light.shape[:-1], 1))
+            self._light = np.concatenate([self._light, none], axis=-1)
 
     def _in(self, response: Response) -> Array:
         """Light of the pixels of a response's region, shape (rows, columns, levels + 1)."""
@@ -253,7 +280,7 @@ class LitBy:
                 limits.append(Limit(means, -math.inf, self._exposure(self._brightest())))
                 mean = means.mean(axis=0, keepdims=True)
                 limits.append(Limit(mean, self._exposure(one.low), self._exposure(one.high)))
-        return EvenLight(cells, weights, self._low, self._high, tuple(limits))
+        return EvenLight(cells, weights, self._low, self._high, tuple(limits), self._aim.time is not None)
 
     def _brightest(self) -> float:
         """Gray level below which a pixel is not saturated, rounded or not."""
@@ -276,6 +303,8 @@ class LitBy:
         measure = _MEASURES[aimed.kind]
         factors = most_even(problem, measure)
         uneven = unevenness(problem, factors, measure)
+        if problem.is_timed:
+            factors = np.append(factors[:-1] / factors[-1], factors[-1])
         return factors, 1 - uneven if measure == "deviation" else uneven
 
     def local(self) -> tuple[Array, float]:
@@ -308,9 +337,11 @@ class LitBy:
 
     def _measured(self, name: str, factors: Array) -> float:
         """A quantity for some levels, on the image without error and rounding; NaN where it cannot be measured."""
-        response = self._aim.response(name)
+        response, time = self._aim.response(name), self._aim.time
         if response is None:
-            return 0.0
+            return float(factors[-1]) * time.value if time is not None and name == TIME_OF_EXPOSURE else 0.0
+        if time is not None:
+            factors = np.append(factors[:-1] * factors[-1], factors[-1])
         exposure = np.maximum(self._light @ np.append(factors, 1.0), 0.0)
         gray = gray_levels(exposure, self._sensor)
         image = GrayImage(np.clip(gray, 0.0, self._sensor.saturation_gray), self._sensor.bit_depth)

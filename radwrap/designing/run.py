@@ -145,9 +145,10 @@ def _found(problem: Problem, bench: Bench) -> Designed:
     is_one = not problem.keys  # nothing is searched: the first look decides
     coarse = None if tolerance is None else tolerance * (1.0 if is_one else problem.coarse)
     is_coarse = coarse != tolerance
-    decided = max(1, min(_MOST_DECIDED, math.floor(_DECIDE_SHARE * problem.budget))) if is_coarse else 0
-    most = problem.budget - 1 - is_coarse  # one is checked, one decided
-    trials, how = _searched(problem, bench, coarse, (problem.budget - decided - 1, most))
+    each = problem.images_each
+    decided = max(1, min(_MOST_DECIDED, math.floor(_DECIDE_SHARE * problem.budget / each))) if is_coarse else 0
+    most = problem.budget - each * (1 + is_coarse)  # one is checked, one decided
+    trials, how = _searched(problem, bench, coarse, (problem.budget - each * (decided + 1), most))
     undecided: list[Trial] = []
     if is_coarse:
         searched, trials = trials, _decided(problem, bench, trials, decided)
@@ -209,11 +210,12 @@ def _searched(
     Of two budgets of renders the second, larger one holds as long as no trial keeps all limits: then there is nothing
     to decide.
     """
-    asker, how = _asker(problem, budgets[0])
+    each = problem.images_each
+    asker, how = _asker(problem, budgets[0] // each)
     found: list[Trial] = []
     budget = budgets[1]
-    while bench.renders < budget and len(found) < _ASKED * problem.budget:
-        codes = asker.ask(min(problem.batch, budget - bench.renders))
+    while bench.renders + each <= budget and len(found) < _ASKED * problem.budget:
+        codes = asker.ask(min(problem.batch, (budget - bench.renders) // each))
         if not codes:
             break
         candidates = [candidate_of(problem, one) for one in codes]

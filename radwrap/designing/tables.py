@@ -47,6 +47,19 @@ class KeyModel(Model):
         return self
 
 
+class ToleranceModel(Model):
+    """[tolerances.NAME]: what something may be off by."""
+
+    key: Text | None = None
+    keys: Annotated[tuple[Text, ...], Field(min_length=1)] | None = None
+    by: Any
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> ToleranceModel:
+        exactly_one(self, "key", "keys")
+        return self
+
+
 class ObjectiveModel(Model):
     """[[objectives]]: what is to become small or large."""
 
@@ -78,7 +91,8 @@ class ProblemModel(Model):
     budget: Annotated[int, Field(strict=True, ge=FEWEST_RENDERS, le=MOST_RENDERS)]
     batch: Annotated[int, Field(strict=True, ge=1, le=_LARGEST_BATCH)] = 8
     coarse: Annotated[float, Field(ge=1, le=100, allow_inf_nan=False)] = 4.0
-    case: Text = "nominal"
+    case: Literal["nominal", "worst"] = "nominal"
+    tolerances: dict[str, ToleranceModel] = default({})
     render: RenderModel = default({})
     keys: Annotated[dict[str, KeyModel], Field(min_length=1)]
     responses: dict[str, dict[str, Any]] = default({})

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from radwrap.designing.document import Problem
 from radwrap.designing.judged import limited_by
-from radwrap.designing.quantities import TIE, combined, is_tie
+from radwrap.designing.quantities import TIE, Quantity, combined, is_tie
 from radwrap.designing.trials import Trial
 from radwrap.manifest import SCHEMA_VERSION, plain
 from radwrap.study.seen import Answer
@@ -75,13 +75,16 @@ class Designed:
             return ()
         told = []
         for one in self.problem.constraints:
-            first, second = (trial.answers.get(one.quantity.name) for trial in (self.best, self.check))
-            if first is None or second is None:
+            ends = [trial.ends(one) for trial in (self.best, self.check)]
+            if ends[0] is None or ends[1] is None:
                 told.append(f"by other rays {one.quantity.name} is lost")
-            elif one.excess(second.value) > TIE * combined(first, second):
-                told.append(f"by other rays {one.told()} is broken: {one.quantity.told(second.value)}")
+                continue
+            for first, second in zip(*ends, strict=True):
+                if one.excess(second.value) > TIE * combined(first, second):
+                    told.append(f"by other rays {one.told()} is broken: {one.quantity.told(second.value)}")
+                    break
         for aim in self.problem.objectives:
-            first, second = (trial.answers.get(aim.quantity.name) for trial in (self.best, self.check))
+            first, second = (trial.extreme(aim.quantity.name, aim.sign) for trial in (self.best, self.check))
             if first is None or second is None:
                 told.append(f"by other rays {aim.quantity.name} is lost")
             elif not is_tie(first, second):
@@ -137,11 +140,13 @@ class Designed:
     def _broken(self, trial: Trial) -> list[str]:
         found = []
         for one in self.problem.constraints:
-            answer = trial.answers.get(one.quantity.name)
-            if answer is None:
+            ends = trial.ends(one)
+            if ends is None:
                 found.append(f"{one.quantity.name} is not known")
-            elif one.excess(answer.value):
-                found.append(f"{one.told()}, it is {one.quantity.told(answer.value)}")
+                continue
+            worst = max(ends, key=lambda end: one.violation(end.value))
+            if one.excess(worst.value):
+                found.append(f"{one.told()}, it is {one.quantity.told(worst.value)}")
         return found or ["only a finer image breaks a limit"]
 
     def _quantities(self, trial: Trial) -> list[tuple[str, str]]:
@@ -152,8 +157,19 @@ class Designed:
             answer = trial.answers.get(one.name)
             if one.name in names and answer is not None:
                 error = f" +- {answer.error / one.scale:.2g}" if answer.error else ""
-                found.append((one.name, f"{answer.value / one.scale:.6g}{error} {one.unit}".strip()))
+                text = f"{answer.value / one.scale:.6g}{error} {one.unit}".strip()
+                found.append((one.name, f"{text}{_within(trial, one)}"))
         return found
+
+
+def _within(trial: Trial, one: Quantity) -> str:
+    """What a quantity goes to in the corners of the tolerances."""
+    low, high = (trial.extreme(one.name, sign) for sign in (-1.0, 1.0))
+    if not trial.corners:
+        return ""
+    if low is None or high is None:
+        return " (not known within tolerances)"
+    return f" (within tolerances {one.told(low.value)} to {one.told(high.value)})"
 
 
 def _numbers(trials: Sequence[Trial]) -> str:
@@ -176,7 +192,7 @@ def manifest_of(found: Designed) -> dict[str, Any]:
             for one in problem.objectives
         ],
         "constraints": [one.told() for one in problem.constraints],
-        "case": "nominal",
+        "case": "worst" if problem.allowed else "nominal",
         "tolerance": found.tolerance,
         "coarse": problem.coarse,
         "candidates_by": found.how,
@@ -205,6 +221,9 @@ def _told(found: Designed, trial: Trial) -> dict[str, Any]:
                 "error": answer.error / one.scale,
                 "unit": one.unit,
             }
+            ends = [trial.extreme(one.name, sign) for sign in (-1.0, 1.0)] if trial.corners else []
+            for name, end in zip(("least", "most"), ends, strict=False):
+                quantities[one.name][name] = None if end is None else end.value / one.scale
     told = {
         "trial": trial.number,
         "stage": trial.stage,
@@ -235,8 +254,8 @@ def _apart(found: Designed, trial: Trial) -> dict[str, float | None]:
     for one in found.problem.objectives:
         name = one.quantity.name
         first, second = (
-            found.best.answers.get(name) if found.best is not None else None,
-            trial.answers.get(name),
+            found.best.extreme(name, one.sign) if found.best is not None else None,
+            trial.extreme(name, one.sign),
         )
         told[name] = _share(first, second)
     return told

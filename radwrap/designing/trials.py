@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
 from radwrap.designing.candidates import Candidate
 from radwrap.designing.document import Problem
 from radwrap.designing.keys import Code
-from radwrap.designing.quantities import TIE
+from radwrap.designing.quantities import TIE, Constraint
 from radwrap.designing.worker import LitOutcome
 from radwrap.errors import InputError
 from radwrap.files import write_bytes
@@ -54,6 +54,8 @@ class Trial:
         How levels were found; empty where none were sought.
     levels : Mapping
         Those that were found.
+    corners : tuple of Mapping of str to Answer
+        The same as `answers`, in each corner of the tolerances; empty where these do not count.
     """
 
     number: int
@@ -69,19 +71,34 @@ class Trial:
     warnings: str
     light: Mapping[str, Any]
     levels: Mapping[str, Any]
+    corners: tuple[Mapping[str, Answer], ...] = ()
+
+    def extreme(self, name: str, sign: float) -> Answer | None:
+        """The answer that is largest, or with a negative sign smallest, of the trial and its corners.
+
+        None where one of them is not known.
+        """
+        found = [one.get(name) for one in (self.answers, *self.corners)]
+        known = [one for one in found if one is not None]
+        return max(known, key=lambda one: sign * one.value) if len(known) == len(found) else None
 
     def objectives(self, problem: Problem) -> list[Answer] | None:
-        """Of each objective; None where one is missing."""
-        found = [self.answers.get(one.quantity.name) for one in problem.objectives]
+        """Of each objective, the worst of all corners; None where one is missing."""
+        found = [self.extreme(one.quantity.name, one.sign) for one in problem.objectives]
         known = [one for one in found if one is not None]
         return known if len(known) == len(found) else None
+
+    def ends(self, one: Constraint) -> tuple[Answer, Answer] | None:
+        """The smallest and the largest answer of what has limits; None where it is not known."""
+        low, high = (self.extreme(one.quantity.name, sign) for sign in (-1.0, 1.0))
+        return None if low is None or high is None else (low, high)
 
     def violations(self, problem: Problem) -> list[float]:
         """How far each limit is broken, as a share of it; 1 where it is not known."""
         found = []
         for one in problem.constraints:
-            answer = self.answers.get(one.quantity.name)
-            found.append(1.0 if answer is None else one.violation(answer.value))
+            ends = self.ends(one)
+            found.append(1.0 if ends is None else max(one.violation(end.value) for end in ends))
         return found
 
     def is_feasible(self, problem: Problem) -> bool:
@@ -92,12 +109,38 @@ class Trial:
         """The same, but for limits that it breaks by no more than its errors."""
         if self.objectives(problem) is None:
             return False
-        answers = ((one, self.answers.get(one.quantity.name)) for one in problem.constraints)
-        return all(found is not None and one.excess(found.value) <= TIE * found.error for one, found in answers)
+        ends = ((one, self.ends(one)) for one in problem.constraints)
+        return all(
+            found is not None and all(one.excess(end.value) <= TIE * end.error for end in found) for one, found in ends
+        )
 
 
-def trial_of(number: int, stage: str, seed: int, candidate: Candidate, record: Mapping[str, Any] | None) -> Trial:
-    """A trial from its candidate and its record; without one it was not rendered."""
+def trial_of(
+    number: int,
+    stage: str,
+    seed: int,
+    candidate: Candidate,
+    record: Mapping[str, Any] | None,
+    *,
+    corners: Sequence[tuple[Candidate, Mapping[str, Any] | None]] = (),
+) -> Trial:
+    """A trial from its candidate and its record, and those of its corners; without one it was not rendered."""
+    trial = _trial_of(number, stage, seed, candidate, record)
+    if not corners:
+        return trial
+    others = [_trial_of(number, stage, seed, one, told) for one, told in corners]
+    errors = [one.image_error for one in (trial, *others) if one.image_error is not None]
+    return replace(
+        trial,
+        corners=tuple(one.answers for one in others),
+        image_error=max(errors, default=None),
+        met=all(one.met for one in (trial, *others)),
+        error=next((one.error for one in (trial, *others) if one.error), ""),
+        warnings=next((one.warnings for one in (trial, *others) if one.warnings), ""),
+    )
+
+
+def _trial_of(number: int, stage: str, seed: int, candidate: Candidate, record: Mapping[str, Any] | None) -> Trial:
     told = record or {"answers": {}, "image_error": None, "met": False, "error": candidate.fault, "warnings": ""}
     measured = {name: Answer(*pair) for name, pair in told["answers"].items()}
     return Trial(
@@ -163,6 +206,8 @@ def write_table(path: Path, problem: Problem, trials: Sequence[Trial]) -> None:
     for one in quantities:
         unit = f" [{one.unit}]" if one.unit else ""
         columns += [f"{one.name}{unit}", f"{one.name}_error{unit}"]
+        if problem.allowed:
+            columns += [f"{one.name}_least{unit}", f"{one.name}_most{unit}"]
     columns += ["image_error", "met", "feasible", "warnings", "error"]
     rows = []
     for trial in trials:
@@ -177,6 +222,10 @@ def write_table(path: Path, problem: Problem, trials: Sequence[Trial]) -> None:
                     f"{one.name}{unit}": answer.value / one.scale,
                     f"{one.name}_error{unit}": answer.error / one.scale,
                 }
+            if trial.corners:
+                for column, sign in (("least", -1.0), ("most", 1.0)):
+                    end = trial.extreme(one.name, sign)
+                    row[f"{one.name}_{column}{unit}"] = None if end is None else end.value / one.scale
         row |= {"image_error": trial.image_error, "feasible": int(trial.is_feasible(problem))}
         row |= {"met": int(trial.met) if trial.is_rendered else "", "warnings": trial.warnings, "error": trial.error}
         rows.append(row)

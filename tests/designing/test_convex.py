@@ -127,6 +127,82 @@ def test_light_that_does_not_change_is_evened_out() -> None:
     assert most_even(problem, "deviation") == pytest.approx([0.3], abs=1e-6)
 
 
+def timed(problem: EvenLight, low: float, high: float) -> EvenLight:
+    """The same with an exposure time, on which all light hangs."""
+    none = np.zeros((len(problem.cells), 1))
+    limits = tuple(
+        Limit(np.hstack([one.light, np.zeros((len(one.light), 1))]), one.low, one.high) for one in problem.limits
+    )
+    return EvenLight(
+        np.hstack([problem.cells, none]),
+        problem.weights,
+        np.append(problem.low, low),
+        np.append(problem.high, high),
+        limits,
+        is_timed=True,
+    )
+
+
+@pytest.mark.parametrize(
+    ("most", "low", "expected"),
+    [
+        (math.inf, 0.5, [2.4, 1.2, 3.0]),  # as bright as the longest time lets it be
+        (1.2, 0.5, [0.6, 0.3, 0.75]),  # the shortest time in which the sources give it, of which one is at its bound
+        (1.2, 1.0, [0.6, 0.3, 1.0]),
+    ],
+)
+def test_the_time_is_the_shortest_in_which_sources_give_their_light(
+    most: float, low: float, expected: list[float]
+) -> None:
+    x = np.linspace(-1, 1, 21)
+    cells = np.stack([1 + 0.5 * x, 2 - x, np.zeros(21)], axis=-1)
+    limits = (Limit(cells, -math.inf, most),) if math.isfinite(most) else ()
+    problem = EvenLight(cells, np.full(21, 1 / 21), np.zeros(2), np.array([1.0, 0.4]), limits)
+    assert most_even(timed(problem, low, 3.0), "deviation") == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_levels_and_time_together_are_the_optimum(seed: int) -> None:
+    """Light that does not change grows with the time too; SLSQP looks for levels and the time themselves."""
+    problem = random_problem(seed, 4, limits=True)
+    low, high = 0.6, 1.8
+    found = most_even(timed(problem, low, high), "deviation")
+    time = found[-1]
+    levels = found[:-1] / time
+    assert low <= time <= high
+    assert (levels >= problem.low - 1e-9).all() and (levels <= problem.high + 1e-9).all()
+
+    def light(x: Array, table: Array) -> Array:
+        return np.asarray((table[:, :-1] @ x[:-1] + table[:, -1]) * x[-1])
+
+    def ratio(x: Array) -> float:
+        cells = light(x, problem.cells)
+        mean = problem.weights @ cells
+        return float(1e2 * (problem.weights @ (cells - mean) ** 2) / mean**2)
+
+    def slack(x: Array) -> Array:
+        (peak, mean) = problem.limits
+        return np.concatenate([(peak.high - light(x, peak.light)) * 1e3, (light(x, mean.light) - mean.low) * 1e3])
+
+    here = np.append(levels, time)
+    assert (slack(here) > -1e-6).all()
+    best = math.inf
+    for start in (0.3, 0.6, 0.9):
+        bounds = [*zip(problem.low, problem.high, strict=True), (low, high)]
+        begin = [one + start * (other - one) for one, other in bounds]
+        ended = minimize(
+            ratio,
+            begin,
+            method="SLSQP",
+            bounds=bounds,
+            constraints={"type": "ineq", "fun": slack},
+            options={"ftol": 1e-15, "maxiter": 500},
+        )
+        if (slack(ended.x) > -1e-9).all():
+            best = min(best, math.sqrt(ratio(ended.x) / 1e2))
+    assert math.sqrt(ratio(here) / 1e2) == pytest.approx(best, abs=UNIFORMITY)
+
+
 def test_limits_that_no_levels_keep_are_refused() -> None:
     problem = random_problem(1, 4, limits=False)
     bright = float((problem.cells @ np.append(problem.high, 1.0)).max())

@@ -6,6 +6,7 @@ import csv
 import json
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +18,14 @@ import radwrap
 from radwrap.cli.main import main
 from radwrap.designing.convex import unevenness
 from radwrap.designing.document import read_problem
-from radwrap.designing.light import CONVEX, LOCAL, LightAim, LitBy, best_levels, levels_of
+from radwrap.designing.light import CONVEX, LOCAL, LightAim, LitBy, best_levels, levels_of, time_of
 from radwrap.designing.trials import write_record
+from radwrap.errors import InputError
 from radwrap.files import sha256_of
 from radwrap.imaging.relight.relit import read_basis
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.synthesis import render
+from radwrap.study.factors import in_si
 from radwrap.study.worker import failed
 from tests.designing.conftest import COMMENT, Write, sheet, write_problem
 
@@ -317,6 +320,66 @@ def test_the_uniformity_of_a_basis_is_the_optimum_to_a_millionth(lit: tuple[Any,
     # The brightest such light: a pixel is at its limit, or an LED is.
     image = np.tensordot(list(found.factors.values()), light, axes=1)
     assert image.max() == pytest.approx(180, rel=1e-6) or found.at_high
+
+
+TIME = """
+[keys.time]
+key = "camera.exposure_time"
+low = "1 ms"
+high = "5000 ms"
+[[constraints]]
+of = "mean"
+at_least = 120
+"""
+
+
+def test_the_time_is_solved_for_with_the_levels(lit: tuple[Any, Any, Path]) -> None:
+    """As even as before, as the ratio of levels is the same; the brightest LED at its bound, and so the time short."""
+    _, basis, folder = lit
+    before = best_levels(aim_of(lit[0]), basis, lit[0].scene(lit[0].study.document))
+    problem = read_problem(write_problem(folder, LEVELS.format(of="even", peak=200) + TIME, sheet()))
+    assert problem.time is not None and not problem.keys
+    scene = problem.scene(problem.study.document)
+    aim = replace(aim_of(problem), time=time_of(problem.time, scene))
+    assert aim.way(basis.sensor) == CONVEX
+    found = best_levels(aim, basis, scene)
+    assert found.value == pytest.approx(before.value, abs=1e-7)
+    levels = [found.levels[f"sources[0].leds[{k}].radiance_factor"] for k in range(3)]
+    assert max(levels) == pytest.approx(2.0, rel=1e-6)
+    time = in_si(found.levels["camera.exposure_time"]) / scene.camera.exposure_time
+    assert list(found.factors.values()) == pytest.approx([time * level for level in levels], rel=1e-7)
+    light = basis.images.mean(axis=1, dtype=np.float64) * basis.exposure_of_radiance * 1e5
+    assert np.tensordot(list(found.factors.values()), light, axes=1).max() == pytest.approx(180, rel=1e-6)
+    # A limit of the time is one of its bounds.
+    limit = f'[[constraints]]\nof = "exposure_time"\nat_most = "{0.5 * time * scene.camera.exposure_time!r} s"\n'
+    problem = read_problem(write_problem(folder, LEVELS.format(of="even", peak=200) + TIME + limit, sheet()))
+    with pytest.raises(InputError, match="no levels keep"):
+        best_levels(replace(aim_of(problem), time=aim.time), basis, scene)
+
+
+def test_a_time_on_which_more_than_light_hangs_is_searched(tmp_path: Path) -> None:
+    """Dark current grows with it; and without levels it is a key like any other."""
+    text = LEVELS.format(of="even", peak=200) + TIME
+    dark = sheet()
+    dark["camera"]["sensor"] = {
+        **{name: dark["camera"]["sensor"][name] for name in ("rows", "columns", "pixel_width", "pixel_height")},
+        **{"model": "linear", "wavelength": "550 nm", "quantum_efficiency": 0.5, "system_gain": "0.02 DN/e"},
+        **{"full_well": "20 ke", "dark_current": "500 e/s", "offset": 5.0, "read_noise": "10 e"},
+    }
+    problem = read_problem(write_problem(tmp_path, text, dark))
+    assert problem.time is None and [key.name for key in problem.keys] == ["time"]
+
+
+@pytest.mark.long
+def test_a_design_finds_levels_and_time(tmp_path: Path) -> None:
+    text = LEVELS.format(of="even", peak=200) + TIME
+    out, path = tmp_path / "out", write_problem(tmp_path, text, sheet())
+    assert main(["design", "run", str(path), "--out", str(out)]) == 0
+    told = read(out / "design.json")
+    assert told["best"]["levels_by"]["way"] == CONVEX and not told["doubts"] and told["renders"] == 2
+    scene = radwrap.load_scene(out / "best.toml")
+    assert told["best"]["quantities"]["exposure_time"]["value"] == pytest.approx(scene.camera.exposure_time * 1e3)
+    assert 150 < told["check"]["quantities"]["peak_gray"]["value"] <= 200
 
 
 def test_what_is_no_convex_program_is_searched_locally(lit: tuple[Any, Any, Path]) -> None:

@@ -33,7 +33,7 @@ TIME = 'key = "camera.exposure_time"\nlow = "10 ms"\nhigh = "110 ms"'
 FAULTS = {
     "no budget": ("budget = 20", "", "budget"),
     "budget too small": ("budget = 20", "budget = 2", "budget"),
-    "worst case": ("budget = 20", 'budget = 20\ncase = "worst"', 'is "worst", and only "nominal" is in'),
+    "worst case": ("budget = 20", 'budget = 20\ncase = "worst"', 'go with case = "worst", and that needs them'),
     "no aim": ('aim = "maximise"', "", "objectives[0].aim"),
     "unknown aim": ('"maximise"', '"best"', "objectives[0].aim"),
     "unknown response": ('of = "mean"', 'of = "maen"', '"maen" is not a response of this file'),
