@@ -10,8 +10,8 @@ import pytest
 from tests.cli.conftest import start, wait_for
 from tests.designing.conftest import Write
 from tests.designing.test_resume import TEXT, contents, records, whole
-from tests.study.conftest import PATIENCE
 from tests.study.cluster import scheduler, worker
+from tests.study.conftest import PATIENCE
 
 
 @pytest.mark.long  # starting processes takes as long as all else of this folder
