@@ -237,7 +237,7 @@ def test_camera_poses_agree_however_they_are_written(document: dict[str, Any]) -
         ({"camera.sensor.gamma": 0.9}, "camera.sensor", "its unit says gamma"),
         ({"camera.sensor.saturation_gray": 300}, "camera.sensor", "saturation_gray <= 255"),
         ({"camera.sensor.dark_gray": 200}, "camera.sensor", "dark_gray < saturation_gray"),
-        ({"camera.sensor.preset": "nikon"}, "camera.sensor.preset", 'no sensor "nikon"; known: fivs, sony_'),
+        ({"camera.sensor.preset": "nikon"}, "camera.sensor.preset", 'no sensor "nikon"; known: ams_cmv12000, '),
         ({"camera.look_at": ["0 mm", "0 mm", "790 mm"]}, "camera.look_at", "length above zero"),
         ({"camera.up": [0, 0, 1]}, "camera.up", "parallel"),
         ({"camera.up": [0, 0, 0]}, "camera.up", "length above zero"),
