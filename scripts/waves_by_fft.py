@@ -104,7 +104,7 @@ def rendered(diffraction: str, wavelength: int, tolerance: float, seed: int) -> 
     changes = {"camera.diffraction": diffraction, "camera.wavelength": f"{wavelength} nm"}
     scene = radwrap.load_scene(SCENE, changes)
     begin = time.process_time()
-    made = radwrap.render(scene, tolerance=tolerance, seed=seed, workers=1)
+    made = radwrap.render(scene, tolerance=tolerance, seed=seed, workers=1, tracer="compiled")
     spent = time.process_time() - begin
     return gray_levels(made.radiant_exposure.values, scene.camera.sensor), spent, made.error
 

@@ -208,3 +208,12 @@ def test_the_opening_of_an_image_with_waves_is_not_sure() -> None:
     document["camera"]["diffraction"] = "auto"
     with pytest.raises(InputError, match=r"tolerances.aperture_diameter: is not known of a light basis"):
         radwrap.render(radwrap.scene_from_document(document), "unused", basis=True)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("tolerance", "seed"), [(0.1, 0), (0.016, 1)])
+def test_a_kernel_is_not_given_up_before_a_smaller_aim_was_tried(tolerance: float, seed: int) -> None:
+    """Finer cells changed nothing, or the bound was wide for lack of pairs: single rays took far more."""
+    scene = scene_of("off")
+    made = radwrap.render(scene, options=COMPILED, tolerance=tolerance, seed=seed, budget_rays=2e7)
+    assert made.met and made.run.method == "kernel"

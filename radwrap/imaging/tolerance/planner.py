@@ -63,6 +63,7 @@ _ORDER_OF_KERNEL: Final = 0.75
 # By what the fewest rays of a pixel grow from one attempt by rays to the next, and where that ends.
 _MORE: Final = 4
 _MOST_FEWEST: Final = 1 << 12
+_LITTLE_ABOVE: Final = 2.0  # of what is wanted; an attempt with more pairs makes such a bound small enough
 _SPARED: Final = 0.85  # of the aim of rays that would just do: a bound differs from attempt to attempt
 _HALVINGS: Final = 24  # of the accuracy, until a budget suffices
 # Of a budget of time so much goes into rays of the first image, the rest into its certificate and what comes next.
@@ -418,12 +419,18 @@ class Search:
         if self.plans.one_layer and rest > NEGLIGIBLE_SHARE * wanted and math.isfinite(self.found.model.mean):
             self.plans.one_layer = False
             return "kernel", aim, "depths differ more than the survey saw"
-        if self.demand.method is None and (model_fails or rest > wanted):
+        # Where the number of rays fails by itself few pairs look at the model: the bound of an error that is not seen
+        # is wide then, and may be a little above what is wanted.
+        noisy = certificate.rms_gray_upper95**2 - rest**2 > wanted**2
+        unseen = noisy and certificate.model_rms_gray <= NEGLIGIBLE_SHARE * wanted and rest < _LITTLE_ABOVE * wanted
+        if self.demand.method is None and (model_fails or (rest > wanted and not unseen)):
             return self.instead_of_kernel()
         tried = [attempt for attempt in self.attempts[-2:] if attempt.method == "kernel"]
         idle = len(tried) == 2 and tried[0].rays == tried[1].rays and tried[0].aim_gray != tried[1].aim_gray
-        # A smaller aim changes nothing, or the cells are as small as they may be.
-        stuck = idle or (grid > _GRID_SHARE * wanted and not coarse)
+        finest = grid > _GRID_SHARE * wanted and not coarse
+        # A smaller aim changes nothing, or the cells are as small as they may be and rays do not cost more than it.
+        dearer = self.plans.forecast("rays", self.plans.first_aim("rays")) > self.plans.forecast("kernel", aim / 2)
+        stuck = idle or (finest and not dearer)
         if self.demand.method is None and (stuck or aim < wanted * AIM_SHARE / 4):
             aim = self._affordable("rays", self.plans.first_aim("rays"))
             return "rays", aim, "the kernel's certificate did not hold"
