@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from radwrap.errors import InputError
 from radwrap.files import make_folder, write_bytes
+from radwrap.progress import note
 from radwrap.reading import FileKind, read_bytes
 from radwrap.scene.catalog.component import Component
 from radwrap.scene.catalog.places import find, listed
@@ -17,6 +18,7 @@ from radwrap.scene.file.first_scene import GROUND_REFLECTANCE, PART_REFLECTANCE,
 
 OPTIONS: Final = ("camera", "lens", "light", "part")
 SCENE: Final = "scene.toml"
+_LONG: Final = 1.0  # s; who exposes longer on purpose is rare at a machine
 _LIGHTS: Final = ("lights", "leds", "lamps")
 _PART: Final = FileKind("mesh file", 256 << 20)
 _COARSE_PIXELS: Final = 20_000  # a thousandth of them is enough for a quantile
@@ -110,6 +112,8 @@ def write_scene(arguments: argparse.Namespace, folder: Path) -> tuple[Path, list
             folder.rmdir()
         raise
     document["camera"]["exposure_time"] = f"{exposure * 1e3:.4g} ms"
+    if exposure > _LONG:
+        note(f"an exposure of {exposure:.3g} s: hardly any light arrives; look at levels, distance and filter")
     assumed = _assumed(lights, document)
     write_bytes(folder / SCENE, _text(document, assumed).encode())
     return folder / SCENE, assumed

@@ -125,6 +125,8 @@ class Designed:
         if known:
             nearest = min(known, key=lambda trial: (sum(trial.violations(self.problem)), trial.number))
             told.append(f"nearest is trial {nearest.number}: {', '.join(self._broken(nearest))}")
+            if nearest.light and nearest.corners:
+                told.append("levels are solved for the scene as it stands: leave room for the tolerances in the limits")
         elif failed := [trial for trial in self.trials if trial.error]:
             told.append(f"trial {failed[0].number}: {failed[0].error}")
         return told

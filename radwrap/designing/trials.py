@@ -94,12 +94,20 @@ class Trial:
         return None if low is None or high is None else (low, high)
 
     def violations(self, problem: Problem) -> list[float]:
-        """How far each limit is broken, as a share of it; 1 where it is not known."""
+        """How far each limit is broken, as a share of it; 1 where it is not known.
+
+        Levels that were solved for stand exactly on a limit that holds them, and another image of them lies on either
+        side of it within its error: that breaks no limit.
+        """
         found = []
         for one in problem.constraints:
             ends = self.ends(one)
-            found.append(1.0 if ends is None else max(one.violation(end.value) for end in ends))
+            found.append(1.0 if ends is None else max(self._violation(one, end) for end in ends))
         return found
+
+    def _violation(self, one: Constraint, end: Answer) -> float:
+        is_held = bool(self.light) and one.excess(end.value) <= TIE * end.error
+        return 0.0 if is_held else one.violation(end.value)
 
     def is_feasible(self, problem: Problem) -> bool:
         """Whether it has all objectives and keeps all limits."""

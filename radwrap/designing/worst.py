@@ -55,6 +55,10 @@ class Allowed:
                     f"{path} has no number in the scene file", where=where, remedy="write it there, with its unit"
                 )
             number, unit = told
+            if self.unit == _PERCENT and not number:
+                raise InputError(
+                    f"{path} is 0, of which a share is 0 too", where=f"{where}.by", remedy="give an amount"
+                )
             if self.unit == _PERCENT:
                 off = number * self.by
             elif not _are_alike(unit, self.unit):

@@ -344,8 +344,16 @@ class LaidOutScene:
         return replace(self._view(tracer), prover=None, walks=self.is_compiled)
 
     def view_with_bounces(self, bounces: int | Literal["all", "auto"]) -> View:
-        """The camera with what is asked for of light between surfaces; "auto" is all of it, and none is `view`."""
-        return self.bouncing_view(bounces if isinstance(bounces, int) else None)
+        """The camera with what is asked for of light between surfaces; "auto" is all of it, and none is `view`.
+
+        Materials that bounces do not know are no matter to "auto" before it is known that they count.
+        """
+        try:
+            return self.bouncing_view(bounces if isinstance(bounces, int) else None)
+        except InputError:
+            if bounces != "auto":
+                raise
+            return self.view()
 
     def numbered_tracer(self) -> Tracer:
         """A tracer for the same geometry, in which each part glows with its number."""

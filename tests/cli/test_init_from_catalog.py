@@ -157,6 +157,14 @@ def test_the_exposure_makes_up_for_what_a_filter_stops(tmp_path: Path) -> None:
     assert times[1] / times[0] == pytest.approx(counts[0] / counts[1], rel=2e-3)
 
 
+@pytest.mark.long
+def test_light_that_a_filter_stops_is_not_taken_without_a_word(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words_of_a_filter(tmp_path / "green", "osram_latb_t686_528nm", "--filter", "midopt_bp635")) == 0
+    assert "hardly any light arrives" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

@@ -86,6 +86,13 @@ def test_the_best_one_keeps_all_limits(problem: Problem) -> None:
     assert [one.number for one in ranked(problem, trials)] == [3, 1]
 
 
+def test_levels_on_a_limit_keep_it_within_its_error(problem: Problem) -> None:
+    """They were solved for: whether another image of them lies above or below the limit only chance decides."""
+    found, far = (replace(trial(1, 90.0, peak=peak), light={"way": "convex"}) for peak in (200.9, 201.1))
+    assert found.is_feasible(problem) and not any(found.violations(problem))
+    assert not far.is_feasible(problem) and not trial(1, 90.0, peak=200.9).is_feasible(problem)
+
+
 def test_the_shortlist_has_what_errors_leave_open(problem: Problem) -> None:
     trials = [trial(1, 95.0), trial(2, 94.0), trial(3, 80.0), trial(4, 100.0, peak=200.9), trial(5, 100.0, peak=202.0)]
     assert [one.number for one in shortlist(problem, trials, 8)] == [1, 2, 4]

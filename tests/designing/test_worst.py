@@ -86,6 +86,11 @@ def test_the_worst_corner_counts_for_objective_and_limits(design_file: Write) ->
         ('by = "10 %"', 'by = "1 mm"', "another unit"),
         ('by = "10 %"', "by = 3", "another unit"),
         ('by = "10 %"', 'by = "600 ms"', "does not take it"),
+        (
+            'key = "camera.exposure_time"\nby = "10 %"',
+            'key = "camera.position[0]"\nby = "10 %"',
+            "is 0, of which a share is 0 too",
+        ),
         ("budget = 20", "budget = 8", "each candidate takes 3 images"),
         ('key = "camera.exposure_time"\nby', 'key = "camera.sensor.kind"\nby', "no number"),
     ],

@@ -186,6 +186,18 @@ def test_auto_includes_what_matters_and_nothing_else(tmp_path: Path, how: Render
         assert (tmp_path / "auto" / file).read_bytes() == (tmp_path / "none" / file).read_bytes()
 
 
+def test_auto_refuses_sheeting_only_where_bounces_matter(tmp_path: Path) -> None:
+    """It was refused before that was known."""
+    bench = Path(__file__).parents[2] / "rad_scenes" / "bench_board" / "scene.toml"
+    scene = radwrap.load_scene(bench, {"camera.sensor.scale": "1/8", "camera.diffraction": "off"})
+    for name, options in (("auto", {"bounces": "auto"}), ("none", {})):
+        radwrap.render(scene, tmp_path / name, tolerance=4.0, **options)
+    for file in ("gray.png", "radiant_exposure.exr"):
+        assert (tmp_path / "auto" / file).read_bytes() == (tmp_path / "none" / file).read_bytes()
+    with pytest.raises(InputError, match="retroreflective"):
+        radwrap.render(scene, tolerance=4.0, bounces="all")
+
+
 def test_light_of_the_wall_on_the_floor_by_quadrature(how: RenderOptions) -> None:
     """One reflection: E at a floor point is the integral of the wall's radiance over its area."""
     scene = floor_and_wall({"type": "lambertian", "reflectance": 0.5})
