@@ -78,9 +78,9 @@ class Served:
     def raw(self, octets: bytes) -> bytes:
         """What the server says to octets that no client of good manners sends; empty where it only hangs up."""
         with socket.create_connection(("127.0.0.1", self.port), timeout=PATIENCE) as connection:
-            connection.sendall(octets)
             said = b""
             try:
+                connection.sendall(octets)  # a server that has refused may hang up before all is sent
                 while block := connection.recv(65536):
                     said += block
             except ConnectionError:
