@@ -40,6 +40,8 @@ _OFF: Final = 0.25
 _COARSEST: Final = 0.5  # px
 # The guard band in wave's lengths; light that waves send farther is taken from a coarse image, see `wave_far`.
 _NEAR: Final = 6.0
+_NEAR_OF_FINE: Final = 12.0  # where less than this share of what waves add may be off, as the law of far light is
+_FINE: Final = 0.01
 # Blocks of that image in a guard band's width: half of what goes beyond it comes from within twice that width, so that
 # wider ones would move the light of an edge to where it is not. Their side in pixels, at least, and how many may lie on
 # the sensor.
@@ -245,7 +247,8 @@ def plan_waves(
         # Where light is even rays go on in wide steps, as waves spread what they add.
         wider = max(0, math.floor(math.log2(max(_BASE_SHARE * blur, _LEAST_BASE) / plan.grid.base)))
         plan = replace(plan, grid=replace(plan.grid, base=plan.grid.base << wider, levels=plan.grid.levels + wider))
-    plan = replace(plan, guard=max(_NEAR * blur, _resolved(camera.sensor)) + glass_reach(camera) / pitch)
+    near = _NEAR_OF_FINE if share < _FINE else _NEAR
+    plan = replace(plan, guard=max(near * blur, _resolved(camera.sensor)) + glass_reach(camera) / pitch)
     weights = WaveWeights(plan, _less_rays(waves), lens_field(camera, wavelength))
     if even_cell is None:
         aim /= _noise_gain(weights)
