@@ -160,13 +160,13 @@ def twin(number: int, seed: int, tolerance: float, *, renders: bool, wrong: str)
     truth = truth_of(random, renders=renders and not wrong, is_board=is_board)
     free = free_scene(scene, keys_of(truth))
     captured = free.at([truth[key.key] for key in free.keys])
-    # No ray in common with the fit, and no noise with the captures of other seeds.
-    rays = radwrap.RenderOptions(method="rays", tolerance=tolerance / 5, seed=10_000 * (seed + 1) + number, workers=1)
+    # No ray in common with the fit.
+    rays = radwrap.RenderOptions(method="rays", tolerance=tolerance / 5, seed=10_000 + number, workers=1)
     made = radwrap.render(captured, options=rays, tracer="compiled")
     begun = wronged(scene, wrong) if wrong else scene
     before = cpu()
     options = radwrap.RenderOptions(tolerance=tolerance, seed=number, workers=1)
-    found = radwrap.fit(begun, made.frames(1, seed=10_000 * (seed + 1) + number), keys_of(truth), options=options)
+    found = radwrap.fit(begun, made.frames(1), keys_of(truth), options=options)
     keys = [
         {
             "key": key.key,

@@ -93,7 +93,7 @@ def test_pixels_that_differ_do_so_in_all_states(patterned: Scene, basis: Basis) 
         noise = own * random.standard_normal(own.shape) + (differ * specimen).sum(axis=0)
         values.append(inverse @ (noise / sigma)[used])
     scatter = np.var(np.array(values), axis=0)
-    quiet = PredictionErrors(np.zeros((2, int(used.sum()))))
+    quiet = PredictionErrors(np.zeros((2, int(used.sum()))), 2, 0.0)
     told = np.diag(spread(solved.jacobian, quiet, shared=shared).noise)
     assert scatter == pytest.approx(told, rel=WITHIN)
     alone = np.diag(spread(solved.jacobian, quiet).noise)
@@ -109,7 +109,7 @@ def test_repeats_of_one_state_average_all_but_the_pattern(patterned: Scene, basi
     v, d = solved.weighed.sigma[:20] ** 2, (differ[:, :20] ** 2).sum(axis=0)
     w = 1 / v
     expected = float((w**2 * ((v - d) / 3 + d)).sum() / w.sum() ** 2)
-    quiet = PredictionErrors(np.zeros((2, 1440)))
+    quiet = PredictionErrors(np.zeros((2, 1440)), 2, 0.0)
     scale = free_scene(patterned, [OFFSET]).keys[0].scale
     assert spread(solved.jacobian, quiet, shared=shared).noise[0, 0] * scale**2 == pytest.approx(expected, rel=1e-6)
 
