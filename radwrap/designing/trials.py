@@ -106,7 +106,7 @@ class Trial:
         return found
 
     def _violation(self, one: Constraint, end: Answer) -> float:
-        is_held = bool(self.light) and one.excess(end.value) <= TIE * end.error
+        is_held = bool(self.light) and _may_be_kept(one, end)
         return 0.0 if is_held else one.violation(end.value)
 
     def is_feasible(self, problem: Problem) -> bool:
@@ -118,9 +118,12 @@ class Trial:
         if self.objectives(problem) is None:
             return False
         ends = ((one, self.ends(one)) for one in problem.constraints)
-        return all(
-            found is not None and all(one.excess(end.value) <= TIE * end.error for end in found) for one, found in ends
-        )
+        return all(found is not None and all(_may_be_kept(one, end) for end in found) for one, found in ends)
+
+
+def _may_be_kept(one: Constraint, end: Answer) -> bool:
+    """Whether an answer breaks a limit by no more than its own error."""
+    return one.excess(end.value) <= TIE * end.error
 
 
 def trial_of(

@@ -21,6 +21,7 @@ from radwrap.imaging.optics.view import trace_rays
 from radwrap.imaging.output.run_manifest import DiffractionTaken
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.tolerance.replicates import Work
+from radwrap.imaging.tolerance.wave_far import OF_FAR
 from radwrap.imaging.tolerance.wave_image import WaveError, visible_gray, wave_error
 from radwrap.imaging.tolerance.wave_parts import WaveParts, wave_parts
 from radwrap.imaging.tolerance.wave_plan import WavePlan, by_diameter, plan_waves
@@ -39,6 +40,9 @@ _LEAST_LEFT: Final = 0.3  # of the tolerance; where the image leaves less, it is
 _OF_CELLS: Final = 0.5  # of what the image leaves, what the size of their cells may change
 _FINER: Final = 0.25  # of either, where it was too much
 _TRIES: Final = 3  # plans of waves
+_FAR_SHARE: Final = 0.15  # of the tolerance, what the law of far light may be off by: that adds to all else
+_LITTLE: Final = 0.01  # of the light
+_LOOKED: Final = 32  # pixels along a side that tell how much light is seen
 _LESS: Final = 0.8  # of the tolerance is left to the rays' own image, where both together break it
 _TWO: Final = 2  # replicates, where nothing is made of them but their mean
 # Degrees of freedom by which noise is known: its bound is then 1.4 of it. Two replicates have one for each block over
@@ -87,6 +91,7 @@ class _Waves:
     work: Work
     lights: Sequence[Light]
     about_rms: float = 0.0  # what they change [gray level]
+    seen_rms: float = 0.0  # of the light that is seen [gray level]
 
     @property
     def wavelength(self) -> float:
@@ -103,11 +108,18 @@ class _Waves:
         """Cells of a plan of many images, which no light decides."""
         return None if self.options.sampling is None else self.options.sampling.wave_cell
 
+    @property
+    def far(self) -> float:
+        """Share of the light that may go farther than the guard band; of images that are compared no light decides."""
+        if self.even_cell is not None or not self.seen_rms:
+            return 1.0
+        return min(1.0, _FAR_SHARE * self.options.gray_tolerance / (OF_FAR * self.seen_rms))
+
     def plan(self, aim: float, of_cells: float) -> WavePlan:
         """Rays for errors of a replicate by their number, and by the size of their cells [gray level]."""
         share = of_cells / self.about_rms if self.about_rms > of_cells else 1.0
         view, seed = self.work.view, self.options.seed
-        return plan_waves(view, self.wavelength, aim, seed, share=share, even_cell=self.even_cell)
+        return plan_waves(view, self.wavelength, aim, seed, share=share, far=self.far, even_cell=self.even_cell)
 
     def replicates(self, made: Made, plan: WavePlan) -> int:
         """As many as the image has, where each is kept; else so many that their noise is known."""
@@ -138,10 +150,36 @@ class _Waves:
         return wave_parts(work.view, plans, replicates, progress=work.progress.add, check=work.programs.check)
 
 
-def _finer_aim(tolerance: float, made: Made, off: WaveError) -> float:
-    """The share of an aim by which the noise of waves is expected to be what the rest leaves of a tolerance."""
-    rest = max(tolerance - off.tails, 0.0) ** 2 - made.certificate.rms_gray_upper95**2 - off.cells
-    return min(_LESS, max(_FINER, _LESS * math.sqrt(max(rest, 0.0) / off.noise.upper)))
+@dataclass(slots=True, eq=False)
+class _Image:
+    """The image that waves are added to: it is made anew, finer, once at most."""
+
+    made: Made
+    taken: int  # rays beside its own
+    finer: Callable[[], Made]
+    may_be_finer: bool = True
+
+    def make_finer(self) -> None:
+        self.taken, self.may_be_finer = self.taken + self.made.used.rays, False
+        self.made = self.finer()
+
+    def added(self, plan: WavePlan, parts: WaveParts, waves: _Waves, rays: int) -> tuple[Made, WaveError]:
+        """The image with what waves add, which took so many rays more."""
+        self.taken += rays
+        return _added(self.made, plan, parts, waves, self.taken)
+
+
+def _finer(tolerance: float, made: Made, off: WaveError, *, least: float) -> tuple[float, float]:
+    """Shares of both aims, of noise and of cells, by which either is expected to be its part of what the rest leaves.
+
+    Where one of them is not 1, it is at most `least`: what is made goes by steps.
+    """
+    rest = max(max(tolerance - off.tails, 0.0) ** 2 - made.certificate.rms_gray_upper95**2, 0.0)
+    parts = (off.noise.upper, (1 - _OF_CELLS**2) * rest), (off.cells, _OF_CELLS**2 * rest)
+    noise, cells = (
+        1.0 if found <= most else min(least, max(_FINER, _LESS * math.sqrt(most / found))) for found, most in parts
+    )
+    return noise, cells
 
 
 def refuse_waves(scene: Scene, options: RenderOptions) -> None:
@@ -186,7 +224,7 @@ def foreseen_waves(scene: Scene, options: RenderOptions, work: Work, replicates:
     found = diffraction_left_out(scene, work.view, options.seed, options.gray_tolerance, _FEWEST)
     if asked == "auto" and not found.needed:
         return None
-    waves = _Waves(scene, options, work, (light_of_all(scene, work.view),), found.rms_gray)
+    waves = _Waves(scene, options, work, (light_of_all(scene, work.view),), found.rms_gray, _seen(_look(work), work))
     left = math.sqrt(1 - _USUAL**2) * options.gray_tolerance
     try:
         plan = waves.plan(_AIM * left, _OF_CELLS * left)
@@ -239,43 +277,34 @@ def with_waves(
     if not _is_taken(scene, options, made, found):
         return WithWaves(made, found, None)
     more_may_help = options.sampling is None
-    taken, remade = found.rays, False
+    image = _Image(made, found.rays, lambda: again(_LESS * options.gray_tolerance))
     if more_may_help and _is_met(made) and _leaves(options.gray_tolerance, made) < _LEAST_LEFT * options.gray_tolerance:
-        # Whatever waves take then, the image would have to be made anew.
-        taken, made, remade = taken + made.used.rays, again(_LESS * options.gray_tolerance), True
-    if made.outcome is not None:
-        work = replace(work, view=replace(work.view, smooth=made.outcome.smooth))
-    waves = _Waves(scene, options, work, lights(), found.rms_gray)
-    left = _left_to_waves(options.gray_tolerance, made)
+        image.make_finer()  # whatever waves take then, it would have to be made anew
+    if image.made.outcome is not None:
+        work = replace(work, view=replace(work.view, smooth=image.made.outcome.smooth))
+    waves = _Waves(scene, options, work, lights(), found.rms_gray, _seen(image.made.radiance, work))
+    left = _left_to_waves(options.gray_tolerance, image.made)
     aim, of_cells = _AIM * left, _OF_CELLS * left
-    for _ in range(_TRIES if more_may_help else 1):
+    for tries_left in reversed(range(_TRIES if more_may_help else 1)):
         try:
             plan = waves.plan(aim, of_cells)
         except TooDeep as error:
             if camera.diffraction == "auto" and more_may_help:
-                return WithWaves(made, found, None)
+                return WithWaves(image.made, found, None)
             raise _too_deep() from error
-        parts = waves.parts(plan, waves.replicates(made, plan))
-        taken += parts.rays
-        whole, off = _added(made, plan, parts, waves, taken)
-        if _is_met(whole) or not _is_met(made) or not more_may_help:
+        parts = waves.parts(plan, waves.replicates(image.made, plan))
+        whole, off = image.added(plan, parts, waves, parts.rays)
+        if _is_met(whole) or not _is_met(image.made) or not more_may_help:
             break
-        if not remade and not _more_rays_may_do(made, waves, off):
-            taken, made, remade = taken + made.used.rays, again(_LESS * options.gray_tolerance), True
-            parts, rays = waves.kept_or_anew(parts, plan, made)
-            taken += rays
-            whole, off = _added(made, plan, parts, waves, taken)
-        if _is_met(whole) or not _more_rays_may_do(made, waves, off):
+        if image.may_be_finer and (not tries_left or not _more_rays_may_do(image.made, waves, off)):
+            image.make_finer()
+            parts, rays = waves.kept_or_anew(parts, plan, image.made)
+            whole, off = image.added(plan, parts, waves, rays)
+        if _is_met(whole) or not _more_rays_may_do(image.made, waves, off):
             break
-        if off.cells > off.noise.upper:
-            of_cells *= _FINER
-        else:
-            aim *= _finer_aim(options.gray_tolerance, made, off)
-    if not _is_met(whole) and _is_met(made) and more_may_help and not remade:
-        taken, made = taken + made.used.rays, again(_LESS * options.gray_tolerance)
-        parts, rays = waves.kept_or_anew(parts, plan, made)
-        taken += rays
-        whole, _ = _added(made, plan, parts, waves, taken)
+        least = _LESS if tries_left > 1 else _FINER  # the last one is to do
+        of_noise, of_size = _finer(options.gray_tolerance, image.made, off, least=least)
+        aim, of_cells = of_noise * aim, of_size * of_cells
     slope = None
     if scene.tolerances is not None and scene.tolerances.aperture_diameter:
         usual = plan_waves(work.view, waves.wavelength, aim, options.seed)
@@ -319,7 +348,7 @@ def _do_even_cells(waves: _Waves, cell: float, aim: float) -> bool:
     work = waves.work
     plan = plan_waves(work.view, waves.wavelength, 0.0, waves.options.seed, even_cell=cell)
     parts = waves.parts(plan, _TWO)
-    found = _error(plan, parts, np.maximum(_look(work) + parts.change.mean(axis=0), 0.0), work)
+    found = _error(plan, parts, np.maximum(_look(work, whole=True) + parts.change.mean(axis=0), 0.0), work)
     return found.noise.mean * _TWO / REPLICATES + found.cells <= aim**2
 
 
@@ -340,11 +369,22 @@ def _left_to_waves(tolerance: float, made: Made) -> float:
     return max(_leaves(tolerance, made), _LEAST_LEFT * max(tolerance, made.certificate.rms_gray_upper95))
 
 
-def _look(work: Work) -> Array:
-    """About what an image shows, a ray a pixel [W m^-2 sr^-1]."""
+def _look(work: Work, *, whole: bool = False) -> Array:
+    """About what an image shows, a ray a pixel, of some pixels or of all [W m^-2 sr^-1]."""
     sensor = work.view.camera.sensor
-    v, u = np.indices((sensor.rows, sensor.columns), dtype=np.float64)
-    return trace_rays(work.view, None, u.ravel(), v.ravel())[0].reshape(sensor.rows, sensor.columns)
+    rows, columns = (
+        np.arange(size, dtype=np.float64)[:: 1 if whole else math.ceil(size / _LOOKED)]
+        for size in (sensor.rows, sensor.columns)
+    )
+    v, u = np.meshgrid(rows, columns, indexing="ij")
+    return trace_rays(work.view, None, u.ravel(), v.ravel())[0].reshape(v.shape)
+
+
+def _seen(radiance: Array, work: Work) -> float:
+    """Rms of gray levels that light adds, by what a hundredth of it does."""
+    gray = visible_gray(work.view.exposure_of_radiance, work.view.camera.sensor)
+    more = gray(radiance * (1 + _LITTLE)) - gray(radiance)
+    return math.sqrt(float((more**2).mean())) / _LITTLE
 
 
 def _too_deep() -> InputError:

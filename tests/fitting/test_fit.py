@@ -129,6 +129,7 @@ def test_a_pose_is_written_as_position_and_rotation(bench: Scene) -> None:
     assert found.camera.pose.position == pytest.approx((0.0, 0.0, 0.49), abs=1e-12)
 
 
+@pytest.mark.long
 def test_a_place_is_found_by_renders(bench: Scene) -> None:
     """An edge 0.2 mm off, by bases whose rays lie alike; the twin's rays are others."""
     truth = {"targets[0].edge_position": "1.2 mm"}

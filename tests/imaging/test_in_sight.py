@@ -130,6 +130,7 @@ def test_the_advice_is_for_the_camera_at_hand(folder: Path) -> None:
     assert "pinhole" not in found["advice"]
 
 
+@pytest.mark.long
 def test_no_steps_of_light_that_shines_as_a_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The compiled tracer has none; what is not known of the tracer keeps the warning."""
     here(["init", tmp_path / "it", "--template", "coaxial"], capsys).success()

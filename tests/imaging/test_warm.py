@@ -272,6 +272,7 @@ def test_memory_is_bounded_and_what_was_not_used_for_longest_goes_first() -> Non
     assert kept.held == 0 and kept.get(0) is None
 
 
+@pytest.mark.long
 def test_a_small_memory_changes_no_byte(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(warm_module, "KEPT_AT_MOST", 200_000)
     options = radwrap.RenderOptions(tracer="compiled")

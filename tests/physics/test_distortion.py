@@ -179,6 +179,7 @@ def test_flux_is_conserved() -> None:
     assert float((cos4 * stretch).sum()) * side**2 == pytest.approx(expected, rel=1e-4)
 
 
+@pytest.mark.long
 def test_kernel_rays_and_viewpoints_agree_through_a_lens_that_distorts() -> None:
     """The kernel gathers on the bent image, where the opening's shape is bent too: its certificate tells."""
     scene = board(BARREL, aperture={"diameter": "0.6 mm"}, rows=36, columns=48, pitch=(PITCH * 10 / 3,) * 2)

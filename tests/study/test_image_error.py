@@ -84,15 +84,14 @@ def test_the_bar_of_a_percentile_sees_what_the_cells_took_from_it(scene: Scene) 
     assert off > 0.05 and answer(Response("c", "contrast"), seen).error == pytest.approx(off, rel=1e-9)
 
 
-@pytest.mark.parametrize(("number", "most"), [(3, 10), pytest.param(6, 4, marks=pytest.mark.long)])
-def test_stated_errors_are_as_large_as_the_scatter_of_renders(scene: Scene, number: int, most: float) -> None:
+@pytest.mark.long
+def test_stated_errors_are_as_large_as_the_scatter_of_renders(scene: Scene) -> None:
     """Renders with seeds of their own: the scatter of the edge's place against what each image says of itself.
 
-    The scatter of six is known to 32 %, of three to 50 %: of these one in forty has less than a sixth of it. The bound
-    is above the error, so that more may be stated than is seen.
+    The scatter of six is known to 32 %. The bound is above the error, so that more may be stated than is seen.
     """
     values, stated = [], []
-    for seed in range(number):
+    for seed in range(6):
         made = radwrap.render(scene, seed=seed, workers=1)
         gray = gray_levels(made.radiant_exposure.values, scene.camera.sensor)
         radii = blur_radii(scene)
@@ -102,7 +101,7 @@ def test_stated_errors_are_as_large_as_the_scatter_of_renders(scene: Scene, numb
             found = answer(Response("u", "edge_position", "px", {"dark": "sensor", "gamma": "sensor"}), seen)
         values.append(found.value)
         stated.append(found.error)
-    assert 0.5 * _scatter(values) < _rms(stated) < most * _scatter(values)
+    assert 0.5 * _scatter(values) < _rms(stated) < 4 * _scatter(values)
 
 
 def _scatter(values: Sequence[float]) -> float:

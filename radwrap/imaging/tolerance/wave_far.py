@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 _LEAST_FAR: Final = 20.0
 # Of far light, how far its law is off, rms: it leaves out the rings around a point. By scripts/waves_by_fft.py .12 with
 # guard bands of 6 and of 12 wave's lengths.
-_OF_FAR: Final = 0.125
+OF_FAR: Final = 0.125
 _WIDER: Final = 8.0
 _DOUBLINGS: Final = 4
 _MOST_BLOCKS: Final = 1 << 20
@@ -147,7 +147,7 @@ def far_change(plan: WavePlan, around: Array) -> tuple[Array, Array]:
     mean = around
     for axis, size in enumerate((sensor.rows, sensor.columns)):
         mean = _interpolated(mean, (np.arange(size, dtype=np.float64) + 0.5) / coarse.block - 0.5, axis)
-    beyond = min(plan.waves.tail(wider.far * plan.pitch), abs(share)) + _OF_FAR * abs(share)
+    beyond = min(plan.waves.tail(wider.far * plan.pitch), abs(share)) + OF_FAR * abs(share)
     return share * mean, beyond * mean
 
 

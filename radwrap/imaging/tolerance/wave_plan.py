@@ -38,10 +38,10 @@ _LEAST_BASE: Final = 2.0  # px
 # that. Where more than that may be left, cells may be of half a pixel though rays blur by less.
 _OFF: Final = 0.25
 _COARSEST: Final = 0.5  # px
-# The guard band in wave's lengths; light that waves send farther is taken from a coarse image, see `wave_far`.
+# The guard band in wave's lengths, at least and at most; light that waves send farther is taken from a coarse image by
+# a law that is off, see `wave_far`.
 _NEAR: Final = 6.0
-_NEAR_OF_FINE: Final = 12.0  # where less than this share of what waves add may be off, as the law of far light is
-_FINE: Final = 0.01
+_WIDEST_NEAR: Final = 64.0
 # Blocks of that image in a guard band's width: half of what goes beyond it comes from within twice that width, so that
 # wider ones would move the light of an edge to where it is not. Their side in pixels, at least, and how many may lie on
 # the sensor.
@@ -209,7 +209,14 @@ class WavePlan:
 
 
 def plan_waves(
-    view: View, wavelength: float, aim: float, seed: int, *, share: float = _OFF, even_cell: float | None = None
+    view: View,
+    wavelength: float,
+    aim: float,
+    seed: int,
+    *,
+    share: float = _OFF,
+    far: float = 1.0,
+    even_cell: float | None = None,
 ) -> WavePlan:
     """Choose cells, layers, tiles and the guard band.
 
@@ -225,6 +232,8 @@ def plan_waves(
         Of all that is drawn.
     share : float
         Of what waves add, what the cells' size may change; a guess that the image decides on.
+    far : float
+        Of the light, what waves may send beyond the guard band; the band has limits of its own.
     even_cell : float, optional
         As of `plan_kernel`: no light decides where rays go.
 
@@ -247,8 +256,8 @@ def plan_waves(
         # Where light is even rays go on in wide steps, as waves spread what they add.
         wider = max(0, math.floor(math.log2(max(_BASE_SHARE * blur, _LEAST_BASE) / plan.grid.base)))
         plan = replace(plan, grid=replace(plan.grid, base=plan.grid.base << wider, levels=plan.grid.levels + wider))
-    near = _NEAR_OF_FINE if share < _FINE else _NEAR
-    plan = replace(plan, guard=max(near * blur, _resolved(camera.sensor)) + glass_reach(camera) / pitch)
+    near = waves.blur * min(_WIDEST_NEAR, max(_NEAR, waves.tail_radius(far) / waves.blur))
+    plan = replace(plan, guard=max(near / pitch, _resolved(camera.sensor)) + glass_reach(camera) / pitch)
     weights = WaveWeights(plan, _less_rays(waves), lens_field(camera, wavelength))
     if even_cell is None:
         aim /= _noise_gain(weights)
