@@ -49,6 +49,7 @@ def test_a_tolerance_beyond_the_budget_ends_with_3_and_the_best_image(
 @pytest.mark.parametrize(
     "options",
     [
+        ["--bounces", "some"],
         ["--budget", "much"],
         ["--budget", "nan"],
         ["--budget", "-1"],
