@@ -169,6 +169,16 @@ class _Image:
         return _added(self.made, plan, parts, waves, self.taken)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Added:
+    """An image with waves, and how they were traced: to which noise of a replicate [gray level]."""
+
+    whole: Made
+    plan: WavePlan
+    parts: WaveParts
+    aim: float
+
+
 def _finer(tolerance: float, made: Made, off: WaveError, *, least: float) -> tuple[float, float]:
     """Shares of both aims, of noise and of cells, by which either is expected to be its part of what the rest leaves.
 
@@ -283,15 +293,32 @@ def with_waves(
     if image.made.outcome is not None:
         work = replace(work, view=replace(work.view, smooth=image.made.outcome.smooth))
     waves = _Waves(scene, options, work, lights(), found.rms_gray, _seen(image.made.radiance, work))
-    left = _left_to_waves(options.gray_tolerance, image.made)
+    try:
+        added = _to_tolerance(image, waves)
+    except TooDeep as error:
+        if camera.diffraction == "auto" and more_may_help:
+            return WithWaves(image.made, found, None)
+        raise _too_deep() from error
+    slope = None
+    if scene.tolerances is not None and scene.tolerances.aperture_diameter:
+        slope = _blur_slope(waves, added)
+    told = DiffractionTaken(waves.wavelength, found.rms_gray, added.parts.rays, _told_wavelengths(waves.lights))
+    return WithWaves(added.whole, None, told, added.plan, tuple(waves.lights), slope)
+
+
+def _to_tolerance(image: _Image, waves: _Waves) -> _Added:
+    """Add waves, by more rays and smaller cells where these keep the whole from its tolerance, or to a finer image.
+
+    Raises
+    ------
+    TooDeep
+        If the scene is too deep for them.
+    """
+    tolerance, more_may_help = waves.options.gray_tolerance, waves.options.sampling is None
+    left = _left_to_waves(tolerance, image.made)
     aim, of_cells = _AIM * left, _OF_CELLS * left
     for tries_left in reversed(range(_TRIES if more_may_help else 1)):
-        try:
-            plan = waves.plan(aim, of_cells)
-        except TooDeep as error:
-            if camera.diffraction == "auto" and more_may_help:
-                return WithWaves(image.made, found, None)
-            raise _too_deep() from error
+        plan = waves.plan(aim, of_cells)
         parts = waves.parts(plan, waves.replicates(image.made, plan))
         whole, off = image.added(plan, parts, waves, parts.rays)
         if _is_met(whole) or not _is_met(image.made) or not more_may_help:
@@ -303,16 +330,17 @@ def with_waves(
         if _is_met(whole) or not _more_rays_may_do(image.made, waves, off):
             break
         least = _LESS if tries_left > 1 else _FINER  # the last one is to do
-        of_noise, of_size = _finer(options.gray_tolerance, image.made, off, least=least)
+        of_noise, of_size = _finer(tolerance, image.made, off, least=least)
         aim, of_cells = of_noise * aim, of_size * of_cells
-    slope = None
-    if scene.tolerances is not None and scene.tolerances.aperture_diameter:
-        usual = plan_waves(work.view, waves.wavelength, aim, options.seed)
-        changed = waves.parts(usual, _TWO, by_diameter).change.mean(axis=0)
-        light = whole.radiance
-        slope = np.where(light > 0, changed / np.where(light > 0, light, 1.0), 0.0)
-    told = DiffractionTaken(waves.wavelength, found.rms_gray, parts.rays, _told_wavelengths(waves.lights))
-    return WithWaves(whole, None, told, plan, tuple(waves.lights), slope)
+    return _Added(whole, plan, parts, aim)
+
+
+def _blur_slope(waves: _Waves, added: _Added) -> Array:
+    """Relative change of the light with the logarithm of the opening's diameter, by what waves do."""
+    work, light = waves.work, added.whole.radiance
+    usual = plan_waves(work.view, waves.wavelength, added.aim, waves.options.seed)
+    changed = waves.parts(usual, _TWO, by_diameter).change.mean(axis=0)
+    return np.where(light > 0, changed / np.where(light > 0, light, 1.0), 0.0)
 
 
 def even_wave_cell(scene: Scene, work: Work, options: RenderOptions) -> float | None:

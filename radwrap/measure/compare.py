@@ -239,10 +239,11 @@ def _causes(captured: Array, predicted: Array, usable: Flags, dark: float, progr
         pass
     else:
         shift = float(warp[0, 2]), float(warp[1, 2])
-        moved = warped(filled, warp, predicted.shape)
+        # The prediction is moved: to move what was captured would smooth its noise, as if that came from the place.
+        moved = warped(predicted, np.asarray(np.linalg.inv(warp), dtype=np.float64), predicted.shape)
         both = usable & np.isfinite(moved)
         if both.mean() >= LEAST_COVERED * usable.mean():
-            y, x = moved[both], predicted[both]
+            y, x = captured[both], moved[both]
             geometry, together = rms(y - x), rms_after_levels(y, x)
     found = {"dark level": dark_level, "exposure": exposure, "geometry": math.inf if geometry is None else geometry}
     best = min(found, key=lambda name: found[name])

@@ -115,6 +115,18 @@ def test_the_main_cause_is_named(captured: GrayImage, mainly: str | None) -> Non
     assert compare(captured, PREDICTED, dark=DARK).causes.mainly == mainly
 
 
+@pytest.mark.parametrize("striped", [False, True])
+def test_noise_is_no_matter_of_place(striped: bool) -> None:
+    """A place along straight lines is found by the noise only, and splines halfway between pixels would smooth that."""
+    random = np.random.default_rng(5)
+    u = np.indices((96, 128))[1]
+    predicted = 100.0 + (60.0 * ((u // 4) % 2) if striped else 5.0 * (u > 64))
+    for _ in range(4):
+        causes = compare(GrayImage(predicted + random.normal(0, 8, u.shape)), GrayImage(predicted)).causes
+        assert causes.mainly is None and causes.shift is not None
+        assert causes.geometry == pytest.approx(causes.as_is, rel=0.02)
+
+
 def test_the_factor_of_the_exposure_comes_back() -> None:
     causes = compare(photograph(factor=0.8), PREDICTED, dark=DARK).causes
     assert causes.exposure_factor == pytest.approx(0.8, abs=1e-3)
