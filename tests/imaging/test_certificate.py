@@ -352,7 +352,7 @@ def test_a_budget_of_time_is_kept_within_an_attempt(
 ) -> None:
     """The best image so far comes back with its own error; the third by rays, not given up, would take 4 s more."""
     clock = Clock(Planes(((1.0, disc),)))
-    monkeypatch.setattr("radwrap.imaging.tolerance.planner.time", clock)
+    monkeypatch.setattr("radwrap.imaging.tolerance.pace.time", clock)
     monkeypatch.setattr("radwrap.tracers.timed.time", clock)
     seen = replace(view(ROUND, (1.0, disc)), tracer=clock)
     outcome = search(seen, tmp_path, Demand(1e-4, method=method, budget=Budget(seconds=seconds)))
@@ -395,9 +395,9 @@ def test_the_first_image_is_given_up_too_and_the_coarsest_made(
 ) -> None:
     """Where the forecast says that all can be afforded, but rays take longer than the survey's did."""
     clock = Clock(Planes(((1.0, disc),)))
-    monkeypatch.setattr("radwrap.imaging.tolerance.planner.time", clock)
+    monkeypatch.setattr("radwrap.imaging.tolerance.pace.time", clock)
     monkeypatch.setattr("radwrap.tracers.timed.time", clock)
-    monkeypatch.setattr("radwrap.imaging.tolerance.planner.Search._rays_in_time", lambda _: math.inf)
+    monkeypatch.setattr("radwrap.imaging.tolerance.pace.Pace.rays", lambda *_: math.inf)
     seen = replace(view(ROUND, (1.0, disc)), tracer=clock)
     dear = search(seen, tmp_path / "dear", Demand(tolerance, method=method)).record.rays
     clock.seconds = 0.0
@@ -406,6 +406,21 @@ def test_the_first_image_is_given_up_too_and_the_coarsest_made(
     assert outcome.record.rays < dear / 2
     assert clock.seconds < 1.5
     assert outcome.record.attempts[0].aim_gray < 1e4
+
+
+def test_after_an_attempt_that_took_too_long_the_time_left_is_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rays to .1 take 79 s; of 24 s the first attempt loses 12. In 8 s others find .3, and .23 in what is left."""
+    clock = Clock(Planes(((1.0, disc),)))
+    monkeypatch.setattr("radwrap.imaging.tolerance.pace.time", clock)
+    monkeypatch.setattr("radwrap.tracers.timed.time", clock)
+    monkeypatch.setattr("radwrap.imaging.tolerance.pace.Pace.rays", lambda *_: math.inf)
+    seen = replace(view(ROUND, (1.0, disc)), tracer=clock)
+    outcome = search(seen, tmp_path, Demand(0.1, method="rays", budget=Budget(seconds=24.0)))
+    assert outcome.record.given_up == "out of time" and clock.seconds < 24 + 1e-5 * RAYS_AT_ONCE
+    assert outcome.certificate.rms_gray_upper95 < 0.3
+    assert outcome.record.attempts[0].rms_gray_upper95 > 5
 
 
 def test_a_kernel_whose_forecast_is_low_keeps_the_budget(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,6 @@ in seconds breaks that.
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
@@ -34,6 +33,7 @@ from radwrap.imaging.tolerance.certificate import (
     root,
 )
 from radwrap.imaging.tolerance.corrected_replicates import trace_plan
+from radwrap.imaging.tolerance.pace import FIRST_SHARE, Pace
 from radwrap.imaging.tolerance.plans import (
     COARSE_TOLERANCE,
     MODEL_SHARE,
@@ -66,10 +66,7 @@ _MOST_FEWEST: Final = 1 << 12
 _LITTLE_ABOVE: Final = 2.0  # of what is wanted; an attempt with more pairs makes such a bound small enough
 _SPARED: Final = 0.85  # of the aim of rays that would just do: a bound differs from attempt to attempt
 _HALVINGS: Final = 24  # of the accuracy, until a budget suffices
-# Of a budget of time so much goes into rays of the first image, the rest into its certificate and what comes next.
-_TRACED_SHARE: Final = 0.5
 _COARSE_AIM: Final = 16.0  # gray levels of eight bits; what is made where nothing better was finished in time
-_SHORTEST: Final = 1e-3  # s; a clock may stand still
 # Where the size of the grid's cells takes more than this share of the tolerance they are halved, so often at most.
 _GRID_SHARE: Final = 0.5
 _FINEST: Final = 2
@@ -144,7 +141,7 @@ class Search:
 
     def __init__(self, work: Work, demand: Demand, *, relit: bool = False) -> None:
         self.demand, self.tracer = demand, work.view.tracer
-        self.start = time.monotonic()
+        self.pace = Pace(demand.budget.seconds)
         self.found = of_kept(
             work.kept,
             lambda: ("survey", sha256_of_value([work.traced_sha256, work.view.camera]), work.seed),
@@ -180,8 +177,9 @@ class Search:
         best: Outcome | None = None
         given_up: GivenUp | None = None
         if aim < self.coarse_aim:
-            self._limit_time(_TRACED_SHARE)
+            self._limit_time(FIRST_SHARE)
         for _ in range(_ATTEMPTS):
+            self.pace.begin()
             try:
                 outcome = self._attempt(method, aim, why)
             except OutOfTime:
@@ -189,6 +187,7 @@ class Search:
                 if best is not None:
                     break
                 # Some image there must be: the coarsest, whatever it takes.
+                self.pace.give_up(aim)
                 self._limit_time(math.inf)
                 aim, self.plans.finer, self.effort = self.coarse_aim, 0, 0
                 continue
@@ -205,12 +204,16 @@ class Search:
                 aim = self._coarser(method, aim, found.whole)
                 self.plans.finer, self.effort = 0, 0
                 continue
+            self.pace.end()
             self._limit_time(1.0)
             if best is None or self._rank(outcome) < self._rank(best):
                 best = outcome
             if outcome.met or self._is_spent(outcome):
                 break
+            last = aim
             method, aim, why = self._next(outcome, aim, why)
+            if method == outcome.method:
+                aim = min(aim, self.pace.next_aim(last))
         assert best is not None  # noqa: S101  (the loop ran)
         return replace(best, record=self.recorded(best.record, given_up=given_up))
 
@@ -239,7 +242,7 @@ class Search:
 
     def _limit_time(self, share: float) -> None:
         """Let what comes next be given up after a share of a budget of time."""
-        deadline = self.start + share * self.demand.budget.seconds
+        deadline = self.pace.deadline(share)
         tracer = self.tracer if math.isinf(deadline) else TimedTracer(self.tracer, deadline)
         self.view = self.plans.view = replace(self.view, tracer=tracer)
         self.work = replace(self.work, view=self.view)
@@ -255,7 +258,7 @@ class Search:
 
     def _affordable(self, method: ToleranceMethod, aim: float) -> float:
         """The aim, or a larger one that is expected to stay within the budget."""
-        budget = min(self.demand.budget.rays - self.spent, self._rays_in_time())
+        budget = min(self.demand.budget.rays - self.spent, self.pace.rays(self.found.rays))
         if self.plans.forecast(method, aim) > budget:
             self.plans.finer, self.effort = 0, 0
         # From some aim on, an image takes no fewer rays.
@@ -272,14 +275,6 @@ class Search:
             aim *= 2
         self.was_over = True
         return aim
-
-    def _rays_in_time(self) -> float:
-        """How many rays the time left suffices for, by the survey's; few rather than many, for its programs start."""
-        if math.isinf(self.demand.budget.seconds):
-            return math.inf
-        elapsed = time.monotonic() - self.start
-        left = max(self.demand.budget.seconds - elapsed, 0.0)
-        return _TRACED_SHARE * left * self.found.rays / max(elapsed, _SHORTEST)
 
     def _attempt(self, method: ToleranceMethod, aim: float, why: str) -> Outcome:
         plan, number = self.plans.planned(method, aim)
@@ -326,7 +321,7 @@ class Search:
                 base_cell_px=kernel.grid.base if kernel else None,
                 grid_cell_px=kernel.grid.cell if kernel else None,
                 met=met,
-                reproducible=math.isinf(self.demand.budget.seconds),
+                reproducible=self.pace.is_free,
             ),
             reused=self.reused,
             ray_plan=plan,
@@ -392,10 +387,7 @@ class Search:
     def _is_spent(self, outcome: Outcome) -> bool:
         """Whether another attempt, which takes about twice the rays at least, would pass the budget."""
         budget = self.demand.budget
-        elapsed = time.monotonic() - self.start
-        if not math.isinf(budget.seconds) and elapsed * (1 + 2 / len(self.attempts)) > budget.seconds:
-            return True
-        return self.spent + 2 * outcome.replicates.rays > budget.rays
+        return self.pace.is_spent() or self.spent + 2 * outcome.replicates.rays > budget.rays
 
     def _next(self, outcome: Outcome, aim: float, why: str) -> tuple[ToleranceMethod, float, str]:
         """What to try after an image that does not keep the tolerance."""
