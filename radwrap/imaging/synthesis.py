@@ -48,6 +48,7 @@ from radwrap.imaging.render_options import Method, RenderOptions, TracerName
 from radwrap.imaging.rendered import Rendered, load_result
 from radwrap.imaging.tolerance.kept_replicates import kept, write_replicates
 from radwrap.imaging.tolerance.lit_noise import with_gray_tolerance
+from radwrap.imaging.tolerance.pace import Pace
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.uncertainty import seen_magnifications, share_spread
 from radwrap.imaging.tracing import LaidOutScene
@@ -395,22 +396,23 @@ def _trace(run: _Run) -> tuple[TracedRun, list[str]]:
         before = partial(announcement.before, work.view) if options.progress else None
         left = traced.banding.left(tracing)
         relit = bool(run.identity.sources)
+        pace = Pace(options.budget_seconds)
         rays = make(scene, left, work, before, relit=relit)
+        pace.end()
         # The bands' share of a tolerance is left out of another one likewise.
         finer = partial(_made_to, scene, left, work, relit=relit)
         # Light that walks from surface to surface is not told apart.
         lights = (lambda: (light_of_all(scene, work.view),)) if orders else traced.lights
-        waves = with_waves(scene, left, work, rays, finer, lights=lights)
-        made = waves.made
+        waves = with_waves(scene, left, work, rays, finer, lights=lights, pace=pace)
         spread, magnification = _spread(run), _magnification(scene, view)
-        basis = _write_basis(run, work, made, magnification, waves)
+        basis = _write_basis(run, work, waves.made, magnification, waves)
     finally:
         run.progress.close()
-    found = TracedRun(
+    return TracedRun(
         scene=traced.scene,
         options=options,
         identity=run.identity,
-        made=made,
+        made=waves.made,
         banding=traced.banding,
         tracer=traced.tracer_used,
         orders=orders,
@@ -424,8 +426,7 @@ def _trace(run: _Run) -> tuple[TracedRun, list[str]]:
         blur_slope=waves.blur_slope,
         foretold=announcement.foretold,
         tolerance_asked=asked,
-    )
-    return found, basis
+    ), basis
 
 
 def _with_bounces(run: _Run, view: View, orders: Bounces) -> tuple[Work, RenderOptions]:

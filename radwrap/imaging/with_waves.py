@@ -20,6 +20,7 @@ from radwrap.imaging.optics.diffraction import Light, light_of_all, wavelength_o
 from radwrap.imaging.optics.view import trace_rays
 from radwrap.imaging.output.run_manifest import DiffractionTaken
 from radwrap.imaging.render_options import RenderOptions
+from radwrap.imaging.tolerance.pace import Pace
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.wave_far import OF_FAR
 from radwrap.imaging.tolerance.wave_image import WaveError, visible_gray, wave_error
@@ -252,6 +253,7 @@ def with_waves(
     again: Callable[[float], Made],
     *,
     lights: Callable[[], tuple[Light, ...]],
+    pace: Pace,
 ) -> WithWaves:
     """Measure what diffraction changes, and take it.
 
@@ -272,6 +274,8 @@ def with_waves(
         Makes the image by rays to another tolerance [gray level].
     lights : callable
         Makes views of the light of each wavelength.
+    pace : Pace
+        How long the image took: waves are added once at least, and made finer as time allows.
 
     Raises
     ------
@@ -288,13 +292,14 @@ def with_waves(
         return WithWaves(made, found, None)
     more_may_help = options.sampling is None
     image = _Image(made, found.rays, lambda: again(_LESS * options.gray_tolerance))
-    if more_may_help and _is_met(made) and _leaves(options.gray_tolerance, made) < _LEAST_LEFT * options.gray_tolerance:
+    little = _leaves(options.gray_tolerance, made) < _LEAST_LEFT * options.gray_tolerance
+    if more_may_help and _is_met(made) and little and not pace.is_spent():
         image.make_finer()  # whatever waves take then, it would have to be made anew
     if image.made.outcome is not None:
         work = replace(work, view=replace(work.view, smooth=image.made.outcome.smooth))
     waves = _Waves(scene, options, work, lights(), found.rms_gray, _seen(image.made.radiance, work))
     try:
-        added = _to_tolerance(image, waves)
+        added = _to_tolerance(image, waves, pace)
     except TooDeep as error:
         if camera.diffraction == "auto" and more_may_help:
             return WithWaves(image.made, found, None)
@@ -306,7 +311,7 @@ def with_waves(
     return WithWaves(added.whole, None, told, added.plan, tuple(waves.lights), slope)
 
 
-def _to_tolerance(image: _Image, waves: _Waves) -> _Added:
+def _to_tolerance(image: _Image, waves: _Waves, pace: Pace) -> _Added:
     """Add waves, by more rays and smaller cells where these keep the whole from its tolerance, or to a finer image.
 
     Raises
@@ -318,10 +323,12 @@ def _to_tolerance(image: _Image, waves: _Waves) -> _Added:
     left = _left_to_waves(tolerance, image.made)
     aim, of_cells = _AIM * left, _OF_CELLS * left
     for tries_left in reversed(range(_TRIES if more_may_help else 1)):
+        pace.begin()
         plan = waves.plan(aim, of_cells)
         parts = waves.parts(plan, waves.replicates(image.made, plan))
         whole, off = image.added(plan, parts, waves, parts.rays)
-        if _is_met(whole) or not _is_met(image.made) or not more_may_help:
+        pace.end()
+        if _is_met(whole) or not _is_met(image.made) or not more_may_help or pace.is_spent():
             break
         if image.may_be_finer and (not tries_left or not _more_rays_may_do(image.made, waves, off)):
             image.make_finer()

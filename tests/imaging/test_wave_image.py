@@ -142,6 +142,18 @@ def test_a_fine_tolerance_is_met_with_waves() -> None:
     assert made.met and made.run.rays < 1.5e7
 
 
+@pytest.mark.long
+def test_waves_are_tried_once_where_time_is_spent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """bench_board at 0.02 within 15 s took 117 s."""
+    scene = radwrap.with_value(scene_of("on"), "camera.sensor.scale", "1/4")
+    free = radwrap.render(scene, options=COMPILED, tolerance=0.1)
+    monkeypatch.setattr("radwrap.imaging.tolerance.pace.Pace.is_spent", lambda _: True)
+    spent = radwrap.render(scene, options=COMPILED, tolerance=0.1, budget_seconds=1e6)
+    assert free.met and not spent.met
+    assert spent.run.rays < free.run.rays
+    assert spent.error.diffraction_gray is not None and free.error.diffraction_gray is not None
+
+
 def test_one_wavelength_for_a_wide_line_is_in_the_error() -> None:
     """The same rays in both: only what the mean wavelength leaves out differs."""
     errors = []

@@ -17,12 +17,12 @@ class Pace:
 
     Parameters
     ----------
-    budget : float
+    budget : float, optional
         Wall time [s]; infinite where there is none.
     """
 
-    def __init__(self, budget: float) -> None:
-        self._budget = budget
+    def __init__(self, budget: float | None) -> None:
+        self._budget = math.inf if budget is None else budget
         self._start = self._begin = time.monotonic()
         self._took = 0.0  # s, by the last attempt
         self._late: tuple[float, float] | None = None  # aim of one that was given up [gray level], after how long [s]
