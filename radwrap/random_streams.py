@@ -45,6 +45,7 @@ class Rendering(IntEnum):
     WAVE_FAR = 34  # then the replicate
     INSTANTS = 35  # then the level
     POINTS_NOISE = 36
+    LEVEL_SHARES = 37
 
 
 @unique

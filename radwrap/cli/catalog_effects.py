@@ -47,7 +47,9 @@ def run(arguments: argparse.Namespace) -> int:
     from radwrap.imaging.output.assumed_values import assumed_ends, effects_of
     from radwrap.imaging.output.image_files import read_exposure
     from radwrap.imaging.output.run_manifest import read_run_manifest
-    from radwrap.imaging.relighting import assumptions_of_run
+    from radwrap.imaging.relight.basis import FOLDER
+    from radwrap.imaging.relight.relit import Basis
+    from radwrap.imaging.relighting import assumptions_of_run, basis_of, lights_of_levels
     from radwrap.imaging.response.sensor import gray_levels, image_of_levels
 
     folder: Path = arguments.render
@@ -57,7 +59,9 @@ def run(arguments: argparse.Namespace) -> int:
             raise InputError(f"is {what}, of which only the render's manifest says what it hangs on", where=str(folder))
     told = assumptions_of_run(known, arguments.scene_folder or folder)
     exposure = read_exposure(folder)
-    effects = [plain(one, named=False) for one in effects_of(told, exposure.values)]
+    basis = basis_of(folder) if (folder / FOLDER).is_dir() else None
+    lights = lights_of_levels(basis, told) if isinstance(basis, Basis) else {}
+    effects = [plain(one, named=False) for one in effects_of(told, exposure.values, lights)]
     if arguments.measure is not None:
         words = _words(arguments.measure)
         with tempfile.TemporaryDirectory() as place:
@@ -66,15 +70,26 @@ def run(arguments: argparse.Namespace) -> int:
             def measured(light: Any, sensor: Any) -> dict[str, float]:
                 seen = image_of_levels(gray_levels(light, sensor), sensor, exposure.provenance)
                 write_png(image, seen.codes)
-                return dict(_numbers(_measured(words, image)))
+                try:
+                    return dict(_numbers(_measured(words, image)))
+                except InputError as error:
+                    of, own = f"image of {folder}", str(image)
+                    what, where = error.what.replace(own, of), error.where.replace(own, of)
+                    raise InputError(what, where=where, remedy=error.remedy.replace(own, of)) from error
 
             before = measured(exposure.values, told.sensor)
-            for effect, (_, ends) in zip(effects, assumed_ends(told, exposure.values), strict=True):
+            for effect, (_, ends) in zip(effects, assumed_ends(told, exposure.values, lights), strict=True):
                 effect["measured"] = _changes(before, *(_or_why(measured, end.light, end.sensor) for end in ends))
+    # How several sources share the light was known while the image was rendered, and is in no file but a basis.
+    seen = {effect["key"] for effect in effects}
+    effects += [plain(one, named=False) for one in known.assumed_effects or () if one.key not in seen]
     if arguments.json:
         print(json_text({"schema_version": SCHEMA_VERSION, "assumed_effects": effects}), end="")
     else:
-        print("\n".join(_lines(effects)) or "no value that the scene takes is assumed with a range")
+        print(
+            "\n".join(_lines(effects, measure=arguments.measure is not None))
+            or "no value that the scene takes is assumed with a range"
+        )
     return 0
 
 
@@ -140,11 +155,13 @@ def _changes(before: Mapping[str, float], low: Any, high: Any) -> dict[str, Any]
     return found
 
 
-def _lines(effects: list[dict[str, Any]]) -> Iterator[str]:
+def _lines(effects: list[dict[str, Any]], *, measure: bool) -> Iterator[str]:
     for effect in effects:
         low, high = effect["mean_gray"]
         noise = "" if effect["noise"] is None else ", noise {:+.1%} to {:+.1%}".format(*effect["noise"])
         yield f"{effect['key']} from {effect['low']} to {effect['high']}: mean gray {low:+.3g} to {high:+.3g}{noise}"
+        if measure and "measured" not in effect:
+            yield "  cannot be measured: only a render with --basis keeps what each of several sources gives"
         for key, change in effect.get("measured", {}).items():
             if key == "cannot":
                 yield f"  cannot be measured: {'; '.join(change)}"

@@ -205,12 +205,26 @@ def effects_of_levels(
     shown : Shown
         The image.
     """
+    return effects_of(told, shown.image.radiant_exposure.values, lights_of_levels(basis, told, factors))
+
+
+def lights_of_levels(
+    basis: Basis, told: Assumptions, factors: NDArray[np.float64] | None = None
+) -> dict[str, NDArray[np.float64]]:
+    """Light of each source whose level is assumed, of a basis; arguments as `effects_of_levels`.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (rows, columns)
+        Name of a source -> its part of the exposure [J m^-2]; without factors, as it was rendered.
+    """
     parts: dict[str, NDArray[np.float64]] = {}
+    levels = np.ones(len(basis.sources)) if factors is None else factors
     for name in with_assumed_level(told):
         mine = np.array([source == name or source.startswith(f"{name}.") for source in basis.sources])
-        (alone,) = relit(basis, np.where(mine, factors, 0.0)[np.newaxis])
+        (alone,) = relit(basis, np.where(mine, levels, 0.0)[np.newaxis])
         parts[name] = alone.radiant_exposure.values
-    return effects_of(told, shown.image.radiant_exposure.values, parts)
+    return parts
 
 
 def run_in(folder: Path) -> RunManifest | None:

@@ -35,6 +35,7 @@ from radwrap.imaging.mosaicked import make_mosaic, refuse_for_mosaic
 from radwrap.imaging.optics.aperture import Layout
 from radwrap.imaging.optics.diffraction import light_of_all
 from radwrap.imaging.optics.view import PixelSampling, View
+from radwrap.imaging.output.assumed_values import level_shares
 from radwrap.imaging.output.folder import ALWAYS, is_whole, publish
 from radwrap.imaging.output.frame_files import write_frames
 from radwrap.imaging.output.identity import Identity, identity_of
@@ -405,7 +406,8 @@ def _trace(run: _Run) -> tuple[TracedRun, list[str]]:
         lights = (lambda: (light_of_all(scene, work.view),)) if orders else traced.lights
         waves = with_waves(scene, left, work, rays, finer, lights=lights, pace=pace)
         spread, magnification = _spread(run), _magnification(scene, view)
-        basis = _write_basis(run, work, waves.made, magnification, waves)
+        shares = level_shares(scene, traced.view_of, options.seed, complete=not traced.prepared.shining_files)
+        basis = _write_basis(run, work, magnification, waves)
     finally:
         run.progress.close()
     return TracedRun(
@@ -426,6 +428,7 @@ def _trace(run: _Run) -> tuple[TracedRun, list[str]]:
         blur_slope=waves.blur_slope,
         foretold=announcement.foretold,
         tolerance_asked=asked,
+        level_shares=shares,
     ), basis
 
 
@@ -446,11 +449,9 @@ def _made_to(scene: Scene, options: RenderOptions, work: Work, tolerance: float,
     return make(scene, replace(options, tolerance=tolerance), work, relit=relit)
 
 
-def _write_basis(
-    run: _Run, work: Work, made: Made, magnification: NDArray[np.float64] | None, waves: WithWaves
-) -> list[str]:
-    scene, identity, sources = run.scene, run.identity, run.identity.sources
-    if not sources or made.outcome is None:
+def _write_basis(run: _Run, work: Work, magnification: NDArray[np.float64] | None, waves: WithWaves) -> list[str]:
+    scene, identity, sources, outcome = run.scene, run.identity, run.identity.sources, waves.made.outcome
+    if not sources or outcome is None:
         return []
     views = run.traced.views_of(sources)
     told = {
@@ -464,7 +465,7 @@ def _write_basis(
         **({} if scene.tolerances is None else {"tolerances": plain(scene.tolerances)}),
     }
     return write_basis(
-        run.made, work, views, made.outcome, told, magnification=magnification, waves=waves.plan, lights=waves.lights
+        run.made, work, views, outcome, told, magnification=magnification, waves=waves.plan, lights=waves.lights
     )
 
 
@@ -473,8 +474,7 @@ def _spread(run: _Run) -> NDArray[np.float64] | None:
     tolerances = run.scene.tolerances
     if tolerances is None or not tolerances.each_source_radiance:
         return None
-    prepared = run.traced.prepared
-    names = run.identity.sources or shining(run.scene, prepared, "tolerances.each_source_radiance")
+    names = run.identity.sources or shining(run.scene, run.traced.prepared, "tolerances.each_source_radiance")
     return share_spread([run.traced.view_of(name) for name in names])
 
 

@@ -261,7 +261,8 @@ class LaidOutScene:
 
     def view_of(self, source: str) -> View:
         """The camera, with a tracer for the scene in the light of one source or LED; the others are black."""
-        return self._view(self._engine.tracer(self._in_band_of(source), {source}, name=f"source.{source}"))
+        names = next((_switched(one) for one in self.scene.sources if one.name == source), {source})
+        return self._view(self._engine.tracer(self._in_band_of(source), names, name=f"source.{source}"))
 
     def lights(self) -> tuple[Light, ...]:
         """The camera in the light of all sources of about one wavelength, for each such wavelength."""

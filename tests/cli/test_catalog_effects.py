@@ -102,3 +102,43 @@ def test_what_cannot_be_measured_is_refused(
 ) -> None:
     assert main(["catalog", "effects", str(rendered), "--measure", words]) == 2
     assert message in capsys.readouterr().err
+
+
+LIGHTS = [
+    SCENE["sources"][0] | {"name": "left", "count": 2, "position": ["-60 mm", "0 mm", "390 mm"]},
+    SCENE["sources"][0]
+    | {"name": "right", "count": 2, "position": ["80 mm", "0 mm", "390 mm"], "radiant_intensity": "20 mW/sr"},
+]
+
+
+@pytest.mark.parametrize("basis", [True, False])
+def test_a_level_of_several_is_measured_where_a_basis_keeps_its_light(
+    basis: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A mean without black level grows with the light: a tenth of left's part is left of it."""
+    out = tmp_path / "run"
+    scene = radwrap.scene_from_document(SCENE | {"sources": LIGHTS})
+    run = radwrap.render(scene, out, tolerance=40, basis=basis)
+    words = ("--measure", "region --region 0 0 31 23")
+    found = effects(out, capsys, *words)["sources[0].radiant_intensity"]
+    assert "sources[1].radiant_intensity" not in effects(out, capsys)
+    (told,) = (one for one in run.manifest["assumed_effects"] if one["key"] == "sources[0].radiant_intensity")
+    assert found["mean_gray"] == pytest.approx(told["mean_gray"], rel=0.03)
+    if basis:
+        alone = radwrap.relight(out, {"right": 0}).radiant_exposure.values.mean()
+        share = alone / run.radiant_exposure.values.mean()
+        assert 0.6 < share < 0.9
+        moved = found["measured"]["region.mean"]
+        assert moved["change"][0] == pytest.approx(-0.9 * share * (moved["value"] - 64), rel=0.01)
+    else:
+        assert "measured" not in found
+        assert main(["catalog", "effects", str(out), *words]) == 0
+        assert "cannot be measured: only a render with --basis keeps" in capsys.readouterr().out
+
+
+def test_no_message_names_the_picture_that_is_only_for_a_while(
+    rendered: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["catalog", "effects", str(rendered), "--measure", "dots --grid 5x5"]) == 2
+    told = capsys.readouterr().err
+    assert "gray.png" not in told and f"image of {rendered}: " in told

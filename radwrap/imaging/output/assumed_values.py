@@ -3,7 +3,7 @@
 Keys of components that are assumed and tell a range are looked at one by one,
 through the sensor model and without a ray: those of the sensor, the share of
 light that a lens lets through and its f-number, and the level of a scene's one
-source, or of those whose shares of the light are known. What changes the picture
+source, or of those whose shares of the light are known: `level_shares` finds them. What changes the picture
 itself is not: focal length, beams, sizes, the blur of another f-number.
 """
 
@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -20,14 +20,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
+from radwrap.imaging.methods.rays import sampled_radiance
+from radwrap.imaging.optics.view import View
 from radwrap.imaging.response.noise import noise_variance
 from radwrap.imaging.response.sensor import gray_levels
+from radwrap.random_streams import Rendering, generator
 from radwrap.scene.camera import Sensor
 from radwrap.scene.catalog.presets import Taken
 from radwrap.scene.file.load import BEHIND_THE_LIGHT, camera_with
 from radwrap.scene.scene import Scene
 
 _MOST_PIXELS: Final = 1 << 14  # evenly spread: means of more of them are hardly others
+_MOST_SHARED: Final = 1 << 12  # likewise, where each of them takes a ray for each source
 _NOTABLE_MEAN: Final = 0.01  # of the range of gray levels, from which on an image hangs on a value
 _NOTABLE_NOISE: Final = 0.1
 _SHOWN_GRAY: Final = 0.01
@@ -145,9 +149,78 @@ def effects_of(
     lights : Mapping of str to ndarray, optional
         Name of a source -> its share of the exposure; of a scene's only source all of it is.
     """
-    step = max(1, math.ceil(math.sqrt(exposure.size / _MOST_PIXELS)))
-    light = np.ascontiguousarray(exposure[::step, ::step])
-    parts = {name: np.ascontiguousarray(part[::step, ::step]) for name, part in (lights or {}).items()}
+    return _effects(told, _thinned(exposure), {name: _thinned(part) for name, part in (lights or {}).items()})
+
+
+def effects_by_shares(
+    told: Assumptions, exposure: NDArray[np.float64], shares: Mapping[str, NDArray[np.float64]]
+) -> tuple[AssumedEffect, ...]:
+    """As `effects_of`, of an image of whose light `level_shares` has found each source's share."""
+    if not shares:
+        return effects_of(told, exposure)
+    light = _thinned(exposure, _MOST_SHARED)
+    return _effects(told, light, {name: share * light for name, share in shares.items()})
+
+
+def level_shares(
+    scene: Scene, view_of: Callable[[str], View], seed: int, *, complete: bool = True
+) -> dict[str, NDArray[np.float64]]:
+    """Share of each source's light in the pixels that effects are found from, where that needs to be known.
+
+    By some thousand rays of direct light for each source, spread over these pixels and the opening, so that shadows
+    and blur are in it. It is needed where one of several sources has an assumed level with a range.
+
+    Parameters
+    ----------
+    scene : Scene
+        What is there.
+    view_of : callable
+        Name of a source -> the camera in its light alone.
+    seed : int
+        Of the rays.
+    complete : bool
+        Whether the scene's sources are all of the light; shares are not known where included files shine.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (rows, columns)
+        Name of a source whose level is assumed -> its share; where no light was met, that of the whole image.
+    """
+    names = [source.name for source in scene.sources]
+    asked = with_assumed_level(Assumptions.of(scene)) if complete and len(names) > 1 else ()
+    if not asked:
+        return {}
+    sensor = scene.camera.sensor
+    step = _step(sensor.pixels, _MOST_SHARED)
+    rows, columns = np.arange(0, sensor.rows, step), np.arange(0, sensor.columns, step)
+    v, u = (axis.ravel().astype(float) for axis in np.meshgrid(rows, columns, indexing="ij"))
+    number = max(1, _MOST_SHARED // u.size)
+    lights = {}
+    for name in names:  # the same rays for each
+        traced = sampled_radiance(view_of(name), u, v, number, generator(seed, Rendering.LEVEL_SHARES))
+        lights[name] = traced.mean(axis=-1).reshape(len(rows), len(columns))
+    total: NDArray[np.float64] = np.sum(list(lights.values()), axis=0)
+    whole = float(total.sum())
+    return {
+        name: np.divide(
+            lights[name], total, out=np.full_like(total, lights[name].sum() / whole if whole else 0.0), where=total > 0
+        )
+        for name in asked
+    }
+
+
+def _step(pixels: int, most: int) -> int:
+    return max(1, math.ceil(math.sqrt(pixels / most)))
+
+
+def _thinned(values: NDArray[np.float64], most: int = _MOST_PIXELS) -> NDArray[np.float64]:
+    step = _step(values.size, most)
+    return np.ascontiguousarray(values[::step, ::step])
+
+
+def _effects(
+    told: Assumptions, light: NDArray[np.float64], parts: Mapping[str, NDArray[np.float64]]
+) -> tuple[AssumedEffect, ...]:
     before = _image(told.sensor, light)
     return tuple(_effect(told.sensor, before, key, ends) for key, ends in assumed_ends(told, light, parts))
 

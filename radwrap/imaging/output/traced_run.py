@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from radwrap.imaging.banding import Banding
 from radwrap.imaging.forecast.cost import Foretold
 from radwrap.imaging.forecast.effects import Effect, warnings_of_left_out
 from radwrap.imaging.mean_radiance import Made
-from radwrap.imaging.output.assumed_values import assumed_effects, warnings_of_assumed
+from radwrap.imaging.output.assumed_values import Assumptions, effects_by_shares, warnings_of_assumed
 from radwrap.imaging.output.identity import Identity
 from radwrap.imaging.output.image_files import ImageSummary
 from radwrap.imaging.output.run_manifest import (
@@ -65,6 +65,8 @@ class TracedRun:
         What was said of the run's time before it was carried out, where that is long.
     tolerance_asked : ToleranceAsked, optional
         The tolerance as it was asked for, where that is not in gray levels.
+    level_shares : Mapping of str to ndarray
+        Share of the light of each of several sources whose level is assumed; see `assumed_values`.
     """
 
     scene: Scene
@@ -84,6 +86,7 @@ class TracedRun:
     blur_slope: NDArray[np.float64] | None = None
     foretold: Foretold | None = None
     tolerance_asked: ToleranceAsked | None = None
+    level_shares: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -101,7 +104,8 @@ class TracedRun:
         """All that is known, with the hashes of the files that were written."""
         used, options = self.made.used, self.options
         outcome, certificate = self.made.outcome, self.made.certificate
-        effects = assumed_effects(self.scene, self.made.radiance * self.exposure_of_radiance)
+        exposure = self.made.radiance * self.exposure_of_radiance
+        effects = effects_by_shares(Assumptions.of(self.scene), exposure, self.level_shares)
         return RunManifest(
             scene_sha256=self.identity.scene_sha256,
             run_sha256=self.identity.run_sha256,

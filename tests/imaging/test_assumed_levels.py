@@ -1,0 +1,74 @@
+"""What an image in the light of several sources hangs on: each assumed level moves it by its own light."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import radwrap
+from radwrap.imaging.response.sensor import gray_levels
+from radwrap.scene.file.load import scene_from_document
+
+RING = {"type": "ring", "count": 2, "preset": "generic_ring_60mm_16led", "look_at": ["0 mm", "0 mm", "0 mm"]}
+LEVEL = 50.0  # of an LED of that ring [mW sr^-1]
+SCENE: dict[str, Any] = {
+    "camera": {
+        "position": ["0 mm", "0 mm", "400 mm"],
+        "look_at": ["0 mm", "0 mm", "0 mm"],
+        "focal_length": "12.5 mm",
+        "exposure_time": "900 ms",
+        "diffraction": "off",
+        "aperture": {"diameter": "0.5 mm"},
+        "sensor": {
+            **{"preset": "sony_imx250.lucid_atlas", "rows": 16, "columns": 20},
+            **{"pixel_width": "40 um", "pixel_height": "40 um", "full_well": "1000 ke", "system_gain": "0.003 DN/e"},
+        },
+    },
+    "sources": [
+        RING | {"name": "left", "position": ["-60 mm", "0 mm", "300 mm"]},
+        RING | {"name": "right", "position": ["80 mm", "0 mm", "300 mm"], "radiant_intensity": "20 mW/sr"},
+        RING | {"name": "far", "position": ["0 mm", "90 mm", "350 mm"]},
+    ],
+    "materials": {"grey": {"type": "lambertian", "reflectance": 0.3}},
+    "targets": [
+        {"type": "sheet", "name": "sheet", "material": "grey", "size": ["300 mm", "300 mm"]},
+        # Casts the left ring's shadow over half of what is seen: shares without shadows are others.
+        {
+            "type": "sheet",
+            "name": "screen",
+            "material": "grey",
+            "size": ["60 mm", "60 mm"],
+            "position": ["-45 mm", "0 mm", "150 mm"],
+        },
+    ],
+}
+
+
+def rendered(document: dict[str, Any], out: Path, **options: Any) -> radwrap.Rendered:
+    return radwrap.render(scene_from_document(document), out, tolerance=20, seed=3, **options)
+
+
+def effects_in(run: radwrap.Rendered) -> dict[str, tuple[float, float]]:
+    return {one["key"]: tuple(one["mean_gray"]) for one in run.manifest.get("assumed_effects", ())}
+
+
+def mean_with(document: dict[str, Any], number: int, factor: float, out: Path) -> float:
+    """Mean gray level of a render with another level of one source."""
+    sources = [dict(one) for one in document["sources"]]
+    sources[number]["radiant_intensity"] = f"{LEVEL * factor:.9g} mW/sr"
+    made = rendered(document | {"sources": sources}, out)
+    return float(gray_levels(made.radiant_exposure.values, made.scene.camera.sensor).mean())
+
+
+def test_each_level_of_several_moves_a_render_by_its_own_light(tmp_path: Path) -> None:
+    """Against renders with that level at the ends of its range; their rays are others than the shares'."""
+    effects = effects_in(run := rendered(SCENE, tmp_path / "run"))
+    before = float(gray_levels(run.radiant_exposure.values, run.scene.camera.sensor).mean())
+    for number in (0,):  # in part hidden
+        ends = effects[f"sources[{number}].radiant_intensity"]
+        truth = [mean_with(SCENE, number, factor, tmp_path / f"{number}_{factor}") - before for factor in (0.1, 10)]
+        assert truth[0] < -2 < 20 < truth[1]
+        assert ends == pytest.approx(truth, rel=0.03)
+    assert "sources[1].radiant_intensity" not in effects, "the user said it"
