@@ -72,3 +72,12 @@ def test_each_level_of_several_moves_a_render_by_its_own_light(tmp_path: Path) -
         assert truth[0] < -2 < 20 < truth[1]
         assert ends == pytest.approx(truth, rel=0.03)
     assert "sources[1].radiant_intensity" not in effects, "the user said it"
+
+
+def test_a_dark_source_has_no_share(tmp_path: Path) -> None:
+    """All light is the left ring's: its level moves the mean like the whole image's."""
+    left, right, _ = SCENE["sources"]
+    run = rendered(SCENE | {"sources": [left, right | {"radiant_intensity": "0 mW/sr"}]}, tmp_path / "run")
+    sensor = run.scene.camera.sensor
+    before, tenth = (float(gray_levels(factor * run.radiant_exposure.values, sensor).mean()) for factor in (1.0, 0.1))
+    assert effects_in(run)["sources[0].radiant_intensity"][0] == pytest.approx(tenth - before, rel=1e-6)

@@ -29,6 +29,7 @@ from radwrap.scene.camera import Sensor
 from radwrap.scene.catalog.presets import Taken
 from radwrap.scene.file.load import BEHIND_THE_LIGHT, camera_with
 from radwrap.scene.scene import Scene
+from radwrap.scene.sources import emitters
 
 _MOST_PIXELS: Final = 1 << 14  # evenly spread: means of more of them are hardly others
 _MOST_SHARED: Final = 1 << 12  # likewise, where each of them takes a ray for each source
@@ -186,8 +187,9 @@ def level_shares(
     dict of str to ndarray, shape (rows, columns)
         Name of a source whose level is assumed -> its share; where no light was met, that of the whole image.
     """
-    names = [source.name for source in scene.sources]
-    asked = with_assumed_level(Assumptions.of(scene)) if complete and len(names) > 1 else ()
+    bright = [one.name for one in scene.sources if any(emitter.radiance > 0 for emitter in emitters(one))]
+    asked = with_assumed_level(Assumptions.of(scene)) if complete and len(scene.sources) > 1 else ()
+    asked = tuple(name for name in asked if name in bright)  # nothing changes what is dark
     if not asked:
         return {}
     sensor = scene.camera.sensor
@@ -196,7 +198,7 @@ def level_shares(
     v, u = (axis.ravel().astype(float) for axis in np.meshgrid(rows, columns, indexing="ij"))
     number = max(1, _MOST_SHARED // u.size)
     lights = {}
-    for name in names:  # the same rays for each
+    for name in bright:  # the same rays for each
         traced = sampled_radiance(view_of(name), u, v, number, generator(seed, Rendering.LEVEL_SHARES))
         lights[name] = traced.mean(axis=-1).reshape(len(rows), len(columns))
     total: NDArray[np.float64] = np.sum(list(lights.values()), axis=0)
