@@ -36,7 +36,7 @@ def add_to(kinds: argparse._SubParsersAction[Any]) -> None:
         metavar="WORDS",
         help='what to measure, as words of `radwrap measure` without the image, such as "edge --dark 22"',
     )
-    parser.add_argument("--scene-folder", metavar="DIR", type=Path, help="where files lie that the scene names")
+    shared.add_scene_folder(parser, "where files lie that the scene names")
     shared.add_json(parser)
     parser.set_defaults(run=run)
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+from radwrap.cli import options as shared
 from radwrap.errors import InputError
 from radwrap.files import make_folder, write_bytes
 from radwrap.progress import note
@@ -29,8 +31,9 @@ _FIRST_EXPOSURE: Final = 1e-3  # of the coarse picture; exposure grows with it [
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """What a scene may be put together from."""
-    parser.add_argument("--camera", metavar="NAME", help="a sensor of the catalog, see `radwrap catalog list sensors`")
-    parser.add_argument("--lens", metavar="NAME", help="a lens of the catalog")
+    once = partial(parser.add_argument, action=shared.Once)
+    once("--camera", metavar="NAME", help="a sensor of the catalog, see `radwrap catalog list sensors`")
+    once("--lens", metavar="NAME", help="a lens of the catalog")
     parser.add_argument(
         "--light",
         metavar="NAME=LEVEL",
@@ -38,9 +41,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help='a light, LED or lamp of the catalog, such as generic_ring_90mm_24led="50 mW/sr"; without a level that of '
         "its file is assumed; may be repeated",
     )
-    parser.add_argument("--filter", metavar="NAME", help="a filter of the catalog, before the lens; not needed")
-    parser.add_argument("--part", metavar="FILE", help="mesh of the part, which the camera looks at along -z")
-    parser.add_argument("--length-unit", metavar="UNIT", help='what a length of 1 in the mesh is, such as "mm"')
+    once("--filter", metavar="NAME", help="a filter of the catalog, before the lens; not needed")
+    once("--part", metavar="FILE", help="mesh of the part, which the camera looks at along -z")
+    once("--length-unit", metavar="UNIT", help='what a length of 1 in the mesh is, such as "mm"')
 
 
 def is_asked(arguments: argparse.Namespace) -> bool:

@@ -200,6 +200,29 @@ def file_to_write(
     return path
 
 
+class Once(argparse.Action):
+    """An option that is refused where it is given twice, as the first of two values would be lost without a word."""
+
+    def __call__(
+        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, option: str | None = None
+    ) -> None:
+        """Keep the value."""
+        if getattr(namespace, self.dest) is not None:
+            raise argparse.ArgumentError(self, "is given twice")
+        setattr(namespace, self.dest, values)
+
+
+def add_scene_folder(parser: argparse.ArgumentParser, help: str) -> None:
+    """--scene-folder, a folder that is there."""
+    parser.add_argument("--scene-folder", metavar="DIR", type=_folder, help=help)
+
+
+def _folder(text: str) -> Path:
+    if not Path(text).is_dir():
+        raise ArgumentTypeError(f'no such folder "{text}"')
+    return Path(text)
+
+
 def add_json(parser: argparse.ArgumentParser) -> None:
     """--json."""
     parser.add_argument("--json", action="store_true", help="machine-readable result on stdout")

@@ -60,10 +60,8 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
         help='change the exposure time or a key of the sensor, such as --set camera.exposure_time="64 ms", with the '
         "error measured again; may be repeated",
     )
-    parser.add_argument(
-        "--scene-folder",
-        metavar="DIR",
-        help="folder of the scene file; needed with --set where its camera names a data sheet or a calibration",
+    shared.add_scene_folder(
+        parser, "folder of the scene file; needed with --set where its camera names a data sheet or a calibration"
     )
     parser.add_argument("--out", metavar="DIR", required=True, help="folder for the images and relight.json")
     parser.add_argument("--exposure", action="store_true", help="also write radiant exposures, as NAME.exr [J/m^2]")
@@ -77,7 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError("goes without --levels", where="--level", remedy="give one of the two")
     folder = Path(arguments.basis)
     changes = shared.changes_of(arguments.overrides)
-    basis = basis_of(folder, changes, None if arguments.scene_folder is None else Path(arguments.scene_folder))
+    basis = basis_of(folder, changes, arguments.scene_folder)
     if arguments.levels:
         levels = read_levels(Path(arguments.levels), basis.sources, basis.dark)
     else:
@@ -90,8 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
     make_folder(out)
     with sole_owner(out):
         run = _run_of(Path(arguments.basis), basis)
-        place = None if arguments.scene_folder is None else Path(arguments.scene_folder)
-        assumed = assumptions_of(folder, basis, changes, place)
+        assumed = assumptions_of(folder, basis, changes, arguments.scene_folder)
         result = _write(out, basis, levels, changes, run, assumed=assumed, with_exposure=arguments.exposure)
     failed = [name for name, image in result["images"].items() if not image["met"]]
     if arguments.json:

@@ -20,6 +20,7 @@ from radwrap.dataset.symmetries import Symmetry, check_symmetry, told_symmetries
 from radwrap.dataset.tables import (
     BOP,
     COCO,
+    CONTINUOUS,
     DISTRIBUTIONS,
     MOST_COPIES,
     YOLO,
@@ -218,7 +219,7 @@ def _symmetries(told: DatasetModel, scene: Scene, origin: str) -> tuple[Symmetry
         if not 0 < length < math.inf:
             raise InputError("needs a length above zero", where=f"{where}.axis")
         x, y, z = (part / length for part in table.axis)
-        fold = None if table.fold == "continuous" else table.fold
+        fold = None if table.fold == CONTINUOUS else table.fold
         one = Symmetry(table.target, (x, y, z), table.through, fold, where)
         check_symmetry(one, meshes[table.target])
         found.append(one)

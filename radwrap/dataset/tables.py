@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from radwrap.scene.file.border import Direction, Flag, Model, Name, Point, default, exactly_one
 
 MOST_IMAGES: Final = 1_000_000
 MOST_COPIES: Final = 1000  # of one target in one image
 _MOST_FOLD: Final = 360
+CONTINUOUS: Final = "continuous"  # of a symmetry: any angle
 _LARGEST_SEED: Final = 2**32 - 1
 
 Text = Annotated[str, Field(strict=True, min_length=1)]
@@ -58,7 +59,14 @@ class SymmetryModel(Model):
     target: Name
     axis: Direction
     through: Point = default(("0 mm", "0 mm", "0 mm"))
-    fold: Annotated[int, Field(strict=True, ge=2, le=_MOST_FOLD)] | Literal["continuous"]
+    fold: Any
+
+    @field_validator("fold")
+    @classmethod
+    def _turns(cls, value: Any) -> int | str:
+        if value == CONTINUOUS or (type(value) is int and 2 <= value <= _MOST_FOLD):
+            return value  # type: ignore[no-any-return]
+        raise ValueError(f'must be a whole number from 2 to {_MOST_FOLD}, or "{CONTINUOUS}", not {value!r}')
 
 
 class DatasetModel(Model):

@@ -41,8 +41,8 @@ def number_of(value: Any, where: str, low: float, high: float, *, whole: bool) -
     return int(found)
 
 
-def choice_of(value: Any, where: str, choices: Sequence[str]) -> str:
-    """One of some names.
+def choice_of(value: Any, where: str, choices: Sequence[str], *, otherwise: str = "") -> str:
+    """One of some names; `otherwise` is what else the message says that it may be.
 
     Raises
     ------
@@ -51,7 +51,7 @@ def choice_of(value: Any, where: str, choices: Sequence[str]) -> str:
     """
     if not isinstance(value, str) or value not in choices:
         known = ", ".join(f'"{name}"' for name in choices)
-        raise InputError(f"must be one of {known}, not {value!r}", where=where)
+        raise InputError(f"must be one of {known}{otherwise}, not {value!r}", where=where)
     return value
 
 

@@ -227,7 +227,7 @@ def _checked(name: str, value: Any) -> Any:
     if name == "tolerance" and isinstance(value, str):
         return str(asked_tolerance(value))
     if name in _NAMES and not (name in _WHOLE and not isinstance(value, str)):
-        return choice_of(value, name, _NAMES[name])
+        return choice_of(value, name, _NAMES[name], otherwise=" or a whole number" if name in _WHOLE else "")
     if name in _WHOLE:
         return number_of(value, name, *_WHOLE[name], whole=True)
     if name in _REAL:

@@ -170,9 +170,9 @@ class DaskPool:
     Raises
     ------
     InputError
-        If nobody listens at the address.
+        If the address is none.
     EnvironmentFailure
-        If Dask is not installed, whoever listens is no scheduler, or no worker is fit.
+        If Dask is not installed, nobody listens at the address, whoever listens is no scheduler, or no worker is fit.
     """
 
     def __init__(
@@ -191,7 +191,7 @@ class DaskPool:
         try:
             self._client = Client(address, timeout="10 s", set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
-            raise InputError(f"no scheduler at {address}", where="dask", remedy="start one: dask scheduler") from error
+            raise _nobody(address) from error
         self._address = address
         self._seal = seal_of(folder, radiance, packages)
         self._executors: list[Executor] = []
@@ -302,6 +302,10 @@ def _sealed(seal: Seal, work: Callable[[Any], Any], job: Any) -> Any:
     return work(job)
 
 
+def _nobody(address: str) -> EnvironmentFailure:
+    return EnvironmentFailure("no scheduler is there", where=f"dask={address}", remedy="start one: dask scheduler")
+
+
 def _check_scheduler(address: str) -> None:
     """Refuse an address where nobody listens or answers, before Dask tries for long and speaks of it in many lines."""
     import asyncio  # takes 0.06 s, and other pools need none of it
@@ -314,14 +318,14 @@ def _check_scheduler(address: str) -> None:
     if host is None or port is None:
         raise InputError(f'"{address}" is not an address', where="dask", remedy='write "tcp://HOST:8786"')
     silence = EnvironmentFailure(
-        f"no answer from {address} within {_GRACE:g} s", where="dask", remedy="see whether it is a scheduler"
+        f"no answer from {address} within {_GRACE:g} s", where=f"dask={address}", remedy="see whether it is a scheduler"
     )
     try:
         socket.create_connection((host, port), _GRACE).close()
     except TimeoutError as error:
         raise silence from error
     except OSError as error:
-        raise InputError(f"no scheduler at {address}", where="dask", remedy="start one: dask scheduler") from error
+        raise _nobody(address) from error
     try:
         kind = asyncio.run(asyncio.wait_for(_kind_of(address), _GRACE))
     except TimeoutError as error:
@@ -329,7 +333,7 @@ def _check_scheduler(address: str) -> None:
     except Exception as error:  # another kind of server may say anything, and Dask trips over it anyhow
         raise EnvironmentFailure(
             f"no Dask scheduler answers at {address}: {one_line(str(error))}",
-            where="dask",
+            where=f"dask={address}",
             remedy="see whether it is a scheduler",
         ) from error
     if kind != "Scheduler":

@@ -142,3 +142,12 @@ def test_no_message_names_the_picture_that_is_only_for_a_while(
     assert main(["catalog", "effects", str(rendered), "--measure", "dots --grid 5x5"]) == 2
     told = capsys.readouterr().err
     assert "gray.png" not in told and f"image of {rendered}: " in told
+
+
+@pytest.mark.parametrize("words", [("catalog", "effects", "DIR"), ("relight", "DIR", "--out", "out")])
+def test_a_scene_folder_that_is_none_is_refused(
+    words: tuple[str, ...], rendered: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = [str(rendered) if word == "DIR" else word for word in words]
+    assert main([*given, "--scene-folder", "nix"]) == 2
+    assert '--scene-folder: no such folder "nix"' in capsys.readouterr().err

@@ -179,6 +179,12 @@ def test_a_filter_that_cannot_be_is_refused(
     assert message in capsys.readouterr().err and not (tmp_path / "new").exists()
 
 
+def test_a_filter_given_twice_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    twice = ("--filter", "midopt_bp635", "--filter", "midopt_bp525")
+    assert main(words_of_a_filter(tmp_path / "new", "osram_latb_t686_617nm", *twice)) == 2
+    assert "--filter: is given twice" in capsys.readouterr().err
+
+
 def test_a_filter_goes_with_a_camera(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["init", str(tmp_path / "new"), "--filter", "midopt_bp635"]) == 2
     assert "--filter: goes with --camera" in capsys.readouterr().err

@@ -28,8 +28,9 @@ def test_an_address_of_nobody_is_refused(
 ) -> None:
     path = dataset_file(TEXT.format(images=2))
     words = ["dataset", "run", str(path), "--out", str(tmp_path / "out"), "--dask", "tcp://127.0.0.1:1"]
-    assert main(words) == 2
-    assert "no scheduler at tcp://127.0.0.1:1" in capsys.readouterr().err
+    assert main(words) == 4
+    assert "--dask tcp://127.0.0.1:1: no scheduler is there" in capsys.readouterr().err
+    assert main([*words[:-1], "nonsense"]) == 2
     with pytest.raises(InputError, match="the cluster has its own workers"):
         run.RunOptions(workers=2, dask="tcp://127.0.0.1:1")
 

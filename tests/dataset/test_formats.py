@@ -183,7 +183,9 @@ def test_cubes_have_24_turns_and_axes_beside_the_origin_move() -> None:
         ("axis = [1, 0, 0]", "axis = [0, 0, 0]", r"symmetries\[1\].axis: needs a length above zero"),
         ('formats = ["bop"]', 'formats = ["coco"]', 'symmetries\\[0\\]: is of the format "bop"'),
         ('target = "block"\naxis = [1', 'target = "table"\naxis = [1', 'no mesh part "table"'),
-        ("fold = 2", "fold = 1", "fold"),
+        ("fold = 2", "fold = 1", 'fold: must be a whole number from 2 to 360, or "continuous", not 1'),
+        ("fold = 2", "fold = 2.5", 'fold: must be a whole number from 2 to 360, or "continuous", not 2.5'),
+        ("fold = 2", "fold = true", 'fold: must be a whole number from 2 to 360, or "continuous", not True'),
     ],
 )
 def test_what_is_no_symmetry_is_refused(old: str, new: str, message: str, dataset_file: Write) -> None:

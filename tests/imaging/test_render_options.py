@@ -66,3 +66,8 @@ def test_files_that_would_be_lost_are_not_made(change: dict[str, Any]) -> None:
     folder = Path(radwrap.__file__).parents[1] / "rad_scenes" / "bench_board"
     with pytest.raises(InputError, match="would be lost"):
         radwrap.render(radwrap.load_scene(folder / "scene.toml"), **change)
+
+
+def test_what_bounces_may_be_besides_a_word_is_told() -> None:
+    with pytest.raises(InputError, match='must be one of "all", "auto" or a whole number, not \'foo\''):
+        RenderOptions(bounces="foo")  # type: ignore[arg-type]

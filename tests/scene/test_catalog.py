@@ -200,6 +200,8 @@ def test_the_same_filter_by_a_table_of_the_scene(tmp_path: Path) -> None:
     [
         ({"preset": "midopt_bp635", "file": "x.csv"}, "camera.filter: needs exactly one of file and transmissions"),
         ({}, "camera.filter: needs exactly one of file and transmissions"),
+        # The wrong entry is the one fault: without it the table is too short, which says nothing more.
+        ({"transmissions": [["400 nm", 50], ["500 nm", 0.5]]}, r"transmissions\[0\]\[1\]: must be at most 1, not 50$"),
         ({"transmissions": [["650 nm", 0.1], ["640 nm", 0.2]]}, "camera.filter: transmissions: wavelengths must"),
         ({"transmissions": [["600 nm", 0.1], ["700 nm", 1.2]]}, "must be at most 1"),
         ({"preset": "midopt_bp636"}, 'camera.filter.preset: no filter "midopt_bp636"; did you mean'),

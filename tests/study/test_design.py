@@ -273,12 +273,17 @@ def test_a_folder_of_another_study_is_refused(design: DesignWriter, capsys: pyte
     assert (out / "results.csv").read_text() == "mine\n1\n"
 
 
-@pytest.mark.parametrize("address", ["nonsense", "tcp://127.0.0.1:1", "tcp://nowhere.invalid:8786", "tcp://[::1"])
+@pytest.mark.parametrize(
+    ("address", "code"),
+    [("nonsense", 2), ("tcp://[::1", 2), ("tcp://127.0.0.1:1", 4), ("tcp://nowhere.invalid:8786", 4)],
+)
 def test_a_scheduler_that_is_not_there_is_told(
-    design: DesignWriter, capsys: pytest.CaptureFixture[str], address: str
+    design: DesignWriter, capsys: pytest.CaptureFixture[str], address: str, code: int
 ) -> None:
+    """What is no address is a wrong option; where nobody listens the address may be right."""
     path = design(SMALL)
-    assert "--dask" in here(["study", "run", path, "--out", path.parent / "out", "--dask", address], capsys).refusal(2)
+    told = here(["study", "run", path, "--out", path.parent / "out", "--dask", address], capsys)
+    assert "--dask" in told.refusal(code)
 
 
 def test_a_server_that_says_nothing_is_no_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

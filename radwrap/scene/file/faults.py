@@ -133,6 +133,14 @@ def fault(error: ValidationError, origin: str, document: Mapping[str, Any], shap
         The model of the whole.
     """
     details = error.errors(include_url=False)
+    # An entry that is wrong is not counted, so that its array may seem too short.
+    wrong = [detail["loc"] for detail in details]
+    details = [
+        detail
+        for detail in details
+        if detail["type"] != "too_short"
+        or not any(len(loc) > len(detail["loc"]) and loc[: len(detail["loc"])] == detail["loc"] for loc in wrong)
+    ]
     # An unknown key often explains the missing one beside it, so it is told first.
     details.sort(key=lambda detail: detail["type"] != "extra_forbidden")
     first = details[0]
