@@ -159,8 +159,8 @@ def same(shard: Path, other: Path) -> dict[str, Any]:
             continue
         images += 1
         names = [f"records/{record.name}", *json.loads(record.read_text())["files"]]
-        label = f"labels/{record.stem}.txt"  # written once the shard is whole
-        names += [label] if (shard / label).exists() else []
+        label = f"labels/{record.stem}.txt"  # written once a shard is whole
+        names += [label] if (shard / label).exists() and (other / label).exists() else []
         files += len(names)
         differ += [name for name in names if (shard / name).read_bytes() != (other / name).read_bytes()]
     return {"images": images, "files": files, "differ": differ}
