@@ -245,12 +245,7 @@ def _options(arguments: argparse.Namespace) -> RenderOptions:
 
 def _bounces(text: str) -> Any:
     """A number, or a word that `RenderOptions` knows."""
-    if text.isdecimal() and len(text) < 10:
-        return int(text)
-    if text not in ("all", "auto"):
-        remedy = 'write how many reflections, or "all" or "auto"'
-        raise InputError(f'"{text}" is not a number', where="--bounces", remedy=remedy)
-    return text
+    return int(text) if text.isdecimal() and len(text) < 10 else text
 
 
 def _budget(text: str | None) -> dict[str, Any]:
