@@ -17,10 +17,11 @@ from radwrap.dataset.symmetries import Symmetry, told_symmetries
 from radwrap.errors import InputError
 from radwrap.files import make_folder, write_bytes
 from radwrap.manifest import json_text
-from radwrap.scene.camera import Camera
+from radwrap.scene.camera import Camera, Sensor
 from radwrap.scene.targets import MeshPart
 
 MODELS: Final = "models"
+CAMERA: Final = "camera.json"
 _MM: Final = 1e3
 _POSE: Final = ("cam_R_m2c", "cam_t_m2c", "obj_id")
 _SEEN: Final = ("bbox_obj", "bbox_visib", "px_count_all", "px_count_valid", "px_count_visib", "visib_fract")
@@ -52,6 +53,14 @@ def scene_files(records: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, Any
         poses[str(number)] = [{key: one[key] for key in _POSE} for one in record["objects"]]
         shares[str(number)] = [_seen(one) for one in record["objects"]]
     return {"scene_camera.json": cameras, "scene_gt.json": poses, "scene_gt_info.json": shares}
+
+
+def camera_file(record: Mapping[str, Any], sensor: Sensor) -> dict[str, float]:
+    """camera.json of a dataset, for simulations of its camera: that of an image, by its record."""
+    camera = record["camera"]
+    fx, _, cx, _, fy, cy, *_ = camera["cam_K"]
+    size = {"width": sensor.columns, "height": sensor.rows}
+    return {"fx": fx, "fy": fy, "cx": cx, "cy": cy, **size, "depth_scale": camera["depth_scale"]}
 
 
 def _seen(one: Mapping[str, Any]) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from radwrap.dataset.bop import MODELS, scene_files, write_models
+from radwrap.dataset.bop import CAMERA, MODELS, camera_file, scene_files, write_models
 from radwrap.dataset.coco import COCO_FILE, coco_file
 from radwrap.dataset.collisions import OVERLAPS
 from radwrap.dataset.document import Dataset
@@ -160,7 +160,8 @@ def _take_possession(dataset: Dataset, out: Path, options: RunOptions) -> dict[s
         # Its dataset.json goes last, so that one who is killed here may go on.
         for folder in (TRAIN, MODELS):
             shutil.rmtree(out / folder, ignore_errors=True)
-        (out / DATA).unlink(missing_ok=True)
+        for name in (DATA, CAMERA):
+            (out / name).unlink(missing_ok=True)
     else:
         for folder in (TRAIN, MODELS):
             if (out / folder).exists():
@@ -282,6 +283,8 @@ def _write_roots(dataset: Dataset, out: Path) -> None:
         base = scene_from_document(dataset.document, origin=dataset.scene_origin, folder=dataset.folder)
         parts = (target for target in base.targets if isinstance(target, MeshPart))
         write_models(out, parts, dataset.symmetries)
+        first = read_manifest(Place.of(out, dataset, 0).record)
+        write_bytes(out / CAMERA, json_text(camera_file(first, base.camera.sensor)).encode())
     if YOLO in dataset.formats:
         shards = range(-(-dataset.images // dataset.shard))
         folders = [f"{TRAIN}/{number:06d}/{dataset.gray_folder}" for number in shards]

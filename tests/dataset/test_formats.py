@@ -63,6 +63,9 @@ def test_poses_are_opencv_s_and_masks_are_where_they_project(
     camera, poses = read(shard / "scene_camera.json")["0"], read(shard / "scene_gt.json")["0"]
     shares = read(shard / "scene_gt_info.json")["0"]
     matrix = np.reshape(camera["cam_K"], (3, 3))
+    whole = read(out / "camera.json")
+    assert [[whole["fx"], 0, whole["cx"]], [0, whole["fy"], whole["cy"]], [0, 0, 1]] == matrix.tolist()
+    assert (whole["width"], whole["height"], whole["depth_scale"]) == (48, 40, camera["depth_scale"])
     model = trimesh.load(out / "models" / "obj_000001.ply", process=False)
     depth = cv2.imread(str(shard / "depth" / "000000.png"), cv2.IMREAD_UNCHANGED)
     assert depth is not None and depth.dtype == np.uint16
