@@ -75,7 +75,8 @@ def run(arguments: argparse.Namespace) -> int:
                 except InputError as error:
                     of, own = f"image of {folder}", str(image)
                     what, where = error.what.replace(own, of), error.where.replace(own, of)
-                    raise InputError(what, where=where, remedy=error.remedy.replace(own, of)) from error
+                    remedy, _, _ = error.remedy.partition(f"; see {image.parent}")  # which is gone by then
+                    raise InputError(what, where=where, remedy=remedy.replace(own, of)) from error
 
             before = measured(exposure.values, told.sensor)
             for effect, (_, ends) in zip(effects, assumed_ends(told, exposure.values, lights), strict=True):
@@ -109,10 +110,12 @@ def _measured(words: list[str], image: Path) -> Any:
 
     parser = argparse.ArgumentParser(prog="--measure", exit_on_error=False)
     measure.add_to(parser.add_subparsers(required=True))
+    # Where dots are missing, the picture of what was found goes as the image does.
+    picture = ["--overlay", str(image.with_suffix(".dots.png"))] if words[0] == "dots" else []
     heard = io.StringIO()
     try:
         with contextlib.redirect_stderr(heard):
-            parsed = parser.parse_args(["measure", words[0], str(image), *words[1:], "--json"])
+            parsed = parser.parse_args(["measure", words[0], str(image), *picture, *words[1:], "--json"])
     except (argparse.ArgumentError, SystemExit) as error:
         said = str(error) if isinstance(error, argparse.ArgumentError) else heard.getvalue().strip()
         raise InputError(said.rpartition("error: ")[2], where="--measure", remedy="see `radwrap measure`") from error

@@ -137,11 +137,13 @@ def test_a_level_of_several_is_measured_where_a_basis_keeps_its_light(
 
 
 def test_no_message_names_the_picture_that_is_only_for_a_while(
-    rendered: Path, capsys: pytest.CaptureFixture[str]
+    rendered: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.chdir(tmp_path)
     assert main(["catalog", "effects", str(rendered), "--measure", "dots --grid 5x5"]) == 2
     told = capsys.readouterr().err
-    assert "gray.png" not in told and f"image of {rendered}: " in told
+    assert "gray" not in told.replace(str(rendered), "") and f"image of {rendered}: " in told and "; see" not in told
+    assert not list(tmp_path.iterdir()), "nor is a picture of what was found left where the command runs"
 
 
 @pytest.mark.parametrize("words", [("catalog", "effects", "DIR"), ("relight", "DIR", "--out", "out")])
