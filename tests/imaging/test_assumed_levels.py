@@ -10,40 +10,17 @@ import pytest
 import radwrap
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.scene.file.load import scene_from_document
+from tests.imaging.three_rings import three_rings
 
-RING = {"type": "ring", "count": 2, "preset": "generic_ring_60mm_16led", "look_at": ["0 mm", "0 mm", "0 mm"]}
-LEVEL = 50.0  # of an LED of that ring [mW sr^-1]
-SCENE: dict[str, Any] = {
-    "camera": {
-        "position": ["0 mm", "0 mm", "400 mm"],
-        "look_at": ["0 mm", "0 mm", "0 mm"],
-        "focal_length": "12.5 mm",
-        "exposure_time": "900 ms",
-        "diffraction": "off",
-        "aperture": {"diameter": "0.5 mm"},
-        "sensor": {
-            **{"preset": "sony_imx250.lucid_atlas", "rows": 16, "columns": 20},
-            **{"pixel_width": "40 um", "pixel_height": "40 um", "full_well": "1000 ke", "system_gain": "0.003 DN/e"},
-        },
-    },
-    "sources": [
-        RING | {"name": "left", "position": ["-60 mm", "0 mm", "300 mm"]},
-        RING | {"name": "right", "position": ["80 mm", "0 mm", "300 mm"], "radiant_intensity": "20 mW/sr"},
-        RING | {"name": "far", "position": ["0 mm", "90 mm", "350 mm"]},
-    ],
-    "materials": {"grey": {"type": "lambertian", "reflectance": 0.3}},
-    "targets": [
-        {"type": "sheet", "name": "sheet", "material": "grey", "size": ["300 mm", "300 mm"]},
-        # Casts the left ring's shadow over half of what is seen: shares without shadows are others.
-        {
-            "type": "sheet",
-            "name": "screen",
-            "material": "grey",
-            "size": ["60 mm", "60 mm"],
-            "position": ["-45 mm", "0 mm", "150 mm"],
-        },
-    ],
-}
+LEVEL = 50.0  # of an LED of these rings [mW sr^-1]
+SCENE: dict[str, Any] = three_rings(16, 20, "900 ms", count=2)
+# Casts the left ring's shadow over half of what is seen: shares without shadows are others.
+SCENE["targets"].append(
+    {
+        **{"type": "sheet", "name": "screen", "material": "grey", "size": ["60 mm", "60 mm"]},
+        "position": ["-45 mm", "0 mm", "150 mm"],
+    }
+)
 
 
 def rendered(document: dict[str, Any], out: Path, **options: Any) -> radwrap.Rendered:

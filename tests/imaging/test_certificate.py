@@ -389,15 +389,20 @@ def test_what_comes_after_a_kernel_that_fails_keeps_the_budget_too(tmp_path: Pat
     assert outcome.record.rays < 2e6
 
 
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    """By which the forecast says that all can be afforded, but rays take longer than the survey's did."""
+    found = Clock(Planes(((1.0, disc),)))
+    monkeypatch.setattr("radwrap.imaging.tolerance.pace.time", found)
+    monkeypatch.setattr("radwrap.tracers.timed.time", found)
+    monkeypatch.setattr("radwrap.imaging.tolerance.pace.Pace.rays", lambda *_: math.inf)
+    return found
+
+
 @pytest.mark.parametrize(("method", "tolerance"), [pytest.param("rays", 0.1, marks=pytest.mark.long), ("kernel", 0.02)])
 def test_the_first_image_is_given_up_too_and_the_coarsest_made(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, method: Literal["rays", "kernel"], tolerance: float
+    tmp_path: Path, clock: Clock, method: Literal["rays", "kernel"], tolerance: float
 ) -> None:
-    """Where the forecast says that all can be afforded, but rays take longer than the survey's did."""
-    clock = Clock(Planes(((1.0, disc),)))
-    monkeypatch.setattr("radwrap.imaging.tolerance.pace.time", clock)
-    monkeypatch.setattr("radwrap.tracers.timed.time", clock)
-    monkeypatch.setattr("radwrap.imaging.tolerance.pace.Pace.rays", lambda *_: math.inf)
     seen = replace(view(ROUND, (1.0, disc)), tracer=clock)
     dear = search(seen, tmp_path / "dear", Demand(tolerance, method=method)).record.rays
     clock.seconds = 0.0
@@ -408,14 +413,8 @@ def test_the_first_image_is_given_up_too_and_the_coarsest_made(
     assert outcome.record.attempts[0].aim_gray < 1e4
 
 
-def test_after_an_attempt_that_took_too_long_the_time_left_is_used(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_after_an_attempt_that_took_too_long_the_time_left_is_used(tmp_path: Path, clock: Clock) -> None:
     """Rays to .1 take 79 s; of 24 s the first attempt loses 12. In 8 s others find .3, and .23 in what is left."""
-    clock = Clock(Planes(((1.0, disc),)))
-    monkeypatch.setattr("radwrap.imaging.tolerance.pace.time", clock)
-    monkeypatch.setattr("radwrap.tracers.timed.time", clock)
-    monkeypatch.setattr("radwrap.imaging.tolerance.pace.Pace.rays", lambda *_: math.inf)
     seen = replace(view(ROUND, (1.0, disc)), tracer=clock)
     outcome = search(seen, tmp_path, Demand(0.1, method="rays", budget=Budget(seconds=24.0)))
     assert outcome.record.given_up == "out of time" and clock.seconds < 24 + 1e-5 * RAYS_AT_ONCE

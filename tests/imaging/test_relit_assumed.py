@@ -14,29 +14,9 @@ from radwrap.cli.main import main
 from radwrap.errors import InputError
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.scene.file.load import scene_from_document, with_changes
+from tests.imaging.three_rings import three_rings
 
-RING = {"type": "ring", "preset": "generic_ring_60mm_16led", "look_at": ["0 mm", "0 mm", "0 mm"]}
-SCENE: dict[str, Any] = {
-    "camera": {
-        "position": ["0 mm", "0 mm", "400 mm"],
-        "look_at": ["0 mm", "0 mm", "0 mm"],
-        "focal_length": "12.5 mm",
-        "exposure_time": "200 ms",
-        "diffraction": "off",
-        "aperture": {"diameter": "0.5 mm"},
-        "sensor": {
-            **{"preset": "sony_imx250.lucid_atlas", "rows": 10, "columns": 12},
-            **{"pixel_width": "40 um", "pixel_height": "40 um", "full_well": "1000 ke", "system_gain": "0.003 DN/e"},
-        },
-    },
-    "sources": [
-        RING | {"name": "left", "position": ["-60 mm", "0 mm", "300 mm"]},
-        RING | {"name": "right", "position": ["80 mm", "0 mm", "300 mm"], "radiant_intensity": "20 mW/sr"},
-        RING | {"name": "far", "position": ["0 mm", "90 mm", "350 mm"]},
-    ],
-    "materials": {"grey": {"type": "lambertian", "reflectance": 0.3}},
-    "targets": [{"type": "sheet", "name": "sheet", "material": "grey", "size": ["300 mm", "300 mm"]}],
-}
+SCENE: dict[str, Any] = three_rings(10, 12, "200 ms")
 
 
 def test_each_assumed_level_moves_a_relit_image_by_its_own_light(
