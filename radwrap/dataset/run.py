@@ -42,6 +42,8 @@ from radwrap.study.pool import WORKER_TIMEOUT, DaskPool, LocalPool, Pool, check_
 
 DATASET: Final = "dataset.json"
 MANIFEST: Final = "manifest.json"
+# What a dataset has beside its dataset.json: somebody else's is neither written over nor removed.
+_WRITTEN: Final = {TRAIN: "folder", MODELS: "folder", DATA: "file", CAMERA: "file"}
 _AHEAD: Final = 2  # jobs in the pool's hands for each worker
 _LOOK: Final = 1.0  # s for which an interrupt may wait at most
 # What decides images besides radwrap's own needs: which parts cross, and where rays meet them.
@@ -158,15 +160,16 @@ def _take_possession(dataset: Dataset, out: Path, options: RunOptions) -> dict[s
                 remedy="choose another `out`, or remove it by `force`",
             )
         # Its dataset.json goes last, so that one who is killed here may go on.
-        for folder in (TRAIN, MODELS):
-            shutil.rmtree(out / folder, ignore_errors=True)
-        for name in (DATA, CAMERA):
-            (out / name).unlink(missing_ok=True)
+        for name, kind in _WRITTEN.items():
+            if kind == "folder":
+                shutil.rmtree(out / name, ignore_errors=True)
+            else:
+                (out / name).unlink(missing_ok=True)
     else:
-        for folder in (TRAIN, MODELS):
-            if (out / folder).exists():
+        for name, kind in _WRITTEN.items():
+            if (out / name).exists():
                 raise InputError(
-                    f'holds a folder "{folder}" that no dataset wrote', where=str(out), remedy="choose another `out`"
+                    f'holds a {kind} "{name}" that no dataset wrote', where=str(out), remedy="choose another `out`"
                 )
     write_manifest(out / DATASET, told)
     return told

@@ -63,9 +63,10 @@ class SymmetryModel(Model):
 
     @field_validator("fold")
     @classmethod
-    def _turns(cls, value: Any) -> int | str:
+    def _turns(cls, value: Any) -> Any:
+        # Of a union of types the message would name each by itself.
         if value == CONTINUOUS or (type(value) is int and 2 <= value <= _MOST_FOLD):
-            return value  # type: ignore[no-any-return]
+            return value
         raise ValueError(f'must be a whole number from 2 to {_MOST_FOLD}, or "{CONTINUOUS}", not {value!r}')
 
 

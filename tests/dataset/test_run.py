@@ -195,6 +195,11 @@ def test_a_dataset_is_whole_goes_on_and_agrees_with_itself(
     assert main(["dataset", "run", str(other), "--out", str(tmp_path / "own"), "--force"]) == 2
     assert 'holds a folder "train" that no dataset wrote' in capsys.readouterr().err
     assert (tmp_path / "own" / "train" / "mine.txt").read_text() == "mine"
+    (tmp_path / "calibrated").mkdir()
+    (tmp_path / "calibrated" / "camera.json").write_text("mine")
+    assert main(["dataset", "run", str(other), "--out", str(tmp_path / "calibrated"), "--force"]) == 2
+    assert 'holds a file "camera.json" that no dataset wrote' in capsys.readouterr().err
+    assert (tmp_path / "calibrated" / "camera.json").read_text() == "mine"
 
 
 LINEAR = (

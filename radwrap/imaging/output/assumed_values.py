@@ -187,8 +187,10 @@ def level_shares(
     dict of str to ndarray, shape (rows, columns)
         Name of a source whose level is assumed -> its share; where no light was met, that of the whole image.
     """
-    bright = [one.name for one in scene.sources if any(emitter.radiance > 0 for emitter in emitters(one))]
     asked = with_assumed_level(Assumptions.of(scene)) if complete and len(scene.sources) > 1 else ()
+    if not asked:
+        return {}
+    bright = [one.name for one in scene.sources if any(emitter.radiance > 0 for emitter in emitters(one))]
     asked = tuple(name for name in asked if name in bright)  # nothing changes what is dark
     if not asked:
         return {}
