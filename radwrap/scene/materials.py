@@ -131,7 +131,7 @@ class Anisotropic:
 
 @dataclass(frozen=True, slots=True)
 class Mirror:
-    """A flat mirror: sources are seen and light in it; its back is black.
+    """A flat mirror: sources are seen in it, and shine by it; its back is black.
 
     Attributes
     ----------

@@ -254,7 +254,7 @@ class CoaxialModel(WideModel):
     diameter: Size
     """Diameter of the lamp."""
     distance: Size
-    """How much longer the lamp's way to the target is than the camera's."""
+    """How much longer the way from the lamp to the target is than that from the pinhole to the target."""
     splitter_reflectance: Share = 0.5
     """Share of the light that the splitter reflects, 0 to 1."""
     splitter_transmittance: Share = 0.5
