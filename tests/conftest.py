@@ -11,12 +11,17 @@ import pytest
 # These take longest. They are begun first, so that no process is left with one of them while the others have nothing
 # to do; those that mostly wait stand beside those that mostly compute.
 FIRST = (
-    *("study/test_study_run", "study/test_tolerate", "measure/test_dots", "cli/test_resume", "study/test_sampled"),
-    *("imaging/test_certificate", "cli/test_signals", "imaging/test_synthesis", "cli/test_bad_machine"),
-    *("test_invariance", "study/test_cluster", "led/test_led_cli", "imaging/test_basis", "led/test_ring"),
-    *("replication/test_replication", "physics/test_extremes", "physics/test_edge_model", "physics/test_preview"),
-    *("cli/test_cli", "cli/test_determinism", "tracers/test_bouncing", "physics/test_aperture_field"),
-    *("calibrate/test_response", "measure/test_edges", "study/test_shared_dots", "cli/test_hostile_files"),
+    *("study/test_study_run", "measure/test_gauges", "measure/test_dots", "face/test_life", "cli/test_cli"),
+    *("imaging/test_warm", "cli/test_resume", "measure/test_edges", "imaging/test_in_time", "cli/test_signals"),
+    *("imaging/test_hybrid", "imaging/test_certificate", "cli/test_bad_machine", "designing/test_design"),
+    *("test_public", "face/test_ray_knobs", "test_architecture", "imaging/test_basis", "led/test_led_cli"),
+    *("physics/test_extremes", "test_invariance", "led/test_ring", "measure/test_emva", "imaging/test_forecast"),
+    *("face/test_coarse", "measure/test_parts", "imaging/test_wave_image", "face/test_measuring"),
+    *("study/test_user_function", "imaging/test_synthesis", "face/test_ring", "study/test_sampled"),
+    *("imaging/test_in_sight", "cli/test_relight", "cli/test_hostile_input", "fitting/test_from_afar"),
+    *("physics/test_wide_sources", "cli/test_trade_cli", "cli/test_hostile_files", "fitting/test_series"),
+    *("cli/test_determinism", "imaging/test_many_waves", "physics/test_aperture_field", "docs_site/test_lessons"),
+    *("study/test_shared_dots", "study/test_crosscheck", "imaging/test_kernel", "face/test_photo"),
 )
 
 

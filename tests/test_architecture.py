@@ -252,6 +252,12 @@ def parsed(path: Path) -> ast.Module:
     return ast.parse(path.read_text("utf-8"))
 
 
+@cache
+def nodes(path: Path) -> tuple[ast.AST, ...]:
+    """All that stands in a module, walked once for all tests."""
+    return tuple(ast.walk(parsed(path)))
+
+
 def modules() -> list[Path]:
     return sorted(PACKAGE.rglob("*.py"))
 
@@ -276,7 +282,7 @@ def folder_of(path: Path) -> str:
 def imports(path: Path) -> frozenset[str]:
     """What a module imports, anywhere in it: in functions and for type checkers as well."""
     found = set()
-    for node in ast.walk(parsed(path)):
+    for node in nodes(path):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -400,9 +406,8 @@ def test_each_foreign_package_has_one_door() -> None:
 
 def spelled(path: Path) -> Iterator[str]:
     """Strings that name options of the command line; docstrings are for people."""
-    tree = parsed(path)
-    told = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
-    for node in ast.walk(tree):
+    told = {id(node.value) for node in nodes(path) if isinstance(node, ast.Expr)}
+    for node in nodes(path):
         text = node.value if isinstance(node, ast.Constant) and id(node) not in told else None
         if isinstance(text, str) and OPTION.search(text):
             yield text
@@ -450,7 +455,7 @@ def test_nobody_else_makes_generators() -> None:
     makers = {
         path.relative_to(PACKAGE).as_posix()
         for path in modules()
-        for node in ast.walk(parsed(path))
+        for node in nodes(path)
         if isinstance(node, ast.Call) and getattr(node.func, "attr", "") in {"default_rng", "RandomState", "PCG64"}
     }
     assert makers == {"random_streams.py"}

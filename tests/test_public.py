@@ -22,7 +22,16 @@ def test_help_lists_every_public_name() -> None:
         assert f"{name}(" in text or f"class {name}" in text, name
 
 
-@pytest.mark.parametrize("name", ["", "Rendered", *FUNCTIONS])
+# What they show has short tests of its own; the examples take two seconds each.
+SLOW = ("fit", "design")
+EXAMPLES = [
+    "",
+    "Rendered",
+    *(name if name not in SLOW else pytest.param(name, marks=pytest.mark.long) for name in FUNCTIONS),
+]
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
 def test_the_example_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     if name != "render":  # one is traced as users' is; the compiled tracer, loaded here once, takes a fifth of the time

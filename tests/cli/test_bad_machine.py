@@ -98,6 +98,7 @@ FAKES = [
         ("rtrace", "silent for 0.8 s"),
         "sleep 600 & sleep 601 & cat > /dev/null; wait",
         slow=True,
+        long=True,
     ),
     Fake("rtrace hangs after its answer", ("rtrace",), f"{ANSWER}; exec sleep 600", slow=True, long=True),
     Fake(
@@ -107,7 +108,7 @@ FAKES = [
         slow=True,
         long=True,
     ),
-    Fake("rtrace leaves a child behind", ("rtrace",), f"{ANSWER}; sleep 600 & exit 0", slow=True),
+    Fake("rtrace leaves a child behind", ("rtrace",), f"{ANSWER}; sleep 600 & exit 0", slow=True, long=True),
     Fake("rtrace goes into the background", ("rtrace",), "setsid sleep 600 & exit 0", slow=True, long=True),
     Fake(
         "rtrace answers from the background",
@@ -245,10 +246,10 @@ def test_too_little_address_space_is_told(size: int, tmp_path: Path) -> None:
     assert run("--version", preexec_fn=limit).code == 0
 
 
-def test_many_workers_are_no_more_than_the_work(tmp_path: Path) -> None:
+def test_many_workers_are_no_more_than_the_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["render", write_scene(tmp_path), "--out", tmp_path / "out", "--workers"]
-    run(*words, 1024).success()
-    assert "between 1 and 1024" in run(*words, 4096).refusal(2)
+    here([*words, 1024], capsys).success()
+    assert "between 1 and 1024" in here([*words, 4096], capsys).refusal(2)
 
 
 # --------------------------------------------------------------------------------------------- The disk is full

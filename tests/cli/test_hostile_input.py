@@ -321,7 +321,7 @@ def test_bad_input_is_refused_in_one_line(case: Case, tmp_path: Path, capsys: py
     assert children() == []
 
 
-@pytest.mark.parametrize("chosen", [45, pytest.param(15, marks=pytest.mark.long)])
+@pytest.mark.parametrize("chosen", [90, pytest.param(15, marks=pytest.mark.long)])
 def test_the_command_itself_refuses_in_the_same_words(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], chosen: int
 ) -> None:

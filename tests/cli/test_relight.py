@@ -256,6 +256,7 @@ def test_a_dark_source_has_no_factor(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert 'the source "second" is dark in the scene' in line
 
 
+@pytest.mark.long
 def test_a_killed_basis_goes_on_where_it_was(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene = write_scene(tmp_path, {**SLOWER, **TWO})
     how = ["--basis", "--method", "kernel", "--tolerance", 0.5, "--workers", 1]

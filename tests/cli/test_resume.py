@@ -221,9 +221,8 @@ def test_killed_at_every_rename_and_while_merging(tmp_path: Path, chosen: list[t
     assert [name for name in files_in(tmp_path) if ".part" in name or "/.work/" in name] == []
 
 
-@pytest.mark.parametrize(
-    ("removed", "renamed"), [((), (7, 11)), pytest.param((1,), (7, 10, 11, 12, 13), marks=pytest.mark.long)]
-)
+@pytest.mark.long
+@pytest.mark.parametrize(("removed", "renamed"), [((), (7, 11)), ((1,), (7, 10, 11, 12, 13))])
 def test_killed_while_replacing_another_result(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], removed: tuple[int, ...], renamed: tuple[int, ...]
 ) -> None:

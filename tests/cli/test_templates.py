@@ -44,9 +44,8 @@ def test_a_template_renders_as_it_is(name: str, tmp_path: Path, capsys: pytest.C
     assert gray.max() < full
 
 
-@pytest.mark.parametrize(
-    ("name", "inside"), [("ring", "bright"), pytest.param("backlight", "dark", marks=pytest.mark.long)]
-)
+@pytest.mark.long
+@pytest.mark.parametrize(("name", "inside"), [("ring", "bright"), ("backlight", "dark")])
 def test_its_part_can_be_measured(name: str, inside: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     here(["init", tmp_path / "it", "--template", name], capsys).success()
     path, out = tmp_path / "it" / "scene.toml", tmp_path / "out"

@@ -67,6 +67,7 @@ def test_a_trade_writes_all_it_promises_and_goes_on(tmp_path: Path, capsys: pyte
     assert again["reference"] == numbers["reference"]
 
 
+@pytest.mark.long
 def test_other_seeds_do_not_use_what_is_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """An infinitesimal pinhole has no sub-viewpoints; another seed draws other rays; people read lines."""
     scene = write_scene(tmp_path, {"camera.aperture.diameter": "0 mm", "camera.aperture.exposure_diameter": "0.4 mm"})

@@ -200,6 +200,7 @@ def test_a_client_that_does_not_read_holds_little(tmp_path: Path) -> None:
         assert process.memory_info().rss - before < 6 * 15e6
 
 
+@pytest.mark.long
 def test_the_light_of_a_turn_is_traced_anew(tmp_path: Path) -> None:
     with serving(tmp_path) as served:
         first = served.ready()

@@ -133,6 +133,7 @@ def test_of_many_turns_the_last_one_counts(session: Session) -> None:
     assert session.renderer_pid == renderer  # it stayed warm
 
 
+@pytest.mark.long
 def test_a_trace_that_was_stopped_goes_on_with_its_values(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
     show = session._show
 

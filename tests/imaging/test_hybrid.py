@@ -320,6 +320,7 @@ def stripes(x: Array, y: Array) -> Array:
     return np.where(np.sin(4e3 * y) > 0, 1.0, 0.2)
 
 
+@pytest.mark.long
 def test_what_the_survey_missed_is_corrected_too(tmp_path: Path) -> None:
     """The kernel's certificate tells, and then pilot pairs look at all pixels."""
     seen = view(Aperture("round", 2e-4), (0.5, wire), (1.0, stripes))
@@ -368,6 +369,7 @@ def dear(tmp_path_factory: pytest.TempPathFactory) -> int:
     return search(behind_an_edge(), tmp_path_factory.mktemp("dear"), Demand(0.15)).record.rays
 
 
+@pytest.mark.long
 def test_a_budget_of_rays_is_kept(tmp_path: Path, dear: int) -> None:
     budget, seen = dear // 2, behind_an_edge()
     outcome = search(seen, tmp_path / "tight", Demand(0.15, method="hybrid", budget=Budget(rays=budget)))

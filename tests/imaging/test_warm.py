@@ -91,7 +91,8 @@ def test_a_changed_scene_gives_the_bytes_of_a_cold_one(name: str, live: radwrap.
     assert_same(live.render(CHANGES[name]), radwrap.render(board(**CHANGES[name]), options=OPTIONS))
 
 
-@pytest.mark.parametrize("tolerance", [20.0, pytest.param(4.0, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("tolerance", [20.0, 4.0])
 def test_radiance_gives_the_same_bytes_too(tolerance: float) -> None:
     options = radwrap.RenderOptions(tracer="radiance", tolerance=tolerance)
     with radwrap.warm(board(), options) as live:

@@ -357,6 +357,7 @@ def test_a_ring_that_may_look_like_another_is_refused_or_right() -> None:
     assert refused >= 1
 
 
+@pytest.mark.long
 def test_a_thin_ring_in_a_plane_is_round_there() -> None:
     """A pixel is 0.1 mm along u, and rows are 1.2 of that apart: in pixel widths and in the plane it is a circle."""
 

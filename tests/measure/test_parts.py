@@ -196,6 +196,7 @@ def sigmas_hold(pulls: dict[str, list[float]]) -> None:
         assert 0.25 < square < 1 + 3.5 * math.sqrt(2 / len(values)), (key, square)
 
 
+@pytest.mark.long
 def test_standard_errors_cover_what_a_few_placements_do() -> None:
     """Eight placements of each of three shapes, 24 pulls of each number.
 

@@ -119,6 +119,7 @@ def test_frames_are_raw_too(red: Study) -> None:
     assert 0.57 * quarter < found < 1.47 * quarter
 
 
+@pytest.mark.long
 def test_its_error_is_carried_through_the_interpolation(tmp_path: Path) -> None:
     path = written(tmp_path, "red", render="tolerance = 20.0")
     study = carried_out(path)

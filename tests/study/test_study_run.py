@@ -134,6 +134,7 @@ def _orphans() -> list[str]:
     return [" ".join(words) for words in found if words and words[0].startswith(ours) and "spawn_main" in str(words)]
 
 
+@pytest.mark.long
 def test_a_killed_worker_costs_nothing_that_was_finished(tmp_path: Path, good: bytes, runs: int) -> None:
     path, out = several(tmp_path, runs), tmp_path / "out"
     with start(["study", "run", path, "--out", out, "--workers", "2", "--no-report", "--json"]) as process:

@@ -217,7 +217,8 @@ def under_a_baffle() -> Scene:
     return radwrap.scene_from_document(document)
 
 
-@pytest.mark.parametrize("scene", [tent, pytest.param(under_a_baffle, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("scene", [tent, under_a_baffle])
 def test_the_certificate_holds_the_noise_of_walks(scene: Callable[[], Scene]) -> None:
     """Two images of other rays differ by it; a plan keeps the tolerance with hardly more rays than it needs."""
     asked = 12.0
