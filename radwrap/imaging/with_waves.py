@@ -235,7 +235,8 @@ def foreseen_waves(scene: Scene, options: RenderOptions, work: Work, replicates:
     found = diffraction_left_out(scene, work.view, options.seed, options.gray_tolerance, _FEWEST)
     if asked == "auto" and not found.needed:
         return None
-    waves = _Waves(scene, options, work, (light_of_all(scene, work.view),), found.rms_gray, _seen(_look(work), work))
+    seen = 0.0 if options.sampling is not None else _seen(_look(work), work)  # it decides nothing of such images
+    waves = _Waves(scene, options, work, (light_of_all(scene, work.view),), found.rms_gray, seen)
     left = math.sqrt(1 - _USUAL**2) * options.gray_tolerance
     try:
         plan = waves.plan(_AIM * left, _OF_CELLS * left)
