@@ -24,7 +24,7 @@ from radwrap.imaging.tolerance.kept_replicates import read_replicates
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.sampling import Pilot, strictest
 from radwrap.imaging.tolerance.wave_far import far_change, far_light
-from radwrap.imaging.tolerance.wave_parts import Transforms, wave_cells, wave_parts, wave_tile
+from radwrap.imaging.tolerance.wave_parts import Transforms, lit_layers, wave_cells, wave_parts, wave_tile
 from radwrap.imaging.tolerance.wave_plan import WavePlan, plan_waves
 from radwrap.imaging.tracing import LaidOutScene, laid_out
 from radwrap.imaging.with_waves import even_wave_cell
@@ -70,6 +70,13 @@ def changes_of(view: View, of_all: View, plan: WavePlan, *, sources: int, alone:
         )
         found[:, r0:r1, c0:c1] = [change for change, _ in traced]
     return found + [far_change(plan, around)[0] for around in far_light(view, plan, 0, int)]
+
+
+def test_layers_without_light_are_left_out() -> None:
+    """Rounding leaves something of a flat face in the layer beside its own; a dark tile still has a layer."""
+    light = [np.full((2, 3), level) for level in (5.0, 5e-12, 0.0, -3.0)]
+    assert lit_layers(light) == [0, 3]
+    assert lit_layers([np.zeros((2, 3))] * 3) == [0]
 
 
 @pytest.mark.long

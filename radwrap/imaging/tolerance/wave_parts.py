@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -37,6 +37,7 @@ Part = tuple[slice, slice]  # rows and columns
 # edge it can be all of it and more, which is not held.
 OF_HIDING: Final = 0.25
 _MOST_KEPT: Final = 1 << 24  # numbers of transforms that are kept, 256 MiB
+_NO_LIGHT: Final = 1e-9  # of the brightest layer: what rounding leaves of a flat face in the layer beside its own
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,9 +95,10 @@ def wave_parts(
         counted += rays
         progress(rays)
 
+    transforms = Transforms()
     for tile, (r0, r1, c0, c1) in enumerate(plan.kernel.tiles):
         check()
-        decided, transforms = wave_cells(view, plan, tile, count), Transforms()
+        decided = wave_cells(view, plan, tile, count)
         for replicate, (lit, of_light) in itertools.product(range(replicates), plans):
             traced = wave_tile(lit, [of_light], (tile, replicate), decided, count, transforms=transforms, of_all=of_all)
             for found, of_cells in traced:
@@ -142,7 +144,7 @@ def wave_tile(
     progress : callable
         Is told how many rays were traced.
     transforms : Transforms
-        Of the tile.
+        Of the image's plan, or of the tile.
     of_all : View, optional
         In the light of all, where the view has that of one: its depths are those that count.
 
@@ -187,29 +189,40 @@ def wave_tile(
 
 
 class Transforms:
-    """Transforms of what waves do to the light of each layer of a tile.
+    """Transforms of what waves do to the light of each layer.
 
-    All replicates share them, sources of one wavelength do, and light that is laid out in two ways.
+    Tiles of one size share them, all replicates do, sources of one wavelength, and light that is laid out in two ways.
     """
 
     def __init__(self) -> None:
         self._left = _MOST_KEPT
-        self._kept: dict[tuple[Any, ...], list[Complex]] = {}
+        self._kept: dict[tuple[Any, ...], Complex] = {}
 
     def of(
-        self, weights: WaveWeights, cell: float, shape: tuple[int, int], phase: tuple[int, int], place: Place
-    ) -> Iterable[Complex]:
+        self,
+        weights: WaveWeights,
+        cell: float,
+        shape: tuple[int, int],
+        phase: tuple[int, int],
+        place: Place,
+        *,
+        layer: int,
+    ) -> Complex:
         """As `WaveWeights.laid_out`."""
-        key = (id(weights), cell, shape, phase, place)
+        key = (id(weights), cell, shape, phase, place, layer)
         if key in self._kept:
             return self._kept[key]
-        size = len(weights.kernel.layers) * shape[0] * (shape[1] // 2 + 1)
-        made = weights.laid_out(cell, shape, phase, place)
-        if size > self._left:
-            return made
-        self._left -= size
-        self._kept[key] = list(made)
-        return self._kept[key]
+        made = weights.laid_out(cell, shape, phase, place, layer)
+        if made.size <= self._left:
+            self._left -= made.size
+            self._kept[key] = made
+        return made
+
+
+def lit_layers(light: Sequence[Array]) -> list[int]:
+    """Numbers of the layers that have light, one at least: most tiles show one or two depths of a scene."""
+    brightest = [float(np.abs(one).max()) for one in light]
+    return [number for number, most in enumerate(brightest) if most > _NO_LIGHT * max(brightest)] or [0]
 
 
 def _gathered(
@@ -225,20 +238,21 @@ def _gathered(
     weights = plan.weights
     found, of_coarser = np.zeros((2, place[1] - place[0], place[3] - place[2]))
     phases = [(row, column) for row, column in np.ndindex(max(1, round(cell)), max(1, round(cell)))]
+    layers = lit_layers(light)
     whole = (slice(0, light[0].shape[0]), slice(0, light[0].shape[1]))
     spectra, part = list[Complex](), (slice(0, 0), slice(0, 0))
     for of_field, share, coarser in weights.lens_field.shares(place):
         reach = np.max([weights.near(cell, phase, of_field)[0].shape for phase in phases], axis=0) // 2
         cells = _around(share + coarser, central, cell, place, reach)
         # Light has to be transformed anew for a part of it.
-        if (len(light) + 1) * _number(cells) >= _number(whole):
+        if (len(layers) + 1) * _number(cells) >= _number(whole):
             cells = whole
         size = cells[0].stop - cells[0].start, cells[1].stop - cells[1].start
         shape = fast_length(size[0]), fast_length(size[1])
         if cells != part:
-            spectra, part = [np.fft.rfft2(one[cells], shape) for one in light], cells
+            spectra, part = [np.fft.rfft2(light[layer][cells], shape) for layer in layers], cells
         for phase in phases:
-            at_phase = transforms.of(weights, cell, shape, phase, of_field)
+            at_phase = (transforms.of(weights, cell, shape, phase, of_field, layer=layer) for layer in layers)
             field = np.fft.irfft2(
                 sum(spectrum * np.conj(each) for spectrum, each in zip(spectra, at_phase, strict=True)), shape
             )

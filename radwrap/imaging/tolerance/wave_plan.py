@@ -99,11 +99,13 @@ class WaveWeights:
                 found[cell, phase, image].append(self.of_layer(layer, cell, phase, image, passes))
         return found
 
-    def laid_out(self, cell: float, shape: tuple[int, int], phase: tuple[int, int], place: Place) -> Iterator[Complex]:
-        """Their transforms in a field of a shape, of each layer."""
-        for near in self.near(cell, phase, place):
-            corner = (-(near.shape[0] // 2), -(near.shape[1] // 2))
-            yield np.fft.rfft2(laid_out(Footprint(corner, near), shape))
+    def laid_out(
+        self, cell: float, shape: tuple[int, int], phase: tuple[int, int], place: Place, layer: int
+    ) -> Complex:
+        """Their transform in a field of a shape, of the layer of a number."""
+        near = self.near(cell, phase, place)[layer]
+        corner = (-(near.shape[0] // 2), -(near.shape[1] // 2))
+        return np.fft.rfft2(laid_out(Footprint(corner, near), shape))
 
     @property
     def share(self) -> float:
