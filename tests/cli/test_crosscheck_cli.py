@@ -57,6 +57,7 @@ def colour_scene(folder: Path) -> Path:
     return path
 
 
+@pytest.mark.long
 @needs_povray
 def test_a_colour_camera_is_compared_colour_by_colour(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Of one wavelength all colours differ alike: that with most light is compared, as a camera with its filter is."""

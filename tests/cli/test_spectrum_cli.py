@@ -205,6 +205,7 @@ def test_what_knows_one_band_refuses_two_by_name(folder: Path, capsys: pytest.Ca
     assert (folder / "out.rad").exists()
 
 
+@pytest.mark.long
 def test_a_basis_of_colours_relights_as_a_render_does(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Each source keeps its own reflectances: half of one lamp, none of the other."""
     scene, out, relit = str(folder / "scene.toml"), folder / "run", folder / "relit"

@@ -142,6 +142,7 @@ def test_where_it_cannot_be_traced_the_picture_comes_all_the_same(
     assert only.coarse is None and only.replaces == 0 and session.status.state == "ready"
 
 
+@pytest.mark.long
 def test_it_stays_where_the_trace_is_stopped(worth_it: None, tmp_path: Path) -> None:
     """What it shows can be turned, not kept; a trace that is begun again needs no coarse picture."""
     del worth_it
@@ -175,6 +176,7 @@ def test_it_stays_where_the_trace_is_stopped(worth_it: None, tmp_path: Path) -> 
         session.close()
 
 
+@pytest.mark.long
 def test_a_stop_between_its_trace_and_the_next_is_not_lost(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
     read = session._read
 

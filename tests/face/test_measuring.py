@@ -42,6 +42,7 @@ def read(traced: Traced, level: float, **knobs: str) -> Mapping[str, Measured]:
     return {one.name: one for one in measured(with_camera(traced.scene, image.changes), image.relit)}
 
 
+@pytest.mark.long
 def test_dots_are_where_the_scene_has_them(bench: Traced) -> None:
     """Within what the picture's error may move them; the focal length that they give is the camera's."""
     found = read(bench, 1.0)

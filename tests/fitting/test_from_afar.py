@@ -206,6 +206,7 @@ def test_a_fit_begins_where_the_way_leads(bench: Scene, monkeypatch: pytest.Monk
     assert steps[0] == steps[1] and steps[0][0] != TRIED
 
 
+@pytest.mark.long
 def test_where_the_way_leads_astray_the_users_beginning_stands(bench: Scene, basis: Basis) -> None:
     """A glow beside the spot, which the scene does not have, draws what is blurred."""
     prediction = _prediction(bench, basis, _spot, grain=False)

@@ -54,6 +54,7 @@ def _solved(prediction: Prediction, scene: Scene, truth: list[float], free: list
     return solve(keys, prediction, captures, None, robust=False)
 
 
+@pytest.mark.long
 def test_what_each_state_knows_adds_up(bench: Scene, basis: Basis) -> None:
     free, truth = [LEVELS, OFFSET], [1.2, 0.8, 1.1, 6.0]
     together = _solved(_prediction(bench, basis, free, TIMES), bench, truth, free)

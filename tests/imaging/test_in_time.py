@@ -236,6 +236,7 @@ def test_a_flash_on_what_stands_still_is_light_of_a_lower_level() -> None:
     assert made.error.rms_gray_upper95 == pytest.approx(known.error.rms_gray_upper95)
 
 
+@pytest.mark.long
 def test_the_same_seed_gives_the_same_bytes_with_any_number_of_workers(tmp_path: Path) -> None:
     tables = document(velocity=velocity(0.6))
     for workers in (1, 2):

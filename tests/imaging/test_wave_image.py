@@ -125,6 +125,7 @@ def test_a_scene_has_waves_where_they_matter() -> None:
     assert radwrap.render(scene_of("auto"), options=COMPILED, tolerance=60).manifest.get("diffraction") is None
 
 
+@pytest.mark.long
 def test_waves_are_no_surer_than_the_image_that_a_budget_left() -> None:
     """They were aimed at the tolerance, whatever the image had come to: 200 times the budget went into them."""
     options = radwrap.RenderOptions(tracer="compiled", tolerance=1e-3, budget_rays=1e5)

@@ -248,6 +248,7 @@ def test_sparse_dots() -> None:
     assert rms(find_dots(picture.gray, 5, 5), picture) < 0.05
 
 
+@pytest.mark.long
 def test_dots_that_run_together_are_parted_and_say_so() -> None:
     """The paper's blur: radius 3.67 px on gaps of 3.7 x 2.1 px at 46 degrees."""
     picture = drawn(tilt=46, turn=6, blur=3.67, noise=0.5, rounded=True)

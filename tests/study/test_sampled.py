@@ -158,6 +158,7 @@ def test_no_plan_is_made_where_a_pilot_failed_by_the_tracer(design: DesignWriter
     assert sampling[0] == sampling[1] != []
 
 
+@pytest.mark.long
 def test_a_run_that_misses_its_tolerance_is_named(design: DesignWriter) -> None:
     """A budget that the brighter run cannot do with: it is named with its bound, and the plan stays as it is."""
     path = design(DARKER + "budget_rays = 16500\n", BLUR)

@@ -216,6 +216,7 @@ levels = ["100 ms", "100 s", "90 ms"]
     assert started(out) - again == Counter({2: 1})
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("one_process")
 def test_many_levels_of_leds_cost_one_render(design: DesignWriter, capsys: pytest.CaptureFixture[str]) -> None:
     """64 runs of three LEDs by a light basis, each the very image that a render of its own has, to its error."""
