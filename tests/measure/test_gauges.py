@@ -220,6 +220,25 @@ def test_neighbours_and_notches_are_left_out() -> None:
     assert np.abs(errors).max() < 0.06 and abs(errors.mean()) < 0.03
 
 
+def test_a_neighbour_is_not_taken_for_noise() -> None:
+    """What it leaves of the fit belongs to it: the standard error is that of the pixels that are left."""
+
+    def touching(u: Array, v: Array) -> Array:
+        return (np.hypot(u - CENTRE[0], v - CENTRE[1]) < 14) | (np.hypot(u - CENTRE[0] - 18, v - CENTRE[1]) < 4.5)
+
+    dice = np.random.default_rng(10)
+    alone, beside_it = (
+        [circle(noisy(light, dice, 0.02), 14.0) for _ in range(3)]
+        for light in (ring(14.0, 1.7), any_picture(SHAPE, touching, 1.7, np.array([30.0, 190.0])))
+    )
+    left = 1 - np.mean([one.left_out for one in beside_it])
+    assert 0.5 < left < 0.95
+    # Three of a circle's parameters, of which the radius is known a little worse where a piece of the rim is not there.
+    sigmas = [float(np.mean([one.diameter_sigma for one in some])) for some in (alone, beside_it)]
+    assert sigmas[1] < 1.35 * sigmas[0] / math.sqrt(left)
+    assert all(abs(one.diameter - 28) < 4 * one.diameter_sigma and not one.warnings for one in beside_it)
+
+
 def sector(share: float, radius: float = 18.0) -> Callable[[Array, Array], Array]:
     """Of a disc, of whose rim a share is there: two straight sides run to its middle."""
 

@@ -9,7 +9,7 @@ something else, a neighbour or a burr, are left out and counted.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -22,8 +22,18 @@ from radwrap.measure.edges.blur import DISCS
 from radwrap.measure.edges.correlation import variance_factor
 from radwrap.measure.edges.misfit import beyond_noise, misfit_of
 from radwrap.measure.gauges.response import Light
-from radwrap.measure.gauges.rims import Rim, Shape
+from radwrap.measure.gauges.rims import Shape
 from radwrap.measure.gauges.sided import has_sides
+from radwrap.measure.gauges.stretches import (
+    FEWEST_BLOCKS,
+    LEAST_CONTOUR,
+    blocks_of,
+    kept_of,
+    pixels_of,
+    spread_of,
+    stepping_of,
+    with_next,
+)
 from radwrap.measure.gauges.strip import (
     DONE,
     NARROWEST,
@@ -32,9 +42,9 @@ from radwrap.measure.gauges.strip import (
     State,
     Strip,
     any_blur,
+    carried,
     influence_of,
     moved_light,
-    nearest_of,
     solved,
     terms_of,
 )
@@ -46,19 +56,8 @@ BEYOND: Final = 4.0  # px of level on either side of the blur
 _ROUNDS: Final = 8  # of strip, weights and outliers
 _RADIUS: Final = 1e-4  # px, to which the disc is known beside which other discs are fitted
 _STILL: Final = 1e-3  # px; pixels no longer come and go
-_OUTLIER: Final = 4.5  # standard deviations
-_BLOCK: Final = 8.0  # px along the contour
 _SHORT_BLOCK: Final = 3.0  # px, that tells a polygon from a circle
-_SHORTEST_CONTOUR: Final = 8  # blocks of a short contour, which are then shorter
-_BAD_BLOCK: Final = 2.0  # times the usual rms of a block, from where on it shows something else
-_USUAL: Final = 0.35  # quantile of the blocks' rms that is usual, where some show something else
-_FULL_CONTRAST: Final = 0.9  # quantile of the stretches' contrasts that is the contour's, where some have none
-_FLAT: Final = 0.3  # of it; a stretch of less does not show the contour
-_FLAT_SIGMAS: Final = 3.0  # so far below, or noise decides
-_BOTH_SIDES: Final = 0.02  # variance of the brightness, without which a stretch sees one side only
-_FEWEST_BLOCKS: Final = 6
 _FEWEST_PIXELS: Final = 30  # of a side, for its noise
-LEAST_CONTOUR: Final = 0.4  # of it must be seen as the model has it
 _MISFIT_SIGMA: Final = 5.0  # so far above what noise makes of the blocks' places the contour is of another shape
 MISFIT: Final = 0.02  # px; a departure from the shape that is less is no matter
 _PROFILE: Final = 0.025  # of the contrast, rms, by which the profile may differ from that of one blurred step
@@ -159,16 +158,17 @@ def fit_contour(light: Light, shape: Shape, blur: float, band: float, aspect: fl
 def _fitted(light: Light, shape: Shape, start: Blur, band: float, aspect: float) -> Contour:
     """Rounds of strip, weights and outliers, until pixels no longer come and go."""
     parameters, blur, noise = shape.start, start, (0.0, 0.0)
+    sound = np.ones(0, dtype=np.bool_)
     for _ in range(_ROUNDS):
         before, radius = (parameters, blur), blur.radius
         strip = _strip(light, shape, parameters, min(radius + BEYOND, band), aspect)
-        steps, stepping = _stepping(shape, strip, before)
+        steps, stepping = stepping_of(shape, strip, before)
         _check_seen(stepping)
         strip = strip.only(steps)
-        state = _rough(shape, _weighted(strip, shape, before, noise), before)
-        keep, kept = _kept(shape, state)
+        state = _rough(shape, _weighted(strip, shape, before, noise), before, sound)
+        keep, kept, sound = kept_of(shape, state)
         left_out = 1 - stepping * kept
-        _check_seen(1 - left_out)
+        _check_seen(1 - left_out, LEAST_CONTOUR / 2)  # the first fit is that of all, and the next finds more of it
         first, noise = min(noise) == 0, _side_noise(strip, state, keep)
         strip = _weighted(strip, shape, (state.parameters, state.blur), noise).only(keep)
         disc, state = _both(shape, strip, (state.parameters, state.blur))
@@ -183,12 +183,16 @@ def _fitted(light: Light, shape: Shape, start: Blur, band: float, aspect: float)
         still = max(float(np.abs((parameters - before[0]) / shape.units).max()), blurred)
         if not first and still < _STILL:
             break
-    return _told(shape, light, strip, disc, state, left_out=left_out)
+    _check_seen(1 - left_out)
+    return _told(shape, light, strip, disc, state, left_out=left_out, sound=sound)
 
 
-def _rough(shape: Shape, strip: Strip, at: tuple[Array, Blur]) -> State:
-    """Good enough to see which pixels show the contour; with the blur of the round before, if there is one."""
-    return solved(shape, strip, *at, done=ROUGH) if at[1].shares.size else _both(shape, strip, at, done=ROUGH)[1]
+def _rough(shape: Shape, strip: Strip, at: tuple[Array, Blur], sound: Flags) -> State:
+    """Good enough to see which pixels show the contour; by stretches that did, with the blur of the round before."""
+    if not sound.size:
+        return _both(shape, strip, at, done=ROUGH)[1]
+    some = pixels_of(shape, shape.rims(at[0], strip.places), sound)
+    return carried(shape, strip, solved(shape, strip.only(some), *at, done=ROUGH))
 
 
 def _both(shape: Shape, strip: Strip, at: tuple[Array, Blur], *, done: float = DONE) -> tuple[State, State]:
@@ -249,14 +253,14 @@ def _side_noise(strip: Strip, state: State, keep: Flags) -> tuple[float, float]:
     """Standard deviation of the pixels of the dark and of the bright side; of all where a side has few."""
     left = strip.light - state.fitted
     # Of a picture without noise what is left is rounding of the arithmetic.
-    everywhere = max(_spread(left[keep]), 1e-9 * float(np.ptp(strip.light)), 1e-300)
+    everywhere = max(spread_of(left[keep]), 1e-9 * float(np.ptp(strip.light)), 1e-300)
     signed = np.stack([rim.distance for rim in state.rims])
     shared = _shared_noise(np.clip(left[keep] / everywhere, -4, 4) ** 2, state.terms.brightness[keep]) * everywhere
     found = []
     reach = state.blur.radius + 1
     for number, far in enumerate(((signed < -reach).any(axis=0), (signed > reach).all(axis=0))):
         some = keep & far
-        here = _spread(left[some]) if some.sum() >= _FEWEST_PIXELS else float(shared[number])
+        here = spread_of(left[some]) if some.sum() >= _FEWEST_PIXELS else float(shared[number])
         found.append(max(here, 0.3 * everywhere))
     return found[0], found[1]
 
@@ -271,16 +275,9 @@ def _shared_noise(square: Array, bright: Array) -> Array:
     return np.asarray(np.sqrt(variance))
 
 
-def _spread(values: Array) -> float:
-    """Standard deviation, by the median of what few are off, but not below half of the plain one."""
-    if values.size == 0:
-        return 0.0
-    return max(1.4826 * float(np.median(np.abs(values))), 0.5 * float(np.sqrt(np.mean(values**2))))
-
-
-def _check_seen(share: float) -> None:
+def _check_seen(share: float, least: float = LEAST_CONTOUR) -> None:
     """Of less of the contour a shape is as good as a guess."""
-    if share < LEAST_CONTOUR:
+    if share < least:
         raise InputError(
             f"only {share:.0%} of the contour looks like one",
             where="the image",
@@ -288,60 +285,9 @@ def _check_seen(share: float) -> None:
         )
 
 
-def _stepping(shape: Shape, strip: Strip, at: tuple[Array, Blur]) -> tuple[Flags, float]:
-    """Pixels of stretches across which light steps, and the share of the contour that these are.
-
-    Levels of the model change along the contour. Where it is not there, a contrast of nothing would fit, and such a
-    stretch would count as seen and bend the levels of the others.
-    """
-    rims = shape.rims(at[0], strip.places)
-    bright = terms_of(shape, rims, at[1], strip.aspect).brightness
-    block, count = _blocks(shape, rims)
-    number = np.bincount(block, minlength=count)
-    some = np.maximum(number, 1)
-
-    def product(one: Array, other: Array) -> Array:
-        """Covariance in each stretch."""
-        sums = [np.bincount(block, values, minlength=count) / some for values in (one * other, one, other)]
-        return np.asarray(sums[0] - sums[1] * sums[2])
-
-    light = strip.light - strip.light.mean()
-    power, both = product(bright, bright), product(bright, light)
-    known = (number > 2) & (power > _BOTH_SIDES)
-    if known.sum() < _FEWEST_BLOCKS:
-        return np.ones(len(block), dtype=np.bool_), 1.0
-    # Of two rims the model has a sign: between them it may be dark.
-    contrast = math.copysign(1.0, float(both[known].sum())) * both / np.where(known, power, 1.0)
-    rest = np.maximum(product(light, light) - contrast**2 * power, 0.0)
-    sigma = np.sqrt(rest / np.maximum(number - 2, 1) / np.where(known, power, 1.0))
-    usual = float(np.quantile(contrast[known], _FULL_CONTRAST))
-    flat = known & (contrast + _FLAT_SIGMAS * sigma < _FLAT * usual)
-    return ~flat[block], 1 - float(flat.sum() / (number > 0).sum())
-
-
-def _kept(shape: Shape, state: State) -> tuple[Flags, float]:
-    """Pixels that show the contour, and the share of the stretches that do."""
-    scale = max(_spread(state.residual), 1e-300)
-    good = np.abs(state.residual) < _OUTLIER * scale
-    block, count = _blocks(shape, state.rims)
-    number = np.bincount(block, minlength=count)
-    seen = number > 0
-    if seen.sum() < _FEWEST_BLOCKS:
-        return good, 1.0
-    square = np.bincount(block, np.minimum((state.residual / scale) ** 2, 100.0), minlength=count)
-    rms = np.sqrt(square / np.maximum(number, 1))
-    bad = seen & (rms > _BAD_BLOCK * float(np.quantile(rms[seen], _USUAL)))
-    return good & ~bad[block], 1 - float(bad.sum() / seen.sum())
-
-
-def _blocks(shape: Shape, rims: Sequence[Rim], length: float = _BLOCK) -> tuple[NDArray[np.intp], int]:
-    """Number of each pixel's stretch of the contour, and how many there are."""
-    count = max(_SHORTEST_CONTOUR, round(shape.length / length))
-    share = np.clip(rims[0].along / shape.length, 0, 1 - 1e-9)
-    return np.asarray((share * count).astype(np.intp) + count * nearest_of(rims)), count * len(rims)
-
-
-def _told(shape: Shape, light: Light, strip: Strip, disc: State, state: State, *, left_out: float) -> Contour:
+def _told(
+    shape: Shape, light: Light, strip: Strip, disc: State, state: State, *, left_out: float, sound: Flags
+) -> Contour:
     """Covariance, influence of each pixel, and what speaks against the model; levels and radius are of one disc."""
     count = len(state.parameters)
     inverse = influence_of(shape, strip, state)
@@ -361,7 +307,9 @@ def _told(shape: Shape, light: Light, strip: Strip, disc: State, state: State, *
     # What neighbours have in common is here what is looked for, but for rounding that no noise has spread.
     quiet = is_whole(light) and variance < (_SPREADS_ROUNDING * float(np.median(strip.slope * strip.weight))) ** 2
     tested = float(noise.mean()) if quiet else variance
-    sided = has_sides(shape, strip, state, inverse, noise=tested, contrast=abs(high - low))
+    alone = ~with_next(~sound, shape, len(state.rims))
+    some = pixels_of(shape, state.rims, alone)
+    sided = has_sides(shape, strip, state, some, noise=tested, contrast=abs(high - low))
     return Contour(
         parameters=state.parameters,
         covariance=covariance[:count, :count],
@@ -403,9 +351,9 @@ def _levels(strip: Strip, state: State) -> tuple[float, float]:
 
 def _misfit(shape: Shape, strip: Strip, state: State, variance: float) -> tuple[float, bool]:
     """By how much stretches of the contour lie off the shape, rms beyond noise [px]; whether that is significant."""
-    block, count = _blocks(shape, state.rims, _SHORT_BLOCK)
+    block, count = blocks_of(shape, state.rims, _SHORT_BLOCK)
     used = np.unique(block)
-    if len(used) < _FEWEST_BLOCKS:
+    if len(used) < FEWEST_BLOCKS:
         return 0.0, False
     slope = _by_shift(shape, strip, state) * strip.weight
     power = np.maximum(np.bincount(block, slope**2, minlength=count)[used], 1e-300)

@@ -323,3 +323,11 @@ def _state(shape: Shape, strip: Strip, parameters: Array, blur: Blur) -> State:
     weighted = terms.matrix * strip.weight[:, None]
     levels = np.asarray(np.linalg.lstsq(weighted, strip.light * strip.weight, rcond=1e-10)[0], dtype=np.float64)
     return State(parameters, blur, rims, terms, levels, strip.light * strip.weight - weighted @ levels)
+
+
+def carried(shape: Shape, strip: Strip, state: State) -> State:
+    """The same parameters, blur and levels, and what they leave of other pixels."""
+    rims = shape.rims(state.parameters, strip.places)
+    terms = terms_of(shape, rims, state.blur, strip.aspect)
+    residual = (strip.light - terms.matrix @ state.levels) * strip.weight
+    return State(state.parameters, state.blur, rims, terms, state.levels, residual)
