@@ -23,7 +23,7 @@ def test_help_lists_every_public_name() -> None:
 
 
 # What they show has short tests of its own; the examples take two seconds each.
-SLOW = ("fit", "design")
+SLOW = ("fit", "design", "relight")
 EXAMPLES = [
     "",
     "Rendered",

@@ -246,6 +246,7 @@ def test_too_little_address_space_is_told(size: int, tmp_path: Path) -> None:
     assert run("--version", preexec_fn=limit).code == 0
 
 
+@pytest.mark.long
 def test_many_workers_are_no_more_than_the_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["render", write_scene(tmp_path), "--out", tmp_path / "out", "--workers"]
     here([*words, 1024], capsys).success()
@@ -274,9 +275,8 @@ def _render(home: Path, out: Path) -> list[object]:
     return ["render", home / "scene.toml", "--out", out, "--viewpoints", 2, "--truth", "--workers", 1]
 
 
-@pytest.mark.parametrize(
-    "sizes", [[0, 4000, 20_000], pytest.param([0, 1000, 2500, 4000, 20_000], marks=pytest.mark.long)], ids=len
-)
+@pytest.mark.long
+@pytest.mark.parametrize("sizes", [[0, 4000, 20_000], [0, 1000, 2500, 4000, 20_000]], ids=len)
 def test_a_limit_of_file_size_is_told(tmp_path: Path, good: dict[str, Any], sizes: list[int]) -> None:
     def limited(size: int) -> Done:
         def limit() -> None:

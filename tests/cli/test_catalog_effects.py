@@ -77,6 +77,7 @@ def test_a_mean_over_a_region_moves_with_the_offset(rendered: Path, capsys: pyte
     assert level["change"][0] == pytest.approx(-0.9 * (level["value"] - 64), abs=0.5)  # of rounding
 
 
+@pytest.mark.long
 def test_an_edge_stays_where_it_is_and_is_lost_where_pixels_are_full(
     rendered: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

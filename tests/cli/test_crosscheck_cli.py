@@ -73,6 +73,7 @@ def test_a_colour_camera_is_compared_colour_by_colour(tmp_path: Path, capsys: py
     assert found["colours"]["green"]["radiance"] == alone["radiance"]
 
 
+@pytest.mark.long
 @needs_povray
 def test_a_colour_that_differs_is_exit_code_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     argv = ["crosscheck", str(colour_scene(tmp_path)), "--out", str(tmp_path / "out"), "--pixel-samples", "1"]

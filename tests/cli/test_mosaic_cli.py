@@ -129,6 +129,7 @@ def test_demosaic_needs_a_mosaic(tmp_path: Path) -> None:
     assert done.returncode == 2 and "--demosaic: needs a colour camera" in done.stderr
 
 
+@pytest.mark.long
 def test_a_dry_run_tells_each_plane() -> None:
     done = radwrap("render", CHART / "scene.toml", "--dry-run", *QUICK)
     assert done.returncode == 0, done.stderr

@@ -346,6 +346,7 @@ def test_a_flipped_bit_is_noticed(tmp_path: Path, capsys: pytest.CaptureFixture[
     _again_is_the_same(out, good)
 
 
+@pytest.mark.long
 def test_a_final_image_that_was_changed_is_made_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene, out = write_scene(tmp_path), tmp_path / "out"
     argv = _argv(scene, out, KEPT, "--truth")

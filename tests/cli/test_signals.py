@@ -278,6 +278,7 @@ def test_messages_that_cannot_be_written_do_not_end_the_work(tmp_path: Path) -> 
     assert (tmp_path / "out" / "manifest.json").exists()
 
 
+@pytest.mark.long
 def test_names_that_an_encoding_lacks_are_escaped(tmp_path: Path) -> None:
     """As JSON escapes them, so that JSON stays JSON."""
     scene = write_scene(tmp_path / "\u00e4\u6c34\U0001d11e")

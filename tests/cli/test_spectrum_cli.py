@@ -232,6 +232,7 @@ def test_a_dark_source_needs_no_band(folder: Path) -> None:
         radwrap.with_value(scene, "sources[1].radiant_intensity", "0 W/sr")
 
 
+@pytest.mark.long
 def test_same_spectra_same_bytes_whatever_the_workers(folder: Path) -> None:
     scene = radwrap.load_scene(folder / "scene.toml")
     images = [radwrap.render(scene, tolerance=1.0, workers=workers).radiant_exposure.values for workers in (1, 3)]

@@ -123,7 +123,8 @@ def test_the_svg_draws_the_targets_geometry(name: str, tmp_path: Path) -> None:
             assert agrees((corners - middle) * [1, -1], mark)
 
 
-@pytest.mark.parametrize("paper", ["a4", pytest.param("letter", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("paper", ["a4", "letter"])
 def test_tiles_show_every_place_of_a_large_plate_once(paper: Paper, tmp_path: Path) -> None:
     source = tmp_path / "big.toml"
     source.write_text(BIG)

@@ -172,6 +172,7 @@ def test_what_keeps_no_limit_is_exit_code_1(
     assert read(tmp_path / "few" / "design.json")["renders"] == 3
 
 
+@pytest.mark.long
 def test_what_the_budget_does_not_decide_is_told(
     design_file: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -249,6 +250,7 @@ def test_levels_are_the_quadratic_programs_and_the_scene_keeps_its_comments(tmp_
     ]
 
 
+@pytest.mark.long
 def test_each_candidate_has_levels_of_its_own(tmp_path: Path) -> None:
     """LEDs that stand wider apart light a sheet more evenly; each place of the ring has its own best levels."""
     text = LEVELS.format(of="even", peak=200).replace("budget = 3", "budget = 6")

@@ -126,6 +126,7 @@ def test_it_stands_in_and_changes_no_byte(session: Session, tmp_path: Path) -> N
     assert hashes(last.folder) == hashes(tmp_path / "alone") and last.folder.name == "basis"
 
 
+@pytest.mark.long
 def test_where_it_cannot_be_traced_the_picture_comes_all_the_same(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -248,6 +248,7 @@ def test_a_file_with_commands_is_not_run(tmp_path: Path) -> None:
         assert not (tmp_path / "ran").exists()
 
 
+@pytest.mark.long
 def test_the_link_is_told_to_a_terminal_alone(tmp_path: Path) -> None:
     import pty
 

@@ -55,6 +55,7 @@ def test_dots_are_where_the_scene_has_them(bench: Traced) -> None:
     assert 0 < dots.value < 1  # of a lit board, whose dots are brighter on one side
 
 
+@pytest.mark.long
 def test_the_same_picture_is_measured_alike(bench: Traced) -> None:
     """Half the light for twice as long, and what is not the picture's: nothing changes."""
     once, twice = read(bench, 1.0), read(bench, 0.5, exposure_time=f"{2e3 * bench.scene.camera.exposure_time!r} ms")

@@ -112,6 +112,7 @@ def test_a_turn_is_the_render_of_the_changed_scene(session: Session, tmp_path: P
     assert json.loads(last.scene.document)["camera"]["aperture"]["diameter"] == "0.2 mm"
 
 
+@pytest.mark.long
 def test_a_wrong_value_leaves_the_picture(session: Session) -> None:
     first = session.traced()
     for told in ({OPENING: "0.2 deg"}, {OPENING: "-1 mm"}, {ROTATION: "nan deg, 0 deg, 0 deg"}):
@@ -121,6 +122,7 @@ def test_a_wrong_value_leaves_the_picture(session: Session) -> None:
     assert session.status.state == "ready" and session.traced() is first
 
 
+@pytest.mark.long
 def test_of_many_turns_the_last_one_counts(session: Session) -> None:
     renderer = session.renderer_pid
     start = time.monotonic()

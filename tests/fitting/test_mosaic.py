@@ -69,6 +69,7 @@ def test_each_colour_is_a_state_of_its_own_pixels() -> None:
     assert len(COLOURS) == len(states)
 
 
+@pytest.mark.long
 def test_levels_and_offset_come_out_of_a_raw_image_without_noise(basis: Basis) -> None:
     """All colours are seen in one light, and each pixel says what its own filter lets through."""
     begun = free_scene(colour_bench(), FREE)

@@ -400,6 +400,7 @@ class Failing(Planes):
         yield from super().trace(rays)
 
 
+@pytest.mark.long
 def test_what_is_finished_is_not_traced_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("radwrap.imaging.methods.kernel._TILE_ROWS", 40)
     base, demand = behind_an_edge(), Demand(1.0, method="hybrid")

@@ -146,6 +146,7 @@ def test_an_edge_that_moves_is_a_ramp() -> None:
     assert "scene_sha256" in made.manifest and made.manifest["camera"]["exposure_time"] == EXPOSURE
 
 
+@pytest.mark.long
 def test_below_a_pixel_few_instants_are_exact() -> None:
     tables = document(velocity=velocity(0.6))
     made = rendered(tables, 0.3)
@@ -285,6 +286,7 @@ def test_options_of_one_instant_are_refused_by_name(how: dict[str, Any], told: s
         radwrap.render(scene, tmp_path, **how)
 
 
+@pytest.mark.long
 def test_each_colour_of_a_mosaic_is_rendered_in_time() -> None:
     tables = document(velocity=velocity(0.6))
     tables["camera"]["sensor"] = {
@@ -360,6 +362,7 @@ def test_what_meets_another_surface_on_its_way_is_an_error() -> None:
         checked_at_time(scene, pose_time(scene) - 4e-3)
 
 
+@pytest.mark.long
 def test_another_exposure_time_needs_a_render() -> None:
     made = rendered(document(velocity=velocity(0.6)), 2.0)
     with pytest.raises(InputError, match="velocity"):

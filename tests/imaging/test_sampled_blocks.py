@@ -148,6 +148,7 @@ def test_a_thin_shadow_on_one_face_is_resolved_or_certified(height: float) -> No
     assert rms(true_errors(scene, made, pixels)) < made.manifest["error"]["rms_gray_upper95"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("more", [{"basis": True}, {"max_error": 50.0}])
 def test_what_is_relit_or_bounded_by_pixels_has_no_sampled_blocks(tmp_path: Path, more: dict[str, Any]) -> None:
     """Their error is known in one light, and as a mean square only: rays as many as pixels are traced."""

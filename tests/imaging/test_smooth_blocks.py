@@ -130,6 +130,7 @@ def test_sums_gather_what_transforms_do(sources: int | None, coarser: int) -> No
     assert found.min() > 0
 
 
+@pytest.mark.long
 def test_hard_edges_that_are_left_whole_stand_in_the_certificate() -> None:
     """Cells of a pixel are not cut where few are off: what all replicates have in common would be seen by none."""
     roof = {

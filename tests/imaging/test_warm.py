@@ -121,6 +121,7 @@ def test_other_options_give_the_bytes_of_a_cold_render(how: dict[str, Any], live
     assert_same(live.render(**how), radwrap.render(board(), options=OPTIONS, **how))
 
 
+@pytest.mark.long
 def test_files_are_the_same_too(live: radwrap.WarmScene, tmp_path: Path) -> None:
     live.render({"sources[0].radiance": "2000 W/m^2/sr"}, tmp_path / "warm", basis=True)
     radwrap.render(board(**{"sources[0].radiance": "2000 W/m^2/sr"}), tmp_path / "cold", basis=True, options=OPTIONS)
@@ -295,6 +296,7 @@ def test_a_warm_scene_is_what_a_scene_laid_out_alone_says(tmp_path: Path) -> Non
     assert json.dumps(dict(warm[1].tracer_versions)) == json.dumps(dict(warm[0].tracer_versions))
 
 
+@pytest.mark.long
 def test_what_was_traced_before_the_tracers_were_found_to_differ_does_not_stand(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

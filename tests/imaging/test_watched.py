@@ -77,7 +77,8 @@ def test_what_is_cancelled_before_it_begins_makes_nothing(tmp_path: Path) -> Non
     assert list(tmp_path.rglob("*.*")) == []
 
 
-@pytest.mark.parametrize("viewpoints", [12, pytest.param(60, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("viewpoints", [12, 60])
 def test_a_caller_that_never_cancels_gets_the_same_bytes_and_hears_in_its_own_thread(viewpoints: int) -> None:
     heard: list[radwrap.Progressed] = []
     threads: set[int] = set()

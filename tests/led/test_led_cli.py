@@ -209,6 +209,7 @@ def test_a_study_is_played_as_it_was_designed(bench: Path, tmp_path: Path, capsy
         assert allowed < 0.2
 
 
+@pytest.mark.long
 def test_an_interrupted_play_goes_on_where_it_was(
     bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -262,7 +262,8 @@ def test_standard_errors_cover_what_noise_does() -> None:
         assert np.all(np.abs(inside - expected) < 3.5 * math.sqrt(expected * (1 - expected) / count)), inside
 
 
-@pytest.mark.parametrize("count", [12, pytest.param(50, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("count", [12, 50])
 def test_standard_errors_cover_rounding_that_is_the_same_in_every_row(count: int) -> None:
     """Some places of an edge along the columns, gamma fitted, no noise: a pixel count would say 0.03 px of 0.09.
 

@@ -609,7 +609,9 @@ def gaussian_disc(radius: float, sigma: float) -> Array:
     return np.asarray(sum(w * share(np.hypot(u - CENTRE[0] + x, v - CENTRE[1] + y)) for x, y, w in places))
 
 
-@pytest.mark.parametrize(("radius", "sigma"), [(14.0, 0.4), (20.0, 1.0), (18.0, 2.2)])
+@pytest.mark.parametrize(
+    ("radius", "sigma"), [(14.0, 0.4), (20.0, 1.0), pytest.param(18.0, 2.2, marks=pytest.mark.long)]
+)
 def test_a_gaussian_blur_changes_no_diameter(radius: float, sigma: float) -> None:
     """Taken for a disc's it made the last one 0.06 px wider."""
     share = gaussian_disc(radius, sigma)
@@ -789,6 +791,7 @@ def stripe_frames(width: float, blur: float, bright: float, number: int) -> Iter
     return (GrayImage(noisy(light, dice)) for _ in range(number))
 
 
+@pytest.mark.long
 def test_a_stripe_that_looks_like_another_has_no_width_but_a_middle() -> None:
     caliper = StraightCaliper(MIDDLE, 0.3, 24, 14)
     faint = list(stripe_frames(7.4, 3.3, 90.0, 3))

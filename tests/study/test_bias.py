@@ -105,6 +105,7 @@ def test_exposure_scales_with_time() -> None:
     assert (scaled_gray(exposure, 2.0, sensor).values > gray_image(exposure, sensor).values).all()
 
 
+@pytest.mark.long
 def test_a_sweep_renders_each_value_in_order(edge: Scene) -> None:
     """Twice the exposure time, twice the exposure."""
 

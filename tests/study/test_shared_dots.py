@@ -79,12 +79,13 @@ def test_a_failing_method_leaves_the_others(seen: Seen, monkeypatch: pytest.Monk
     assert answer(by_gray, seen) == alone
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("rms", "methods"),
     [
         (0.5, ("conic",)),
-        pytest.param(0.0, ("gray",), marks=pytest.mark.long),
-        pytest.param(0.5, METHODS, marks=pytest.mark.long),
+        (0.0, ("gray",)),
+        (0.5, METHODS),
     ],
 )
 def test_an_image_that_is_not_rounded_has_an_error_too(seen: Seen, rms: float, methods: tuple[str, ...]) -> None:

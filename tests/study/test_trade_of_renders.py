@@ -131,6 +131,7 @@ def test_what_took_too_long_is_not_tried_finer(tmp_path: Path, monkeypatch: pyte
     assert all("a tolerance of 4 took" in left.why for left in found.left_out)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("_few_settings")
 def test_a_trade_of_a_colour_camera_has_all_methods(tmp_path: Path) -> None:
     scene = scene_with(colour_camera(rows=9, columns=10), tmp_path)
