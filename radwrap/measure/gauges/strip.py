@@ -317,17 +317,16 @@ def any_blur(shape: Shape, strip: Strip, disc: State, before: Blur | None = None
     return solved(shape, strip, disc.parameters, blur, done=done)
 
 
-def _state(shape: Shape, strip: Strip, parameters: Array, blur: Blur) -> State:
+def _state(shape: Shape, strip: Strip, parameters: Array, blur: Blur, levels: Array | None = None) -> State:
+    """Rims, terms and what is left; levels by least squares, where none are given."""
     rims = shape.rims(parameters, strip.places)
     terms = terms_of(shape, rims, blur, strip.aspect)
-    weighted = terms.matrix * strip.weight[:, None]
-    levels = np.asarray(np.linalg.lstsq(weighted, strip.light * strip.weight, rcond=1e-10)[0], dtype=np.float64)
-    return State(parameters, blur, rims, terms, levels, strip.light * strip.weight - weighted @ levels)
+    weighted, light = terms.matrix * strip.weight[:, None], strip.light * strip.weight
+    if levels is None:
+        levels = np.asarray(np.linalg.lstsq(weighted, light, rcond=1e-10)[0], dtype=np.float64)
+    return State(parameters, blur, rims, terms, levels, light - weighted @ levels)
 
 
 def carried(shape: Shape, strip: Strip, state: State) -> State:
     """The same parameters, blur and levels, and what they leave of other pixels."""
-    rims = shape.rims(state.parameters, strip.places)
-    terms = terms_of(shape, rims, state.blur, strip.aspect)
-    residual = (strip.light - terms.matrix @ state.levels) * strip.weight
-    return State(state.parameters, state.blur, rims, terms, state.levels, residual)
+    return _state(shape, strip, state.parameters, state.blur, state.levels)
