@@ -24,7 +24,7 @@ from radwrap.imaging.tolerance.kept_replicates import read_replicates
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.sampling import Pilot, strictest
 from radwrap.imaging.tolerance.wave_far import far_change, far_light
-from radwrap.imaging.tolerance.wave_parts import Transforms, lit_layers, wave_cells, wave_parts, wave_tile
+from radwrap.imaging.tolerance.wave_parts import kept_transforms, lit_layers, wave_cells, wave_parts, wave_tile
 from radwrap.imaging.tolerance.wave_plan import WavePlan, plan_waves
 from radwrap.imaging.tracing import LaidOutScene, laid_out
 from radwrap.imaging.with_waves import even_wave_cell
@@ -66,7 +66,13 @@ def changes_of(view: View, of_all: View, plan: WavePlan, *, sources: int, alone:
     for tile, (r0, r1, c0, c1) in enumerate(plan.kernel.tiles):
         cells = wave_cells(of_all, plan, tile, int)
         traced = wave_tile(
-            view, [plan] * sources, (tile, 0), cells, int, transforms=Transforms(), of_all=of_all if alone else None
+            view,
+            [plan] * sources,
+            (tile, 0),
+            cells,
+            int,
+            transforms=kept_transforms(),
+            of_all=of_all if alone else None,
         )
         found[:, r0:r1, c0:c1] = [change for change, _ in traced]
     return found + [far_change(plan, around)[0] for around in far_light(view, plan, 0, int)]

@@ -7,7 +7,7 @@ from dataclasses import replace
 from radwrap.imaging.forecast.rehearsal import Rehearsed, Stopwatch, for_a_while, seconds_per_ray
 from radwrap.imaging.optics.view import LitView, View
 from radwrap.imaging.tolerance.wave_far import far_rays, far_view
-from radwrap.imaging.tolerance.wave_parts import Transforms, wave_cells, wave_tile
+from radwrap.imaging.tolerance.wave_parts import kept_transforms, wave_cells, wave_tile
 from radwrap.imaging.tolerance.wave_plan import WavePlan
 
 
@@ -38,7 +38,9 @@ def rehearsed_waves(
         rays[0] += sum(counted)
         deciding += clock.lap()
         counted.clear()
-        for _ in wave_tile(traced, plans, (tile, 0), cells, counted.append, transforms=Transforms(), of_all=of_all):
+        for _ in wave_tile(
+            traced, plans, (tile, 0), cells, counted.append, transforms=kept_transforms(), of_all=of_all
+        ):
             pass
         rays[1] += sum(counted)
         making += clock.lap()

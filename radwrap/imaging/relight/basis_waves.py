@@ -19,7 +19,7 @@ from radwrap.imaging.optics.diffraction import Light
 from radwrap.imaging.relight.basis_pieces import BasisPieces
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.wave_far import far_change, far_light
-from radwrap.imaging.tolerance.wave_parts import Transforms, wave_cells, wave_tile
+from radwrap.imaging.tolerance.wave_parts import kept_transforms, wave_cells, wave_tile
 from radwrap.imaging.tolerance.wave_plan import WavePlan
 
 
@@ -127,7 +127,7 @@ class BasisWaves:
 
     def _trace_tile(self, tile: int, due: dict[int, list[int]]) -> None:
         of_all, count = replace(self.work.view, workers=1), self.work.progress.add
-        cells, transforms = wave_cells(of_all, self.plan, tile, count), Transforms()
+        cells, transforms = wave_cells(of_all, self.plan, tile, count), kept_transforms()
         for replicate, view in ((replicate, view) for replicate, views in due.items() for view in views):
             kind, lit = self._kind(replicate, tile), self.pieces.views[view]
             log_call(self.pieces.folder, f"{kind} {view}")

@@ -13,7 +13,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,8 @@ from radwrap.imaging.optics.lens_field import MIXED_SHARE, Place
 from radwrap.imaging.optics.view import View
 from radwrap.imaging.tolerance.wave_behind import Layout
 from radwrap.imaging.tolerance.wave_far import far_change, far_light
-from radwrap.imaging.tolerance.wave_plan import WavePlan, WaveWeights, bare
+from radwrap.imaging.tolerance.wave_plan import WavePlan, bare
+from radwrap.kept import Kept, of_kept
 from radwrap.random_streams import Rendering
 
 Array = NDArray[np.float64]
@@ -36,7 +37,7 @@ Part = tuple[slice, slice]  # rows and columns
 # scripts/wave_occlusion.py, .01 to .11 where what lies behind is even. Where that has strong structure right beside the
 # edge it can be all of it and more, which is not held.
 OF_HIDING: Final = 0.25
-_MOST_KEPT: Final = 1 << 24  # numbers of transforms that are kept, 256 MiB
+_MOST_KEPT: Final = 1 << 28  # byte of transforms
 _NO_LIGHT: Final = 1e-9  # of the brightest layer: what rounding leaves of a flat face in the layer beside its own
 
 
@@ -95,7 +96,7 @@ def wave_parts(
         counted += rays
         progress(rays)
 
-    transforms = Transforms()
+    transforms = kept_transforms()
     for tile, (r0, r1, c0, c1) in enumerate(plan.kernel.tiles):
         check()
         decided = wave_cells(view, plan, tile, count)
@@ -126,7 +127,7 @@ def wave_tile(
     cells: Cells,
     progress: Callable[[int], None],
     *,
-    transforms: Transforms,
+    transforms: Kept,
     of_all: View | None = None,
 ) -> Iterator[tuple[Array, Array]]:
     """Trace a tile, and gather what waves add to each source that the view tells apart.
@@ -143,8 +144,8 @@ def wave_tile(
         Of the tile, see `wave_cells`.
     progress : callable
         Is told how many rays were traced.
-    transforms : Transforms
-        Of the image's plan, or of the tile.
+    transforms : Kept
+        Of the image's plan, or of the tile; see `kept_transforms`.
     of_all : View, optional
         In the light of all, where the view has that of one: its depths are those that count.
 
@@ -188,35 +189,12 @@ def wave_tile(
         yield found, off + np.copysign(of_field, off)
 
 
-class Transforms:
-    """Transforms of what waves do to the light of each layer.
+def kept_transforms() -> Kept:
+    """Room for the transforms of what waves do to the light of each layer.
 
     Tiles of one size share them, all replicates do, sources of one wavelength, and light that is laid out in two ways.
     """
-
-    def __init__(self) -> None:
-        self._left = _MOST_KEPT
-        self._kept: dict[tuple[Any, ...], Complex] = {}
-
-    def of(
-        self,
-        weights: WaveWeights,
-        cell: float,
-        shape: tuple[int, int],
-        phase: tuple[int, int],
-        place: Place,
-        *,
-        layer: int,
-    ) -> Complex:
-        """As `WaveWeights.laid_out`."""
-        key = (id(weights), cell, shape, phase, place, layer)
-        if key in self._kept:
-            return self._kept[key]
-        made = weights.laid_out(cell, shape, phase, place, layer)
-        if made.size <= self._left:
-            self._left -= made.size
-            self._kept[key] = made
-        return made
+    return Kept(_MOST_KEPT)
 
 
 def lit_layers(light: Sequence[Array]) -> list[int]:
@@ -232,13 +210,19 @@ def _gathered(
     cell: float,
     place: Rect,
     *,
-    transforms: Transforms,
+    transforms: Kept,
 ) -> tuple[Array, Array]:
     """What waves add to each pixel of a tile, by the light of each layer; and how far a mixture of places is off."""
     weights = plan.weights
     found, of_coarser = np.zeros((2, place[1] - place[0], place[3] - place[2]))
     phases = [(row, column) for row, column in np.ndindex(max(1, round(cell)), max(1, round(cell)))]
     layers = lit_layers(light)
+
+    def transformed(what: tuple[float, tuple[int, int], tuple[int, int], Place, int]) -> Complex:
+        return of_kept(
+            transforms, lambda: (id(weights), *what), lambda: weights.laid_out(*what), lambda one: one.nbytes
+        )
+
     whole = (slice(0, light[0].shape[0]), slice(0, light[0].shape[1]))
     spectra, part = list[Complex](), (slice(0, 0), slice(0, 0))
     for of_field, share, coarser in weights.lens_field.shares(place):
@@ -252,7 +236,7 @@ def _gathered(
         if cells != part:
             spectra, part = [np.fft.rfft2(light[layer][cells], shape) for layer in layers], cells
         for phase in phases:
-            at_phase = (transforms.of(weights, cell, shape, phase, of_field, layer=layer) for layer in layers)
+            at_phase = (transformed((cell, shape, phase, of_field, layer)) for layer in layers)
             field = np.fft.irfft2(
                 sum(spectrum * np.conj(each) for spectrum, each in zip(spectra, at_phase, strict=True)), shape
             )
