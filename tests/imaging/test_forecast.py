@@ -139,11 +139,16 @@ def test_a_shutter_that_never_opens_is_forecast_without_a_warning() -> None:
     assert 0 < cost.seconds < 60 and cost.rays > 0
 
 
-def test_parts_add_up_and_a_run_takes_about_as_long(tmp_path: Path) -> None:
-    cost = forecast(scene(4), radwrap.RenderOptions(workers=1), started=1.0)
+def test_parts_add_up() -> None:
+    cost = forecast(scene(1), radwrap.RenderOptions(workers=1), started=1.0)
     assert cost.seconds == pytest.approx(sum(cost.parts.values())) and cost.parts["start"] == 1.0
     before, after = {"start", "layout", "light between surfaces", "survey"}, {"what is left out", "files"}
     assert before | {"image and certificate"} | after == set(cost.parts)
+
+
+@pytest.mark.long
+def test_a_run_takes_about_as_long(tmp_path: Path) -> None:
+    cost = forecast(scene(4), radwrap.RenderOptions(workers=1), started=1.0)
     clock = Stopwatch()
     radwrap.render(scene(4), tmp_path / "out", workers=1)
     # A tenth of a second more or less is the start of the tracer's programs.

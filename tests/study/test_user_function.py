@@ -78,6 +78,7 @@ def called(folder: Path, code: str, keys: list[str] | None = None, images: int =
     return call_user_function(own, folder, [GRAY] * images, rounded=True, **told)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("one_process")
 def test_own_code_and_repeatability_are_columns(tmp_path: Path) -> None:
     path = study(tmp_path)
