@@ -173,6 +173,7 @@ def test_grid_pixels_are_those_of_the_tiles(made: Made) -> None:
     assert (len(numbers) > 0) == (kernel_of(made.outcome.ray_plan) is not None)
 
 
+@pytest.mark.long
 def test_certificates_of_relit_images_hold(made: Made) -> None:
     """Against independent rays at all pixels; and none is idle."""
     for factors in (FACTORS, (0.0, 1.0, 1.0, 0.0), (1.5, 0.2, 0.4, 0.9)):

@@ -214,6 +214,7 @@ def hidden_by_an_edge(rows: int, columns: int) -> View:
     return view(ROUND, (3 * F, near), (1.0, behind), rows=rows, columns=columns)
 
 
+@pytest.mark.long
 def test_the_planner_notices_where_the_kernel_does_not_hold(tmp_path: Path) -> None:
     seen = hidden_by_an_edge(rows=10, columns=16)
     outcome = search(seen, tmp_path, Demand(0.4))

@@ -196,7 +196,7 @@ def nearly_round(u: Array, v: Array) -> Array:
 @pytest.mark.parametrize(
     "inside", [*(pytest.param(polygon(n), marks=pytest.mark.long) for n in (6, 8)), polygon(12), nearly_round]
 )
-@pytest.mark.parametrize("blur", [0.8, 2.5])
+@pytest.mark.parametrize("blur", [pytest.param(0.8, marks=pytest.mark.long), 2.5])
 def test_what_is_no_circle_is_warned_of(inside: Callable[[Array, Array], Array], blur: float) -> None:
     light = any_picture(SHAPE, inside, blur, np.array([30.0, 190.0]))
     dice = np.random.default_rng(1)
