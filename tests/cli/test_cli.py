@@ -112,7 +112,7 @@ def test_init_writes_a_scene_that_renders(tmp_path: Path, capsys: pytest.Capture
     scene = folder / "scene.toml"
     assert str(scene) in told.stdout
     text = scene.read_text("utf-8")
-    small = ["--set", "camera.sensor.rows=20", "--set", "camera.sensor.columns=24", "--viewpoints", 7]
+    small = ["--set", "camera.sensor.rows=20", "--set", "camera.sensor.columns=24", "--method", "pinhole"]
     here(["render", scene, "--out", folder / "out", *small], capsys).success()
     assert {"gray.png", "radiant_exposure.exr", "manifest.json"} <= set(files_in(folder / "out"))
     # Never over somebody's work.

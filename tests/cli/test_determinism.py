@@ -45,6 +45,7 @@ def test_any_number_of_workers_gives_the_same_bytes(tmp_path: Path, workers: lis
     assert [other == found[0] for other in found] == [True] * len(workers)
 
 
+@pytest.mark.long
 def test_the_seed_decides_the_jitter_and_nothing_else(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene = write_scene(tmp_path, CHANGES)
 

@@ -119,6 +119,7 @@ def test_explain_tells_focus_and_airy_disc(capsys: pytest.CaptureFixture[str]) -
     assert 'warning: diffraction at the opening is left out, as camera.diffraction is "off"' in capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_every_method_and_a_basis_agree(tmp_path: Path) -> None:
     """Within their certificates; sources far apart from the axis are seen by all."""
     scene = with_lens(f_number=8)

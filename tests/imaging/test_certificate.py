@@ -292,6 +292,7 @@ def test_the_image_that_comes_nearest_to_all_demands_is_kept(tmp_path: Path, max
     assert outcome.met == (min(worst) <= 1) and outcome.record.rays > sum(a.rays for a in attempts)
 
 
+@pytest.mark.long
 def test_a_small_budget_is_not_overspent(tmp_path: Path) -> None:
     """The first attempt aims at what the budget allows, down to the fewest rays of each pixel."""
     seen = view(Aperture("round", 0.0), (1.0, wires), rows=12, columns=16)

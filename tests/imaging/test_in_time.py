@@ -166,10 +166,8 @@ def test_a_flash_freezes_what_moves_where_it_is_then() -> None:
     assert np.abs(share - ramp(np.arange(COLUMNS), then, 0.8)).max() < 10 * RAMP
 
 
-@pytest.mark.parametrize(
-    ("readout", "smear"),
-    [("down", 0.4), pytest.param("down", 1.2, marks=pytest.mark.long), pytest.param("up", 1.2, marks=pytest.mark.long)],
-)
+@pytest.mark.long
+@pytest.mark.parametrize(("readout", "smear"), [("down", 0.4), ("down", 1.2), ("up", 1.2)])
 def test_a_rolling_shutter_slants_an_edge_by_speed_times_line_time(readout: str, smear: float) -> None:
     tables = document(velocity=velocity(smear))
     tables["camera"]["sensor"] |= {"shutter": "rolling", "line_time": "4 ms", "readout": readout}

@@ -164,6 +164,7 @@ def test_each_colour_has_its_own_waves(tracer: Any, tmp_path: Path) -> None:
     assert np.abs(swapped - both).max() > 1e3 * FLOAT32 * largest
 
 
+@pytest.mark.long
 def test_a_basis_has_the_waves_of_each_colour(tmp_path: Path) -> None:
     options: dict[str, Any] = {"tolerance": 2.0, "tracer": "compiled"}
     made = radwrap.render(two_colours(), tmp_path, basis=True, seed=3, **options)

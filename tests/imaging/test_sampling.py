@@ -28,7 +28,7 @@ def scene() -> Scene:
     return radwrap.scene_from_document(EDGE)
 
 
-@pytest.mark.parametrize("plan", [KERNEL, RAYS])
+@pytest.mark.parametrize("plan", [KERNEL, pytest.param(RAYS, marks=pytest.mark.long)])
 def test_a_darker_image_is_sampled_by_the_same_rays(scene: Scene, plan: SamplingPlan) -> None:
     """Radiant exposure is proportional to the exposure time, noise and all; a search by itself takes fewer rays."""
     darker = radwrap.with_value(scene, "camera.exposure_time", "13 ms")
@@ -39,6 +39,7 @@ def test_a_darker_image_is_sampled_by_the_same_rays(scene: Scene, plan: Sampling
     assert replicates[0] == replicates[1]
 
 
+@pytest.mark.long
 def test_a_search_by_each_image_samples_darker_ones_coarser(scene: Scene) -> None:
     """Why there is a plan: the tolerance is absolute."""
     darker = radwrap.with_value(scene, "camera.exposure_time", "13 ms")

@@ -121,9 +121,9 @@ def test_the_image_does_not_depend_on_the_workers() -> None:
     ("how", "rays", "pixels"),
     [
         ({"viewpoints": 7}, 48, 500),
-        ({"method": "pinhole"}, 48, 500),
-        pytest.param({"tolerance": 2.0}, 256, 500, marks=pytest.mark.long),  # by a kernel: so does test_lens
-        pytest.param({"method": "rays", "tolerance": 2.0}, 256, 500, marks=pytest.mark.long),  # by rays: test_basis
+        pytest.param({"method": "pinhole"}, 48, 500, marks=pytest.mark.long),
+        pytest.param({"tolerance": 2.0}, 256, 500, marks=pytest.mark.long),  # test_lens
+        pytest.param({"method": "rays", "tolerance": 2.0}, 256, 500, marks=pytest.mark.long),  # test_certificate
         *(pytest.param(how, 256, 1500, marks=pytest.mark.long) for how in ({"tolerance": 2.0}, {"method": "rays"})),
     ],
 )

@@ -70,6 +70,7 @@ def test_a_dome_at_its_centre(bench: Any) -> None:
     assert got == pytest.approx(math.pi * (1 - 0.25), rel=ASKED)
 
 
+@pytest.mark.parametrize("bench", ["compiled", pytest.param("radiance", marks=pytest.mark.long)], indirect=True)
 def test_a_surround_gives_pi_everywhere_and_is_seen_itself(bench: Any) -> None:
     ball = {"type": "sphere", "material": "gray", "diameter": "100 mm"}
     scene = bench.scene(

@@ -43,7 +43,7 @@ def run(
 
 @pytest.mark.parametrize(
     "name",
-    ["shadows", "dots", *(pytest.param(name, marks=pytest.mark.long) for name in ("lambertian", "cone_beam", "ring"))],
+    ["dots", *(pytest.param(name, marks=pytest.mark.long) for name in ("shadows", "lambertian", "cone_beam", "ring"))],
 )
 def test_direct_light(name: str, tmp_path: Path) -> None:
     result = run(load(name), tmp_path)
