@@ -117,10 +117,10 @@ def test_light_that_is_laid_out_adds_up_and_slopes_hide_nothing() -> None:
     across = np.broadcast_to(np.linspace(0.0, 0.3, 64), (48, 64))
     values = 1 + across
     even = Layout.of(across, layers)
-    assert even.going_on(values) is None and sum(even.as_seen(values)) == pytest.approx(values)
+    assert even.going_on(values) is None and sum(even.as_seen(values).values()) == pytest.approx(values)
     hiding = np.where(np.arange(64) < 20, 0.3, 0.1) * np.ones((48, 1))
     behind = Layout.of(hiding, layers).going_on(values)
-    assert behind is not None and sum(behind) == pytest.approx(values)
+    assert behind is not None and sum(behind.values()) == pytest.approx(values)
     # What lies behind goes on to the border, and the near layer has what differs from it.
     assert (behind[1][:, 20:] == values[:, 20:]).all() and behind[1][:, 19] == pytest.approx(values[:, 20], rel=0.02)
     assert behind[3] == pytest.approx(np.where(hiding > 0.2, values - behind[1], 0.0))

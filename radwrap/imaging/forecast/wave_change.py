@@ -344,8 +344,8 @@ def _gathered(
     """What rays gather at those pixels of a part that lie alike in their cells, and what waves add."""
     layout = Layout.of(depth, grid.layers)
     seen, behind = layout.as_seen(light), layout.going_on(light)
-    spectra = [np.fft.rfft2(one) for one in seen]
-    of_behind = spectra if behind is None else [np.fft.rfft2(one) for one in behind]
+    spectra = {layer: np.fft.rfft2(one) for layer, one in seen.items()}
+    of_behind = spectra if behind is None else {layer: np.fft.rfft2(one) for layer, one in behind.items()}
     r0, r1, c0, c1 = rect
     first_row, _, first_column, _ = grid.around(rect, grid.far)
     step = max(1, round(grid.cell))
@@ -356,10 +356,8 @@ def _gathered(
         chosen.append(pixels - begin)
     found = np.zeros((2, at[0].size * at[1].size))
     for place, share, _ in grid.lens_field.shares(rect):
-        rays, waves = np.zeros_like(spectra[0]), np.zeros_like(spectra[0])
-        for spectrum, other, (of_rays, of_waves) in zip(spectra, of_behind, weights[place], strict=True):
-            rays += spectrum * np.conj(of_rays)
-            waves += other * np.conj(of_waves)
-        each = [np.fft.irfft2(one, light.shape)[np.ix_(*at)].ravel() for one in (rays, waves)]
+        of_rays = sum(one * np.conj(weights[place][layer][0]) for layer, one in spectra.items())
+        of_waves = sum(one * np.conj(weights[place][layer][1]) for layer, one in of_behind.items())
+        each = [np.fft.irfft2(one, light.shape)[np.ix_(*at)].ravel() for one in (of_rays, of_waves)]
         found += share[np.ix_(*chosen)].ravel() * np.stack(each)
     return found[0], found[1]

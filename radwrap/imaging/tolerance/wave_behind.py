@@ -12,15 +12,17 @@ being laid out where it is seen is how far this may be off.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.imaging.methods.kernel import layer_places, layer_shares
+from radwrap.imaging.methods.kernel import layer_places
 
 Array = NDArray[np.float64]
+ByLayer = dict[int, Array]  # of the layers that have any, by their number
 Flags = NDArray[np.bool_]
 
 # Of the distance between layers: what differs by less from its neighbour goes on as a slope.
@@ -33,47 +35,56 @@ class Layout:
 
     Attributes
     ----------
-    shares : tuple of ndarray, shape (rows, columns)
-        Of each layer in the light where it is seen.
+    shares : dict of ndarray, shape (rows, columns)
+        Of each layer in the light where it is seen; of layers that have some.
     hiding : tuple of (ndarray of bool, Filling)
         Where near things hide others, the farthest first, and what goes on there.
-    behind : tuple of ndarray, shape (rows, columns)
+    behind : dict of ndarray, shape (rows, columns)
         Of each layer in the light that goes on; none where nothing hides.
     """
 
-    shares: tuple[Array, ...]
+    shares: ByLayer
     hiding: tuple[tuple[Flags, Filling], ...]
-    behind: tuple[Array, ...]
+    behind: ByLayer
 
     @classmethod
     def of(cls, magnification: Array, layers: tuple[float, ...]) -> Layout:
         """For magnifications of shape (rows, columns), and those of the layers, from the farthest on."""
-        shares = tuple(layer_shares(layers, magnification))
         if len(layers) == 1:
-            return cls(shares, (), ())
+            return cls({0: np.ones_like(magnification)}, (), {})
         place = layer_places(layers, magnification)
+        shares = _shares_at(place)
         if not any((np.abs(np.diff(place, axis=axis)) > _STEP).any() for axis in (0, 1)):
-            return cls(shares, (), ())
+            return cls(shares, (), {})
         number = np.rint(place).astype(np.intp)
         hiding, depth = [], magnification.copy()
         for near in np.unique(number)[1:].tolist():
             here, far = number == near, Filling.of(number < near)
             depth[here] = far.filled(magnification)[here]
             hiding.append((here, far))
-        return cls(shares, tuple(hiding), tuple(layer_shares(layers, depth)))
+        return cls(shares, tuple(hiding), _shares_at(layer_places(layers, depth)))
 
-    def as_seen(self, values: Array) -> list[Array]:
+    def as_seen(self, values: Array) -> ByLayer:
         """Light of each layer where it is seen, of values of shape (rows, columns)."""
-        return [values * share for share in self.shares]
+        return {number: values * share for number, share in self.shares.items()}
 
-    def going_on(self, values: Array) -> list[Array] | None:
+    def going_on(self, values: Array) -> ByLayer | None:
         """The same, what lies behind laid out to go on; None where nothing hides another thing."""
         if not self.behind:
             return None
         light = np.zeros_like(values)
         for here, far in self.hiding:
             light[here] = far.filled(values)[here]
-        return [near + light * share for near, share in zip(self.as_seen(values - light), self.behind, strict=True)]
+        found = self.as_seen(values - light)
+        for number, share in self.behind.items():
+            found[number] = found.get(number, 0.0) + light * share
+        return dict(sorted(found.items()))
+
+
+def _shares_at(place: Array) -> ByLayer:
+    """As `layer_shares`, of places between the layers: a tile shows one or two depths of a scene."""
+    numbers = range(math.floor(place.min()), math.ceil(place.max()) + 1)
+    return {number: np.maximum(0.0, 1 - np.abs(place - number)) for number in numbers}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,14 +125,17 @@ class Filling:
 
 def _fours(values: Array) -> Array:
     """Sums of squares of four."""
-    rows, columns = (size + size % 2 for size in values.shape)
-    whole = np.zeros((rows, columns))
-    whole[: values.shape[0], : values.shape[1]] = values
-    return np.asarray(whole.reshape(rows // 2, 2, columns // 2, 2).sum(axis=(1, 3)))
+    whole = np.pad(values, [(0, size % 2) for size in values.shape])
+    rows = whole[::2] + whole[1::2]
+    return np.asarray(rows[:, ::2] + rows[:, 1::2])
 
 
 def _twice(values: Array) -> Array:
     """Twice as many rows, straight between their middles."""
-    wide = np.pad(values, ((1, 1), (0, 0)), mode="edge")
-    inside = wide[1:-1]
-    return np.stack([3 * inside + wide[:-2], 3 * inside + wide[2:]], axis=1).reshape(-1, values.shape[1]) / 4
+    found = np.empty((len(values), 2, values.shape[1]))
+    np.multiply(values[:, np.newaxis], 0.75, out=found)
+    found[1:, 0] += values[:-1] / 4
+    found[:-1, 1] += values[1:] / 4
+    found[0, 0] += values[0] / 4
+    found[-1, 1] += values[-1] / 4
+    return found.reshape(-1, values.shape[1])

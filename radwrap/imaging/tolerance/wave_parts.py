@@ -22,7 +22,7 @@ from radwrap.imaging.methods.central import Cells, CentralImage, central_image
 from radwrap.imaging.methods.kernel import GRID_SHARE, coarsened, decide_tile, fast_length, lattice
 from radwrap.imaging.optics.lens_field import MIXED_SHARE, Place
 from radwrap.imaging.optics.view import View
-from radwrap.imaging.tolerance.wave_behind import Layout
+from radwrap.imaging.tolerance.wave_behind import ByLayer, Layout
 from radwrap.imaging.tolerance.wave_far import far_change, far_light
 from radwrap.imaging.tolerance.wave_plan import WavePlan, bare
 from radwrap.kept import Kept, of_kept
@@ -174,7 +174,7 @@ def wave_tile(
         # Cells that do not resolve what waves do say little of what smaller ones would change.
         share = GRID_SHARE if cell * plan.pitch <= of_source.waves.blur else 1.0
         seen, rough_seen = (
-            [light] if layout is None else layout.as_seen(light)
+            {0: light} if layout is None else layout.as_seen(light)
             for layout, light in zip(layouts, (fine, rough), strict=True)
         )
         behind = None if layouts[0] is None else layouts[0].going_on(fine)
@@ -197,16 +197,17 @@ def kept_transforms() -> Kept:
     return Kept(_MOST_KEPT)
 
 
-def lit_layers(light: Sequence[Array]) -> list[int]:
-    """Numbers of the layers that have light, one at least: most tiles show one or two depths of a scene."""
-    brightest = [float(np.abs(one).max()) for one in light]
-    return [number for number, most in enumerate(brightest) if most > _NO_LIGHT * max(brightest)] or [0]
+def lit_layers(light: ByLayer) -> ByLayer:
+    """Those layers that have light, one at least."""
+    brightest = {number: float(np.abs(one).max()) for number, one in light.items()}
+    least = _NO_LIGHT * max(brightest.values())
+    return {number: light[number] for number, most in brightest.items() if most > least} or dict([*light.items()][:1])
 
 
 def _gathered(
     plan: WavePlan,
     central: CentralImage,
-    light: Sequence[Array],
+    light: ByLayer,
     cell: float,
     place: Rect,
     *,
@@ -216,27 +217,28 @@ def _gathered(
     weights = plan.weights
     found, of_coarser = np.zeros((2, place[1] - place[0], place[3] - place[2]))
     phases = [(row, column) for row, column in np.ndindex(max(1, round(cell)), max(1, round(cell)))]
-    layers = lit_layers(light)
+    light = lit_layers(light)
 
     def transformed(what: tuple[float, tuple[int, int], tuple[int, int], Place, int]) -> Complex:
         return of_kept(
             transforms, lambda: (id(weights), *what), lambda: weights.laid_out(*what), lambda one: one.nbytes
         )
 
-    whole = (slice(0, light[0].shape[0]), slice(0, light[0].shape[1]))
+    rows, columns = central.values.shape[-2:]
+    whole = (slice(0, rows), slice(0, columns))
     spectra, part = list[Complex](), (slice(0, 0), slice(0, 0))
     for of_field, share, coarser in weights.lens_field.shares(place):
         reach = np.max([weights.near(cell, phase, of_field)[0].shape for phase in phases], axis=0) // 2
         cells = _around(share + coarser, central, cell, place, reach)
         # Light has to be transformed anew for a part of it.
-        if (len(layers) + 1) * _number(cells) >= _number(whole):
+        if (len(light) + 1) * _number(cells) >= _number(whole):
             cells = whole
         size = cells[0].stop - cells[0].start, cells[1].stop - cells[1].start
         shape = fast_length(size[0]), fast_length(size[1])
         if cells != part:
-            spectra, part = [np.fft.rfft2(light[layer][cells], shape) for layer in layers], cells
+            spectra, part = [np.fft.rfft2(one[cells], shape) for one in light.values()], cells
         for phase in phases:
-            at_phase = (transformed((cell, shape, phase, of_field, layer)) for layer in layers)
+            at_phase = (transformed((cell, shape, phase, of_field, layer)) for layer in light)
             field = np.fft.irfft2(
                 sum(spectrum * np.conj(each) for spectrum, each in zip(spectra, at_phase, strict=True)), shape
             )
