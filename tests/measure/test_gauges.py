@@ -36,6 +36,7 @@ from radwrap.measure.gauges import (
     measure_width,
 )
 from radwrap.measure.gauges import circle as circle_gauge
+from radwrap.measure.gauges import contour as contour_fit
 from radwrap.measure.gauges import region as region_gauge
 from radwrap.measure.gauges import straight as straight_gauge
 from radwrap.measure.gauges import uniformity as uniformity_gauge
@@ -644,6 +645,15 @@ def test_of_a_small_circle_and_its_blur_the_larger_is_the_circle() -> None:
 def test_a_circle_that_is_hardly_larger_than_its_blur_is_refused() -> None:
     with pytest.raises(InputError, match="hardly larger than its blur"):
         circle(ring(5.0, 4.8), 5.0)
+
+
+def test_a_fit_that_does_not_come_to_rest_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its last round must not move it by more than its standard error, which one round from afar does."""
+    light, begin = ring(12.0, 1.5), 12.8
+    assert circle(light, begin).diameter == pytest.approx(24.0, abs=1e-3)
+    monkeypatch.setattr(contour_fit, "_ROUNDS", 1)
+    with pytest.raises(InputError, match="does not come to rest"):
+        circle(light, begin)
 
 
 @pytest.mark.parametrize(("radius", "sigma"), [(7.0, 2.0), (4.0, 1.0)])

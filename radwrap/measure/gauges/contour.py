@@ -56,6 +56,7 @@ BEYOND: Final = 4.0  # px of level on either side of the blur
 _ROUNDS: Final = 8  # of strip, weights and outliers
 _RADIUS: Final = 1e-4  # px, to which the disc is known beside which other discs are fitted
 _STILL: Final = 1e-3  # px; pixels no longer come and go
+_REST_SIGMA: Final = 1.0  # standard errors; a last round that moves it by more has not found the contour
 _SHORT_BLOCK: Final = 3.0  # px, that tells a polygon from a circle
 _FEWEST_PIXELS: Final = 30  # of a side, for its noise
 _MISFIT_SIGMA: Final = 5.0  # so far above what noise makes of the blocks' places the contour is of another shape
@@ -184,7 +185,15 @@ def _fitted(light: Light, shape: Shape, start: Blur, band: float, aspect: float)
         if not first and still < _STILL:
             break
     _check_seen(1 - left_out)
-    return _told(shape, light, strip, disc, state, left_out=left_out, sound=sound)
+    told = _told(shape, light, strip, disc, state, left_out=left_out, sound=sound)
+    restless = np.maximum(_REST_SIGMA * np.sqrt(np.diag(told.covariance)), MISFIT * shape.units)
+    if (np.abs(parameters - before[0]) > restless).any():
+        raise InputError(
+            "the fit does not come to rest: what lies beside the contour is taken for it by turns",
+            where="the image",
+            remedy="narrow the band, or leave out by arc what lies beside the contour",
+        )
+    return told
 
 
 def _rough(shape: Shape, strip: Strip, at: tuple[Array, Blur], sound: Flags) -> State:
