@@ -197,9 +197,11 @@ def calibrate_views(
     cost = float(sum(np.sum(part**2) for part in residuals))
     if not tangent <= _REACHED * math.sqrt(cost) + _ROUND_OFF:
         raise InputError(
-            "no minimum was reached: hardly tilted views do not separate the focal length from the distance",
+            "no minimum was reached: views that are hardly tilted, or about one axis only, do not separate the focal "
+            "length from the distance",
             where="views",
-            remedy="give tilted views that fill the image, or a model with fewer coefficients; look for wrong points",
+            remedy="give views that fill the image and are tilted about both axes, or a model with fewer coefficients; "
+            "look for wrong points",
         )
     _check_in_front(local, state)
     count = sum(len(view.points) for view in views)
@@ -294,7 +296,7 @@ def _check_determined(sizes: Array, names: Sequence[str]) -> None:
         raise InputError(
             f"the points do not separate {', '.join(names)}",
             where="views",
-            remedy="give tilted views that fill the image, or a model with fewer coefficients",
+            remedy="give views that fill the image and are tilted about both axes, or a model with fewer coefficients",
         )
 
 
