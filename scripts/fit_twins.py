@@ -10,7 +10,9 @@ wrong value), and processor time and rays.
 from __future__ import annotations
 
 import argparse
+import json
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,6 +20,7 @@ import numpy as np
 
 import radwrap
 from default_tolerance import cpu
+from radwrap.files import write_bytes
 from radwrap.fitting.free_keys import free_scene
 from radwrap.manifest import json_text
 from radwrap.random_streams import generator
@@ -150,8 +153,17 @@ def wronged(scene: radwrap.Scene, kind: str) -> radwrap.Scene:
     return radwrap.with_value(scene, "camera.sensor.gamma", 0.8)
 
 
-def twin(number: int, seed: int, tolerance: float, *, renders: bool, wrong: str) -> dict[str, Any]:
-    """One scene, one capture, one fit."""
+@dataclass(frozen=True)
+class Twin:
+    """What a fit is asked: the scene where it begins, a capture, and the values that made it."""
+
+    begun: radwrap.Scene
+    capture: radwrap.GrayImage
+    truth: dict[str, float]
+
+
+def twin_of(number: int, seed: int, tolerance: float, *, renders: bool, wrong: str = "") -> Twin:
+    """A scene that is drawn, and its capture."""
     random = generator(seed, number, _STREAM)
     is_board = renders and bool(random.integers(2))
     target = (board if is_board else edge)(random)
@@ -160,16 +172,28 @@ def twin(number: int, seed: int, tolerance: float, *, renders: bool, wrong: str)
     truth = truth_of(random, renders=renders and not wrong, is_board=is_board)
     free = free_scene(scene, keys_of(truth))
     captured = free.at([truth[key.key] for key in free.keys])
-    # No ray in common with the fit.
-    rays = radwrap.RenderOptions(method="rays", tolerance=tolerance / 5, seed=10_000 + number, workers=1)
+    # No ray in common with the fit, and no noise with the captures of other seeds.
+    own = 10_000 * (seed + 1) + number
+    rays = radwrap.RenderOptions(method="rays", tolerance=tolerance / 5, seed=own, workers=1)
     made = radwrap.render(captured, options=rays, tracer="compiled")
-    begun = wronged(scene, wrong) if wrong else scene
+    return Twin(wronged(scene, wrong) if wrong else scene, made.frames(1, seed=own)[0], truth)
+
+
+def twin(number: int, seed: int, tolerance: float, *, renders: bool, wrong: str) -> dict[str, Any]:
+    """One scene, one capture, one fit."""
+    asked = twin_of(number, seed, tolerance, renders=renders, wrong=wrong)
+    truth = asked.truth
     before = cpu()
     options = radwrap.RenderOptions(tolerance=tolerance, seed=number, workers=1)
-    found = radwrap.fit(begun, made.frames(1), keys_of(truth), options=options)
+    found = radwrap.fit(asked.begun, [asked.capture], keys_of(truth), options=options)
     keys = [
         {
             "key": key.key,
+            "truth": truth[key.key],
+            "value": key.value,
+            "interval": key.interval,
+            "sigma_noise": key.sigma_noise,
+            "sigma_prediction": key.sigma_prediction,
             "pull": (key.value - truth[key.key]) / key.sigma if key.sigma else None,
             "held": key.interval is not None and key.interval[0] <= truth[key.key] <= key.interval[1],
         }
@@ -226,16 +250,26 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", help="file for the numbers")
     asked = parser.parse_args()
-    twins = []
-    for number in range(asked.twins + asked.wrong):
+    what = {"seed": asked.seed, "tolerance": asked.tolerance, "renders": asked.renders, "right": asked.twins}
+    twins = done(asked.out, what)
+    for number in range(len(twins), asked.twins + asked.wrong):
         wrong = WRONG[number % len(WRONG)] if number >= asked.twins else ""
         twins.append(twin(number, asked.seed, asked.tolerance, renders=asked.renders, wrong=wrong))
         told = "explained" if twins[-1]["explained"] else "not explained"
         print(f"twin {number} {wrong}: {told}, {twins[-1]['processor_s']:.0f} s", file=sys.stderr)
-    found = summary(twins)
-    print(json_text(found), end="")
-    if asked.out:
-        Path(asked.out).write_text(json_text({"summary": found, "twins": twins}))
+        if asked.out:
+            write_bytes(Path(asked.out), json_text({"asked": what, "summary": summary(twins), "twins": twins}).encode())
+    print(json_text(summary(twins)), end="")
+
+
+def done(path: str | None, what: dict[str, Any]) -> list[dict[str, Any]]:
+    """Twins of the same run that a file has already: one that was killed goes on."""
+    if path is None or not Path(path).exists():
+        return []
+    kept = json.loads(Path(path).read_text())
+    if kept["asked"] != what:
+        raise SystemExit(f"{path} is of another run: {kept['asked']}")
+    return list(kept["twins"])
 
 
 if __name__ == "__main__":

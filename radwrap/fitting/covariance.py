@@ -16,27 +16,28 @@ RANK: Final = 1e-6
 GRAIN: Final = 1e-2
 _NOTHING: Final = 1e-10  # of the longest column: rounding of two predictions, over their step
 _TOUCHED: Final = 1e-3  # share of a key in a direction that is not determined
+# Of what slopes show in a direction, by its square: where more is grain, nothing is known.
+MOST_GRAIN: Final = 0.5
+# Of a key's variance: what directions that are not determined may add to it, where it is determined all the same.
+_NEGLIGIBLE: Final = 0.1
 _UNSURE: Final = 3.0  # times the share of a singular value that is none: so unsure are directions
 SURE: Final = 0.95
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PredictionErrors:
-    """How far a prediction may be off, by others of its kind with other seeds.
+    """How far a prediction may be off, by independent ones whose mean it is.
 
     Attributes
     ----------
     replicates : ndarray, shape (replicates, pixels)
         Independent predictions of the used pixels, over sigma; at least two.
-    predictions : int
-        Of how many such the prediction is the mean.
-    model : float
-        Rms error over sigma that all of them have in common, at most.
+    common : ndarray, shape (pixels,), or float
+        By how much all of them may be off alike, at most, over sigma.
     """
 
     replicates: Array
-    predictions: int
-    model: float
+    common: Array | float = 0.0
 
     @property
     def deviations(self) -> Array:
@@ -47,6 +48,16 @@ class PredictionErrors:
     def freedom(self) -> int:
         """Degrees of freedom of what they tell of their variance."""
         return len(self.replicates) - 1
+
+    @property
+    def predictions(self) -> int:
+        """Of how many the prediction is the mean."""
+        return len(self.replicates)
+
+    @property
+    def bound(self) -> Array:
+        """What they have in common, shape (pixels,)."""
+        return np.broadcast_to(np.asarray(self.common, dtype=np.float64), self.replicates.shape[1:])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,7 +106,7 @@ class Spread:
     freedom : int
         Independent predictions less one, that tell it.
     bound : ndarray, shape (keys,)
-        By how much the model of the rays' method may move each value, at most.
+        By how much what all replicates have in common may move each value, at most.
     half_width : ndarray, shape (keys,)
         Of the 95 % interval; NaN where the captures do not determine a key.
     rank : int
@@ -135,7 +146,72 @@ def lengths(jacobian: Array) -> Array:
     return np.where(lengths > _NOTHING * float(lengths.max(initial=0.0)), lengths, np.inf)
 
 
-def spread(jacobian: Array, errors: PredictionErrors, rank_share: float = RANK, shared: Shared | None = None) -> Spread:
+@dataclass(frozen=True, slots=True, eq=False)
+class Inverse:
+    """How keys answer to what is left, in the directions that stand out of the grain of the slopes.
+
+    Attributes
+    ----------
+    matrix : ndarray, shape (keys, pixels)
+        What is left -> change of the keys, in their scales.
+    square : ndarray, shape (keys, keys)
+        Slopes times what is left -> the same.
+    basis : ndarray, shape (pixels, rank)
+        Orthonormal, of all changes of the prediction that the keys make, over sigma.
+    undetermined : ndarray, shape (directions, keys)
+        Orthonormal, in columns of one length.
+    scale : ndarray, shape (keys,)
+        Lengths of the columns.
+    """
+
+    matrix: Array
+    square: Array
+    basis: Array
+    undetermined: Array
+    scale: Array
+
+
+def inverse_of(jacobian: Array, rank_share: float = RANK, grain: Array | None = None) -> Inverse:
+    """Invert slopes that have a grain.
+
+    Slopes J + D, whose grain D is by chance, look steeper than they are: (J + D)^T (J + D) is J^T J + D^T D on average.
+    What the grain adds is taken away again, so that a step is neither too small nor too sure (W. A. Fuller,
+    Measurement Error Models, 1987, Eq. 2.2.12), and a direction in which the grain is most of what shows is none.
+
+    Parameters
+    ----------
+    jacobian : ndarray, shape (pixels, keys)
+        Change of the prediction with each key's scale, over sigma.
+    rank_share : float
+        Below this share of the largest a singular value is none.
+    grain : ndarray, shape (keys, keys), optional
+        Expected D^T D.
+    """
+    scale = lengths(jacobian)
+    left, singular, right = np.linalg.svd(jacobian / scale, full_matrices=False)
+    good = singular > rank_share * float(singular.max(initial=0.0))
+    left, right, singular = left[:, good], right[good], singular[good]
+    undetermined = _complement(right, jacobian.shape[1])
+    # Moved along one of these columns, the prediction changes by one expected deviation.
+    ways, gain = right.T / singular, np.ones(len(singular))
+    if grain is not None and len(singular):
+        share = ways.T @ (grain / np.outer(scale, scale)) @ ways
+        values, vectors = np.linalg.eigh(share)
+        seen = values < MOST_GRAIN
+        lost = np.linalg.qr(ways @ vectors[:, ~seen])[0].T
+        undetermined = np.concatenate([undetermined, lost])
+        ways, left, gain = ways @ vectors[:, seen], left @ vectors[:, seen], 1 / (1 - values[seen])
+    ways = ways / scale[:, np.newaxis]
+    return Inverse((ways * gain) @ left.T, (ways * gain) @ ways.T, left, undetermined, scale)
+
+
+def spread(
+    jacobian: Array,
+    errors: PredictionErrors,
+    rank_share: float = RANK,
+    shared: Shared | None = None,
+    grain: Array | None = None,
+) -> Spread:
     """Find it from a weighted Jacobian.
 
     Parameters
@@ -144,33 +220,43 @@ def spread(jacobian: Array, errors: PredictionErrors, rank_share: float = RANK, 
         Change of the prediction with each key's scale, over sigma.
     errors : PredictionErrors
         Of the same pixels.
-    rank_share : float
-        Below this share of the largest a singular value is none: `RANK`, or `GRAIN` where keys need renders.
+    rank_share, grain
+        As of `inverse_of`: `RANK`, or `GRAIN` where keys need renders.
     shared : Shared, optional
         Noise that captures have in common.
     """
     from scipy.stats import norm, t
 
-    scale = lengths(jacobian)
-    left, singular, right = np.linalg.svd(jacobian / scale, full_matrices=False)
-    keys = jacobian.shape[1]
-    good = singular > rank_share * float(singular.max(initial=0.0))
-    rank = int(good.sum())
-    inverse = (right[good].T / singular[good]) @ left[:, good].T / scale[:, np.newaxis]
+    found = inverse_of(jacobian, rank_share, grain)
+    inverse, scale = found.matrix, found.scale
     noise = inverse @ inverse.T
     if shared is not None:
         noise = noise + shared.beyond_own(inverse)
     moved, freedom = errors.deviations @ inverse.T, errors.freedom
     prediction = moved.T @ moved / freedom / errors.predictions
-    bound = np.linalg.norm(inverse, axis=1) * errors.model * np.sqrt(len(jacobian))
+    bound = np.abs(inverse) @ errors.bound
     # In the keys' own scales: a change of columns made of one length is one of a value divided by it.
-    undetermined = _complement(right[good], keys)
-    null = undetermined / np.where(np.isfinite(scale), scale, 1.0)
+    null = found.undetermined / np.where(np.isfinite(scale), scale, 1.0)
     half = np.sqrt(
         (norm.ppf(0.5 + SURE / 2) ** 2) * np.diag(noise) + (t.ppf(0.5 + SURE / 2, freedom) ** 2) * np.diag(prediction)
     )
-    touched = np.sqrt((undetermined**2).sum(axis=0)) > max(_TOUCHED, _UNSURE * rank_share)
-    return Spread(noise, prediction, freedom, bound, np.where(touched, np.nan, half + bound), rank, null, left[:, good])
+    touched = np.sqrt((found.undetermined**2).sum(axis=0)) > max(_TOUCHED, _UNSURE * rank_share)
+    touched |= _leaning(jacobian / scale, found.undetermined, rank_share) * scale**-2.0 > _NEGLIGIBLE * np.diag(
+        noise + prediction
+    )
+    half = np.where(touched, np.nan, half + bound)
+    return Spread(noise, prediction, freedom, bound, half, found.basis.shape[1], null, found.basis)
+
+
+def _leaning(jacobian: Array, undetermined: Array, rank_share: float) -> Array:
+    """Variance that keys have by directions that are not determined, at least, shape (keys,).
+
+    A key with a small share of a direction still goes along with it, as far as nobody knows. The steepness that shows
+    there is grain, more than half of it: the square of the true one is at most half of that.
+    """
+    floor = rank_share * float(np.linalg.norm(jacobian, 2)) if jacobian.size else 0.0
+    shown = np.maximum(np.linalg.norm(jacobian @ undetermined.T, axis=0), floor)
+    return np.asarray(((undetermined / shown[:, np.newaxis]) ** 2).sum(axis=0) / (1 - MOST_GRAIN))
 
 
 def _complement(determined: Array, keys: int) -> Array:

@@ -7,7 +7,7 @@ import math
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from radwrap.errors import InputError
 from radwrap.files import check_not_others, check_results, make_folder, sole_owner
 from radwrap.fitting.approach import COARSER, approached
-from radwrap.fitting.captured import read_mask
+from radwrap.fitting.captured import Captured, read_mask
 from radwrap.fitting.covariance import GRAIN, RANK, PredictionErrors, Shared, Spread, spread
 from radwrap.fitting.directions import in_words
 from radwrap.fitting.free_keys import FreeKey, FreeScene, free_scene
@@ -28,7 +28,9 @@ from radwrap.fitting.poses import aimed_keys
 from radwrap.fitting.prediction import Prediction
 from radwrap.fitting.scene_text import text_of, with_values
 from radwrap.fitting.series import Captures, State, joined, states_of
-from radwrap.fitting.solution import Solution, solve
+from radwrap.fitting.settled import Grain, Settled
+from radwrap.fitting.solution import Solution, settle, solve
+from radwrap.fitting.suspects import suspects
 from radwrap.fitting.told import Fit, FittedKey, as_manifest
 from radwrap.fitting.verdict import verdict
 from radwrap.fitting.weights import patterns
@@ -48,6 +50,8 @@ _AT_BOUND: Final = 1e-6  # of a key's scale
 _WORK: Final = ".fit"
 _COARSE: Final = "coarse"
 _NEAR: Final = "near"
+_PLACES: Final = 4  # at most, where it is looked for the end by unbiased rays
+_ARRIVED: Final = 0.5  # expected deviations: by so little the prediction moves in a last step
 PACKAGES: Final = ("tomlkit",)
 
 
@@ -184,19 +188,46 @@ def _begin(free: FreeScene, rendered: Sequence[bool], states: Sequence[State], l
     return _Begin(values, prediction.steps, coarse.rays)
 
 
-def _errors(prediction: Prediction, solved: Solution, light: Light) -> PredictionErrors:
-    """How far the prediction may be off: by other rays, and by what all of them have in common."""
-    used, sigma = solved.weighed.used, solved.weighed.sigma
-    others = [light.further(places.scene(solved.values)) for places in prediction.places]
-    images, own = prediction.replicates(solved.predicted, others)
-    # The method's model, and the size of its cells.
-    models = []
-    for part in solved.predicted.parts:
-        certificate = part.certificate()
-        off = math.hypot(certificate.model_rms_gray or 0.0, certificate.discretisation_rms_gray or 0.0)
-        models.append(np.full(part.exposure.shape, off))
-    model = math.sqrt(float(np.mean((np.concatenate(models)[used] / sigma[used]) ** 2)))
-    return PredictionErrors(images[:, used] / sigma[used], own, model)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Ended:
+    """Where a fit ended: values, how far the prediction may be off there, and the grain of its slopes."""
+
+    solved: Solution
+    errors: PredictionErrors
+    grain: Grain
+
+
+def _ended(
+    keys: Sequence[FreeKey],
+    prediction: Prediction,
+    light: Light,
+    captures: Sequence[Captured],
+    begin: Array,
+    *,
+    noise: float | None,
+    robust: bool,
+) -> _Ended:
+    """Settle by unbiased rays where a search ended, and where that leads to once more, until it leads nowhere else.
+
+    A step of some deviations leaves what is not linear in it: along what the captures hardly determine, keys go far.
+    """
+    place, scales = begin, np.array([key.scale for key in keys])
+    near: Settled | None = None
+    for _ in range(_PLACES):
+        bases = [light.unbiased(places.scene(place)) for places in prediction.places]
+        near = Settled(prediction, keys, place, bases, near)
+        solved, grain = settle(keys, near, captures, noise, robust=robust, begin=place)
+        way = (solved.values - place) / scales
+        place = solved.values
+        if not prediction.has_renders or float(np.linalg.norm(solved.jacobian @ way)) < _ARRIVED:
+            break
+    assert near is not None  # noqa: S101  (there is a first place)
+    if not near.reaches(place):
+        solved = replace(solved, converged=False)
+    used = solved.weighed.used
+    sigma = solved.weighed.sigma[used]
+    errors = PredictionErrors(near.replicates(place)[:, used] / sigma, near.common(solved.predicted)[used] / sigma)
+    return _Ended(solved, errors, grain)
 
 
 def _shared(solved: Solution, noise: float | None) -> Shared | None:
@@ -230,13 +261,16 @@ def _fitted(
     prediction = _prediction(states, rendered, light, begin.steps)
     captures = [state.captured for state in states]
     tolerance = light.tolerance if any(rendered) else 0.0
-    solved = solve(free.keys, prediction, captures, noise, robust=robust, begin=begin.values, tolerance=tolerance)
+    sought = solve(free.keys, prediction, captures, noise, robust=robust, begin=begin.values, tolerance=tolerance)
+    ended = _ended(free.keys, prediction, light, captures, sought.values, noise=noise, robust=robust)
+    solved, errors = ended.solved, ended.errors
     used, sigma = solved.weighed.used, solved.weighed.sigma
-    errors = _errors(prediction, solved, light)
-    grain = GRAIN if prediction.has_renders else RANK
-    sure = spread(solved.jacobian, errors, grain, _shared(solved, noise))
+    share = GRAIN if prediction.has_renders else RANK
+    sure = spread(solved.jacobian, errors, share, _shared(solved, noise), ended.grain.slopes)
     numbers = [state.number for state in states]
     judged = verdict(solved.residual, sigma, sure, errors, of_capture=numbers)
+    parts = solved.predicted.parts
+    looks_like = () if judged.explained else suspects(parts, solved.residual, sigma, sure, errors)
     scales = np.array([key.scale for key in free.keys])
     keys = tuple(
         _key(key, float(value), sure, number)
@@ -248,8 +282,8 @@ def _fitted(
     correlation = np.where(gone, np.nan, sure.correlation)
     words = in_words(sure.null, [key.key for key in free.keys], solved.values, scales)
     scene = free.at([float(value) for value in solved.values])
-    levels = [gray_levels(part.exposure, part.sensor) for part in solved.predicted.parts]
-    grays = tuple(image_of_levels(image, solved.predicted.parts[0].sensor, {}) for image in joined(levels, states))
+    levels = [gray_levels(part.exposure, part.sensor) for part in parts]
+    grays = tuple(image_of_levels(image, parts[0].sensor, {}) for image in joined(levels, states))
     residual, deviation = (
         np.concatenate(joined(np.split(image, len(states)), states)) for image in (solved.residual, sigma)
     )
@@ -267,11 +301,12 @@ def _fitted(
         "places": prediction.renders,
         "left_out": light.left_out,
         "converged": solved.converged,
-        "rounds": solved.rounds,
+        "rounds": sought.rounds + solved.rounds,
         "used_pixels": int(np.count_nonzero(used)),
         "censored_pixels": censored,
         "undetermined": words,
         **as_manifest(keys, judged, covariance, correlation),
+        "looks_like": [asdict(one) for one in looks_like],
     }
     return Fit(
         scene,
@@ -280,6 +315,7 @@ def _fitted(
         correlation,
         tuple(words),
         judged,
+        looks_like,
         solved.converged,
         residual,
         deviation,

@@ -14,12 +14,12 @@ from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.rendered import Rendered
 from radwrap.imaging.synthesis import render
 from radwrap.imaging.tolerance.lit_noise import with_gray_tolerance
-from radwrap.imaging.tolerance.sampling import strictest
+from radwrap.imaging.tolerance.sampling import Pilot, strictest
 from radwrap.imaging.tracing import traced_scene
 from radwrap.scene.scene import Scene
 from radwrap.study.pilots import read_pilot, write_pilot
 
-REPLICATES: Final = 4  # of each basis of a fit with renders, and further bases by other seeds of any fit
+REPLICATES: Final = 4  # of each basis of a fit with renders
 _SEED_STEP: Final = 1_000_003  # between seeds: none is that of a neighbouring fit
 
 
@@ -43,6 +43,10 @@ class Light:
         self._work, self._count = work, 0
         self._scene, self._is_even = scene, is_even
         self.rays, self.left_out = 0, ""
+        self.settled: SamplingPlan | None = None
+        self._pilot: Pilot | None = None
+        with traced_scene(scene, options) as view:
+            options, _ = with_gray_tolerance(options, view)
         self._options = replace(options, basis=True, frames=0, truth=False)
         if is_even:
             self._options = self._planned(scene, self._options)
@@ -50,8 +54,14 @@ class Light:
     def held(self) -> dict[str, Any]:
         """What was decided."""
         told = self._options
-        plan = None if told.sampling is None else told.sampling.as_json()
-        return {"method": told.method, "tracer": told.tracer, "sampling": plan, "tolerance": told.tolerance}
+        plan, settled = (None if one is None else one.as_json() for one in (told.sampling, self.settled))
+        return {
+            "method": told.method,
+            "tracer": told.tracer,
+            "sampling": plan,
+            "tolerance": told.tolerance,
+            "settled": settled,
+        }
 
     @property
     def tolerance(self) -> float:
@@ -65,23 +75,30 @@ class Light:
 
     def at(self, scene: Scene) -> Basis:
         """The basis of another scene, by the same rays."""
-        return self._basis(scene, self._options.seed)
+        return self._basis(scene, self._options)
 
-    def further(self, scene: Scene) -> tuple[Basis, ...]:
-        """Bases by other seeds."""
-        seeds = [(self._options.seed + number * _SEED_STEP) % 2**63 for number in range(1, REPLICATES + 1)]
-        return tuple(self._basis(scene, seed) for seed in seeds)
+    def unbiased(self, scene: Scene) -> Basis:
+        """The basis of a scene by other rays, over pixel and opening: no cell and no model of a kernel is in it."""
+        if self._pilot is None:
+            self._pilot = self._looked_at(scene, self._options)
+        demand = replace(self._options.demand, method="rays")
+        self.settled = strictest([self._pilot], demand)
+        options = replace(self._options, method="rays", sampling=self.settled)
+        return self._basis(scene, replace(options, seed=(options.seed + _SEED_STEP) % 2**63))
 
     def _planned(self, scene: Scene, options: RenderOptions) -> RenderOptions:
-        with traced_scene(scene, options) as view:
-            options, _ = with_gray_tolerance(options, view)
+        self._pilot = self._looked_at(scene, options)
+        plan: SamplingPlan = strictest([self._pilot], self._demand(options))
+        return replace(options, sampling=replace(plan, replicates=REPLICATES))
+
+    def _looked_at(self, scene: Scene, options: RenderOptions) -> Pilot:
+        """What an image needs."""
         path = self._work / "pilot.json"
-        write_pilot(path, scene, replace(options, basis=False))
+        write_pilot(path, scene, replace(options, basis=False, sampling=None))
         found = read_pilot(path)
         if found is None:
             raise EnvironmentFailure("the pilot was lost", where=str(path))
-        plan: SamplingPlan = strictest([found], self._demand(options))
-        return replace(options, sampling=replace(plan, replicates=REPLICATES))
+        return found
 
     @staticmethod
     def _demand(options: RenderOptions) -> Any:
@@ -89,19 +106,18 @@ class Light:
         planned = SamplingPlan("rays", rays=1024).replicates
         return replace(options.demand, tolerance=options.demand.tolerance * math.sqrt(REPLICATES / planned))
 
-    def _basis(self, scene: Scene, seed: int) -> Basis:
+    def _basis(self, scene: Scene, options: RenderOptions) -> Basis:
         folder = self._work / str(self._count)
         self._count += 1
-        made = self._rendered(scene, folder, seed)
+        made = self._rendered(scene, folder, options)
         self.rays += made.run.rays
         self.left_out = self.left_out or made.run.missing
         if self._options.method is None and made.run.method in ("kernel", "rays", "hybrid"):
             self._options = replace(self._options, method=made.run.method)
         return read_basis(folder)
 
-    def _rendered(self, scene: Scene, folder: Path, seed: int) -> Rendered:
+    def _rendered(self, scene: Scene, folder: Path, options: RenderOptions) -> Rendered:
         """By the tracer that is held; where nobody asked for one, by our own, which starts no process for an image."""
-        options = replace(self._options, seed=seed)
         if options.tracer != "auto":
             return render(scene, folder, options)
         try:

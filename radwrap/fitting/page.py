@@ -83,10 +83,11 @@ def _page(fit: Fit, picture: bytes) -> str:
         items = "".join(f"<li>{escape(line)}</li>" for line in fit.undetermined)
         undetermined = f"<h2>Not determined by the captures</h2><ul>{items}</ul>"
     items = "".join(f"<li>{escape(block.told())}</li>" for block in fit.verdict.worst)
+    looks = "".join(f"<p>It looks as if {escape(one.told())}.</p>" for one in fit.looks_like)
     return _HTML.format(
         title=escape(title),
         rows="".join(rows),
         undetermined=undetermined,
         picture=base64.b64encode(picture).decode(),
-        worst=f"<p>Where most is left:</p><ol>{items}</ol>",
+        worst=f"<p>Where most is left:</p><ol>{items}</ol>{looks}",
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.fitting.free_keys import FreeKey, FreeScene
-from radwrap.fitting.places import Places, radiances
-from radwrap.imaging.relight.relit import Basis, Relighter
+from radwrap.fitting.places import Lit, Places, radiances
+from radwrap.imaging.relight.relit import Basis
 from radwrap.imaging.response.exposure import exposure_of_radiance
 from radwrap.imaging.response.sensor import unclipped_gray
-from radwrap.imaging.tolerance.certificate import Certificate
 from radwrap.scene.camera import Sensor
 from radwrap.scene.scene import Scene
 
@@ -25,6 +24,8 @@ _STEP: Final = 1e-4  # of a key's scale: levels are linear in it, and the sensor
 _CHANGE: Final = 0.15
 _SMOOTH: Final = 0.5  # px: what single pixels show may be the grain of the rays
 _FARTHER: Final = 10.0
+_LEAST_ROOM: Final = 0.1  # of a step
+_FARTHEST: Final = 30.0  # steps of single keys, where several are moved together
 _TRIED_STEP: Final = 0.02  # of such a key's scale, to begin with
 _SMALLEST, _LARGEST = 1e-7, 0.5  # of such a key's scale: steps
 # The same of a value of 0, a pose's say, that has no scale of its own but its unit: turned by more, a lattice of dots
@@ -32,6 +33,7 @@ _SMALLEST, _LARGEST = 1e-7, 0.5  # of such a key's scale: steps
 _LARGEST_FROM_0: Final = {"deg": 10.0}
 _LARGEST_ELSE: Final = 50.0
 _TRIALS: Final = 6
+_NEAR_ENOUGH: Final = 0.25  # of a step: so far from where slopes were seen they are the same
 _FIT: Final = 2.0  # a step that is right within this factor
 
 
@@ -64,12 +66,6 @@ class Part:
         """That of the scene."""
         return self.scene.camera.sensor
 
-    def certificate(self) -> Certificate:
-        """How far its gray levels may be off, measured anew in this light and camera."""
-        camera = replace(self.scene.camera, distortion=None)
-        basis = replace(self.basis, camera=camera, exposure_of_radiance=exposure_of_radiance(camera))
-        return Relighter(basis).image(self.factors).certificate
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Predicted:
@@ -92,6 +88,25 @@ class Predicted:
     def unclipped(self) -> Array:
         """Gray levels without saturation and rounding, likewise."""
         return np.concatenate([part.unclipped for part in self.parts])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Steepness:
+    """How light changes with keys that need renders.
+
+    Attributes
+    ----------
+    numbers : ndarray of int, shape (n,)
+        Which keys.
+    changes : ndarray, shape (n, replicates, captures * rows, columns)
+        Of the radiant exposure with each key's scale, by independent rays [J m^-2].
+    reach : ndarray, shape (n,)
+        How far each key was moved for it, in its unit.
+    """
+
+    numbers: NDArray[np.intp]
+    changes: Array
+    reach: Array
 
 
 class Prediction:
@@ -120,6 +135,11 @@ class Prediction:
         return bool(self._rendered.any())
 
     @property
+    def shots(self) -> tuple[tuple[FreeScene, Places], ...]:
+        """For each capture its scene, and the light that it is seen in."""
+        return self._shots
+
+    @property
     def places(self) -> tuple[Places, ...]:
         """Those that differ."""
         return tuple({id(places): places for _, places in self._shots}.values())
@@ -135,8 +155,7 @@ class Prediction:
         parts = []
         for free, places in self._shots:
             scene, lit = free.at([float(value) for value in at]), places.lit(at)
-            told = radiances(scene)
-            factors = np.array([told[name] / lit.radiances[name] if told[name] else 0.0 for name in lit.basis.sources])
+            factors = factors_of(scene, lit)
             exposure, unclipped = gray_of(scene, factors, lit.images)
             parts.append(Part(scene, factors, exposure, unclipped, lit.basis))
         return Predicted(tuple(parts))
@@ -179,7 +198,7 @@ class Prediction:
         sigma = max(blur, _SMOOTH)
         target = _CHANGE * float(np.ptp(self._smooth(self.at(values).unclipped, sigma)))
         key = self._keys[number]
-        largest = _LARGEST if key.value else _LARGEST_FROM_0.get(key.unit, _LARGEST_ELSE)
+        largest = self._largest(key)
         taken = 0.0
         for _ in range(_TRIALS):
             try:
@@ -208,63 +227,103 @@ class Prediction:
         return np.concatenate([gaussian_filter(image, sigma) for image in parts])
 
     def _slope(self, values: Array, number: int, step: float) -> Array:
+        (high, low), (above, below) = self._ends(values, number, step)
+        change = self.at(above).unclipped - self.at(below).unclipped
+        return np.asarray(change / ((high - low) / self._keys[number].scale))
+
+    def _ends(self, values: Array, number: int, step: float) -> tuple[tuple[float, float], tuple[Array, Array]]:
+        """A key's values on both sides, and all keys' there."""
         key = self._keys[number]
         ends = []
         for sign in (1.0, -1.0):
             moved = np.array(values, dtype=np.float64)
             moved[number] = min(max(moved[number] + sign * step * key.scale, key.low), key.high)
-            ends.append((moved[number], self.at(moved).unclipped))
-        return np.asarray((ends[0][1] - ends[1][1]) / ((ends[0][0] - ends[1][0]) / key.scale))
+            ends.append(moved)
+        return (float(ends[0][number]), float(ends[1][number])), (ends[0], ends[1])
 
-    def replicates(self, predicted: Predicted, others: Sequence[Sequence[Basis]]) -> tuple[Array, int]:
-        """Independent images whose mean a prediction is, and others of their kind.
+    def steepness(self, values: Array) -> Steepness:
+        """Change of the radiant exposure with each key that needs renders, by each replicate of the bases.
 
-        Captures in the same light share the error of its rays. Where bases have more replicates than others, some of
-        these are joined, so that all have as many.
-
-        Parameters
-        ----------
-        predicted : Predicted
-            The prediction.
-        others : sequence of sequence of Basis
-            Of each of `places` in turn the same number of further bases, by other rays.
-
-        Returns
-        -------
-        images : ndarray, shape (replicates, captures * rows, columns)
-            Unclipped gray levels.
-        own : int
-            How many of them, the first ones, the prediction is the mean of.
-
-        Raises
-        ------
-        InputError
-            If a basis has other sources.
+        Keys that nearly cancel each other are moved together, as far as it takes to see what is left: the difference of
+        two large slopes would be off by their grain, and by what a finite step leaves out of each.
         """
-        own = [predicted.parts[self._first(places)].basis for places in self.places]
-        if any(basis.sources != known.sources for known, bases in zip(own, others, strict=True) for basis in bases):
-            raise InputError("has other sources", where="basis")
-        rounds = [own, *zip(*others, strict=True)]
-        count = min(basis.images.shape[1] for bases in rounds for basis in bases)
-        return np.concatenate([self._images(predicted, bases, count) for bases in rounds]), count
+        slopes = self.slopes(values)
+        near = self._near(values, 0.0)
+        scales = np.array([key.scale for key in self._keys])
+        reach = np.array(self._steps[0.0]) * scales
+        if (np.abs(values - near) > _NEAR_ENOUGH * reach)[self._rendered].any():
+            near = np.array(values, dtype=np.float64)
+        numbers = np.flatnonzero(self._rendered)
+        moved = slopes[numbers] * (reach / scales)[numbers, np.newaxis, np.newaxis]
+        ways = np.linalg.svd(moved.reshape(len(numbers), -1), full_matrices=False)[0].T
+        target = _CHANGE * float(np.ptp(self._smooth(self.at(near).unclipped, _SMOOTH)))
+        steps = np.zeros((len(numbers), len(self._keys)))
+        steps[:, numbers] = ways * reach[numbers]
+        if min(self._room(near, step) for step in steps) < _LEAST_ROOM:  # a key at its bound: each key by itself
+            ways = np.eye(len(numbers))
+            steps[:, numbers] = ways * reach[numbers]
+        seen, gone = [], np.ones(len(numbers))
+        for way, step in zip(ways, steps, strict=True):
+            change = float(np.abs(self._smooth(np.tensordot(way, moved, axes=1), _SMOOTH)).max())
+            times = min(target / max(change, target / _FARTHEST), max(self._room(near, step), 1.0))
+            above, below, span = self._both(near, step, times)
+            count = min(len(above), len(below))
+            seen.append((_joined(above, count) - _joined(below, count)) / span)
+            gone = np.maximum(gone, times * np.abs(way))
+        count = min(len(one) for one in seen)
+        images = np.stack([_joined(one, count) for one in seen])
+        changes = np.tensordot(ways, images, axes=(0, 0)) * (scales / reach)[numbers, None, None, None]
+        return Steepness(numbers, changes, gone * reach[numbers])
 
-    def _images(self, predicted: Predicted, bases: Sequence[Basis], count: int) -> Array:
-        """By one basis for each of the places, shape (count, captures * rows, columns)."""
-        joined = {id(places): _joined(basis.images, count) for places, basis in zip(self.places, bases, strict=True)}
-        stacks = []
-        for part, (_, places) in zip(predicted.parts, self._shots, strict=True):
-            images = joined[id(places)]
-            stacks.append([gray_of(part.scene, part.factors, images[:, one])[1] for one in range(count)])
-        return np.concatenate([np.stack(stack) for stack in stacks], axis=1)
+    def _room(self, values: Array, step: Array) -> float:
+        """How many times a step may be gone both ways: within bounds, and no farther than one key is ever moved."""
+        room = [_FARTHEST]
+        for value, part, key in zip(values, np.abs(step), self._keys, strict=True):
+            if part > 0:
+                largest = self._largest(key) * key.scale
+                room.append(float(min(value - key.low, key.high - value, largest) / part))
+        return min(room)
 
-    def _first(self, places: Places) -> int:
-        return next(number for number, (_, other) in enumerate(self._shots) if other is places)
+    def _both(self, values: Array, step: Array, times: float) -> tuple[Array, Array, float]:
+        """Radiant exposures on both sides, and how many steps lie between: fewer where the scene does not take them."""
+        low, high = np.array([[key.low, key.high] for key in self._keys]).T
+        for trial in range(_TRIALS):
+            ends = [np.clip(values + sign * times * step, low, high) for sign in (1.0, -1.0)]
+            try:
+                images = [self._exposures(end) for end in ends]
+                break
+            except InputError:
+                if trial == _TRIALS - 1:
+                    raise
+                times /= _FARTHER
+        return images[0], images[1], float((ends[0] - ends[1]) @ step / (step @ step))
+
+    @staticmethod
+    def _largest(key: FreeKey) -> float:
+        """The largest step of a key, over its scale."""
+        return _LARGEST if key.value else _LARGEST_FROM_0.get(key.unit, _LARGEST_ELSE)
+
+    def _exposures(self, values: Array) -> Array:
+        """Radiant exposure of all captures by each replicate, shape (replicates, captures * rows, columns)."""
+        parts = self.at(values).parts
+        count = min(part.basis.images.shape[1] for part in parts)
+        images = []
+        for part in parts:
+            joined = _joined(part.basis.images.astype(np.float64).swapaxes(0, 1), count)
+            scale = exposure_of_radiance(part.scene.camera)
+            images.append(np.tensordot(joined, part.factors, axes=(1, 0)) * scale)
+        return np.concatenate(images, axis=1)
 
 
-def _joined(images: NDArray[np.float32], count: int) -> Array:
-    """Means of neighbouring replicates, as many as asked for, shape (sources, count, rows, columns)."""
-    parts = np.array_split(images.astype(np.float64), count, axis=1)
-    return np.stack([part.mean(axis=1) for part in parts], axis=1)
+def _joined(images: Array, count: int) -> Array:
+    """Means of neighbouring replicates, as many as asked for; replicates are the first axis."""
+    return np.stack([part.mean(axis=0) for part in np.array_split(images, count)])
+
+
+def factors_of(scene: Scene, lit: Lit) -> Array:
+    """On the radiance of each source of a light in which a scene is seen, shape (sources,)."""
+    told = radiances(scene)
+    return np.array([told[name] / lit.radiances[name] if told[name] else 0.0 for name in lit.basis.sources])
 
 
 def gray_of(scene: Scene, factors: Array, images: Array) -> tuple[Array, Array]:

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.fitting.captured import Captured
+from radwrap.fitting.covariance import GRAIN, RANK, inverse_of
 from radwrap.fitting.free_keys import FreeKey
 from radwrap.fitting.prediction import Predicted, Prediction
+from radwrap.fitting.settled import Grain, Settled
 from radwrap.fitting.steps import Weights, through_grain
 from radwrap.fitting.weights import Weighed, weighed
 
@@ -140,11 +142,77 @@ def solve(
     return against.ended(x * scales, rounds, converged=ended and moved < _ENOUGH)
 
 
+def settle(
+    keys: Sequence[FreeKey],
+    near: Settled,
+    captured: Sequence[Captured],
+    noise: float | None,
+    *,
+    robust: bool,
+    begin: Array,
+) -> tuple[Solution, Grain]:
+    """Find the values near a place, by what is smooth there.
+
+    Steps of Gauss and Newton, in which slopes are no steeper than their grain lets them be, and what the rays of the
+    prediction have to do with those of its slopes does not pull.
+
+    Parameters
+    ----------
+    keys, captured, noise, robust
+        As of `solve`.
+    near : Settled
+        The prediction there.
+    begin : ndarray, shape (keys,)
+        Where to begin.
+
+    Returns
+    -------
+    Solution, Grain
+        The grain over the deviations where it begins.
+
+    Raises
+    ------
+    InputError
+        As `solve`.
+    """
+    scales = np.array([key.scale for key in keys])
+    low, high = np.array([[key.low, key.high] for key in keys]).T
+    against = _Against(near, tuple(captured), noise)
+    share = GRAIN if near.has_renders else RANK
+    start = np.clip(begin, low, high)
+    values, grain, rounds, moved = start, None, 0, np.inf
+    while rounds < _ROUNDS and not moved < _STILL:
+        rounds += 1
+        weights = against.weights(values)
+        left = against.left(values, weights)
+        weight = (1 + left**2) ** -0.25 if robust else np.ones(left.size)
+        if grain is None:
+            grain = near.grain(values, weights.used, weights.sigma / weight)
+        jacobian = against.slopes(values, weights) * weight[:, np.newaxis]
+        pull = grain.pull_at(values - start, scales)
+        step = _step(jacobian, left * weight, grain, pull, share)
+        # A key at its bound, which would be led beyond, is held.
+        held = ((values <= low) & (step < 0)) | ((values >= high) & (step > 0))
+        if held.any():
+            step = _step(np.where(held, 0.0, jacobian), left * weight, grain, pull, share)
+        tried = np.clip(values + step * scales, low, high)
+        moved = float(np.linalg.norm(jacobian @ ((tried - values) / scales)))
+        values = tried
+    assert grain is not None  # noqa: S101  (there is a first round)
+    return against.ended(values, rounds, converged=moved < _ENOUGH), grain
+
+
+def _step(jacobian: Array, left: Array, grain: Grain, pull: Array, share: float) -> Array:
+    """What the keys move by, in their scales."""
+    inverse = inverse_of(jacobian, share, grain.slopes)
+    return np.asarray(inverse.matrix @ left + inverse.square @ pull)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Against:
     """What is fitted to what."""
 
-    prediction: Prediction
+    prediction: Prediction | Settled
     captured: tuple[Captured, ...]
     noise: float | None
 

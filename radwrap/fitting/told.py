@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from radwrap.fitting.suspects import Suspect
 from radwrap.fitting.verdict import Test, Verdict
 from radwrap.images import GrayImage
 from radwrap.manifest import finite
@@ -73,6 +74,8 @@ class Fit:
         Directions that the captures do not determine, in words.
     verdict : Verdict
         Whether the scene explains the captures.
+    looks_like : tuple of Suspect
+        What captures that are not explained look like, what explains most first.
     converged : bool
         Whether the fit stands.
     residual : ndarray, shape (captures * rows, columns)
@@ -94,6 +97,7 @@ class Fit:
     correlation: Array
     undetermined: tuple[str, ...]
     verdict: Verdict
+    looks_like: tuple[Suspect, ...]
     converged: bool
     residual: Array
     sigma: Array
@@ -128,7 +132,8 @@ class Fit:
                 )
             return told
         told.append(f"The scene explains the captures within its errors: no ({numbers}). Most is left here:")
-        return [*told, *(f"  {block.told()}" for block in self.verdict.worst)]
+        told += [f"  {block.told()}" for block in self.verdict.worst]
+        return [*told, *(f"It looks as if {one.told()}." for one in self.looks_like)]
 
 
 def as_manifest(

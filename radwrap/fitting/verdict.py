@@ -136,7 +136,7 @@ def verdict(
     off = errors.deviations
     off = off - (off @ found.basis) @ found.basis.T
     scale = errors.freedom * errors.predictions
-    common = errors.model**2 * left.size
+    common = float((errors.bound**2).sum())
     pixels = _test(float(left @ left), left.size - found.rank, float((off**2).sum()) / scale + common)
     rows = len(used) // len(of_capture)
     places = list(_blocks(used, rows))

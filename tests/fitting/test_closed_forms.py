@@ -30,7 +30,7 @@ SIGMAS: Final = 4.0  # of a single number: 1 of 16000 is missed
 
 def _spread(solved: Solution) -> Spread:
     quiet = np.zeros((2, len(solved.jacobian)))
-    return spread(solved.jacobian, PredictionErrors(quiet, 2, 0.0))
+    return spread(solved.jacobian, PredictionErrors(quiet))
 
 
 def _noisy(bench: Scene, basis: Basis, free: list[str], values: list[float], seeds: int) -> Iterator[Solution]:
@@ -101,7 +101,7 @@ def test_levels_and_exposure_share_one_factor(bench: Scene, basis: Basis) -> Non
 
 def test_a_key_without_effect_is_named() -> None:
     jacobian = np.stack([np.linspace(1, 2, 30), np.zeros(30)], axis=1)
-    found = spread(jacobian, PredictionErrors(np.zeros((2, 30)), 2, 0.0))
+    found = spread(jacobian, PredictionErrors(np.zeros((2, 30))))
     assert np.isnan(found.half_width).tolist() == [False, True]
     (told,) = in_words(found.null, ["a", "b"], np.ones(2), np.ones(2))
     assert told == "b changes nothing that the captures show"
@@ -111,8 +111,8 @@ def test_the_predictions_error_goes_through_the_fit_as_one_image() -> None:
     """A common offset of all pixels moves the offset by itself, however many pixels there are."""
     offsets = np.array([0.1, -0.1, 0.3, -0.3])
     replicates = np.repeat(offsets[:, np.newaxis], 500, axis=1)
-    found = spread(np.ones((500, 1)), PredictionErrors(replicates, 2, 0.0))
-    assert found.prediction[0, 0] == pytest.approx(offsets.var(ddof=1) / 2, rel=EXACT)
+    found = spread(np.ones((500, 1)), PredictionErrors(replicates))
+    assert found.prediction[0, 0] == pytest.approx(offsets.var(ddof=1) / 4, rel=EXACT)
     assert found.noise[0, 0] == pytest.approx(1 / 500, rel=EXACT)
 
 
@@ -123,7 +123,7 @@ def test_a_missing_source_is_not_explained(bench: Scene, basis: Basis) -> None:
     sigma = np.sqrt(noise_variance(truth.exposure, truth.parts[0].sensor))
     capture = taken(truth.unclipped + sigma * generator(5, 1).standard_normal(sigma.shape), bench)
     solved = solve(keys.keys, prediction, [capture], None, robust=False)
-    errors = PredictionErrors(np.zeros((2, len(solved.jacobian))), 2, 0.0)
+    errors = PredictionErrors(np.zeros((2, len(solved.jacobian))))
     assert not verdict(solved.residual, solved.weighed.sigma, spread(solved.jacobian, errors), errors).explained
 
 
@@ -131,7 +131,7 @@ def test_right_scenes_are_explained(bench: Scene, basis: Basis) -> None:
     """At the 1 % level: one of 8 is refused with a chance of 8 %, two with one of 0.3 %."""
     passed = []
     for solved in _noisy(bench, basis, [EXPOSURE], [110.0], FEW):
-        errors = PredictionErrors(np.zeros((2, len(solved.jacobian))), 2, 0.0)
+        errors = PredictionErrors(np.zeros((2, len(solved.jacobian))))
         judged = verdict(solved.residual, solved.weighed.sigma, spread(solved.jacobian, errors), errors)
         passed.append(judged.explained)
     assert sum(passed) >= FEW - 1

@@ -44,7 +44,7 @@ def _told(scene: Scene, free: list[str], changes: dict[str, Any]) -> tuple[radwr
     there = scene
     for key, value in changes.items():
         there = radwrap.with_value(there, key, value)
-    capture = radwrap.render(there, tolerance=1.0, seed=7, workers=1).frames(1)
+    capture = radwrap.render(there, method="rays", tolerance=0.3, seed=7, workers=1).frames(1)
     found = radwrap.fit(scene, capture, free, options=OPTIONS)
     return found, list(found.undetermined)
 

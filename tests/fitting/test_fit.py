@@ -28,7 +28,7 @@ SIGMAS: Final = 4.0  # of each of five keys: 1 of 3000 fits is missed
 
 def _capture(scene: Scene, changes: dict[str, Any], seed: int = 5) -> GrayImage:
     """A frame of the changed scene, at a third of the fit's tolerance: its own rays add a twentieth to a deviation."""
-    return radwrap.render(changed(scene, changes), tolerance=0.33, seed=seed, workers=1).frames(1)[0]
+    return radwrap.render(changed(scene, changes), method="rays", tolerance=0.33, seed=seed, workers=1).frames(1)[0]
 
 
 def test_a_twin_is_found_and_its_files_are_whole(

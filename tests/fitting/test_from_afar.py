@@ -221,7 +221,7 @@ def test_where_the_way_leads_astray_the_users_beginning_stands(bench: Scene, bas
 @pytest.mark.long
 def test_an_edge_seven_pixels_off_is_found_by_renders(bench: Scene) -> None:
     truth = {"targets[0].edge_position": "15 mm"}
-    capture = radwrap.render(changed(bench, truth), tolerance=0.2, seed=5, workers=1).frames(1)
+    capture = radwrap.render(changed(bench, truth), method="rays", tolerance=0.2, seed=5, workers=1).frames(1)
     found = radwrap.fit(bench, capture, list(truth), options=OPTIONS)
     (key,) = found.keys
     assert found.converged and found.explained and key.sigma is not None

@@ -43,8 +43,8 @@ def colour_bench(**sensor: Any) -> Scene:
 
 def frame_of(scene: Scene, seed: int) -> GrayImage:
     """What the camera gives, with noise."""
-    made = radwrap.render(scene, options=OPTIONS, tolerance=0.3, seed=seed)
-    return made.frames(1, seed=seed)[0]
+    made = radwrap.render(scene, options=OPTIONS, method="rays", tolerance=0.3, seed=seed)
+    return made.frames(1, seed=seed + 1)[0]
 
 
 def test_each_colour_is_a_state_of_its_own_pixels() -> None:

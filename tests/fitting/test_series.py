@@ -94,7 +94,7 @@ def test_pixels_that_differ_do_so_in_all_states(patterned: Scene, basis: Basis) 
         noise = own * random.standard_normal(own.shape) + (differ * specimen).sum(axis=0)
         values.append(inverse @ (noise / sigma)[used])
     scatter = np.var(np.array(values), axis=0)
-    quiet = PredictionErrors(np.zeros((2, int(used.sum()))), 2, 0.0)
+    quiet = PredictionErrors(np.zeros((2, int(used.sum()))))
     told = np.diag(spread(solved.jacobian, quiet, shared=shared).noise)
     assert scatter == pytest.approx(told, rel=WITHIN)
     alone = np.diag(spread(solved.jacobian, quiet).noise)
@@ -110,7 +110,7 @@ def test_repeats_of_one_state_average_all_but_the_pattern(patterned: Scene, basi
     v, d = solved.weighed.sigma[:20] ** 2, (differ[:, :20] ** 2).sum(axis=0)
     w = 1 / v
     expected = float((w**2 * ((v - d) / 3 + d)).sum() / w.sum() ** 2)
-    quiet = PredictionErrors(np.zeros((2, 1440)), 2, 0.0)
+    quiet = PredictionErrors(np.zeros((2, 1440)))
     scale = free_scene(patterned, [OFFSET]).keys[0].scale
     assert spread(solved.jacobian, quiet, shared=shared).noise[0, 0] * scale**2 == pytest.approx(expected, rel=1e-6)
 
@@ -134,7 +134,7 @@ def folder(bench: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
     truth = {LEVELS.replace("*", "0"): 1.3, OFFSET: 7.0}
     near = {"camera.position": ["0 mm", "0 mm", "480 mm"]}
     for name, state in (("short", {EXPOSURE: "60 ms"}), ("near", near), ("long", {EXPOSURE: "110 ms"})):
-        made = radwrap.render(changed(bench, {**truth, **state}), tolerance=0.5, seed=5, workers=1)
+        made = radwrap.render(changed(bench, {**truth, **state}), method="rays", tolerance=0.3, seed=5, workers=1)
         write_png(folder / f"{name}.png", made.frames(1)[0].codes)
     (folder / "captures.toml").write_text(
         '[[captures]]\nfiles = ["short.png"]\nset = { "camera.exposure_time" = "60 ms" }\n'
@@ -240,6 +240,11 @@ def test_the_twin_is_found_in_its_four_captures() -> None:
     series = read_series(FOLDER / "captures.toml")
     found = radwrap.fit(there, series, [LEVELS, "camera.sensor.gamma=0.5:1.5"], options=OPTIONS)
     assert found.converged and found.explained and len(found.keys) == 7
+    inside = 0
     for key, true in zip(found.keys, (*TRUTH[:6], TRUTH[12]), strict=True):
-        assert key.interval is not None and key.interval[0] < true < key.interval[1]
+        assert key.interval is not None
+        inside += key.interval[0] < true < key.interval[1]
         assert key.sigma is not None and abs(key.value - true) < 5 * key.sigma < 0.05
+    # The captures' own rays are off by half of their noise: a right value is outside with a chance of 8 %, and three of
+    # seven with one of 1 %.
+    assert inside >= len(found.keys) - 2

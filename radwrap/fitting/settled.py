@@ -1,0 +1,244 @@
+"""The prediction near where a search ends: by rays that know no cells, and by slopes.
+
+What a search steps by shares its rays from place to place, and a kernel's cells and model: good for differences, but
+its place is off by what all of them have in common. So the light where the search ends is traced once more, by
+independent rays over pixel and opening. Near there the prediction is that image, and light changes linearly with the
+keys that need renders. The values that agree best with it are off by noise, and by rays whose scatter shows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radwrap.fitting.free_keys import FreeKey, FreeScene
+from radwrap.fitting.places import Lit
+from radwrap.fitting.prediction import Part, Predicted, Prediction, Steepness, factors_of
+from radwrap.imaging.relight.relit import Basis
+from radwrap.imaging.response.exposure import exposure_of_radiance
+from radwrap.imaging.response.sensor import unclipped_gray
+from radwrap.imaging.tolerance.wave_image import visible_gray
+from radwrap.scene.scene import Scene
+
+Array = NDArray[np.float64]
+_NEARER: Final = 0.25  # of what keys are moved for slopes: so near these are the same
+_STEP: Final = 1e-4  # of a key's scale, and of the light: what is predicted here is smooth
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Grain:
+    """What rays of one image have to do with those of its slopes.
+
+    Attributes
+    ----------
+    slopes : ndarray, shape (keys, keys)
+        Expected D^T D of the slopes' error D, over sigma.
+    pull : ndarray, shape (keys,)
+        D^T e with the error e of the prediction by the same rays, over sigma: J^T (captured - predicted) lacks it.
+    """
+
+    slopes: Array
+    pull: Array
+
+    def pull_at(self, away: Array, scales: Array) -> Array:
+        """The pull where keys are some way off: the prediction has gone along its slopes, and so has its error."""
+        return np.asarray(self.pull + self.slopes @ (away / scales))
+
+
+class Settled:
+    """The prediction near a place, by unbiased rays there.
+
+    Parameters
+    ----------
+    prediction : Prediction
+        What the search stepped by.
+    keys : sequence of FreeKey
+        Its keys.
+    place : ndarray, shape (keys,)
+        Where.
+    bases : sequence of Basis
+        By independent rays of the scene there, in each of the prediction's places.
+    before : Settled, optional
+        Near another place, whose slopes are taken if they still hold.
+    """
+
+    def __init__(
+        self,
+        prediction: Prediction,
+        keys: Sequence[FreeKey],
+        place: Array,
+        bases: Sequence[Basis],
+        before: Settled | None = None,
+    ) -> None:
+        self._place = np.array(place, dtype=np.float64)
+        self._scales = np.array([key.scale for key in keys])
+        self._keys = tuple(keys)
+        lit = {
+            id(places): Lit.of(places.scene(place), basis)
+            for places, basis in zip(prediction.places, bases, strict=True)
+        }
+        self._shots: list[tuple[FreeScene, Lit]] = [(free, lit[id(places)]) for free, places in prediction.shots]
+        self.has_renders = prediction.has_renders
+        kept = before.steep if before is not None and before.reaches(self._place, _NEARER) else None
+        steep = kept or (prediction.steepness(self._place) if self.has_renders else None)
+        self.steep: Steepness | None = steep
+        self._seen = self._place if kept is None or before is None else before.seen
+        rows, columns = self._shots[0][1].images.shape[1:]
+        none = np.zeros((0, 2, len(self._shots) * rows, columns))
+        self._rendered = np.zeros(0, dtype=np.intp) if steep is None else steep.numbers
+        self._changes = none if steep is None else steep.changes
+        self._reach = np.zeros(0) if steep is None else steep.reach
+
+    @property
+    def seen(self) -> Array:
+        """Where its slopes were seen."""
+        return self._seen
+
+    def reaches(self, values: Array, share: float = 1.0) -> bool:
+        """Whether no key lies farther away than it was moved for slopes, or than a share of that."""
+        away = np.abs(values - self._seen)[self._rendered]
+        return bool((away <= share * self._reach).all())
+
+    def at(self, values: Sequence[float] | Array) -> Predicted:
+        """Gray levels for some values; InputError where a scene does not take them."""
+        at = np.array(values, dtype=np.float64)
+        parts = []
+        for number, (free, lit) in enumerate(self._shots):
+            scene, seen = free.at([float(value) for value in at]), self._lit_scene(free, at)
+            factors = factors_of(seen, lit)
+            exposure = self._exposure(seen, factors, lit.images, number, at)
+            parts.append(Part(scene, factors, exposure, unclipped_gray(exposure, scene.camera.sensor), lit.basis))
+        return Predicted(tuple(parts))
+
+    def slopes(self, values: Array) -> Array:
+        """Change of the unclipped gray levels with each key's scale, shape (keys, captures * rows, columns)."""
+        found = np.empty((len(self._keys), *self._changes.shape[2:]))
+        found[self._rendered] = self._per_light(self.at(values)) * self._changes.mean(axis=1)
+        for number in self._others():
+            (low, high), span = self._ends(values, number)
+            found[number] = (self.at(high).unclipped - self.at(low).unclipped) / span
+        return found
+
+    def replicates(self, values: Array) -> Array:
+        """Unclipped gray levels by each of the independent rays, shape (replicates, captures * rows, columns)."""
+        return np.stack([self._by(values, one) for one in range(self._count)])
+
+    def common(self, predicted: Predicted) -> Array:
+        """By how much all replicates may be off alike, at most, shape (captures * rows, columns) [gray level].
+
+        Rays over pixel and opening have nothing in common but the cells and the reach of their waves.
+        """
+        images = []
+        for part in predicted.parts:
+            waves = part.basis.waves
+            if waves is None:
+                images.append(np.zeros(part.exposure.shape))
+                continue
+            scale = exposure_of_radiance(part.scene.camera)
+            gray = visible_gray(scale, part.sensor)
+            made = part.exposure / scale
+            cells, far = np.tensordot(part.factors, waves.astype(np.float64), axes=1)
+            images.append(np.abs(gray(made + cells) - gray(made)) + np.abs(gray(made + far) - gray(made)))
+        return np.concatenate(images)
+
+    def grain(self, values: Array, used: NDArray[np.bool_], sigma: Array) -> Grain:
+        """Of the used pixels.
+
+        Parameters
+        ----------
+        values : ndarray, shape (keys,)
+            Where.
+        used : ndarray of bool, shape (captures * rows, columns)
+            Pixels that count.
+        sigma : ndarray, shape (pixels,)
+            Their deviations [gray level].
+        """
+        slopes, pull = np.zeros((len(self._keys),) * 2), np.zeros(len(self._keys))
+        if len(self._rendered):
+            weight = self._per_light(self.at(values))[used] / sigma
+            moved = self._changes[:, :, used] * weight
+            slopes[np.ix_(self._rendered, self._rendered)] = _scatter(moved, moved)
+        others = self._others()
+        if others:
+            ends = [self._ends(values, number) for number in others]
+            moved = np.stack(
+                [
+                    np.stack(
+                        [(self._by(high, one) - self._by(low, one))[used] / span / sigma for one in range(self._count)]
+                    )
+                    for (low, high), span in ends
+                ]
+            )
+            own = self.replicates(values)[np.newaxis, :, used] / sigma
+            slopes[np.ix_(others, others)] = _scatter(moved, moved)
+            pull[others] = _scatter(moved, own)[:, 0]
+        return Grain(slopes, pull)
+
+    @property
+    def _count(self) -> int:
+        return min(int(lit.basis.images.shape[1]) for _, lit in self._shots)
+
+    def _others(self) -> list[int]:
+        """Keys that need no renders."""
+        return sorted(set(range(len(self._keys))) - set(self._rendered.tolist()))
+
+    def _by(self, values: Array, replicate: int) -> Array:
+        """Unclipped gray levels by one replicate."""
+        images = []
+        for number, (free, lit) in enumerate(self._shots):
+            scene, seen = free.at([float(value) for value in values]), self._lit_scene(free, values)
+            traced = lit.basis.images[:, replicate].astype(np.float64)
+            exposure = self._exposure(seen, factors_of(seen, lit), traced, number, values)
+            images.append(unclipped_gray(exposure, scene.camera.sensor))
+        return np.concatenate(images)
+
+    def _lit_scene(self, free: FreeScene, values: Array) -> Scene:
+        """The scene in whose light some values are seen: what keys that need renders change is in their slopes."""
+        at = np.array(values, dtype=np.float64)
+        at[self._rendered] = self._place[self._rendered]
+        return free.at([float(value) for value in at])
+
+    def _exposure(self, scene: Scene, factors: Array, images: Array, number: int, values: Array) -> Array:
+        """Of one capture [J m^-2]."""
+        rows = images.shape[1]
+        here = slice(number * rows, (number + 1) * rows)
+        shift = ((values - self._place) / self._scales)[self._rendered]
+        exposure = np.tensordot(factors, images, axes=1) * exposure_of_radiance(scene.camera)
+        return np.maximum(exposure + np.tensordot(shift, self._changes.mean(axis=1)[:, here], axes=1), 0.0)
+
+    def _per_light(self, predicted: Predicted) -> Array:
+        """Change of the gray level with radiant exposure, shape (captures * rows, columns) [m^2 J^-1]."""
+        found = []
+        for part in predicted.parts:
+            step = _STEP * float(part.exposure.max(initial=0.0)) or 1.0
+            ends = [unclipped_gray(part.exposure + more, part.sensor) for more in (0.0, step)]
+            found.append((ends[1] - ends[0]) / step)
+        return np.concatenate(found)
+
+    def _ends(self, values: Array, number: int) -> tuple[tuple[Array, Array], float]:
+        """Values on both sides of a key that needs no render, and how far they are apart in its scale."""
+        key, ends = self._keys[number], []
+        for sign in (-1.0, 1.0):
+            moved = np.array(values, dtype=np.float64)
+            moved[number] = min(max(moved[number] + sign * _STEP * key.scale, key.low), key.high)
+            ends.append(moved)
+        return (ends[0], ends[1]), float(ends[1][number] - ends[0][number]) / key.scale
+
+
+def _scatter(one: Array, other: Array) -> Array:
+    """Covariance of two means over replicates, summed over pixels, shape (n, m).
+
+    Parameters
+    ----------
+    one : ndarray, shape (n, replicates, pixels)
+        Whose mean over replicates is the one.
+    other : ndarray, shape (m, replicates, pixels)
+        Likewise, of the same replicates.
+    """
+    count = one.shape[1]
+    apart = [values - values.mean(axis=1, keepdims=True) for values in (one, other)]
+    return np.asarray(np.einsum("irp,jrp->ij", *apart) / (count * (count - 1)))

@@ -1,0 +1,227 @@
+"""Where a fit settles: slopes that have a grain, light of the same rays, and a search whose place is off."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+import pytest
+
+from radwrap.fitting.covariance import PredictionErrors, inverse_of, spread
+from radwrap.fitting.free_keys import FreeScene, free_scene
+from radwrap.fitting.places import Places
+from radwrap.fitting.prediction import Prediction
+from radwrap.fitting.settled import Settled
+from radwrap.fitting.solution import settle
+from radwrap.imaging.relight.relit import Basis
+from radwrap.imaging.response.exposure import exposure_of_radiance
+from radwrap.random_streams import generator
+from radwrap.scene.scene import Scene
+from tests.fitting.conftest import LEVELS, begun, taken
+
+Array = np.ndarray[Any, np.dtype[np.float64]]
+PIXELS: Final = 4000
+DRAWS: Final = 40
+EXACT: Final = 1e-9
+FEW: Final = 8  # rounds
+BLUR: Final = 1.5  # px
+PIXEL: Final = 2.0  # mm on the target
+LEVEL: Final = 0.1  # W/m^2/sr, some 100 gray levels
+
+
+def test_a_slope_with_grain_is_as_steep_as_it_is() -> None:
+    """J + D of one key, all alike: J+ = (J + D)^T / (J^T J), and not divided by (J + D)^T (J + D)."""
+    slope = np.full((PIXELS, 1), 0.5)
+    grained = slope + 0.25 * np.where(np.arange(PIXELS) % 2, 1.0, -1.0)[:, np.newaxis]
+    found = inverse_of(grained, 1e-2, np.array([[PIXELS * 0.25**2]]))
+    assert found.matrix == pytest.approx(grained.T / (PIXELS * 0.5**2), rel=EXACT)
+    assert found.square == pytest.approx(1 / (PIXELS * 0.5**2), rel=EXACT)
+    assert (found.matrix @ slope)[0, 0] == pytest.approx(1.0, rel=EXACT)
+    assert (inverse_of(grained).matrix @ slope)[0, 0] == pytest.approx(0.8, rel=EXACT)
+
+
+def test_values_scatter_as_is_told_where_slopes_have_a_grain() -> None:
+    """Two keys that look nearly alike: the grain decides how well they are told apart."""
+    random = generator(8, 1)
+    one = random.standard_normal(PIXELS)
+    slopes = np.stack([one, one + 0.06 * random.standard_normal(PIXELS)], axis=1)
+    grain, values, told = 0.02, [], []
+    for _ in range(DRAWS):
+        seen = slopes + grain * random.standard_normal(slopes.shape)
+        inverse = inverse_of(seen, 1e-3, np.eye(2) * PIXELS * grain**2).matrix
+        values.append(inverse @ (slopes @ [3.0, -3.0] + random.standard_normal(PIXELS)))
+        told.append(np.sqrt(np.diag(inverse @ inverse.T)))
+    bias = np.mean(values, axis=0) - [3.0, -3.0]
+    deviation = np.mean(told, axis=0)
+    assert (np.abs(bias) < 4 * deviation / np.sqrt(DRAWS)).all(), bias / deviation
+    # 40 draws know a deviation to 11 %; what the grain itself adds to the scatter is first order in it.
+    assert (np.std(values, axis=0) < 1.5 * deviation).all()
+
+
+def test_a_direction_of_grain_is_not_determined() -> None:
+    random = generator(8, 2)
+    one = random.standard_normal(PIXELS)
+    seen = np.stack([one, one], axis=1) + 0.05 * random.standard_normal((PIXELS, 2))
+    quiet = PredictionErrors(np.zeros((2, PIXELS)))
+    assert np.isfinite(spread(seen, quiet, 1e-3).half_width).all()
+    found = spread(seen, quiet, 1e-3, grain=np.eye(2) * PIXELS * 0.05**2)
+    assert np.isnan(found.half_width).all() and found.rank == 1
+    (null,) = found.null
+    assert null[0] / null[1] == pytest.approx(-1.0, abs=0.05)
+
+
+def test_a_key_that_leans_on_what_is_not_determined_is_not_either() -> None:
+    """Two keys differ by .03 of what a third one does, in more grain than that: the third goes along."""
+    random = generator(8, 3)
+    one, third, fourth = (random.standard_normal(PIXELS) for _ in range(3))
+    slopes = np.stack([one, one + 0.03 * third, third, fourth], axis=1)
+    seen = slopes + 0.03 * random.standard_normal(slopes.shape) * [1, 1, 0, 0]
+    quiet = PredictionErrors(np.zeros((2, PIXELS)))
+    found = spread(seen, quiet, 1e-2, grain=np.diag([1.0, 1.0, 0.0, 0.0]) * PIXELS * 0.03**2)
+    assert np.isnan(found.half_width).tolist() == [True, True, True, False]
+    # Its share of that direction is small: what it may go along is not.
+    (null,) = found.null
+    assert abs(null[2] / null[0]) < 0.05
+
+
+def test_what_all_replicates_have_in_common_is_bounded_pixel_by_pixel() -> None:
+    """A bound at one pixel moves the mean of n by its n-th part, at most."""
+    common = np.zeros(500)
+    common[7] = 2.0
+    found = spread(np.ones((500, 1)), PredictionErrors(np.zeros((2, 500)), common))
+    assert found.bound[0] == pytest.approx(2.0 / 500, rel=EXACT)
+
+
+def test_what_a_key_does_to_all_light_is_counted_once(bench: Scene, basis: Basis) -> None:
+    """A focal length scales the light of every pixel, here by nothing else: its slope has that, the light has not."""
+    keys = free_scene(bench, ["camera.focal_length", LEVELS.replace("*", "0")])
+    prediction = Prediction([(keys, Places(keys, [True, False], lambda _: basis))])
+    place = np.array([key.value for key in keys.keys])
+    near = Settled(prediction, keys.keys, place, [basis])
+    way = np.array([0.25, 0.0])  # 2 %
+    change = near.at(place + way).unclipped - near.at(place).unclipped
+    expected = near.slopes(place)[0] * way[0] / keys.keys[0].scale
+    assert change == pytest.approx(expected, rel=1e-6, abs=1e-9)
+    assert np.abs(near.replicates(place + way).mean(axis=0) - near.at(place + way).unclipped).max() < EXACT
+    exact = prediction.at(place + way).unclipped - prediction.at(place).unclipped
+    # Light goes as 1/f^2: what is of second order is 3 % of the change, and what the slope's wide step adds 2 %.
+    assert change == pytest.approx(exact, rel=0.06)
+
+
+def _grained(basis: Basis) -> Basis:
+    """Twelve replicates; the first source's light in each pixel is by chance: exponential, as its mean is."""
+    mean = np.repeat(basis.images.mean(axis=1, keepdims=True).astype(np.float64), 12, axis=1)
+    mean[0] *= generator(9, 1).standard_exponential(mean[0].shape)
+    return replace(basis, images=mean.astype(np.float32))
+
+
+def test_levels_are_not_dimmed_by_the_noise_of_their_own_images(bench: Scene, basis: Basis) -> None:
+    """A regression on noisy images falls short by the noise over the signal: here a twelfth, several deviations."""
+    keys, prediction = begun(bench, basis, ["sources[0].leds[0].radiance_factor"])
+    truth = np.array([1.2])
+    capture = taken(prediction.at(truth).unclipped, bench)
+    near = Settled(prediction, keys.keys, truth, [_grained(basis)])
+    solved, grain = settle(keys.keys, near, [capture], 1.0, robust=False, begin=truth)
+    used = solved.weighed.used
+    errors = PredictionErrors(near.replicates(solved.values)[:, used] / solved.weighed.sigma[used])
+    sure = spread(solved.jacobian, errors, grain=grain.slopes)
+    deviation = float(np.sqrt(sure.covariance[0, 0]))
+    assert abs(solved.values[0] - truth[0]) < 2 * deviation
+    # What is taken away of the pull of its own noise.
+    short = float(grain.pull[0] * inverse_of(solved.jacobian).square[0, 0])
+    assert short == pytest.approx(1.2 / 12, rel=0.3) and short > 4 * deviation
+
+
+def _spot(x: float, y: float) -> Array:
+    rows, columns = np.mgrid[0:20, 0:24]
+    return np.asarray(np.exp(-((columns - 11.5 - x) ** 2 + (rows - 9.5 - y) ** 2) / (2 * BLUR**2)))
+
+
+def test_a_search_that_is_off_settles_where_unbiased_rays_lead(bench: Scene, basis: Basis) -> None:
+    """Renders of the search show the spot .3 px off, as cells of a kernel may; those that settle do not."""
+    keys = free_scene(bench, ["pose:edge"])
+
+    def traced(scene: Scene, off: float) -> Basis:
+        x, y, _ = scene.targets[0].pose.position
+        shown = LEVEL * _spot(x * 1e3 / PIXEL + off, y * 1e3 / PIXEL)
+        share = np.broadcast_to(shown / len(basis.sources), basis.images.shape)
+        return replace(basis, images=share.astype(np.float32))
+
+    places = Places(keys, [True] * 6, lambda scene: traced(scene, 0.3))
+    prediction = Prediction([(keys, places)])
+    truth = np.array([3.0, -1.0, 0, 0, 0, 0.0])
+    seen = prediction_of(keys, lambda scene: traced(scene, 0.0)).at(truth)
+    begin = truth - [0.6, 0, 0, 0, 0, 0]  # where the search agrees best
+    prediction.slopes(begin)
+    near = Settled(prediction, keys.keys, begin, [traced(places.scene(begin), 0.0)])
+    solved, _ = settle(keys.keys, near, [taken(seen.unclipped, bench)], 1.0, robust=False, begin=begin)
+    assert solved.converged and near.reaches(solved.values)
+    # The way is .3 px, over which the slopes of a spot of 1.5 px change by a few percent.
+    assert solved.values[:2] == pytest.approx(truth[:2], abs=0.06)
+    assert not near.reaches(begin + np.array([20.0, 0, 0, 0, 0, 0]))
+
+
+def test_slopes_with_grain_neither_shorten_the_way_nor_swing(bench: Scene, basis: Basis) -> None:
+    """A way of .5 px by slopes nearly half of which is grain: as far as by slopes without any, in a few steps."""
+    keys = free_scene(bench, ["pose:edge"])
+
+    def traced(scene: Scene, grain: float) -> Basis:
+        x, y, _ = scene.targets[0].pose.position
+        shown = LEVEL * (0.5 + _spot(x * 1e3 / PIXEL, y * 1e3 / PIXEL))
+        seed = int.from_bytes(hashlib.sha256(repr((x, y)).encode()).digest()[:4], "big")
+        shown = shown + grain * LEVEL * generator(seed, 2).standard_normal((4, *shown.shape))
+        share = np.broadcast_to(shown / len(basis.sources), (len(basis.sources), 4, *shown.shape[1:]))
+        return replace(basis, images=share.astype(np.float32))
+
+    truth, begin = np.array([1.0, 0, 0, 0, 0, 0.0]), np.zeros(6)
+    found = []
+    for grain in (0.0, 0.031):
+        places = Places(keys, [True] * 6, lambda scene, grain=grain: traced(scene, grain))
+        prediction = Prediction([(keys, places)])
+        prediction.slopes(begin)
+        # The image itself has no grain: what is seen is that of the slopes.
+        near = Settled(prediction, keys.keys, begin, [traced(places.scene(begin), 0.0)])
+        seen = taken(prediction_of(keys, lambda scene: traced(scene, 0.0)).at(truth).unclipped, bench)
+        solved, hindered = settle(keys.keys, near, [seen], 1.0, robust=False, begin=begin)
+        assert solved.converged and solved.rounds < FEW
+        share = hindered.slopes[0, 0] / float((solved.jacobian[:, 0] ** 2).sum())
+        found.append((float(solved.values[0]), share))
+    assert found[0][1] == 0 and 0.15 < found[1][1] < 0.5, found
+    # Else it would be shorter by that share.
+    assert found[1][0] == pytest.approx(found[0][0], rel=0.12)
+
+
+def prediction_of(keys: FreeScene, trace: Callable[[Scene], Basis]) -> Prediction:
+    """By another tracer."""
+    return Prediction([(keys, Places(keys, [True] * 6, trace))])
+
+
+def test_keys_that_nearly_cancel_are_moved_together(bench: Scene, basis: Basis) -> None:
+    """Two keys shift a spot alike, and dim it a little by their difference: that is not lost in the grain of each."""
+    keys = free_scene(bench, ["pose:edge"])
+    rows, columns = np.mgrid[0:20, 0:24]
+
+    def traced(scene: Scene) -> Basis:
+        x, y, _ = (one * 1e3 / PIXEL for one in scene.targets[0].pose.position)
+        # Along (1, 1) the spot goes; along (1, -1) it dims by a fiftieth for each pixel.
+        away = (columns - 11.5 - x - y) ** 2 + (rows - 9.5) ** 2
+        shown = LEVEL * (0.5 + (1 + 0.02 * (x - y)) * np.exp(-away / (2 * BLUR**2)))
+        seed = int.from_bytes(hashlib.sha256(repr((x, y)).encode()).digest()[:4], "big")
+        grained = shown + 0.002 * LEVEL * generator(seed, 2).standard_normal((4, *shown.shape))
+        return replace(basis, images=np.broadcast_to(grained / 3, (3, *grained.shape)).astype(np.float32))
+
+    prediction = prediction_of(keys, traced)
+    steep = prediction.steepness(np.zeros(6))
+    scale = exposure_of_radiance(bench.camera)
+    # Shifts are along the target's own axes.
+    own = np.array(bench.targets[0].pose.rotation)[:2, :2].T @ [1.0, -1.0]
+    dims = np.tensordot(own, steep.changes[:2].mean(axis=1), axes=1) / scale
+    spot = np.exp(-((columns - 11.5) ** 2 + (rows - 9.5) ** 2) / (2 * BLUR**2))
+    exact = LEVEL * 0.02 * 2 * spot / PIXEL  # for a millimetre of one, and one back of the other
+    share = float((dims * exact).sum() / (exact**2).sum())
+    assert share == pytest.approx(1.0, abs=0.05)
+    # Nor does what single steps leave out of each slope show in it.
+    assert float(np.linalg.norm(dims - exact) / np.linalg.norm(exact)) < 0.3
