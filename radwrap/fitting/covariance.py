@@ -256,6 +256,7 @@ def _leaning(jacobian: Array, undetermined: Array, rank_share: float) -> Array:
     """
     floor = rank_share * float(np.linalg.norm(jacobian, 2)) if jacobian.size else 0.0
     shown = np.maximum(np.linalg.norm(jacobian @ undetermined.T, axis=0), floor)
+    shown[shown == 0] = np.inf  # where nothing shows at all, each key lies in such a direction anyway
     return np.asarray(((undetermined / shown[:, np.newaxis]) ** 2).sum(axis=0) / (1 - MOST_GRAIN))
 
 

@@ -18,7 +18,7 @@ from radwrap.errors import InputError
 from radwrap.files import check_not_others, check_results, make_folder, sole_owner
 from radwrap.fitting.approach import COARSER, approached
 from radwrap.fitting.captured import Captured, read_mask
-from radwrap.fitting.covariance import GRAIN, RANK, PredictionErrors, Shared, Spread, spread
+from radwrap.fitting.covariance import GRAIN, RANK, PredictionErrors, Shared, Spread, inverse_of, spread
 from radwrap.fitting.directions import in_words
 from radwrap.fitting.free_keys import FreeKey, FreeScene, free_scene
 from radwrap.fitting.light import Light
@@ -270,7 +270,10 @@ def _fitted(
     numbers = [state.number for state in states]
     judged = verdict(solved.residual, sigma, sure, errors, of_capture=numbers)
     parts = solved.predicted.parts
-    looks_like = () if judged.explained else suspects(parts, solved.residual, sigma, sure, errors)
+    # A key at its bound does not do what a suspect does: it is held.
+    held = [_at_bound(key, float(value)) for key, value in zip(free.keys, solved.values, strict=True)]
+    moving = inverse_of(np.where(held, 0.0, solved.jacobian), share, ended.grain.slopes).basis
+    looks_like = () if judged.explained else suspects(parts, solved.residual, sigma, moving, errors)
     scales = np.array([key.scale for key in free.keys])
     keys = tuple(
         _key(key, float(value), sure, number)
@@ -325,10 +328,14 @@ def _fitted(
     )
 
 
+def _at_bound(key: FreeKey, value: float) -> bool:
+    near = _AT_BOUND * key.scale
+    return value <= key.low + near or value >= key.high - near
+
+
 def _key(key: FreeKey, value: float, sure: Spread, number: int) -> FittedKey:
     half, scale = float(sure.half_width[number]), key.scale
-    near = _AT_BOUND * scale
-    at_bound = value <= key.low + near or value >= key.high - near
+    at_bound = _at_bound(key, value)
     if math.isnan(half):
         return FittedKey(key.key, key.unit, key.value, value, None, None, None, None, at_bound)
     noise, rays = (scale * math.sqrt(part[number, number]) for part in (sure.noise, sure.prediction))

@@ -267,6 +267,8 @@ def _checked(scene: Scene, key: FreeKey, is_bounded: bool) -> FreeKey:
                 raise InputError(f"the scene does not take the {name} bound: {told}", where=where)
         return key
     low, high = -math.inf, math.inf
+    if not key.value:
+        low, high = (end if takes(way) else 0.0 for end, way in ((low, -shift), (high, shift)))
     if key.value and not takes(-key.value):
         low = _last_taken(takes, key.value, _NEAR * key.value)
     if key.value and not takes(_FAR * key.value):

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.fitting.covariance import PredictionErrors, Spread
+from radwrap.fitting.covariance import PredictionErrors
 from radwrap.fitting.prediction import Part
 
 Array = NDArray[np.float64]
@@ -99,7 +99,7 @@ def changes_of(part: Part) -> dict[str, Array]:
     corner = float(np.hypot(rows, columns)) / 2
     # G - dark grows as H^gamma: a percent of light is gamma percent of it.
     percent = part.sensor.gamma * (gray - part.sensor.dark_gray) / 100
-    down, right = np.gradient(gray)
+    down, right = _steep(gray, 0), _steep(gray, 1)
     outwards = -(right * u + down * v) / corner
     share = (u**2 + v**2) / corner**2
     return {
@@ -109,7 +109,7 @@ def changes_of(part: Part) -> dict[str, Array]:
         "size": outwards,
         "shift along u": -right,
         "shift along v": -down,
-        "blur": (np.gradient(down, axis=0) + np.gradient(right, axis=1)) / 2,
+        "blur": (_steep(down, 0) + _steep(right, 1)) / 2,
         "light along u": percent * u / (columns / 2),
         "light along v": percent * v / (rows / 2),
         "brightness": percent,
@@ -117,8 +117,13 @@ def changes_of(part: Part) -> dict[str, Array]:
     }
 
 
+def _steep(image: Array, axis: int) -> Array:
+    """Change from pixel to pixel; none along a single row or column."""
+    return np.asarray(np.gradient(image, axis=axis)) if image.shape[axis] > 1 else np.zeros_like(image)
+
+
 def suspects(
-    parts: Sequence[Part], residual: Array, sigma: Array, found: Spread, errors: PredictionErrors
+    parts: Sequence[Part], residual: Array, sigma: Array, basis: Array, errors: PredictionErrors
 ) -> tuple[Suspect, ...]:
     """Name what the residual looks like, what explains most of it first.
 
@@ -130,8 +135,8 @@ def suspects(
         (captured - predicted)/sigma; NaN where a pixel was not used.
     sigma : ndarray, shape (captures * rows, columns)
         Expected deviation [gray level].
-    found : Spread
-        What the fit determined.
+    basis : ndarray, shape (pixels, n)
+        Orthonormal, of all changes of the used pixels that the free keys make, over sigma.
     errors : PredictionErrors
         Of the used pixels.
 
@@ -145,7 +150,7 @@ def suspects(
     used = np.isfinite(residual)
     left, weight = residual[used], sigma[used]
     changes = [changes_of(part) for part in parts]
-    basis, images = found.basis, {}
+    images = {}
     for name in changes[0]:
         image = np.concatenate([one[name] for one in changes])[used] / weight
         own = _beside(image, basis)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import tomllib
 from pathlib import Path
 from typing import Any, Final
@@ -83,6 +84,11 @@ def test_a_wrong_model_exits_with_1_and_says_where(
     assert done.code == 1
     assert "errors: no" in done.stdout and "rows" in done.stdout and "deviations" in done.stdout
     assert radwrap.load_scene(tmp_path / "out" / "scene.toml").emitters[2].radiance == 0
+
+
+def test_a_value_of_0_that_nothing_is_below_is_its_own_bound(bench: Scene) -> None:
+    (dark,) = free_scene(bench, ["camera.sensor.dark_current"]).keys
+    assert (dark.value, dark.low, dark.high) == (0, 0, math.inf)
 
 
 @pytest.mark.parametrize(

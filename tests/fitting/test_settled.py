@@ -73,6 +73,11 @@ def test_a_direction_of_grain_is_not_determined() -> None:
     assert null[0] / null[1] == pytest.approx(-1.0, abs=0.05)
 
 
+def test_keys_of_which_nothing_shows_are_not_determined() -> None:
+    found = spread(np.zeros((50, 2)), PredictionErrors(np.zeros((2, 50))))
+    assert np.isnan(found.half_width).all() and found.rank == 0
+
+
 def test_a_key_that_leans_on_what_is_not_determined_is_not_either() -> None:
     """Two keys differ by .03 of what a third one does, in more grain than that: the third goes along."""
     random = generator(8, 3)
@@ -196,7 +201,7 @@ def test_slopes_with_grain_neither_shorten_the_way_nor_swing(bench: Scene, basis
 
 def prediction_of(keys: FreeScene, trace: Callable[[Scene], Basis]) -> Prediction:
     """By another tracer."""
-    return Prediction([(keys, Places(keys, [True] * 6, trace))])
+    return Prediction([(keys, Places(keys, [True] * len(keys.keys), trace))])
 
 
 def test_keys_that_nearly_cancel_are_moved_together(bench: Scene, basis: Basis) -> None:
@@ -225,3 +230,26 @@ def test_keys_that_nearly_cancel_are_moved_together(bench: Scene, basis: Basis) 
     assert share == pytest.approx(1.0, abs=0.05)
     # Nor does what single steps leave out of each slope show in it.
     assert float(np.linalg.norm(dims - exact) / np.linalg.norm(exact)) < 0.3
+
+
+@pytest.mark.parametrize("share", [0.2, 0.7])
+def test_a_bound_that_is_near_changes_no_slope(bench: Scene, basis: Basis, share: float) -> None:
+    """Keys that do nearly the same are moved one by one there: together they would go another way than is counted."""
+    rows, columns = np.mgrid[0:20, 0:24]
+
+    def traced(scene: Scene) -> Basis:
+        x, y, _ = (one * 1e3 for one in scene.targets[0].pose.position)
+        shown = LEVEL * (2 + (1 + x) * columns / 24 + y * (columns / 24 + 0.3 * rows / 20))
+        return replace(basis, images=np.broadcast_to(shown / 3, (3, 4, *shown.shape)).astype(np.float32))
+
+    names = [f"targets[0].position[{axis}]" for axis in (0, 1)]
+
+    def found(free: list[str]) -> tuple[Array, Array]:
+        keys = free_scene(bench, free)
+        steep = prediction_of(keys, traced).steepness(np.zeros(2))
+        scales = np.array([key.scale for key in keys.keys])
+        return steep.changes / scales[:, np.newaxis, np.newaxis, np.newaxis], steep.reach
+
+    slopes, reach = found(names)
+    bounded, _ = found([f"{names[0]}={-share * reach[0]} m:1 m", names[1]])
+    assert bounded == pytest.approx(slopes, rel=1e-3, abs=1e-4 * float(np.abs(slopes).max()))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -12,7 +13,7 @@ from scipy.ndimage import map_coordinates
 import radwrap
 from radwrap.fitting.covariance import PredictionErrors, spread
 from radwrap.fitting.solution import solve
-from radwrap.fitting.suspects import Suspect, suspects
+from radwrap.fitting.suspects import Suspect, changes_of, suspects
 from radwrap.images import GrayImage
 from radwrap.imaging.relight.relit import Basis
 from radwrap.random_streams import generator
@@ -49,7 +50,7 @@ def _named(bench: Scene, basis: Basis, free: list[str], wrong: Callable[[Array],
     solved = solve(keys.keys, prediction, [taken(seen, bench)], NOISE, robust=False)
     errors = PredictionErrors(np.zeros((2, len(solved.jacobian))))
     found = spread(solved.jacobian, errors)
-    return suspects(solved.predicted.parts, solved.residual, solved.weighed.sigma, found, errors)
+    return suspects(solved.predicted.parts, solved.residual, solved.weighed.sigma, found.basis, errors)
 
 
 def test_nothing_is_named_where_nothing_is_wrong(bench: Scene, basis: Basis) -> None:
@@ -99,6 +100,28 @@ def test_other_suspects_are_named(
 def test_what_a_free_key_does_is_no_suspect(bench: Scene, basis: Basis) -> None:
     found = _named(bench, basis, [EXPOSURE, "camera.sensor.offset"], lambda image: image * 1.1 + 2.0)
     assert not found
+
+
+def test_a_single_row_has_suspects_too(bench: Scene, basis: Basis) -> None:
+    keys, prediction = begun(bench, basis, [EXPOSURE])
+    (part,) = prediction.at([keys.keys[0].value]).parts
+    row = changes_of(replace(part, unclipped=part.unclipped[:1]))
+    assert all(np.isfinite(image).all() and image.shape == (1, COLUMNS) for image in row.values())
+    assert not row["shift along v"].any() and row["shift along u"].any()
+
+
+def test_a_key_at_its_bound_hides_no_suspect(bench: Scene, basis: Basis) -> None:
+    """The time that was allowed is a tenth too short: all is brighter than it can be."""
+    keys, prediction = begun(bench, basis, [EXPOSURE])
+    (time,) = keys.keys
+    dark = bench.camera.sensor.dark_gray
+    seen = dark + 1.1 * (prediction.at([time.value]).unclipped - dark)
+    capture = GrayImage(np.rint(seen + NOISE * generator(3, 1).standard_normal(seen.shape)), 8)
+    free = [f"{EXPOSURE}={0.5 * time.value} {time.unit}:{time.value} {time.unit}", "camera.sensor.offset"]
+    options = radwrap.RenderOptions(tolerance=1.0, workers=1)
+    found = radwrap.fit(bench, [capture], free, noise=NOISE, options=options)
+    assert found.keys[0].at_bound and not found.explained
+    assert any(one["name"] == "brightness" for one in found.manifest["looks_like"]), found.manifest["looks_like"]
 
 
 @pytest.mark.long
