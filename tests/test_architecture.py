@@ -1,6 +1,7 @@
 """The layout is a promise: data flows one way, and each foreign package has one door."""
 
 import ast
+import gc
 import re
 import subprocess
 import sys
@@ -244,6 +245,14 @@ READ_ELSEWHERE = {
     "study/user_process.py": {"os.fdopen": "the process's own stdout"},
 }
 LONGEST_MODULE = 500  # lines; a longer one becomes a folder
+
+
+@pytest.fixture(autouse=True, scope="module")
+def no_garbage() -> Iterator[None]:
+    """Trees stay until the end: to look for garbage in them takes twice as long as to make them."""
+    gc.disable()
+    yield
+    gc.enable()
 
 
 @cache

@@ -136,6 +136,7 @@ def test_a_dry_run_tells_each_plane() -> None:
     assert [line.split(":")[0] for line in done.stdout.splitlines()] == ["green", "red", "blue"]
 
 
+@pytest.mark.long
 def test_a_tolerance_that_a_plane_misses_is_not_met(tmp_path: Path) -> None:
     done = radwrap(
         *("render", CHART / "scene.toml", "--out", tmp_path / "out", "--tolerance", "0.05", "--budget", "1e4"),

@@ -321,6 +321,7 @@ def test_a_bad_file_is_noticed_and_traced_again(tmp_path: Path, capsys: pytest.C
     assert not list(folder.glob(".*"))
 
 
+@pytest.mark.long
 def test_a_flipped_bit_is_noticed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """One bit in each of 61 files: where it changes a pixel the file is traced again, so the images stay."""
     number = 61

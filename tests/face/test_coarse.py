@@ -104,6 +104,7 @@ def hashes(folder: Path) -> dict[str, str]:
     return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 
 
+@pytest.mark.long
 def test_it_stands_in_and_changes_no_byte(session: Session, tmp_path: Path) -> None:
     session.trace()
     first, last = seen(session)

@@ -114,6 +114,7 @@ def test_too_many_triangles_become_boxes_of_the_same_bounds(monkeypatch: pytest.
     assert all(edges.count(edge) == 2 for edge in edges)
 
 
+@pytest.mark.long
 def test_the_server_tells_places_and_what_a_pixel_sees(served: Served) -> None:
     basis = served.ready()["basis"]
     told = served.post("/api/layout", {"basis": basis}).json

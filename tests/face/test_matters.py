@@ -28,6 +28,7 @@ def request(**changes: Any) -> dict[str, Any]:
     return {"document": scene.document, "origin": "scene", "folder": ".", "options": OPTIONS}
 
 
+@pytest.mark.long
 def test_effects_are_those_of_explain_in_the_same_light(served: Served) -> None:
     """The server's are measured for the turn; where light differs, so do they."""
     basis = served.ready()["basis"]

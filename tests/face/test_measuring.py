@@ -98,6 +98,7 @@ def test_what_goes_wrong_in_a_thread_is_raised_where_it_is_waited_for() -> None:
     assert asyncio.run(left_behind(lambda: 7)) == 7
 
 
+@pytest.mark.long
 def test_the_server_measures_the_turn_that_is_asked_for(served: Served) -> None:
     basis = served.ready()["basis"]
 

@@ -300,6 +300,7 @@ def test_the_quantile_comes_where_it_was_asked_for(small: Basis) -> None:
     assert image.keeps(small) and not image.keeps(replace(small, max_error=quantile * 0.99))
 
 
+@pytest.mark.long
 def test_rows_longer_than_an_image_is_wide_are_folded(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """A tile of a large sensor has more pixels than an image file has columns; the files of the basis are the same."""
     radwrap.render(scene(), tmp_path / "plain", basis=True, tolerance=20)

@@ -178,6 +178,7 @@ def test_a_basis_has_the_waves_of_each_colour(tmp_path: Path) -> None:
     assert alone.manifest["diffraction"].get("wavelengths") is None
 
 
+@pytest.mark.long
 def test_what_one_wavelength_leaves_out_of_a_wide_line_is_in_relit_errors(tmp_path: Path) -> None:
     """The same rays in both: a line of 130 nm leaves out half of its variance, over its mean squared, of the waves."""
     errors = []

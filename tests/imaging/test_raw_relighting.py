@@ -60,6 +60,7 @@ def test_the_raw_image_of_all_lights_is_that_of_the_render(made: Path) -> None:
     assert {path.name for path in (made / "basis" / "planes").iterdir()} == set(COLOURS)
 
 
+@pytest.mark.long
 def test_other_levels_are_a_fresh_render_within_both_certificates(made: Path, tmp_path: Path) -> None:
     image = radwrap.relight(made / "basis", {"deep": 3.0, "day": 0.25})
     fresh = radwrap.render(lit(tmp_path, levels={"day": 1.0, "deep": 6.0}), tolerance=2, seed=7)

@@ -58,6 +58,7 @@ def test_a_result_holds_the_truth_that_was_asked_for(tmp_path: Path) -> None:
     assert again is not None and (again["depth"] == depth).all()
 
 
+@pytest.mark.long
 def test_files_of_an_older_run_do_not_stay_beside_the_new_image(tmp_path: Path) -> None:
     radwrap.render(scene(), tmp_path, viewpoints=1, truth=True)
     assert (tmp_path / "truth.json").is_file()

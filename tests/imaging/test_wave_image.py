@@ -156,6 +156,7 @@ def test_waves_are_tried_once_where_time_is_spent(monkeypatch: pytest.MonkeyPatc
     assert spent.error.diffraction_gray is not None and free.error.diffraction_gray is not None
 
 
+@pytest.mark.long
 def test_one_wavelength_for_a_wide_line_is_in_the_error() -> None:
     """The same rays in both: only what the mean wavelength leaves out differs."""
     errors = []
@@ -170,6 +171,7 @@ def test_one_wavelength_for_a_wide_line_is_in_the_error() -> None:
     assert errors[1] - errors[0] == pytest.approx(left, rel=0.1)
 
 
+@pytest.mark.long
 def test_noise_is_known_of_an_image_hardly_wider_than_what_waves_blur() -> None:
     """Of two replicates the noise on so few pixels could be anything, and its bound missed the tolerance."""
     document = tomllib.loads(BENCH.read_text())

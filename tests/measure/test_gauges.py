@@ -353,6 +353,7 @@ def test_standard_errors_of_a_thin_ring_are_those_of_repeated_frames() -> None:
     assert 0.55 < np.std(z) < 1.6 and abs(np.mean(z)) < 0.8
 
 
+@pytest.mark.long
 def test_a_ring_whose_width_looks_like_another_is_refused() -> None:
     light = thin_ring(21.0, 5.6, 2.5, (30.0, 45.0, 30.0))
     with pytest.raises(InputError, match="does not show how wide the ring is"):
@@ -1035,6 +1036,7 @@ def test_of_a_large_image_only_what_is_near_is_looked_at(form: Form, monkeypatch
     assert min(looked) == image.values.size
 
 
+@pytest.mark.long
 def test_a_fit_of_a_sharp_rim_ends_once_its_blur_shows_no_longer(monkeypatch: pytest.MonkeyPatch) -> None:
     """The radius of a blur of some hundredths of a pixel wanders without an effect: no rounds are made for it."""
     rounds = []

@@ -60,6 +60,7 @@ def edge_image(scene: Scene, shift: float) -> GrayImage:
     return GrayImage(np.rint(20 + 160 * share.mean(axis=-1)))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("methods", [("gray", "conic"), pytest.param(METHODS, marks=pytest.mark.long)], ids=len)
 def test_dots_that_are_moved_are_off_by_as_much(methods: tuple[str, ...]) -> None:
     """Round discs: the mean error is the shift for each method that does not take a dot's tilt into account."""

@@ -150,6 +150,7 @@ def test_a_study_for_which_no_worker_is_fit_is_not_begun(tmp_path: Path) -> None
         assert (out / "results.csv").read_text().count("\n") == 1, "no run is finished"
 
 
+@pytest.mark.long
 def test_a_study_without_workers_ends(tmp_path: Path) -> None:
     """It says once that it waits; then it gives up."""
     design = _laid(tmp_path)

@@ -79,6 +79,7 @@ def test_a_reference_of_nearly_nothing_is_refused(pixels: int, rays: int, option
         TradeOptions(reference_pixels=pixels, reference_rays=rays)
 
 
+@pytest.mark.long
 def test_the_reference_finds_what_viewpoints_lack(tmp_path: Path) -> None:
     """Sub-viewpoints come nearer to it as they grow in number, and two references with other rays agree."""
     scene = load_scene(write_scene(tmp_path))
