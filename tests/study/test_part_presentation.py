@@ -50,7 +50,6 @@ def moments(scene: radwrap.Scene, part: MeshPart) -> tuple[np.ndarray, float, fl
     return middle, angle, len(points) / FINE**2
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("light", [pytest.param("ring", marks=pytest.mark.long), "ambient"])
 def test_parts_are_found_where_they_lie(light: str) -> None:
     scene = radwrap.load_scene(SCENES / light / "scene.toml")
