@@ -41,6 +41,7 @@ _ROUND_OFF: Final = 1e-7  # px, of the whole gradient where points are exact
 _BESIDE: Final = 1.0  # px; a point may be found so far beside the image
 _FAR: Final = 1e3  # of the points' median distance from their middle
 _FLAT: Final = 1e-6  # height over a plane, over the target's size, at which points count as coplanar
+_TILTED: Final = "give views that fill the image and are tilted about both axes, or a model with fewer coefficients"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -200,8 +201,7 @@ def calibrate_views(
             "no minimum was reached: views that are hardly tilted, or about one axis only, do not separate the focal "
             "length from the distance",
             where="views",
-            remedy="give views that fill the image and are tilted about both axes, or a model with fewer coefficients; "
-            "look for wrong points",
+            remedy=f"{_TILTED}; look for wrong points",
         )
     _check_in_front(local, state)
     count = sum(len(view.points) for view in views)
@@ -296,7 +296,7 @@ def _check_determined(sizes: Array, names: Sequence[str]) -> None:
         raise InputError(
             f"the points do not separate {', '.join(names)}",
             where="views",
-            remedy="give views that fill the image and are tilted about both axes, or a model with fewer coefficients",
+            remedy=_TILTED,
         )
 
 

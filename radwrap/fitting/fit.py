@@ -30,7 +30,7 @@ from radwrap.fitting.scene_text import text_of, with_values
 from radwrap.fitting.series import Captures, State, joined, states_of
 from radwrap.fitting.settled import Grain, Settled
 from radwrap.fitting.solution import Solution, settle, solve
-from radwrap.fitting.suspects import suspects
+from radwrap.fitting.suspects import Suspect, suspects
 from radwrap.fitting.told import Fit, FittedKey, as_manifest
 from radwrap.fitting.verdict import verdict
 from radwrap.fitting.weights import patterns
@@ -212,16 +212,15 @@ def _ended(
     A step of some deviations leaves what is not linear in it: along what the captures hardly determine, keys go far.
     """
     place, scales = begin, np.array([key.scale for key in keys])
-    near: Settled | None = None
+    before: Settled | None = None
     for _ in range(_PLACES):
         bases = [light.unbiased(places.scene(place)) for places in prediction.places]
-        near = Settled(prediction, keys, place, bases, near)
+        before = near = Settled(prediction, keys, place, bases, before)
         solved, grain = settle(keys, near, captures, noise, robust=robust, begin=place)
         way = (solved.values - place) / scales
         place = solved.values
         if not prediction.has_renders or float(np.linalg.norm(solved.jacobian @ way)) < _ARRIVED:
             break
-    assert near is not None  # noqa: S101  (there is a first place)
     if not near.reaches(place):
         solved = replace(solved, converged=False)
     used = solved.weighed.used
@@ -270,10 +269,7 @@ def _fitted(
     numbers = [state.number for state in states]
     judged = verdict(solved.residual, sigma, sure, errors, of_capture=numbers)
     parts = solved.predicted.parts
-    # A key at its bound does not do what a suspect does: it is held.
-    held = [_at_bound(key, float(value)) for key, value in zip(free.keys, solved.values, strict=True)]
-    moving = inverse_of(np.where(held, 0.0, solved.jacobian), share, ended.grain.slopes).basis
-    looks_like = () if judged.explained else suspects(parts, solved.residual, sigma, moving, errors)
+    looks_like = () if judged.explained else _suspects(free.keys, ended, share)
     scales = np.array([key.scale for key in free.keys])
     keys = tuple(
         _key(key, float(value), sure, number)
@@ -326,6 +322,14 @@ def _fitted(
         censored,
         manifest,
     )
+
+
+def _suspects(keys: Sequence[FreeKey], ended: _Ended, share: float) -> tuple[Suspect, ...]:
+    """What is left looks like. A key at its bound does not do what a suspect does: it is held."""
+    solved = ended.solved
+    held = [_at_bound(key, float(value)) for key, value in zip(keys, solved.values, strict=True)]
+    moving = inverse_of(np.where(held, 0.0, solved.jacobian), share, ended.grain.slopes).basis
+    return suspects(solved.predicted.parts, solved.residual, solved.weighed.sigma, moving, ended.errors)
 
 
 def _at_bound(key: FreeKey, value: float) -> bool:

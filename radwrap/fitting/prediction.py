@@ -227,19 +227,8 @@ class Prediction:
         return np.concatenate([gaussian_filter(image, sigma) for image in parts])
 
     def _slope(self, values: Array, number: int, step: float) -> Array:
-        (high, low), (above, below) = self._ends(values, number, step)
-        change = self.at(above).unclipped - self.at(below).unclipped
-        return np.asarray(change / ((high - low) / self._keys[number].scale))
-
-    def _ends(self, values: Array, number: int, step: float) -> tuple[tuple[float, float], tuple[Array, Array]]:
-        """A key's values on both sides, and all keys' there."""
-        key = self._keys[number]
-        ends = []
-        for sign in (1.0, -1.0):
-            moved = np.array(values, dtype=np.float64)
-            moved[number] = min(max(moved[number] + sign * step * key.scale, key.low), key.high)
-            ends.append(moved)
-        return (float(ends[0][number]), float(ends[1][number])), (ends[0], ends[1])
+        (low, high), span = ends_of(self._keys[number], values, number, step)
+        return np.asarray((self.at(high).unclipped - self.at(low).unclipped) / span)
 
     def steepness(self, values: Array) -> Steepness:
         """Change of the radiant exposure with each key that needs renders, by each replicate of the bases.
@@ -313,6 +302,16 @@ class Prediction:
             scale = exposure_of_radiance(part.scene.camera)
             images.append(np.tensordot(joined, part.factors, axes=(1, 0)) * scale)
         return np.concatenate(images, axis=1)
+
+
+def ends_of(key: FreeKey, values: Array, number: int, step: float) -> tuple[tuple[Array, Array], float]:
+    """All values with a key on both sides, within its bounds, and how far these are apart; both over its scale."""
+    ends = []
+    for sign in (-1.0, 1.0):
+        moved = np.array(values, dtype=np.float64)
+        moved[number] = min(max(moved[number] + sign * step * key.scale, key.low), key.high)
+        ends.append(moved)
+    return (ends[0], ends[1]), float(ends[1][number] - ends[0][number]) / key.scale
 
 
 def _joined(images: Array, count: int) -> Array:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from radwrap.fitting.free_keys import FreeKey, FreeScene
 from radwrap.fitting.places import Lit
-from radwrap.fitting.prediction import Part, Predicted, Prediction, Steepness, factors_of
+from radwrap.fitting.prediction import Part, Predicted, Prediction, Steepness, ends_of, factors_of
 from radwrap.imaging.relight.relit import Basis
 from radwrap.imaging.response.exposure import exposure_of_radiance
 from radwrap.imaging.response.sensor import unclipped_gray
@@ -119,7 +119,7 @@ class Settled:
         found = np.empty((len(self._keys), *self._changes.shape[2:]))
         found[self._rendered] = self._per_light(self.at(values)) * self._changes.mean(axis=1)
         for number in self._others():
-            (low, high), span = self._ends(values, number)
+            (low, high), span = ends_of(self._keys[number], values, number, _STEP)
             found[number] = (self.at(high).unclipped - self.at(low).unclipped) / span
         return found
 
@@ -164,7 +164,7 @@ class Settled:
             slopes[np.ix_(self._rendered, self._rendered)] = _scatter(moved, moved)
         others = self._others()
         if others:
-            ends = [self._ends(values, number) for number in others]
+            ends = [ends_of(self._keys[number], values, number, _STEP) for number in others]
             moved = np.stack(
                 [
                     np.stack(
@@ -218,15 +218,6 @@ class Settled:
             ends = [unclipped_gray(part.exposure + more, part.sensor) for more in (0.0, step)]
             found.append((ends[1] - ends[0]) / step)
         return np.concatenate(found)
-
-    def _ends(self, values: Array, number: int) -> tuple[tuple[Array, Array], float]:
-        """Values on both sides of a key that needs no render, and how far they are apart in its scale."""
-        key, ends = self._keys[number], []
-        for sign in (-1.0, 1.0):
-            moved = np.array(values, dtype=np.float64)
-            moved[number] = min(max(moved[number] + sign * _STEP * key.scale, key.low), key.high)
-            ends.append(moved)
-        return (ends[0], ends[1]), float(ends[1][number] - ends[0][number]) / key.scale
 
 
 def _scatter(one: Array, other: Array) -> Array:

@@ -150,12 +150,8 @@ def suspects(
     used = np.isfinite(residual)
     left, weight = residual[used], sigma[used]
     changes = [changes_of(part) for part in parts]
-    images = {}
-    for name in changes[0]:
-        image = np.concatenate([one[name] for one in changes])[used] / weight
-        own = _beside(image, basis)
-        if float(np.linalg.norm(own)) > _OWN * float(np.linalg.norm(image)):
-            images[name] = image
+    images = {name: np.concatenate([one[name] for one in changes])[used] / weight for name in changes[0]}
+    images = _showing(images, basis)
     limit = float(chi2(1).ppf(1 - _LEVEL / max(len(images), 1)))
     off = errors.deviations / np.sqrt(errors.freedom * errors.predictions)
     left = _beside(left, basis)
@@ -182,12 +178,17 @@ def suspects(
         left = left - best_own * float(best_own @ left)
         basis = np.concatenate([basis, best_own[:, np.newaxis]], axis=1)
         del images[best]
-        images = {
-            name: image
-            for name, image in images.items()
-            if float(np.linalg.norm(_beside(image, basis))) > _OWN * float(np.linalg.norm(image))
-        }
+        images = _showing(images, basis)
     return tuple(named)
+
+
+def _showing(images: dict[str, Array], basis: Array) -> dict[str, Array]:
+    """Those of which something is left beside an orthonormal basis."""
+    return {
+        name: image
+        for name, image in images.items()
+        if float(np.linalg.norm(_beside(image, basis))) > _OWN * float(np.linalg.norm(image))
+    }
 
 
 def _beside(image: Array, basis: Array) -> Array:

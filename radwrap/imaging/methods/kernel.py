@@ -221,7 +221,12 @@ def layer_shares(layers: tuple[float, ...], magnification: NDArray[np.float64]) 
     if len(layers) == 1:
         return [np.ones_like(magnification)]
     place = layer_places(layers, magnification)
-    return [np.maximum(0.0, 1 - np.abs(place - number)) for number in range(len(layers))]
+    return [layer_share(place, number) for number in range(len(layers))]
+
+
+def layer_share(place: NDArray[np.float64], number: int) -> NDArray[np.float64]:
+    """Share of one of several layers in light that lies at some places between them, see `layer_places`."""
+    return np.asarray(np.maximum(0.0, 1 - np.abs(place - number)))
 
 
 def layer_places(layers: tuple[float, ...], magnification: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.imaging.methods.kernel import layer_places
+from radwrap.imaging.methods.kernel import layer_places, layer_share
 
 Array = NDArray[np.float64]
 ByLayer = dict[int, Array]  # of the layers that have any, by their number
@@ -82,9 +82,9 @@ class Layout:
 
 
 def _shares_at(place: Array) -> ByLayer:
-    """As `layer_shares`, of places between the layers: a tile shows one or two depths of a scene."""
+    """Shares of those layers that have any: a tile shows one or two depths of a scene."""
     numbers = range(math.floor(place.min()), math.ceil(place.max()) + 1)
-    return {number: np.maximum(0.0, 1 - np.abs(place - number)) for number in numbers}
+    return {number: layer_share(place, number) for number in numbers}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
