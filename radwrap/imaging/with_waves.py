@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -16,7 +17,10 @@ from radwrap.imaging.forecast.effects import Effect, diffraction_left_out
 from radwrap.imaging.forecast.wave_change import MOST_RAYS
 from radwrap.imaging.mean_radiance import Made, fixed_method
 from radwrap.imaging.methods.kernel import TooDeep
+from radwrap.imaging.methods.pieces import run_jobs
+from radwrap.imaging.methods.smooth_blocks import in_other_light
 from radwrap.imaging.optics.diffraction import Light, light_of_all, wavelength_of
+from radwrap.imaging.optics.smooth import SmoothField
 from radwrap.imaging.optics.view import trace_rays
 from radwrap.imaging.output.run_manifest import DiffractionTaken
 from radwrap.imaging.render_options import RenderOptions
@@ -120,7 +124,9 @@ class _Waves:
         """Rays for errors of a replicate by their number, and by the size of their cells [gray level]."""
         share = of_cells / self.about_rms if self.about_rms > of_cells else 1.0
         view, seed = self.work.view, self.options.seed
-        return plan_waves(view, self.wavelength, aim, seed, share=share, far=self.far, even_cell=self.even_cell)
+        return plan_waves(
+            view, self.wavelength, aim, seed, share=share, far=self.far, seen=self.seen_rms, even_cell=self.even_cell
+        )
 
     def replicates(self, made: Made, plan: WavePlan) -> int:
         """As many as the image has, where each is kept; else so many that their noise is known."""
@@ -148,7 +154,8 @@ class _Waves:
         work = self.work
         work.progress.left(replicates * len(self.lights) * self.scene.camera.sensor.pixels)
         plans = [(light.view, told_by(plan.at(light.wavelength))) for light in self.lights]
-        return wave_parts(work.view, plans, replicates, progress=work.progress.add, check=work.programs.check)
+        run = partial(run_jobs, programs=work.programs, workers=work.view.workers)
+        return wave_parts(work.view, plans, replicates, progress=work.progress.add, run=run)
 
 
 @dataclass(slots=True, eq=False)
@@ -296,9 +303,10 @@ def with_waves(
     little = _leaves(options.gray_tolerance, made) < _LEAST_LEFT * options.gray_tolerance
     if more_may_help and _is_met(made) and little and not pace.is_spent():
         image.make_finer()  # whatever waves take then, it would have to be made anew
-    if image.made.outcome is not None:
-        work = replace(work, view=replace(work.view, smooth=image.made.outcome.smooth))
-    waves = _Waves(scene, options, work, lights(), found.rms_gray, _seen(image.made.radiance, work))
+    smooth = None if image.made.outcome is None else image.made.outcome.smooth
+    work = replace(work, view=replace(work.view, smooth=smooth))
+    known = _with_smooth(lights(), smooth)
+    waves = _Waves(scene, options, work, known, found.rms_gray, _seen(image.made.radiance, work))
     try:
         added = _to_tolerance(image, waves, pace)
     except TooDeep as error:
@@ -310,6 +318,14 @@ def with_waves(
         slope = _blur_slope(waves, added)
     told = DiffractionTaken(waves.wavelength, found.rms_gray, added.parts.rays, _told_wavelengths(waves.lights))
     return WithWaves(added.whole, None, told, added.plan, tuple(waves.lights), slope)
+
+
+def _with_smooth(lights: tuple[Light, ...], smooth: SmoothField | None) -> tuple[Light, ...]:
+    """Lights whose views know which blocks are smooth, each as it sees them."""
+    if smooth is None or len(lights) == 1:  # one is the light of all
+        return tuple(replace(light, view=replace(light.view, smooth=smooth)) for light in lights)
+    seen = [in_other_light(smooth, light.view) for light in lights]
+    return tuple(replace(light, view=replace(light.view, smooth=one)) for light, one in zip(lights, seen, strict=True))
 
 
 def _to_tolerance(image: _Image, waves: _Waves, pace: Pace) -> _Added:
@@ -340,7 +356,7 @@ def _to_tolerance(image: _Image, waves: _Waves, pace: Pace) -> _Added:
         least = _LESS if tries_left > 1 else _FINER  # the last one is to do
         of_noise, of_size = _finer(tolerance, image.made, off, least=least)
         aim, of_cells = of_noise * aim, of_size * of_cells
-    return _Added(whole, plan, parts, aim)
+    return _Added(whole, replace(plan, samples=parts.samples), parts, aim)
 
 
 def _blur_slope(waves: _Waves, added: _Added) -> Array:

@@ -156,13 +156,13 @@ def test_a_run_takes_about_as_long(tmp_path: Path) -> None:
 
 
 def test_waves_of_each_source_count_in_a_basis() -> None:
-    """With waves a basis has at least as many rays again, wider by a guard band; without, the image's own."""
+    """With waves a basis has rays again, around the image and where it has edges; without, the image's own."""
     options = radwrap.RenderOptions(workers=1, tolerance=2.0, basis=True, tracer="compiled")
     without, with_waves = (
         forecast(scene(1, **{"camera.diffraction": word}), options, started=0.0) for word in ("off", "on")
     )
     assert "diffraction" in with_waves.parts and "diffraction" not in without.parts
-    assert with_waves.parts["basis"] > 2 * without.parts["basis"]
+    assert with_waves.parts["basis"] > 1.3 * without.parts["basis"]
 
 
 @pytest.mark.long

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from radwrap.errors import InputError
+from radwrap.imaging.methods.central import Cells, common_samples
 from radwrap.imaging.methods.kernel import (
     KernelPlan,
     decide_tile,
@@ -316,3 +317,12 @@ def test_radiance_below_zero_counts_as_none() -> None:
     radiance, change = np.array([-0.04, -0.04, 0.25, 0.01]), np.array([0.01, 0.13, 0.0, -0.05])
     # sqrt: 0 stays 0; 0 becomes .3; .5 stays; .1 becomes 0.
     assert grid_squares(radiance, change, 1.0, sensor) == pytest.approx([0.0, 0.09, 0.0, 0.01])
+
+
+@pytest.mark.parametrize(("aim", "samples"), [(12.1, 1), (8.0, 2), (4.0, 3), (0.5, 8)])
+def test_a_tile_without_edges_leaves_its_share_to_the_others(aim: float, samples: int) -> None:
+    """By one ray a cell the first is off by 3 * 4^1.5 = 24: with three others as large 12; n x n make it n^1.5 less."""
+    grid = plan_kernel(view(ROUND), np.zeros(1), aim).grid
+    edges, even = (Cells((0, 0), np.zeros((1, 1), dtype=np.int8), n, off, 0) for n, off in ((4, 3.0), (1, 0.0)))
+    assert grid.aim == aim
+    assert common_samples(grid, [(edges, 100), (even, 300)]) == samples

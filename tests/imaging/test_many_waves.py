@@ -153,7 +153,7 @@ def test_each_colour_has_its_own_waves(tracer: Any, tmp_path: Path) -> None:
 
         def added(*lit: tuple[View, float]) -> Array:
             plans = [(each, plan.at(wavelength)) for each, wavelength in lit]
-            return wave_parts(view, plans, 2, progress=lambda _: None, check=lambda: None).change
+            return wave_parts(view, plans, 2, progress=lambda _: None).change
 
         views = [light.view for light in lights]
         both = added(*zip(views, (450e-9, 650e-9), strict=True))
@@ -284,7 +284,7 @@ def test_even_cells_of_waves_are_as_fine_as_a_tolerance_needs(tolerance: float, 
         seen = trace_rays(view, None, u.ravel(), v.ravel())[0].reshape(15, 20)
         found = []
         for plan, replicates in zip(plans, (12, 4), strict=True):
-            parts = wave_parts(view, [(view, plan)], replicates, progress=lambda _: None, check=programs.check)
+            parts = wave_parts(view, [(view, plan)], replicates, progress=lambda _: None)
             light = np.maximum(seen + parts.change.mean(axis=0), 0.0) * view.exposure_of_radiance
             found.append(gray_levels(light, scene.camera.sensor))
     assert 0 < np.sqrt(((found[0] - found[1]) ** 2).mean()) < 0.4 * tolerance

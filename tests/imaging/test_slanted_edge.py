@@ -109,7 +109,7 @@ def test_a_slanted_edge_shows_the_contrast_of_its_lens(
     tracer: Tracer = Planes(((focus, edge),))  # type: ignore[assignment]
     view = View(of, tracer)
     plan = plan_waves(view, WAVELENGTH, 0.2, seed=1)
-    change = wave_parts(view, [(view, plan)], 2, progress=lambda _: None, check=lambda: None).change.mean(axis=0)
+    change = wave_parts(view, [(view, plan)], 2, progress=lambda _: None).change.mean(axis=0)
     # Rays see the edge in focus: each pixel's share, by strips of its rows.
     strips = (np.arange(64) + 0.5) / 64 - 0.5
     y = np.arange(rows)[:, np.newaxis, np.newaxis] - (rows - 1) / 2 + strips

@@ -1,11 +1,13 @@
 """Light from beyond the guard band: the coarse image, seen from pixels."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
 from radwrap.imaging.optics.view import View
-from radwrap.imaging.tolerance.wave_far import _interpolated, _rings, far_change, far_light
+from radwrap.imaging.tolerance.wave_far import _interpolated, _rings, far_change, far_light, far_rays
 from radwrap.imaging.tolerance.wave_plan import plan_waves
 from radwrap.scene.camera import Aperture
 from tests.imaging.planes import Array, Planes, camera
@@ -45,6 +47,27 @@ def test_light_from_beyond_the_first_ring_is_its_share_of_the_tail(times: float)
     expected = begins * (plan.waves.tail(radius * pixel) - ends) / (begins - ends)
     assert change[4, 4] == pytest.approx(expected, rel=0.1)
     assert expected == pytest.approx(plan.waves.tail(radius * pixel), rel=0.5)
+
+
+def test_far_light_takes_as_many_rays_as_what_it_may_be_off_by_needs() -> None:
+    """A pattern finer than blocks, 1 or 0 alike often: the noise of one ray in each block is known."""
+    pixel = 1e-5
+    plain = camera(Aperture("round", 2e-4), rows=40, columns=40, pixel=(pixel, pixel))
+    random = np.random.default_rng(0)
+
+    def lit(x: Array, y: Array) -> Array:
+        return random.integers(2, size=x.shape).astype(float) * (1 + x**2 + y**2) ** 2
+
+    view = View(plain, Planes(((1.0, lit),)))  # type: ignore[arg-type]
+    many = plan_waves(view, 550e-9, 0.1, 1)
+    few = plan_waves(view, 550e-9, 0.1, 1, seen=1.0)
+    assert far_rays(few) < 0.75 * far_rays(many)
+    off = []
+    for seed in range(8):
+        (around,) = far_light(view, replace(few, seed=seed), 0, lambda rays: None)
+        off.append(abs(few.weights.share) * (around - 0.5))
+    # A ray is off by 1/2, where light that is seen as 1 lets it be off by as much as it is.
+    assert 0 < float(np.sqrt(np.mean(np.square(off)))) <= few.far_noise
 
 
 @pytest.mark.long

@@ -70,7 +70,7 @@ def test_an_edge_becomes_its_closed_form_within_the_bound(side: float, focus: fl
     scale, sensor = view.exposure_of_radiance, view.camera.sensor
     radiance = np.tile(rays, (ROWS, 1))
     plan = plan_waves(view, WAVELENGTH, 0.25, seed=1)
-    parts = wave_parts(view, [(view, plan)], 2, progress=lambda _: None, check=lambda: None)
+    parts = wave_parts(view, [(view, plan)], 2, progress=lambda _: None)
     found = parts.change.mean(axis=0)
     error = wave_error(parts, radiance + found, visible_gray(scale, sensor), plan.block)
     off = (found - change) * scale * sensor.gain
@@ -97,7 +97,7 @@ def test_a_grating_loses_the_contrast_of_its_frequency(blur: float) -> None:
     tracer: Tracer = Planes(((1.0, lines),))  # type: ignore[assignment]
     view = View(plain, tracer)
     plan = plan_waves(view, WAVELENGTH, 0.25, seed=1)
-    parts = wave_parts(view, [(view, plan)], 2, progress=lambda _: None, check=lambda: None)
+    parts = wave_parts(view, [(view, plan)], 2, progress=lambda _: None)
     s = blur / period
     lost = 1 - 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s**2))
     wave = np.cos(2 * np.pi * (np.arange(24) - 11.5) / period) * np.sinc(1 / period)
@@ -202,7 +202,7 @@ def test_the_slope_by_the_diameter_is_that_of_the_closed_form(side: float, focus
     """Two footprints, as waves have no second moments: against the closed form of slightly other openings."""
     view = seen(side, focus, 0.3)
     plan = by_diameter(plan_waves(view, WAVELENGTH, 0.1, seed=1))
-    found = wave_parts(view, [(view, plan)], 2, progress=lambda _: None, check=lambda: None).change.mean(axis=0)
+    found = wave_parts(view, [(view, plan)], 2, progress=lambda _: None).change.mean(axis=0)
     narrower, wider = (sum(expected(seen(factor * side, focus, 0.3), 0.3)) for factor in (0.98, 1.02))
     slope = (wider - narrower) / math.log(1.02 / 0.98)
     # All rows see the same edge: their mean is free of most of the rays' noise.

@@ -11,9 +11,13 @@ from scipy.ndimage import minimum_filter
 
 pytest.importorskip("numba")
 
+from radwrap.imaging.optics.view import trace_rays
 from radwrap.imaging.render_options import RenderOptions
+from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.tolerance.survey import survey, with_smooth_blocks
-from radwrap.imaging.tolerance.wave_parts import wave_cells
+from radwrap.imaging.tolerance.wave_far import far_rays
+from radwrap.imaging.tolerance.wave_image import visible_gray
+from radwrap.imaging.tolerance.wave_parts import wave_cells, wave_parts
 from radwrap.imaging.tolerance.wave_plan import plan_waves
 from radwrap.imaging.tracing import laid_out
 from radwrap.scene.scene import Scene
@@ -66,7 +70,23 @@ def test_half_shadows_are_not_cut_for_waves() -> None:
     # What is left are steep slopes of light.
     assert (cells.levels[inside] > 0).mean() < 0.5 * (without.levels[inside] > 0).mean()
     assert cells.rays < without.rays and cells.levels.any()
-    # LEDs are points to all rays: their images keep their cells.
+
+
+def test_no_ray_goes_where_nothing_changes_but_smoothly() -> None:
+    """Under LEDs, which have no noise, what is known of smooth blocks is what rays would see there."""
     with laid_out(scene_of(BOX, camera=LENS), COMPILED) as traced:
         view = traced.view()
-        assert plan_waves(with_smooth_blocks(view, survey(view, 0), 0.5, 0), 550e-9, 2.0, 0).smooth is None
+        seen = with_smooth_blocks(view, survey(view, 0), 0.5, 0)
+        assert seen.smooth is not None and seen.smooth.share > 0.2
+        parts = []
+        for one in (seen, replace(seen, smooth=None)):
+            plan = plan_waves(one, 550e-9, 0.5, 0)
+            parts.append(wave_parts(one, [(one, plan)], 2, progress=lambda _: None))
+        sensor = view.camera.sensor
+        v, u = np.indices((sensor.rows, sensor.columns), dtype=np.float64)
+        light = trace_rays(view, None, u.ravel(), v.ravel())[0].reshape(v.shape)
+    with_smooth, without = (visible_gray(view.exposure_of_radiance, sensor)(light + made.change) for made in parts)
+    assert np.abs(with_smooth - gray_levels(light * view.exposure_of_radiance, sensor)).max() > 0.5
+    assert np.sqrt(((with_smooth - without) ** 2).mean()) < 0.05
+    by_tiles = [made.rays - 2 * far_rays(plan) for made in parts]
+    assert by_tiles[0] < 0.9 * by_tiles[1]  # in the guard band all are traced

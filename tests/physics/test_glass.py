@@ -229,7 +229,7 @@ def light_of(of: Camera, lamps: list[tuple[float, float]], depth: float = FOCUS)
     tracer: Tracer = Planes(((depth, texture),))  # type: ignore[assignment]
     view = View(of, tracer)
     plan = plan_waves(view, WAVELENGTH, 0.05, seed=1)
-    parts = wave_parts(view, [(view, plan)], 2, progress=lambda _: None, check=lambda: None)
+    parts = wave_parts(view, [(view, plan)], 2, progress=lambda _: None)
     return parts.change.mean(axis=0), parts.cells
 
 

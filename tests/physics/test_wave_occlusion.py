@@ -101,7 +101,7 @@ def test_what_hides_is_blurred_at_its_own_depth_within_the_bound(side: float, fo
         for which in (True, False)
     )
     plan = plan_waves(view, WAVELENGTH, 0.25, seed=1)
-    parts = wave_parts(view, [(view, plan)], 2, progress=lambda _: None, check=lambda: None)
+    parts = wave_parts(view, [(view, plan)], 2, progress=lambda _: None)
     found = parts.change.mean(axis=(0, 1))
     error = wave_error(
         parts, np.tile(rays + found, (ROWS, 1)), visible_gray(view.exposure_of_radiance, view.camera.sensor), plan.block

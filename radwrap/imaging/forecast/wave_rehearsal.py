@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 from radwrap.imaging.forecast.rehearsal import Rehearsed, Stopwatch, for_a_while, seconds_per_ray
+from radwrap.imaging.methods.central import Cells
 from radwrap.imaging.optics.view import LitView, View
 from radwrap.imaging.tolerance.wave_far import far_rays, far_view
-from radwrap.imaging.tolerance.wave_parts import kept_transforms, wave_cells, wave_tile
+from radwrap.imaging.tolerance.wave_parts import kept_transforms, samples_of_all, wave_cells, wave_tile
 from radwrap.imaging.tolerance.wave_plan import WavePlan
 
 
@@ -29,15 +30,16 @@ def rehearsed_waves(
     """
     traced, plans = (view, [plan]) if lit is None else (replace(lit.view, workers=1), [plan] * len(lit.names))
     of_all = None if lit is None or len(lit.names) > 1 else view
-    rays, pixels = [0, 0], 0
+    rays, pixels, decided = [0, 0], 0, dict[int, Cells]()
     deciding = making = 0.0
     clock = Stopwatch(view.workers)
     for tile in for_a_while(len(plan.kernel.tiles)):
         counted: list[int] = []
-        cells = wave_cells(view, plan, tile, counted.append)
+        decided[tile] = wave_cells(view, plan, tile, counted.append)
         rays[0] += sum(counted)
         deciding += clock.lap()
         counted.clear()
+        cells = replace(decided[tile], samples=plan.samples or samples_of_all(plan, decided))
         for _ in wave_tile(
             traced, plans, (tile, 0), cells, counted.append, transforms=kept_transforms(), of_all=of_all
         ):

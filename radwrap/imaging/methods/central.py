@@ -10,7 +10,7 @@ are independent and their means unbiased.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, TypeVar
 
@@ -186,6 +186,7 @@ def central_image(
     seed: tuple[int, ...],
     progress: Callable[[int], None],
     like: CentralImage | None = None,
+    smooth: SmoothField | None = None,
 ) -> CentralImage:
     """Trace part of the central image, each cell by rays anywhere in it.
 
@@ -204,8 +205,11 @@ def central_image(
     like : CentralImage, optional
         Traced with the same plan, cells and seed, perhaps in other light: its magnifications are kept, so that the
         values are linear in the light.
+    smooth : SmoothField, optional
+        Where no rays go, in the light of the view; default what the plan has of it.
     """
-    traced = traced_cells(view, plan, cells, seed=seed, progress=progress, with_depth=plan.with_depth and like is None)
+    with_depth = plan.with_depth and like is None
+    traced = traced_cells(view, plan, cells, seed=seed, progress=progress, with_depth=with_depth, smooth=smooth)
     depth = like.magnification if like else traced.laid_out(traced.magnification) if plan.with_depth else None
     return CentralImage(cells.first, traced.laid_out(traced.values), depth, traced.rays)
 
@@ -262,10 +266,11 @@ def traced_cells(
     seed: tuple[int, ...],
     progress: Callable[[int], None],
     with_depth: bool,
+    smooth: SmoothField | None = None,
 ) -> TracedCells:
     """Trace cells of the central image, as `central_image` does; `with_depth` their magnifications too."""
     random = generator(*seed)
-    sampler = Sampler(view, plan, cells.first, progress)
+    sampler = Sampler(view, plan, cells.first, progress, smooth=smooth)
     parts = []
     for level in range(plan.levels + 1):
         size = 2 ** (plan.levels - level)
@@ -293,6 +298,16 @@ def central_rays(plan: GridPlan, cells: Cells) -> int:
     counts: list[int] = np.bincount(cells.levels.ravel(), minlength=plan.levels + 2).tolist()
     whole = sum(count // 4 ** (plan.levels - level) for level, count in enumerate(counts[:-1]))
     return int(whole + counts[-1] * cells.samples**2)
+
+
+def common_samples(plan: GridPlan, tiles: Sequence[tuple[Cells, float]]) -> int:
+    """Rays along a side of each cell that differs much, by which tiles of so many pixels meet the aim together.
+
+    A tile without edges leaves its share to the others, so that these need fewer than each for itself.
+    """
+    each = [(cells.predicted_rms**2 * cells.samples**3, pixels) for cells, pixels in tiles]
+    by_one = sum(square * pixels for square, pixels in each) / sum(pixels for _, pixels in each)
+    return min(SUB_SAMPLES[-1], max(1, math.ceil((by_one / plan.aim**2) ** (1 / 3)))) if plan.aim else SUB_SAMPLES[-1]
 
 
 def _means(

@@ -66,14 +66,14 @@ def _from_ring(
     """As `far_light`, of the light from a ring around each place."""
     block, margin, (rows, columns) = coarse.block, coarse.margin, coarse.shape
     places, owners = [], []
-    for some, strata in _strata(coarse):
+    kernel = _kernel(plan, coarse)
+    for some, strata in _strata(plan, coarse, kernel):
         row, column = np.nonzero(some)
         inside = (np.indices((strata, strata)).reshape(2, 1, -1) + random.random((2, len(row), strata**2))) / strata
         places.append(np.stack([row[:, np.newaxis] + inside[0], column[:, np.newaxis] + inside[1]]).reshape(2, -1))
         owners.append(np.repeat(row * columns + column, strata**2))
     v, u = (np.concatenate(places, axis=1) - margin) * block - 0.5
     owner = np.concatenate(owners)
-    kernel = _kernel(plan, coarse)
     light, _ = trace_rays(_with_noise(view, coarse.share(plan), kernel), None, u, v)
     progress(len(u))
     rays = np.bincount(owner, minlength=rows * columns)
@@ -103,17 +103,26 @@ def _kernel(plan: WavePlan, coarse: _Coarse) -> Array:
 
 def far_rays(plan: WavePlan) -> int:
     """How many rays `far_light` takes."""
-    return sum(int(np.count_nonzero(some)) * strata**2 for ring in _rings(plan) for some, strata in _strata(ring))
+    return sum(
+        int(np.count_nonzero(some)) * strata**2
+        for ring in _rings(plan)
+        for some, strata in _strata(plan, ring, _kernel(plan, ring))
+    )
 
 
-def _strata(coarse: _Coarse) -> tuple[tuple[NDArray[np.bool_], int], ...]:
+def _strata(plan: WavePlan, coarse: _Coarse, kernel: Array) -> tuple[tuple[NDArray[np.bool_], int], ...]:
     """Blocks, shape (rows, columns), and how many rays along a side each of them gets."""
+    number = _STRATA
+    if plan.far_noise:
+        # One ray is off by no more than its block's light varies; in strata each of them by less.
+        by_one = abs(coarse.share(plan)) * math.sqrt(float((kernel**2).sum()))
+        number = min(_STRATA, max(1, math.ceil(by_one / plan.far_noise)))
     block, margin, (rows, columns) = coarse.block, coarse.margin, coarse.shape
     beside = min(margin, math.ceil(_DENSE * coarse.near / block))
     dense = np.zeros((rows, columns), dtype=bool)
     dense[margin - beside : rows - margin + beside, margin - beside : columns - margin + beside] = True
     # No more rays than pixels are needed to tell light that is spread so far.
-    return (dense, min(_STRATA, round(block))), (~dense, 1)
+    return (dense, min(number, round(block))), (~dense, 1)
 
 
 def _correlated(values: Array, kernel: Array) -> Array:

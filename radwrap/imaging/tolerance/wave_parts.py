@@ -11,14 +11,16 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.imaging.methods.central import Cells, CentralImage, central_image
+from radwrap.imaging.methods.central import Cells, CentralImage, central_image, common_samples
 from radwrap.imaging.methods.kernel import GRID_SHARE, coarsened, decide_tile, fast_length, lattice
 from radwrap.imaging.optics.lens_field import MIXED_SHARE, Place
 from radwrap.imaging.optics.view import View
@@ -32,6 +34,7 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Rect = tuple[int, int, int, int]
 Part = tuple[slice, slice]  # rows and columns
+Job = Callable[[], None]
 
 # Of what it changes to lay light out as if what lies behind went on: how far that may be off. By Fresnel's integral,
 # scripts/wave_occlusion.py, .01 to .11 where what lies behind is even. Where that has strong structure right beside the
@@ -56,12 +59,21 @@ class WaveParts:
         What light may change that comes from farther than was looked at.
     rays : int
         How many it took.
+    samples : int
+        Rays along a side of cells that differ much, which all tiles had in common.
     """
 
     change: Array
     cells: Array
     beyond: Array
     rays: int
+    samples: int
+
+
+def in_turn(jobs: list[Job]) -> None:
+    """Call jobs one after the other."""
+    for job in jobs:
+        job()
 
 
 def wave_parts(
@@ -70,7 +82,7 @@ def wave_parts(
     replicates: int,
     *,
     progress: Callable[[int], None],
-    check: Callable[[], None],
+    run: Callable[[list[Job]], None] = in_turn,
 ) -> WaveParts:
     """What waves add to the light of a view that does not tell its sources apart.
 
@@ -82,42 +94,68 @@ def wave_parts(
         The light of each wavelength, and its plan, all of the same rays: see `WavePlan.at`.
     replicates : int
         How many sets of them, 2 at least.
-    progress, check : callable
-        Is told how many rays were traced; raises where the run is to end.
+    progress : callable
+        Is told how many rays were traced.
+    run : callable
+        Calls jobs, some of them at a time perhaps, as `run_jobs` does; raises where the run is to end.
     """
     plan = plans[0][1]
     sensor, of_all = plan.kernel.camera.sensor, view if len(plans) > 1 else None
     change = np.zeros((replicates, sensor.rows, sensor.columns))
     cells = np.zeros((sensor.rows, sensor.columns))
-    counted = plan.rays
+    counted, guard = plan.rays, threading.Lock()
 
     def count(rays: int) -> None:
         nonlocal counted
-        counted += rays
+        with guard:
+            counted += rays
         progress(rays)
 
+    tiles = range(len(plan.kernel.tiles))
+    decided = dict[int, Cells]()
+
+    def decide(tile: int) -> None:
+        decided[tile] = wave_cells(replace(view, workers=1), plan, tile, count)
+
+    run([partial(decide, tile) for tile in tiles])
+    samples = plan.samples or samples_of_all(plan, decided)
     transforms = kept_transforms()
-    for tile, (r0, r1, c0, c1) in enumerate(plan.kernel.tiles):
-        check()
-        decided = wave_cells(view, plan, tile, count)
+
+    def trace(tile: int) -> None:
+        r0, r1, c0, c1 = plan.kernel.tiles[tile]
+        each = replace(decided[tile], samples=samples)
         for replicate, (lit, of_light) in itertools.product(range(replicates), plans):
-            traced = wave_tile(lit, [of_light], (tile, replicate), decided, count, transforms=transforms, of_all=of_all)
+            one, alike = replace(lit, workers=1), None if of_all is None else replace(of_all, workers=1)
+            traced = wave_tile(one, [of_light], (tile, replicate), each, count, transforms=transforms, of_all=alike)
             for found, of_cells in traced:
                 change[replicate, r0:r1, c0:c1] += found
                 cells[r0:r1, c0:c1] += of_cells / replicates
+
+    run([partial(trace, tile) for tile in tiles])
     beyond = np.zeros((sensor.rows, sensor.columns))
     for replicate, (lit, of_light) in itertools.product(range(replicates), plans):
         (around,) = far_light(lit, plan, replicate, count)
         far, farther = far_change(of_light, around)
         change[replicate] += far
         beyond += farther / replicates
-    return WaveParts(change, cells, beyond, counted)
+    return WaveParts(change, cells, beyond, counted, samples)
 
 
 def wave_cells(view: View, plan: WavePlan, tile: int, progress: Callable[[int], None]) -> Cells:
     """Find out, in the light of all sources, which cells of the central image a tile needs."""
     seed = (plan.seed, Rendering.WAVE_CELLS, tile)
-    return decide_tile(bare(view), plan.kernel, tile, seed, progress, smooth=plan.smooth)
+    found = decide_tile(bare(view), plan.kernel, tile, seed, progress, smooth=plan.smooth)
+    return found if plan.samples is None else replace(found, samples=plan.samples)
+
+
+def samples_of_all(plan: WavePlan, decided: Mapping[int, Cells]) -> int:
+    """Rays along a side of each cell that differs much, the same for all tiles; what is known of some, by number."""
+    if plan.kernel.grid.even:
+        return 1
+    places = [
+        (cells, plan.kernel.tiles[tile]) for tile, cells in sorted(decided.items())
+    ]  # the same sum, whatever the workers
+    return common_samples(plan.kernel.grid, [(cells, (r1 - r0) * (c1 - c0)) for cells, (r0, r1, c0, c1) in places])
 
 
 def wave_tile(
@@ -156,12 +194,12 @@ def wave_tile(
     """
     tile, replicate = which
     plan = plans[0]
-    kernel, view = plan.kernel, bare(view)
+    kernel = plan.kernel
     key = (plan.seed, Rendering.WAVE_RAYS, replicate, tile)
     like = None
     if of_all is not None and kernel.grid.with_depth:
-        like = central_image(bare(of_all), kernel.grid, cells, seed=key, progress=progress)
-    central = central_image(view, kernel.grid, cells, seed=key, progress=progress, like=like)
+        like = _central(of_all, plan, cells, seed=key, progress=progress)
+    central = _central(view, plan, cells, seed=key, progress=progress, like=like)
     summed = central if central.values.ndim == 2 else replace(central, values=central.values.sum(axis=0))
     coarser = coarsened(central, coarsened(like or summed))
     place, cell = kernel.tiles[tile], kernel.grid.cell
@@ -187,6 +225,20 @@ def wave_tile(
         )
         off = of_cells + OF_HIDING * (found - seen_only)
         yield found, off + np.copysign(of_field, off)
+
+
+def _central(
+    view: View,
+    plan: WavePlan,
+    cells: Cells,
+    *,
+    seed: tuple[int, ...],
+    progress: Callable[[int], None],
+    like: CentralImage | None = None,
+) -> CentralImage:
+    """The central image in a view's light, of which smooth blocks are known; parameters as of `central_image`."""
+    smooth = None if plan.kernel.grid.even else view.smooth
+    return central_image(bare(view), plan.kernel.grid, cells, seed=seed, progress=progress, like=like, smooth=smooth)
 
 
 def kept_transforms() -> Kept:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -52,6 +53,7 @@ _MOST_ON_SENSOR: Final = 1 << 19
 _AROUND: Final = 8
 _AROUND_GLASS: Final = 4  # there are many weights then; what comes in is 5e-6 of the highest
 _MOST_AROUND: Final = 1 << 23
+_OF_FAR_RAYS: Final = 0.2  # of the noise of one replicate: squares add
 _LEAST_GAIN: Final = 0.05  # of noise; rays are so few then that fewer would save nothing
 _STEP: Final = 0.02  # of the diameter, to either side: a slope by both is off by its square
 
@@ -70,19 +72,23 @@ class WaveWeights:
         Places of the sensor at which they are made.
     made : dict
         What was made already.
+    guard : Lock
+        Held while more is made: no two threads make the same.
     """
 
     kernel: KernelPlan
     terms: tuple[tuple[float, Waves], ...]
     lens_field: LensField
     made: dict[tuple[float, tuple[int, int], Place], list[Array]] = field(default_factory=dict)
+    guard: threading.Lock = field(default_factory=threading.Lock)
 
     def near(self, cell: float, phase: tuple[int, int], place: Place) -> list[Array]:
         """Of each layer, shape (2 rows + 1, 2 columns + 1); cells of a pixel in the middle."""
         key = cell, phase, place
-        if key not in self.made:
-            self.made.update(self._at(place, {(cell, phase), *_gathered_by(self.kernel.grid.cell)}))
-        return self.made[key]
+        with self.guard:
+            if key not in self.made:
+                self.made.update(self._at(place, {(cell, phase), *_gathered_by(self.kernel.grid.cell)}))
+            return self.made[key]
 
     def _at(
         self, place: Place, sizes: Iterable[tuple[float, tuple[int, int]]]
@@ -179,7 +185,11 @@ class WavePlan:
     rays : int
         That the look at the depths took.
     smooth : SmoothField, optional
-        Blocks whose cells are not to be cut: the few points of wide lights that rays ask would look like edges there.
+        Blocks whose cells are not to be cut: nothing changes there but smoothly.
+    samples : int, optional
+        Rays along a side of cells that differ much, the same for all tiles; default as each tile needs for itself.
+    far_noise : float
+        Of the light, what the rays that tell of far light may be off by in one replicate; at 0 as little as ever.
     """
 
     kernel: KernelPlan
@@ -188,6 +198,8 @@ class WavePlan:
     seed: int
     rays: int
     smooth: SmoothField | None = None
+    samples: int | None = None
+    far_noise: float = 0.0
 
     def at(self, wavelength: float) -> WavePlan:
         """The same rays, for light of another wavelength [m]."""
@@ -216,8 +228,9 @@ def plan_waves(
     aim: float,
     seed: int,
     *,
-    share: float = _OFF,
+    share: float | None = None,
     far: float = 1.0,
+    seen: float = 0.0,
     even_cell: float | None = None,
 ) -> WavePlan:
     """Choose cells, layers, tiles and the guard band.
@@ -232,10 +245,13 @@ def plan_waves(
         Rms error of one replicate to aim at [gray level].
     seed : int
         Of all that is drawn.
-    share : float
-        Of what waves add, what the cells' size may change; a guess that the image decides on.
+    share : float, optional
+        Of what waves add, what the cells' size may change; a guess that the image decides on. By default cells are no
+        wider than where rays go needs them, and resolve what waves do.
     far : float
         Of the light, what waves may send beyond the guard band; the band has limits of its own.
+    seen : float
+        Gray levels that light adds, rms; where it is not known, far light is told by as many rays as ever.
     even_cell : float, optional
         As of `plan_kernel`: no light decides where rays go.
 
@@ -251,8 +267,8 @@ def plan_waves(
     met, rays = look_at_depths(view, _LOOK, generator(seed, Rendering.WAVES))
     plan = plan_kernel(bare(view), met, aim, even_cell=even_cell)
     if even_cell is None:
-        coarsest = plan.grid.cell if share <= _OFF else max(plan.grid.cell, _COARSEST)
-        wanted = min(coarsest, blur * math.sqrt(share / _OFF))
+        coarsest = plan.grid.cell if share is None else max(plan.grid.cell, _COARSEST)
+        wanted = min(coarsest, blur * math.sqrt((share or _OFF) / _OFF))
         finer = math.ceil(math.log2(plan.grid.cell / max(wanted, FINEST_CELL)))
         plan = plan_kernel(bare(view), met, aim, finer)
         # Where light is even rays go on in wide steps, as waves spread what they add.
@@ -261,13 +277,15 @@ def plan_waves(
     near = waves.blur * min(_WIDEST_NEAR, max(_NEAR, waves.tail_radius(far) / waves.blur))
     plan = replace(plan, guard=max(near / pitch, _resolved(camera.sensor)) + glass_reach(camera) / pitch)
     weights = WaveWeights(plan, _less_rays(waves), lens_field(camera, wavelength))
+    known, far_noise = None, 0.0
     if even_cell is None:
+        known, far_noise = view.smooth, _OF_FAR_RAYS * aim / seen if seen else 0.0
         aim /= _noise_gain(weights)
         square, looked = points_noise(view, seed)
         halvings = halvings_for(square, POINTS_SHARE * aim**2)
         plan, rays = replace(plan, grid=replace(plan.grid, aim=aim, halvings=halvings)), rays + looked
         weights = replace(weights, kernel=plan)
-    return WavePlan(plan, waves, weights, seed, rays, None if view.with_noise(1) is view else view.smooth)
+    return WavePlan(plan, waves, weights, seed, rays, known, far_noise=far_noise)
 
 
 def _resolved(sensor: Sensor) -> float:
