@@ -385,9 +385,8 @@ def _limit(program: subprocess.Popen[bytes], limits: Limits) -> None:
 class Child:
     """A helper program that lives beside this one and talks in lines.
 
-    It has a session of its own, so that Ctrl-C in the terminal is for us
-    alone, and learns that we are gone, however we went, by the end of its
-    stdin.
+    It has a session of its own, so that Ctrl-C in the terminal is for us alone, and learns that we are gone, however we
+    went, by the end of its stdin.
     """
 
     def __init__(self, program: subprocess.Popen[bytes]) -> None:
@@ -427,8 +426,10 @@ class Child:
         return self._program.pid
 
     def kill(self) -> None:
-        """End it at once, with all that it has started through `Programs`."""
-        self.close(0.0)
+        """End it at once, before it hears that we have gone, with all that it has started through `Programs`."""
+        if not self.ended:
+            _kill(self._program)
+        self.close(_GRACE)
         end_marked(marks_of(self._program.pid))
 
     def close(self, patience: float) -> None:

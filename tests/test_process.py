@@ -2,6 +2,7 @@
 
 import os
 import resource
+import subprocess
 import sys
 import threading
 import time
@@ -11,6 +12,7 @@ from pathlib import Path
 import psutil
 import pytest
 
+from radwrap import process
 from radwrap.errors import EnvironmentFailure, TracerError
 from radwrap.process import Limits, Programs, start_child
 
@@ -116,6 +118,22 @@ def test_leaving_an_unfinished_stream_ends_the_program(tmp_path: Path) -> None:
 def test_a_program_that_does_not_read_its_input_does_not_block(tmp_path: Path) -> None:
     output, _ = run("print('done')", tmp_path, stdin=(bytes(1 << 20) for _ in range(20)))
     assert output.strip() == b"done"
+
+
+def test_a_child_that_is_killed_does_not_hear_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What it would do then, it must not: whoever kills it goes on."""
+    child = start_child([PYTHON, "-c", "import sys; sys.stdin.read()"], folder=tmp_path, environment={})
+    kill, heard = process._kill, []
+
+    def kills(program: subprocess.Popen[bytes]) -> None:
+        assert program.stdin is not None
+        heard.append(program.stdin.closed)
+        kill(program)
+
+    monkeypatch.setattr(process, "_kill", kills)
+    child.kill()
+    child.kill()  # whose number may be another's by now
+    assert heard == [False] and child.ended
 
 
 def test_a_child_talks_in_lines_and_ends_with_its_stdin(tmp_path: Path) -> None:

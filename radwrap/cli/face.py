@@ -58,7 +58,7 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     shared.add_tracer(parser)
     add_light(parser, "--led")
     add_device(parser)
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, ahead=None)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -88,7 +88,17 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.drive is not None:
         _confirm(arguments, scene)
         ring = partial(ring_of, arguments, scene)
-    serve(scene, options, port=arguments.port, out=out, recipe=recipe, study=study, ring=ring, opened=browser)
+    serve(
+        scene,
+        options,
+        port=arguments.port,
+        out=out,
+        recipe=recipe,
+        study=study,
+        ring=ring,
+        opened=browser,
+        ahead=arguments.ahead,
+    )
     return 0
 
 

@@ -10,16 +10,19 @@ import argparse
 import gc
 import os
 import sys
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from importlib import import_module
-from typing import Any, Final, NoReturn
+from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from radwrap.cli.address_space import check_address_space, is_lack_of_memory
 from radwrap.cli.interrupts import Interrupts, tell_interrupted
 from radwrap.cli.spelling import spell
 from radwrap.errors import EnvironmentFailure, InputError, RadwrapError, one_line
 from radwrap.extras import lack_of, require
+
+if TYPE_CHECKING:
+    from radwrap.process import Child
 
 _EPILOG = (
     "Exit codes: 0 done, 1 a check failed, 2 bad input, 3 tolerance not met, 4 environment or tracer, 130 interrupted."
@@ -54,6 +57,9 @@ _EXTRA: Final = {
     **dict.fromkeys(("measure", "calibrate", "compare"), "measure"),
     **dict.fromkeys(("study", "trade", "crosscheck", "validate"), "study"),
 }
+# What a verb has a process of its own for: that one loads its libraries while this one does.
+_AHEAD: Final = {"face": "radwrap.face.renderer"}
+_ALONE: Final = ("-h", "--help", "--export")  # needs none
 
 
 def main(arguments: Sequence[str] | None = None, interrupts: Interrupts | None = None) -> int:
@@ -80,19 +86,39 @@ def main(arguments: Sequence[str] | None = None, interrupts: Interrupts | None =
 
 
 def _carried_out(given: list[str], interrupts: Interrupts) -> int:
-    try:
-        parsed = _parsed(given)
-    except SystemExit as end:  # --help and --version, which are told
-        return int(end.code or 0)
-    interrupts.begin_work()
-    if given[0] in _EXTRA:
-        require(_EXTRA[given[0]], given[0])
-    try:
-        code: int = parsed.run(parsed)
-    except RadwrapError as error:
-        spell(error, parsed.parser.options)
-        raise
+    with _started_ahead(given) as ahead:
+        try:
+            parsed = _parsed(given)
+        except SystemExit as end:  # --help and --version, which are told
+            return int(end.code or 0)
+        interrupts.begin_work()
+        if given[0] in _EXTRA:
+            require(_EXTRA[given[0]], given[0])
+        if ahead is not None:
+            parsed.ahead = ahead
+        try:
+            code: int = parsed.run(parsed)
+        except RadwrapError as error:
+            spell(error, parsed.parser.options)
+            raise
     return code
+
+
+@contextmanager
+def _started_ahead(given: Sequence[str]) -> Iterator[Child | None]:
+    """The process that a verb will need, if it needs one; it does not outlive the verb."""
+    alone = any(word == one or word.startswith(f"{one}=") for word in given for one in _ALONE)
+    if not given or given[0] not in _AHEAD or alone:
+        yield None
+        return
+    from radwrap.own_modules import start_module
+
+    child = start_module(_AHEAD[given[0]])
+    try:
+        yield child
+    finally:
+        if not child.ended:
+            child.kill()
 
 
 def _failed(error: BaseException) -> int:

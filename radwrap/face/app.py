@@ -29,7 +29,8 @@ from radwrap.face.photo import Photos, compared
 from radwrap.face.profile import ends_of, profile_table, width_of
 from radwrap.face.ring import HeldRing
 from radwrap.face.saving import save, scene_text, turned_scene
-from radwrap.face.session import Image, Session, Status, Traced
+from radwrap.face.session import Session, Status
+from radwrap.face.traced import Image, Traced
 from radwrap.images import png_bytes
 from radwrap.imaging.page.turn import Turn, changes_of, turn_of
 from radwrap.scene.file.load import with_camera

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from radwrap.errors import InputError
-from radwrap.face.session import Image
+from radwrap.face.traced import Image
 from radwrap.manifest import read_manifest
 
 _MOST_EFFECTS: Final = 50  # of a response; the others are in the study's own report

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import EnvironmentFailure, InputError, TracerError
 from radwrap.face.decoder import LARGEST, MEMORY, NONE_OF_THEM, SECONDS, kind_of
-from radwrap.face.session import Image
+from radwrap.face.traced import Image
 from radwrap.images import GrayImage
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.own_modules import run_module

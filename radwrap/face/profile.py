@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
-from radwrap.face.session import Image
+from radwrap.face.traced import Image
 from radwrap.imaging.response.sensor import gray_levels
 
 Ends = tuple[int, int, int, int]

@@ -3,11 +3,13 @@
 The server's side starts it, tells it what to render and hears how far it is. The child answers in lines of JSON. It
 learns of the server's end by the end of its stdin, however that went, ends its own tracers, and removes the server's
 working folder, which nobody else can do then.
-Run as ``python -m radwrap.face.renderer FOLDER``.
+It may be started before there is such a folder: it loads its libraries until it is told of one.
+Run as ``python -m radwrap.face.renderer``.
 """
 
 from __future__ import annotations
 
+import gc
 import json
 import queue
 import shutil
@@ -15,7 +17,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
@@ -30,7 +32,7 @@ OBEYS_WITHIN: Final = 0.5  # s in which a render that is told to stop has to
 _START: Final = 60.0  # s, on a busy machine
 _LISTEN: Final = 0.05  # s between looks at whether to stop
 _FAREWELL: Final = 3.0  # s
-_STOP, _BYE, _RENDER = "stop", "bye", "render"
+_STOP, _BYE, _RENDER, _FOLDER = "stop", "bye", "render", "folder"
 EFFECTS: Final = "effects"
 _ERRORS: Final[dict[str, type[RadwrapError]]] = {
     kind.__name__: kind for kind in (InputError, EnvironmentFailure, TracerError, Cancelled)
@@ -44,10 +46,13 @@ class Renderer:
     ----------
     folder : Path
         Where requests are left for the child, which removes it once the server is gone.
+    ahead : Child, optional
+        One that was started already; whoever did so ends it too.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, ahead: Child | None = None) -> None:
         self._folder = folder
+        self._ahead = ahead
         self._child: Child | None = None
         self._warm: Path | None = None  # where its warm scene lies
         self._asked = 0
@@ -128,8 +133,10 @@ class Renderer:
     def _started(self) -> Child:
         if self._child is None or self._child.ended:
             self.kill()
-            self._child = start_module("radwrap.face.renderer", str(self._folder))
-            if self._child.hear(_START) != "ready":
+            ahead, self._ahead = self._ahead, None
+            self._child = ahead if ahead is not None and not ahead.ended else start_module("radwrap.face.renderer")
+            told = self._child.tell(f"{_FOLDER} {json.dumps(str(self._folder))}")
+            if not told or self._child.hear(_START) != "ready":
                 self.kill()
                 raise _gone()
         return self._child
@@ -164,21 +171,24 @@ def _stopped() -> Cancelled:
     return Cancelled("was stopped", where="renderer", remedy="trace again")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main() -> int:
     """Render what is asked for, until the server says farewell or is gone."""
-    (folder,) = map(Path, sys.argv[1:] if arguments is None else arguments)
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # the server decides when we end
-    from radwrap.face.warmth import Warmth
-
-    print("ready", flush=True)
     ears = _Ears()
     ears.start()
+    gc.disable()  # among what is loaded here there is no garbage: to look for it is time lost
+    from radwrap.face.warmth import Warmth, load_tracer
+
+    print("ready", flush=True)
+    if ears.asked.empty():
+        load_tracer()
+    gc.enable()
     with Warmth() as warmth:
         while (name := ears.asked.get()) is not None:
-            _tell(_answered(warmth, folder / name, ears))
-    if ears.orphaned:
-        shutil.rmtree(folder, ignore_errors=True)
+            _tell(_answered(warmth, ears.folder / name, ears))
+    if ears.orphaned and ears.folder != Path():
+        shutil.rmtree(ears.folder, ignore_errors=True)
     return 0
 
 
@@ -218,6 +228,7 @@ class _Ears(threading.Thread):
         self.asked: queue.Queue[str | None] = queue.Queue()
         self.stop = threading.Event()
         self.orphaned = False
+        self.folder = Path()  # of the server; until it tells that, there is none
 
     def run(self) -> None:
         """Listen until the end."""
@@ -228,6 +239,8 @@ class _Ears(threading.Thread):
             elif word == _RENDER:
                 self.stop.clear()
                 self.asked.put(name)
+            elif word == _FOLDER:
+                self.folder = Path(json.loads(name))
             elif word == _BYE:
                 break
         else:

@@ -11,7 +11,7 @@ import numpy as np
 
 from radwrap.errors import InputError
 from radwrap.face.profile import Ends, profile_table
-from radwrap.face.session import Image, Traced
+from radwrap.face.traced import Image, Traced
 from radwrap.files import TEMPORARY_SUFFIX, disk_failure, make_folder, sole_owner, temporary_name, write_bytes
 from radwrap.images import PREVIEW_BITS, preview_codes, write_exr, write_png
 from radwrap.imaging.page.turn import Turn

@@ -24,6 +24,7 @@ from radwrap.face.app import gated
 from radwrap.face.recipe import Recipe
 from radwrap.face.ring import HeldRing, Opened
 from radwrap.face.session import Session
+from radwrap.process import Child
 from radwrap.scene.scene import Scene
 
 LOOPBACK: Final = "127.0.0.1"
@@ -118,6 +119,7 @@ def serve(
     study: Mapping[str, Any] | None,
     ring: Opened | None,
     opened: Callable[[Path], object] | None,
+    ahead: Child | None = None,
 ) -> None:
     """Serve a scene until a signal comes.
 
@@ -139,6 +141,8 @@ def serve(
         Opens the LED ring; without it the page has none.
     opened : callable or None
         Opens a file in the user's browser.
+    ahead : Child, optional
+        See `Renderer`.
 
     Raises
     ------
@@ -154,7 +158,7 @@ def serve(
     ):
         work = Path(folder)
         at = listener.getsockname()[1]
-        session = Session(scene, options, work=work, out=out, recipe=recipe, study=study)
+        session = Session(scene, options, work=work, out=out, recipe=recipe, study=study, ahead=ahead)
         stack = contextlib.ExitStack()
         before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
         try:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import fields
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,12 @@ from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.warm import WarmScene
 from radwrap.progress import Progressed
 from radwrap.scene.file.load import scene_from_document
+
+
+def load_tracer() -> None:
+    """Load what the compiled tracer needs, and most scenes are traced by, before a scene is there."""
+    with suppress(ImportError):  # a render says what it lacks
+        import_module("radwrap.tracers.compiled.engine")
 
 
 class Warmth:

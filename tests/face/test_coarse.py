@@ -16,7 +16,8 @@ from radwrap.errors import InputError
 from radwrap.face import coarse as module
 from radwrap.face.coarse import coarse_of
 from radwrap.face.recipe import Recipe
-from radwrap.face.session import Session, Traced
+from radwrap.face.session import Session
+from radwrap.face.traced import Traced
 from radwrap.imaging.page.turn import Turn
 from tests.cli.conftest import scene_with
 from tests.face.conftest import PATIENCE, TWO

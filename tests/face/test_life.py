@@ -12,13 +12,18 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing, suppress
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import psutil
 import pytest
 
+import radwrap
+from radwrap import own_modules
+from radwrap.cli import main as verbs
+from radwrap.face.renderer import Renderer
 from radwrap.files import make_folder
-from tests.cli.conftest import SLOWER, here, inside, start, write_scene
+from radwrap.process import Child
+from tests.cli.conftest import SLOWER, here, inside, scene_with, start, write_scene
 from tests.face.conftest import PATIENCE, TWO, Served, gone, serving
 from tests.face.test_turns import RING
 
@@ -219,6 +224,72 @@ def test_the_light_of_a_turn_is_traced_anew(tmp_path: Path) -> None:
 
 
 # ----------------------------------------------------------------------------------------------------------- Beginnings
+
+
+@pytest.fixture
+def started(monkeypatch: pytest.MonkeyPatch) -> list[object]:
+    """What begins, in its order: processes of our own, and modules of verbs."""
+    found: list[object] = []
+    start_module, import_module = own_modules.start_module, verbs.import_module
+
+    def starts(name: str, *arguments: str) -> Child:
+        child = start_module(name, *arguments)
+        found.append(child)
+        return child
+
+    def imports(name: str) -> Any:
+        found.append(name)
+        return import_module(name)
+
+    monkeypatch.setattr(own_modules, "start_module", starts)
+    monkeypatch.setattr(verbs, "import_module", imports)
+    return found
+
+
+def test_the_renderer_loads_its_libraries_meanwhile(
+    started: list[object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is started before the verb is loaded, is what the server takes, and does not outlive the verb."""
+    taken: list[Child] = []
+    monkeypatch.setattr("radwrap.face.serve.serve", lambda *_, ahead, **__: taken.append(ahead))
+    here(["face", write_scene(tmp_path, TWO), "--no-browser"], capsys).success()
+    child, verb = started
+    assert verb == "radwrap.cli.face" and taken == [child] and child.ended  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("words", [["--help"], ["-h"], ["--export=page.html"], ["--export", "page.html"]])
+def test_what_serves_nothing_starts_none(
+    words: list[str], started: list[object], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    here(["face", tmp_path / "none.toml", *words], capsys)
+    assert started == ["radwrap.cli.face"]
+
+
+def test_who_was_started_ahead_renders(tmp_path: Path) -> None:
+    """The next one is started where it has ended."""
+    scene = radwrap.scene_from_document(scene_with(TWO))
+    request = {"document": scene.document, "origin": "", "folder": str(tmp_path), "options": {"tolerance": 8.0}}
+    ahead = own_modules.start_module("radwrap.face.renderer")
+    folder = tmp_path / "wo rk"
+    folder.mkdir()
+    renderer = Renderer(folder, ahead)
+    try:
+        for out in ("first", "second"):
+            renderer.render({**request, "out": str(tmp_path / out)}, lambda _: None)
+            assert (renderer.pid == ahead.pid) is (out == "first")
+            assert (tmp_path / out / "basis").is_dir()
+            ahead.kill()
+    finally:
+        renderer.close()
+        ahead.kill()
+
+
+def test_who_waits_for_a_server_ends_with_it(tmp_path: Path) -> None:
+    """Started ahead of a server that never came: it removes nothing, as it was told of no folder."""
+    child = own_modules.start_module("radwrap.face.renderer")
+    process = psutil.Process(child.pid)
+    child.close(PATIENCE)
+    assert gone([process], 1.0) and Path.cwd().is_dir()
 
 
 def test_what_is_wrong_is_told_before_anything_is_served(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

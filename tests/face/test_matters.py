@@ -161,7 +161,7 @@ def test_the_page_is_told_of_the_study(tmp_path: Path) -> None:
 def test_parts_are_rms_over_the_picture() -> None:
     import numpy as np
 
-    from radwrap.face.session import Image
+    from radwrap.face.traced import Image
 
     squares = {"rays": np.array([[1.0, 3.0]]), "noise": np.array([[16.0, 16.0]])}
     image = Image(None, squares, np.zeros((1, 2)), None, {}, None)  # type: ignore[arg-type]

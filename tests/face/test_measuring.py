@@ -15,7 +15,7 @@ import radwrap
 from radwrap.errors import InputError
 from radwrap.face.app import left_behind
 from radwrap.face.measuring import Measured, kinds_of, measured
-from radwrap.face.session import Traced
+from radwrap.face.traced import Traced
 from radwrap.imaging.output.run_manifest import read_run_manifest
 from radwrap.imaging.page.turn import turn_of
 from radwrap.imaging.relight.relit import Relighter, read_basis

@@ -24,7 +24,7 @@ from radwrap.face import decoder, photo
 from radwrap.face.decoder import LARGEST, kind_of
 from radwrap.face.gate import LARGEST_BODY, OCTETS, Door, Gate
 from radwrap.face.photo import Photo, as_the_camera_has_it, compared, decoded
-from radwrap.face.session import Image
+from radwrap.face.traced import Image
 from radwrap.images import ExposureImage, write_exr
 from radwrap.process import Limits
 from radwrap.scene.camera import Sensor
