@@ -73,9 +73,15 @@ class Progress:
         with self._guard:
             self._total = max(total, 1)
 
-    def restart(self) -> None:
-        """Begin to count again, at another piece of the same work."""
+    @property
+    def what(self) -> str:
+        """What is done."""
+        return self._what
+
+    def restart(self, what: str | None = None) -> None:
+        """Begin to count again, at another piece of the same work, which may be called otherwise."""
         with self._guard:
+            self._what = self._what if what is None else what
             self._total, self._done, self._skipped = 1, 0, 0
             self._before, self._finished, self._parts_left = 0, 0, 0
             self._start = time.monotonic()

@@ -31,6 +31,7 @@ from radwrap.face.ring import HeldRing
 from radwrap.face.saving import save, scene_text, turned_scene
 from radwrap.face.session import Session, Status
 from radwrap.face.traced import Image, Traced
+from radwrap.face.trading import longest_of
 from radwrap.images import png_bytes
 from radwrap.imaging.page.turn import Turn, changes_of, turn_of
 from radwrap.scene.file.load import with_camera
@@ -68,6 +69,7 @@ def gated(session: Session, *, port: int, token: str, ring: HeldRing | None = No
             ("photo", answers.photo),
             ("compare", answers.compare),
             ("matters", answers.matters),
+            ("trade", answers.trade),
             ("layout", answers.layout),
             ("save", answers.save),
             ("trace", answers.trace),
@@ -101,19 +103,22 @@ def _careful(answer: Answer) -> Answer:
             return await answer(request)
         except _Gone:
             return Response(status_code=499)
-        except RadwrapError as error:
-            told = {"error": error.what, "where": error.where, "remedy": error.remedy, "text": str(error)}
-            return JSONResponse(told, status_code=422)
-        except MemoryError:
-            return JSONResponse(
-                {"error": "not enough memory", "where": "", "remedy": "", "text": "not enough memory"}, 507
-            )
-        except Exception:  # noqa: BLE001  (the page lives on)
-            traceback.print_exc(file=sys.stderr)
-            what = "this is an error in radwrap itself; please report it"
-            return JSONResponse({"error": what, "where": "", "remedy": "", "text": what}, 500)
+        except Exception as error:  # noqa: BLE001  (the page lives on)
+            told, status = _refusal(error)
+            return JSONResponse(told, status)
 
     return careful
+
+
+def _refusal(error: Exception) -> tuple[dict[str, str], int]:
+    """What the page is told of an error, and the status; what is our fault goes to stderr."""
+    if isinstance(error, RadwrapError):
+        return {"error": error.what, "where": error.where, "remedy": error.remedy, "text": str(error)}, 422
+    what, status = "not enough memory", 507
+    if not isinstance(error, MemoryError):
+        traceback.print_exception(error, file=sys.stderr)
+        what, status = "this is an error in radwrap itself; please report it", 500
+    return {"error": what, "where": "", "remedy": "", "text": what}, status
 
 
 class _Gone(Exception):
@@ -266,6 +271,38 @@ class _Answers:
         found = await left_behind(lambda: self._session.effects(traced, turn))
         return JSONResponse(_finite({"parts": parts_of(image), **found}))
 
+    async def trade(self, request: Request) -> Response:
+        """What accuracy costs in the light of a turn: lines of JSON that tell how far it is, then what was found.
+
+        It ends when who asked has gone.
+        """
+        traced, told = await self._asked(request, kept=True)
+        turn, longest = _turn(told, traced), longest_of(told.get("longest"))
+        return StreamingResponse(self._traded(request, traced, turn, longest), media_type=OCTETS.decode())
+
+    async def _traded(self, request: Request, traced: Traced, turn: Turn, longest: float) -> AsyncIterator[bytes]:
+        loop, steps = asyncio.get_running_loop(), asyncio.Queue[Mapping[str, Any]]()
+
+        def heard(progress: Mapping[str, Any]) -> None:
+            with suppress(RuntimeError):  # the server has ended
+                loop.call_soon_threadsafe(steps.put_nowait, progress)
+
+        job = asyncio.ensure_future(left_behind(lambda: self._session.trade(traced, turn, longest, heard)))
+        try:
+            yield _line({"progress": None})
+            while not (job.done() and steps.empty()):
+                with suppress(asyncio.TimeoutError):
+                    yield _line({"progress": await asyncio.wait_for(steps.get(), _LOOK)})
+                if await request.is_disconnected():
+                    return
+            try:
+                yield _line({"found": _finite(await job)})
+            except Exception as error:  # noqa: BLE001  (the page lives on)
+                yield _line({"refused": _refusal(error)[0]})
+        finally:
+            self._session.end_trade(heard)
+            job.add_done_callback(_heeded)
+
     async def layout(self, request: Request) -> Response:
         """Where things stand."""
         traced, _ = await self._asked(request)
@@ -352,6 +389,12 @@ def _measured(traced: Traced, image: Image) -> list[Measured]:
     from radwrap.face.measuring import measured  # with OpenCV and SciPy, which the first picture need not wait for
 
     return measured(with_camera(traced.scene, image.changes), image.relit)
+
+
+def _heeded(job: asyncio.Future[Any]) -> None:
+    """What nobody waits for may fail."""
+    if not job.cancelled():
+        job.exception()
 
 
 async def left_behind(work: Callable[[], _T]) -> _T:

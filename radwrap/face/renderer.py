@@ -34,6 +34,7 @@ _LISTEN: Final = 0.05  # s between looks at whether to stop
 _FAREWELL: Final = 3.0  # s
 _STOP, _BYE, _RENDER, _FOLDER = "stop", "bye", "render", "folder"
 EFFECTS: Final = "effects"
+TRADE: Final = "trade"
 _ERRORS: Final[dict[str, type[RadwrapError]]] = {
     kind.__name__: kind for kind in (InputError, EnvironmentFailure, TracerError, Cancelled)
 }
@@ -70,6 +71,10 @@ class Renderer:
     def effects(self, request: Mapping[str, Any]) -> Mapping[str, Any]:
         """Measure what effects of a scene are worth, see `measured_effects`; as `render`, one of them at a time."""
         return self._answer({**request, "what": EFFECTS}, lambda _: None)
+
+    def trade(self, request: Mapping[str, Any], told: Callable[[Mapping[str, Any]], object]) -> Mapping[str, Any]:
+        """Measure what accuracy costs, see `measured_trade`; as `render`, one of them at a time."""
+        return self._answer({**request, "what": TRADE}, told)
 
     def render(self, request: Mapping[str, Any], told: Callable[[Mapping[str, Any]], object]) -> None:
         """Render, in the caller's thread; one at a time.
@@ -199,6 +204,10 @@ def _answered(warmth: Any, path: Path, ears: _Ears) -> dict[str, Any]:
             from radwrap.face.effects import measured_effects  # which the first picture does not need
 
             return {"done": True, "found": measured_effects(request)}
+        if request.get("what") == TRADE:
+            from radwrap.face.trading import measured_trade
+
+            return {"done": True, "found": measured_trade(request, ears.stop.is_set, _tell)}
         warmth.render(
             request,
             ears.stop.is_set,

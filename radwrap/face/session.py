@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import shutil
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -92,7 +92,8 @@ class Session:
         self._status = Status("stopped")
         self._guard = threading.Lock()
         self._thread: threading.Thread | None = None
-        self._measuring = threading.Lock()  # effects
+        self._measuring = threading.Lock()  # effects and trade
+        self._measured_for: object = None
 
     @property
     def work(self) -> Path:
@@ -194,6 +195,50 @@ class Session:
         RadwrapError
             What measuring raised; `Cancelled` where a trace has begun.
         """
+        return self._beside(traced, turn, self._renderer.effects)
+
+    def trade(
+        self, traced: Traced, turn: Turn, longest: float, told: Callable[[Mapping[str, Any]], object]
+    ) -> Mapping[str, Any]:
+        """What accuracy costs in the light of a turn, see `measured_trade`; a trace that begins ends it.
+
+        Parameters
+        ----------
+        traced : Traced
+            The basis.
+        turn : Turn
+            Of its knobs.
+        longest : float
+            A setting that is expected to take longer is left out [s].
+        told : callable
+            Is told how far it is.
+
+        Raises
+        ------
+        InputError, RadwrapError
+            As `effects`.
+        """
+        more = {
+            "longest": longest,
+            "out": str(((self.out or self._work) / "trade").absolute()),
+            "keeps": bool(self.out),
+        }
+        return self._beside(traced, turn, lambda request: self._renderer.trade({**request, **more}, told), told)
+
+    def end_trade(self, told: Callable[[Mapping[str, Any]], object]) -> None:
+        """End the trade that tells this one how far it is, if it goes on: nobody waits for it any more."""
+        with self._guard:
+            if self._measured_for is told:
+                self._renderer.stop()
+
+    def _beside(
+        self,
+        traced: Traced,
+        turn: Turn,
+        measure: Callable[[Mapping[str, Any]], Mapping[str, Any]],
+        who: object = None,
+    ) -> Mapping[str, Any]:
+        """Measure by rays in the light of a turn, by the process that traces, which must be idle."""
         scene = traced.scene
         factors, changes = turn.factors, changes_of(turn, scene.camera)
         if changes or any(factor != 1.0 for factor in factors):
@@ -203,9 +248,11 @@ class Session:
             if tracing or not self._measuring.acquire(blocking=False):
                 raise InputError("is under way", where="trace", remedy="wait for its end")
             self._renderer.begin()
+            self._measured_for = who
         try:
-            return self._renderer.effects(self._request(scene, self._options))
+            return measure(self._request(scene, self._options))
         finally:
+            self._measured_for = None
             self._measuring.release()
 
     def _end_measuring(self) -> None:

@@ -23,7 +23,7 @@ from radwrap.imaging.optics.aperture import LAYOUTS, Layout, sub_viewpoints
 from radwrap.imaging.optics.view import PixelSampling
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.process import Programs
-from radwrap.progress import Progress
+from radwrap.progress import Progress, Progressed
 from radwrap.scene.instants import keys_of_time
 from radwrap.scene.scene import Scene
 from radwrap.study.laid_out_bench import LaidOutBench
@@ -40,6 +40,7 @@ from radwrap.study.trade_rows import (
     TradeOptions,
     row_from_json,
 )
+from radwrap.watched import watched
 
 ROWS: Final = "settings"
 _WORK: Final = ".work"
@@ -86,7 +87,14 @@ class Bench(Protocol):
         """What a setting costs, and how good it is; `InputError` and `TooLong` where it is to be left out."""
 
 
-def measure_trade(scene: Scene, out: Path, options: TradeOptions) -> Trade:
+def measure_trade(
+    scene: Scene,
+    out: Path,
+    options: TradeOptions,
+    *,
+    cancelled: Callable[[], bool] | None = None,
+    told: Callable[[str, Progressed], object] | None = None,
+) -> Trade:
     """Sweep methods and settings on a scene; rows of an earlier, equal run that lie in the folder are used again.
 
     Parameters
@@ -97,6 +105,10 @@ def measure_trade(scene: Scene, out: Path, options: TradeOptions) -> Trade:
         Folder; each finished setting leaves a file in its folder `ROWS`.
     options : TradeOptions
         How.
+    cancelled : callable, optional
+        Whether it is to end, asked some twenty times a second; what is finished stays in the folder.
+    told : callable, optional
+        Is told "reference" or "settings", and how much of it is done.
 
     Raises
     ------
@@ -104,6 +116,8 @@ def measure_trade(scene: Scene, out: Path, options: TradeOptions) -> Trade:
         If scene or options are wrong.
     EnvironmentFailure
         If Radiance or the disk fails, or another run owns the folder.
+    Cancelled
+        If it was to end.
     """
     refuse_for_time(replace(scene, tolerances=None), RenderOptions())
     check_size(scene, options.render.max_pixels, _TRIAL_NUMBER, options.workers)
@@ -115,7 +129,15 @@ def measure_trade(scene: Scene, out: Path, options: TradeOptions) -> Trade:
         try:
             composed = bool(keys_of_time(scene)) or scene.camera.sensor.mosaic is not None
             kind = RenderedBench if composed else LaidOutBench
-            return _Sweep(scene, out / ROWS, options, kind(scene, work, options, programs)).run()
+            progress = Progress(_REFERENCE, 1, shown=options.render.progress)
+
+            def sweep() -> Trade:
+                return _Sweep(scene, out / ROWS, options, kind(scene, work, options, programs), progress).run()
+
+            if cancelled is None and told is None:
+                return sweep()
+            tell = None if told is None else lambda state: told(progress.what, state)
+            return watched(sweep, programs, progress, cancelled, tell)
         finally:
             shutil.rmtree(work, ignore_errors=True)
 
@@ -123,8 +145,8 @@ def measure_trade(scene: Scene, out: Path, options: TradeOptions) -> Trade:
 class _Sweep:
     """One sweep in its folder."""
 
-    def __init__(self, scene: Scene, rows: Path, options: TradeOptions, bench: Bench) -> None:
-        self.scene, self.options, self.bench = scene, options, bench
+    def __init__(self, scene: Scene, rows: Path, options: TradeOptions, bench: Bench, progress: Progress) -> None:
+        self.scene, self.options, self.bench, self.progress = scene, options, bench, progress
         self.files = RowFiles(rows, bench.sha256)
         self.rows: list[Row] = []
         self.left_out: list[LeftOut] = []
@@ -132,9 +154,8 @@ class _Sweep:
     def run(self) -> Trade:
         self.reference = self._reference()
         self.bench.get_ready()
-        self.progress = Progress(
-            "settings", len(_NUMBERS) + len(CERTIFIED) * len(_SHARES), shown=self.options.render.progress
-        )
+        self.progress.restart(ROWS)
+        self.progress.expect(len(_NUMBERS) + len(CERTIFIED) * len(_SHARES))
         infinitesimal = self.scene.camera.aperture.is_infinitesimal
         try:
             if self.bench.takes_fixed:
@@ -156,13 +177,11 @@ class _Sweep:
         options, known = self.options, self.files.read(_REFERENCE)
         if known is not None:
             return reference_from_json(known)
-        progress = Progress(
-            "reference", 2 * options.reference_rays * options.reference_pixels, shown=options.render.progress
-        )
+        self.progress.expect(2 * options.reference_rays * options.reference_pixels)
         try:
-            reference = self.bench.take_reference(progress.add)
+            reference = self.bench.take_reference(self.progress.add)
         finally:
-            progress.close()
+            self.progress.close()
         self.files.write(_REFERENCE, reference_as_json(reference))
         return reference
 

@@ -29,7 +29,7 @@ from tests.face.conftest import HOSTILE_TITLE, Served
 GUARDED: Final = [
     f"/api/{name}"
     for name in "watch planes turn pixel profile measure photo compare matters layout png scene save trace stop".split()
-]
+] + ["/api/trade"]
 OPEN: Final = sorted(assets())
 NAME: Final = "127.0.0.1"
 

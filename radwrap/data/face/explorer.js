@@ -7,6 +7,7 @@ import { take } from "./handover.js";
 import { KnobPanel } from "./knobs.js";
 import { LayoutView } from "./layout_view.js";
 import { Mattering } from "./matters.js";
+import { Trading } from "./trading.js";
 import { Measurement } from "./measuring.js";
 import { coloursOf } from "./mix.js";
 import { PhotoComparison } from "./photo.js";
@@ -74,6 +75,7 @@ export class Explorer {
     this.measurement = new Measurement(this, this.leave.signal);
     this.photo = new PhotoComparison(this, this.leave.signal);
     this.mattering = new Mattering(this, this.leave.signal);
+    this.trading = new Trading(this, this.leave.signal);
     this.layout = new LayoutView(this, this.leave.signal);
     this.ring = new RingControl(this, this.leave.signal);
     this.profile = new ProfilePlot(fresh("profile"), byId("profiletable"));
@@ -140,7 +142,7 @@ export class Explorer {
     this.certified = null;
     this.asking?.abort();
     this.setStale("measuring");
-    for (const part of [this.measurement, this.photo, this.mattering, this.ring]) part.turned();
+    for (const part of [this.measurement, this.photo, this.mattering, this.trading, this.ring]) part.turned();
     this.layout.draw();
     this.respond();
     this.comparison.refresh();

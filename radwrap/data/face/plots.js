@@ -92,6 +92,29 @@ export class ProfilePlot {
   }
 }
 
+const LEAST = 1e-3; // gray levels; a logarithmic axis has no zero
+
+/** Time against error of settings, both axes logarithmic; a line joins those than which none is better. */
+export class TradePlot {
+  /** @param {HTMLElement} place */
+  constructor(place) {
+    const points = (/** @type {string} */ name, /** @type {number} */ size) => ({ show: true, size, stroke: colour(name), fill: colour(name) });
+    this.plot = new Plot(place, () => ({
+      scales: { x: { time: false, distr: 3 }, y: { distr: 3 } },
+      axes: [axis("gray rms", 22), axis("time [s]", 46)],
+      series: [{}, { stroke: "transparent", points: points("--soft", 6) },
+        { stroke: colour("--accent"), width: 1.5, spanGaps: true, points: points("--accent", 8) }],
+    }));
+  }
+
+  /** @param {{rms_gray: number, wall_s: number, front: boolean}[]} settings */
+  show(settings) {
+    const rows = [...settings].sort((a, b) => a.rms_gray - b.rms_gray);
+    this.plot.show([rows.map((row) => Math.max(row.rms_gray, LEAST)), rows.map((row) => (row.front ? null : row.wall_s)),
+      rows.map((row) => (row.front ? row.wall_s : null))]);
+  }
+}
+
 /** How many pixels have each code, on a logarithmic axis. */
 export class HistogramPlot {
   /** @param {HTMLElement} place @param {HTMLElement} table */

@@ -102,6 +102,24 @@ export class Server {
   }
 
   /**
+   * What takes long: how far it is, then what was found; it ends when its signal says so.
+   * @param {string} name
+   * @param {object} told
+   * @param {AbortSignal} signal
+   * @param {(progress: any) => void} take
+   * @returns {Promise<any>}
+   */
+  async told(name, told, signal, take) {
+    const blocks = new Blocks(await this.ask(name, told, signal));
+    for (;;) {
+      const { progress, found, refused } = await blocks.head();
+      if (refused) throw new Refused(refused, 422);
+      if (found) return found;
+      if (progress) take(progress);
+    }
+  }
+
+  /**
    * All that is known of a pixel; null where the server has gone.
    * @param {number} basis
    * @param {Turn} turn

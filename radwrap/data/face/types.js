@@ -60,6 +60,12 @@
  *   eight_bits: {enough: boolean, target: string} | null}} Matters
  * Causes of the deviation and effects [gray level], times [s], diameters [m].
  *
+ * @typedef {{tolerance: number, reference: number, recommendation: string, left_out: {options: string, why: string}[],
+ *   settings: {options: string, rays: number, wall_s: number, rms_gray: number, rms_gray_upper: number, front: boolean}[]}} TradeFound
+ * What each setting costs [s], and how far it is off [gray level].
+ *
+ * @typedef {{what: string, done: number, of: number}} TradeProgress
+ *
  * @typedef {{title: string, responses: {response: string, runs: number, margin: number | null, sentences: string[],
  *   effects: {name: string, label: string, effect: number, image_error: number, significant: boolean | null,
  *     from: string | null, to: string | null}[]}[]}} Study

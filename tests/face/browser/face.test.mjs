@@ -483,6 +483,42 @@ test("what matters is measured for the knobs as they stand, and a study stands b
   assert.match(await page.textContent("#mattering"), /exposure: /);
 });
 
+test("what accuracy costs is measured, stopped and gone on with, and stands in a table beside its plot", async (t) => {
+  const { page } = await loaded(t, { expected: /422/ });
+  const said = (text) => page.waitForFunction((wanted) => new RegExp(wanted).test(document.getElementById("tradeof").textContent),
+    text, { timeout: PATIENCE });
+  await page.fill("#trade-longest", "ten");
+  await page.click("#trade-begin");
+  await said('"ten" has no unit|is not a time');
+  assert.equal(await page.getAttribute("#trade-longest", "aria-invalid"), "true");
+  await page.fill("#trade-longest", "0.3 s");
+  await page.focus("#trade-begin");
+  await page.keyboard.press("Enter");
+  await page.waitForFunction(() => document.getElementById("trade-progress").value > 0, undefined, { timeout: PATIENCE });
+  assert.equal(await page.evaluate(() => document.activeElement.id), "trade-stop");
+  await page.keyboard.press("Enter");
+  await said("^stopped");
+  assert.equal(await page.evaluate(() => document.activeElement.id), "trade-begin");
+  // A server that has not heard of the end yet refuses another one.
+  for (let tries = 0; tries < 50; tries++) {
+    await page.keyboard.press("Enter");
+    await page.waitForFunction(() => !/^(stopped|measuring$)/.test(document.getElementById("tradeof").textContent), undefined, { timeout: PATIENCE });
+    if (!/under way/.test(await page.textContent("#tradeof"))) break;
+    await page.waitForTimeout(100);
+  }
+  await said("^measured for the picture");
+  const rows = await page.$$eval("#tradetable tbody tr", (lines) => lines.map((line) => [...line.cells].map((cell) => cell.textContent)));
+  assert.ok(rows.length >= 5 && rows.some((row) => row[5] === "yes") && rows.some((row) => row[5] === "no"), JSON.stringify(rows));
+  assert.match(await page.textContent("#tradenotes"), /For an rms error below .* gray use `method \S+ tolerance/);
+  const drawn = await page.$eval("#tradeplot canvas", (canvas) =>
+    canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data.some((value) => value > 0));
+  assert.ok(drawn && await page.isHidden("#trade-stop") && await page.isHidden("#trade-progress"));
+  await type(page, "gain", "0.5");
+  await said("^of the knobs before they were turned");
+  await page.evaluate(axe.source);
+  assert.deepEqual(await page.evaluate(async () => (await axe.run("#whatmatters")).violations.map(({ id, nodes }) => [id, nodes[0].html])), []);
+});
+
 test("the layout is drawn, turned by keys and by dragging, and stands in a table", async (t) => {
   const { page } = await loaded(t);
   await page.click("#layout summary");

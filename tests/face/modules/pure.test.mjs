@@ -5,6 +5,7 @@ import { test } from "node:test";
 import { colourOf, differenceOf, graysOf, together } from "../../../radwrap/data/face/difference.js";
 import { addPlane, codeOf, coloursOf, frameOf, MAPS, ranksOf, sumPlanes, timesOf } from "../../../radwrap/data/face/mix.js";
 import { drawn, frustum, placesOf, rim, turn, VIEWS } from "../../../radwrap/data/face/layout.js";
+import { progressText, settingRows } from "../../../radwrap/data/face/trading.js";
 import { adviceOf, effectRows } from "../../../radwrap/data/face/matters.js";
 import { causeText, pictureOf } from "../../../radwrap/data/face/photo.js";
 import { grayOf, rankOf, thresholdsOf, turnedSensor } from "../../../radwrap/data/face/response.js";
@@ -325,6 +326,14 @@ test("effects stand in a table by their size, and what is needed is said", () =>
     eight_bits: { enough: false, target: "board" }, exposure_time: 1, effects_exposure_time: 0.25 };
   assert.match(adviceOf(found).join("; "), /exposure of 250 ms, as the picture saturates.*2 mm has the steepest edges.*8 bits are too few/);
   assert.doesNotMatch(adviceOf({ ...found, effects_exposure_time: 1 }).join("; "), /saturates/);
+});
+
+test("settings stand by their time, and how far a trade is changes seldom", () => {
+  const setting = (options, wall_s, rms_gray, front) => ({ options, rays: 123456, wall_s, rms_gray, rms_gray_upper: 2 * rms_gray, front });
+  assert.deepEqual(settingRows([setting("--method rays --tolerance 1", 12.345, 0.5, false), setting("--method kernel --tolerance 1", 0.25, 1e-4, true)]),
+    [["method kernel tolerance 1", "123000", "250 ms", "0.00", "0.00", "yes"], ["method rays tolerance 1", "123000", "12.3 s", "0.50", "1.0", "no"]]);
+  assert.equal(progressText({ what: "reference", done: 1, of: 1e6 }), progressText({ what: "reference", done: 2, of: 1e6 }));
+  assert.match(progressText({ what: "settings", done: 30, of: 22 }), /22 of 22/); // more than were foreseen
 });
 
 const near = (found, wanted) => found.forEach((value, k) => assert.ok(Math.abs(value - wanted[k]) < 1e-12, `${found} is not ${wanted}`));
