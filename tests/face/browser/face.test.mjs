@@ -509,7 +509,7 @@ test("what accuracy costs is measured, stopped and gone on with, and stands in a
   await said("^measured for the picture");
   const rows = await page.$$eval("#tradetable tbody tr", (lines) => lines.map((line) => [...line.cells].map((cell) => cell.textContent)));
   assert.ok(rows.length >= 5 && rows.some((row) => row[5] === "yes") && rows.some((row) => row[5] === "no"), JSON.stringify(rows));
-  assert.match(await page.textContent("#tradenotes"), /For an rms error below .* gray use `method \S+ tolerance/);
+  assert.match(await page.textContent("#tradenotes"), /(gray use|the most exact is) `method \S+ tolerance/);
   const drawn = await page.$eval("#tradeplot canvas", (canvas) =>
     canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data.some((value) => value > 0));
   assert.ok(drawn && await page.isHidden("#trade-stop") && await page.isHidden("#trade-progress"));
