@@ -102,10 +102,13 @@ def changes_of(part: Part) -> dict[str, Array]:
     down, right = _steep(gray, 0), _steep(gray, 1)
     outwards = -(right * u + down * v) / corner
     share = (u**2 + v**2) / corner**2
+    lens = part.scene.camera.lens
+    # Light is conserved: what is spread over 4 a r^2 more area is dimmer by that share. A falloff that is given on the
+    # sensor holds that already.
+    dimmer = 4 / corner * 100 * percent if lens is None or lens.relative_illumination is None else 0.0
     return {
         "falloff": -percent * share,
-        # Light is conserved: what is spread over 4 a r^2 more area is dimmer by that share.
-        "distortion": (outwards - 4 / corner * 100 * percent) * share,
+        "distortion": (outwards - dimmer) * share,
         "size": outwards,
         "shift along u": -right,
         "shift along v": -down,

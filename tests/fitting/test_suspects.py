@@ -81,6 +81,22 @@ def test_distortion_is_named(bench: Scene, basis: Basis, corner: float) -> None:
     assert ("outwards" if corner > 0 else "inwards") in named["distortion"].told()
 
 
+@pytest.mark.parametrize("lens", [{"falloff": "none"}, {"relative_illumination": [["0 mm", 1.0], ["2 mm", 0.7]]}])
+def test_distortion_dims_nothing_where_the_falloff_is_given(bench: Scene, basis: Basis, lens: dict[str, Any]) -> None:
+    """What a distortion does to the light is in it: an even image stays as it is, and corners go as far as before."""
+    _, prediction = begun(bench, basis, [EXPOSURE])
+    (part,) = prediction.at([100.0]).parts
+    even = replace(part, unclipped=np.full((ROWS, COLUMNS), 90.0))
+    given = changed(bench, {"camera.lens": {"focus_distance": "500 mm", **lens}})
+    assert changes_of(even)["distortion"].min() < -10
+    assert not changes_of(replace(even, scene=given))["distortion"].any()
+    amount = 0.3
+    ramp = 90 + 2 * _around()[1]
+    expected = _moved(ramp, amount * _around() * _share() / CORNER) - ramp
+    change = amount * changes_of(replace(even, scene=given, unclipped=ramp))["distortion"]
+    assert change[2:-2, 2:-2] == pytest.approx(expected[2:-2, 2:-2], abs=0.02)
+
+
 @pytest.mark.parametrize(
     ("name", "wrong", "amount"),
     [
