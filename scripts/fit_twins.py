@@ -4,7 +4,8 @@
 
 Prints for each kind of key how often its 95 % interval holds the truth, the bias in deviations, how many right scenes
 were refused, how many wrong ones were found (an LED off in the model, another beam, a target moved, gamma held at a
-wrong value), and processor time and rays.
+wrong value), and processor time and rays. With --povray captures are traced by POV-Ray, of sources whose beam is a power
+of the cosine, which it can show.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -22,8 +24,12 @@ import radwrap
 from default_tolerance import cpu
 from radwrap.files import write_bytes
 from radwrap.fitting.free_keys import free_scene
+from radwrap.images import RadianceImage
+from radwrap.imaging.response.exposure import radiant_exposure
+from radwrap.imaging.response.noise import fixed_pattern, noisy_frame
 from radwrap.manifest import json_text
 from radwrap.random_streams import generator
+from radwrap.study.crosscheck import CrosscheckOptions, crosscheck
 
 # Stands apart from the streams of the package's own draws.
 _STREAM: Final = 9_001
@@ -42,6 +48,8 @@ KINDS: Final = {
 # How far off the fit begins: shifts [mm] and turns [deg] of the target.
 SHIFT: Final = (4.0, 4.0, 8.0)
 TURN: Final = (3.0, 3.0, 3.0)
+# Of POV-Ray's pictures: 91 places of the opening and 4 x 4 rays a pixel, 1456 in all.
+PICTURES: Final = radwrap.RenderOptions(viewpoints=91, pixel_samples=4, pixel_sampling="centre", workers=1)
 WRONG: Final = ("LED off", "wide beam", "target moved", "gamma held")
 
 
@@ -162,26 +170,42 @@ class Twin:
     truth: dict[str, float]
 
 
-def twin_of(number: int, seed: int, tolerance: float, *, renders: bool, wrong: str = "") -> Twin:
+def by_povray(scene: radwrap.Scene, seed: int) -> radwrap.GrayImage:
+    """A frame of a scene as POV-Ray sees it."""
+    with tempfile.TemporaryDirectory(prefix="radwrap-") as folder:
+        seen = crosscheck(scene, Path(folder), CrosscheckOptions(PICTURES)).povray
+    sensor = scene.camera.sensor
+    exposure = radiant_exposure(RadianceImage(seen), scene.camera)
+    return noisy_frame(exposure, sensor, fixed_pattern(sensor), seed, 0)
+
+
+def twin_of(number: int, seed: int, tolerance: float, *, renders: bool, wrong: str = "", povray: bool = False) -> Twin:
     """A scene that is drawn, and its capture."""
     random = generator(seed, number, _STREAM)
     is_board = renders and bool(random.integers(2))
     target = (board if is_board else edge)(random)
-    scene = radwrap.scene_from_document(bench(random, {**target, "name": "target", "material": "black"}))
+    tables = bench(random, {**target, "name": "target", "material": "black"})
+    if povray:
+        tables["sources"][0]["beam"]["profile"] = "cosine_power"
+    scene = radwrap.scene_from_document(tables)
     # A wrong model keeps its places: what it is wrong in must not be what the fit may move.
     truth = truth_of(random, renders=renders and not wrong, is_board=is_board)
     free = free_scene(scene, keys_of(truth))
     captured = free.at([truth[key.key] for key in free.keys])
     # No ray in common with the fit, and no noise with the captures of other seeds.
     own = 10_000 * (seed + 1) + number
+    if povray:
+        return Twin(scene, by_povray(captured, own), truth)
     rays = radwrap.RenderOptions(method="rays", tolerance=tolerance / 5, seed=own, workers=1)
     made = radwrap.render(captured, options=rays, tracer="compiled")
     return Twin(wronged(scene, wrong) if wrong else scene, made.frames(1, seed=own)[0], truth)
 
 
-def twin(number: int, seed: int, tolerance: float, *, renders: bool, wrong: str) -> dict[str, Any]:
+def twin(
+    number: int, seed: int, tolerance: float, *, renders: bool, wrong: str, povray: bool = False
+) -> dict[str, Any]:
     """One scene, one capture, one fit."""
-    asked = twin_of(number, seed, tolerance, renders=renders, wrong=wrong)
+    asked = twin_of(number, seed, tolerance, renders=renders, wrong=wrong, povray=povray)
     truth = asked.truth
     before = cpu()
     options = radwrap.RenderOptions(tolerance=tolerance, seed=number, workers=1)
@@ -246,15 +270,19 @@ def main() -> None:
     parser.add_argument("--twins", type=int, default=20, help="right scenes (default 20)")
     parser.add_argument("--wrong", type=int, default=5, help="scenes whose model is wrong (default 5)")
     parser.add_argument("--renders", action="store_true", help="with places, poses and beams that need renders")
+    parser.add_argument("--povray", action="store_true", help="captures by POV-Ray, of right scenes only")
     parser.add_argument("--tolerance", type=float, default=0.5, help="of the fits [gray level] (default 0.5)")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", help="file for the numbers")
     asked = parser.parse_args()
     what = {"seed": asked.seed, "tolerance": asked.tolerance, "renders": asked.renders, "right": asked.twins}
+    if asked.povray:
+        what["povray"], asked.wrong = True, 0
     twins = done(asked.out, what)
     for number in range(len(twins), asked.twins + asked.wrong):
         wrong = WRONG[number % len(WRONG)] if number >= asked.twins else ""
-        twins.append(twin(number, asked.seed, asked.tolerance, renders=asked.renders, wrong=wrong))
+        made = twin(number, asked.seed, asked.tolerance, renders=asked.renders, wrong=wrong, povray=asked.povray)
+        twins.append(made)
         told = "explained" if twins[-1]["explained"] else "not explained"
         print(f"twin {number} {wrong}: {told}, {twins[-1]['processor_s']:.0f} s", file=sys.stderr)
         if asked.out:
