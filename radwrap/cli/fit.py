@@ -16,7 +16,8 @@ _DESCRIPTION = (
     "Finds values of scene keys for which the prediction agrees with captured images, how sure they are, and whether "
     "the scene then explains the captures within noise and the error of the prediction. Numbers of the scene file "
     "and poses can be free. Writes fit.json, scene.toml with the values, residual.png, "
-    "residual.exr and index.html into DIR. Exit code 1: the scene does not explain the captures; 3: no convergence."
+    "residual.exr and index.html into DIR. Exit code 1: the scene does not explain the captures, or nothing is left to "
+    "judge by; 3: no convergence."
 )
 
 

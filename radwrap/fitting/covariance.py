@@ -39,6 +39,10 @@ class PredictionErrors:
     replicates: Array
     common: Array | float = 0.0
 
+    def over(self, weight: Array) -> PredictionErrors:
+        """The same of pixels that count by some weights, shape (pixels,)."""
+        return PredictionErrors(self.replicates * weight, self.common * weight)
+
     @property
     def deviations(self) -> Array:
         """From their mean, shape (replicates, pixels)."""
@@ -74,6 +78,10 @@ class Shared:
 
     deviations: Array
     pixel: NDArray[np.intp]
+
+    def over(self, weight: Array) -> Shared:
+        """The same of pixels that count by some weights, shape (pixels,)."""
+        return Shared(self.deviations * weight, self.pixel)
 
     def beyond_own(self, inverse: Array) -> Array:
         """What it adds to the covariance of J+ times the noise, whose pixels count as if each had its own.
@@ -211,6 +219,8 @@ def spread(
     rank_share: float = RANK,
     shared: Shared | None = None,
     grain: Array | None = None,
+    *,
+    variance: Array | None = None,
 ) -> Spread:
     """Find it from a weighted Jacobian.
 
@@ -224,12 +234,14 @@ def spread(
         As of `inverse_of`: `RANK`, or `GRAIN` where keys need renders.
     shared : Shared, optional
         Noise that captures have in common.
+    variance : ndarray, shape (pixels,), optional
+        Of what is left by noise, over sigma; default 1.
     """
     from scipy.stats import norm, t
 
     found = inverse_of(jacobian, rank_share, grain)
     inverse, scale = found.matrix, found.scale
-    noise = inverse @ inverse.T
+    noise = (inverse if variance is None else inverse * variance) @ inverse.T
     if shared is not None:
         noise = noise + shared.beyond_own(inverse)
     moved, freedom = errors.deviations @ inverse.T, errors.freedom

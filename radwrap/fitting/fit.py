@@ -28,7 +28,7 @@ from radwrap.fitting.poses import aimed_keys
 from radwrap.fitting.prediction import Prediction
 from radwrap.fitting.scene_text import text_of, with_values
 from radwrap.fitting.series import Captures, State, joined, states_of
-from radwrap.fitting.settled import Grain, Settled
+from radwrap.fitting.settled import Grained, Settled
 from radwrap.fitting.solution import Solution, settle, solve
 from radwrap.fitting.suspects import Suspect, suspects
 from radwrap.fitting.told import Fit, FittedKey, as_manifest
@@ -189,15 +189,34 @@ def _begin(free: FreeScene, rendered: Sequence[bool], states: Sequence[State], l
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Ended:
+class Ended:
     """Where a fit ended: values, how far the prediction may be off there, and the grain of its slopes."""
 
     solved: Solution
     errors: PredictionErrors
-    grain: Grain
+    grained: Grained
+
+    @property
+    def grain(self) -> Array:
+        """Expected D^T D of the slopes' error D, over sigma."""
+        used = self.solved.weighed.used
+        return self.grained.over(used, self.solved.weighed.sigma[used]).slopes
+
+    def spread(self, share: float, shared: Shared | None) -> Spread:
+        """What the captures determine, by pixels that count as much as they do in the fit."""
+        solved, used = self.solved, self.solved.weighed.used
+        weight = solved.weight
+        return spread(
+            solved.jacobian * weight[:, np.newaxis],
+            self.errors.over(weight),
+            share,
+            None if shared is None else shared.over(weight),
+            self.grained.over(used, solved.weighed.sigma[used] / weight).slopes,
+            variance=solved.variance,
+        )
 
 
-def _ended(
+def ended(
     keys: Sequence[FreeKey],
     prediction: Prediction,
     light: Light,
@@ -206,7 +225,7 @@ def _ended(
     *,
     noise: float | None,
     robust: bool,
-) -> _Ended:
+) -> Ended:
     """Settle by unbiased rays where a search ended, and where that leads to once more, until it leads nowhere else.
 
     A step of some deviations leaves what is not linear in it: along what the captures hardly determine, keys go far.
@@ -216,17 +235,19 @@ def _ended(
     for _ in range(_PLACES):
         bases = [light.unbiased(places.scene(place)) for places in prediction.places]
         before = near = Settled(prediction, keys, place, bases, before)
-        solved, grain = settle(keys, near, captures, noise, robust=robust, begin=place)
+        solved, grained = settle(keys, near, captures, noise, robust=robust, begin=place)
         way = (solved.values - place) / scales
         place = solved.values
         if not prediction.has_renders or float(np.linalg.norm(solved.jacobian @ way)) < _ARRIVED:
             break
+    else:  # it still goes elsewhere
+        solved = replace(solved, converged=False)
     if not near.reaches(place):
         solved = replace(solved, converged=False)
     used = solved.weighed.used
     sigma = solved.weighed.sigma[used]
     errors = PredictionErrors(near.replicates(place)[:, used] / sigma, near.common(solved.predicted)[used] / sigma)
-    return _Ended(solved, errors, grain)
+    return Ended(solved, errors, grained)
 
 
 def _shared(solved: Solution, noise: float | None) -> Shared | None:
@@ -261,15 +282,17 @@ def _fitted(
     captures = [state.captured for state in states]
     tolerance = light.tolerance if any(rendered) else 0.0
     sought = solve(free.keys, prediction, captures, noise, robust=robust, begin=begin.values, tolerance=tolerance)
-    ended = _ended(free.keys, prediction, light, captures, sought.values, noise=noise, robust=robust)
-    solved, errors = ended.solved, ended.errors
+    found = ended(free.keys, prediction, light, captures, sought.values, noise=noise, robust=robust)
+    solved, errors = found.solved, found.errors
     used, sigma = solved.weighed.used, solved.weighed.sigma
     share = GRAIN if prediction.has_renders else RANK
-    sure = spread(solved.jacobian, errors, share, _shared(solved, noise), ended.grain.slopes)
+    sure = found.spread(share, _shared(solved, noise))
+    # The verdict counts all pixels alike.
+    alike = inverse_of(solved.jacobian, share, found.grain).basis
     numbers = [state.number for state in states]
-    judged = verdict(solved.residual, sigma, sure, errors, of_capture=numbers)
+    judged = verdict(solved.residual, sigma, alike, errors, of_capture=numbers)
     parts = solved.predicted.parts
-    looks_like = () if judged.explained else _suspects(free.keys, ended, share)
+    looks_like = () if judged.explained or not judged.is_judged else _suspects(free.keys, found, share)
     scales = np.array([key.scale for key in free.keys])
     keys = tuple(
         _key(key, float(value), sure, number)
@@ -324,11 +347,11 @@ def _fitted(
     )
 
 
-def _suspects(keys: Sequence[FreeKey], ended: _Ended, share: float) -> tuple[Suspect, ...]:
+def _suspects(keys: Sequence[FreeKey], ended: Ended, share: float) -> tuple[Suspect, ...]:
     """What is left looks like. A key at its bound does not do what a suspect does: it is held."""
     solved = ended.solved
     held = [_at_bound(key, float(value)) for key, value in zip(keys, solved.values, strict=True)]
-    moving = inverse_of(np.where(held, 0.0, solved.jacobian), share, ended.grain.slopes).basis
+    moving = inverse_of(np.where(held, 0.0, solved.jacobian), share, ended.grain).basis
     return suspects(solved.predicted.parts, solved.residual, solved.weighed.sigma, moving, ended.errors)
 
 

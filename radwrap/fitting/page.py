@@ -76,6 +76,8 @@ def _page(fit: Fit, picture: bytes) -> str:
         rows.append(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in cells)}</tr>")
     if not fit.converged:
         title = "The fit did not converge"
+    elif not fit.verdict.is_judged:
+        title = "Whether the scene explains the captures cannot be judged"
     else:
         title = f"The scene explains the captures within its errors: {'yes' if fit.explained else 'no'}"
     undetermined = ""

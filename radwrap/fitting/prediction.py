@@ -102,11 +102,14 @@ class Steepness:
         Of the radiant exposure with each key's scale, by independent rays [J m^-2].
     reach : ndarray, shape (n,)
         How far each key was moved for it, in its unit.
+    values : ndarray, shape (keys,)
+        Of all keys there: levels of sources among them, which the light goes with.
     """
 
     numbers: NDArray[np.intp]
     changes: Array
     reach: Array
+    values: Array
 
 
 class Prediction:
@@ -262,7 +265,7 @@ class Prediction:
         count = min(len(one) for one in seen)
         images = np.stack([_joined(one, count) for one in seen])
         changes = np.tensordot(ways, images, axes=(0, 0)) * (scales / reach)[numbers, None, None, None]
-        return Steepness(numbers, changes, gone * reach[numbers])
+        return Steepness(numbers, changes, gone * reach[numbers], near)
 
     def _room(self, values: Array, step: Array) -> float:
         """How many times a step may be gone both ways: within bounds, and no farther than one key is ever moved."""

@@ -49,6 +49,53 @@ class Grain:
         return np.asarray(self.pull + self.slopes @ (away / scales))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Grained:
+    """How gray levels and their slopes scatter by independent rays, before it is known what pixels count.
+
+    Attributes
+    ----------
+    rendered, others : ndarray of int, shape (n,) and (m,)
+        Keys that need renders, and those that do not.
+    changes : ndarray, shape (n, replicates, captures * rows, columns)
+        Of the radiant exposure with the former [J m^-2].
+    per_light : ndarray, shape (captures * rows, columns)
+        What a change of it does to gray levels [m^2 J^-1].
+    moved : ndarray, shape (m, replicates, captures * rows, columns)
+        Change of the gray levels with the latter.
+    own : ndarray, shape (replicates, captures * rows, columns)
+        Gray levels by the same rays as these.
+    """
+
+    rendered: NDArray[np.intp]
+    others: NDArray[np.intp]
+    changes: Array
+    per_light: Array
+    moved: Array
+    own: Array
+
+    def over(self, used: NDArray[np.bool_], sigma: Array) -> Grain:
+        """Of the used pixels.
+
+        Parameters
+        ----------
+        used : ndarray of bool, shape (captures * rows, columns)
+            Pixels that count.
+        sigma : ndarray, shape (pixels,)
+            Their deviations, over what each counts [gray level].
+        """
+        keys = len(self.rendered) + len(self.others)
+        slopes, pull = np.zeros((keys, keys)), np.zeros(keys)
+        if len(self.rendered):
+            moved = self.changes[:, :, used] * (self.per_light[used] / sigma)
+            slopes[np.ix_(self.rendered, self.rendered)] = _scatter(moved, moved)
+        if len(self.others):
+            moved = self.moved[:, :, used] / sigma
+            slopes[np.ix_(self.others, self.others)] = _scatter(moved, moved)
+            pull[self.others] = _scatter(moved, self.own[np.newaxis, :, used] / sigma)[:, 0]
+        return Grain(slopes, pull)
+
+
 class Settled:
     """The prediction near a place, by unbiased rays there.
 
@@ -92,6 +139,11 @@ class Settled:
         self._rendered = np.zeros(0, dtype=np.intp) if steep is None else steep.numbers
         self._changes = none if steep is None else steep.changes
         self._reach = np.zeros(0) if steep is None else steep.reach
+        self._then: list[Array] = []
+        if steep is not None:
+            scenes = [self._lit_scene(free, steep.values) for free, _ in self._shots]
+            for scene, (_, one) in zip(scenes, self._shots, strict=True):
+                self._then.append(_lit_by(scene, factors_of(scene, one), one.images))
 
     @property
     def seen(self) -> Array:
@@ -117,7 +169,9 @@ class Settled:
     def slopes(self, values: Array) -> Array:
         """Change of the unclipped gray levels with each key's scale, shape (keys, captures * rows, columns)."""
         found = np.empty((len(self._keys), *self._changes.shape[2:]))
-        found[self._rendered] = self._per_light(self.at(values)) * self._changes.mean(axis=1)
+        if len(self._rendered):
+            light = self._per_light(self.at(values)) * self._brighter(values)
+            found[self._rendered] = light * self._changes.mean(axis=1)
         for number in self._others():
             (low, high), span = ends_of(self._keys[number], values, number, _STEP)
             found[number] = (self.at(high).unclipped - self.at(low).unclipped) / span
@@ -145,38 +199,18 @@ class Settled:
             images.append(np.abs(gray(made + cells) - gray(made)) + np.abs(gray(made + far) - gray(made)))
         return np.concatenate(images)
 
-    def grain(self, values: Array, used: NDArray[np.bool_], sigma: Array) -> Grain:
-        """Of the used pixels.
-
-        Parameters
-        ----------
-        values : ndarray, shape (keys,)
-            Where.
-        used : ndarray of bool, shape (captures * rows, columns)
-            Pixels that count.
-        sigma : ndarray, shape (pixels,)
-            Their deviations [gray level].
-        """
-        slopes, pull = np.zeros((len(self._keys),) * 2), np.zeros(len(self._keys))
-        if len(self._rendered):
-            weight = self._per_light(self.at(values))[used] / sigma
-            moved = self._changes[:, :, used] * weight
-            slopes[np.ix_(self._rendered, self._rendered)] = _scatter(moved, moved)
+    def grained(self, values: Array) -> Grained:
+        """How rays scatter at some values of the keys, shape (keys,)."""
         others = self._others()
-        if others:
-            ends = [ends_of(self._keys[number], values, number, _STEP) for number in others]
-            moved = np.stack(
-                [
-                    np.stack(
-                        [(self._by(high, one) - self._by(low, one))[used] / span / sigma for one in range(self._count)]
-                    )
-                    for (low, high), span in ends
-                ]
-            )
-            own = self.replicates(values)[np.newaxis, :, used] / sigma
-            slopes[np.ix_(others, others)] = _scatter(moved, moved)
-            pull[others] = _scatter(moved, own)[:, 0]
-        return Grain(slopes, pull)
+        ends = [ends_of(self._keys[number], values, number, _STEP) for number in others]
+        own = self.replicates(values)
+        moved = np.zeros((len(others), *own.shape))
+        for row, ((low, high), span) in zip(moved, ends, strict=True):
+            row[:] = (self.replicates(high) - self.replicates(low)) / span
+        weight = np.zeros(own.shape[1:])
+        if len(self._rendered):
+            weight = self._per_light(self.at(values)) * self._brighter(values)
+        return Grained(self._rendered, np.array(others, dtype=np.intp), self._changes, weight, moved, own)
 
     @property
     def _count(self) -> int:
@@ -204,11 +238,25 @@ class Settled:
 
     def _exposure(self, scene: Scene, factors: Array, images: Array, number: int, values: Array) -> Array:
         """Of one capture [J m^-2]."""
-        rows = images.shape[1]
-        here = slice(number * rows, (number + 1) * rows)
-        shift = ((values - self._place) / self._scales)[self._rendered]
-        exposure = np.tensordot(factors, images, axes=1) * exposure_of_radiance(scene.camera)
-        return np.maximum(exposure + np.tensordot(shift, self._changes.mean(axis=1)[:, here], axes=1), 0.0)
+        exposure = _lit_by(scene, factors, images)
+        if len(self._rendered):
+            rows = images.shape[1]
+            here = slice(number * rows, (number + 1) * rows)
+            shift = ((values - self._place) / self._scales)[self._rendered]
+            change = np.tensordot(shift, self._changes.mean(axis=1)[:, here], axes=1)
+            exposure = exposure + change * self._brighter_in(number, values)
+        return np.maximum(exposure, 0.0)
+
+    def _brighter(self, values: Array) -> Array:
+        """How many times brighter all is than where slopes were seen, shape (captures * rows, columns)."""
+        return np.concatenate([self._brighter_in(number, values) for number in range(len(self._shots))])
+
+    def _brighter_in(self, number: int, values: Array) -> Array:
+        """The same of one capture: what a target does goes with the light that it is in, pixel by pixel."""
+        free, lit = self._shots[number]
+        scene = self._lit_scene(free, values)
+        now, then = _lit_by(scene, factors_of(scene, lit), lit.images), self._then[number]
+        return np.divide(now, then, out=np.ones_like(now), where=then > 0)
 
     def _per_light(self, predicted: Predicted) -> Array:
         """Change of the gray level with radiant exposure, shape (captures * rows, columns) [m^2 J^-1]."""
@@ -218,6 +266,11 @@ class Settled:
             ends = [unclipped_gray(part.exposure + more, part.sensor) for more in (0.0, step)]
             found.append((ends[1] - ends[0]) / step)
         return np.concatenate(found)
+
+
+def _lit_by(scene: Scene, factors: Array, images: Array) -> Array:
+    """Radiant exposure by sources' images, shape (rows, columns) [J m^-2]."""
+    return np.asarray(np.tensordot(factors, images, axes=1) * exposure_of_radiance(scene.camera))
 
 
 def _scatter(one: Array, other: Array) -> Array:
@@ -231,5 +284,5 @@ def _scatter(one: Array, other: Array) -> Array:
         Likewise, of the same replicates.
     """
     count = one.shape[1]
-    apart = [values - values.mean(axis=1, keepdims=True) for values in (one, other)]
-    return np.asarray(np.einsum("irp,jrp->ij", *apart) / (count * (count - 1)))
+    first, second = (values - values.mean(axis=1, keepdims=True) for values in (one, other))
+    return np.asarray(np.tensordot(first, second, axes=([1, 2], [1, 2])) / (count * (count - 1)))

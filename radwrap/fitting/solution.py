@@ -14,7 +14,7 @@ from radwrap.fitting.captured import Captured
 from radwrap.fitting.covariance import GRAIN, RANK, inverse_of
 from radwrap.fitting.free_keys import FreeKey
 from radwrap.fitting.prediction import Predicted, Prediction
-from radwrap.fitting.settled import Grain, Settled
+from radwrap.fitting.settled import Grain, Grained, Settled
 from radwrap.fitting.steps import Weights, through_grain
 from radwrap.fitting.weights import Weighed, weighed
 
@@ -26,6 +26,7 @@ _ROUNDS: Final = 40  # of weights
 _STILL: Final = 1e-9  # expected deviations by which a round may still move the prediction, at most: the fit stands
 _ENOUGH: Final = 1e-2  # the same after the last round: weights of a pixel go to and fro
 _EVALUATIONS: Final = 100  # of one round
+_AS_MUCH: Final = 1e-2  # of a pixel's weight: by so little it may change, and the grain of slopes is the same
 _INSIDE: Final = 1e-9  # of a key's scale: so far from its bounds the solver begins
 
 
@@ -49,6 +50,8 @@ class Solution:
         Whether it stands.
     rounds : int
         How often weights were made.
+    robust : bool
+        Whether single pixels that are far off count less.
     """
 
     values: Array
@@ -58,6 +61,25 @@ class Solution:
     jacobian: Array
     converged: bool
     rounds: int
+    robust: bool = False
+
+    @property
+    def weight(self) -> Array:
+        """By how much less each used pixel moves the values, shape (pixels,); its square is the slope of its pull."""
+        left = self.residual[self.weighed.used]
+        return _pulls(left) if self.robust else np.ones(left.size)
+
+    @property
+    def variance(self) -> Array | None:
+        """Of what each used pixel pulls by noise, over its weight; None where it is 1.
+
+        That of all pixels together (P. J. Huber, Robust Statistics, 1981, section 7.6).
+        """
+        if not self.robust:
+            return None
+        left = self.residual[self.weighed.used]
+        pulls = float((left**2 / (1 + left**2)).sum()) / max(left.size - self.jacobian.shape[1], 1)
+        return np.asarray(pulls / self.weight**2)
 
 
 def solve(
@@ -109,7 +131,7 @@ def solve(
         within = np.clip(start, *(bounds * scales))
         grain = tolerance / float(np.median(against.weights(within).sigma))
         arrived = through_grain(against, within, scales, bounds * scales, robust=robust, grain=grain)
-        return against.ended(arrived.values, arrived.rounds, converged=arrived.converged)
+        return against.ended(arrived.values, arrived.rounds, converged=arrived.converged, robust=robust)
     while rounds < _ROUNDS and not moved < _STILL:
         rounds += 1
         counted = against.weighed(prediction.at(x * scales))
@@ -139,7 +161,7 @@ def solve(
         ended = found.status > 0
         moved = float(np.linalg.norm(found.jac @ (found.x - x)))
         x = found.x
-    return against.ended(x * scales, rounds, converged=ended and moved < _ENOUGH)
+    return against.ended(x * scales, rounds, converged=ended and moved < _ENOUGH, robust=robust)
 
 
 def settle(
@@ -150,7 +172,7 @@ def settle(
     *,
     robust: bool,
     begin: Array,
-) -> tuple[Solution, Grain]:
+) -> tuple[Solution, Grained]:
     """Find the values near a place, by what is smooth there.
 
     Steps of Gauss and Newton, in which slopes are no steeper than their grain lets them be, and what the rays of the
@@ -167,8 +189,8 @@ def settle(
 
     Returns
     -------
-    Solution, Grain
-        The grain over the deviations where it begins.
+    Solution, Grained
+        What rays have to do with slopes where it begins.
 
     Raises
     ------
@@ -180,31 +202,57 @@ def settle(
     against = _Against(near, tuple(captured), noise)
     share = GRAIN if near.has_renders else RANK
     start = np.clip(begin, low, high)
-    values, grain, rounds, moved = start, None, 0, np.inf
+    grains = _Grains(near.grained(start), robust)
+    values, rounds, moved = start, 0, np.inf
     while rounds < _ROUNDS and not moved < _STILL:
         rounds += 1
         weights = against.weights(values)
         left = against.left(values, weights)
         weight = (1 + left**2) ** -0.25 if robust else np.ones(left.size)
-        if grain is None:
-            grain = near.grain(values, weights.used, weights.sigma / weight)
+        slopes, grain = grains.of(weights, left, weight)
         jacobian = against.slopes(values, weights) * weight[:, np.newaxis]
         pull = grain.pull_at(values - start, scales)
-        step = _step(jacobian, left * weight, grain, pull, share)
+        step = _step(jacobian, left * weight, slopes, pull, share)
         # A key at its bound, which would be led beyond, is held.
         held = ((values <= low) & (step < 0)) | ((values >= high) & (step > 0))
         if held.any():
-            step = _step(np.where(held, 0.0, jacobian), left * weight, grain, pull, share)
+            step = _step(np.where(held, 0.0, jacobian), left * weight, slopes, pull, share)
         tried = np.clip(values + step * scales, low, high)
         moved = float(np.linalg.norm(jacobian @ ((tried - values) / scales)))
         values = tried
-    assert grain is not None  # noqa: S101  (there is a first round)
-    return against.ended(values, rounds, converged=moved < _ENOUGH), grain
+    return against.ended(values, rounds, converged=moved < _ENOUGH, robust=robust), grains.grained
 
 
-def _step(jacobian: Array, left: Array, grain: Grain, pull: Array, share: float) -> Array:
+class _Grains:
+    """The grain that counts: that of the slopes which a step goes by, and what it has to do with the pull of pixels.
+
+    Where a pixel that is far off counts less, a little more of it pulls by the slope of its pull.
+    """
+
+    def __init__(self, grained: Grained, robust: bool) -> None:
+        self.grained, self._robust = grained, robust
+        self._known: tuple[Array, Array, Grain] | None = None
+
+    def of(self, weights: Weights, left: Array, weight: Array) -> tuple[Array, Grain]:
+        """Of slopes by some weights of the pixels, and of the pull; the last ones while pixels count nearly alike."""
+        counted = np.where(weights.used, 0.0, np.inf)
+        counted[weights.used] = weights.sigma / weight
+        if self._known is None or not np.allclose(counted, self._known[0], rtol=_AS_MUCH, atol=0):
+            slopes = pull = self.grained.over(weights.used, weights.sigma / weight)
+            if self._robust:
+                pull = self.grained.over(weights.used, weights.sigma / _pulls(left))
+            self._known = counted, slopes.slopes, pull
+        return self._known[1:]
+
+
+def _pulls(left: Array) -> Array:
+    """Root of the slope of a pixel's pull, by the soft L1 loss 2 sqrt(1 + r^2) - 2: the pull is r/sqrt(1 + r^2)."""
+    return np.asarray((1 + left**2) ** -0.75)
+
+
+def _step(jacobian: Array, left: Array, grain: Array, pull: Array, share: float) -> Array:
     """What the keys move by, in their scales."""
-    inverse = inverse_of(jacobian, share, grain.slopes)
+    inverse = inverse_of(jacobian, share, grain)
     return np.asarray(inverse.matrix @ left + inverse.square @ pull)
 
 
@@ -250,10 +298,10 @@ class _Against:
         """Change of the prediction with each key's scale, over sigma, shape (pixels, keys)."""
         return np.asarray((self.prediction.slopes(values)[:, weights.used] / weights.sigma).T)
 
-    def ended(self, values: Array, rounds: int, *, converged: bool) -> Solution:
+    def ended(self, values: Array, rounds: int, *, converged: bool, robust: bool) -> Solution:
         """Where a fit came to."""
         predicted = self.prediction.at(values)
         counted = self.weighed(predicted)
         residual = np.where(counted.used, (self.mean - predicted.unclipped) / counted.sigma, np.nan)
         jacobian = (self.prediction.slopes(values)[:, counted.used] / counted.sigma[counted.used]).T
-        return Solution(values, predicted, counted, residual, jacobian, converged, rounds)
+        return Solution(values, predicted, counted, residual, jacobian, converged, rounds, robust)

@@ -112,7 +112,7 @@ class Fit:
 
     @property
     def explained(self) -> bool:
-        """Whether the scene explains the captures within its errors."""
+        """Whether the scene explains the captures within its errors; never where nothing can be judged."""
         return self.verdict.explained
 
     def lines(self) -> list[str]:
@@ -121,6 +121,12 @@ class Fit:
         told += [f"not determined: {direction}" for direction in self.undetermined]
         if not self.converged:
             return [*told, "The fit did not converge: the values are those of its last step."]
+        if not self.verdict.is_judged:
+            return [
+                *told,
+                "Whether the scene explains the captures cannot be judged: as many values were fitted as pixels count. "
+                "Free fewer keys, or let more pixels count.",
+            ]
         pixels = self.verdict.pixels
         numbers = f"chi-square {pixels.chi_square:.4g} of {pixels.freedom} degrees of freedom"
         if self.explained:
@@ -157,7 +163,7 @@ def as_manifest(
         ],
         "covariance": _matrix(covariance),
         "correlation": _matrix(correlation),
-        "explained": verdict.explained,
+        "explained": verdict.explained if verdict.is_judged else None,
         "pixels": _test(verdict.pixels),
         "blocks": None if verdict.blocks is None else _test(verdict.blocks),
         "worst_blocks": [
@@ -184,5 +190,5 @@ def _test(test: Test) -> dict[str, Any]:
         "degrees_of_freedom": test.freedom,
         "by_prediction": test.prediction,
         "largest_explained": finite(test.largest),
-        "passed": test.passed,
+        "passed": test.passed if test.is_judged else None,
     }

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.fitting.covariance import PredictionErrors, Spread
+from radwrap.fitting.covariance import PredictionErrors
 
 Array = NDArray[np.float64]
 LEVEL: Final = 0.01
@@ -37,7 +37,7 @@ class Test:
     prediction : float
         Its expected part by the error of the prediction: the non-centrality.
     largest : float
-        What an explained one exceeds with half of `LEVEL`.
+        What an explained one exceeds with half of `LEVEL`; infinite without a degree of freedom.
     """
 
     chi_square: float
@@ -46,14 +46,19 @@ class Test:
     largest: float
 
     @property
+    def is_judged(self) -> bool:
+        """Whether anything is left to judge by."""
+        return self.freedom > 0
+
+    @property
     def passed(self) -> bool:
-        """Whether it does not exceed that."""
-        return self.chi_square <= self.largest
+        """Whether it was judged, and does not exceed that."""
+        return self.is_judged and self.chi_square <= self.largest
 
     @property
     def by_noise(self) -> bool:
         """Whether noise explains it, without any error of the prediction."""
-        return self.chi_square <= _largest(self.freedom, 0.0)
+        return self.is_judged and self.chi_square <= _largest(self.freedom, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,13 +113,18 @@ class Verdict:
     worst: tuple[Block, ...]
 
     @property
+    def is_judged(self) -> bool:
+        """Whether more pixels count than what was fitted: else any captures are met."""
+        return self.pixels.is_judged
+
+    @property
     def explained(self) -> bool:
-        """Both tests passed."""
+        """Both tests passed; never where nothing can be judged."""
         return self.pixels.passed and (self.blocks is None or self.blocks.passed)
 
 
 def verdict(
-    residual: Array, sigma: Array, found: Spread, errors: PredictionErrors, *, of_capture: Sequence[int] = (0,)
+    residual: Array, sigma: Array, basis: Array, errors: PredictionErrors, *, of_capture: Sequence[int] = (0,)
 ) -> Verdict:
     """Judge what a fit leaves.
 
@@ -124,8 +134,8 @@ def verdict(
         (captured - predicted)/sigma; NaN where a pixel was not used.
     sigma : ndarray, shape (captures * rows, columns)
         Expected deviation [gray level].
-    found : Spread
-        What the fit determined.
+    basis : ndarray, shape (pixels, n)
+        Orthonormal, of all changes of the used pixels that the fit took away, over sigma.
     errors : PredictionErrors
         Of the used pixels.
     of_capture : sequence of int
@@ -134,10 +144,10 @@ def verdict(
     used = np.isfinite(residual)
     left = residual[used]
     off = errors.deviations
-    off = off - (off @ found.basis) @ found.basis.T
+    off = off - (off @ basis) @ basis.T
     scale = errors.freedom * errors.predictions
     common = float((errors.bound**2).sum())
-    pixels = _test(float(left @ left), left.size - found.rank, float((off**2).sum()) / scale + common)
+    pixels = _test(float(left @ left), left.size - basis.shape[1], float((off**2).sum()) / scale + common)
     rows = len(used) // len(of_capture)
     places = list(_blocks(used, rows))
     sums = np.zeros((len(places), left.size))
@@ -145,7 +155,7 @@ def verdict(
     for row, place in enumerate(places):
         here = number[place][used[place]]
         sums[row, here] = 1 / np.sqrt(here.size)
-    taken = sums @ found.basis
+    taken = sums @ basis
     covariance = np.eye(len(places)) - taken @ taken.T
     values, vectors = np.linalg.eigh(covariance)
     good = values > _VANISHES

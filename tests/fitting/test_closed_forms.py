@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from radwrap.fitting.covariance import PredictionErrors, Spread, spread
+from radwrap.fitting.covariance import RANK, PredictionErrors, Spread, spread
 from radwrap.fitting.directions import in_words
+from radwrap.fitting.fit import Ended
+from radwrap.fitting.free_keys import FreeScene
+from radwrap.fitting.prediction import Prediction
+from radwrap.fitting.settled import Grained
 from radwrap.fitting.solution import Solution, solve
 from radwrap.fitting.verdict import verdict
 from radwrap.imaging.relight.relit import Basis
@@ -19,6 +25,7 @@ from radwrap.random_streams import generator
 from radwrap.scene.scene import Scene
 from tests.fitting.conftest import EXPOSURE, LEVELS, begun, changed, taken
 
+Array = NDArray[np.float64]
 EXACT: Final = 1e-9  # the solver's own precision, and rounding
 SEEDS: Final = 20
 FEW: Final = 8
@@ -124,7 +131,77 @@ def test_a_missing_source_is_not_explained(bench: Scene, basis: Basis) -> None:
     capture = taken(truth.unclipped + sigma * generator(5, 1).standard_normal(sigma.shape), bench)
     solved = solve(keys.keys, prediction, [capture], None, robust=False)
     errors = PredictionErrors(np.zeros((2, len(solved.jacobian))))
-    assert not verdict(solved.residual, solved.weighed.sigma, spread(solved.jacobian, errors), errors).explained
+    assert not verdict(solved.residual, solved.weighed.sigma, spread(solved.jacobian, errors).basis, errors).explained
+
+
+@pytest.mark.parametrize(("pixels", "judged"), [(2, False), (3, True)])
+def test_as_many_values_as_pixels_judge_nothing(bench: Scene, basis: Basis, pixels: int, judged: bool) -> None:
+    """Two values meet two pixels whatever these are, a third pixel of another capture they do not."""
+    keys, prediction = begun(bench, basis, [EXPOSURE, "camera.sensor.offset"])
+    truth = np.array([key.value for key in keys.keys])
+    gray = prediction.at(truth).unclipped
+    seen = taken(np.clip(gray + 40 * generator(5, 1).standard_normal(gray.shape), 0, 250), bench)
+    order = np.argsort(gray, axis=None)
+    mask = np.zeros(gray.shape, dtype=bool)
+    mask.flat[order[[0, -1, gray.size // 2][:pixels]]] = True
+    solved = solve(keys.keys, prediction, [replace(seen, mask=mask)], 0.5, robust=False)
+    errors = PredictionErrors(np.zeros((2, pixels)))
+    found = verdict(solved.residual, solved.weighed.sigma, spread(solved.jacobian, errors).basis, errors)
+    assert found.pixels.freedom == pixels - 2 and found.is_judged == judged
+    assert not found.explained and not found.pixels.passed and not found.pixels.by_noise
+    assert (found.pixels.chi_square > 100) == judged
+
+
+def _robust(prediction: Prediction, keys: FreeScene, gray: Array, bench: Scene) -> Solution:
+    """A robust fit to a capture of noise 1 gray level."""
+    return solve(keys.keys, prediction, [taken(gray, bench)], 1.0, robust=True)
+
+
+def _ended(solved: Solution, errors: PredictionErrors) -> Ended:
+    """Of light without any grain."""
+    keys, own = solved.jacobian.shape[1], np.zeros((2, *solved.residual.shape))
+    moved = np.zeros((keys, *own.shape))
+    grained = Grained(np.arange(0), np.arange(keys), moved[:0], own[0], moved, own)
+    return Ended(solved, errors, grained)
+
+
+def test_a_robust_fit_is_as_sure_as_huber_says(bench: Scene, basis: Basis) -> None:
+    """Of normal noise: 1/J^TJ times E[psi^2]/E[psi']^2, 1.08, for psi = r/sqrt(1 + r^2)."""
+    r = np.linspace(-9, 9, 20001)
+    density = np.exp(-(r**2) / 2) / np.sqrt(2 * np.pi) * (r[1] - r[0])
+    ratio = float((density * r**2 / (1 + r**2)).sum() / (density * (1 + r**2) ** -1.5).sum() ** 2)
+    assert ratio == pytest.approx(1.08, abs=0.01)
+    keys, prediction = begun(bench, basis, [EXPOSURE])
+    gray, sigma = prediction.at([100.0]).unclipped, math.sqrt(1 + 1 / 12)  # with that of rounding
+    found, values = [], []
+    for seed in range(SEEDS):
+        solved = _robust(prediction, keys, gray + sigma * generator(seed, 7).standard_normal(gray.shape), bench)
+        quiet = PredictionErrors(np.zeros((2, len(solved.jacobian))))
+        sure = _ended(solved, quiet).spread(RANK, None).noise[0, 0]
+        found.append(sure * float((solved.jacobian**2).sum()))
+        values.append((solved.values[0] - 100.0) / keys.keys[0].scale / math.sqrt(sure))
+    # 480 pixels tell the ratio to some 3 %, 20 captures of them to .7 %.
+    assert np.mean(found) == pytest.approx(ratio, rel=0.025)
+    assert SCATTER[0] < np.std(values) < SCATTER[1]
+
+
+def test_a_robust_fit_hands_on_errors_of_the_prediction_by_pixels_that_count(bench: Scene, basis: Basis) -> None:
+    """An error where captures show a scratch moves little, one elsewhere more: as a second fit to that image says."""
+    keys, prediction = begun(bench, basis, [EXPOSURE, "camera.sensor.offset"])
+    gray = prediction.at([100.0, 5.0]).unclipped + generator(1, 7).standard_normal((20, 24))
+    gray[4:9, 3:9] += 12.0
+    first = _robust(prediction, keys, gray, bench)
+    shape = np.zeros((20, 24))
+    for where in (np.s_[4:9, 3:9], np.s_[10:15, 3:9]):
+        error = shape.copy()
+        error[where] = 0.05
+        moved = (_robust(prediction, keys, gray + error, bench).values - first.values) / [100.0, 5.0]
+        pixels = (error / first.weighed.sigma)[first.weighed.used]
+        ended = _ended(first, PredictionErrors(np.stack([pixels, -pixels])))
+        told = ended.spread(RANK, None)
+        # Two predictions, e and -e, are off their mean by e: the variance of that mean is e^2.
+        assert np.sqrt(np.diag(told.prediction)) == pytest.approx(np.abs(moved), rel=0.02, abs=1e-9)
+        assert np.sqrt(np.diag(told.prediction)).max() > 1e-6
 
 
 def test_right_scenes_are_explained(bench: Scene, basis: Basis) -> None:
@@ -132,7 +209,7 @@ def test_right_scenes_are_explained(bench: Scene, basis: Basis) -> None:
     passed = []
     for solved in _noisy(bench, basis, [EXPOSURE], [110.0], FEW):
         errors = PredictionErrors(np.zeros((2, len(solved.jacobian))))
-        judged = verdict(solved.residual, solved.weighed.sigma, spread(solved.jacobian, errors), errors)
+        judged = verdict(solved.residual, solved.weighed.sigma, spread(solved.jacobian, errors).basis, errors)
         passed.append(judged.explained)
     assert sum(passed) >= FEW - 1
 

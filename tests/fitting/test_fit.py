@@ -86,6 +86,26 @@ def test_a_wrong_model_exits_with_1_and_says_where(
     assert radwrap.load_scene(tmp_path / "out" / "scene.toml").emitters[2].radiance == 0
 
 
+def test_what_cannot_be_judged_exits_with_1_and_says_so(
+    bench: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two pixels count, and two values are fitted."""
+    write_png(tmp_path / "capture.png", _capture(bench, {EXPOSURE: "110 ms"}).codes)
+    path, mask = tmp_path / "scene.toml", np.zeros((20, 24), dtype=np.uint8)
+    path.write_text(scene_text(tables()))
+    mask[2, 2] = mask[17, 21] = 255
+    write_png(tmp_path / "mask.png", mask)
+    argv = ["fit", path, tmp_path / "capture.png", "--free", EXPOSURE, "--free", "camera.sensor.offset"]
+    argv += ["--mask", tmp_path / "mask.png", "--tolerance", 4, "--workers", 1, "--out", tmp_path / "out"]
+    done = here(argv, capsys)
+    assert done.code == 1 and "cannot be judged: as many values were fitted as pixels count" in done.stdout
+    told = json.loads((tmp_path / "out" / "fit.json").read_text())
+    assert told["explained"] is None and told["pixels"]["degrees_of_freedom"] == 0 and told["converged"]
+    assert told["pixels"]["passed"] is None and told["looks_like"] == [] and told["keys"][0]["interval_95"]
+    page = (tmp_path / "out" / "index.html").read_text()
+    assert "cannot be judged" in page and "its errors: yes" not in page and "its errors: no" not in page
+
+
 def test_a_value_of_0_that_nothing_is_below_is_its_own_bound(bench: Scene) -> None:
     (dark,) = free_scene(bench, ["camera.sensor.dark_current"]).keys
     assert (dark.value, dark.low, dark.high) == (0, 0, math.inf)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from radwrap.fitting.covariance import PredictionErrors, inverse_of, spread
+from radwrap.fitting.fit import ended
 from radwrap.fitting.free_keys import FreeScene, free_scene
 from radwrap.fitting.places import Places
 from radwrap.fitting.prediction import Prediction
@@ -20,7 +21,7 @@ from radwrap.imaging.relight.relit import Basis
 from radwrap.imaging.response.exposure import exposure_of_radiance
 from radwrap.random_streams import generator
 from radwrap.scene.scene import Scene
-from tests.fitting.conftest import LEVELS, begun, taken
+from tests.fitting.conftest import EXPOSURE, LEVELS, begun, taken
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 PIXELS: Final = 4000
@@ -129,8 +130,9 @@ def test_levels_are_not_dimmed_by_the_noise_of_their_own_images(bench: Scene, ba
     truth = np.array([1.2])
     capture = taken(prediction.at(truth).unclipped, bench)
     near = Settled(prediction, keys.keys, truth, [_grained(basis)])
-    solved, grain = settle(keys.keys, near, [capture], 1.0, robust=False, begin=truth)
+    solved, grained = settle(keys.keys, near, [capture], 1.0, robust=False, begin=truth)
     used = solved.weighed.used
+    grain = grained.over(used, solved.weighed.sigma[used])
     errors = PredictionErrors(near.replicates(solved.values)[:, used] / solved.weighed.sigma[used])
     sure = spread(solved.jacobian, errors, grain=grain.slopes)
     deviation = float(np.sqrt(sure.covariance[0, 0]))
@@ -138,6 +140,23 @@ def test_levels_are_not_dimmed_by_the_noise_of_their_own_images(bench: Scene, ba
     # What is taken away of the pull of its own noise.
     short = float(grain.pull[0] * inverse_of(solved.jacobian).square[0, 0])
     assert short == pytest.approx(1.2 / 12, rel=0.3) and short > 4 * deviation
+
+
+@pytest.mark.long
+def test_a_robust_fit_ends_at_one_place_wherever_it_begins(bench: Scene, basis: Basis) -> None:
+    """Far off all pixels look like outliers; where it ends an eighth of them are. What noise of the images takes from
+    the pull is that of the pixels that count there."""
+    keys, prediction = begun(bench, basis, ["sources[0].leds[0].radiance_factor"])
+    truth = np.array([1.2])
+    seen = prediction.at(truth).unclipped.copy()
+    seen[:, ::8] += np.where(np.arange(20) % 2, 60, -60)[:, np.newaxis]
+    capture = taken(np.clip(seen, 0, 254), bench)
+    near = Settled(prediction, keys.keys, truth, [_grained(basis)])
+    found = [settle(keys.keys, near, [capture], 8.0, robust=True, begin=np.array([one]))[0] for one in (0.3, 1.2)]
+    assert all(one.converged for one in found)
+    assert found[0].values == pytest.approx(found[1].values, rel=1e-3)
+    # A twelfth would be .1.
+    assert found[1].values == pytest.approx(truth, abs=0.07)
 
 
 def _spot(x: float, y: float) -> Array:
@@ -192,11 +211,73 @@ def test_slopes_with_grain_neither_shorten_the_way_nor_swing(bench: Scene, basis
         seen = taken(prediction_of(keys, lambda scene: traced(scene, 0.0)).at(truth).unclipped, bench)
         solved, hindered = settle(keys.keys, near, [seen], 1.0, robust=False, begin=begin)
         assert solved.converged and solved.rounds < FEW
-        share = hindered.slopes[0, 0] / float((solved.jacobian[:, 0] ** 2).sum())
+        used = solved.weighed.used
+        slopes = hindered.over(used, solved.weighed.sigma[used]).slopes
+        share = slopes[0, 0] / float((solved.jacobian[:, 0] ** 2).sum())
         found.append((float(solved.values[0]), share))
     assert found[0][1] == 0 and 0.15 < found[1][1] < 0.5, found
     # Else it would be shorter by that share.
     assert found[1][0] == pytest.approx(found[0][0], rel=0.12)
+
+
+def _shaded(basis: Basis, scene: Scene) -> Basis:
+    """A spot where the edge is, each source brighter on a side of its own."""
+    x, y, _ = scene.targets[0].pose.position
+    columns = np.mgrid[0:20, 0:24][1] / 24
+    sides = np.stack([1 + columns, 2 - columns, np.full_like(columns, 0.5)]) / 3.5
+    shown = LEVEL * sides * (0.5 + _spot(x * 1e3 / PIXEL, y * 1e3 / PIXEL))
+    return replace(basis, images=np.repeat(shown[:, np.newaxis], 2, axis=1).astype(np.float32))
+
+
+def test_slopes_go_with_the_light_that_they_are_seen_in(bench: Scene, basis: Basis) -> None:
+    """Slopes of the place before, where the time was half as long and one LED twice as bright."""
+    led = LEVELS.replace("*", "0")
+    keys = free_scene(bench, ["targets[0].position[0]=-0.1 m:0.1 m", EXPOSURE, led])
+    places = Places(keys, [True, False, False], lambda scene: _shaded(basis, scene))
+    prediction = Prediction([(keys, places)])
+    start = np.array([key.value for key in keys.keys])
+    first = Settled(prediction, keys.keys, start, [_shaded(basis, places.scene(start))])
+    there = start * [1.0, 2.0, 0.5] + [5e-5, 0, 0]
+    then = Settled(prediction, keys.keys, there, [_shaded(basis, places.scene(there))], first)
+    assert then.steep is first.steep
+    columns = np.mgrid[0:20, 0:24][1] / 24
+    brighter = 2 * (0.5 * (1 + columns) + 2 - columns + 0.5) / 3.5
+    slope = first.slopes(start)[0]
+    assert then.slopes(there)[0] == pytest.approx(brighter * slope, rel=1e-5, abs=1e-6 * float(np.abs(slope).max()))
+    # Near there too light and place act as a product: twice the time doubles what a shift does.
+    dark = bench.camera.sensor.dark_gray
+    shifted = there + np.array([4e-4, 0, 0])
+    longer = shifted * [1.0, 2.0, 1.0]
+    once, twice = (then.at(values).unclipped - dark for values in (shifted, longer))
+    assert twice == pytest.approx(2 * once, rel=1e-5)
+    assert np.abs(then.replicates(longer).mean(axis=0) - then.at(longer).unclipped).max() < 1e-4
+
+
+@pytest.mark.parametrize("rests", [True, False])
+def test_a_fit_that_still_goes_elsewhere_has_not_converged(bench: Scene, basis: Basis, rests: bool) -> None:
+    """Light that shows the spot now here, now there, has no place where a search could end."""
+    keys = free_scene(bench, ["targets[0].position[0]=-0.1 m:0.1 m"])
+
+    def traced(scene: Scene, off: float) -> Basis:
+        x, y, _ = scene.targets[0].pose.position
+        shown = LEVEL * _spot(x * 1e3 / PIXEL + off, y * 1e3 / PIXEL)
+        return replace(basis, images=np.broadcast_to(shown / 3, basis.images.shape).astype(np.float32))
+
+    class Restless:
+        places = 0
+
+        def unbiased(self, scene: Scene) -> Basis:
+            self.places += 1
+            return traced(scene, 0.0 if rests else 0.15 * (-1) ** self.places)
+
+    light = Restless()
+    prediction = prediction_of(keys, lambda scene: traced(scene, 0.0))
+    begin = np.zeros(1)
+    seen = taken(prediction.at(begin + 3e-4).unclipped, bench)
+    prediction.slopes(begin)
+    found = ended(keys.keys, prediction, light, [seen], begin, noise=0.3, robust=False)  # type: ignore[arg-type]
+    assert found.solved.converged == rests
+    assert (light.places < 4) == rests and light.places <= 4
 
 
 def prediction_of(keys: FreeScene, trace: Callable[[Scene], Basis]) -> Prediction:
