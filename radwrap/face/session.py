@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from radwrap.errors import Cancelled, InputError, RadwrapError
-from radwrap.face.coarse import coarse_of
+from radwrap.face.coarse import stages_of
 from radwrap.face.ray_knobs import ray_changes, ray_knobs
 from radwrap.face.recipe import Recipe
 from radwrap.face.renderer import Renderer
@@ -287,29 +287,28 @@ class Session:
             self._status = Status("failed", error=told)
 
     def _show_coarse(self, scene: Scene, recipe: Recipe | None, trace: int, replaces: int) -> int:
-        """A coarse picture for the time until the asked one is there; what keeps it from being made is told by that.
+        """Coarse pictures for the time until the asked one is there; what keeps one from being made is told by that.
 
         Returns
         -------
         int
             Number of the basis that the next one replaces.
         """
-        coarse = coarse_of(scene, self._options)
-        if coarse is None:
-            return replaces
-        folder = self._work / f"coarse_{trace}"
-        try:
-            self._render(coarse.scene, coarse.options, folder)
-            found = self._read(coarse.scene, folder, coarse=coarse, replaces=replaces, ray_knobs=ray_knobs(scene))
-        except Cancelled:
-            raise
-        except (RadwrapError, OSError, MemoryError):
-            return replaces
-        finally:
-            self._status = Status("tracing")
-        self._show(found)
-        self._scene, self._recipe = scene, recipe  # a trace that is stopped now goes on with them
-        return found.number
+        for number, coarse in enumerate(stages_of(scene, self._options)):
+            folder = self._work / f"coarse_{trace}_{number}"
+            try:
+                self._render(coarse.scene, coarse.options, folder)
+                found = self._read(coarse.scene, folder, coarse=coarse, replaces=replaces, ray_knobs=ray_knobs(scene))
+            except Cancelled:
+                raise
+            except (RadwrapError, OSError, MemoryError):
+                return replaces
+            finally:
+                self._status = Status("tracing")
+            self._show(found)
+            self._scene, self._recipe = scene, recipe  # a trace that is stopped now goes on with them
+            replaces = found.number
+        return replaces
 
     def _show(self, found: Traced) -> None:
         """A basis takes the place of the one before, whose folder is of no use if it is not for keeping."""

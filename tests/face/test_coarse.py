@@ -14,7 +14,7 @@ import pytest
 import radwrap
 from radwrap.errors import InputError
 from radwrap.face import coarse as module
-from radwrap.face.coarse import coarse_of
+from radwrap.face.coarse import stages_of
 from radwrap.face.recipe import Recipe
 from radwrap.face.session import Session
 from radwrap.face.traced import Traced
@@ -34,30 +34,39 @@ def scene_of(rows: int, columns: int, **sensor: Any) -> radwrap.Scene:
 
 
 @pytest.mark.parametrize(
-    ("rows", "columns", "block"),
-    [(256, 256, 2), (495, 576, 3), (512, 512, 4), (2048, 2448, 16), (2100, 2460, 15), (2053, 2459, 13)],  # 13: none
+    ("rows", "columns", "blocks"),
+    [
+        (256, 256, (2,)),
+        (495, 576, (3,)),
+        (512, 512, (4,)),
+        (1448, 1448, (8,)),
+        (2048, 2448, (16, 4)),
+        (2100, 2460, (15, 4)),
+        (2053, 2459, (13, 4)),  # neither divides both sides
+    ],
 )
-def test_it_has_few_pixels(rows: int, columns: int, block: int) -> None:
-    found = coarse_of(scene_of(rows, columns), OPTIONS)
-    assert found is not None and found.block == block
-    sensor = found.scene.camera.sensor
-    assert (sensor.rows, sensor.columns) == (rows // block, columns // block)
-    assert found.options == {**OPTIONS, "tolerance": "2 %", "tracer": "compiled"}
+def test_they_have_few_pixels(rows: int, columns: int, blocks: tuple[int, ...]) -> None:
+    found = stages_of(scene_of(rows, columns), OPTIONS)
+    assert tuple(one.block for one in found) == blocks
+    for one, block in zip(found, blocks, strict=True):
+        sensor = one.scene.camera.sensor
+        assert (sensor.rows, sensor.columns) == (rows // block, columns // block)
+        assert one.options == {**OPTIONS, "tolerance": "2 %", "tracer": "compiled"}
 
 
 def test_a_scale_that_the_scene_has_goes_on() -> None:
-    found = coarse_of(scene_of(1024, 1024, scale="1/2"), OPTIONS)
-    assert found is not None and found.block == 4 and found.scene.camera.sensor.rows == 128
+    (found,) = stages_of(scene_of(1024, 1024, scale="1/2"), OPTIONS)
+    assert found.block == 4 and found.scene.camera.sensor.rows == 128
 
 
 def test_there_is_none_where_it_is_not_worth_it() -> None:
-    assert coarse_of(scene_of(20, 24), OPTIONS) is None
-    assert coarse_of(scene_of(256, 256), {**OPTIONS, "tolerance": "3 %"}) is not None  # fewer pixels all the same
+    assert not stages_of(scene_of(20, 24), OPTIONS)
+    assert stages_of(scene_of(256, 256), {**OPTIONS, "tolerance": "3 %"})  # fewer pixels all the same
 
 
 def test_who_asks_for_a_tracer_gets_it() -> None:
-    found = coarse_of(scene_of(256, 256), {**OPTIONS, "tracer": "radiance"})
-    assert found is not None and found.options["tracer"] == "radiance"
+    (found,) = stages_of(scene_of(256, 256), {**OPTIONS, "tracer": "radiance"})
+    assert found.options["tracer"] == "radiance"
 
 
 # --------------------------------------------------------------------------------------------------------- In a session
@@ -126,6 +135,18 @@ def test_it_stands_in_and_changes_no_byte(session: Session, tmp_path: Path) -> N
     assert abs(means[0] - means[1]) < sum(one.certificate.rms_gray_upper95 for one in pictures)
     radwrap.render(scene_of(20, 24), tmp_path / "alone", basis=True, tolerance=2.0, tracer="radiance")
     assert hashes(last.folder) == hashes(tmp_path / "alone") and last.folder.name == "basis"
+
+
+@pytest.mark.long
+def test_a_finer_one_follows_where_blocks_are_large(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each takes the place of the one before, and knows of which its knobs go on."""
+    monkeypatch.setattr(module, "MOST_PIXELS", 30)
+    monkeypatch.setattr(module, "LARGE_BLOCK", 4)
+    session.trace()
+    found = seen(session)
+    assert [one.described()["coarse"] for one in found] == [4, 2, 0]
+    assert [one.described()["replaces"] for one in found] == [0, found[0].number, found[1].number]
+    assert not found[0].folder.exists() and found[-1].folder.exists()
 
 
 @pytest.mark.long
