@@ -4,8 +4,8 @@
 
 Prints for each kind of key how often its 95 % interval holds the truth, the bias in deviations, how many right scenes
 were refused, how many wrong ones were found (an LED off in the model, another beam, a target moved, gamma held at a
-wrong value), and processor time and rays. With --povray POV-Ray traces the captures; beams are then powers of the
-cosine, which it can show.
+wrong value), and processor time and rays. With --povray captures are traced by POV-Ray, of sources whose beam is a power
+of the cosine, which it can show.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ KINDS: Final = {
 # How far off the fit begins: shifts [mm] and turns [deg] of the target.
 SHIFT: Final = (4.0, 4.0, 8.0)
 TURN: Final = (3.0, 3.0, 3.0)
-# Of POV-Ray's pictures: 271 places of the opening and 4 x 4 rays a pixel. With 91 places edges are off by a gray level.
-PICTURES: Final = radwrap.RenderOptions(viewpoints=271, pixel_samples=4, pixel_sampling="centre", workers=1)
+# Of POV-Ray's pictures: 91 places of the opening and 4 x 4 rays a pixel, 1456 in all.
+PICTURES: Final = radwrap.RenderOptions(viewpoints=91, pixel_samples=4, pixel_sampling="centre", workers=1)
 WRONG: Final = ("LED off", "wide beam", "target moved", "gamma held")
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,10 +29,6 @@ RENDERS: Final = "renders"
 _NAME: Final = 20  # digits of a hash that name a folder
 # Options that decide an image, besides those that `asked` has.
 _DECIDING: Final = ("seed", "viewpoints", "layout", "pixel_samples", "pixel_sampling", "tracer", "basis")
-
-
-# A candidate, and what is on record of it; None where it was not rendered.
-_Seen = tuple[Candidate, Mapping[str, Any] | None]
 
 
 class Bench:
@@ -88,71 +84,24 @@ class Bench:
             bool(self._problem.allowed) and record is not None and trial.may_be_feasible(self._problem)
             for trial, (_, record) in zip(first, seen, strict=True)
         ]
-        if self._problem.levels and sought:
-            made = self._within(candidates, kept, tolerance, seed)
-            found = [pair if pair is not None else (one, ()) for pair, one in zip(made, seen, strict=True)]
-        else:
-            found = list(zip(seen, self._around(seen, kept, tolerance, seed), strict=True))
-        for (one, record), around in found:
+        groups = [corners(self._problem, one) if is_kept else [] for is_kept, (one, _) in zip(kept, seen, strict=True)]
+        others = iter(self._seen([one for group in groups for one in group], tolerance, seed, sought=False))
+        for (one, record), group in zip(seen, groups, strict=True):
+            around = [next(others) for _ in group]
             self.trials.append(trial_of(len(self.trials) + 1, stage, seed, one, record, corners=around))
         return self.trials[len(self.trials) - len(candidates) :]
 
-    def _around(
-        self, seen: Sequence[_Seen], kept: Sequence[bool], tolerance: float | None, seed: int
-    ) -> list[Sequence[_Seen]]:
-        """The corners of candidates that are looked at there, in the candidates' own levels."""
-        groups = [corners(self._problem, one) if is_kept else [] for is_kept, (one, _) in zip(kept, seen, strict=True)]
-        others = iter(self._seen([one for group in groups for one in group], tolerance, seed, sought=False))
-        return [[next(others) for _ in group] for group in groups]
-
-    def _within(
-        self, candidates: Sequence[Candidate], kept: Sequence[bool], tolerance: float | None, seed: int
-    ) -> list[tuple[_Seen, Sequence[_Seen]] | None]:
-        """Candidates whose levels keep limits in the corners of their tolerances too, and these; None of the others."""
-        problem = self._problem
-        groups = [corners(problem, one) if is_kept else [] for is_kept, one in zip(kept, candidates, strict=True)]
-        jobs: list[CandidateJob | None] = []
-        records: dict[int, Path] = {}
-        for candidate, group in zip(candidates, groups, strict=True):
-            if not group or any(one.fault for one in group):
-                jobs.append(None)
-                continue
-            own, *around = (
-                self._job(one, len(records) + k, tolerance, seed, sought=True)
-                for k, one in enumerate((candidate, *group))
-            )
-            names = [
-                f"{Path(own.image).name}-worst",
-                *(f"{Path(own.image).name}-worst-{k}" for k in range(len(around))),
-            ]
-            for each, name in zip((own, *around), names, strict=True):
-                records[each.runs[0].run] = self._out / RECORDS / f"{name}.json"
-            jobs.append(replace(own, around=tuple(around)))
-        self._make([job for job in jobs if job is not None], records)
-        found: list[tuple[_Seen, Sequence[_Seen]] | None] = []
-        for candidate, group, job in zip(candidates, groups, jobs, strict=True):
-            if not group or job is None:
-                found.append(((candidate, None), [(one, None) for one in group]) if group else None)
-                continue
-            record, *others = (read_record(records[one.runs[0].run]) for one in (job, *job.around))
-            levels = (record or {}).get("levels")
-            if levels:
-                candidate = candidate_of(problem, candidate.codes, levels)  # noqa: PLW2901
-                group = corners(problem, candidate)  # noqa: PLW2901
-            found.append(((candidate, record), list(zip(group, others, strict=True))))
-        return found
-
     def _seen(
         self, candidates: Sequence[Candidate], tolerance: float | None, seed: int, *, sought: bool
-    ) -> list[_Seen]:
+    ) -> list[tuple[Candidate, dict[str, Any] | None]]:
         """Candidates with their levels, and what is on record of them; None where they were not rendered."""
-        found: list[_Seen] = []
+        found = []
         jobs: list[CandidateJob | None] = []
         for number, candidate in enumerate(candidates):
             is_due = not candidate.fault and self._is_worth(candidate)
             jobs.append(self._job(candidate, number, tolerance, seed, sought=sought) if is_due else None)
         named = {job.runs[0].run: job for job in jobs if job is not None}
-        self._make(list(named.values()), {number: self._record(job) for number, job in named.items()})
+        self._make(list(named.values()))
         for number, candidate in enumerate(candidates):
             job = named.get(number)
             record = None if job is None else read_record(self._record(job))
@@ -219,20 +168,15 @@ class Bench:
     def _record(self, job: CandidateJob) -> Path:
         return self._out / RECORDS / f"{Path(job.image).name}.json"
 
-    def _make(self, jobs: Sequence[CandidateJob], records: Mapping[int, Path]) -> None:
-        """Render and measure what has no record yet, by the numbers of runs; equal candidates once."""
+    def _make(self, jobs: Sequence[CandidateJob]) -> None:
+        """Render and measure what has no record yet; equal candidates once."""
         first = {job.image: job for job in jobs}
-        runs = {image: [one.runs[0].run for one in (job, *job.around)] for image, job in first.items()}
-        due = [
-            job for image, job in first.items() if any(read_record(records[number]) is None for number in runs[image])
-        ]
-        images = {image: {image, *(one.image for one in job.around)} for image, job in first.items()}
-        left = {job.image for job in due}
-        self._progress.skip(sum(len(images[image] - self._known) for image in first if image not in left))
-        self._known |= {one for some in images.values() for one in some}
-        records = {number: records[number] for job in due for number in runs[job.image]}
+        due = {image: job for image, job in first.items() if read_record(self._record(job)) is None}
+        self._progress.skip(sum(image not in due and image not in self._known for image in first))
+        self._known |= first.keys()
+        records = {job.runs[0].run: self._record(job) for job in due.values()}
         failures = Scheduler(
-            [Step(job) for job in due], _Records(records), self._pool, self._progress, carry_out_candidate
+            [Step(job) for job in due.values()], _Records(records), self._pool, self._progress, carry_out_candidate
         ).run()
         for why in failures.values():
             if not isinstance(why, InputError):
@@ -245,7 +189,7 @@ class Bench:
 class _Records:
     """Keeps outcomes as records."""
 
-    def __init__(self, paths: Mapping[int, Path]) -> None:
+    def __init__(self, paths: dict[int, Path]) -> None:
         self._paths = paths
 
     def save(self, outcomes: Sequence[Outcome]) -> None:

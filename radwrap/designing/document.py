@@ -26,7 +26,7 @@ from radwrap.designing.quantities import (
     quantity_of,
 )
 from radwrap.designing.tables import FEWEST_RENDERS, ConstraintModel, ObjectiveModel, ProblemModel
-from radwrap.designing.worst import MOST, PERCENT, Allowed, read_allowed
+from radwrap.designing.worst import MOST, Allowed, read_allowed
 from radwrap.errors import InputError
 from radwrap.imaging.forecast.cost import check_size
 from radwrap.reading import FileKind, read_text, read_toml
@@ -107,11 +107,6 @@ class Problem:
         measured = tuple(quantity_of(one.name, self.study.responses) for one in self.study.responses)
         return (*measured, *(quantity_of(name, ()) for name in SCENES_OWN))
 
-    @property
-    def solved(self) -> tuple[SearchKey, ...]:
-        """Keys that are solved for on a light basis: levels, and the time."""
-        return (*self.levels, *((self.time,) if self.time is not None else ()))
-
     def with_leds(self, document: Mapping[str, Any]) -> dict[str, Any]:
         """Tables in which rings list every LED, where levels of LEDs are sought."""
         return with_all_leds(document, [path for key in self.levels for path in key.keys])
@@ -122,9 +117,8 @@ class Problem:
 
     def documents(self) -> list[dict[str, Any]]:
         """Tables of the scene with each end or choice of each key, the others as the scene has them."""
-        return [
-            with_values(self.study, key, key.values(code)) for key in (*self.keys, *self.solved) for code in key.ends()
-        ]
+        keys = (*self.keys, *self.levels, *((self.time,) if self.time is not None else ()))
+        return [with_values(self.study, key, key.values(code)) for key in keys for code in key.ends()]
 
 
 def with_values(study: Design, key: SearchKey, values: Sequence[Any]) -> dict[str, Any]:
@@ -321,16 +315,8 @@ def _check(problem: Problem, keys: Sequence[SearchKey], *, trust: bool, is_fixed
 def _check_corners(problem: Problem) -> None:
     """Refuse tolerances that do not fit the scene, and a budget that is too small for their corners."""
     document = problem.with_leds(problem.study.document)
-    solved = [path for key in problem.solved for asked in key.keys for path in expanded(asked, document)]
     for one in problem.allowed:
         where = f"{problem.origin}: tolerances.{one.name}"
-        moves = {path for key in one.keys for path in expanded(key, document)}
-        if one.unit != PERCENT and not moves.isdisjoint(solved):
-            raise InputError(
-                "is of a value that is solved for, and its corners are seen before the value is known",
-                where=f"{where}.by",
-                remedy='give a share of the value, such as "3 %"',
-            )
         for sign in (-1.0, 1.0):
             moved = one.moved(document, sign, where)
             try:

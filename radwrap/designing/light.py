@@ -85,8 +85,6 @@ class LightAim:
         That these name.
     time : Level, optional
         The exposure time, where it is sought too.
-    time_off : tuple of float
-        The shortest and the longest time that the tolerances make of it, over the time itself.
     """
 
     levels: tuple[Level, ...]
@@ -94,7 +92,6 @@ class LightAim:
     constraints: tuple[Constraint, ...]
     responses: tuple[Response, ...]
     time: Level | None = None
-    time_off: tuple[float, float] = (1.0, 1.0)
 
     @property
     def sought(self) -> tuple[Level, ...]:
@@ -102,8 +99,8 @@ class LightAim:
         if self.time is None:
             return self.levels
         own = [one for one in self.constraints if one.quantity.name == TIME_OF_EXPOSURE]
-        low = max([self.time.low, *(one.low / self.time.value / self.time_off[0] for one in own)])
-        high = min([self.time.high, *(one.high / self.time.value / self.time_off[1] for one in own)])
+        low = max([self.time.low, *(one.low / self.time.value for one in own)])
+        high = min([self.time.high, *(one.high / self.time.value for one in own)])
         return (*self.levels, replace(self.time, low=low, high=high))
 
     def response(self, name: str) -> Response | None:
@@ -146,8 +143,6 @@ class FoundLevels:
         Of the objective, of radiant exposure without rounding, in SI.
     at_low, at_high : tuple of str
         Key paths of levels that lie at a bound.
-    around : tuple of Mapping of str to float
-        As `factors`, of the basis of each corner of the tolerances.
     """
 
     factors: Mapping[str, float]
@@ -156,7 +151,6 @@ class FoundLevels:
     value: float
     at_low: tuple[str, ...] = ()
     at_high: tuple[str, ...] = ()
-    around: tuple[Mapping[str, float], ...] = ()
 
 
 def levels_of(keys: Sequence[SearchKey], document: Mapping[str, Any], scene: Scene, origin: str) -> tuple[Level, ...]:
@@ -209,57 +203,34 @@ def time_of(key: SearchKey, scene: Scene) -> Level:
     return Level(key.keys[0], (), value, key.span.unit, low / value, high / value)
 
 
-def best_levels(aim: LightAim, basis: Basis, scene: Scene, around: Sequence[tuple[Basis, Scene]] = ()) -> FoundLevels:
+def best_levels(aim: LightAim, basis: Basis, scene: Scene) -> FoundLevels:
     """The best levels that a basis can tell.
-
-    Parameters
-    ----------
-    aim : LightAim
-        What they are sought for.
-    basis : Basis
-        Of the scene.
-    scene : Scene
-        As it stands.
-    around : sequence of (Basis, Scene)
-        Of each corner of the tolerances: limits hold there too.
 
     Raises
     ------
     InputError
         If no levels keep all limits.
     """
-    for one in (basis, *(other for other, _ in around)):
-        missing = [name for level in aim.levels for name in level.names if name not in one.sources]
-        if missing:
-            raise InputError(f"{missing[0]} is dark", where="levels")
-    times = [other.camera.exposure_time / scene.camera.exposure_time for _, other in around]
-    aim = replace(aim, time_off=(min([1.0, *times]), max([1.0, *times])))
-    light, corners = LitBy(aim, basis, scene), [LitBy(aim, *one) for one in around]
+    missing = [name for level in aim.levels for name in level.names if name not in basis.sources]
+    if missing:
+        raise InputError(f"{missing[0]} is dark", where="levels")
+    light = LitBy(aim, basis, scene)
     way = aim.way(basis.sensor)
-    factors, value = light.convex(corners) if way == CONVEX else light.local(corners)
+    factors, value = light.convex() if way == CONVEX else light.local()
+    time = float(factors[-1]) if aim.time is not None else 1.0
+    by_source = dict.fromkeys(basis.sources, time)
     levels: dict[str, Any] = {}
     at_low: list[str] = []
     at_high: list[str] = []
-    exact: list[float] = []
     for level, found_factor in zip(aim.sought, factors.tolist(), strict=True):
         near, factor = _AT_BOUND * (level.high - level.low), found_factor
         if factor <= level.low + near:
             factor, at_low = level.low, [*at_low, level.path]
         elif factor >= level.high - near:
             factor, at_high = level.high, [*at_high, level.path]
-        exact.append(factor)
+        by_source |= dict.fromkeys(level.names, factor * time)
         levels[level.path] = level.written(factor)
-    own, *others = (_by_source(aim, factors, exact, one) for one in (basis, *(other for other, _ in around)))
-    return FoundLevels(own, levels, way, value, tuple(at_low), tuple(at_high), tuple(others))
-
-
-def _by_source(aim: LightAim, factors: Array, exact: Sequence[float], basis: Basis) -> dict[str, float]:
-    """Source of a basis -> factor on its level there."""
-    time = float(factors[-1]) if aim.time is not None else 1.0
-    found = dict.fromkeys(basis.sources, time)
-    for level, factor in zip(aim.sought, exact, strict=True):
-        found |= dict.fromkeys(level.names, factor * time)
-    return found
+    return FoundLevels(by_source, levels, way, value, tuple(at_low), tuple(at_high))
 
 
 class LitBy:
@@ -324,12 +295,9 @@ class LitBy:
             return -math.inf if math.isinf(gray) else 0.0
         return float(radiant_exposure_of(np.array([gray]), self._sensor)[0])
 
-    def convex(self, corners: Sequence[LitBy] = ()) -> tuple[Array, float]:
-        """Factors and the objective, exactly; limits hold in corners too."""
+    def convex(self) -> tuple[Array, float]:
+        """Factors and the objective, exactly."""
         problem = self.even_light()
-        problem = replace(
-            problem, limits=(*problem.limits, *(limit for one in corners for limit in one.even_light().limits))
-        )
         aimed = self._aim.response(self._aim.objective.quantity.name)
         assert aimed is not None  # noqa: S101  (the way says so)
         measure = _MEASURES[aimed.kind]
@@ -339,26 +307,25 @@ class LitBy:
             factors = np.append(factors[:-1] / factors[-1], factors[-1])
         return factors, 1 - uneven if measure == "deviation" else uneven
 
-    def local(self, corners: Sequence[LitBy] = ()) -> tuple[Array, float]:
-        """Factors and the objective near the scene's own levels; limits hold in corners too."""
+    def local(self) -> tuple[Array, float]:
+        """Factors and the objective near the scene's own levels."""
         from scipy.optimize import Bounds, NonlinearConstraint, minimize
 
         start = np.clip(np.ones(len(self._low)), self._low, self._high)
         sign = self._aim.objective.sign
-        base = self.measured(self._aim.objective.quantity.name, start)
+        base = self._measured(self._aim.objective.quantity.name, start)
         scale = abs(base) if base else 1.0
         measured = [one for one in self._aim.constraints if one.quantity.name not in SCENES_OWN]
         limits = [
             NonlinearConstraint(
-                lambda x, one=one, lit=lit: lit.measured(one.quantity.name, x) / _size(one),
+                lambda x, one=one: self._measured(one.quantity.name, x) / _size(one),
                 one.low / _size(one),
                 one.high / _size(one),
             )
-            for lit in (self, *corners)
             for one in measured
         ]
         result = minimize(
-            lambda x: sign * self.measured(self._aim.objective.quantity.name, x) / scale,
+            lambda x: sign * self._measured(self._aim.objective.quantity.name, x) / scale,
             start,
             method="COBYQA",
             bounds=Bounds(self._low, self._high),
@@ -366,9 +333,9 @@ class LitBy:
             options={"maxfev": _LOOKS * len(start)},
         )
         factors: Array = np.clip(result.x, self._low, self._high)
-        return factors, self.measured(self._aim.objective.quantity.name, factors)
+        return factors, self._measured(self._aim.objective.quantity.name, factors)
 
-    def measured(self, name: str, factors: Array) -> float:
+    def _measured(self, name: str, factors: Array) -> float:
         """A quantity for some levels, on the image without error and rounding; NaN where it cannot be measured."""
         response, time = self._aim.response(name), self._aim.time
         if response is None:

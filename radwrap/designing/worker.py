@@ -10,9 +10,8 @@ from typing import Any, Final
 from radwrap.designing.light import LightAim, best_levels
 from radwrap.errors import InputError
 from radwrap.imaging.asked_tolerance import FINEST
-from radwrap.imaging.relight.relit import Basis, read_basis
+from radwrap.imaging.relight.relit import read_basis
 from radwrap.scene.file.load import scene_from_document
-from radwrap.scene.scene import Scene
 from radwrap.study.pilots import asked, plans_of, read_pilot
 from radwrap.study.worker import Job, Measured, Outcome, carry_out, failed
 
@@ -26,18 +25,9 @@ _SHARES: Final = (
 
 @dataclass(frozen=True, slots=True)
 class CandidateJob(Job):
-    """A candidate to be rendered and measured; with an aim, levels of sources are sought first.
-
-    Attributes
-    ----------
-    aim : LightAim, optional
-        What levels are sought for.
-    around : tuple of CandidateJob
-        The corners of its tolerances, where levels are to keep limits too; they are measured as well.
-    """
+    """A candidate to be rendered and measured; with an aim, levels of sources are sought first."""
 
     aim: LightAim | None = None
-    around: tuple[CandidateJob, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,45 +58,35 @@ def carry_out_candidate(job: CandidateJob) -> list[Outcome]:
     """
     outcomes: list[Outcome] = []
     for number, share in enumerate(_SHARES):
-        outcomes = _looked_at(job, share, f"-{number}" if number else "")
+        outcomes = _looked_at(job, share, f"{job.image}-{number}" if number else job.image)
         if job.options.fixed_method is not None or all(one.met or one.image_error is None for one in outcomes):
             break
     return outcomes
 
 
-def _looked_at(job: CandidateJob, share: float, suffix: str) -> list[Outcome]:
-    """A candidate whose image is planned for a share of its tolerance, and lies in a folder with that suffix."""
-    jobs = [job, *job.around]
-    try:
-        jobs = [_sampled(replace(one, image=f"{one.image}{suffix}"), share) for one in jobs]
-        if job.aim is None:
-            return carry_out(jobs[0])
-        (basis, scene), *around = map(_lit, jobs)
-        found = best_levels(job.aim, basis, scene, around)
-    except InputError as error:
-        return [failed(one.runs[0].run, str(error)) for one in jobs]
-    own, *others = (
-        outcome
-        for one, factors in zip(jobs, (found.factors, *found.around), strict=True)
-        for outcome in _relit(one, factors)
-    )
-    light = {"way": found.way, "objective": found.value, "at_low": found.at_low, "at_high": found.at_high}
-    told = {one.name: getattr(own, one.name) for one in fields(Outcome)}
-    return [LitOutcome(**told, levels=found.levels, light=light), *others]
-
-
-def _lit(job: CandidateJob) -> tuple[Basis, Scene]:
-    """The light basis of a candidate or a corner."""
-    carry_out(replace(job, runs=()))
-    scene = scene_from_document(job.document, origin=job.origin, folder=Path(job.folder))
-    return read_basis(Path(job.study) / job.image), scene
-
-
-def _relit(job: CandidateJob, factors: Mapping[str, float]) -> list[Outcome]:
-    """What is measured in some levels: as a study's images from a basis, factors on those that it was made with."""
+def _looked_at(job: CandidateJob, share: float, image: str) -> list[Outcome]:
+    """A candidate whose image is planned for a share of its tolerance, and lies in a folder of that name."""
     (run,) = job.runs
-    lit = Measured(run.run, run.responses, factors)
-    return carry_out(replace(job, runs=(lit,), reference=dict.fromkeys(factors, 1.0)))
+    try:
+        job = _sampled(replace(job, image=image), share)
+        if job.aim is None:
+            return carry_out(job)
+        carry_out(replace(job, runs=()))
+        basis = read_basis(Path(job.study) / job.image)
+        scene = scene_from_document(job.document, origin=job.origin, folder=Path(job.folder))
+        found = best_levels(job.aim, basis, scene)
+    except InputError as error:
+        return [failed(run.run, str(error))]
+    lit = Measured(run.run, run.responses, found.factors)
+    # As a study's images from a basis: levels are factors on those that the basis was made with.
+    outcomes = carry_out(replace(job, runs=(lit,), reference=dict.fromkeys(found.factors, 1.0)))
+    light = {"way": found.way, "objective": found.value, "at_low": found.at_low, "at_high": found.at_high}
+    return [
+        LitOutcome(
+            **{one.name: getattr(outcome, one.name) for one in fields(Outcome)}, levels=found.levels, light=light
+        )
+        for outcome in outcomes
+    ]
 
 
 def _sampled(job: CandidateJob, share: float) -> CandidateJob:

@@ -13,7 +13,7 @@ from radwrap.scene.file.keys import expanded, found, set_key
 from radwrap.study.factors import in_si, quantity, written
 from radwrap.units import DIMENSIONS
 
-PERCENT: Final = "%"
+_PERCENT: Final = "%"
 MOST: Final = 4  # tolerances: sixteen corners
 
 
@@ -55,11 +55,11 @@ class Allowed:
                     f"{path} has no number in the scene file", where=where, remedy="write it there, with its unit"
                 )
             number, unit = told
-            if self.unit == PERCENT and not number:
+            if self.unit == _PERCENT and not number:
                 raise InputError(
                     f"{path} is 0, of which a share is 0 too", where=f"{where}.by", remedy="give an amount"
                 )
-            if self.unit == PERCENT:
+            if self.unit == _PERCENT:
                 off = number * self.by
             elif not _are_alike(unit, self.unit):
                 raise InputError(f"{path} is {value}, and by has another unit", where=f"{where}.by")
@@ -79,8 +79,8 @@ def read_allowed(name: str, table: ToleranceModel, where: str) -> Allowed:
     """
     keys = (table.key,) if table.key is not None else table.keys or ()
     text = table.by
-    if isinstance(text, str) and text.strip().endswith(PERCENT):
-        return Allowed(name, keys, _share(text, f"{where}.by"), PERCENT)
+    if isinstance(text, str) and text.strip().endswith(_PERCENT):
+        return Allowed(name, keys, _share(text, f"{where}.by"), _PERCENT)
     plain = quantity(text, f"{where}.by")
     size = None if plain is None else in_si(text)
     if plain is None or size is None or not size > 0:

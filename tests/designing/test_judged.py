@@ -76,22 +76,6 @@ def test_planted_ties_are_called_so_and_nothing_else(problem: Problem) -> None:
     assert ties_of(problem, best, [best, *near, *far, broken]) == near
 
 
-def test_a_tie_of_two_objectives_is_one_in_both(two: Problem) -> None:
-    """Errors of 1 and .1: ties differ by less than two combined errors in each, no matter in which direction."""
-
-    def pair(number: int, mean: float, dark: float) -> Trial:
-        made = trial(number, mean)
-        return replace(made, answers={**made.answers, "dark": Answer(dark, 0.1)})
-
-    best, both = pair(1, 100.0, -1.0), math.sqrt(2)
-    near = [pair(2 + k, 100 + a * both, -1 + b * 0.1 * both) for k, (a, b) in enumerate([(1.9, -1.9), (-1.9, 1.9)])]
-    far = [
-        pair(10 + k, 100 + a * both, -1 + b * 0.1 * both)
-        for k, (a, b) in enumerate([(2.1, 0), (0, 2.1), (-2.1, 0), (0, -2.1), (4, -4), (-4, 4)])
-    ]
-    assert ties_of(two, best, [best, *near, *far]) == near
-
-
 def test_the_best_one_keeps_all_limits(problem: Problem) -> None:
     trials = [
         trial(1, 90.0),
