@@ -4,8 +4,8 @@
 
 Prints for each kind of key how often its 95 % interval holds the truth, the bias in deviations, how many right scenes
 were refused, how many wrong ones were found (an LED off in the model, another beam, a target moved, gamma held at a
-wrong value), and processor time and rays. With --povray captures are traced by POV-Ray, of sources whose beam is a power
-of the cosine, which it can show.
+wrong value), and processor time and rays. With --povray captures are traced by POV-Ray, of sources whose beam is a
+power of the cosine, which it can show.
 """
 
 from __future__ import annotations

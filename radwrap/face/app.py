@@ -282,12 +282,13 @@ class _Answers:
 
     async def _traded(self, request: Request, traced: Traced, turn: Turn, longest: float) -> AsyncIterator[bytes]:
         loop, steps = asyncio.get_running_loop(), asyncio.Queue[Mapping[str, Any]]()
+        gone = threading.Event()  # who asked
 
         def heard(progress: Mapping[str, Any]) -> None:
             with suppress(RuntimeError):  # the server has ended
                 loop.call_soon_threadsafe(steps.put_nowait, progress)
 
-        job = asyncio.ensure_future(left_behind(lambda: self._session.trade(traced, turn, longest, heard)))
+        job = asyncio.ensure_future(left_behind(lambda: self._session.trade(traced, turn, longest, heard, gone.is_set)))
         try:
             yield _line({"progress": None})
             while not (job.done() and steps.empty()):
@@ -300,7 +301,9 @@ class _Answers:
             except Exception as error:  # noqa: BLE001  (the page lives on)
                 yield _line({"refused": _refusal(error)[0]})
         finally:
-            self._session.end_trade(heard)
+            gone.set()
+            # Not here: a trace that ends another measurement holds what this waits for, and all tabs would stand still.
+            loop.run_in_executor(None, self._session.end_trade, heard)
             job.add_done_callback(_heeded)
 
     async def layout(self, request: Request) -> Response:

@@ -198,7 +198,12 @@ class Session:
         return self._beside(traced, turn, self._renderer.effects)
 
     def trade(
-        self, traced: Traced, turn: Turn, longest: float, told: Callable[[Mapping[str, Any]], object]
+        self,
+        traced: Traced,
+        turn: Turn,
+        longest: float,
+        told: Callable[[Mapping[str, Any]], object],
+        unwanted: Callable[[], bool] = lambda: False,
     ) -> Mapping[str, Any]:
         """What accuracy costs in the light of a turn, see `measured_trade`; a trace that begins ends it.
 
@@ -212,6 +217,8 @@ class Session:
             A setting that is expected to take longer is left out [s].
         told : callable
             Is told how far it is.
+        unwanted : callable
+            Whether it is to end before it begins: `end_trade` ends what has begun.
 
         Raises
         ------
@@ -223,7 +230,9 @@ class Session:
             "out": str(((self.out or self._work) / "trade").absolute()),
             "keeps": bool(self.out),
         }
-        return self._beside(traced, turn, lambda request: self._renderer.trade({**request, **more}, told), told)
+        return self._beside(
+            traced, turn, lambda request: self._renderer.trade({**request, **more}, told), told, unwanted
+        )
 
     def end_trade(self, told: Callable[[Mapping[str, Any]], object]) -> None:
         """End the trade that tells this one how far it is, if it goes on: nobody waits for it any more."""
@@ -237,6 +246,7 @@ class Session:
         turn: Turn,
         measure: Callable[[Mapping[str, Any]], Mapping[str, Any]],
         who: object = None,
+        unwanted: Callable[[], bool] = lambda: False,
     ) -> Mapping[str, Any]:
         """Measure by rays in the light of a turn, by the process that traces, which must be idle."""
         scene = traced.scene
@@ -244,6 +254,8 @@ class Session:
         if changes or any(factor != 1.0 for factor in factors):
             scene = with_levels(scene, dict(zip(traced.sources, factors, strict=True)), changes)
         with self._guard:
+            if unwanted():
+                raise Cancelled("was stopped", where="renderer")
             tracing = self._thread is not None and self._thread.is_alive()
             if tracing or not self._measuring.acquire(blocking=False):
                 raise InputError("is under way", where="trace", remedy="wait for its end")

@@ -73,13 +73,15 @@ class Solution:
     def variance(self) -> Array | None:
         """Of what each used pixel pulls by noise, over its weight; None where it is 1.
 
-        That of all pixels together (P. J. Huber, Robust Statistics, 1981, section 7.6).
+        That of all pixels together (P. J. Huber, Robust Statistics, 1981, section 7.6). The noise is known: no fit is
+        surer than by squares, as a perfect fit to few pixels would seem to be.
         """
         if not self.robust:
             return None
         left = self.residual[self.weighed.used]
+        weight = self.weight
         pulls = float((left**2 / (1 + left**2)).sum()) / max(left.size - self.jacobian.shape[1], 1)
-        return np.asarray(pulls / self.weight**2)
+        return np.asarray(max(pulls, float((weight**2).mean()) ** 2) / weight**2)
 
 
 def solve(

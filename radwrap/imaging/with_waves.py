@@ -124,9 +124,7 @@ class _Waves:
         """Rays for errors of a replicate by their number, and by the size of their cells [gray level]."""
         share = of_cells / self.about_rms if self.about_rms > of_cells else 1.0
         view, seed = self.work.view, self.options.seed
-        return plan_waves(
-            view, self.wavelength, aim, seed, share=share, far=self.far, seen=self.seen_rms, even_cell=self.even_cell
-        )
+        return plan_waves(view, self.wavelength, aim, seed, share=share, far=self.far, even_cell=self.even_cell)
 
     def replicates(self, made: Made, plan: WavePlan) -> int:
         """As many as the image has, where each is kept; else so many that their noise is known."""

@@ -48,7 +48,7 @@ def test_it_tells_how_far_it_is_and_ends_when_asked(tmp_path: Path) -> None:
     """A setting is refused where it would take longer, so that all of it takes little here."""
     scene, seen = radwrap.scene_from_document(scene_with(TWO)), list[tuple[str, int, int]]()
     told = measure_trade(scene, tmp_path, SHORT, told=lambda what, state: seen.append((what, state.done, state.of)))
-    assert told.rows == () and told.left_out
+    assert len(told.rows) <= 1 and told.left_out  # one ray a pixel takes about so long
     assert all(done <= of for _, done, of in seen) and {what for what, _, _ in seen} <= {"reference", "settings"}
     reference = [done for what, done, _ in seen if what == "reference"]
     assert reference == sorted(reference)
@@ -102,8 +102,11 @@ def test_who_asked_ends_it_and_nobody_else_does(tmp_path: Path, monkeypatch: pyt
     finally:
         session.end_trade(heard)
         thread.join(PATIENCE)
+        measuring.clear()
+        with pytest.raises(Cancelled):  # who asked was gone before it began
+            session.trade(traced, _turn(), 5.0, heard, lambda: True)
         session.close()
-    assert ended and steps == [{"what": "settings", "done": 1, "of": 2}]
+    assert ended and steps == [{"what": "settings", "done": 1, "of": 2}] and not measuring.is_set()
     assert asked["longest"] == 5.0 and asked["keeps"] is False and Path(asked["out"]) == tmp_path / "trade"
 
 

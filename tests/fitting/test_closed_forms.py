@@ -185,6 +185,19 @@ def test_a_robust_fit_is_as_sure_as_huber_says(bench: Scene, basis: Basis) -> No
     assert SCATTER[0] < np.std(values) < SCATTER[1]
 
 
+def test_a_robust_fit_that_goes_through_all_pixels_is_no_surer_than_by_squares(bench: Scene, basis: Basis) -> None:
+    """Two pixels and two keys: nothing is left, and still the noise is known."""
+    keys, prediction = begun(bench, basis, [EXPOSURE, "camera.sensor.offset"])
+    gray = prediction.at([100.0, 5.0]).unclipped
+    mask = np.zeros(gray.shape, dtype=bool)
+    mask.flat[[np.argmin(gray), np.argmax(gray)]] = True
+    solved = solve(keys.keys, prediction, [replace(taken(gray, bench), mask=mask)], 1.0, robust=True)
+    quiet = PredictionErrors(np.zeros((2, len(solved.jacobian))))
+    assert len(solved.jacobian) == 2
+    by_squares = np.linalg.inv(solved.jacobian.T @ solved.jacobian)
+    assert _ended(solved, quiet).spread(RANK, None).noise == pytest.approx(by_squares, rel=1e-6)
+
+
 def test_a_robust_fit_hands_on_errors_of_the_prediction_by_pixels_that_count(bench: Scene, basis: Basis) -> None:
     """An error where captures show a scratch moves little, one elsewhere more: as a second fit to that image says."""
     keys, prediction = begun(bench, basis, [EXPOSURE, "camera.sensor.offset"])

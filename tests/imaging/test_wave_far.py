@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from radwrap.imaging.optics.view import View
+from radwrap.imaging.optics.smooth import SmoothField, corners_of
+from radwrap.imaging.optics.view import View, trace_rays
 from radwrap.imaging.tolerance.wave_far import _interpolated, _rings, far_change, far_light, far_rays
 from radwrap.imaging.tolerance.wave_plan import plan_waves
 from radwrap.scene.camera import Aperture
@@ -49,25 +50,37 @@ def test_light_from_beyond_the_first_ring_is_its_share_of_the_tail(times: float)
     assert expected == pytest.approx(plan.waves.tail(radius * pixel), rel=0.5)
 
 
-def test_far_light_takes_as_many_rays_as_what_it_may_be_off_by_needs() -> None:
-    """A pattern finer than blocks, 1 or 0 alike often: the noise of one ray in each block is known."""
-    pixel = 1e-5
-    plain = camera(Aperture("round", 2e-4), rows=40, columns=40, pixel=(pixel, pixel))
-    random = np.random.default_rng(0)
+def test_what_is_known_of_smooth_blocks_is_not_traced_again() -> None:
+    """Light that grows evenly: blocks of the sensor are known exactly, what lies beside it is traced."""
+    plain = camera(Aperture("round", 2e-4), rows=40, columns=40, pixel=(1e-5, 1e-5))
 
     def lit(x: Array, y: Array) -> Array:
-        return random.integers(2, size=x.shape).astype(float) * (1 + x**2 + y**2) ** 2
+        return (2 + 100 * x) * (1 + x**2 + y**2) ** 2  # the field's falloff is taken out
 
     view = View(plain, Planes(((1.0, lit),)))  # type: ignore[arg-type]
-    many = plan_waves(view, 550e-9, 0.1, 1)
-    few = plan_waves(view, 550e-9, 0.1, 1, seen=1.0)
-    assert far_rays(few) < 0.75 * far_rays(many)
-    off = []
-    for seed in range(8):
-        (around,) = far_light(view, replace(few, seed=seed), 0, lambda rays: None)
-        off.append(abs(few.weights.share) * (around - 0.5))
-    # A ray is off by 1/2, where light that is seen as 1 lets it be off by as much as it is.
-    assert 0 < float(np.sqrt(np.mean(np.square(off)))) <= few.far_noise
+    first, shape = (0, 0), (5, 5)
+    u, v = corners_of(first, shape)
+    values, m = trace_rays(view, None, u.ravel(), v.ravel(), with_depth=True)
+    corners = u.shape
+    field = SmoothField(
+        first,
+        np.ones(shape, dtype=bool),
+        values.reshape(corners),
+        m.reshape(corners),
+        np.ones(shape, dtype=bool),
+        0.0,
+        0.0,
+        0,
+        np.zeros(corners, dtype=np.int8),
+    )
+    counts, found = [], []
+    for one in (view, replace(view, smooth=field)):
+        plan, rays = plan_waves(one, 550e-9, 0.1, 1), list[int]()
+        found.append(far_light(one, plan, 0, rays.append))
+        counts.append(sum(rays))
+        assert sum(rays) == pytest.approx(far_rays(plan), rel=0.02)
+    assert found[1] == pytest.approx(found[0], rel=1e-9)
+    assert counts[0] - counts[1] > 300
 
 
 @pytest.mark.long

@@ -75,7 +75,10 @@ def smooth_field(view: View, reach: tuple[float, float], tolerance: float) -> Sm
 def in_other_light(field: SmoothField, view: View) -> SmoothField:
     """The same blocks as another view of the same places sees them."""
     values, magnification = _traced(view, *field.corners)
-    return replace(field, values=values, magnification=magnification, rays=magnification.size)
+    rays = magnification.size + retraced(view, values, field.corners, field.doublings)
+    finer = None if field.finer is None else in_other_light(field.finer, view)
+    rays += 0 if finer is None else finer.rays
+    return replace(field, values=values, magnification=magnification, rays=rays, finer=finer)
 
 
 def retraced(view: View, values: Array, places: tuple[Array, Array], doublings: NDArray[np.int8]) -> int:

@@ -401,7 +401,14 @@ def _maker(
     of_waves = None
     if waves is not None:
         plans = tuple(waves.at(light.wavelength) for light in lights)
-        of_waves = BasisWaves(work, waves, pieces, len(outcome.replicates.images), lights, plans)
+        seen = views
+        if waves.smooth is not None and waves.smooth is not work.view.smooth:  # the image was made anew since
+            work = replace(work, view=replace(work.view, smooth=waves.smooth))
+            known = (in_other_light(waves.smooth, lit.view) for lit in views)
+            seen = tuple(
+                replace(lit, view=replace(lit.view, smooth=one)) for lit, one in zip(views, known, strict=True)
+            )
+        of_waves = BasisWaves(work, waves, pieces, seen, len(outcome.replicates.images), lights, plans)
     return _Maker(work, outcome, sample, pieces, of_waves)
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from radwrap.imaging.methods.pieces import log_call
 from radwrap.imaging.optics.diffraction import Light
+from radwrap.imaging.optics.view import LitView
 from radwrap.imaging.relight.basis_pieces import BasisPieces
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.wave_far import far_change, far_light
@@ -35,6 +36,8 @@ class BasisWaves:
         Which rays.
     pieces : BasisPieces
         Where finished pieces are.
+    views : tuple of LitView
+        The views of the pieces, which know the smooth blocks of the plan.
     replicates : int
         As many as the images have.
     lights : tuple of Light
@@ -46,6 +49,7 @@ class BasisWaves:
     work: Work
     plan: WavePlan
     pieces: BasisPieces
+    views: tuple[LitView, ...]
     replicates: int
     lights: tuple[Light, ...]
     plans: tuple[WavePlan, ...]
@@ -75,7 +79,7 @@ class BasisWaves:
     def replicate(self, view: int, replicate: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """What waves add to the sources of a view, and what their cells may change, shape (sources, rows, columns)."""
         sensor = self.plan.kernel.camera.sensor
-        found = np.empty((2, len(self.pieces.views[view].names), sensor.rows, sensor.columns), dtype=np.float32)
+        found = np.empty((2, len(self.views[view].names), sensor.rows, sensor.columns), dtype=np.float32)
         for tile, (r0, r1, c0, c1) in enumerate(self.plan.kernel.tiles):
             rows = np.stack(self.pieces.each(self._kind(replicate, tile), view), axis=1)
             found[..., r0:r1, c0:c1] = rows.reshape(2, -1, r1 - r0, c1 - c0)
@@ -111,7 +115,7 @@ class BasisWaves:
         """Numbers of the lights that the sources of a view belong to."""
         return [
             next(number for number, light in enumerate(self.lights) if light.names is None or name in light.names)
-            for name in self.pieces.views[view].names
+            for name in self.views[view].names
         ]
 
     def _plans(self, view: int) -> list[WavePlan]:
@@ -129,7 +133,7 @@ class BasisWaves:
         of_all, count = replace(self.work.view, workers=1), self.work.progress.add
         cells, transforms = wave_cells(of_all, self.plan, tile, count), kept_transforms()
         for replicate, view in ((replicate, view) for replicate, views in due.items() for view in views):
-            kind, lit = self._kind(replicate, tile), self.pieces.views[view]
+            kind, lit = self._kind(replicate, tile), self.views[view]
             log_call(self.pieces.folder, f"{kind} {view}")
             alone = of_all if len(lit.names) == 1 else None
             one, plans = replace(lit.view, workers=1), self._plans(view)
@@ -143,6 +147,6 @@ class BasisWaves:
     def _trace_around(self, replicate: int, view: int) -> None:
         kind = self._around(replicate)
         log_call(self.pieces.folder, f"{kind} {view}")
-        lit = replace(self.pieces.views[view].view, workers=1)
+        lit = replace(self.views[view].view, workers=1)
         around = far_light(lit, self.plan, replicate, self.work.progress.add)
         self.pieces.write(kind, view, around.reshape(-1, around.shape[-1]))

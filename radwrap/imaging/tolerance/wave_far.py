@@ -66,19 +66,37 @@ def _from_ring(
     """As `far_light`, of the light from a ring around each place."""
     block, margin, (rows, columns) = coarse.block, coarse.margin, coarse.shape
     places, owners = [], []
-    kernel = _kernel(plan, coarse)
-    for some, strata in _strata(plan, coarse, kernel):
+    for some, strata in _strata(coarse):
         row, column = np.nonzero(some)
         inside = (np.indices((strata, strata)).reshape(2, 1, -1) + random.random((2, len(row), strata**2))) / strata
         places.append(np.stack([row[:, np.newaxis] + inside[0], column[:, np.newaxis] + inside[1]]).reshape(2, -1))
         owners.append(np.repeat(row * columns + column, strata**2))
     v, u = (np.concatenate(places, axis=1) - margin) * block - 0.5
     owner = np.concatenate(owners)
-    light, _ = trace_rays(_with_noise(view, coarse.share(plan), kernel), None, u, v)
-    progress(len(u))
+    kernel = _kernel(plan, coarse)
+    light = _known_or_traced(view, plan, _with_noise(view, coarse.share(plan), kernel), (u, v), progress)
     rays = np.bincount(owner, minlength=rows * columns)
     values = np.stack([np.bincount(owner, one, rows * columns) / rays for one in light.reshape(-1, len(u))])
     return np.stack([_correlated(one, kernel) for one in values.reshape(-1, rows, columns)])
+
+
+def _known_or_traced(
+    view: View, plan: WavePlan, tracing: View, places: tuple[Array, Array], progress: Callable[[int], None]
+) -> Array:
+    """Light at places (u, v) [px], of which that in smooth blocks is known, shape (sources, n) or (n,)."""
+    known = None if plan.kernel.grid.even else view.smooth
+    if known is None:
+        progress(len(places[0]))
+        return trace_rays(tracing, None, *places)[0]
+    smooth = known.holds(*places)
+    rest = tuple(one[~smooth] for one in places)
+    found = known.at(*(one[smooth] for one in places))[0]
+    light = np.empty((*found.shape[:-1], len(smooth)))
+    light[..., smooth] = found
+    if len(rest[0]):
+        light[..., ~smooth] = trace_rays(tracing, None, *rest)[0]
+    progress(len(rest[0]))
+    return light
 
 
 def far_view(view: View, plan: WavePlan) -> View:
@@ -102,27 +120,23 @@ def _kernel(plan: WavePlan, coarse: _Coarse) -> Array:
 
 
 def far_rays(plan: WavePlan) -> int:
-    """How many rays `far_light` takes."""
-    return sum(
-        int(np.count_nonzero(some)) * strata**2
-        for ring in _rings(plan)
-        for some, strata in _strata(plan, ring, _kernel(plan, ring))
-    )
+    """About how many rays `far_light` takes: none in smooth blocks."""
+    sensor, rays = plan.kernel.camera.sensor, 0.0
+    known = 0.0 if plan.smooth is None else plan.smooth.share_of((0, sensor.rows - 1), (0, sensor.columns - 1))
+    for ring in _rings(plan):
+        rays += sum(np.count_nonzero(some) * strata**2 for some, strata in _strata(ring))
+        rays -= known * sensor.pixels / ring.block**2 * min(_STRATA, round(ring.block)) ** 2
+    return round(rays)
 
 
-def _strata(plan: WavePlan, coarse: _Coarse, kernel: Array) -> tuple[tuple[NDArray[np.bool_], int], ...]:
+def _strata(coarse: _Coarse) -> tuple[tuple[NDArray[np.bool_], int], ...]:
     """Blocks, shape (rows, columns), and how many rays along a side each of them gets."""
-    number = _STRATA
-    if plan.far_noise:
-        # One ray is off by no more than its block's light varies; in strata each of them by less.
-        by_one = abs(coarse.share(plan)) * math.sqrt(float((kernel**2).sum()))
-        number = min(_STRATA, max(1, math.ceil(by_one / plan.far_noise)))
     block, margin, (rows, columns) = coarse.block, coarse.margin, coarse.shape
     beside = min(margin, math.ceil(_DENSE * coarse.near / block))
     dense = np.zeros((rows, columns), dtype=bool)
     dense[margin - beside : rows - margin + beside, margin - beside : columns - margin + beside] = True
     # No more rays than pixels are needed to tell light that is spread so far.
-    return (dense, min(number, round(block))), (~dense, 1)
+    return (dense, min(_STRATA, round(block))), (~dense, 1)
 
 
 def _correlated(values: Array, kernel: Array) -> Array:

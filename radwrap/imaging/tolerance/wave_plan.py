@@ -53,7 +53,6 @@ _MOST_ON_SENSOR: Final = 1 << 19
 _AROUND: Final = 8
 _AROUND_GLASS: Final = 4  # there are many weights then; what comes in is 5e-6 of the highest
 _MOST_AROUND: Final = 1 << 23
-_OF_FAR_RAYS: Final = 0.2  # of the noise of one replicate: squares add
 _LEAST_GAIN: Final = 0.05  # of noise; rays are so few then that fewer would save nothing
 _STEP: Final = 0.02  # of the diameter, to either side: a slope by both is off by its square
 
@@ -188,8 +187,6 @@ class WavePlan:
         Blocks whose cells are not to be cut: nothing changes there but smoothly.
     samples : int, optional
         Rays along a side of cells that differ much, the same for all tiles; default as each tile needs for itself.
-    far_noise : float
-        Of the light, what the rays that tell of far light may be off by in one replicate; at 0 as little as ever.
     """
 
     kernel: KernelPlan
@@ -199,7 +196,6 @@ class WavePlan:
     rays: int
     smooth: SmoothField | None = None
     samples: int | None = None
-    far_noise: float = 0.0
 
     def at(self, wavelength: float) -> WavePlan:
         """The same rays, for light of another wavelength [m]."""
@@ -230,7 +226,6 @@ def plan_waves(
     *,
     share: float | None = None,
     far: float = 1.0,
-    seen: float = 0.0,
     even_cell: float | None = None,
 ) -> WavePlan:
     """Choose cells, layers, tiles and the guard band.
@@ -250,8 +245,6 @@ def plan_waves(
         wider than where rays go needs them, and resolve what waves do.
     far : float
         Of the light, what waves may send beyond the guard band; the band has limits of its own.
-    seen : float
-        Gray levels that light adds, rms; where it is not known, far light is told by as many rays as ever.
     even_cell : float, optional
         As of `plan_kernel`: no light decides where rays go.
 
@@ -277,15 +270,13 @@ def plan_waves(
     near = waves.blur * min(_WIDEST_NEAR, max(_NEAR, waves.tail_radius(far) / waves.blur))
     plan = replace(plan, guard=max(near / pitch, _resolved(camera.sensor)) + glass_reach(camera) / pitch)
     weights = WaveWeights(plan, _less_rays(waves), lens_field(camera, wavelength))
-    known, far_noise = None, 0.0
     if even_cell is None:
-        known, far_noise = view.smooth, _OF_FAR_RAYS * aim / seen if seen else 0.0
         aim /= _noise_gain(weights)
         square, looked = points_noise(view, seed)
         halvings = halvings_for(square, POINTS_SHARE * aim**2)
         plan, rays = replace(plan, grid=replace(plan.grid, aim=aim, halvings=halvings)), rays + looked
         weights = replace(weights, kernel=plan)
-    return WavePlan(plan, waves, weights, seed, rays, known, far_noise=far_noise)
+    return WavePlan(plan, waves, weights, seed, rays, None if even_cell is not None else view.smooth)
 
 
 def _resolved(sensor: Sensor) -> float:
