@@ -38,12 +38,14 @@ from radwrap.measure.gauges import (
 from radwrap.measure.gauges import circle as circle_gauge
 from radwrap.measure.gauges import contour as contour_fit
 from radwrap.measure.gauges import region as region_gauge
+from radwrap.measure.gauges import second_edge as second_edge_module
 from radwrap.measure.gauges import straight as straight_gauge
 from radwrap.measure.gauges import uniformity as uniformity_gauge
 from radwrap.measure.gauges.bent import shared_area
 from radwrap.measure.gauges.narrow import lookalike, width_by_gaussian
 from radwrap.measure.gauges.response import light_of
 from radwrap.measure.gauges.round_shapes import circle_shape
+from radwrap.measure.gauges.second_edge import chance_of_largest
 from radwrap.measure.gauges.step import Step, pixel_step
 from radwrap.measure.gauges.straight_shapes import stripe_shape
 from radwrap.measure.gauges.strip import Blur, terms_of
@@ -443,6 +445,49 @@ def test_a_blur_with_a_side_is_warned_of(around: bool, aside: float, warned: boo
             texts = measure_line(image, StraightCaliper((28.6, 29.3), 0.3, 36, 10)).warnings
         assert bool(texts) == warned
         assert not warned or any("side of the contour" in text or "both sides" in text for text in texts)
+
+
+SECOND = 40.0 + 110.0 * 0.23
+
+
+@pytest.mark.parametrize("around", [False, pytest.param(True, marks=pytest.mark.long)])
+@pytest.mark.parametrize("apart", [4.0, 12.0])
+def test_a_second_edge_that_looks_like_a_slope_is_warned_of(around: bool, apart: float) -> None:
+    """Near it, its light is a slope's, and the warning says how far it moves the contour; far off it moves nothing."""
+    dice = np.random.default_rng(12)
+    levels = (40.0, SECOND, SECOND + 110.0)
+    if around:
+        light = ring_picture((110, 110), (54.3, 55.2), (30.0 + apart, 30.0), 2.2, levels)
+        caliper = Caliper((54, 55), 30.5, 10)
+    else:
+        first, second = (edge_picture((70, 70), 0.3, at, 2.2, (0.0, 1.0)) for at in (40.0 - apart, 40.0))
+        light = 40.0 + (SECOND - 40.0) * first + 110.0 * second
+    image = GrayImage(noisy(light, dice))
+    if around:
+        found = measure_circle(image, caliper)
+        off, sigma, texts = (found.diameter - 60) / 2, found.diameter_sigma / 2, found.warnings
+    else:
+        line = measure_line(image, StraightCaliper((36.3, 33.2), 0.3, 36, 10))
+        off, sigma, texts = line.offset - 40.0, line.position_sigma, line.warnings
+    if apart > 10:
+        assert texts == () and abs(off) < 4 * sigma
+        return
+    (told,) = re.findall(r"by about ([0-9.]+) px: a second edge", " ".join(texts))
+    assert abs(off) > 4 * sigma and 0.5 < float(told) / abs(off) < 1.5, "it is a linear guess"
+
+
+@pytest.mark.parametrize(("largest", "turns"), [(2.0, 1.0), (2.5, math.pi)])
+def test_the_chance_of_the_largest_of_many_answers(largest: float, turns: float) -> None:
+    """In a plane: of half a turn the largest is a length of Rayleigh's law; of less the bound is close."""
+    whole = chance_of_largest(largest, math.pi) - chance_of_largest(largest, 0.0)
+    assert whole == pytest.approx(math.exp(-(largest**2) / 2)), "Rayleigh's law, of all directions"
+    dice = np.random.default_rng(3)
+    place = np.linspace(0, turns, 200)
+    answers = np.abs(dice.standard_normal((20_000, 2)) @ np.stack([np.cos(place), np.sin(place)])).max(axis=1)
+    share = float(np.mean(answers > largest))
+    bound = chance_of_largest(largest, turns)
+    assert share < bound + 4 * math.sqrt(bound / 20_000)
+    assert share > 0.7 * bound, "the bound is close"
 
 
 def test_the_rendering_error_is_carried_through_the_gauge() -> None:
@@ -989,7 +1034,7 @@ def test_boxes_that_do_not_lie_in_the_image_are_refused(box: Box) -> None:
         measure_region(GrayImage(np.zeros((20, 20))), box)
 
 
-@pytest.mark.parametrize("module", [circle_gauge, straight_gauge, region_gauge, uniformity_gauge])
+@pytest.mark.parametrize("module", [circle_gauge, straight_gauge, region_gauge, second_edge_module, uniformity_gauge])
 def test_examples_run(module: ModuleType) -> None:
     done = doctest.testmod(module)
     assert done.attempted > 0 and done.failed == 0

@@ -10,6 +10,7 @@
     what a pixel sees of a blurred step                 step, bent
     least squares in a strip along the contour          strip
     the same without neighbours, with errors            contour
+    what speaks against the model                       sided, second_edge
     two rims whose blurs run into each other            narrow, ring
     pixels -> lengths                                   scale
     the gauges                                          circle, straight_fit, straight, region, uniformity

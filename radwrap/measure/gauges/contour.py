@@ -23,6 +23,7 @@ from radwrap.measure.edges.correlation import variance_factor
 from radwrap.measure.edges.misfit import beyond_noise, misfit_of
 from radwrap.measure.gauges.response import Light
 from radwrap.measure.gauges.rims import Shape
+from radwrap.measure.gauges.second_edge import moved_by_second_edge
 from radwrap.measure.gauges.sided import has_sides
 from radwrap.measure.gauges.stretches import (
     FEWEST_BLOCKS,
@@ -44,6 +45,7 @@ from radwrap.measure.gauges.strip import (
     any_blur,
     carried,
     influence_of,
+    lit_anew,
     moved_light,
     solved,
     terms_of,
@@ -60,6 +62,7 @@ _REST_SIGMA: Final = 1.0  # standard errors; a last round that moves it by more 
 _SHORT_BLOCK: Final = 3.0  # px, that tells a polygon from a circle
 _FEWEST_PIXELS: Final = 30  # of a side, for its noise
 _MISFIT_SIGMA: Final = 5.0  # so far above what noise makes of the blocks' places the contour is of another shape
+_MOVED: Final = 0.01  # px, by which what lies beside a contour may move it without a warning
 MISFIT: Final = 0.02  # px; a departure from the shape that is less is no matter
 _PROFILE: Final = 0.025  # of the contrast, rms, by which the profile may differ from that of one blurred step
 _EVEN: Final = 0.004  # of the contrast, likewise of what is left on both sides alike
@@ -185,7 +188,9 @@ def _fitted(light: Light, shape: Shape, start: Blur, band: float, aspect: float)
         if not first and still < _STILL:
             break
     _check_seen(1 - left_out)
-    told = _told(shape, light, strip, disc, state, left_out=left_out, sound=sound)
+    farther = _strip(light, shape, parameters, min(blur.radius + 2 * BEYOND, band), aspect, checked=False)
+    wide = _weighted(farther, shape, (parameters, blur), noise)
+    told = _told(shape, light, strip, disc, state, left_out=left_out, sound=sound, wide=wide)
     restless = np.maximum(_REST_SIGMA * np.sqrt(np.diag(told.covariance)), MISFIT * shape.units)
     if (np.abs(parameters - before[0]) > restless).any():
         raise InputError(
@@ -210,8 +215,10 @@ def _both(shape: Shape, strip: Strip, at: tuple[Array, Blur], *, done: float = D
     return disc, any_blur(shape, strip, disc, at[1], done=done)
 
 
-def _strip(light: Light, shape: Shape, parameters: Array, reach: float, aspect: float) -> Strip:
-    """Usable pixels so near to the contour."""
+def _strip(
+    light: Light, shape: Shape, parameters: Array, reach: float, aspect: float, *, checked: bool = True
+) -> Strip:
+    """Usable pixels so near to the contour; that there are enough of them is checked."""
     number = _perhaps_near(light.values.shape, shape, parameters, reach, aspect)
     v, u = np.divmod(number, light.values.shape[1])
     places = np.column_stack([u.astype(np.float64), v * aspect])
@@ -221,7 +228,7 @@ def _strip(light: Light, shape: Shape, parameters: Array, reach: float, aspect: 
     some = near & light.usable.ravel()[number]
     inside = np.min([rim.distance for rim in rims], axis=0) > 0
     for side in (near & inside, near & ~inside):
-        if (some & side).sum() < max(2 * (len(shape.start) + 1), LEAST_CONTOUR * side.sum()):
+        if checked and (some & side).sum() < max(2 * (len(shape.start) + 1), LEAST_CONTOUR * side.sum()):
             raise InputError(
                 "has too few usable pixels on one side of the contour",
                 where="the image",
@@ -295,7 +302,7 @@ def _check_seen(share: float, least: float = LEAST_CONTOUR) -> None:
 
 
 def _told(
-    shape: Shape, light: Light, strip: Strip, disc: State, state: State, *, left_out: float, sound: Flags
+    shape: Shape, light: Light, strip: Strip, disc: State, state: State, *, left_out: float, sound: Flags, wide: Strip
 ) -> Contour:
     """Covariance, influence of each pixel, and what speaks against the model; levels and radius are of one disc."""
     count = len(state.parameters)
@@ -319,6 +326,10 @@ def _told(
     alone = ~with_next(~sound, shape, len(state.rims))
     some = pixels_of(shape, state.rims, alone)
     sided = has_sides(shape, strip, state, some, noise=tested, contrast=abs(high - low))
+    second = 0.0
+    if len(state.rims) == 1:
+        reach = float(np.abs(across).max())
+        second = moved_by_second_edge(shape, *_asked(shape, wide, state, sound), reach=reach, noise=tested)
     return Contour(
         parameters=state.parameters,
         covariance=covariance[:count, :count],
@@ -335,9 +346,19 @@ def _told(
         misfit=misfit,
         beyond_disc=_beyond_disc(disc, state, float(noise.mean())),
         warnings=tuple(
-            _warnings(strip, disc, state, misfit if significant else 0.0, sided=sided, rounded=is_whole(light))
+            _warnings(
+                strip, disc, state, misfit if significant else 0.0, sided=sided, second=second, rounded=is_whole(light)
+            )
         ),
     )
+
+
+def _asked(shape: Shape, wide: Strip, state: State, sound: Flags) -> tuple[Strip, State]:
+    """Pixels also farther away, of stretches that show the contour there too and lie beside no others."""
+    keep, _, farther = kept_of(shape, lit_anew(shape, wide, state))
+    alone = ~with_next(~(sound & farther), shape, len(state.rims))
+    some = wide.only(keep & alone[blocks_of(shape, shape.rims(state.parameters, wide.places))[0]])
+    return some, lit_anew(shape, some, state)
 
 
 def _beyond_disc(disc: State, state: State, noise: float) -> float:
@@ -416,7 +437,9 @@ def _by_shift(shape: Shape, strip: Strip, state: State) -> Array:
     return np.choose(state.nearest, found)
 
 
-def _warnings(strip: Strip, disc: State, state: State, misfit: float, *, sided: bool, rounded: bool) -> Iterator[str]:
+def _warnings(
+    strip: Strip, disc: State, state: State, misfit: float, *, sided: bool, second: float, rounded: bool
+) -> Iterator[str]:
     low, high = _levels(strip, disc)
     contrast = max(abs(high - low), 1e-300)
     off = _profile(strip, disc) / contrast
@@ -434,6 +457,11 @@ def _warnings(strip: Strip, disc: State, state: State, misfit: float, *, sided: 
         yield (
             "the blur differs from one side of the contour to the other, by more than chance: coma, a second edge, a "
             "fringe or a clipped side moves the contour by more than is stated"
+        )
+    elif second > _MOVED:
+        yield (
+            f"beside the contour light changes by a step and not by a slope, which moves the contour by about "
+            f"{second:.2g} px: a second edge lies there; narrow the band to one of them"
         )
     if misfit > MISFIT:
         yield f"the contour departs from the shape by {misfit:.2g} px rms beyond noise: it is of another one"

@@ -330,3 +330,8 @@ def _state(shape: Shape, strip: Strip, parameters: Array, blur: Blur, levels: Ar
 def carried(shape: Shape, strip: Strip, state: State) -> State:
     """The same parameters, blur and levels, and what they leave of other pixels."""
     return _state(shape, strip, state.parameters, state.blur, state.levels)
+
+
+def lit_anew(shape: Shape, strip: Strip, state: State) -> State:
+    """The same parameters and blur, and the levels that suit other pixels best."""
+    return _state(shape, strip, state.parameters, state.blur)
