@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.imaging.optics.smooth import SmoothField
-from radwrap.imaging.optics.view import View, trace_rays
+from radwrap.imaging.optics.view import View, known_or_traced
 from radwrap.imaging.response.sensor import unclipped_gray
 from radwrap.manifest import ONLY_WHERE_USED
 from radwrap.scene.camera import Sensor
@@ -140,20 +140,8 @@ class Sampler:
     def _known_or_traced(self, view: View, rows: Array, columns: Array, *, with_depth: bool) -> tuple[Array, Array]:
         cell = self._plan.cell
         u, v = (self._first[1] + columns) * cell - 0.5, (self._first[0] + rows) * cell - 0.5
-        known = self._smooth
-        if known is None:
-            return self._traced(view, u, v, with_depth=with_depth)
-        smooth = known.holds(u, v)
-        rest = ~smooth
-        found, depth = known.at(u[smooth], v[smooth])
-        values, magnification = np.empty((*found.shape[:-1], len(u))), np.empty(len(u))
-        values[..., smooth], magnification[smooth] = found, depth
-        if rest.any():
-            values[..., rest], magnification[rest] = self._traced(view, u[rest], v[rest], with_depth=with_depth)
-        return values, magnification
+        return known_or_traced(view, self._smooth, u, v, traced=self._count, with_depth=with_depth)
 
-    def _traced(self, view: View, u: Array, v: Array, *, with_depth: bool) -> tuple[Array, Array]:
-        answer = trace_rays(view, None, u, v, with_depth=with_depth)
-        self.rays += len(u)
-        self._progress(len(u))
-        return answer
+    def _count(self, rays: int) -> None:
+        self.rays += rays
+        self._progress(rays)

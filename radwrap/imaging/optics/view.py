@@ -342,6 +342,41 @@ def trace_rays(
     return np.concatenate([value for value, _ in answers], axis=-1), np.concatenate([m for _, m in answers])
 
 
+def known_or_traced(
+    view: View,
+    known: SmoothField | None,
+    u: NDArray[np.float64],
+    v: NDArray[np.float64],
+    *,
+    traced: Callable[[int], object],
+    with_depth: bool = False,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """As `trace_rays` of central rays, but what is known of smooth blocks is not traced.
+
+    Parameters
+    ----------
+    view, u, v, with_depth
+        As there.
+    known : SmoothField, optional
+        Of the view's light.
+    traced : callable
+        Is told how many rays were traced.
+    """
+    if known is None:
+        answer = trace_rays(view, None, u, v, with_depth=with_depth)
+        traced(len(u))
+        return answer
+    smooth = known.holds(u, v)
+    rest = ~smooth
+    found, depth = known.at(u[smooth], v[smooth])
+    values, magnification = np.empty((*found.shape[:-1], len(u))), np.empty(len(u))
+    values[..., smooth], magnification[smooth] = found, depth
+    if rest.any():
+        values[..., rest], magnification[rest] = trace_rays(view, None, u[rest], v[rest], with_depth=with_depth)
+        traced(int(rest.sum()))
+    return values, magnification
+
+
 def _trace_part(
     view: View,
     opening: NDArray[np.float64] | None,

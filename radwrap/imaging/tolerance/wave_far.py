@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.imaging.methods.kernel import fast_length
-from radwrap.imaging.optics.view import View, trace_rays
+from radwrap.imaging.optics.view import View, known_or_traced
 from radwrap.imaging.optics.waves import rim
-from radwrap.imaging.tolerance.wave_plan import BLOCKS, FEWEST_BLOCK, WavePlan, bare
+from radwrap.imaging.tolerance.wave_plan import BLOCKS, FEWEST_BLOCK, WavePlan, bare, known_to
 from radwrap.random_streams import Rendering, generator
 from radwrap.scene.camera import Aperture, Sensor
 
@@ -74,29 +74,11 @@ def _from_ring(
     v, u = (np.concatenate(places, axis=1) - margin) * block - 0.5
     owner = np.concatenate(owners)
     kernel = _kernel(plan, coarse)
-    light = _known_or_traced(view, plan, _with_noise(view, coarse.share(plan), kernel), (u, v), progress)
+    tracing = _with_noise(view, coarse.share(plan), kernel)
+    light, _ = known_or_traced(tracing, known_to(view, plan), u, v, traced=progress)
     rays = np.bincount(owner, minlength=rows * columns)
     values = np.stack([np.bincount(owner, one, rows * columns) / rays for one in light.reshape(-1, len(u))])
     return np.stack([_correlated(one, kernel) for one in values.reshape(-1, rows, columns)])
-
-
-def _known_or_traced(
-    view: View, plan: WavePlan, tracing: View, places: tuple[Array, Array], progress: Callable[[int], None]
-) -> Array:
-    """Light at places (u, v) [px], of which that in smooth blocks is known, shape (sources, n) or (n,)."""
-    known = None if plan.kernel.grid.even else view.smooth
-    if known is None:
-        progress(len(places[0]))
-        return trace_rays(tracing, None, *places)[0]
-    smooth = known.holds(*places)
-    rest = tuple(one[~smooth] for one in places)
-    found = known.at(*(one[smooth] for one in places))[0]
-    light = np.empty((*found.shape[:-1], len(smooth)))
-    light[..., smooth] = found
-    if len(rest[0]):
-        light[..., ~smooth] = trace_rays(tracing, None, *rest)[0]
-    progress(len(rest[0]))
-    return light
 
 
 def far_view(view: View, plan: WavePlan) -> View:

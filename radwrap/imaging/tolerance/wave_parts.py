@@ -26,7 +26,7 @@ from radwrap.imaging.optics.lens_field import MIXED_SHARE, Place
 from radwrap.imaging.optics.view import View
 from radwrap.imaging.tolerance.wave_behind import ByLayer, Layout
 from radwrap.imaging.tolerance.wave_far import far_change, far_light
-from radwrap.imaging.tolerance.wave_plan import WavePlan, bare
+from radwrap.imaging.tolerance.wave_plan import WavePlan, bare, known_to
 from radwrap.kept import Kept, of_kept
 from radwrap.random_streams import Rendering
 
@@ -237,7 +237,7 @@ def _central(
     like: CentralImage | None = None,
 ) -> CentralImage:
     """The central image in a view's light, of which smooth blocks are known; parameters as of `central_image`."""
-    smooth = None if plan.kernel.grid.even else view.smooth
+    smooth = known_to(view, plan)
     return central_image(bare(view), plan.kernel.grid, cells, seed=seed, progress=progress, like=like, smooth=smooth)
 
 

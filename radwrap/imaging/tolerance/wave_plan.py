@@ -317,3 +317,8 @@ def _less_rays(*waves: Waves) -> tuple[tuple[float, Waves], ...]:
 def bare(view: View) -> View:
     """The view without blocks that are known to be smooth: beyond the image's edge none are."""
     return replace(view, smooth=None, prover=None)
+
+
+def known_to(view: View, plan: WavePlan) -> SmoothField | None:
+    """What a view knows of its smooth blocks; nothing where no light may decide where rays go."""
+    return None if plan.kernel.grid.even else view.smooth
