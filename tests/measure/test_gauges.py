@@ -1087,9 +1087,10 @@ def test_a_fit_of_a_sharp_rim_ends_once_its_blur_shows_no_longer(monkeypatch: py
     rounds = []
     whole = contour._strip
 
-    def counted(*arguments: Any) -> Any:
-        rounds.append(arguments)
-        return whole(*arguments)
+    def counted(*arguments: Any, checked: bool = True) -> Any:
+        if checked:  # the last one, which looks farther, is not that of a round
+            rounds.append(arguments)
+        return whole(*arguments, checked=checked)
 
     monkeypatch.setattr(contour, "_strip", counted)
     v, u = np.indices((150, 150))
