@@ -18,7 +18,7 @@ from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.tolerance.survey import survey, with_smooth_blocks
 from radwrap.imaging.tolerance.wave_image import visible_gray
 from radwrap.imaging.tolerance.wave_parts import wave_cells, wave_parts
-from radwrap.imaging.tolerance.wave_plan import plan_waves
+from radwrap.imaging.tolerance.wave_plan import known_to, plan_waves
 from radwrap.imaging.tracing import laid_out
 from radwrap.scene.scene import Scene
 from tests.imaging.test_smooth_blocks import LENS
@@ -82,6 +82,9 @@ def test_no_ray_goes_where_nothing_changes_but_smoothly() -> None:
         for one in (seen, replace(seen, smooth=None)):
             plan = plan_waves(one, 550e-9, 0.5, 0)
             parts.append(wave_parts(one, [(one, plan)], 2, progress=lambda _: None))
+        # Of images that are compared no light decides where rays go.
+        even = plan_waves(seen, 550e-9, 0.5, 0, even_cell=0.5)
+        assert even.smooth is None and known_to(seen, even) is None and known_to(seen, plan) is seen.smooth
         sensor = view.camera.sensor
         v, u = np.indices((sensor.rows, sensor.columns), dtype=np.float64)
         light = trace_rays(view, None, u.ravel(), v.ravel())[0].reshape(v.shape)
