@@ -35,7 +35,7 @@ from radwrap.imaging.forecast.rehearsal import (
 from radwrap.imaging.forecast.wave_rehearsal import rehearsed_waves
 from radwrap.imaging.mean_radiance import fixed_method, viewpoint_plan
 from radwrap.imaging.methods.kernel import KernelPlan
-from radwrap.imaging.methods.smooth_blocks import in_other_light
+from radwrap.imaging.methods.smooth_blocks import with_known
 from radwrap.imaging.methods.viewpoints import ViewpointPlan
 from radwrap.imaging.optics.view import View
 from radwrap.imaging.output.image_files import write_images
@@ -215,7 +215,7 @@ class Stage:
         names = shining(self.traced.scene, self.traced.prepared, "basis")
         first = self.traced.views_of(names)[0]
         if (smooth := work.view.smooth) is not None:
-            first = replace(first, view=replace(first.view, smooth=in_other_light(smooth, first.view)))
+            first = with_known(first, smooth)
         seconds = rehearsed_basis(work, plan, replicates, first)
         if waves is not None:
             seconds += rehearsed_waves(work.view, *waves, 1, lit=first).seconds

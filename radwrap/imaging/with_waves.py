@@ -18,7 +18,7 @@ from radwrap.imaging.forecast.wave_change import MOST_RAYS
 from radwrap.imaging.mean_radiance import Made, fixed_method
 from radwrap.imaging.methods.kernel import TooDeep
 from radwrap.imaging.methods.pieces import run_jobs
-from radwrap.imaging.methods.smooth_blocks import in_other_light
+from radwrap.imaging.methods.smooth_blocks import with_known
 from radwrap.imaging.optics.diffraction import Light, light_of_all, wavelength_of
 from radwrap.imaging.optics.smooth import SmoothField
 from radwrap.imaging.optics.view import trace_rays
@@ -322,8 +322,7 @@ def _with_smooth(lights: tuple[Light, ...], smooth: SmoothField | None) -> tuple
     """Lights whose views know which blocks are smooth, each as it sees them."""
     if smooth is None or len(lights) == 1:  # one is the light of all
         return tuple(replace(light, view=replace(light.view, smooth=smooth)) for light in lights)
-    seen = [in_other_light(smooth, light.view) for light in lights]
-    return tuple(replace(light, view=replace(light.view, smooth=one)) for light, one in zip(lights, seen, strict=True))
+    return tuple(with_known(light, smooth) for light in lights)
 
 
 def _to_tolerance(image: _Image, waves: _Waves, pace: Pace) -> _Added:

@@ -39,7 +39,7 @@ def rehearsed_waves(
         rays[0] += sum(counted)
         deciding += clock.lap()
         counted.clear()
-        cells = replace(decided[tile], samples=plan.samples or samples_of_all(plan, decided))
+        cells = replace(decided[tile], samples=samples_of_all(plan, decided))
         for _ in wave_tile(
             traced, plans, (tile, 0), cells, counted.append, transforms=kept_transforms(), of_all=of_all
         ):

@@ -10,17 +10,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from radwrap.imaging.optics.diffraction import Light
 from radwrap.imaging.optics.smooth import BLOCK, SmoothField, corners_of, most_about
-from radwrap.imaging.optics.view import View, central_rays, trace_rays
+from radwrap.imaging.optics.view import LitView, View, central_rays, trace_rays
 from radwrap.imaging.response.sensor import unclipped_gray
 from radwrap.tracers.engine import BlockLight
 
 Array = NDArray[np.float64]
+_Lit = TypeVar("_Lit", Light, LitView)
 
 # Values between corners may be off in the middle by so much of the tolerance.
 _ERROR_SHARE: Final = 0.05
@@ -79,6 +81,11 @@ def in_other_light(field: SmoothField, view: View) -> SmoothField:
     finer = None if field.finer is None else in_other_light(field.finer, view)
     rays += 0 if finer is None else finer.rays
     return replace(field, values=values, magnification=magnification, rays=rays, finer=finer)
+
+
+def with_known(lit: _Lit, field: SmoothField) -> _Lit:
+    """Light whose view knows the same blocks, as it sees them."""
+    return replace(lit, view=replace(lit.view, smooth=in_other_light(field, lit.view)))
 
 
 def retraced(view: View, values: Array, places: tuple[Array, Array], doublings: NDArray[np.int8]) -> int:

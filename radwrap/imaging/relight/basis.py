@@ -27,7 +27,7 @@ from radwrap.imaging.methods.hybrid import HybridPlan, corrected, corrections
 from radwrap.imaging.methods.kernel import Gathered, KernelPlan, gathered_tile, lattice
 from radwrap.imaging.methods.pieces import log_call, remove_strangers, run_jobs
 from radwrap.imaging.methods.rays import RaysPlan, TracedTile, traced_tile
-from radwrap.imaging.methods.smooth_blocks import in_other_light
+from radwrap.imaging.methods.smooth_blocks import with_known
 from radwrap.imaging.optics.diffraction import Light
 from radwrap.imaging.optics.view import LitView
 from radwrap.imaging.relight.basis_pieces import BasisPieces
@@ -342,7 +342,7 @@ def write_basis(
     smooth = outcome.smooth
     if smooth is not None:
         work = replace(work, view=replace(work.view, smooth=smooth))
-        views = [replace(lit, view=replace(lit.view, smooth=in_other_light(smooth, lit.view))) for lit in views]
+        views = [with_known(lit, smooth) for lit in views]
     maker = _maker(work, tuple(views), outcome, waves, lights)
     make_folder(maker.pieces.folder)
     ours = {maker.pieces.path(kind, number).name for kind in maker.kinds() for number in range(len(views))}
@@ -404,10 +404,7 @@ def _maker(
         seen = views
         if waves.smooth is not None and waves.smooth is not work.view.smooth:  # the image was made anew since
             work = replace(work, view=replace(work.view, smooth=waves.smooth))
-            known = (in_other_light(waves.smooth, lit.view) for lit in views)
-            seen = tuple(
-                replace(lit, view=replace(lit.view, smooth=one)) for lit, one in zip(views, known, strict=True)
-            )
+            seen = tuple(with_known(lit, waves.smooth) for lit in views)
         of_waves = BasisWaves(work, waves, pieces, seen, len(outcome.replicates.images), lights, plans)
     return _Maker(work, outcome, sample, pieces, of_waves)
 

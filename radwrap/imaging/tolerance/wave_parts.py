@@ -118,7 +118,7 @@ def wave_parts(
         decided[tile] = wave_cells(replace(view, workers=1), plan, tile, count)
 
     run([partial(decide, tile) for tile in tiles])
-    samples = plan.samples or samples_of_all(plan, decided)
+    samples = samples_of_all(plan, decided)
     transforms = kept_transforms()
 
     def trace(tile: int) -> None:
@@ -150,8 +150,8 @@ def wave_cells(view: View, plan: WavePlan, tile: int, progress: Callable[[int], 
 
 def samples_of_all(plan: WavePlan, decided: Mapping[int, Cells]) -> int:
     """Rays along a side of each cell that differs much, the same for all tiles; what is known of some, by number."""
-    if plan.kernel.grid.even:
-        return 1
+    if plan.samples is not None or plan.kernel.grid.even:
+        return plan.samples or 1
     places = [
         (cells, plan.kernel.tiles[tile]) for tile, cells in sorted(decided.items())
     ]  # the same sum, whatever the workers
@@ -196,10 +196,13 @@ def wave_tile(
     plan = plans[0]
     kernel = plan.kernel
     key = (plan.seed, Rendering.WAVE_RAYS, replicate, tile)
-    like = None
-    if of_all is not None and kernel.grid.with_depth:
-        like = _central(of_all, plan, cells, seed=key, progress=progress)
-    central = _central(view, plan, cells, seed=key, progress=progress, like=like)
+
+    def seen_by(view: View, like: CentralImage | None = None) -> CentralImage:
+        smooth = known_to(view, plan)
+        return central_image(bare(view), kernel.grid, cells, seed=key, progress=progress, like=like, smooth=smooth)
+
+    like = seen_by(of_all) if of_all is not None and kernel.grid.with_depth else None
+    central = seen_by(view, like)
     summed = central if central.values.ndim == 2 else replace(central, values=central.values.sum(axis=0))
     coarser = coarsened(central, coarsened(like or summed))
     place, cell = kernel.tiles[tile], kernel.grid.cell
@@ -225,20 +228,6 @@ def wave_tile(
         )
         off = of_cells + OF_HIDING * (found - seen_only)
         yield found, off + np.copysign(of_field, off)
-
-
-def _central(
-    view: View,
-    plan: WavePlan,
-    cells: Cells,
-    *,
-    seed: tuple[int, ...],
-    progress: Callable[[int], None],
-    like: CentralImage | None = None,
-) -> CentralImage:
-    """The central image in a view's light, of which smooth blocks are known; parameters as of `central_image`."""
-    smooth = known_to(view, plan)
-    return central_image(bare(view), plan.kernel.grid, cells, seed=seed, progress=progress, like=like, smooth=smooth)
 
 
 def kept_transforms() -> Kept:
