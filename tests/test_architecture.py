@@ -500,6 +500,16 @@ def test_a_command_that_begins_waits_for_no_library_that_it_may_not_need() -> No
     assert done.stdout.strip() == "[]"
 
 
+def test_the_page_is_asked_for_before_what_makes_its_pictures_is_loaded() -> None:
+    """The server tells the renderer what to trace first, and loads the rest while that works."""
+    code = (
+        "import sys, radwrap.cli.face, radwrap.face.serve, radwrap.face.recipe;"
+        "print([m for m in ('synthesis', 'relight.relit', 'page.one_file') if f'radwrap.imaging.{m}' in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
 def test_a_small_image_with_diffraction_waits_for_scipy_no_more_than_one_without(tmp_path: Path) -> None:
     """It takes a sixth of such a render to load."""
     scene = PACKAGE.parent / "rad_scenes" / "bench_board" / "scene.toml"

@@ -18,10 +18,7 @@ from radwrap.cli.led_device import add_device, add_light, ring_of
 from radwrap.errors import InputError, ToleranceNotMet
 from radwrap.extras import require
 from radwrap.files import make_folder
-from radwrap.imaging.page.one_file import one_file
-from radwrap.imaging.relight.relit import read_basis
 from radwrap.imaging.render_options import RenderOptions
-from radwrap.imaging.synthesis import render
 from radwrap.scene.colour_planes import refuse_mosaic
 from radwrap.scene.instants import refuse_time
 from radwrap.scene.scene import Scene
@@ -77,11 +74,14 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.export is not None:
         return _export(arguments, scene, options)
     require("face", "face")
-    from radwrap.face.matters import study_told
     from radwrap.face.recipe import Recipe
     from radwrap.face.serve import serve
 
-    study = None if arguments.study is None else study_told(arguments.study)
+    study = None
+    if arguments.study is not None:
+        from radwrap.face.matters import study_told
+
+        study = study_told(arguments.study)
     browser = None if arguments.no_browser or not _has_screen() else _open
     recipe = Recipe(_words(arguments), arguments.scene, shared.overrides_of(arguments), _unusual(options))
     ring = None
@@ -141,6 +141,11 @@ def _confirm(arguments: argparse.Namespace, scene: Scene) -> None:
 
 def _export(arguments: argparse.Namespace, scene: Scene, options: dict[str, Any]) -> int:
     """Render, and write the page as one file."""
+    # Here, as the page itself waits for none of it.
+    from radwrap.imaging.page.one_file import one_file
+    from radwrap.imaging.relight.relit import read_basis
+    from radwrap.imaging.synthesis import render
+
     path = shared.file_to_write(arguments.export, "--export", ".html", others=(arguments.scene,))
     with tempfile.TemporaryDirectory(prefix="radwrap-") as folder:
         made = render(scene, folder, basis=True, progress=True, **options)

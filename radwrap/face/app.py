@@ -40,7 +40,8 @@ if TYPE_CHECKING:
     from radwrap.face.measuring import Measured
 
 _BLOCK: Final = 1 << 20  # byte; a client that reads slowly makes us hold no more than a few
-_LOOK: Final = 0.1  # s between looks at how far a trace is
+_LOOK: Final = 0.02  # s between looks at whether there is another picture
+_STEP: Final = 0.1  # s between words on how far a trace is
 _LONGEST_WATCH: Final = 1.0  # s
 _GRACE: Final = 2.0  # s for a page that is loaded again
 MOST_PLANES: Final = 512 << 20  # byte; a page with more of them leaves mixing to the server
@@ -146,10 +147,11 @@ class _Answers:
         known = told.get("done"), told.get("basis", self._basis)
         self._watchers += 1
         try:
-            end = time.monotonic() + _LONGEST_WATCH
+            begun = time.monotonic()
             while (status := self._session.status).state == "tracing":
                 await asyncio.sleep(_LOOK)
-                if (status.done, self._basis) != known or time.monotonic() > end:
+                waited = time.monotonic() - begun
+                if self._basis != known[1] or (waited > _STEP and status.done != known[0]) or waited > _LONGEST_WATCH:
                     break
                 if await request.is_disconnected():
                     break
@@ -181,7 +183,7 @@ class _Answers:
         return told
 
     def _stop_unwatched(self) -> None:
-        alone = not self._watchers and time.monotonic() - self._watched > _GRACE - _LOOK  # no page has asked since
+        alone = not self._watchers and time.monotonic() - self._watched > _GRACE - _STEP  # no page has asked since
         if alone and self._session.status.state == "tracing":
             self._session.stop()
 
@@ -293,7 +295,7 @@ class _Answers:
             yield _line({"progress": None})
             while not (job.done() and steps.empty()):
                 with suppress(asyncio.TimeoutError):
-                    yield _line({"progress": await asyncio.wait_for(steps.get(), _LOOK)})
+                    yield _line({"progress": await asyncio.wait_for(steps.get(), _STEP)})
                 if await request.is_disconnected():
                     return
             try:

@@ -20,7 +20,6 @@ import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from radwrap.errors import EnvironmentFailure
-from radwrap.face.app import gated
 from radwrap.face.recipe import Recipe
 from radwrap.face.ring import HeldRing, Opened
 from radwrap.face.session import Session
@@ -165,6 +164,8 @@ def serve(
             held = None if ring is None else stack.enter_context(HeldRing(ring))
             session.trace()
             _tell_link(work, f"http://{LOOPBACK}:{at}/#{token}", opened)
+            from radwrap.face.app import gated  # while the renderer works already: it loads what makes pictures
+
             asyncio.run(_served(gated(session, port=at, token=token, ring=held), listener, held))
         finally:
             for number in before:  # one interrupt is enough: the rest is short, and must be whole

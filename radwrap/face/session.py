@@ -11,21 +11,21 @@ import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from radwrap.errors import Cancelled, InputError, RadwrapError
 from radwrap.face.coarse import stages_of
 from radwrap.face.ray_knobs import ray_changes, ray_knobs
 from radwrap.face.recipe import Recipe
 from radwrap.face.renderer import Renderer
-from radwrap.face.traced import Traced
-from radwrap.imaging.output.run_manifest import MANIFEST, read_run_manifest
 from radwrap.imaging.page.turn import Turn, changes_of
-from radwrap.imaging.relight.relit import Relighter, read_basis
 from radwrap.process import Child
 from radwrap.scene.file.load import with_changes
 from radwrap.scene.file.turned import with_levels
 from radwrap.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from radwrap.face.traced import Traced
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,7 +283,7 @@ class Session:
         folder = (self.out or self._work) / name
         try:
             stood = self._traced.number if self._traced is not None and (anew or self._traced.coarse) else 0
-            if (self._traced is None or anew) and not (folder / MANIFEST).exists():  # a finished one is read at once
+            if (self._traced is None or anew) and not _is_finished(folder):  # such a one is read at once
                 stood = self._show_coarse(scene, recipe, trace, stood)
             self._render(scene, self._options, folder)
             place = str(folder) if self.out else name
@@ -338,10 +338,12 @@ class Session:
         return {"document": scene.document, "origin": scene.origin, "folder": folder, "options": dict(options)}
 
     def _read(self, scene: Scene, folder: Path, **more: Any) -> Traced:
-        relighter = Relighter(read_basis(folder))
-        self._number += 1
+        from radwrap.face.traced import read_traced  # loaded while the first picture is traced
+
         more = {"ray_knobs": ray_knobs(scene), "ray_knobs_of_file": self._ray_knobs_of_file, **more}
-        return Traced(self._number, scene, folder, read_run_manifest(folder), relighter, **more)
+        found = read_traced(self._number + 1, scene, folder, **more)
+        self._number += 1
+        return found
 
     def _progressed(self, done: int, of: int) -> None:
         self._status = replace(self._status, done=done, of=of)
@@ -354,3 +356,12 @@ class Session:
         self._renderer.close()
         if self._thread is not None:
             self._thread.join(2.0)
+
+
+def _is_finished(folder: Path) -> bool:
+    """Whether a basis was written whole: there is its manifest."""
+    if not folder.exists():
+        return False
+    from radwrap.imaging.output.run_manifest import MANIFEST
+
+    return (folder / MANIFEST).exists()

@@ -20,11 +20,11 @@ from radwrap.face.layout import seen_at
 from radwrap.face.recipe import Recipe, lines
 from radwrap.imaging.forecast.effects import Effect
 from radwrap.imaging.other_camera import SceneText, basis_in_other_camera, growth_of
-from radwrap.imaging.output.run_manifest import RunManifest
+from radwrap.imaging.output.run_manifest import RunManifest, read_run_manifest
 from radwrap.imaging.page.described import described, told_left_out, told_of, told_thresholds
 from radwrap.imaging.page.thresholds import Thresholds, thresholds
 from radwrap.imaging.page.turn import Turn, changes_of
-from radwrap.imaging.relight.relit import Relighter, Relit
+from radwrap.imaging.relight.relit import Relighter, Relit, read_basis
 from radwrap.imaging.relight.relit_uncertainty import relit_squares
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.tolerance.uncertainty import combined
@@ -212,6 +212,18 @@ class Traced:
             "saturated": level >= basis.sensor.saturation_gray,
             "sees": seen_at(self.scene, column, row),
         }
+
+
+def read_traced(number: int, scene: Scene, folder: Path, **more: Any) -> Traced:
+    """What was traced into a folder; `more` is of `Traced`.
+
+    Raises
+    ------
+    InputError
+        If there is no whole basis.
+    """
+    relighter = Relighter(read_basis(folder))
+    return Traced(number, scene, folder, read_run_manifest(folder), relighter, **more)
 
 
 def _named_files(scene: Scene) -> str | None:
