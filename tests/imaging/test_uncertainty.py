@@ -12,7 +12,7 @@ import radwrap
 from radwrap.images import ExposureImage, read_image
 from radwrap.imaging.response.noise import fixed_pattern, noisy_frame
 from radwrap.imaging.response.sensor import gray_levels
-from radwrap.imaging.tolerance.uncertainty import spread_of, uncertainty
+from radwrap.imaging.tolerance.uncertainty import _EVEN_SHARE, _where_rays_err, spread_of, uncertainty
 from radwrap.scene.camera import Camera, Lens
 from radwrap.scene.tolerances import Tolerances
 from radwrap.validate.closed_forms.aperture import share_beyond
@@ -221,3 +221,14 @@ def test_where_nothing_is_seen_the_whole_image_tells_how_light_is_shared() -> No
     spread = spread_of([np.array([1.0, 0.0, 2.0]), np.array([1.0, 0.0, 0.0])])
     assert spread == pytest.approx([math.sqrt(0.5), math.sqrt(10) / 4, 1.0])
     assert spread_of([np.zeros(1), np.zeros(1)]) == 1.0
+
+
+def test_rays_err_where_gray_levels_change_between_any_two_of_nine_neighbours() -> None:
+    """Pixel by pixel, as the docstring says it; at the frame there are fewer neighbours."""
+    signal = np.random.default_rng(3).random((5, 7))
+    change = np.zeros_like(signal)
+    for row, column in np.ndindex(signal.shape):
+        around = signal[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
+        change[row, column] = np.ptp(around) ** 2
+    share = _EVEN_SHARE * signal**2 / np.mean(signal**2) + (1 - _EVEN_SHARE) * change / change.mean()
+    assert np.allclose(_where_rays_err(signal), share, rtol=1e-12, atol=0)
