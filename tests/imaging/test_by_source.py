@@ -9,6 +9,7 @@ import pytest
 
 pytest.importorskip("numba")
 
+from radwrap.imaging.methods import kernel
 from radwrap.imaging.methods.by_source import gathered_sources
 from radwrap.imaging.methods.central import Cells, central_image
 from radwrap.imaging.methods.direct_gather import gathered_by_source
@@ -34,9 +35,12 @@ def apart(found: Any, wanted: Any) -> float:
     return float(np.abs(found - wanted).max() / np.abs(wanted).max())
 
 
-@pytest.mark.parametrize("depths", [1, 2])
-def test_sums_over_traced_cells_are_sums_over_the_grid(depths: int) -> None:
-    """With a tall box the blur differs over the scene: each cell's light is shared between layers."""
+@pytest.mark.parametrize(("depths", "few"), [(1, True), (2, True), (2, False)])
+def test_sums_over_traced_cells_are_sums_over_the_grid(depths: int, few: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a tall box the blur differs over the scene: each cell's light is shared between layers.
+
+    Of a finer grid only the cells of twice the size may be few enough for sums.
+    """
     with laid_out(scene_of(BOX, camera=LENS), RenderOptions(tracer="compiled")) as traced:
         view = traced.view()
         smooth = smooth_field(view, (4.0, 4.0), 0.5)
@@ -45,6 +49,10 @@ def test_sums_over_traced_cells_are_sums_over_the_grid(depths: int) -> None:
         met, _ = look_at_depths(view, 32, np.random.default_rng(1))
         plan = plan_kernel(seen, met if depths > 1 else met[:1], 0.3)
         assert (len(plan.layers) > 1) == (depths > 1) and small_footprints(plan, 2 * plan.grid.cell)
+        if not few:
+            coarse = small_footprints(plan, 2 * plan.grid.cell)
+            monkeypatch.setattr(kernel, "_FEW_CELLS", max(one.weights.size for one in coarse))
+            assert small_footprints(plan, 2 * plan.grid.cell) and not small_footprints(plan, plan.grid.cell)
         (together,) = traced.views_of(NAMES)
         lit = LitView(NAMES, View(view.camera, together.view.tracer, smooth=in_other_light(smooth, together.view)))
         cells = decide_tile(seen, plan, 0, SEED, uncounted)

@@ -68,7 +68,7 @@ def gathered_sources(
     else:
         with_depth = plan.grid.with_depth
         traced = traced_cells(view, plan.grid, cells, seed=seed, progress=progress, with_depth=with_depth)
-        if traced.values.ndim > 1 and small_footprints(plan, 2 * plan.grid.cell):
+        if traced.values.ndim > 1 and all(small_footprints(plan, times * plan.grid.cell) for times in (1, 2)):
             yield from _by_sums(plan, place, cells, traced, kept)
             return
         each = _by_transforms(plan, place, cells, traced)
