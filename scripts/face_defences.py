@@ -210,7 +210,7 @@ DEFENCES: Final = (
     Defence(
         "stops between renders",
         "face/renderer.py",
-        "        if self._stop.is_set():\n            raise _stopped()\n        self._asked",
+        "        if self._stop.is_set():\n            raise _stopped(again)\n        self._asked",
         "        self._stop.clear()\n        self._asked",
         ("coarse", "between"),
     ),
@@ -218,6 +218,42 @@ DEFENCES: Final = (
         "names that end scripts", "imaging/page/one_file.py", '.replace("<", "\\\\u003c")', "", ("export", "hostile")
     ),
     Defence("exported policy", "imaging/page/one_file.py", "{head}<style>", "<style>", ("export", "own_scripts")),
+    Defence(
+        "trades whose page is gone",
+        "face/app.py",
+        "loop.run_in_executor(None, self._session.end_trade, heard)",
+        "pass",
+        ("trade", "hangs_up"),
+    ),
+    Defence("trades that begin for nobody", "face/session.py", "if unwanted():", "if False:", ("trade", "nobody_else")),
+    Defence(
+        "trades of other tabs",
+        "face/session.py",
+        "if self._measured_for is told:",
+        "if True:",
+        ("trade", "nobody_else"),
+    ),
+    Defence(
+        "several trades at a time",
+        "face/session.py",
+        "free = not tracing and self._measuring.acquire(blocking=False)",
+        "free = not tracing",
+        ("trade", "nobody_else or hangs_up"),
+    ),
+    Defence(
+        "trades that take long",
+        "face/trading.py",
+        "return TradeOptions(longest=found).longest",
+        "return found",
+        ("trade", "no_time"),
+    ),
+    Defence(
+        "trades in the way of a trace",
+        "face/session.py",
+        "        self._end_measuring()\n",
+        "",
+        ("matters", "ends_the_measurement"),
+    ),
 )
 
 
@@ -255,6 +291,8 @@ def _is_seen(defence: Defence) -> bool:
             "-x",
             "-p",
             "no:cacheprovider",
+            "-m",
+            "",
             f"tests/face/test_{file}.py",
             "-k",
             chosen,

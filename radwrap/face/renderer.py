@@ -17,6 +17,7 @@ import signal
 import sys
 import threading
 import time
+import traceback
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict
@@ -98,22 +99,23 @@ class Renderer:
             return self._heard(request, told)
 
     def _heard(self, request: Mapping[str, Any], told: Callable[[Mapping[str, Any]], object]) -> Mapping[str, Any]:
+        again = "measure again" if "what" in request else "trace again"
         if self._stop.is_set():
-            raise _stopped()
+            raise _stopped(again)
         self._asked += 1
         path = self._folder / f"request_{self._asked}.json"
         write_bytes(path, json.dumps(request).encode())
-        child = self._started()
+        child = self._started(again)
         if not child.tell(f"{_RENDER} {path.name}"):
             self.kill()
-            raise _gone()
+            raise _gone(again)
         asked_to_stop = None
         while True:
             line = child.hear(_LISTEN)
             if line is None:
                 if child.ended:
                     self.kill()
-                    raise _gone()
+                    raise _gone(again)
                 if self._stop.is_set():
                     now = time.monotonic()
                     if asked_to_stop is None:
@@ -121,7 +123,7 @@ class Renderer:
                         child.tell(_STOP)
                     elif now - asked_to_stop > OBEYS_WITHIN:
                         self.kill()
-                        raise _stopped()
+                        raise _stopped(again)
                 continue
             answer = json.loads(line) if line.startswith("{") else {}
             if "done" in answer:
@@ -135,7 +137,7 @@ class Renderer:
             if "progress" in answer:
                 told(answer["progress"])
 
-    def _started(self) -> Child:
+    def _started(self, again: str) -> Child:
         if self._child is None or self._child.ended:
             self.kill()
             ahead, self._ahead = self._ahead, None
@@ -143,7 +145,7 @@ class Renderer:
             told = self._child.tell(f"{_FOLDER} {json.dumps(str(self._folder))}")
             if not told or self._child.hear(_START) != "ready":
                 self.kill()
-                raise _gone()
+                raise _gone(again)
         return self._child
 
     @property
@@ -168,12 +170,12 @@ class Renderer:
         self.kill()
 
 
-def _gone() -> EnvironmentFailure:
-    return EnvironmentFailure("ended by itself, or was killed", where="renderer", remedy="trace again")
+def _gone(again: str) -> EnvironmentFailure:
+    return EnvironmentFailure("ended by itself, or was killed", where="renderer", remedy=again)
 
 
-def _stopped() -> Cancelled:
-    return Cancelled("was stopped", where="renderer", remedy="trace again")
+def _stopped(again: str) -> Cancelled:
+    return Cancelled("was stopped", where="renderer", remedy=again)
 
 
 def main() -> int:
@@ -220,6 +222,9 @@ def _answered(warmth: Any, path: Path, ears: _Ears) -> dict[str, Any]:
         return {"kind": "", "error": error.strerror or str(error), "where": str(error.filename or ""), "remedy": ""}
     except MemoryError:
         return {"kind": "", "error": "not enough memory", "where": "renderer", "remedy": "render by fewer pixels"}
+    except Exception as error:  # noqa: BLE001  (the page is told, and what is warm stays)
+        traceback.print_exception(error, file=sys.stderr)
+        return {"kind": "", "error": "this is an error in radwrap itself; please report it", "where": "", "remedy": ""}
     return {"done": True}
 
 

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import shutil
 import threading
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from radwrap.errors import Cancelled, InputError, RadwrapError
 from radwrap.face.coarse import stages_of
@@ -26,6 +27,11 @@ from radwrap.scene.scene import Scene
 
 if TYPE_CHECKING:
     from radwrap.face.traced import Traced
+
+
+_LOOK: Final = 0.02  # s
+# In which a measurement ends whose page has hung up: that is seen, and the renderer obeys or is killed.
+_ENDS_WITHIN: Final = 1.0  # s
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,19 +259,29 @@ class Session:
         factors, changes = turn.factors, changes_of(turn, scene.camera)
         if changes or any(factor != 1.0 for factor in factors):
             scene = with_levels(scene, dict(zip(traced.sources, factors, strict=True)), changes)
-        with self._guard:
-            if unwanted():
-                raise Cancelled("was stopped", where="renderer")
-            tracing = self._thread is not None and self._thread.is_alive()
-            if tracing or not self._measuring.acquire(blocking=False):
-                raise InputError("is under way", where="trace", remedy="wait for its end")
-            self._renderer.begin()
-            self._measured_for = who
+        end = time.monotonic() + _ENDS_WITHIN
+        while not self._begun_beside(who, unwanted, patient=time.monotonic() < end):
+            time.sleep(_LOOK)
         try:
             return measure(self._request(scene, self._options))
         finally:
             self._measured_for = None
             self._measuring.release()
+
+    def _begun_beside(self, who: object, unwanted: Callable[[], bool], *, patient: bool) -> bool:
+        """Whether what is measured has the renderer to itself now; if not, there is a reason to wait a little."""
+        with self._guard:
+            if unwanted():
+                raise Cancelled("was stopped", where="renderer")
+            tracing = self._thread is not None and self._thread.is_alive()
+            free = not tracing and self._measuring.acquire(blocking=False)
+            if free:
+                self._renderer.begin()
+                self._measured_for = who
+            elif tracing or not patient:
+                what = "trace" if tracing else "measurement"
+                raise InputError("is under way", where=what, remedy="wait for its end")
+            return free
 
     def _end_measuring(self) -> None:
         """Effects that are measured hold the process that traces: they are given up for a trace."""

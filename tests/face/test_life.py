@@ -20,7 +20,7 @@ import pytest
 import radwrap
 from radwrap import own_modules
 from radwrap.cli import main as verbs
-from radwrap.face.renderer import Renderer
+from radwrap.face.renderer import Renderer, _answered, _Ears
 from radwrap.files import make_folder
 from radwrap.process import Child
 from tests.cli.conftest import SLOWER, here, inside, scene_with, start, write_scene
@@ -282,6 +282,19 @@ def test_who_was_started_ahead_renders(tmp_path: Path) -> None:
     finally:
         renderer.close()
         ahead.kill()
+
+
+def test_an_error_of_our_own_is_told_as_such(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The page is not left with a renderer that "ended by itself", and the terminal has the place of the fault."""
+
+    class Broken:
+        def render(self, *_: object) -> None:
+            raise ValueError("zip() argument 2 is longer than argument 1")
+
+    (tmp_path / "request.json").write_text("{}")
+    told = _answered(Broken(), tmp_path / "request.json", _Ears())
+    assert told["error"] == "this is an error in radwrap itself; please report it" and told["kind"] == ""
+    assert "ValueError: zip()" in capsys.readouterr().err
 
 
 def test_who_waits_for_a_server_ends_with_it(tmp_path: Path) -> None:

@@ -110,6 +110,59 @@ def test_who_asked_ends_it_and_nobody_else_does(tmp_path: Path, monkeypatch: pyt
     assert asked["longest"] == 5.0 and asked["keeps"] is False and Path(asked["out"]) == tmp_path / "trade"
 
 
+def test_the_next_one_waits_for_the_end_of_one_that_was_stopped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A page that stops a trade and begins another at once is not refused for the first one's last moments."""
+    session = Session(radwrap.scene_from_document(scene_with(TWO)), OPTIONS, work=tmp_path, out=None, recipe=None)
+    begun, may_end, found = threading.Event(), threading.Event(), list[Any]()
+
+    def trades(_: Renderer, request: Mapping[str, Any], told: Callable[[Any], object]) -> Any:
+        del told
+        if request["longest"] == 5.0:
+            begun.set()
+            assert may_end.wait(PATIENCE)
+            raise Cancelled("was stopped", where="renderer")
+        return {"longest": request["longest"]}
+
+    def first() -> None:
+        with pytest.raises(Cancelled):
+            session.trade(traced, _turn(), 5.0, lambda _: None)
+
+    monkeypatch.setattr(Renderer, "trade", trades)
+    traced = _traced(session, wait=False)
+    threads = [
+        threading.Thread(target=first),
+        threading.Thread(target=lambda: found.append(session.trade(traced, _turn(), 7.0, lambda _: None))),
+    ]
+    threads[0].start()
+    try:
+        assert begun.wait(PATIENCE)
+        threads[1].start()
+        threads[1].join(0.1)
+        assert threads[1].is_alive() and not found
+    finally:
+        may_end.set()
+        for thread in threads:
+            thread.join(PATIENCE)
+        session.close()
+    assert found == [{"longest": 7.0}]
+
+
+@pytest.mark.long
+def test_what_a_lost_renderer_ends_is_told_and_goes_on(tmp_path: Path) -> None:
+    with serving(tmp_path, {**TWO, **SLOWER}, "--tolerance", 8) as served:
+        basis = served.ready()["basis"]
+        trade = lines(served, {"basis": basis, "longest": "60 s"})
+        assert next(line for line in trade if line["progress"])["progress"]["what"] == "reference"
+        (renderer,) = (one for one in served.family() if "radwrap.face.renderer" in one.cmdline())
+        renderer.kill()
+        refused = next(line["refused"] for line in trade if "refused" in line)
+        assert refused["text"] == "renderer: ended by itself, or was killed; measure again"
+        assert served.post("/api/turn", {"basis": basis}).status == 200
+        assert first_word(served, basis)["progress"]["what"] == "reference"
+
+
 @pytest.mark.long
 def test_it_is_that_of_the_command_in_the_same_light(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Errors and rays to the last digit; times are of another run."""
