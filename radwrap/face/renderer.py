@@ -131,6 +131,8 @@ class Renderer:
                 return found
             if "error" in answer:
                 kind = _ERRORS.get(answer["kind"], EnvironmentFailure)
+                if kind is Cancelled:
+                    raise _stopped(again)
                 raise kind(answer["error"], where=answer["where"], remedy=answer["remedy"])
             if "lies" in answer:
                 self._warm = Path(answer["lies"])

@@ -160,7 +160,11 @@ def test_what_a_lost_renderer_ends_is_told_and_goes_on(tmp_path: Path) -> None:
         refused = next(line["refused"] for line in trade if "refused" in line)
         assert refused["text"] == "renderer: ended by itself, or was killed; measure again"
         assert served.post("/api/turn", {"basis": basis}).status == 200
-        assert first_word(served, basis)["progress"]["what"] == "reference"
+        trade = lines(served, {"basis": basis, "longest": "60 s"})
+        assert next(line for line in trade if line["progress"])["progress"]["what"] == "reference"
+        assert served.post("/api/trace", {}).status == 200  # it needs the renderer
+        refused = next(line["refused"] for line in trade if "refused" in line)
+        assert refused["text"] == "renderer: was stopped; measure again"
 
 
 @pytest.mark.long

@@ -1,6 +1,6 @@
 // Two pictures beside each other: A, which is kept, and B, which the knobs make.
 
-import { byId, element } from "./dom.js";
+import { byId, element, numberOf } from "./dom.js";
 import { SURE } from "./difference.js";
 import { grayOf, rankOf } from "./response.js";
 import { errorText, percent, shortNumber } from "./units.js";
@@ -101,8 +101,7 @@ export class Comparison {
 
   /** Gray levels at which a difference has the strongest colour. */
   get range() {
-    const told = Number(byId("range", HTMLInputElement).value);
-    return told > 0 ? told : 16;
+    return numberOf("range", (range) => range > 0);
   }
 
   /** Controls and words, as things stand. */

@@ -14,6 +14,30 @@ export function byId(id, kind) {
 }
 
 /**
+ * The number in a field. Where there is none that fits, it is the one before, and the field is marked.
+ * @param {string} id
+ * @param {(value: number) => boolean} fits
+ */
+export function numberOf(id, fits) {
+  const field = byId(id, HTMLInputElement);
+  const value = field.value.trim() === "" ? NaN : Number(field.value);
+  const good = Number.isFinite(value) && fits(value);
+  if (good) {
+    field.dataset.used = field.value;
+    field.removeAttribute("aria-invalid");
+  } else field.setAttribute("aria-invalid", "true");
+  return good ? value : Number(field.dataset.used ?? field.defaultValue);
+}
+
+/** A field that is left shows the number that counts. @param {string} id */
+export function settle(id) {
+  const field = byId(id, HTMLInputElement);
+  if (field.getAttribute("aria-invalid") !== "true") return;
+  field.value = field.dataset.used ?? field.defaultValue;
+  field.removeAttribute("aria-invalid");
+}
+
+/**
  * @template {keyof HTMLElementTagNameMap} K
  * @param {K} name
  * @param {Record<string, string>} attributes

@@ -1,7 +1,7 @@
 // One basis on the page: knobs, picture, readings, and the server's word on each turn once the knobs rest.
 
 import { Comparison } from "./compare.js";
-import { byId, download, element, focusKnob } from "./dom.js";
+import { byId, download, element, focusKnob, numberOf, settle } from "./dom.js";
 import { Field } from "./field.js";
 import { take } from "./handover.js";
 import { KnobPanel } from "./knobs.js";
@@ -63,7 +63,7 @@ export class Explorer {
     const { rows, columns } = described;
     this.field = new Field(() => source.makeWorker(), rows, columns, (picture) => this.show(picture));
     this.respond();
-    byId("title").textContent = described.title;
+    byId("title").textContent = byId("title").title = described.title;
     document.title = `${described.title} - radwrap`;
     this.view = new View(byId("picture"), byId("image", HTMLCanvasElement), byId("marks", HTMLCanvasElement), rows, columns,
       () => this.draw());
@@ -125,7 +125,9 @@ export class Explorer {
   /** The server has gone. */
   lost() {
     this.asking?.abort();
-    if (!this.certified) this.setStale("not measured");
+    this.rayKnobs.back();
+    if (this.certified) this.tellError(this.certified);
+    else this.setStale("not measured");
   }
 
   // ----------------------------------------------------------------------------------------------------------- Turning
@@ -271,15 +273,14 @@ export class Explorer {
   // ----------------------------------------------------------------------------------------------------------- Showing
 
   get look() {
-    const share = Number(byId("share", HTMLInputElement).value) / 100;
+    const [low, high] = this.window;
     return {
-      low: Number(byId("low", HTMLInputElement).value),
-      high: Number(byId("high", HTMLInputElement).value),
+      low, high,
       map: byId("map", HTMLSelectElement).value,
       saturated: byId("saturated", HTMLInputElement).checked,
       dark: byId("dark", HTMLInputElement).checked,
       flips: byId("flips", HTMLInputElement).checked,
-      share: share >= 0.001 && share <= 0.1 ? share : 0.01,
+      share: numberOf("share", (share) => share >= 0.1 && share <= 10) / 100,
     };
   }
 
@@ -291,7 +292,7 @@ export class Explorer {
 
   /** Codes that are shown black and white. @returns {[number, number]} */
   get window() {
-    return [Number(byId("low", HTMLInputElement).value), Number(byId("high", HTMLInputElement).value)];
+    return [numberOf("low", () => true), numberOf("high", () => true)];
   }
 
   /** @param {[number, number]} window */
@@ -382,8 +383,7 @@ export class Explorer {
 
   /** An odd number of pixels. */
   get profileWidth() {
-    const width = Math.round(Number(byId("profilewidth", HTMLInputElement).value));
-    return width >= 1 && width <= 99 ? width - 1 + (width % 2) : 1;
+    return numberOf("profilewidth", (width) => width >= 1 && width <= 99 && width % 2 === 1);
   }
 
   /**
@@ -447,6 +447,7 @@ export class Explorer {
       byId(id).addEventListener("input", () => this.draw(), { signal });
     }
     byId("profilewidth").addEventListener("input", () => this.readings.changed(), { signal });
+    for (const id of ["low", "high", "share", "profilewidth", "range"]) byId(id).addEventListener("change", () => settle(id), { signal });
     document.addEventListener("keydown", (event) => {
       if (!(event.ctrlKey || event.metaKey) || event.target instanceof HTMLInputElement && event.target.type === "text") return;
       if (event.key === "z" || event.key === "y") {

@@ -148,7 +148,7 @@ export class KnobPanel {
       slider: { min: 1, max: 16, step: 1, of: ({ knobs }) => Number(knobs.bit_depth ?? sensor.bit_depth),
         to: (value) => knob("bit_depth", value === sensor.bit_depth ? undefined : String(value)) },
       text: ({ knobs }) => knobs.bit_depth ?? String(sensor.bit_depth),
-      read: (text) => (/^\d+$/.test(text.trim()) ? read("bit_depth", 1, 16)(text) : "bits are a whole number from 1 to 16"),
+      read: (text) => (/^([1-9]|1[0-6])$/.test(text.trim()) ? knob("bit_depth", text.trim()) : "bits are a whole number from 1 to 16"),
       back: () => knob("bit_depth", undefined),
     });
   }

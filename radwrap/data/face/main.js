@@ -25,6 +25,8 @@ function banner(text) {
 const GONE = "The server has gone. Light, exposure and sensor can still be turned, without a new error; "
   + "start radwrap face again and open its new link for more.";
 
+const ANEW = "Another tab has traced the scene anew";
+
 async function begin() {
   const token = takeToken();
   if (!token) {
@@ -62,8 +64,9 @@ async function begin() {
           continue;
         }
         const kept = keptOf(explorer, told.described), a = explorer?.comparison.held ?? null;
+        const asked = !explorer || explorer.described.coarse || server.tracedFrom === explorer.described.basis;
         explorer?.close();
-        banner(null);
+        banner(asked ? null : `${ANEW}: ${kept ? "what needs rays has other values" : "the knobs are at 1 again, of another light"}.`);
         explorer = new Explorer(server, told.described, { state: told.described.coarse ? () => {} : state, banner }, kept, a);
         void explorer.load();
       }
@@ -100,6 +103,7 @@ async function begin() {
         stop.hidden = true;
         explorer?.lost();
         if (!explorer) state("no server", "bad");
+        else if (explorer.described.coarse) state("stopped, coarse", "stale");
       }
       await server.pause(BEAT);
     }

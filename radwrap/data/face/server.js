@@ -35,6 +35,7 @@ export class Server {
     this.token = token;
     this.live = true;
     this.wake = () => {};
+    this.tracedFrom = 0; // the basis that was there when this tab asked for a trace
   }
 
   /**
@@ -59,6 +60,7 @@ export class Server {
    * @param {AbortSignal} [signal]
    */
   async ask(name, told, signal) {
+    if (name === "trace") this.tracedFrom = /** @type {{basis?: number}} */ (told).basis ?? 0;
     return this.send(name, JSON.stringify(told), "application/json", signal);
   }
 

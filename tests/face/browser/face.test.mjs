@@ -249,6 +249,37 @@ test("overlays, histogram and the numbers in the pixels tell one story", async (
   assert.ok((await page.textContent("#kept")).includes("tolerance 0.5"));
 });
 
+test("a number that a field does not take is marked, counts for nothing, and goes once it is left", async (t) => {
+  const { page } = await loaded(t);
+  const flips = () => page.textContent("#flipsshare");
+  await page.check("#flips");
+  await page.fill("#share", "10");
+  await page.waitForFunction(() => Number.parseFloat(document.getElementById("flipsshare").textContent) > 20);
+  await redrawn(page);
+  const before = await flips();
+  for (const text of ["-1", "0", "1000000000", ""]) {
+    await page.fill("#share", text);
+    assert.equal(await page.getAttribute("#share", "aria-invalid"), "true", text);
+    await redrawn(page);
+    await page.waitForTimeout(120); // what stands beside the picture follows it
+    assert.equal(await flips(), before);
+    await page.press("#share", "Enter");
+    assert.deepEqual([await page.inputValue("#share"), await page.getAttribute("#share", "aria-invalid")], ["10", null]);
+  }
+  await page.focus("#picture");
+  for (const key of ["ArrowRight", "h"]) await page.keyboard.press(key);
+  for (const [id, usual, wrong] of [["profilewidth", "1", ["0", "2", "101", "-3"]], ["low", "0", [""]], ["high", "255", [""]]]) {
+    for (const text of wrong) {
+      await page.fill(`#${id}`, text);
+      await page.waitForSelector(`#${id}[aria-invalid=true]`);
+      await page.press(`#${id}`, "Enter");
+      assert.equal(await page.inputValue(`#${id}`), usual);
+    }
+  }
+  await type(page, "bit_depth", "17");
+  assert.match(await page.textContent("[data-knob=bit_depth]"), /bits are a whole number from 1 to 16/);
+});
+
 test("a region has its statistics, a profile its band and its table", async (t) => {
   const { page } = await loaded(t);
   await page.check("input[value=region]");
@@ -734,6 +765,20 @@ test("the server's end is said, and knobs go on", async (t) => {
   assert.match(await page.textContent("#state"), /not measured/);
 });
 
+test("a trace that ends with its server is not said to go on", async (t) => {
+  const own = await serve("--tolerance", "2");
+  const { page } = await loaded(t, { at: own.link, expected: /ERR_/ });
+  await type(page, "ray:camera.position", "0 mm, 0 mm, 800 mm");
+  await page.waitForFunction(() => /tracing/.test(document.getElementById("state").textContent));
+  own.process.kill("SIGKILL");
+  await page.waitForSelector("#banner:not([hidden])", { timeout: 5000 });
+  assert.match(await page.textContent("#banner"), /server has gone/);
+  assert.doesNotMatch(await page.textContent("#state"), /tracing/);
+  // Fields are those of the picture that is there: the one before, or the coarse one of the new place.
+  const coarse = /coarse/.test(await page.textContent("#kept"));
+  assert.equal(await field(page, "ray:camera.position").inputValue(), `0 mm, 0 mm, ${coarse ? 800 : 790} mm`);
+});
+
 test("a coarse picture comes first, is marked, and hands its knobs on", async (t) => {
   const { page } = await opened(t, { at: "about:blank" }); // the browser is up before the trace begins
   const own = await serve("--tolerance", "0.2", "--out", join(folder, "coarse"));
@@ -780,6 +825,10 @@ test("a trace in the light of the knobs takes their place", async (t) => {
   const { page } = await loaded(t, { at: own.link });
   await page.focus("#picture");
   await page.keyboard.press("a");
+  const other = await page.context().newPage();
+  await other.goto(own.link);
+  await measured(other);
+  await page.bringToFront();
   await type(page, "level:all", "2");
   await measured(page);
   await page.click("#trace");
@@ -787,6 +836,10 @@ test("a trace in the light of the knobs takes their place", async (t) => {
   await page.waitForFunction(() => /basis_2/.test(document.getElementById("command").textContent), undefined, { timeout: PATIENCE });
   await measured(page);
   assert.equal(await field(page, "level:all").inputValue(), "1");
+  // Another tab did not ask for it, and is told.
+  await other.waitForSelector("#banner:not([hidden])", { state: "attached" });
+  assert.match(await other.textContent("#banner"), /Another tab has traced the scene anew/);
+  assert.ok(await page.isHidden("#banner"));
   // A stays, to be compared with; its knobs were those of another trace.
   await page.focus("#picture");
   await page.keyboard.press("g");
