@@ -143,6 +143,7 @@ export class Explorer {
     this.panel.show(this.history.now);
     this.certified = null;
     this.asking?.abort();
+    if (this.source.live) this.tell.banner(null); // what was refused was of other knobs
     this.setStale("measuring");
     for (const part of [this.measurement, this.photo, this.mattering, this.trading, this.ring]) part.turned();
     this.layout.draw();

@@ -822,14 +822,19 @@ test("a coarse picture comes first, is marked, and hands its knobs on", async (t
 test("a trace in the light of the knobs takes their place", async (t) => {
   const own = await serve("--tolerance", "2");
   t.after(() => own.process.kill("SIGTERM"));
-  const { page } = await loaded(t, { at: own.link });
+  const { page } = await loaded(t, { at: own.link, expected: /422/ });
   await page.focus("#picture");
   await page.keyboard.press("a");
+  await type(page, "level:all", "0");
+  await measured(page);
+  await page.click("#trace");
+  await page.waitForSelector("#banner:has-text('there is no light')");
   const other = await page.context().newPage();
   await other.goto(own.link);
   await measured(other);
   await page.bringToFront();
   await type(page, "level:all", "2");
+  assert.ok(await page.isHidden("#banner")); // what it said was of other knobs
   await measured(page);
   await page.click("#trace");
   // The trace may be over before it is seen to go on.
