@@ -72,11 +72,12 @@ def main(arguments: Sequence[str] | None = None, interrupts: Interrupts | None =
     interrupts : Interrupts, optional
         What heeds the signals already.
     """
+    own = interrupts is not None  # a process of its own, which ends with the command
     if interrupts is None:
         interrupts = Interrupts()
         interrupts.install()
     try:
-        code = _carried_out(sys.argv[1:] if arguments is None else list(arguments), interrupts)
+        code = _carried_out(sys.argv[1:] if arguments is None else list(arguments), interrupts, own)
         sys.stdout.flush()
         return code
     except BaseException as error:  # noqa: BLE001  (each has its exit code)
@@ -85,12 +86,14 @@ def main(arguments: Sequence[str] | None = None, interrupts: Interrupts | None =
         return _failed(error)
 
 
-def _carried_out(given: list[str], interrupts: Interrupts) -> int:
+def _carried_out(given: list[str], interrupts: Interrupts, own: bool) -> int:
     with _started_ahead(given) as ahead:
         try:
             parsed = _parsed(given)
         except SystemExit as end:  # --help and --version, which are told
             return int(end.code or 0)
+        if own:
+            gc.freeze()  # what is loaded stays: to look through it again and again takes 5 % of a small render
         interrupts.begin_work()
         if given[0] in _EXTRA:
             require(_EXTRA[given[0]], given[0])

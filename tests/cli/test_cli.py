@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import fcntl
+import gc
 import json
 import math
 import os
@@ -104,6 +105,22 @@ def test_the_installed_command_answers(tmp_path: Path, capsys: pytest.CaptureFix
     assert files_in(tmp_path).keys() == {"new/scene.toml"}
     for words in ([], ["paint"], ["render"], ["init"], ["schema", "too much"]):
         here(words, capsys).refusal(2)
+
+
+def test_a_command_in_this_process_keeps_no_garbage_from_being_found(capsys: pytest.CaptureFixture[str]) -> None:
+    before = gc.get_freeze_count()
+    here(["schema"], capsys).success()
+    assert gc.get_freeze_count() <= before
+
+
+@pytest.mark.long
+def test_a_process_that_ends_with_its_command_holds_what_it_has_loaded() -> None:
+    code = (
+        "import atexit, gc, sys; sys.argv[1:] = ['schema']; atexit.register(lambda: print(gc.get_freeze_count()));"
+        "from radwrap.cli.program import program; program()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert int(done.stdout.splitlines()[-1]) > 10_000
 
 
 def test_init_writes_a_scene_that_renders(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
