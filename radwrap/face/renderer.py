@@ -190,8 +190,7 @@ def main() -> int:
     from radwrap.face.warmth import Warmth, load_tracer
 
     print("ready", flush=True)
-    if ears.asked.empty():
-        load_tracer()
+    load_tracer()
     gc.freeze()  # what is loaded stays: to look through it took a tenth of the first picture's time
     gc.enable()
     with Warmth() as warmth:
