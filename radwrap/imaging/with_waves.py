@@ -162,12 +162,13 @@ class _Image:
 
     made: Made
     taken: int  # rays beside its own
-    finer: Callable[[], Made]
+    again: Callable[[float], Made]
     may_be_finer: bool = True
 
-    def make_finer(self) -> None:
+    def make_finer(self, tolerance: float) -> None:
+        """Make it to a tolerance of its own [gray level]."""
         self.taken, self.may_be_finer = self.taken + self.made.used.rays, False
-        self.made = self.finer()
+        self.made = self.again(tolerance)
 
     def added(self, plan: WavePlan, parts: WaveParts, waves: _Waves, rays: int) -> tuple[Made, WaveError]:
         """The image with what waves add, which took so many rays more."""
@@ -190,8 +191,8 @@ def _finer(tolerance: float, made: Made, off: WaveError, *, least: float) -> tup
 
     Where one of them is not 1, it is at most `least`: what is made goes by steps.
     """
-    rest = max(max(tolerance - off.tails, 0.0) ** 2 - made.certificate.rms_gray_upper95**2, 0.0)
-    parts = (off.noise.upper, (1 - _OF_CELLS**2) * rest), (off.cells, _OF_CELLS**2 * rest)
+    rest = max(max(tolerance - off.tails, 0.0) ** 2 - made.certificate.rms_gray_upper95**2 - off.lasting, 0.0)
+    parts = (off.noise.upper, (1 - _OF_CELLS**2) * rest), (max(off.cells - off.lasting, 0.0), _OF_CELLS**2 * rest)
     noise, cells = (
         1.0 if found <= most else min(least, max(_FINER, _LESS * math.sqrt(most / found))) for found, most in parts
     )
@@ -297,10 +298,10 @@ def with_waves(
     if not _is_taken(scene, options, made, found):
         return WithWaves(made, found, None)
     more_may_help = options.sampling is None
-    image = _Image(made, found.rays, lambda: again(_LESS * options.gray_tolerance))
+    image = _Image(made, found.rays, again)
     little = _leaves(options.gray_tolerance, made) < _LEAST_LEFT * options.gray_tolerance
     if more_may_help and _is_met(made) and little and not pace.is_spent():
-        image.make_finer()  # whatever waves take then, it would have to be made anew
+        image.make_finer(_LESS * options.gray_tolerance)  # whatever waves take then, it would have to be made anew
     smooth = None if image.made.outcome is None else image.made.outcome.smooth
     work = replace(work, view=replace(work.view, smooth=smooth))
     known = _with_smooth(lights(), smooth)
@@ -344,8 +345,10 @@ def _to_tolerance(image: _Image, waves: _Waves, pace: Pace) -> _Added:
         pace.end()
         if _is_met(whole) or not _is_met(image.made) or not more_may_help or pace.is_spent():
             break
-        if image.may_be_finer and (not tries_left or not _more_rays_may_do(image.made, waves, off)):
-            image.make_finer()
+        if (left_to_all := _square_left(tolerance, waves, off)) <= (_FINER * tolerance) ** 2:
+            break  # no rays make smaller what takes the rest
+        if image.may_be_finer and (not tries_left or not _more_rays_may_do(image.made, waves, off, _LEAST_LEFT)):
+            image.make_finer(min(_LESS * tolerance, _left_to_image(left_to_all, off)))
             parts, rays = waves.kept_or_anew(parts, plan, image.made)
             whole, off = image.added(plan, parts, waves, rays)
         if _is_met(whole) or not _more_rays_may_do(image.made, waves, off):
@@ -456,11 +459,23 @@ def _is_met(made: Made) -> bool:
     return made.outcome is None or made.outcome.met
 
 
-def _more_rays_may_do(made: Made, waves: _Waves, off: WaveError) -> bool:
-    """Whether the image and what its waves are off by anyway would keep what is asked."""
+def _more_rays_may_do(made: Made, waves: _Waves, off: WaveError, share: float = 0.0) -> bool:
+    """Whether the image and what its waves are off by anyway would leave a share of what is asked to rays and cells."""
     known, demand = made.certificate, waves.options.demand
-    lasting = known.rms_gray_upper95 + off.tails + waves.by_bands
+    left = share * waves.options.gray_tolerance
+    lasting = math.hypot(known.rms_gray_upper95, math.sqrt(off.lasting), left) + off.tails + waves.by_bands
     return demand is not None and demand.is_met(lasting, known.p99_gray_upper95)
+
+
+def _square_left(tolerance: float, waves: _Waves, off: WaveError) -> float:
+    """Mean square that what no rays make smaller leaves to the image, and to rays and cells of its waves [gray^2]."""
+    return max(tolerance - off.tails - waves.by_bands, 0.0) ** 2 - off.lasting
+
+
+def _left_to_image(square: float, off: WaveError) -> float:
+    """What the image may be off by where both have so much [gray level]; of waves that take more than half, half."""
+    by_waves = off.noise.upper + off.cells - off.lasting
+    return math.sqrt(square - min(by_waves, square / 2))
 
 
 def _error(plan: WavePlan, parts: WaveParts, made: Array, work: Work) -> WaveError:

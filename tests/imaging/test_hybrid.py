@@ -15,7 +15,15 @@ import radwrap
 from radwrap.imaging.demand import Budget, Demand
 from radwrap.imaging.methods import hybrid
 from radwrap.imaging.methods.depth_steps import cost_of_steps
-from radwrap.imaging.methods.hybrid import HybridPlan, Needs, corrections, pilot, signed_numbers
+from radwrap.imaging.methods.hybrid import (
+    PAIRS,
+    HybridPlan,
+    Needs,
+    _near_steps,
+    corrections,
+    pilot,
+    signed_numbers,
+)
 from radwrap.imaging.methods.kernel import layer_shares, plan_kernel
 from radwrap.imaging.methods.pairs import paired
 from radwrap.imaging.methods.pieces import CALL_LOG
@@ -24,7 +32,7 @@ from radwrap.imaging.optics.footprint import reach_px
 from radwrap.imaging.optics.view import View, trace_rays
 from radwrap.imaging.tolerance.certificate import independent_errors
 from radwrap.imaging.tolerance.corrected_replicates import tile_numbers, trace_plan
-from radwrap.imaging.tolerance.foreseen import seen_by
+from radwrap.imaging.tolerance.foreseen import foresee, seen_by
 from radwrap.imaging.tolerance.planner import Outcome, render_to_tolerance
 from radwrap.imaging.tolerance.replicates import Replicates, Work, discretisation
 from radwrap.imaging.tolerance.survey import met_by, survey
@@ -309,6 +317,18 @@ def test_a_coarse_survey_is_looked_at_more_nearly(monkeypatch: pytest.MonkeyPatc
     middle, reach = seen.camera.principal_point[0], plan.reach_px[0]
     assert columns.min() <= middle - reach + 1 and columns.max() >= middle + reach - 1
     assert columns.min() >= middle - reach - 3 and columns.max() <= middle + reach + 3
+
+
+def test_it_is_foreseen_how_many_pixels_lie_near_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the survey's coarse grid they were several times as many, and rays were taken in their place."""
+    monkeypatch.setattr("radwrap.imaging.tolerance.survey._SURVEY_SIDE", 24)
+    seen = behind_an_edge(rows=24, columns=600)
+    plan = planned(seen)
+    found = foresee(seen, plan, 0)
+    near = sum(int(_near_steps(seen, plan, tile)[0].sum()) for tile in range(len(plan.tiles)))
+    assert found.near == pytest.approx(near, rel=0.1)
+    assert found.asked > 1.5 * near
+    assert found.corrections(plan, plan.aim, 2) > found.asked + near * PAIRS * plan.pair_rays * 0.9
 
 
 def wire(x: Array, y: Array) -> Array:

@@ -6,6 +6,8 @@ import math
 import tomllib
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,15 +15,18 @@ import pytest
 import radwrap
 from radwrap.errors import InputError
 from radwrap.imaging.optics.view import View
-from radwrap.imaging.tolerance.wave_image import visible_gray, wave_error
+from radwrap.imaging.tolerance.bounds import Bounded
+from radwrap.imaging.tolerance.wave_image import WaveError, visible_gray, wave_error
 from radwrap.imaging.tolerance.wave_parts import wave_parts
 from radwrap.imaging.tolerance.wave_plan import by_diameter, plan_waves
+from radwrap.imaging.with_waves import _finer, _left_to_image
 from radwrap.scene.camera import Aperture, Lens
 from radwrap.tracers.tracer import Tracer
 from tests.imaging.planes import Array, Planes, camera
 
 WAVELENGTH, PIXEL, COLUMNS, ROWS = 550e-9, 1e-5, 96, 24
 BENCH = Path(__file__).parents[2] / "rad_scenes" / "bench_board" / "scene.toml"
+CELLS = Path(__file__).parents[2] / "rad_scenes" / "cells"
 LOW, HIGH = 0.2, 1.0
 KEY = "camera.diffraction"
 RIGHT = 0.05  # of what waves change: noise of the rays, and cells of the central image
@@ -141,6 +146,32 @@ def test_a_fine_tolerance_is_met_with_waves() -> None:
     """Cells that did not resolve discs' rims and light from far away kept it from that, whatever the rays."""
     made = radwrap.render(scene_of("on"), options=COMPILED, tolerance=0.1, budget_rays=2e7)
     assert made.met and made.run.rays < 1.5e7
+
+
+def _made(rms: float) -> Any:
+    return SimpleNamespace(certificate=SimpleNamespace(rms_gray_upper95=rms))
+
+
+def test_what_no_ray_makes_smaller_is_left_out_of_what_finer_cells_may_do() -> None:
+    """All the cells' part lasts: cells stay, and rays get what it and the image leave."""
+    off = WaveError(Bounded(0.04, 0.09), 0.25, 0.25, 0.1, 0.0)
+    noise, cells = _finer(1.1, _made(0.6), off, least=0.8)
+    assert cells == 1.0
+    # (1.1 - 0.1)^2 - 0.36 - 0.25 is left; the noise may take three quarters of it.
+    assert noise == 1.0
+    assert _finer(1.1, _made(0.8), off, least=0.8)[0] == pytest.approx(0.8 * math.sqrt(0.75 * 0.11 / 0.09), rel=1e-9)
+    # An image gets what rays and cells of waves leave, and half of all where these take more.
+    assert _left_to_image(0.75, off) == pytest.approx(math.sqrt(0.75 - 0.09))
+    assert _left_to_image(0.1, off) == pytest.approx(math.sqrt(0.05))
+
+
+@pytest.mark.long
+def test_the_image_is_made_finer_where_hiding_keeps_waves_from_a_tolerance() -> None:
+    """Parts before a backlight: cells of waves were made ever finer in vain, with 4e7 rays in all."""
+    scene = radwrap.with_value(radwrap.load_scene(CELLS / "backlight.toml"), "camera.sensor.scale", "1/4")
+    made = radwrap.render(scene, options=COMPILED, tolerance=0.5)
+    assert made.met and made.run.rays < 2e7
+    assert made.manifest["diffraction"]["rays"] < 4e6
 
 
 @pytest.mark.long

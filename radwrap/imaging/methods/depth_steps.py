@@ -71,9 +71,23 @@ def cost_of_steps(
     Magnifications of a lens are small about its plane of focus: their share counts, not what they differ by.
     """
     high, low = _extreme_nearby(magnification, far, np.fmax), _extreme_nearby(magnification, far, np.fmin)
+    return _cost(camera, high, low, _extreme_nearby(gray, far, np.fmax))
+
+
+def cost_of_patches(
+    camera: Camera, magnification: NDArray[np.float64], gray: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """As `cost_of_steps`, of the middles of patches that reach as far, each by a row of what is seen in it."""
+    return _cost(camera, magnification.max(axis=1), magnification.min(axis=1), gray.max(axis=1))
+
+
+def _cost(
+    camera: Camera, high: NDArray[np.float64], low: NDArray[np.float64], brightest: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """What a kernel is off by where magnifications lie between two, by the brightest gray level there."""
     largest = np.maximum(np.abs(high), np.abs(low))
     share = np.divide(high - low, largest, out=np.zeros_like(largest), where=largest > 0)
-    light = _extreme_nearby(gray, far, np.fmax) - camera.sensor.dark_gray
+    light = brightest - camera.sensor.dark_gray
     blur = max(reach_px(camera, 1.0)) * largest
     cost: NDArray[np.float64] = np.minimum(_WIDE_COST, _NARROW_COST * blur) * share * light
     return cost

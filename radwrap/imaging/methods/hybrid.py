@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.imaging.demand import FEWEST, MOST
-from radwrap.imaging.methods.depth_steps import cost_of_steps
+from radwrap.imaging.methods.depth_steps import cost_of_patches, cost_of_steps
 from radwrap.imaging.methods.kernel import KernelPlan
 from radwrap.imaging.methods.pairs import paired
 from radwrap.imaging.methods.rays import (
@@ -289,9 +289,9 @@ def _near_steps(view: View, plan: HybridPlan, tile: int) -> tuple[NDArray[np.boo
     if plan.least < 0:
         return np.ones((r1 - r0, c1 - c0), dtype=bool), 0
     near = _may_be_near(plan, np.arange(r0, r1), np.arange(c0, c1))
-    if not near.any() or plan.seen.cost.shape == (sensor.rows, sensor.columns):
+    if not near.any() or not is_looked_at_nearer(plan):
         return near, 0
-    reach = [math.ceil(far) for far in reach_px(plan.camera, plan.seen.farthest)]
+    reach = _reach(plan)
     rows, columns = np.arange(r0 - reach[1], r1 + reach[1]), np.arange(c0 - reach[0], c1 + reach[0])
     asked = np.flatnonzero(_may_be_near(plan, rows, columns))
     v, u = (grid.ravel()[asked].astype(np.float64) for grid in np.meshgrid(rows, columns, indexing="ij"))
@@ -303,6 +303,29 @@ def _near_steps(view: View, plan: HybridPlan, tile: int) -> tuple[NDArray[np.boo
     nearer = cost_of_steps(plan.camera, magnification, gray, far)
     cut = nearer[reach[1] : len(rows) - reach[1], reach[0] : len(columns) - reach[0]]
     return near & (cut > plan.least), len(asked)
+
+
+def is_looked_at_nearer(plan: HybridPlan) -> bool:
+    """Whether rays of single pixels tell which of them lie near steps: the survey's grid is coarser."""
+    return plan.least >= 0 and plan.seen.cost.shape != (plan.camera.sensor.rows, plan.camera.sensor.columns)
+
+
+def are_near(view: View, plan: HybridPlan, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Which of some pixels anywhere are found near steps where each is looked at, by a ray of each pixel around it."""
+    across, down = _reach(plan)
+    right, below = np.meshgrid(np.arange(-across, across + 1), np.arange(-down, down + 1))
+    u, v = ((at[:, np.newaxis] + around.ravel()).astype(np.float64) for at, around in ((columns, right), (rows, below)))
+    values, magnification = (
+        found.reshape(u.shape) for found in trace_rays(view, None, u.ravel(), v.ravel(), with_depth=True)
+    )
+    gray = gray_levels(values * view.exposure_of_radiance, plan.camera.sensor)
+    near: NDArray[np.bool_] = cost_of_patches(plan.camera, magnification, gray) > plan.least
+    return near
+
+
+def _reach(plan: HybridPlan) -> list[int]:
+    """Columns and rows over which a pixel gathers, at most."""
+    return [math.ceil(far) for far in reach_px(plan.camera, plan.seen.farthest)]
 
 
 def needs(plan: HybridPlan, values: Array, differences: Array, pooled: Callable[[Array], Array]) -> Needs:

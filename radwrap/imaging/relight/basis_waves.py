@@ -138,7 +138,9 @@ class BasisWaves:
             alone = of_all if len(lit.names) == 1 else None
             one, plans = replace(lit.view, workers=1), self._plans(view)
             traced = wave_tile(one, plans, (tile, replicate), cells, count, transforms=transforms, of_all=alone)
-            self.pieces.write(kind, view, np.stack([part.ravel() for parts in traced for part in parts]))
+            self.pieces.write(
+                kind, view, np.stack([part.ravel() for change, off, _ in traced for part in (change, off)])
+            )
 
     @staticmethod
     def _around(replicate: int) -> str:

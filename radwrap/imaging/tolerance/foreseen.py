@@ -6,9 +6,20 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from radwrap.imaging.methods.depth_steps import cost_on_grid
-from radwrap.imaging.methods.hybrid import PAIRS, HybridPlan, Needs, Seen, needs, rays_of, signed_numbers
+from radwrap.imaging.methods.hybrid import (
+    PAIRS,
+    HybridPlan,
+    Needs,
+    Seen,
+    are_near,
+    is_looked_at_nearer,
+    needs,
+    rays_of,
+    signed_numbers,
+)
 from radwrap.imaging.methods.pairs import paired
 from radwrap.imaging.methods.rays import rays_over
 from radwrap.imaging.optics.view import View, trace_rays
@@ -17,6 +28,7 @@ from radwrap.imaging.tolerance.survey import Survey, surveyed_places
 from radwrap.random_streams import Rendering, generator
 
 _PIXELS: Final = 128
+_LOOKED_AT: Final = 1024  # pixels, to tell how many lie near steps of those that the survey's coarse grid names
 
 
 def seen_by(view: View, found: Survey) -> tuple[Seen, int]:
@@ -34,8 +46,9 @@ class Foreseen:
 
     Attributes
     ----------
-    near : float
-        Pixels of the image that get pilot pairs, all and not only those looked at.
+    near, asked : float
+        Pixels of the image that get pilot pairs, and that are asked by a ray whether they need them; all and not only
+        those looked at.
     needs : Needs
         Of those looked at.
     rays : int
@@ -43,6 +56,7 @@ class Foreseen:
     """
 
     near: float
+    asked: float
     needs: Needs
     rays: int
 
@@ -50,10 +64,10 @@ class Foreseen:
         """Rays that pilot and corrections of so many replicates are expected to take, at an aim for each."""
         looked_at = len(self.needs.due)
         if not looked_at:
-            return 0.0
+            return self.asked
         often, pixels = self.near / looked_at, plan.camera.sensor.pixels
         signed = signed_numbers(replace(plan, aim=aim), self.needs, pixels / often)
-        return self.near * (1 + PAIRS * plan.pair_rays) + often * number * rays_of(signed, plan.pair_rays)
+        return self.asked + self.near * PAIRS * plan.pair_rays + often * number * rays_of(signed, plan.pair_rays)
 
 
 def foresee(view: View, plan: HybridPlan, seed: int) -> Foreseen:
@@ -61,9 +75,32 @@ def foresee(view: View, plan: HybridPlan, seed: int) -> Foreseen:
     sensor, cost = view.camera.sensor, plan.seen.cost
     near = np.flatnonzero(cost > plan.least)
     random = generator(seed, Rendering.FORESEEN_PIXELS)
-    drawn = random.choice(near, min(len(near), _PIXELS), replace=False) if len(near) else near
-    u, v = (places[drawn] for places in surveyed_places(sensor))
-    rays = rays_over(view.camera, np.rint(u), np.rint(v), PAIRS, random)
-    values, differences = (found.reshape(len(drawn), PAIRS) for found in paired(view, plan.kernel.layers, *rays))
+    asked = len(near) / cost.size * sensor.pixels
+    if is_looked_at_nearer(plan):
+        rows, columns, looks = _some_near(view, plan, near, random)
+        found_near = asked * len(rows) / max(looks, 1)
+        rows, columns = rows[:_PIXELS], columns[:_PIXELS]
+    else:
+        drawn = random.choice(near, min(len(near), _PIXELS), replace=False) if len(near) else near
+        columns, rows = (np.rint(places[drawn]).astype(np.intp) for places in surveyed_places(sensor))
+        found_near, looks = asked, 0
+    places = rays_over(view.camera, columns.astype(np.float64), rows.astype(np.float64), PAIRS, random)
+    values, differences = (found.reshape(len(rows), PAIRS) for found in paired(view, plan.kernel.layers, *places))
     found = needs(plan, values, differences, lambda each: each)
-    return Foreseen(len(near) / cost.size * sensor.pixels, found, values.size * plan.pair_rays)
+    return Foreseen(found_near, asked, found, looks + values.size * plan.pair_rays)
+
+
+def _some_near(
+    view: View, plan: HybridPlan, near: NDArray[np.intp], random: np.random.Generator
+) -> tuple[NDArray[np.intp], NDArray[np.intp], int]:
+    """Rows and columns of pixels near steps, of some drawn at points of the survey's grid, and how many were."""
+    if not near.size:
+        return near, near, 0
+    sensor, numbers = view.camera.sensor, plan.seen.cost.shape
+    points = np.divmod(random.choice(near, _LOOKED_AT), numbers[1])
+    rows, columns = (
+        np.minimum(((point + random.random(_LOOKED_AT)) * size / number).astype(np.intp), size - 1)
+        for point, size, number in zip(points, (sensor.rows, sensor.columns), numbers, strict=True)
+    )
+    some = are_near(view, plan, rows, columns)
+    return rows[some], columns[some], _LOOKED_AT

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -31,7 +31,9 @@ class WaveError:
     noise : Bounded
         Mean square of what the number of rays adds [gray level^2].
     cells : float
-        Mean square of what the cells' size adds [gray level^2].
+        Mean square of what `WaveParts.cells` adds [gray level^2].
+    lasting : float
+        Mean square of the part of it that finer cells leave [gray level^2].
     tails : float
         What light may change that comes from farther than was looked at, rms [gray level].
     quantile : float
@@ -40,6 +42,7 @@ class WaveError:
 
     noise: Bounded
     cells: float
+    lasting: float
     tails: float
     quantile: float
 
@@ -66,7 +69,8 @@ def wave_error(parts: WaveParts, made: Array, gray: Gray, block: int) -> WaveErr
     scale = math.sqrt(noise.upper / noise.mean) if noise.mean > 0 else 1.0
     size = np.sqrt((samples**2).mean(axis=0)) if len(samples) > 1 else np.abs(samples[0])
     lasting = lasting_wave_error(parts.cells, parts.beyond, made, gray, noise=scale * size)
-    return WaveError(noise, lasting.cells, lasting.tails, lasting.quantile)
+    kept = gray(made + parts.lasting) - gray(made)
+    return replace(lasting, noise=noise, lasting=float((kept**2).mean()))
 
 
 def lasting_wave_error(
@@ -76,7 +80,8 @@ def lasting_wave_error(
     exact = gray(made)
     changed, far = gray(made + cells) - exact, gray(made + beyond) - exact
     quantile = float(np.quantile(noise + np.abs(changed) + np.abs(far), _QUANTILE))
-    return WaveError(NOTHING, float((changed**2).mean()), math.sqrt(float((far**2).mean())), quantile)
+    square = float((changed**2).mean())
+    return WaveError(NOTHING, square, square, math.sqrt(float((far**2).mean())), quantile)
 
 
 def visible_gray(exposure_of_radiance: float, sensor: Sensor) -> Gray:

@@ -55,6 +55,8 @@ class WaveParts:
     cells : ndarray, shape (rows, columns)
         What the cells' size may change of that, where a near thing hides a far one how that is laid out, and of a lens
         whose glass differs over the field how places on a grid are mixed.
+    lasting : ndarray, shape (rows, columns)
+        The part of it that the cells' size does not change.
     beyond : ndarray, shape (rows, columns)
         What light may change that comes from farther than was looked at.
     rays : int
@@ -65,6 +67,7 @@ class WaveParts:
 
     change: Array
     cells: Array
+    lasting: Array
     beyond: Array
     rays: int
     samples: int
@@ -102,7 +105,7 @@ def wave_parts(
     plan = plans[0][1]
     sensor, of_all = plan.kernel.camera.sensor, view if len(plans) > 1 else None
     change = np.zeros((replicates, sensor.rows, sensor.columns))
-    cells = np.zeros((sensor.rows, sensor.columns))
+    cells, lasting = np.zeros((2, sensor.rows, sensor.columns))
     counted, guard = plan.rays, threading.Lock()
 
     def count(rays: int) -> None:
@@ -127,9 +130,10 @@ def wave_parts(
         for replicate, (lit, of_light) in itertools.product(range(replicates), plans):
             one, alike = replace(lit, workers=1), None if of_all is None else replace(of_all, workers=1)
             traced = wave_tile(one, [of_light], (tile, replicate), each, count, transforms=transforms, of_all=alike)
-            for found, of_cells in traced:
+            for found, of_cells, of_hiding in traced:
                 change[replicate, r0:r1, c0:c1] += found
                 cells[r0:r1, c0:c1] += of_cells / replicates
+                lasting[r0:r1, c0:c1] += of_hiding / replicates
 
     run([partial(trace, tile) for tile in tiles])
     beyond = np.zeros((sensor.rows, sensor.columns))
@@ -138,7 +142,7 @@ def wave_parts(
         far, farther = far_change(of_light, around)
         change[replicate] += far
         beyond += farther / replicates
-    return WaveParts(change, cells, beyond, counted, samples)
+    return WaveParts(change, cells, lasting, beyond, counted, samples)
 
 
 def wave_cells(view: View, plan: WavePlan, tile: int, progress: Callable[[int], None]) -> Cells:
@@ -167,7 +171,7 @@ def wave_tile(
     *,
     transforms: Kept,
     of_all: View | None = None,
-) -> Iterator[tuple[Array, Array]]:
+) -> Iterator[tuple[Array, Array, Array]]:
     """Trace a tile, and gather what waves add to each source that the view tells apart.
 
     Parameters
@@ -189,7 +193,7 @@ def wave_tile(
 
     Yields
     ------
-    change, cells : ndarray, shape (rows, columns)
+    change, cells, lasting : ndarray, shape (rows, columns)
         See `WaveParts`; without the light from far away.
     """
     tile, replicate = which
@@ -226,8 +230,9 @@ def wave_tile(
         of_cells = share * (
             _gathered(of_source, coarser, rough_seen, 2 * cell, place, transforms=transforms)[0] - seen_only
         )
-        off = of_cells + OF_HIDING * (found - seen_only)
-        yield found, off + np.copysign(of_field, off)
+        of_hiding = OF_HIDING * (found - seen_only)
+        off = of_cells + of_hiding
+        yield found, off + np.copysign(of_field, off), of_hiding + np.copysign(of_field, of_hiding)
 
 
 def kept_transforms() -> Kept:

@@ -39,6 +39,7 @@ _LEAST_BASE: Final = 2.0  # px
 # that. Where more than that may be left, cells may be of half a pixel though rays blur by less.
 _OFF: Final = 0.25
 _COARSEST: Final = 0.5  # px
+_ABOUT: Final = 0.25  # of a halving: the size is a guess, and the next smaller one takes four times as long
 # The guard band in wave's lengths, at least and at most; light that waves send farther is taken from a coarse image by
 # a law that is off, see `wave_far`.
 _NEAR: Final = 6.0
@@ -262,7 +263,7 @@ def plan_waves(
     if even_cell is None:
         coarsest = plan.grid.cell if share is None else max(plan.grid.cell, _COARSEST)
         wanted = min(coarsest, blur * math.sqrt((share or _OFF) / _OFF))
-        finer = math.ceil(math.log2(plan.grid.cell / max(wanted, FINEST_CELL)))
+        finer = math.ceil(math.log2(plan.grid.cell / max(wanted, FINEST_CELL)) - _ABOUT)
         plan = plan_kernel(bare(view), met, aim, finer)
         # Where light is even rays go on in wide steps, as waves spread what they add.
         wider = max(0, math.floor(math.log2(max(_BASE_SHARE * blur, _LEAST_BASE) / plan.grid.base)))
