@@ -3,11 +3,18 @@
 Light of a place is linear in the levels x. Unevenness is a ratio, which stays where all light is scaled: in y = x t,
 where 1/t is the mean light, the mean is held at 1, and what is left to make small is the variance, a quadratic program,
 or max - min, a linear one (A. Charnes and W. W. Cooper, 1962). Limits of levels and of light stay linear in (y, t).
+
+Where the light may be off, the worst of several images counts. Each has a ratio f/g of its own, and only one mean can
+be held. With r, the worst ratio of the levels so far, the largest of (f - r g)/g' is made small, where g' is g of these
+levels: a program of cones, whose solution has a smaller worst ratio, until there is none (J.-P. Crouzeix, J. A. Ferland
+and S. Schaible, 1985).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final, Literal
 
 import numpy as np
@@ -20,6 +27,7 @@ Array = NDArray[np.float64]
 Measure = Literal["deviation", "extremes"]
 
 _EXACT: Final = 1e-11  # of the solver's gaps; uniformity is asked for to 1e-6
+_GAIN: Final = 1e-9  # of the worst ratio, below which a further program is in vain
 _BROKEN: Final = 1e-9  # of a limit: by so little a place may lie beyond it
 _WORST: Final = 200  # places that are added to a program at a time
 _MOST_ROUNDS: Final = 100
@@ -72,14 +80,19 @@ class EvenLight:
 
 def unevenness(problem: EvenLight, levels: Array, measure: Measure) -> float:
     """Standard deviation over mean, or (max - min)/(max + min), of the cells' light for some levels."""
-    light = problem.cells @ np.append(levels, 1.0)
+    return _ratio(problem, np.append(levels, 1.0), measure)
+
+
+def _ratio(problem: EvenLight, point: Array, measure: Measure) -> float:
+    """The same for (y, t): all light may be scaled."""
+    light = problem.cells @ point
     if measure == "extremes":
         return float((light.max() - light.min()) / (light.max() + light.min()))
     mean = float(problem.weights @ light)
     return float(np.sqrt(problem.weights @ (light - mean) ** 2)) / mean
 
 
-def most_even(problem: EvenLight, measure: Measure) -> Array:
+def most_even(problem: EvenLight, measure: Measure, around: Sequence[EvenLight] = ()) -> Array:
     """The levels of least unevenness; of those that differ by a factor only, the brightest.
 
     Parameters
@@ -88,6 +101,9 @@ def most_even(problem: EvenLight, measure: Measure) -> Array:
         With n sources.
     measure : str
         "deviation": standard deviation over mean; "extremes": (max - min)/(max + min).
+    around : sequence of EvenLight
+        The same in other light, as it may be too: the worst counts, and limits hold in each. Bounds are those of
+        `problem`.
 
     Returns
     -------
@@ -104,19 +120,39 @@ def most_even(problem: EvenLight, measure: Measure) -> Array:
     scale = float(problem.cells.sum(axis=1).mean())  # so that the numbers of the program are near 1
     if not scale > 0:
         raise InputError("no light reaches the region", where="levels")
-    limits = [Limit(limit.light / scale, limit.low / scale, limit.high / scale) for limit in problem.limits]
-    cells = problem.cells / scale
-    bounds = _bounds(problem)
-    used = [np.zeros(len(limit.light), dtype=bool) for limit in limits]
-    for _ in range(_MOST_ROUNDS):
-        rows = [bounds, *(_rows(limit, here) for limit, here in zip(limits, used, strict=True))]
-        point = _solved(cells, problem.weights, np.vstack(rows), measure)
-        broken = [_broken(limit, point) for limit in limits]
-        new = [~here & beyond for here, beyond in zip(used, broken, strict=True)]
-        if not any(one.any() for one in new):
-            return _levels(problem, limits, point)
-        used = [here | more for here, more in zip(used, new, strict=True)]
-    raise EnvironmentFailure("the convex program of the levels did not finish", where="levels")
+    images = [replace(one, cells=one.cells / scale) for one in (problem, *around)]
+    limits = [
+        Limit(limit.light / scale, limit.low / scale, limit.high / scale) for one in images for limit in one.limits
+    ]
+    cuts = _Cuts(_bounds(problem), limits)
+    point = cuts.within(partial(_solved, images[0], measure))
+    for _ in range(_MOST_ROUNDS if around else 0):
+        before = point
+        point = cuts.within(partial(_solved_for_worst, images, measure, before))
+        gain = _worst(images, before, measure) - _worst(images, point, measure)
+        if gain <= _GAIN:
+            return _levels(problem, images, limits, before if gain < 0 else point)
+    return _levels(problem, images, limits, point)
+
+
+class _Cuts:
+    """Rows of bounds, and of those places at which a limit has been broken so far; the others need none."""
+
+    def __init__(self, bounds: Array, limits: Sequence[Limit]) -> None:
+        self._bounds, self._limits = bounds, limits
+        self._used = [np.zeros(len(limit.light), dtype=bool) for limit in limits]
+
+    def within(self, solved: Callable[[Array], Array]) -> Array:
+        """(y, t) of a program of rows, within all limits."""
+        for _ in range(_MOST_ROUNDS):
+            cut = (_rows(limit, here) for limit, here in zip(self._limits, self._used, strict=True))
+            point = solved(np.vstack([self._bounds, *cut]))
+            broken = [_broken(limit, point) for limit in self._limits]
+            new = [~here & beyond for here, beyond in zip(self._used, broken, strict=True)]
+            if not any(one.any() for one in new):
+                return point
+            self._used = [here | more for here, more in zip(self._used, new, strict=True)]
+        raise EnvironmentFailure("the convex program of the levels did not finish", where="levels")
 
 
 def _bounds(problem: EvenLight) -> Array:
@@ -156,25 +192,68 @@ def _broken(limit: Limit, point: Array) -> NDArray[np.bool_]:
     return found & (excess > 0)
 
 
-def _solved(cells: Array, weights: Array, rows: Array, measure: Measure) -> Array:
+def _solved(image: EvenLight, measure: Measure, rows: Array) -> Array:
     """(y, t) of the program: mean 1, rows (y, t) <= 0."""
+    cells, weights = image.cells, image.weights
     mean = weights @ cells
     count = cells.shape[1]
     if measure == "deviation":
-        spread = np.sqrt(weights)[:, np.newaxis] * (cells - mean)
+        spread = _spread(image)
         return _program(2 * spread.T @ spread, np.zeros(count), mean, rows)[:count]
     # Two more variables: the brightest and the darkest cell, with sum 2.
-    more = len(cells)
-    ones, none = np.ones((more, 1)), np.zeros((more, 1))
-    above, below = np.hstack([cells, -ones, none]), np.hstack([-cells, none, ones])
     wide = np.hstack([rows, np.zeros((len(rows), 2))])
     cost = np.append(np.zeros(count), [1.0, -1.0])
     held = np.append(np.zeros(count), [0.5, 0.5])
-    return _program(np.zeros((count + 2, count + 2)), cost, held, np.vstack([wide, above, below]))[:count]
+    return _program(np.zeros((count + 2, count + 2)), cost, held, np.vstack([wide, _ends(cells)]))[:count]
 
 
-def _program(square: Array, cost: Array, held: Array, rows: Array) -> Array:
-    """Minimise z square z/2 + cost z with held z = 1 and rows z <= 0."""
+def _ends(cells: Array) -> Array:
+    """Rows of two more variables, above the brightest cell and below the darkest one."""
+    ones, none = np.ones((len(cells), 1)), np.zeros((len(cells), 1))
+    return np.vstack([np.hstack([cells, -ones, none]), np.hstack([-cells, none, ones])])
+
+
+def _spread(image: EvenLight) -> Array:
+    """The matrix whose product with (y, t) has the standard deviation as its length."""
+    return np.asarray(np.sqrt(image.weights)[:, np.newaxis] * (image.cells - image.weights @ image.cells))
+
+
+def _size(image: EvenLight, point: Array, measure: Measure) -> float:
+    """What unevenness is a share of: mean, or max + min, of the light."""
+    light = image.cells @ point
+    return float(light.max() + light.min()) if measure == "extremes" else float(image.weights @ light)
+
+
+def _worst(images: Sequence[EvenLight], point: Array, measure: Measure) -> float:
+    return max(_ratio(one, point, measure) for one in images)
+
+
+def _solved_for_worst(images: Sequence[EvenLight], measure: Measure, here: Array, rows: Array) -> Array:
+    """(y, t) for which the largest (f - r g)/g' of all images is least, with r and g' of `here`, see the module."""
+    count, ratio = len(here), _worst(images, here, measure)
+    sizes = [_size(one, here, measure) for one in images]
+    ends = 2 * len(images) if measure == "extremes" else 0  # of each image its brightest and its darkest cell
+    wide = [np.hstack([rows, np.zeros((len(rows), 1 + ends))])]
+    cones: list[Array] = []
+    for number, (image, size) in enumerate(zip(images, sizes, strict=True)):
+        if measure == "extremes":
+            place = count + 1 + 2 * number
+            beyond = np.zeros((2 * len(image.cells) + 1, count + 1 + ends))
+            beyond[:-1, [*range(count), place, place + 1]] = _ends(image.cells)
+            beyond[-1, [count, place, place + 1]] = [-size, 1 - ratio, -1 - ratio]
+            wide.append(beyond)
+        else:
+            length = np.linalg.qr(_spread(image), mode="r")
+            first = np.append(ratio * (image.weights @ image.cells), size)
+            cones.append(np.vstack([first, np.hstack([length, np.zeros((len(length), 1))])]))
+    every = np.vstack(wide)
+    held = np.append(images[0].weights @ images[0].cells, np.zeros(1 + ends))
+    cost = np.eye(count + 1 + ends)[count]
+    return _program(np.zeros((len(cost), len(cost))), cost, held, every, cones)[:count]
+
+
+def _program(square: Array, cost: Array, held: Array, rows: Array, lengths: Sequence[Array] = ()) -> Array:
+    """Minimise z square z/2 + cost z with held z = 1, rows z <= 0, and |(L z) behind its first| <= its first number."""
     require("design", "levels")
     import clarabel
     from scipy.sparse import csc_matrix
@@ -185,9 +264,10 @@ def _program(square: Array, cost: Array, held: Array, rows: Array) -> Array:
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = _EXACT
     # Rows of one size: a limit of bright light counts as much as one of a level.
     sizes = np.maximum(np.abs(rows).max(axis=1, keepdims=True), 1e-300)
-    left = csc_matrix(np.vstack([held, rows / sizes]))
-    right = np.append(1.0, np.zeros(len(rows)))
+    left = csc_matrix(np.vstack([held, rows / sizes, *(-one for one in lengths)]))
+    right = np.append(1.0, np.zeros(left.shape[0] - 1))
     cones = [clarabel.ZeroConeT(1), clarabel.NonnegativeConeT(len(rows))]
+    cones += [clarabel.SecondOrderConeT(len(one)) for one in lengths]
     found = clarabel.DefaultSolver(csc_matrix(np.triu(square)), cost, left, right, cones, settings).solve()
     status = str(found.status)
     if "Infeasible" in status:
@@ -197,18 +277,19 @@ def _program(square: Array, cost: Array, held: Array, rows: Array) -> Array:
     return np.asarray(found.x, dtype=np.float64)
 
 
-def _levels(problem: EvenLight, limits: list[Limit], point: Array) -> Array:
+def _levels(problem: EvenLight, images: Sequence[EvenLight], limits: Sequence[Limit], point: Array) -> Array:
     """Levels of (y, t); without light that does not change, t may fall until a limit holds it."""
     y, t = point[:-1].copy(), float(point[-1])
-    if problem.is_timed and not any(parts[:, -2].any() for parts in (problem.cells, *(one.light for one in limits))):
+    every = [*(one.cells for one in images), *(one.light for one in limits)]
+    if problem.is_timed and not any(parts[:, -2].any() for parts in every):
         # No light hangs on the time by itself: the shortest one in which the sources give theirs.
         y[-1] = float((y[:-1] / problem.high[:-1]).max())
     rows = [_bounds(problem), *(_rows(limit, np.ones(len(limit.light), dtype=bool)) for limit in limits)]
-    is_free = not problem.cells[:, -1].any() and not any(limit.light[:, -1].any() for limit in limits)
+    is_free = not any(parts[:, -1].any() for parts in every)
     if is_free or t <= 0:
-        every = np.vstack(rows)
-        held = every[:, -1] < 0
-        t = float((every[held, :-1] @ y / -every[held, -1]).max())
+        together = np.vstack(rows)
+        held = together[:, -1] < 0
+        t = float((together[held, :-1] @ y / -together[held, -1]).max())
     levels: Array = y / t
     if problem.is_timed:
         time = min(max(float(levels[-1]), float(problem.low[-1])), float(problem.high[-1]))

@@ -26,7 +26,7 @@ from radwrap.designing.quantities import (
     quantity_of,
 )
 from radwrap.designing.tables import FEWEST_RENDERS, ConstraintModel, ObjectiveModel, ProblemModel
-from radwrap.designing.worst import MOST, Allowed, read_allowed
+from radwrap.designing.worst import MOST, PERCENT, Allowed, read_allowed
 from radwrap.errors import InputError
 from radwrap.imaging.forecast.cost import check_size
 from radwrap.reading import FileKind, read_text, read_toml
@@ -107,6 +107,11 @@ class Problem:
         measured = tuple(quantity_of(one.name, self.study.responses) for one in self.study.responses)
         return (*measured, *(quantity_of(name, ()) for name in SCENES_OWN))
 
+    @property
+    def solved(self) -> tuple[SearchKey, ...]:
+        """Keys that are solved for on a light basis: levels, and the time."""
+        return (*self.levels, *((self.time,) if self.time is not None else ()))
+
     def with_leds(self, document: Mapping[str, Any]) -> dict[str, Any]:
         """Tables in which rings list every LED, where levels of LEDs are sought."""
         return with_all_leds(document, [path for key in self.levels for path in key.keys])
@@ -117,7 +122,7 @@ class Problem:
 
     def documents(self) -> list[dict[str, Any]]:
         """Tables of the scene with each end or choice of each key, the others as the scene has them."""
-        keys = (*self.keys, *self.levels, *((self.time,) if self.time is not None else ()))
+        keys = (*self.keys, *self.solved)
         return [with_values(self.study, key, key.values(code)) for key in keys for code in key.ends()]
 
 
@@ -317,6 +322,8 @@ def _check_corners(problem: Problem) -> None:
     document = problem.with_leds(problem.study.document)
     for one in problem.allowed:
         where = f"{problem.origin}: tolerances.{one.name}"
+        one.refuse_nothing(document, where)
+        _check_solved(problem, one, document, where)
         for sign in (-1.0, 1.0):
             moved = one.moved(document, sign, where)
             try:
@@ -330,6 +337,17 @@ def _check_corners(problem: Problem) -> None:
             "tolerances",
             where=f"{problem.origin}: budget",
             remedy=f"give {least} or more",
+        )
+
+
+def _check_solved(problem: Problem, one: Allowed, document: Mapping[str, Any], where: str) -> None:
+    """Refuse an amount by which something is off that is solved for: light of the corners then is not in proportion."""
+    solved = {path for key in problem.solved for asked in key.keys for path in expanded(asked, document)}
+    if one.unit != PERCENT and not solved.isdisjoint(one.paths(document)):
+        raise InputError(
+            "is of a value that is solved for",
+            where=f"{where}.by",
+            remedy='give a share of the value, such as "3 %", or its key a step',
         )
 
 

@@ -85,6 +85,8 @@ class LightAim:
         That these name.
     time : Level, optional
         The exposure time, where it is sought too.
+    time_off : tuple of float
+        The shortest and the longest time that tolerances make of it, over the time itself.
     """
 
     levels: tuple[Level, ...]
@@ -92,6 +94,7 @@ class LightAim:
     constraints: tuple[Constraint, ...]
     responses: tuple[Response, ...]
     time: Level | None = None
+    time_off: tuple[float, float] = (1.0, 1.0)
 
     @property
     def sought(self) -> tuple[Level, ...]:
@@ -99,23 +102,23 @@ class LightAim:
         if self.time is None:
             return self.levels
         own = [one for one in self.constraints if one.quantity.name == TIME_OF_EXPOSURE]
-        low = max([self.time.low, *(one.low / self.time.value for one in own)])
-        high = min([self.time.high, *(one.high / self.time.value for one in own)])
+        low = max([self.time.low, *(one.low / self.time.value / self.time_off[0] for one in own)])
+        high = min([self.time.high, *(one.high / self.time.value / self.time_off[1] for one in own)])
         return (*self.levels, replace(self.time, low=low, high=high))
 
     def response(self, name: str) -> Response | None:
         """The response of a name; None of what a scene tells without a ray."""
         return next((one for one in self.responses if one.name == name), None)
 
-    def way(self, sensor: Sensor) -> str:
-        """`CONVEX` where the problem is a convex one in radiant exposure, else `LOCAL`."""
+    def way(self, sensors: Sequence[Sensor]) -> str:
+        """`CONVEX` where the problem is a convex one in radiant exposure for each of some sensors, else `LOCAL`."""
         aimed = self.response(self.objective.quantity.name)
         wanted = aimed is not None and not aimed.repeatability and aimed.user is None and aimed.kind in _MEASURES
         if aimed is None or not wanted or self.objective.is_maximised != (aimed.kind == "uniformity"):
             return LOCAL
-        return CONVEX if all(self._is_linear(one, sensor) for one in self.constraints) else LOCAL
+        return CONVEX if all(self._is_linear(one, sensors) for one in self.constraints) else LOCAL
 
-    def _is_linear(self, constraint: Constraint, sensor: Sensor) -> bool:
+    def _is_linear(self, constraint: Constraint, sensors: Sequence[Sensor]) -> bool:
         name = constraint.quantity.name
         response = self.response(name)
         if response is None:
@@ -124,7 +127,7 @@ class LightAim:
             return False
         if response.kind == "peak_gray":
             return math.isinf(constraint.low)
-        return response.kind in _MEANS and sensor.gamma == 1
+        return response.kind in _MEANS and all(sensor.gamma == 1 for sensor in sensors)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,9 +143,11 @@ class FoundLevels:
     way : str
         `CONVEX` or `LOCAL`.
     value : float
-        Of the objective, of radiant exposure without rounding, in SI.
+        Of the objective, of radiant exposure without rounding, in SI; of the worst case where there are tolerances.
     at_low, at_high : tuple of str
         Key paths of levels that lie at a bound.
+    around : tuple of Mapping of str to float
+        As `factors`, of the basis of each corner of the tolerances.
     """
 
     factors: Mapping[str, float]
@@ -151,6 +156,7 @@ class FoundLevels:
     value: float
     at_low: tuple[str, ...] = ()
     at_high: tuple[str, ...] = ()
+    around: tuple[Mapping[str, float], ...] = ()
 
 
 def levels_of(keys: Sequence[SearchKey], document: Mapping[str, Any], scene: Scene, origin: str) -> tuple[Level, ...]:
@@ -203,41 +209,65 @@ def time_of(key: SearchKey, scene: Scene) -> Level:
     return Level(key.keys[0], (), value, key.span.unit, low / value, high / value)
 
 
-def best_levels(aim: LightAim, basis: Basis, scene: Scene) -> FoundLevels:
+def best_levels(aim: LightAim, basis: Basis, scene: Scene, around: Sequence[tuple[Basis, Scene]] = ()) -> FoundLevels:
     """The best levels that a basis can tell.
+
+    Parameters
+    ----------
+    aim : LightAim
+        What they are sought for.
+    basis : Basis
+        Of the scene.
+    scene : Scene
+        As it stands.
+    around : sequence of (Basis, Scene)
+        Of each corner of the tolerances: the worst case counts, and limits hold in each.
 
     Raises
     ------
     InputError
         If no levels keep all limits.
     """
-    missing = [name for level in aim.levels for name in level.names if name not in basis.sources]
-    if missing:
-        raise InputError(f"{missing[0]} is dark", where="levels")
-    light = LitBy(aim, basis, scene)
-    way = aim.way(basis.sensor)
+    bases = [basis, *(other for other, _ in around)]
+    for one in bases:
+        missing = [name for level in aim.levels for name in level.names if name not in one.sources]
+        if missing:
+            raise InputError(f"{missing[0]} is dark", where="levels")
+    times = [1.0, *(other.camera.exposure_time / scene.camera.exposure_time for _, other in around)]
+    aim = replace(aim, time_off=(min(times), max(times)))
+    way = aim.way([one.sensor for one in bases])
+    light = Lit([LitBy(aim, *one) for one in ((basis, scene), *around)])
     factors, value = light.convex() if way == CONVEX else light.local()
-    time = float(factors[-1]) if aim.time is not None else 1.0
-    by_source = dict.fromkeys(basis.sources, time)
     levels: dict[str, Any] = {}
     at_low: list[str] = []
     at_high: list[str] = []
+    exact: list[float] = []
     for level, found_factor in zip(aim.sought, factors.tolist(), strict=True):
         near, factor = _AT_BOUND * (level.high - level.low), found_factor
         if factor <= level.low + near:
             factor, at_low = level.low, [*at_low, level.path]
         elif factor >= level.high - near:
             factor, at_high = level.high, [*at_high, level.path]
-        by_source |= dict.fromkeys(level.names, factor * time)
+        exact.append(factor)
         levels[level.path] = level.written(factor)
-    return FoundLevels(by_source, levels, way, value, tuple(at_low), tuple(at_high))
+    own, *others = (_by_source(aim, exact, one) for one in bases)
+    return FoundLevels(own, levels, way, value, tuple(at_low), tuple(at_high), tuple(others))
+
+
+def _by_source(aim: LightAim, factors: Sequence[float], basis: Basis) -> dict[str, float]:
+    """Source of a basis -> factor on its light there."""
+    time = factors[-1] if aim.time is not None else 1.0
+    found = dict.fromkeys(basis.sources, time)
+    for level, factor in zip(aim.levels, factors, strict=False):
+        found |= dict.fromkeys(level.names, factor * time)
+    return found
 
 
 class LitBy:
     """A basis as light of each sought level, and of all others together."""
 
     def __init__(self, aim: LightAim, basis: Basis, scene: Scene) -> None:
-        self._aim, self._sensor, self._scene = aim, basis.sensor, scene
+        self.aim, self._sensor, self._scene = aim, basis.sensor, scene
         exposure = basis.images.mean(axis=1, dtype=np.float64) * basis.exposure_of_radiance
         row = {name: number for number, name in enumerate(basis.sources)}
         governed = [[row[name] for name in level.names] for level in aim.levels]
@@ -245,9 +275,9 @@ class LitBy:
         fixed = [number for number in range(len(basis.sources)) if number not in taken]
         parts = [exposure[rows].sum(axis=0) for rows in (*governed, fixed)]
         self._light: Array = np.stack(parts, axis=-1)  # (rows, columns, levels + 1) [J m^-2]
-        self._low = np.array([level.low for level in aim.sought])
-        self._high = np.array([level.high for level in aim.sought])
-        if (self._low > self._high).any():
+        self.low = np.array([level.low for level in aim.sought])
+        self.high = np.array([level.high for level in aim.sought])
+        if (self.low > self.high).any():
             raise InputError("no exposure time keeps all limits", where="levels")
         if aim.time is not None:  # all light hangs on it: what does not change is none
             none = np.zeros((*self._light.shape[:-1], 1))
@@ -262,15 +292,15 @@ class LitBy:
 
     def even_light(self) -> EvenLight:
         """The convex program."""
-        aimed = self._aim.response(self._aim.objective.quantity.name)
+        aimed = self.aim.response(self.aim.objective.quantity.name)
         assert aimed is not None  # noqa: S101  (the way says so)
         region = self._in(aimed)
         parts = [cells_of(region[..., k]) for k in range(region.shape[-1])]
         cells = np.stack([means.ravel() for means, _, _ in parts], axis=-1)
         weights = parts[0][1].ravel() / parts[0][1].sum()
         limits = [Limit(_flat(region), -math.inf, self._exposure(self._brightest()))]
-        for one in self._aim.constraints:
-            response = self._aim.response(one.quantity.name)
+        for one in self.aim.constraints:
+            response = self.aim.response(one.quantity.name)
             if response is None:
                 continue
             if response.kind == "peak_gray":
@@ -280,7 +310,7 @@ class LitBy:
                 limits.append(Limit(means, -math.inf, self._exposure(self._brightest())))
                 mean = means.mean(axis=0, keepdims=True)
                 limits.append(Limit(mean, self._exposure(one.low), self._exposure(one.high)))
-        return EvenLight(cells, weights, self._low, self._high, tuple(limits), self._aim.time is not None)
+        return EvenLight(cells, weights, self.low, self.high, tuple(limits), self.aim.time is not None)
 
     def _brightest(self) -> float:
         """Gray level below which a pixel is not saturated, rounded or not."""
@@ -295,49 +325,9 @@ class LitBy:
             return -math.inf if math.isinf(gray) else 0.0
         return float(radiant_exposure_of(np.array([gray]), self._sensor)[0])
 
-    def convex(self) -> tuple[Array, float]:
-        """Factors and the objective, exactly."""
-        problem = self.even_light()
-        aimed = self._aim.response(self._aim.objective.quantity.name)
-        assert aimed is not None  # noqa: S101  (the way says so)
-        measure = _MEASURES[aimed.kind]
-        factors = most_even(problem, measure)
-        uneven = unevenness(problem, factors, measure)
-        if problem.is_timed:
-            factors = np.append(factors[:-1] / factors[-1], factors[-1])
-        return factors, 1 - uneven if measure == "deviation" else uneven
-
-    def local(self) -> tuple[Array, float]:
-        """Factors and the objective near the scene's own levels."""
-        from scipy.optimize import Bounds, NonlinearConstraint, minimize
-
-        start = np.clip(np.ones(len(self._low)), self._low, self._high)
-        sign = self._aim.objective.sign
-        base = self._measured(self._aim.objective.quantity.name, start)
-        scale = abs(base) if base else 1.0
-        measured = [one for one in self._aim.constraints if one.quantity.name not in SCENES_OWN]
-        limits = [
-            NonlinearConstraint(
-                lambda x, one=one: self._measured(one.quantity.name, x) / _size(one),
-                one.low / _size(one),
-                one.high / _size(one),
-            )
-            for one in measured
-        ]
-        result = minimize(
-            lambda x: sign * self._measured(self._aim.objective.quantity.name, x) / scale,
-            start,
-            method="COBYQA",
-            bounds=Bounds(self._low, self._high),
-            constraints=limits,
-            options={"maxfev": _LOOKS * len(start)},
-        )
-        factors: Array = np.clip(result.x, self._low, self._high)
-        return factors, self._measured(self._aim.objective.quantity.name, factors)
-
-    def _measured(self, name: str, factors: Array) -> float:
+    def measured(self, name: str, factors: Array) -> float:
         """A quantity for some levels, on the image without error and rounding; NaN where it cannot be measured."""
-        response, time = self._aim.response(name), self._aim.time
+        response, time = self.aim.response(name), self.aim.time
         if response is None:
             return float(factors[-1]) * time.value if time is not None and name == TIME_OF_EXPOSURE else 0.0
         if time is not None:
@@ -351,6 +341,76 @@ class LitBy:
             return answer(response, seen).value
         except InputError:
             return math.nan
+
+
+class Lit:
+    """Images of a scene as it stands, and in the corners of its tolerances, for one set of levels."""
+
+    def __init__(self, images: Sequence[LitBy]) -> None:
+        self._images, self._aim = images, images[0].aim
+
+    def convex(self) -> tuple[Array, float]:
+        """Factors and the objective of the worst image, exactly."""
+        problem, *around = (one.even_light() for one in self._images)
+        aimed = self._aim.response(self._aim.objective.quantity.name)
+        assert aimed is not None  # noqa: S101  (the way says so)
+        measure = _MEASURES[aimed.kind]
+        try:
+            factors = most_even(problem, measure, around)
+        except InputError as error:
+            raise self._unkept(error) from error
+        uneven = max(unevenness(one, factors, measure) for one in (problem, *around))
+        if problem.is_timed:
+            factors = np.append(factors[:-1] / factors[-1], factors[-1])
+        return factors, 1 - uneven if measure == "deviation" else uneven
+
+    def _unkept(self, error: InputError) -> InputError:
+        """What is said where no levels keep all limits; corners are asked where some do in the scene as it stands."""
+        if len(self._images) == 1:
+            return error
+        return InputError(f"{error.what} in all corners of the tolerances", where=error.where, remedy=error.remedy)
+
+    def local(self) -> tuple[Array, float]:
+        """Factors and the objective of the worst image, near the scene's own levels."""
+        from scipy.optimize import Bounds, NonlinearConstraint, minimize
+
+        low, high = self._images[0].low, self._images[0].high
+        start = np.clip(np.ones(len(low)), low, high)
+        name, sign = self._aim.objective.quantity.name, self._aim.objective.sign
+        base = self._worst(start)
+        scale = abs(base) if base else 1.0
+        limits = [
+            NonlinearConstraint(
+                lambda x, one=one, lit=lit: lit.measured(one.quantity.name, x[: len(low)]) / _size(one),
+                one.low / _size(one),
+                one.high / _size(one),
+            )
+            for lit in self._images
+            for one in self._aim.constraints
+            if one.quantity.name not in SCENES_OWN
+        ]
+        if len(self._images) == 1:
+            aim, begin, bounds = (lambda x: sign * self._worst(x) / scale), start, Bounds(low, high)
+        else:
+            # The worst of several has kinks. A number that none of them exceeds has none.
+            limits += [
+                NonlinearConstraint(
+                    lambda x, lit=lit: sign * lit.measured(name, x[:-1]) / scale - x[-1], -math.inf, 0.0
+                )
+                for lit in self._images
+            ]
+            aim, begin = (lambda x: x[-1]), np.append(start, sign * base / scale)
+            bounds = Bounds(np.append(low, -math.inf), np.append(high, math.inf))
+        result = minimize(
+            aim, begin, method="COBYQA", bounds=bounds, constraints=limits, options={"maxfev": _LOOKS * len(begin)}
+        )
+        factors: Array = np.clip(result.x[: len(low)], low, high)
+        return factors, self._worst(factors)
+
+    def _worst(self, factors: Array) -> float:
+        """The objective in the image where it is worst; NaN where one cannot be measured."""
+        values = [one.measured(self._aim.objective.quantity.name, factors) for one in self._images]
+        return self._aim.objective.sign * float(np.max(self._aim.objective.sign * np.array(values)))
 
 
 def _flat(light: Array) -> Array:

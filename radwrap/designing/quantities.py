@@ -23,6 +23,7 @@ SCENES_OWN: Final = (TIME_OF_EXPOSURE, LEDS, COST)  # known of a scene, and of c
 # Combined standard errors by which two values differ where they are no tie: half way to four, so that values that are
 # equal and values that differ by four are taken for the other alike rarely, in 2.3 % of the cases.
 TIE: Final = 2.0
+_WRITTEN: Final = 1e-8  # of a value: scenes hold nine digits
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,8 +74,9 @@ class Constraint:
     high: float = math.inf
 
     def excess(self, value: float) -> float:
-        """How far a value lies outside, in SI; 0 within."""
-        return max(0.0, self.low - value, value - self.high)
+        """How far a value lies outside, in SI; 0 within, and beyond by no more than the digits of a scene explain."""
+        beyond = max(0.0, self.low - value, value - self.high)
+        return beyond if beyond > _WRITTEN * abs(self.low if value < self.low else self.high) else 0.0
 
     def violation(self, value: float) -> float:
         """The same, as a share of the limit that it breaks; what a search compares."""

@@ -125,8 +125,6 @@ class Designed:
         if known:
             nearest = min(known, key=lambda trial: (sum(trial.violations(self.problem)), trial.number))
             told.append(f"nearest is trial {nearest.number}: {', '.join(self._broken(nearest))}")
-            if nearest.light and nearest.corners:
-                told.append("levels are solved for the scene as it stands: leave room for the tolerances in the limits")
         elif failed := [trial for trial in self.trials if trial.error]:
             told.append(f"trial {failed[0].number}: {failed[0].error}")
         return told
@@ -148,7 +146,9 @@ class Designed:
                 continue
             worst = max(ends, key=lambda end: one.violation(end.value))
             if one.excess(worst.value):
-                found.append(f"{one.told()}, it is {one.quantity.told(worst.value)}")
+                own = trial.answers[one.quantity.name].value
+                where = "" if one.excess(own) or not trial.corners else "within tolerances "
+                found.append(f"{one.told()}, {where}it is {one.quantity.told(worst.value)}")
         return found or ["only a finer image breaks a limit"]
 
     def _quantities(self, trial: Trial) -> list[tuple[str, str]]:

@@ -10,24 +10,39 @@ from typing import Any, Final
 from radwrap.designing.light import LightAim, best_levels
 from radwrap.errors import InputError
 from radwrap.imaging.asked_tolerance import FINEST
-from radwrap.imaging.relight.relit import read_basis
+from radwrap.imaging.relight.relit import Basis, read_basis
 from radwrap.scene.file.load import scene_from_document
+from radwrap.scene.scene import Scene
 from radwrap.study.pilots import asked, plans_of, read_pilot
 from radwrap.study.worker import Job, Measured, Outcome, carry_out, failed
 
 _PILOTS: Final = "pilots"
-_SHARES: Final = (
-    1.0,
-    0.5,
-    0.25,
-)  # of the tolerance, for which an image is planned: one after the other, until it is met
+# Of the tolerance, for which an image is planned: one after the other, until it is met.
+_SHARES: Final = (1.0, 0.5, 0.25)
 
 
 @dataclass(frozen=True, slots=True)
 class CandidateJob(Job):
-    """A candidate to be rendered and measured; with an aim, levels of sources are sought first."""
+    """A candidate to be rendered and measured; with an aim, levels of sources are sought first.
+
+    Attributes
+    ----------
+    aim : LightAim, optional
+        What levels are sought for.
+    around : tuple of CandidateJob
+        The corners of its tolerances, where levels are sought for the worst case.
+    share : int
+        Which plan its image has, from 0 on: the next one is finer, and has a folder of its own.
+    """
 
     aim: LightAim | None = None
+    around: tuple[CandidateJob, ...] = ()
+    share: int = 0
+
+    @property
+    def folder_of_image(self) -> str:
+        """Below the design's folder."""
+        return f"{self.image}-{self.share}" if self.share else self.image
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,50 +71,89 @@ def carry_out_candidate(job: CandidateJob) -> list[Outcome]:
     EnvironmentFailure
         If nothing could be done here.
     """
-    outcomes: list[Outcome] = []
-    for number, share in enumerate(_SHARES):
-        outcomes = _looked_at(job, share, f"{job.image}-{number}" if number else job.image)
-        if job.options.fixed_method is not None or all(one.met or one.image_error is None for one in outcomes):
-            break
-    return outcomes
+    while True:
+        (outcome,) = _looked_at(job)
+        before, job = job, finer(job, outcome)
+        if job == before:
+            return [outcome]
 
 
-def _looked_at(job: CandidateJob, share: float, image: str) -> list[Outcome]:
-    """A candidate whose image is planned for a share of its tolerance, and lies in a folder of that name."""
-    (run,) = job.runs
+def finer(job: CandidateJob, outcome: Outcome) -> CandidateJob:
+    """The same with a finer image, where it misses its tolerance and there is a finer plan."""
+    is_missed = not outcome.met and outcome.image_error is not None
+    if not is_missed or job.options.fixed_method is not None or job.share + 1 == len(_SHARES):
+        return job
+    return replace(job, share=job.share + 1)
+
+
+def _looked_at(job: CandidateJob) -> list[Outcome]:
+    """A candidate by one image."""
     try:
-        job = _sampled(replace(job, image=image), share)
         if job.aim is None:
-            return carry_out(job)
-        carry_out(replace(job, runs=()))
-        basis = read_basis(Path(job.study) / job.image)
-        scene = scene_from_document(job.document, origin=job.origin, folder=Path(job.folder))
-        found = best_levels(job.aim, basis, scene)
+            return carry_out(_sampled(job))
+        make_basis(job)
     except InputError as error:
-        return [failed(run.run, str(error))]
-    lit = Measured(run.run, run.responses, found.factors)
-    # As a study's images from a basis: levels are factors on those that the basis was made with.
-    outcomes = carry_out(replace(job, runs=(lit,), reference=dict.fromkeys(found.factors, 1.0)))
+        return [failed(job.runs[0].run, str(error))]
+    return carry_out_levels(job)
+
+
+def make_basis(job: CandidateJob) -> list[Outcome]:
+    """Make a light basis; nothing is measured.
+
+    Raises
+    ------
+    InputError, TracerError, EnvironmentFailure
+        As a render of the scene.
+    """
+    carry_out(replace(_sampled(job), runs=()))
+    return []
+
+
+def carry_out_levels(job: CandidateJob) -> list[Outcome]:
+    """Find levels on the bases of a candidate and its corners, which are there, and measure all of them without a ray.
+
+    Raises
+    ------
+    EnvironmentFailure
+        If nothing could be done here.
+    """
+    jobs = [job, *job.around]
+    assert job.aim is not None  # noqa: S101  (asked before)
+    try:
+        (basis, scene), *around = map(_lit, jobs)
+        found = best_levels(job.aim, basis, scene, around)
+    except InputError as error:
+        return [failed(one.runs[0].run, str(error)) for one in jobs]
+    own, *others = map(_relit, jobs, (found.factors, *found.around))
     light = {"way": found.way, "objective": found.value, "at_low": found.at_low, "at_high": found.at_high}
-    return [
-        LitOutcome(
-            **{one.name: getattr(outcome, one.name) for one in fields(Outcome)}, levels=found.levels, light=light
-        )
-        for outcome in outcomes
-    ]
+    told = {one.name: getattr(own, one.name) for one in fields(Outcome)}
+    return [LitOutcome(**told, levels=found.levels, light=light), *others]
 
 
-def _sampled(job: CandidateJob, share: float) -> CandidateJob:
+def _lit(job: CandidateJob) -> tuple[Basis, Scene]:
+    scene = scene_from_document(job.document, origin=job.origin, folder=Path(job.folder))
+    return read_basis(Path(job.study) / job.folder_of_image), scene
+
+
+def _relit(job: CandidateJob, factors: Mapping[str, float]) -> Outcome:
+    """What is measured in some levels: as a study's images from a basis, factors on those that it was made with."""
+    lit = Measured(job.runs[0].run, job.runs[0].responses, factors)
+    (outcome,) = carry_out(replace(_sampled(job), runs=(lit,), reference=dict.fromkeys(factors, 1.0)))
+    return outcome
+
+
+def _sampled(job: CandidateJob) -> Job:
     """The job with an even plan of sampling by a pilot of its own: its image then has replicates, which show its error.
 
     A study's images share the strictest plan, so that its sampling is no effect; here the widest opening and the
     brightest light would make all others cost as much as they do.
     """
+    share, job = job.share, replace(job, image=job.folder_of_image, share=0)
     if job.options.fixed_method is not None:
         return job
     name = f"{_PILOTS}/{Path(job.image).name}.json"
     path = Path(job.study) / name
-    how = replace(job.options, basis=False, tolerance=max(FINEST, share * job.options.demand.tolerance))
+    how = replace(job.options, basis=False, tolerance=max(FINEST, _SHARES[share] * job.options.demand.tolerance))
     if read_pilot(path) is None:
         carry_out(replace(job, runs=(), pilot=True, image=name, options=how))
     plan = plans_of([(how, read_pilot(path))]).get(asked(how))

@@ -13,7 +13,7 @@ from radwrap.scene.file.keys import expanded, found, set_key
 from radwrap.study.factors import in_si, quantity, written
 from radwrap.units import DIMENSIONS
 
-_PERCENT: Final = "%"
+PERCENT: Final = "%"
 MOST: Final = 4  # tolerances: sixteen corners
 
 
@@ -39,7 +39,7 @@ class Allowed:
     unit: str
 
     def moved(self, document: Mapping[str, Any], sign: float, where: str) -> dict[str, Any]:
-        """Tables in which the keys are off.
+        """Tables in which the keys are off; of a value that is 0, a share is 0 too.
 
         Raises
         ------
@@ -47,26 +47,43 @@ class Allowed:
             If a key has no number in them, or one of another kind.
         """
         made: dict[str, Any] = deepcopy(dict(document))
-        for path in (one for key in self.keys for one in expanded(key, document)):
-            value = found(document, path)
-            told = None if value is None or isinstance(value, bool) else quantity(value, f"{where}: {path}")
-            if told is None:
-                raise InputError(
-                    f"{path} has no number in the scene file", where=where, remedy="write it there, with its unit"
-                )
-            number, unit = told
-            if self.unit == _PERCENT and not number:
-                raise InputError(
-                    f"{path} is 0, of which a share is 0 too", where=f"{where}.by", remedy="give an amount"
-                )
-            if self.unit == _PERCENT:
+        for path in self.paths(document):
+            number, unit = _told(document, path, where)
+            if self.unit == PERCENT:
                 off = number * self.by
             elif not _are_alike(unit, self.unit):
-                raise InputError(f"{path} is {value}, and by has another unit", where=f"{where}.by")
+                raise InputError(f"{path} is {found(document, path)}, and by has another unit", where=f"{where}.by")
             else:
                 off = self.by / ((in_si(f"1 {unit}") or 1.0) if unit else 1.0)
             set_key(made, path, written(number + sign * off, unit), where)
         return made
+
+    def paths(self, document: Mapping[str, Any]) -> list[str]:
+        """Key paths of single values."""
+        return [one for key in self.keys for one in expanded(key, document)]
+
+    def refuse_nothing(self, document: Mapping[str, Any], where: str) -> None:
+        """Refuse a share of what is 0 in the scene's own file.
+
+        Raises
+        ------
+        InputError
+            If it is one.
+        """
+        for path in self.paths(document) if self.unit == PERCENT else ():
+            if not _told(document, path, where)[0]:
+                raise InputError(
+                    f"{path} is 0, of which a share is 0 too", where=f"{where}.by", remedy="give an amount"
+                )
+
+
+def _told(document: Mapping[str, Any], path: str, where: str) -> tuple[float, str]:
+    """Number and unit at a key path."""
+    value = found(document, path)
+    told = None if value is None or isinstance(value, bool) else quantity(value, f"{where}: {path}")
+    if told is None:
+        raise InputError(f"{path} has no number in the scene file", where=where, remedy="write it there, with its unit")
+    return told
 
 
 def read_allowed(name: str, table: ToleranceModel, where: str) -> Allowed:
@@ -79,8 +96,8 @@ def read_allowed(name: str, table: ToleranceModel, where: str) -> Allowed:
     """
     keys = (table.key,) if table.key is not None else table.keys or ()
     text = table.by
-    if isinstance(text, str) and text.strip().endswith(_PERCENT):
-        return Allowed(name, keys, _share(text, f"{where}.by"), _PERCENT)
+    if isinstance(text, str) and text.strip().endswith(PERCENT):
+        return Allowed(name, keys, _share(text, f"{where}.by"), PERCENT)
     plain = quantity(text, f"{where}.by")
     size = None if plain is None else in_si(text)
     if plain is None or size is None or not size > 0:

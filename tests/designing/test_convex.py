@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -211,3 +213,117 @@ def test_limits_that_no_levels_keep_are_refused() -> None:
     )
     with pytest.raises(InputError, match="no levels keep all limits"):
         most_even(dark, "deviation")
+
+
+# ------------------------------------------------------------------------------------------------------ the worst case
+
+
+def worst(images: Sequence[EvenLight], levels: Array, measure: Measure) -> float:
+    return max(unevenness(one, levels, measure) for one in images)
+
+
+@pytest.mark.parametrize("measure", ["deviation", "extremes"])
+def test_the_worst_of_two_corners_is_least_at_the_geometric_mean(measure: Measure) -> None:
+    """Two places, two sources; the light a of the first is off by a fifth, b of the second is not.
+
+    (1.2 a - b)/(1.2 a + b) = (b - .8 a)/(b + .8 a) where b/a = sqrt(1.2 * .8).
+    """
+    weights, low, high = np.array([0.5, 0.5]), np.zeros(2), np.ones(2)
+    images = [EvenLight(np.array([[by, 0.0, 0.0], [0.0, 1.0, 0.0]]), weights, low, high) for by in (1.0, 0.8, 1.2)]
+    levels = most_even(images[0], measure, images[1:])
+    assert levels == pytest.approx([1.0, math.sqrt(0.96)], abs=1e-6)
+    least = (math.sqrt(1.2) - math.sqrt(0.8)) / (math.sqrt(1.2) + math.sqrt(0.8))
+    assert worst(images, levels, measure) == pytest.approx(least, abs=1e-8)
+    # As it stands equal levels are even, and a ninth off in the corner.
+    assert worst(images, most_even(images[0], measure), measure) == pytest.approx(0.2 / 1.8, abs=1e-6)
+    # The brightest levels that no corner takes beyond a limit: 1.2 a = .9.
+    held = [replace(one, limits=(Limit(one.cells, -math.inf, 0.9),)) for one in images]
+    assert most_even(held[0], measure, held[1:]) == pytest.approx([0.75, 0.75 * math.sqrt(0.96)], abs=1e-6)
+
+
+def corners_of(problem: EvenLight, seed: int) -> list[EvenLight]:
+    """The same in other light: each source is up to a fifth brighter or darker, and shines a little elsewhere."""
+    random, found = np.random.default_rng((seed, 5)), []
+    for _ in range(4):
+        by = np.append(random.uniform(0.8, 1.2, len(problem.low)), 1.0)
+        slope = 1 + random.uniform(-0.1, 0.1) * np.linspace(-1, 1, CELLS)[:, np.newaxis]
+        peak, mean = problem.limits
+        cells = problem.cells * by * slope
+        limits = (Limit(cells, -math.inf, peak.high), Limit((problem.weights @ cells)[np.newaxis], mean.low, math.inf))
+        found.append(EvenLight(cells, problem.weights, problem.low, problem.high, limits))
+    return found
+
+
+@pytest.mark.parametrize("seed", [3, *(pytest.param(one, marks=pytest.mark.long) for one in (0, 1, 2))])
+def test_the_worst_deviation_is_the_optimum_of_all_corners(seed: int) -> None:
+    """SLSQP makes a number small that no image may exceed, from several beginnings."""
+    problem = random_problem(seed, 4, limits=True)
+    images = [problem, *corners_of(problem, seed)]
+    levels = most_even(problem, "deviation", images[1:])
+
+    def slack(point: Array) -> Array:
+        every = [1e1 * (point[-1] - unevenness(one, point[:-1], "deviation")) for one in images]
+        for limit in (limit for one in images for limit in one.limits):
+            light = limit.light @ np.append(point[:-1], 1.0)
+            every += list((limit.high - light) * 1e3) if math.isfinite(limit.high) else []
+            every += list((light - limit.low) * 1e3) if math.isfinite(limit.low) else []
+        return np.array(every)
+
+    here = worst(images, levels, "deviation")
+    assert (slack(np.append(levels, here)) > -1e-6).all()
+    best = math.inf
+    for start in (0.3, 0.6, 0.9):
+        begin = problem.low + start * (problem.high - problem.low)
+        ended = minimize(
+            lambda point: 1e1 * point[-1],
+            np.append(begin, worst(images, begin, "deviation")),
+            method="SLSQP",
+            bounds=[*zip(problem.low, problem.high, strict=True), (0, 1)],
+            constraints={"type": "ineq", "fun": slack},
+            options={"ftol": 1e-13, "maxiter": 500},
+        )
+        if (slack(ended.x) > -1e-8).all():
+            best = min(best, worst(images, ended.x[:-1], "deviation"))
+    assert here == pytest.approx(best, abs=UNIFORMITY)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_worst_extremes_are_the_least_by_bisection(seed: int) -> None:
+    """For a ratio r, each image has a level m of its own with (1 - r) m <= light <= (1 + r) m."""
+    problem = random_problem(seed, 4, limits=True)
+    images = [problem, *corners_of(problem, seed)]
+    found = worst(images, most_even(problem, "extremes", images[1:]), "extremes")
+
+    def can(ratio: float) -> bool:
+        rows, right = [], []
+        for number, one in enumerate(images):
+            level = np.zeros((CELLS, len(images)))
+            level[:, number] = 1.0
+            cells, fixed = one.cells[:, :-1] * 1e3, one.cells[:, -1] * 1e3
+            rows += [np.hstack([cells, -(1 + ratio) * level]), np.hstack([-cells, (1 - ratio) * level])]
+            right += [-fixed, fixed]
+            for limit in one.limits:
+                light, fixed = limit.light[:, :-1] * 1e3, limit.light[:, -1] * 1e3
+                none = np.zeros((len(light), len(images)))
+                if math.isfinite(limit.high):
+                    rows, right = [*rows, np.hstack([light, none])], [*right, limit.high * 1e3 - fixed]
+                if math.isfinite(limit.low):
+                    rows, right = [*rows, np.hstack([-light, none])], [*right, fixed - limit.low * 1e3]
+        bounds = [*zip(problem.low, problem.high, strict=True), *[(0, None)] * len(images)]
+        return bool(linprog(np.zeros(len(bounds)), np.vstack(rows), np.concatenate(right), bounds=bounds).success)
+
+    low, high = 0.0, 1.0
+    while high - low > 1e-7:
+        middle = (low + high) / 2
+        low, high = (low, middle) if can(middle) else (middle, high)
+    assert found == pytest.approx(high, abs=UNIFORMITY)
+
+
+def test_limits_that_only_a_corner_breaks_are_refused() -> None:
+    """The mean is 1 where the peak is 1 as it stands; a corner that is a fifth darker cannot have both."""
+    cells = np.array([[1.0, 0.0]])
+    weights, low, high = np.ones(1), np.zeros(1), np.ones(1)
+    images = [EvenLight(cells * by, weights, low, high, (Limit(cells * by, 0.9, 1.0),)) for by in (1.0, 0.8, 1.2)]
+    assert most_even(images[0], "deviation") == pytest.approx([1.0], abs=1e-6)
+    with pytest.raises(InputError, match="no levels keep all limits"):
+        most_even(images[0], "deviation", images[1:])

@@ -343,7 +343,7 @@ def test_the_time_is_solved_for_with_the_levels(lit: tuple[Any, Any, Path]) -> N
     assert problem.time is not None and not problem.keys
     scene = problem.scene(problem.study.document)
     aim = replace(aim_of(problem), time=time_of(problem.time, scene))
-    assert aim.way(basis.sensor) == CONVEX
+    assert aim.way([basis.sensor]) == CONVEX
     found = best_levels(aim, basis, scene)
     assert found.value == pytest.approx(before.value, abs=1e-7)
     levels = [found.levels[f"sources[0].leds[{k}].radiance_factor"] for k in range(3)]
@@ -391,7 +391,7 @@ def test_what_is_no_convex_program_is_searched_locally(lit: tuple[Any, Any, Path
     _, basis, folder = lit
     problem = read_problem(write_problem(folder, LEVELS.format(of="mean", peak=150), sheet()))
     aim, scene = aim_of(problem), problem.scene(problem.study.document)
-    assert aim.way(basis.sensor) == LOCAL
+    assert aim.way([basis.sensor]) == LOCAL
     found = best_levels(aim, basis, scene)
     light = basis.images.mean(axis=1, dtype=np.float64) * basis.exposure_of_radiance * 1e5
     flat = light.reshape(3, -1)

@@ -11,6 +11,7 @@ import pytest
 from radwrap.cli.main import main
 from radwrap.designing.candidates import candidate_of, corners
 from radwrap.designing.document import read_problem
+from radwrap.designing.told import Designed
 from radwrap.designing.trials import Trial
 from radwrap.errors import InputError
 from radwrap.scene.file.keys import found
@@ -73,6 +74,9 @@ def test_the_worst_corner_counts_for_objective_and_limits(design_file: Write) ->
     (objective,) = trial.objectives(problem) or []
     assert (objective.value, objective.error) == (80, 0.5)
     assert trial.violations(problem) == pytest.approx([0.01 / 0.14]) and not trial.is_feasible(problem)
+    # Which limit only a corner breaks.
+    told = Designed(problem, None, None, (), (), (), (trial,), 3, "", 4.0).lines()
+    assert "exposure_time at most 140 ms, within tolerances it is 150 ms" in told[1]
     lost = Trial(1, "search", 0, (1,), {}, centre, 1.0, True, True, "", "", {}, {}, (corner[0], {}))
     assert lost.objectives(problem) is None and not lost.may_be_feasible(problem)
 
