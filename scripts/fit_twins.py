@@ -48,8 +48,8 @@ KINDS: Final = {
 # How far off the fit begins: shifts [mm] and turns [deg] of the target.
 SHIFT: Final = (4.0, 4.0, 8.0)
 TURN: Final = (3.0, 3.0, 3.0)
-# Of POV-Ray's pictures: 91 places of the opening and 4 x 4 rays a pixel, 1456 in all.
-PICTURES: Final = radwrap.RenderOptions(viewpoints=91, pixel_samples=4, pixel_sampling="centre", workers=1)
+# Of the opening, for POV-Ray, each with 4 x 4 rays a pixel. With 91 of them edges are off by a gray level.
+PLACES: Final = 271
 WRONG: Final = ("LED off", "wide beam", "target moved", "gamma held")
 
 
@@ -170,17 +170,18 @@ class Twin:
     truth: dict[str, float]
 
 
-def by_povray(scene: radwrap.Scene, seed: int) -> radwrap.GrayImage:
-    """A frame of a scene as POV-Ray sees it."""
+def by_povray(scene: radwrap.Scene, seed: int, places: int) -> radwrap.GrayImage:
+    """A frame of a scene as POV-Ray sees it from some places of the opening."""
+    pictures = radwrap.RenderOptions(viewpoints=places, pixel_samples=4, pixel_sampling="centre", workers=1)
     with tempfile.TemporaryDirectory(prefix="radwrap-") as folder:
-        seen = crosscheck(scene, Path(folder), CrosscheckOptions(PICTURES)).povray
+        seen = crosscheck(scene, Path(folder), CrosscheckOptions(pictures)).povray
     sensor = scene.camera.sensor
     exposure = radiant_exposure(RadianceImage(seen), scene.camera)
     return noisy_frame(exposure, sensor, fixed_pattern(sensor), seed, 0)
 
 
-def twin_of(number: int, seed: int, tolerance: float, *, renders: bool, wrong: str = "", povray: bool = False) -> Twin:
-    """A scene that is drawn, and its capture."""
+def twin_of(number: int, seed: int, tolerance: float, *, renders: bool, wrong: str = "", povray: int = 0) -> Twin:
+    """A scene that is drawn, and its capture: by rays, or by POV-Ray from so many places of the opening."""
     random = generator(seed, number, _STREAM)
     is_board = renders and bool(random.integers(2))
     target = (board if is_board else edge)(random)
@@ -195,15 +196,13 @@ def twin_of(number: int, seed: int, tolerance: float, *, renders: bool, wrong: s
     # No ray in common with the fit, and no noise with the captures of other seeds.
     own = 10_000 * (seed + 1) + number
     if povray:
-        return Twin(scene, by_povray(captured, own), truth)
+        return Twin(scene, by_povray(captured, own, povray), truth)
     rays = radwrap.RenderOptions(method="rays", tolerance=tolerance / 5, seed=own, workers=1)
     made = radwrap.render(captured, options=rays, tracer="compiled")
     return Twin(wronged(scene, wrong) if wrong else scene, made.frames(1, seed=own)[0], truth)
 
 
-def twin(
-    number: int, seed: int, tolerance: float, *, renders: bool, wrong: str, povray: bool = False
-) -> dict[str, Any]:
+def twin(number: int, seed: int, tolerance: float, *, renders: bool, wrong: str, povray: int = 0) -> dict[str, Any]:
     """One scene, one capture, one fit."""
     asked = twin_of(number, seed, tolerance, renders=renders, wrong=wrong, povray=povray)
     truth = asked.truth
@@ -271,17 +270,21 @@ def main() -> None:
     parser.add_argument("--wrong", type=int, default=5, help="scenes whose model is wrong (default 5)")
     parser.add_argument("--renders", action="store_true", help="with places, poses and beams that need renders")
     parser.add_argument("--povray", action="store_true", help="captures by POV-Ray, of right scenes only")
+    parser.add_argument(
+        "--viewpoints", type=int, default=PLACES, help=f"of POV-Ray: places of the opening (default {PLACES})"
+    )
     parser.add_argument("--tolerance", type=float, default=0.5, help="of the fits [gray level] (default 0.5)")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", help="file for the numbers")
     asked = parser.parse_args()
     what = {"seed": asked.seed, "tolerance": asked.tolerance, "renders": asked.renders, "right": asked.twins}
     if asked.povray:
-        what["povray"], asked.wrong = True, 0
+        what["povray"], asked.wrong = asked.viewpoints, 0
     twins = done(asked.out, what)
     for number in range(len(twins), asked.twins + asked.wrong):
         wrong = WRONG[number % len(WRONG)] if number >= asked.twins else ""
-        made = twin(number, asked.seed, asked.tolerance, renders=asked.renders, wrong=wrong, povray=asked.povray)
+        places = what.get("povray", 0)
+        made = twin(number, asked.seed, asked.tolerance, renders=asked.renders, wrong=wrong, povray=places)
         twins.append(made)
         told = "explained" if twins[-1]["explained"] else "not explained"
         print(f"twin {number} {wrong}: {told}, {twins[-1]['processor_s']:.0f} s", file=sys.stderr)
