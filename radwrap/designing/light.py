@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from radwrap.designing.convex import EvenLight, Limit, Measure, most_even, unevenness
 from radwrap.designing.keys import SearchKey
-from radwrap.designing.quantities import SCENES_OWN, TIME_OF_EXPOSURE, Constraint, Objective
+from radwrap.designing.local import best_nearby, worst
+from radwrap.designing.quantities import PEAK, TIME_OF_EXPOSURE, Constraint, Objective
 from radwrap.errors import InputError
 from radwrap.images import GrayImage
 from radwrap.imaging.relight.relit import Basis
@@ -37,7 +38,6 @@ _SOURCE: Final = re.compile(r"sources\[(\d+)\]\.")
 _MEASURES: Final[Mapping[str, Measure]] = {"uniformity": "deviation", "unevenness": "extremes"}
 _MEANS: Final = ("mean_gray", "region_mean")
 _AT_BOUND: Final = 1e-7  # of a level's range: what a solver leaves of a bound
-_LOOKS: Final = 60  # of a local search, for each level
 CONVEX: Final = "convex program"
 LOCAL: Final = "local search"
 
@@ -325,14 +325,31 @@ class LitBy:
             return -math.inf if math.isinf(gray) else 0.0
         return float(radiant_exposure_of(np.array([gray]), self._sensor)[0])
 
+    def _exposed(self, factors: Array) -> Array:
+        """Radiant exposure in some levels, shape (rows, columns) [J m^-2]."""
+        if self.aim.time is not None:
+            factors = np.append(factors[:-1] * factors[-1], factors[-1])
+        return np.asarray(np.maximum(self._light @ np.append(factors, 1.0), 0.0))
+
+    def share_of_full(self, factors: Array) -> float:
+        """Light of the brightest pixel over that of a full one."""
+        return float(self._exposed(factors).max()) / self._exposure(self._brightest())
+
+    def peak(self, constraint: Constraint) -> Limit | None:
+        """Light of all pixels below a limit of the brightest one; None where that is not linear in the levels."""
+        response = self.aim.response(constraint.quantity.name)
+        is_peak = response is not None and response.kind == PEAK and not response.repeatability
+        if not is_peak or math.isfinite(constraint.low) or self.aim.time is not None:
+            return None
+        high = self._exposure(min(constraint.high, self._brightest()))
+        return Limit(_flat(self._light), -math.inf, high) if high > 0 else None
+
     def measured(self, name: str, factors: Array) -> float:
         """A quantity for some levels, on the image without error and rounding; NaN where it cannot be measured."""
         response, time = self.aim.response(name), self.aim.time
         if response is None:
             return float(factors[-1]) * time.value if time is not None and name == TIME_OF_EXPOSURE else 0.0
-        if time is not None:
-            factors = np.append(factors[:-1] * factors[-1], factors[-1])
-        exposure = np.maximum(self._light @ np.append(factors, 1.0), 0.0)
+        exposure = self._exposed(factors)
         gray = gray_levels(exposure, self._sensor)
         image = GrayImage(np.clip(gray, 0.0, self._sensor.saturation_gray), self._sensor.bit_depth)
         none = ErrorFields(np.zeros((0, *gray.shape)))
@@ -372,52 +389,9 @@ class Lit:
 
     def local(self) -> tuple[Array, float]:
         """Factors and the objective of the worst image, near the scene's own levels."""
-        from scipy.optimize import Bounds, NonlinearConstraint, minimize
-
-        low, high = self._images[0].low, self._images[0].high
-        start = np.clip(np.ones(len(low)), low, high)
-        name, sign = self._aim.objective.quantity.name, self._aim.objective.sign
-        base = self._worst(start)
-        scale = abs(base) if base else 1.0
-        limits = [
-            NonlinearConstraint(
-                lambda x, one=one, lit=lit: lit.measured(one.quantity.name, x[: len(low)]) / _size(one),
-                one.low / _size(one),
-                one.high / _size(one),
-            )
-            for lit in self._images
-            for one in self._aim.constraints
-            if one.quantity.name not in SCENES_OWN
-        ]
-        if len(self._images) == 1:
-            aim, begin, bounds = (lambda x: sign * self._worst(x) / scale), start, Bounds(low, high)
-        else:
-            # The worst of several has kinks. A number that none of them exceeds has none.
-            limits += [
-                NonlinearConstraint(
-                    lambda x, lit=lit: sign * lit.measured(name, x[:-1]) / scale - x[-1], -math.inf, 0.0
-                )
-                for lit in self._images
-            ]
-            aim, begin = (lambda x: x[-1]), np.append(start, sign * base / scale)
-            bounds = Bounds(np.append(low, -math.inf), np.append(high, math.inf))
-        result = minimize(
-            aim, begin, method="COBYQA", bounds=bounds, constraints=limits, options={"maxfev": _LOOKS * len(begin)}
-        )
-        factors: Array = np.clip(result.x[: len(low)], low, high)
-        return factors, self._worst(factors)
-
-    def _worst(self, factors: Array) -> float:
-        """The objective in the image where it is worst; NaN where one cannot be measured."""
-        values = [one.measured(self._aim.objective.quantity.name, factors) for one in self._images]
-        return self._aim.objective.sign * float(np.max(self._aim.objective.sign * np.array(values)))
+        factors = best_nearby(self._images, self._aim.objective, self._aim.constraints)
+        return factors, worst(self._images, self._aim.objective, factors)
 
 
 def _flat(light: Array) -> Array:
     return light.reshape(-1, light.shape[-1])
-
-
-def _size(constraint: Constraint) -> float:
-    """What a limit is measured by, so that all count alike."""
-    ends = [abs(one) for one in (constraint.low, constraint.high) if math.isfinite(one)]
-    return max(ends) or 1.0

@@ -143,7 +143,15 @@ def solve(
         def misfit(
             at: Array, used: NDArray[np.bool_] = used, sigma: Array = sigma, measured: Array = measured
         ) -> Array:
-            return np.asarray((prediction.at(at * scales).unclipped[used] - measured) / sigma)
+            try:
+                predicted = prediction.at(at * scales)
+            except InputError as error:
+                raise InputError(
+                    f"the fit goes on and on to where the scene takes no value: {error.what}",
+                    where=error.where,
+                    remedy="nothing is best there: give the key bounds, KEY=low:high, or free fewer keys",
+                ) from error
+            return np.asarray((predicted.unclipped[used] - measured) / sigma)
 
         def slopes(at: Array, used: NDArray[np.bool_] = used, sigma: Array = sigma) -> Array:
             return np.asarray((prediction.slopes(at * scales)[:, used] / sigma).T)

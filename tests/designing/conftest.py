@@ -8,8 +8,12 @@ from pathlib import Path
 from typing import Any, Final
 from unittest.mock import patch
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+from radwrap.imaging.relight.relit import Basis
+from radwrap.scene.scene import Scene
 from tests.cli.conftest import scene_text
 from tests.study.conftest import EDGE, OneThread
 
@@ -38,6 +42,29 @@ def write_problem(folder: Path, text: str, scene: dict[str, Any] = EDGE) -> Path
     path = folder / "design.toml"
     path.write_text(f'scene = "scene.toml"\n{text}')
     return path
+
+
+def basis_of(light: NDArray[np.float64], scene: Scene) -> Basis:
+    """A light basis that no ray has made: of each LED of a ring its light [gray level above dark], for a gamma of 1."""
+    none = np.zeros((len(light), 2, 0), dtype=np.float32)
+    return Basis(
+        sources=tuple(f"ring.led{k:02d}" for k in range(len(light))),
+        dark=(),
+        images=np.repeat(light[:, np.newaxis].astype(np.float32), 2, axis=1),
+        grid_pixels=np.zeros(0, dtype=np.intp),
+        grid=none,
+        sample=None,
+        lacks=none,
+        model_rays=0,
+        block=(1, 1),
+        exposure_of_radiance=1e-5,
+        camera=scene.camera,
+        tolerance=1.0,
+        max_error=None,
+        scene_sha256="",
+        tolerances=None,
+        magnification=None,
+    )
 
 
 @pytest.fixture

@@ -27,7 +27,7 @@ from radwrap.scene.file.keys import set_key
 from radwrap.scene.scene import Scene
 from radwrap.study.factors import in_si
 from radwrap.study.worker import Outcome
-from tests.designing.conftest import sheet, write_problem
+from tests.designing.conftest import basis_of, sheet, write_problem
 from tests.designing.test_resume import contents, whole
 
 Array = NDArray[np.float64]
@@ -71,27 +71,8 @@ def lit(tmp_path: Path) -> Lit:
     problem = read(TEXT)
     v, u = np.mgrid[-1:1:20j, -1:1:24j]
     turns = np.arange(3)[:, np.newaxis, np.newaxis] * 2 * np.pi / 3
-    spots = 90 * np.exp(-((u - 0.8 * np.cos(turns) - 0.2) ** 2 + (v - 0.8 * np.sin(turns)) ** 2) / 3)
-    none = np.zeros((3, 2, 0), dtype=np.float32)
-    basis = Basis(
-        sources=tuple(f"ring.led{k:02d}" for k in range(3)),
-        dark=(),
-        images=np.repeat(spots[:, np.newaxis].astype(np.float32), 2, axis=1),
-        grid_pixels=np.zeros(0, dtype=np.intp),
-        grid=none,
-        sample=None,
-        lacks=none,
-        model_rays=0,
-        block=(1, 1),
-        exposure_of_radiance=1e-5,
-        camera=problem.scene(problem.study.document).camera,
-        tolerance=1.0,
-        max_error=None,
-        scene_sha256="",
-        tolerances=None,
-        magnification=None,
-    )
-    return read, basis
+    light = 90 * np.exp(-((u - 0.8 * np.cos(turns) - 0.2) ** 2 + (v - 0.8 * np.sin(turns)) ** 2) / 3)
+    return read, basis_of(light, problem.scene(problem.study.document))
 
 
 def brighter(basis: Basis, *factors: float) -> Basis:

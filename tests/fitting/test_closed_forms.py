@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Final
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from radwrap.errors import InputError
 from radwrap.fitting.covariance import RANK, PredictionErrors, Spread, spread
 from radwrap.fitting.directions import in_words
 from radwrap.fitting.fit import Ended
 from radwrap.fitting.free_keys import FreeScene
-from radwrap.fitting.prediction import Prediction
+from radwrap.fitting.prediction import Predicted, Prediction
 from radwrap.fitting.settled import Grained
 from radwrap.fitting.solution import Solution, solve
 from radwrap.fitting.verdict import verdict
@@ -121,6 +123,22 @@ def test_the_predictions_error_goes_through_the_fit_as_one_image() -> None:
     found = spread(np.ones((500, 1)), PredictionErrors(replicates))
     assert found.prediction[0, 0] == pytest.approx(offsets.var(ddof=1) / 4, rel=EXACT)
     assert found.noise[0, 0] == pytest.approx(1 / 500, rel=EXACT)
+
+
+def test_a_fit_that_leaves_what_the_scene_takes_says_so(bench: Scene, basis: Basis) -> None:
+    """As where captures are met best by a level without end."""
+    level, truth = "sources[0].leds[0].radiance_factor", [1.5]
+    keys, prediction = begun(bench, basis, [level])
+    capture, at = taken(prediction.at(truth).unclipped, bench), prediction.at
+
+    def within(values: Sequence[float]) -> Predicted:
+        if values[0] > 1.2:
+            raise InputError("must be at most 1.2", where=level)
+        return at(values)
+
+    with patch.object(prediction, "at", within), pytest.raises(InputError, match="takes no value: must be") as told:
+        solve(keys.keys, prediction, [capture], None, robust=False)
+    assert told.value.where == level and "give the key bounds" in told.value.remedy
 
 
 def test_a_missing_source_is_not_explained(bench: Scene, basis: Basis) -> None:
