@@ -38,6 +38,8 @@ _SOURCE: Final = re.compile(r"sources\[(\d+)\]\.")
 _MEASURES: Final[Mapping[str, Measure]] = {"uniformity": "deviation", "unevenness": "extremes"}
 _MEANS: Final = ("mean_gray", "region_mean")
 _AT_BOUND: Final = 1e-7  # of a level's range: what a solver leaves of a bound
+# Of a level's upper bound, in place of 0: a scene leaves a source without light out with its body, which a basis has.
+_DARK: Final = 1e-6
 CONVEX: Final = "convex program"
 LOCAL: Final = "local search"
 
@@ -245,7 +247,7 @@ def best_levels(aim: LightAim, basis: Basis, scene: Scene, around: Sequence[tupl
     for level, found_factor in zip(aim.sought, factors.tolist(), strict=True):
         near, factor = _AT_BOUND * (level.high - level.low), found_factor
         if factor <= level.low + near:
-            factor, at_low = level.low, [*at_low, level.path]
+            factor, at_low = level.low or _DARK * level.high, [*at_low, level.path]
         elif factor >= level.high - near:
             factor, at_high = level.high, [*at_high, level.path]
         exact.append(factor)

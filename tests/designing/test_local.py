@@ -98,6 +98,8 @@ def test_a_contrast_is_that_of_the_led_that_has_most(tmp_path: Path) -> None:
         found = found_for(tmp_path, light, TEXT.format(of="contrast"))
         assert found.value == pytest.approx(np.abs((first - second) / (first + second)).max(), abs=2e-3)
         assert math.isfinite(found.value) and image(light, found).max() <= 130 * (1 + 1e-4)
+        # A scene leaves a source without light out, with its body.
+        assert found.at_low and all(found.levels[path] == pytest.approx(1e-6 * MOST) for path in found.at_low)
     # Without a limit nothing but saturation is in the way, in which the scene stands.
     bare = TEXT.format(of="contrast").partition("[[constraints]]")[0]
     found = found_for(tmp_path, spots(3, 4000.0, 2), bare)
