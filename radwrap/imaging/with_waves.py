@@ -166,9 +166,11 @@ class _Image:
     may_be_finer: bool = True
 
     def make_finer(self, tolerance: float) -> None:
-        """Make it to a tolerance of its own [gray level]."""
-        self.taken, self.may_be_finer = self.taken + self.made.used.rays, False
-        self.made = self.again(tolerance)
+        """Make it to a tolerance of its own [gray level], where it does not keep that; a budget may end it too soon."""
+        self.may_be_finer, known = False, self.made
+        if tolerance < known.certificate.rms_gray_upper95:
+            both = sorted((self.again(tolerance), known), key=lambda made: made.certificate.rms_gray_upper95)
+            self.made, self.taken = both[0], self.taken + both[1].used.rays
 
     def added(self, plan: WavePlan, parts: WaveParts, waves: _Waves, rays: int) -> tuple[Made, WaveError]:
         """The image with what waves add, which took so many rays more."""
@@ -312,9 +314,8 @@ def with_waves(
         if camera.diffraction == "auto" and more_may_help:
             return WithWaves(image.made, found, None)
         raise _too_deep() from error
-    slope = None
-    if scene.tolerances is not None and scene.tolerances.aperture_diameter:
-        slope = _blur_slope(waves, added)
+    unsure = scene.tolerances is not None and scene.tolerances.aperture_diameter
+    slope = _blur_slope(waves, added) if unsure else None
     told = DiffractionTaken(waves.wavelength, found.rms_gray, added.parts.rays, _told_wavelengths(waves.lights))
     return WithWaves(added.whole, None, told, added.plan, tuple(waves.lights), slope)
 
@@ -462,8 +463,8 @@ def _is_met(made: Made) -> bool:
 def _more_rays_may_do(made: Made, waves: _Waves, off: WaveError, share: float = 0.0) -> bool:
     """Whether the image and what its waves are off by anyway would leave a share of what is asked to rays and cells."""
     known, demand = made.certificate, waves.options.demand
-    left = share * waves.options.gray_tolerance
-    lasting = math.hypot(known.rms_gray_upper95, math.sqrt(off.lasting), left) + off.tails + waves.by_bands
+    parts = known.rms_gray_upper95, math.sqrt(off.lasting), share * waves.options.gray_tolerance
+    lasting = math.hypot(*parts) + off.tails + waves.by_bands
     return demand is not None and demand.is_met(lasting, known.p99_gray_upper95)
 
 
@@ -474,8 +475,7 @@ def _square_left(tolerance: float, waves: _Waves, off: WaveError) -> float:
 
 def _left_to_image(square: float, off: WaveError) -> float:
     """What the image may be off by where both have so much [gray level]; of waves that take more than half, half."""
-    by_waves = off.noise.upper + off.cells - off.lasting
-    return math.sqrt(square - min(by_waves, square / 2))
+    return math.sqrt(square - min(off.noise.upper + off.cells - off.lasting, square / 2))
 
 
 def _error(plan: WavePlan, parts: WaveParts, made: Array, work: Work) -> WaveError:

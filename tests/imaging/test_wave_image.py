@@ -16,10 +16,10 @@ import radwrap
 from radwrap.errors import InputError
 from radwrap.imaging.optics.view import View
 from radwrap.imaging.tolerance.bounds import Bounded
-from radwrap.imaging.tolerance.wave_image import WaveError, visible_gray, wave_error
+from radwrap.imaging.tolerance.wave_image import WaveError, _common_square, visible_gray, wave_error
 from radwrap.imaging.tolerance.wave_parts import wave_parts
 from radwrap.imaging.tolerance.wave_plan import by_diameter, plan_waves
-from radwrap.imaging.with_waves import _finer, _left_to_image
+from radwrap.imaging.with_waves import _finer, _Image, _left_to_image
 from radwrap.scene.camera import Aperture, Lens
 from radwrap.tracers.tracer import Tracer
 from tests.imaging.planes import Array, Planes, camera
@@ -163,6 +163,30 @@ def test_what_no_ray_makes_smaller_is_left_out_of_what_finer_cells_may_do() -> N
     # An image gets what rays and cells of waves leave, and half of all where these take more.
     assert _left_to_image(0.75, off) == pytest.approx(math.sqrt(0.75 - 0.09))
     assert _left_to_image(0.1, off) == pytest.approx(math.sqrt(0.05))
+
+
+def test_what_lasts_holds_no_noise_of_rays() -> None:
+    """Of three sets with an error in common, 2, and noise of 3: what they have in common is told."""
+    noise = np.random.default_rng(1).normal(0, 3, (3, 200, 200))
+    assert _common_square(2 + noise) == pytest.approx(4, rel=0.02)
+    assert _common_square(noise) < 0.1
+    assert _common_square(np.stack([np.ones((2, 2)), -np.ones((2, 2))])) == 0.0
+
+
+def test_an_image_that_a_budget_ended_too_soon_is_not_taken() -> None:
+    """It was made anew, came out worse than before, and was kept all the same."""
+
+    def made(rms: float, rays: int) -> Any:
+        return SimpleNamespace(certificate=SimpleNamespace(rms_gray_upper95=rms), used=SimpleNamespace(rays=rays))
+
+    for found, kept, taken in ((8.6, 4.7, 105), (2.1, 2.1, 107)):
+        image = _Image(made(4.7, 7), 100, lambda _, found=found: made(found, 5))
+        image.make_finer(2.5)
+        assert image.made.certificate.rms_gray_upper95 == kept and image.taken == taken
+        assert not image.may_be_finer
+    image = _Image(made(1.3, 7), 100, lambda _: pytest.fail("it is as fine already"))
+    image.make_finer(6.3)
+    assert image.made.used.rays == 7 and image.taken == 100
 
 
 @pytest.mark.long

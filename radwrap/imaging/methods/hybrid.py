@@ -323,6 +323,11 @@ def are_near(view: View, plan: HybridPlan, rows: NDArray[np.intp], columns: NDAr
     return near
 
 
+def look_rays(plan: HybridPlan) -> int:
+    """Rays of `are_near` for each pixel."""
+    return math.prod(2 * far + 1 for far in _reach(plan))
+
+
 def _reach(plan: HybridPlan) -> list[int]:
     """Columns and rows over which a pixel gathers, at most."""
     return [math.ceil(far) for far in reach_px(plan.camera, plan.seen.farthest)]

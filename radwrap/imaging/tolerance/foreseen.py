@@ -16,6 +16,7 @@ from radwrap.imaging.methods.hybrid import (
     Seen,
     are_near,
     is_looked_at_nearer,
+    look_rays,
     needs,
     rays_of,
     signed_numbers,
@@ -28,7 +29,11 @@ from radwrap.imaging.tolerance.survey import Survey, surveyed_places
 from radwrap.random_streams import Rendering, generator
 
 _PIXELS: Final = 128
-_LOOKED_AT: Final = 1024  # pixels, to tell how many lie near steps of those that the survey's coarse grid names
+# Pixels, to tell how many lie near steps of those that the survey's coarse grid names, and rays for that. Where the
+# reach takes more for each pixel the grid tells enough: its points lie no farther apart.
+_LOOKED_AT: Final = 1024
+_LOOK_RAYS: Final = 1 << 18
+_WIDEST_LOOK: Final = 1 << 10  # rays
 
 
 def seen_by(view: View, found: Survey) -> tuple[Seen, int]:
@@ -76,10 +81,10 @@ def foresee(view: View, plan: HybridPlan, seed: int) -> Foreseen:
     near = np.flatnonzero(cost > plan.least)
     random = generator(seed, Rendering.FORESEEN_PIXELS)
     asked = len(near) / cost.size * sensor.pixels
-    if is_looked_at_nearer(plan):
+    if is_looked_at_nearer(plan) and look_rays(plan) <= _WIDEST_LOOK:
         rows, columns, looks = _some_near(view, plan, near, random)
         found_near = asked * len(rows) / max(looks, 1)
-        rows, columns = rows[:_PIXELS], columns[:_PIXELS]
+        rows, columns, looks = rows[:_PIXELS], columns[:_PIXELS], looks * look_rays(plan)
     else:
         drawn = random.choice(near, min(len(near), _PIXELS), replace=False) if len(near) else near
         columns, rows = (np.rint(places[drawn]).astype(np.intp) for places in surveyed_places(sensor))
@@ -97,10 +102,11 @@ def _some_near(
     if not near.size:
         return near, near, 0
     sensor, numbers = view.camera.sensor, plan.seen.cost.shape
-    points = np.divmod(random.choice(near, _LOOKED_AT), numbers[1])
+    looks = min(_LOOKED_AT, _LOOK_RAYS // look_rays(plan))
+    points = np.divmod(random.choice(near, looks), numbers[1])
     rows, columns = (
-        np.minimum(((point + random.random(_LOOKED_AT)) * size / number).astype(np.intp), size - 1)
+        np.minimum(((point + random.random(looks)) * size / number).astype(np.intp), size - 1)
         for point, size, number in zip(points, (sensor.rows, sensor.columns), numbers, strict=True)
     )
     some = are_near(view, plan, rows, columns)
-    return rows[some], columns[some], _LOOKED_AT
+    return rows[some], columns[some], looks

@@ -33,7 +33,7 @@ class WaveError:
     cells : float
         Mean square of what `WaveParts.cells` adds [gray level^2].
     lasting : float
-        Mean square of the part of it that finer cells leave [gray level^2].
+        The part of it that neither finer cells nor more rays make smaller.
     tails : float
         What light may change that comes from farther than was looked at, rms [gray level].
     quantile : float
@@ -69,8 +69,15 @@ def wave_error(parts: WaveParts, made: Array, gray: Gray, block: int) -> WaveErr
     scale = math.sqrt(noise.upper / noise.mean) if noise.mean > 0 else 1.0
     size = np.sqrt((samples**2).mean(axis=0)) if len(samples) > 1 else np.abs(samples[0])
     lasting = lasting_wave_error(parts.cells, parts.beyond, made, gray, noise=scale * size)
-    kept = gray(made + parts.lasting) - gray(made)
-    return replace(lasting, noise=noise, lasting=float((kept**2).mean()))
+    return replace(
+        lasting, noise=noise, lasting=min(lasting.cells, _common_square(gray(made + parts.lasting) - gray(made)))
+    )
+
+
+def _common_square(each: Array) -> float:
+    """Mean square of what independent replicates have in common, 0 at least: their products hold no noise."""
+    number, together, apart = len(each), float((each.sum(axis=0) ** 2).sum()), float((each**2).sum())
+    return float(max(together - apart, 0.0) / (number * (number - 1) * each[0].size))
 
 
 def lasting_wave_error(

@@ -55,8 +55,8 @@ class WaveParts:
     cells : ndarray, shape (rows, columns)
         What the cells' size may change of that, where a near thing hides a far one how that is laid out, and of a lens
         whose glass differs over the field how places on a grid are mixed.
-    lasting : ndarray, shape (rows, columns)
-        The part of it that the cells' size does not change.
+    lasting : ndarray, shape (replicates, rows, columns)
+        The part of it that the cells' size does not change, by each set of rays.
     beyond : ndarray, shape (rows, columns)
         What light may change that comes from farther than was looked at.
     rays : int
@@ -105,7 +105,7 @@ def wave_parts(
     plan = plans[0][1]
     sensor, of_all = plan.kernel.camera.sensor, view if len(plans) > 1 else None
     change = np.zeros((replicates, sensor.rows, sensor.columns))
-    cells, lasting = np.zeros((2, sensor.rows, sensor.columns))
+    cells, lasting = np.zeros((sensor.rows, sensor.columns)), np.zeros_like(change)
     counted, guard = plan.rays, threading.Lock()
 
     def count(rays: int) -> None:
@@ -133,7 +133,7 @@ def wave_parts(
             for found, of_cells, of_hiding in traced:
                 change[replicate, r0:r1, c0:c1] += found
                 cells[r0:r1, c0:c1] += of_cells / replicates
-                lasting[r0:r1, c0:c1] += of_hiding / replicates
+                lasting[replicate, r0:r1, c0:c1] += of_hiding
 
     run([partial(trace, tile) for tile in tiles])
     beyond = np.zeros((sensor.rows, sensor.columns))
