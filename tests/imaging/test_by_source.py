@@ -35,7 +35,7 @@ def apart(found: Any, wanted: Any) -> float:
     return float(np.abs(found - wanted).max() / np.abs(wanted).max())
 
 
-@pytest.mark.parametrize(("depths", "few"), [(1, True), (2, True), (2, False)])
+@pytest.mark.parametrize(("depths", "few"), [pytest.param(1, True, marks=pytest.mark.long), (2, True), (2, False)])
 def test_sums_over_traced_cells_are_sums_over_the_grid(depths: int, few: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """With a tall box the blur differs over the scene: each cell's light is shared between layers.
 
