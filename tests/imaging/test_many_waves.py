@@ -74,7 +74,7 @@ def changes_of(view: View, of_all: View, plan: WavePlan, *, sources: int, alone:
             transforms=kept_transforms(),
             of_all=of_all if alone else None,
         )
-        found[:, r0:r1, c0:c1] = [change for change, _ in traced]
+        found[:, r0:r1, c0:c1] = [change for change, *_ in traced]
     return found + [far_change(plan, around)[0] for around in far_light(view, plan, 0, int)]
 
 
