@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -68,7 +68,7 @@ def pair(tables: dict[str, Any], kind: str, amount: float, sign: float) -> tuple
         scene = radwrap.scene_from_document(walled)
         return scene, scene
     scene = radwrap.scene_from_document(tables)
-    set_to: Callable[[str, Any], radwrap.Scene] = lambda key, value: radwrap.with_value(scene, key, value)  # noqa: E731
+    set_to = partial(radwrap.with_value, scene)
     if kind == "source missing":
         last = "sources[0].leds[2].radiance_factor"
         return set_to(last, amount), set_to(last, 0.0)

@@ -475,14 +475,19 @@ def test_no_module_is_too_long() -> None:
     assert not {path: length for path, length in lengths.items() if length > LONGEST_MODULE}
 
 
+def printed_by(code: str) -> str:
+    """What a new interpreter prints that runs some code."""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return done.stdout.strip()
+
+
 def test_importing_has_no_side_effects() -> None:
     """The environment stays as it is, and libraries stay out of the command's first moment."""
     code = (
         "import os, sys; before = dict(os.environ); import radwrap.cli.main; assert dict(os.environ) == before;"
         "print([m for m in ('numpy', 'pydantic', 'scipy', 'cv2', 'matplotlib', 'trimesh') if m in sys.modules])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
+    assert printed_by(code) == "[]"
 
 
 def test_a_command_that_begins_waits_for_no_library_that_it_may_not_need() -> None:
@@ -496,8 +501,7 @@ def test_a_command_that_begins_waits_for_no_library_that_it_may_not_need() -> No
         "Waves(Aperture(), 0.01, 5e-7).transfer(0.0, numpy.zeros(2), numpy.zeros(2));"
         "print([m for m in ('scipy', 'cv2', 'matplotlib', 'trimesh', 'numba', 'OpenImageIO') if m in sys.modules])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
+    assert printed_by(code) == "[]"
 
 
 def test_the_page_is_asked_for_before_what_makes_its_pictures_is_loaded() -> None:
@@ -506,8 +510,7 @@ def test_the_page_is_asked_for_before_what_makes_its_pictures_is_loaded() -> Non
         "import sys, radwrap.cli.face, radwrap.face.serve, radwrap.face.recipe;"
         "print([m for m in ('synthesis', 'relight.relit', 'page.one_file') if f'radwrap.imaging.{m}' in sys.modules])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
+    assert printed_by(code) == "[]"
 
 
 def test_a_small_image_with_diffraction_waits_for_scipy_no_more_than_one_without(tmp_path: Path) -> None:

@@ -144,9 +144,8 @@ class Bench:
             else:
                 record, *others = (read_record(path) for path in self._records(jobs[place]))
                 levels = (record or {}).get("levels")
-                if levels:
-                    candidate = candidate_of(problem, candidate.codes, levels)  # noqa: PLW2901
-                found.append(((candidate, record), list(zip(corners(problem, candidate), others, strict=True))))
+                lit = candidate_of(problem, candidate.codes, levels) if levels else candidate
+                found.append(((lit, record), list(zip(corners(problem, lit), others, strict=True))))
         return found
 
     def _find_levels(self, jobs: Sequence[CandidateJob]) -> None:

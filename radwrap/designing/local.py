@@ -8,8 +8,10 @@ pixel is linear in the levels. The worst of several images is a number that none
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, Final, Protocol
 
 import numpy as np
@@ -74,15 +76,25 @@ def best_nearby(images: Sequence[Image], objective: Objective, constraints: Sequ
         return value if math.isfinite(value) else _UNKNOWN
 
     asked = [one for one in constraints if one.quantity.name not in SCENES_OWN]
-    cuts = [_Cut(peak, start) for image in images for one in asked if (peak := image.peak(one)) is not None]
-    limits = [_limit(image, one, len(low)) for image in images for one in asked if image.peak(one) is None]
-    begin, bounds = start, list(zip(low, high, strict=True))
-    aim: Callable[[Array], float] = lambda x: small(images[0], x)  # noqa: E731
-    if len(images) > 1:
+    cuts, limits = list[_Cut](), list[Any]()
+    for image, one in itertools.product(images, asked):
+        if (peak := image.peak(one)) is None:
+            limits.append(_limit(image, one, len(low)))
+        else:
+            cuts.append(_Cut(peak, start))
+    bounds = list(zip(low, high, strict=True))
+    if len(images) == 1:
+        found = _searched(partial(small, images[0]), start, bounds, limits, cuts)
+    else:
         limits += [_none_above(image, small) for image in images]
-        begin, bounds = np.append(start, max(small(image, start) for image in images)), [*bounds, (-np.inf, np.inf)]
-        aim = lambda x: float(x[-1])  # noqa: E731
-    return np.clip(_searched(aim, begin, bounds, limits, cuts)[: len(low)], low, high)
+        begin = np.append(start, max(small(image, start) for image in images))
+        found = _searched(_last, begin, [*bounds, (-np.inf, np.inf)], limits, cuts)
+    return np.clip(found[: len(low)], low, high)
+
+
+def _last(x: Array) -> float:
+    """The worst of several images, which is one variable more."""
+    return float(x[-1])
 
 
 def worst(images: Sequence[Image], objective: Objective, factors: Array) -> float:
@@ -112,21 +124,24 @@ def _none_above(image: Image, small: Callable[[Image, Array], float]) -> Any:
 
 
 class _Cut:
-    """Pixels that have come near a limit of the brightest one."""
+    """Pixels that have come near a limit of the brightest one; levels are the first variables of a search."""
 
     def __init__(self, limit: Limit, start: Array) -> None:
         self._light, self._most = limit.light / limit.high, 1 - limit.light[:, -1] / limit.high
         self._used: set[int] = set()
         self._used |= self._brightest(start)
 
-    def _brightest(self, factors: Array) -> set[int]:
-        light = self._light[:, :-1] @ factors
+    def _lit(self, x: Array) -> Array:
+        return np.asarray(self._light[:, :-1] @ x[: self._light.shape[1] - 1])
+
+    def _brightest(self, x: Array) -> set[int]:
+        light = self._lit(x)
         return {int(part[light[part].argmax()]) for part in np.array_split(np.arange(len(light)), _BANDS)}
 
-    def taken(self, factors: Array) -> float:
+    def taken(self, x: Array) -> float:
         """Take in what is near the limit now; the share of it by which it is broken by what was not known."""
-        excess = self._light[:, :-1] @ factors - self._most
-        new = {pixel for pixel in self._brightest(factors) if excess[pixel] > -_NEAR} - self._used
+        excess = self._lit(x) - self._most
+        new = {pixel for pixel in self._brightest(x) if excess[pixel] > -_NEAR} - self._used
         self._used |= new
         return max([0.0, *(float(excess[pixel]) for pixel in new)])
 
@@ -150,14 +165,13 @@ def _searched(
     from scipy.optimize import minimize
 
     reached = (math.inf, math.inf)
-    levels = len(begin) - (bounds[-1][0] == -np.inf)
     wide = {"maxfev": _LOOKS * len(begin)}
     steep = {"eps": _STEP, "maxiter": _LOOKS, "ftol": _LITTLE / 10}
     for number in range(_TRIES):
         method, options = ("SLSQP", steep) if number % 2 else ("COBYQA", wide)
         every = [*limits, *(cut.as_constraint(len(begin)) for cut in cuts)]
         result = minimize(aim, begin, method=method, bounds=bounds, constraints=every, options=options)
-        broken = max([0.0, *(cut.taken(result.x[:levels]) for cut in cuts)])
+        broken = max([0.0, *(cut.taken(result.x) for cut in cuts)])
         here = (max(_excess(every, result.x) - _LITTLE, 0.0), float(aim(result.x)))
         if broken > _LITTLE:  # by pixels that were not asked: it is no end
             begin, reached = result.x, (math.inf, math.inf)

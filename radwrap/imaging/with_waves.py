@@ -194,7 +194,7 @@ def _finer(tolerance: float, made: Made, off: WaveError, *, least: float) -> tup
     Where one of them is not 1, it is at most `least`: what is made goes by steps.
     """
     rest = max(max(tolerance - off.tails, 0.0) ** 2 - made.certificate.rms_gray_upper95**2 - off.lasting, 0.0)
-    parts = (off.noise.upper, (1 - _OF_CELLS**2) * rest), (max(off.cells - off.lasting, 0.0), _OF_CELLS**2 * rest)
+    parts = (off.noise.upper, (1 - _OF_CELLS**2) * rest), (off.cells - off.lasting, _OF_CELLS**2 * rest)
     noise, cells = (
         1.0 if found <= most else min(least, max(_FINER, _LESS * math.sqrt(most / found))) for found, most in parts
     )
