@@ -29,6 +29,8 @@ from radwrap.scene.look.checks import warnings_of
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import WideSource
 
+# Of an image's error, what no rays make smaller is named from such a share on: squares add, so that it is half of it.
+_MOST_OF_IT = 0.7
 _DESCRIPTION = (
     "Predicts the gray image of a scene. Writes gray.png, radiant_exposure.exr and manifest.json into DIR; a killed "
     "run continues where it stopped when it is started again."
@@ -167,8 +169,19 @@ def run(arguments: argparse.Namespace) -> int:
         bound = f"below {result.error.rms_gray_upper95:.2g} gray rms (95 %)"
         print(f"radwrap: the error, {bound}, does not include what is left out: {missing} gray rms", file=sys.stderr)
     if not result.run.met:
-        raise ToleranceNotMet("the tolerance was not met; this is the best image that was found")
+        raise ToleranceNotMet(f"the tolerance was not met; this is the best image that was found{_why(result.run)}")
     return 0
+
+
+def _why(made: RunManifest) -> str:
+    """What keeps an image from its tolerance though more rays were taken, where that is the most of it."""
+    lasting = None if made.diffraction is None else made.diffraction.lasting_gray
+    if lasting is None or lasting < _MOST_OF_IT * made.error.rms_gray_upper95:
+        return ""
+    return (
+        f": {lasting:.2g} gray of its error is light that waves bend around near edges and from far away, "
+        "which no more rays make smaller"
+    )
 
 
 def _warn(warnings: Iterable[str]) -> None:

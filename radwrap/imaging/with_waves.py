@@ -21,13 +21,12 @@ from radwrap.imaging.methods.pieces import run_jobs
 from radwrap.imaging.methods.smooth_blocks import with_known
 from radwrap.imaging.optics.diffraction import Light, light_of_all, wavelength_of
 from radwrap.imaging.optics.smooth import SmoothField
-from radwrap.imaging.optics.view import trace_rays
 from radwrap.imaging.output.run_manifest import DiffractionTaken
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.tolerance.pace import Pace
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.wave_far import OF_FAR
-from radwrap.imaging.tolerance.wave_image import WaveError, visible_gray, wave_error
+from radwrap.imaging.tolerance.wave_image import WaveError, look, seen_rms, visible_gray, wave_error
 from radwrap.imaging.tolerance.wave_parts import WaveParts, wave_parts
 from radwrap.imaging.tolerance.wave_plan import WavePlan, by_diameter, plan_waves
 from radwrap.scene.scene import Scene
@@ -46,8 +45,6 @@ _OF_CELLS: Final = 0.5  # of what the image leaves, what the size of their cells
 _FINER: Final = 0.25  # of either, where it was too much
 _TRIES: Final = 3  # plans of waves
 _FAR_SHARE: Final = 0.3  # of the tolerance, what the law of far light may be off by: that adds to all else
-_LITTLE: Final = 0.01  # of the light
-_LOOKED: Final = 32  # pixels along a side that tell how much light is seen
 _LESS: Final = 0.8  # of the tolerance is left to the rays' own image, where both together break it
 _TWO: Final = 2  # replicates, where nothing is made of them but their mean
 # Degrees of freedom by which noise is known: its bound is then 1.4 of it. Two replicates have one for each block over
@@ -180,9 +177,10 @@ class _Image:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Added:
-    """An image with waves, and how they were traced: to which noise of a replicate [gray level]."""
+    """An image with waves, how far it is off by them, and by which rays, of which noise of a replicate [gray level]."""
 
     whole: Made
+    off: WaveError
     plan: WavePlan
     parts: WaveParts
     aim: float
@@ -243,7 +241,9 @@ def foreseen_waves(scene: Scene, options: RenderOptions, work: Work, replicates:
     found = diffraction_left_out(scene, work.view, options.seed, options.gray_tolerance, _FEWEST)
     if asked == "auto" and not found.needed:
         return None
-    seen = 0.0 if options.sampling is not None else _seen(_look(work), work)  # it decides nothing of such images
+    seen = (
+        0.0 if options.sampling is not None else seen_rms(look(work.view), work.view)
+    )  # it decides nothing of such images
     waves = _Waves(scene, options, work, (light_of_all(scene, work.view),), found.rms_gray, seen)
     left = math.sqrt(1 - _USUAL**2) * options.gray_tolerance
     try:
@@ -307,7 +307,7 @@ def with_waves(
     smooth = None if image.made.outcome is None else image.made.outcome.smooth
     work = replace(work, view=replace(work.view, smooth=smooth))
     known = _with_smooth(lights(), smooth)
-    waves = _Waves(scene, options, work, known, found.rms_gray, _seen(image.made.radiance, work))
+    waves = _Waves(scene, options, work, known, found.rms_gray, seen_rms(image.made.radiance, work.view))
     try:
         added = _to_tolerance(image, waves, pace)
     except TooDeep as error:
@@ -316,7 +316,9 @@ def with_waves(
         raise _too_deep() from error
     unsure = scene.tolerances is not None and scene.tolerances.aperture_diameter
     slope = _blur_slope(waves, added) if unsure else None
-    told = DiffractionTaken(waves.wavelength, found.rms_gray, added.parts.rays, _told_wavelengths(waves.lights))
+    told = DiffractionTaken(
+        waves.wavelength, found.rms_gray, added.parts.rays, _told_wavelengths(waves.lights), _lasting(waves, added.off)
+    )
     return WithWaves(added.whole, None, told, added.plan, tuple(waves.lights), slope)
 
 
@@ -357,7 +359,7 @@ def _to_tolerance(image: _Image, waves: _Waves, pace: Pace) -> _Added:
         least = _LESS if tries_left > 1 else _FINER  # the last one is to do
         of_noise, of_size = _finer(tolerance, image.made, off, least=least)
         aim, of_cells = of_noise * aim, of_size * of_cells
-    return _Added(whole, replace(plan, samples=parts.samples), parts, aim)
+    return _Added(whole, off, replace(plan, sampling=parts.sampling), parts, aim)
 
 
 def _blur_slope(waves: _Waves, added: _Added) -> Array:
@@ -401,7 +403,7 @@ def _do_even_cells(waves: _Waves, cell: float, aim: float) -> bool:
     work = waves.work
     plan = plan_waves(work.view, waves.wavelength, 0.0, waves.options.seed, even_cell=cell)
     parts = waves.parts(plan, _TWO)
-    found = _error(plan, parts, np.maximum(_look(work, whole=True) + parts.change.mean(axis=0), 0.0), work)
+    found = _error(plan, parts, np.maximum(look(work.view, whole=True) + parts.change.mean(axis=0), 0.0), work)
     return found.noise.mean * _TWO / REPLICATES + found.cells <= aim**2
 
 
@@ -420,24 +422,6 @@ def _left_to_waves(tolerance: float, made: Made) -> float:
     Waves that are surer than their image by far take rays for nothing.
     """
     return max(_leaves(tolerance, made), _LEAST_LEFT * max(tolerance, made.certificate.rms_gray_upper95))
-
-
-def _look(work: Work, *, whole: bool = False) -> Array:
-    """About what an image shows, a ray a pixel, of some pixels or of all [W m^-2 sr^-1]."""
-    sensor = work.view.camera.sensor
-    rows, columns = (
-        np.arange(size, dtype=np.float64)[:: 1 if whole else math.ceil(size / _LOOKED)]
-        for size in (sensor.rows, sensor.columns)
-    )
-    v, u = np.meshgrid(rows, columns, indexing="ij")
-    return trace_rays(work.view, None, u.ravel(), v.ravel())[0].reshape(v.shape)
-
-
-def _seen(radiance: Array, work: Work) -> float:
-    """Rms of gray levels that light adds, by what a hundredth of it does."""
-    gray = visible_gray(work.view.exposure_of_radiance, work.view.camera.sensor)
-    more = gray(radiance * (1 + _LITTLE)) - gray(radiance)
-    return math.sqrt(float((more**2).mean())) / _LITTLE
 
 
 def _too_deep() -> InputError:
@@ -463,9 +447,14 @@ def _is_met(made: Made) -> bool:
 def _more_rays_may_do(made: Made, waves: _Waves, off: WaveError, share: float = 0.0) -> bool:
     """Whether the image and what its waves are off by anyway would leave a share of what is asked to rays and cells."""
     known, demand = made.certificate, waves.options.demand
-    parts = known.rms_gray_upper95, math.sqrt(off.lasting), share * waves.options.gray_tolerance
-    lasting = math.hypot(*parts) + off.tails + waves.by_bands
+    lasting = math.hypot(known.rms_gray_upper95, share * waves.options.gray_tolerance, math.sqrt(off.lasting))
+    lasting += off.tails + waves.by_bands
     return demand is not None and demand.is_met(lasting, known.p99_gray_upper95)
+
+
+def _lasting(waves: _Waves, off: WaveError) -> float:
+    """What waves are off by whatever rays are taken, rms [gray level]."""
+    return math.sqrt(off.lasting) + off.tails + waves.by_bands
 
 
 def _square_left(tolerance: float, waves: _Waves, off: WaveError) -> float:

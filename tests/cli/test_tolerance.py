@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
+from radwrap.cli.render import _why
 from radwrap.errors import InputError
 from tests.cli.conftest import SMALL, here, products, write_scene
 
@@ -44,6 +47,17 @@ def test_a_tolerance_beyond_the_budget_ends_with_3_and_the_best_image(
     assert {"gray.png", "radiant_exposure.exr"} <= set(products(out))
     # The finished run is not run again, and says the same.
     assert here(argv, capsys).code == 3
+
+
+def test_what_no_more_rays_make_smaller_is_named() -> None:
+    """Only where it is half of the squares that the error is made of."""
+
+    def made(lasting: float | None) -> Any:
+        taken = None if lasting is None else SimpleNamespace(lasting_gray=lasting)
+        return SimpleNamespace(diffraction=taken, error=SimpleNamespace(rms_gray_upper95=1.0))
+
+    assert _why(made(None)) == _why(made(0.69)) == ""
+    assert _why(made(0.71)).startswith(": 0.71 gray of its error")
 
 
 @pytest.mark.parametrize(

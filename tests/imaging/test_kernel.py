@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import tracemalloc
 from dataclasses import replace
@@ -10,7 +11,8 @@ import numpy as np
 import pytest
 
 from radwrap.errors import InputError
-from radwrap.imaging.methods.central import Cells, common_samples
+from radwrap.imaging.methods.central import Cells, EdgeSampling, central_rays, edge_sampling
+from radwrap.imaging.methods.grid import GridPlan
 from radwrap.imaging.methods.kernel import (
     KernelPlan,
     decide_tile,
@@ -319,10 +321,45 @@ def test_radiance_below_zero_counts_as_none() -> None:
     assert grid_squares(radiance, change, 1.0, sensor) == pytest.approx([0.0, 0.09, 0.0, 0.01])
 
 
-@pytest.mark.parametrize(("aim", "samples"), [(12.1, 1), (8.0, 2), (4.0, 3), (0.5, 8)])
-def test_a_tile_without_edges_leaves_its_share_to_the_others(aim: float, samples: int) -> None:
-    """By one ray a cell the first is off by 3 * 4^1.5 = 24: with three others as large 12; n x n make it n^1.5 less."""
-    grid = plan_kernel(view(ROUND), np.zeros(1), aim).grid
-    edges, even = (Cells((0, 0), np.zeros((1, 1), dtype=np.int8), n, off, 0) for n, off in ((4, 3.0), (1, 0.0)))
-    assert grid.aim == aim
-    assert common_samples(grid, [(edges, 100), (even, 300)]) == samples
+def cells_of(heights: Array, shape: tuple[int, int] = (20, 20)) -> Cells:
+    """Cells of a grid, the first of which edges of such heights cross [gray level]."""
+    levels = np.zeros(shape, dtype=np.int8)
+    levels.ravel()[: len(heights)] = 3
+    return Cells((0, 0), levels, 1, 0.0, 0, heights.astype(np.float32))
+
+
+def one_ray(grid: GridPlan, heights: Array, cells: int) -> float:
+    """Rms of an image whose crossed cells have a ray each: of edges as of docs/methods.md [gray level]."""
+    return math.sqrt(float((heights**2).sum()) / 12 * grid.cell**2 / grid.area / cells)
+
+
+@pytest.mark.parametrize(("least", "samples"), [(1.01, 1), (0.7, 2), (0.25, 3), (0.02, 8)])
+def test_a_tile_without_edges_leaves_its_share_to_the_others(least: float, samples: int) -> None:
+    """With three parts in four that have none an image is off by half as much; n x n rays make it n^1.5 less."""
+    heights = np.full(40, 50.0)
+    grid = plan_kernel(view(ROUND), np.zeros(1), 1.0).grid
+    grid = replace(grid, levels=2, aim=least * one_ray(grid, heights, 400) / 2)
+    found = edge_sampling(grid, [(cells_of(heights), 100), (cells_of(np.empty(0)), 300)])
+    assert found.samples == samples
+    assert found.passed_over == (50.0 if samples == 1 else 0.0)
+
+
+@pytest.mark.parametrize("share", [0.9, 0.5, 0.2, 0.07])
+def test_rays_go_where_much_differs(share: float) -> None:
+    """As few as any choice of n and of what is passed over needs, tried one by one, for heights of any kind."""
+    random = np.random.default_rng(7)
+    heights = np.float32(np.concatenate([random.uniform(1, 3, 150), random.uniform(20, 90, 30), [90.0] * 9]))
+    random.shuffle(heights)
+    tile, grid = cells_of(heights), replace(plan_kernel(view(ROUND), np.zeros(1), 1.0).grid, levels=2)
+    grid = replace(grid, aim=share * one_ray(grid, heights, 400))
+    found = edge_sampling(grid, [(tile, 100)])
+    fewest = []
+    for n, most in itertools.product(range(1, 9), [0.0, *heights.tolist()]):
+        few = heights <= most
+        off = np.where(few, heights, heights / n**1.5)
+        if one_ray(grid, off, 400) <= grid.aim:
+            fewest.append(int(few.sum() + (~few).sum() * n**2))
+    given = tile.with_rays(2, found)
+    assert (given.levels == 3).sum() == (heights > found.passed_over).sum()
+    assert (given.levels == 2).sum() + (given.levels == 3).sum() * found.samples**2 == min(fewest)
+    assert central_rays(grid, given) < 0.5 * central_rays(grid, tile.with_rays(2, EdgeSampling(found.samples, 0.0)))

@@ -60,7 +60,7 @@ def test_what_a_sample_finds_is_how_far_values_are_off() -> None:
     """By rays of its own, as many as the sample has by far."""
     with laid_out(shaded(), COMPILED) as traced:
         view = traced.view()
-        field = smooth_field(view, (3.0, 3.0), 0.3)
+        field = smooth_field(view, 3.0, 0.3)
         assert field is not None and np.count_nonzero(field.likely) > 100
         found = with_sampled_blocks(view, field, 0.3, 0)
         assert np.count_nonzero(found.smooth) > 0.8 * np.count_nonzero(field.likely)
@@ -90,7 +90,7 @@ BRICK: dict[str, Any] = {
 def test_smaller_blocks_lie_nearer_to_what_shades_them_and_are_as_exact() -> None:
     with laid_out(shaded(BRICK), COMPILED) as traced:
         view = traced.view()
-        field = smooth_field(view, (3.0, 3.0), 0.5)
+        field = smooth_field(view, 3.0, 0.5)
         assert field is not None
         large = with_sampled_blocks(view, field, 0.5, 0)
         assert large.finer is not None and large.finer.finer is not None

@@ -44,7 +44,7 @@ def test_between_corners_lies_what_rays_see() -> None:
     scene = scene_of(camera=LENS)
     with laid_out(scene, COMPILED) as traced:
         view = traced.view()
-        found = smooth_field(view, (3.0, 3.0), 0.5)
+        found = smooth_field(view, 3.0, 0.5)
         assert found is not None
         assert found.share == 1.0
         random = np.random.default_rng(1)
@@ -65,7 +65,7 @@ def test_between_corners_lies_what_rays_see() -> None:
 
 def test_radiance_proves_nothing() -> None:
     with laid_out(scene_of(), replace(COMPILED, tracer="radiance")) as traced:
-        assert smooth_field(traced.view(), (1.0, 1.0), 0.5) is None
+        assert smooth_field(traced.view(), 1.0, 0.5) is None
 
 
 def test_an_empty_belt_takes_few_rays_and_keeps_its_bound(tmp_path: Path) -> None:

@@ -51,7 +51,7 @@ def test_light_from_beyond_the_first_ring_is_its_share_of_the_tail(times: float)
 
 
 def test_what_is_known_of_smooth_blocks_is_not_traced_again() -> None:
-    """Light that grows evenly: blocks of the sensor are known exactly, what lies beside it is traced."""
+    """Light that grows evenly: blocks on the sensor, of four rays each, are known exactly; others are not."""
     plain = camera(Aperture("round", 2e-4), rows=40, columns=40, pixel=(1e-5, 1e-5))
 
     def lit(x: Array, y: Array) -> Array:
@@ -80,7 +80,7 @@ def test_what_is_known_of_smooth_blocks_is_not_traced_again() -> None:
         counts.append(sum(rays))
         assert sum(rays) == pytest.approx(far_rays(plan), rel=0.02)
     assert found[1] == pytest.approx(found[0], rel=1e-9)
-    assert counts[0] - counts[1] > 300
+    assert counts[0] - counts[1] > 130
 
 
 @pytest.mark.long

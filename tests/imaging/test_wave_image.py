@@ -196,6 +196,8 @@ def test_the_image_is_made_finer_where_hiding_keeps_waves_from_a_tolerance() -> 
     made = radwrap.render(scene, options=COMPILED, tolerance=0.5)
     assert made.met and made.run.rays < 2e7
     assert made.manifest["diffraction"]["rays"] < 4e6
+    diffraction = made.error.diffraction_gray
+    assert diffraction is not None and 0.2 < made.manifest["diffraction"]["lasting_gray"] <= diffraction
 
 
 @pytest.mark.long

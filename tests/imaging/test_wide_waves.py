@@ -17,7 +17,7 @@ from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.tolerance.survey import survey, with_smooth_blocks
 from radwrap.imaging.tolerance.wave_image import visible_gray
-from radwrap.imaging.tolerance.wave_parts import wave_cells, wave_parts
+from radwrap.imaging.tolerance.wave_parts import kept_transforms, wave_cells, wave_parts, wave_tile
 from radwrap.imaging.tolerance.wave_plan import known_to, plan_waves
 from radwrap.imaging.tracing import laid_out
 from radwrap.scene.scene import Scene
@@ -112,3 +112,28 @@ def test_smaller_blocks_too_are_known_in_other_light() -> None:
             assert known.mean() == pytest.approx(seen.mean(), rel=0.02)
             of_both = of_both + known
         assert of_both == pytest.approx(field.at(u[small], v[small])[0], rel=0.2)
+
+
+def test_a_tile_of_smooth_blocks_has_the_sum_of_the_weights() -> None:
+    """As its cells would say, but for how little light bends between their corners; no ray is taken."""
+    with laid_out(scene_of(camera=LENS), COMPILED) as traced:
+        view = traced.view()
+        seen = with_smooth_blocks(view, survey(view, 0), 0.5, 0)
+        plan = plan_waves(seen, 550e-9, 2.0, 0)
+        rows, columns = (round(far) + 2 for far in plan.kernel.reach_px[::-1])
+        sensor = view.camera.sensor
+        inside = (rows, sensor.rows - rows, columns, sensor.columns - columns)
+        plan = replace(plan, kernel=replace(plan.kernel, tiles=(inside,)))
+        taken: list[int] = []
+        cells = wave_cells(seen, plan, 0, taken.append)
+        general = wave_cells(seen, replace(plan, smooth=None), 0, taken.append)
+        assert cells.samples == 0 and general.samples
+        taken.clear()
+        found, wanted = (
+            next(wave_tile(seen, [plan], (0, 0), each, taken.append, transforms=kept_transforms()))
+            for each in (cells, general)
+        )
+    assert not sum(taken)
+    assert np.abs(wanted[0]).max() > 0
+    assert np.abs(found[0] - wanted[0]).max() < 0.01 * np.abs(wanted[0]).max()
+    assert not found[1].any() and not found[2].any()

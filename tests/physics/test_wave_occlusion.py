@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from radwrap.imaging.optics.view import View
-from radwrap.imaging.tolerance.wave_behind import Filling, Layout
+from radwrap.imaging.tolerance.wave_behind import Filling, Layout, as_seen
 from radwrap.imaging.tolerance.wave_image import visible_gray, wave_error
 from radwrap.imaging.tolerance.wave_parts import wave_parts
 from radwrap.imaging.tolerance.wave_plan import plan_waves
@@ -120,7 +120,7 @@ def test_light_that_is_laid_out_adds_up_and_slopes_hide_nothing() -> None:
     across = np.broadcast_to(np.linspace(0.0, 0.3, 64), (48, 64))
     values = 1 + across
     even = Layout.of(across, layers)
-    assert even.going_on(values) is None and sum(even.as_seen(values).values()) == pytest.approx(values)
+    assert even.going_on(values) is None and sum(as_seen(values, even.shares).values()) == pytest.approx(values)
     hiding = np.where(np.arange(64) < 20, 0.3, 0.1) * np.ones((48, 1))
     behind = Layout.of(hiding, layers).going_on(values)
     assert behind is not None and sum(behind.values()) == pytest.approx(values)

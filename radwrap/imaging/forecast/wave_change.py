@@ -27,7 +27,7 @@ from radwrap.imaging.optics.waves import Waves
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.tolerance.bounds import NOTHING, Bounded, mean_squares, resampling
 from radwrap.imaging.tolerance.certificate import lacks_in_gray
-from radwrap.imaging.tolerance.wave_behind import Layout
+from radwrap.imaging.tolerance.wave_behind import Layout, as_seen
 from radwrap.random_streams import Rendering, generator
 from radwrap.scene.camera import Camera
 
@@ -343,7 +343,7 @@ def _gathered(
 ) -> tuple[Array, Array]:
     """What rays gather at those pixels of a part that lie alike in their cells, and what waves add."""
     layout = Layout.of(depth, grid.layers)
-    seen, behind = layout.as_seen(light), layout.going_on(light)
+    seen, behind = as_seen(light, layout.shares), layout.going_on(light)
     spectra = {layer: np.fft.rfft2(one) for layer, one in seen.items()}
     of_behind = spectra if behind is None else {layer: np.fft.rfft2(one) for layer, one in behind.items()}
     r0, r1, c0, c1 = rect

@@ -8,7 +8,7 @@ from radwrap.imaging.forecast.rehearsal import Rehearsed, Stopwatch, for_a_while
 from radwrap.imaging.methods.central import Cells
 from radwrap.imaging.optics.view import LitView, View
 from radwrap.imaging.tolerance.wave_far import far_rays, far_view
-from radwrap.imaging.tolerance.wave_parts import kept_transforms, samples_of_all, wave_cells, wave_tile
+from radwrap.imaging.tolerance.wave_parts import kept_transforms, sampling_of_all, wave_cells, wave_tile
 from radwrap.imaging.tolerance.wave_plan import WavePlan
 
 
@@ -39,7 +39,7 @@ def rehearsed_waves(
         rays[0] += sum(counted)
         deciding += clock.lap()
         counted.clear()
-        cells = replace(decided[tile], samples=samples_of_all(plan, decided))
+        cells = decided[tile].with_rays(plan.kernel.grid.levels, sampling_of_all(plan, decided))
         for _ in wave_tile(
             traced, plans, (tile, 0), cells, counted.append, transforms=kept_transforms(), of_all=of_all
         ):

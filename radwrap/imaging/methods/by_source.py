@@ -16,11 +16,14 @@ from radwrap.imaging.methods.kernel import (
     coarsened,
     gathered_each,
     grid_share,
+    has_small_footprints,
     lattice,
-    layer_shares,
-    small_footprints,
+    layer_places,
+    layer_share,
+    layers_met,
     smooth_tiles,
 )
+from radwrap.imaging.optics.footprint import footprint
 from radwrap.imaging.optics.view import View
 
 Array = NDArray[np.float64]
@@ -68,7 +71,7 @@ def gathered_sources(
     else:
         with_depth = plan.grid.with_depth
         traced = traced_cells(view, plan.grid, cells, seed=seed, progress=progress, with_depth=with_depth)
-        if traced.values.ndim > 1 and all(small_footprints(plan, times * plan.grid.cell) for times in (1, 2)):
+        if traced.values.ndim > 1 and all(has_small_footprints(plan, times * plan.grid.cell) for times in (1, 2)):
             yield from _by_sums(plan, place, cells, traced, kept)
             return
         each = _by_transforms(plan, place, cells, traced)
@@ -135,11 +138,12 @@ class _Field:
     @classmethod
     def of(cls, plan: KernelPlan, cell: float, seen: CentralImage) -> _Field:
         """Of an image in the light of all sources."""
-        shares = [np.ones_like(seen.values)]
-        if seen.magnification is not None:
-            shares = layer_shares(plan.layers, seen.magnification)
-        # Few of a deep scene's layers lie in one tile.
-        some = [pair for pair in zip(small_footprints(plan, cell), shares, strict=True) if np.any(pair[1])]
+        places = None if seen.magnification is None else layer_places(plan.layers, seen.magnification)
+        each = (
+            (number, np.ones_like(seen.values) if places is None else layer_share(places, number))
+            for number in layers_met(places)
+        )
+        some = [(footprint(plan.camera, plan.layers[number], cell), share) for number, share in each if np.any(share)]
         corner = min(one.first[0] for one, _ in some), min(one.first[1] for one, _ in some)
         begins = [(one.first[0] - corner[0], one.first[1] - corner[1]) for one, _ in some]
         ends = [np.add(begin, one.weights.shape) for begin, (one, _) in zip(begins, some, strict=True)]

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Final, TypeVar
 
 import numpy as np
@@ -28,6 +28,7 @@ SUB_SAMPLES: Final = (1, 2, 4, 8)
 _LEFT_SHARE: Final = 0.5
 _LOOKED_AT: Final = 1 << 16  # cells that tell how many differ how much
 _LARGEST_HEIGHT: Final = 1e100  # gray level; its square does not overflow, whatever the sensor's gain
+_LARGEST_KEPT: Final = 1e38  # gray level, of a number of 4 byte
 # Variance of the mean over n x n strata of a cell that an edge of height d crosses is about d^2/(4 n^3): about 1.5 n
 # strata are crossed, each with the variance d^2/6. Of the cells beside an edge about every third is crossed.
 _EDGE_VARIANCE: Final = 12.0
@@ -53,6 +54,8 @@ class Cells:
         Error of an image that is gathered from these cells, as predicted from the differences [gray level].
     rays : int
         How many were traced to find out.
+    heights : ndarray, shape (n,), optional
+        How much what is seen differs at each cell that an edge crosses, by rows [gray level].
     """
 
     first: tuple[int, int]
@@ -60,6 +63,31 @@ class Cells:
     samples: int
     predicted_rms: float
     rays: int
+    heights: NDArray[np.float32] = field(default_factory=lambda: np.empty(0, dtype=np.float32))
+
+    def with_rays(self, finest: int, sampling: EdgeSampling) -> Cells:
+        """The same, with so many rays in those cells that an edge crosses; `finest` is the level of the others."""
+        levels = self.levels.copy()
+        row, column = np.nonzero(levels > finest)
+        few = self.heights <= sampling.passed_over
+        levels[row[few], column[few]] = finest
+        return replace(self, levels=levels, samples=sampling.samples if self.samples else 0)
+
+
+@dataclass(frozen=True, slots=True)
+class EdgeSampling:
+    """How many rays cells get that an edge crosses, the same for several tiles.
+
+    Attributes
+    ----------
+    samples : int
+        n; n x n rays in each of them,
+    passed_over : float
+        but one where what is seen differs by no more than that [gray level].
+    """
+
+    samples: int
+    passed_over: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,8 +173,10 @@ def decide_cells(
     spread = _spread_that_counts(plan, values, plan.cell)
     cut.append(spread > max(least, _least_cut(plan, spread, plan.cell)))
     cut = [_within(mask, 2**level) for level, mask in enumerate(cut)]
-    samples, predicted = _samples_needed(plan, _within(spread, step)[cut[-1]], cut[-1].size)
-    return Cells((first[0], first[1]), _levels(cut), samples, predicted, sampler.rays)
+    heights = _within(spread, step)[cut[-1]]
+    samples, predicted = _samples_needed(plan, heights, cut[-1].size)
+    kept = np.minimum(heights, _LARGEST_KEPT).astype(np.float32)
+    return Cells((first[0], first[1]), _levels(cut), samples, predicted, sampler.rays, kept)
 
 
 def _within(values: NDArray[_T], rim: int) -> NDArray[_T]:
@@ -300,14 +330,33 @@ def central_rays(plan: GridPlan, cells: Cells) -> int:
     return int(whole + counts[-1] * cells.samples**2)
 
 
-def common_samples(plan: GridPlan, tiles: Sequence[tuple[Cells, float]]) -> int:
-    """Rays along a side of each cell that differs much, by which tiles of so many pixels meet the aim together.
+def edge_sampling(plan: GridPlan, tiles: Sequence[tuple[Cells, float]]) -> EdgeSampling:
+    """Fewest rays in cells that edges cross, by which tiles of so many pixels meet the aim together.
 
-    A tile without edges leaves its share to the others, so that these need fewer than each for itself.
+    A tile without edges leaves its share to the others, and cells where little
+    differs leave theirs to those where much does: so these need fewer rays than
+    each for itself.
     """
-    each = [(cells.predicted_rms**2 * cells.samples**3, pixels) for cells, pixels in tiles]
-    by_one = sum(square * pixels for square, pixels in each) / sum(pixels for _, pixels in each)
-    return min(SUB_SAMPLES[-1], max(1, math.ceil((by_one / plan.aim**2) ** (1 / 3)))) if plan.aim else SUB_SAMPLES[-1]
+    heights = np.concatenate([cells.heights.astype(np.float64) for cells, _ in tiles])
+    pixels = sum(number for _, number in tiles)
+    weights = [np.full(len(cells.heights), number / pixels / cells.levels.size) for cells, number in tiles]
+    order = np.argsort(heights, kind="stable")
+    heights = heights[order]
+    energy = _energies(plan, heights) * np.concatenate(weights)[order]
+    of_lowest = np.concatenate([[0.0], np.cumsum(energy)])
+    found, least = EdgeSampling(SUB_SAMPLES[-1], 0.0), math.inf
+    for n in range(1, SUB_SAMPLES[-1] + 1):
+        with_all = of_lowest[-1] / n**3
+        if with_all > plan.aim**2:
+            continue
+        # How many of the lowest may have one ray each.
+        gained = (of_lowest - of_lowest / n**3) + with_all
+        few = int(np.searchsorted(gained, plan.aim**2, side="right")) - 1 if n > 1 else len(heights)
+        if few < len(heights):
+            few = int(np.searchsorted(heights, heights[few]))  # all that are as high have as many
+        if (rays := (len(heights) - few) * (n**2 - 1)) < least:
+            found, least = EdgeSampling(n, float(heights[few - 1]) if few else 0.0), rays
+    return found
 
 
 def _means(
@@ -378,14 +427,22 @@ def _samples_needed(plan: GridPlan, heights: NDArray[np.float64], cells: int) ->
     A cell's error spreads over the pixels that gather from it, each of which
     takes cell^2/area of it.
     """
-    # Sum over pixels of their squared weights of a cell, over the number of pixels: cell^2 is pixels a cell.
-    share = (plan.cell**2 / plan.area) ** 2 * plan.area / (cells * plan.cell**2)
-    # Beside an edge higher than the range a pixel is saturated but for that share of the edge's places.
-    heights = np.minimum(heights, _LARGEST_HEIGHT)
-    squares = heights * np.minimum(heights, plan.sensor.saturation_gray - plan.sensor.dark_gray)
-    energy = float(squares.sum()) * share / _EDGE_VARIANCE
+    energy = float(_energies(plan, heights).sum()) / cells
     rms = [math.sqrt(energy / n**3) for n in SUB_SAMPLES]
     for n, error in zip(SUB_SAMPLES, rms, strict=True):
         if error <= plan.aim:
             return n, error
     return SUB_SAMPLES[-1], rms[-1]
+
+
+def _energies(plan: GridPlan, heights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Sums, over all pixels that gather from it, of the squared errors that a ray in each cell of a height makes.
+
+    Over the number of pixels in an area of as many cells as there are, that is the mean square [gray level^2].
+    """
+    # Sum over pixels of their squared weights of a cell, over the number of pixels: cell^2 is pixels a cell.
+    share = (plan.cell**2 / plan.area) ** 2 * plan.area / plan.cell**2
+    # Beside an edge higher than the range a pixel is saturated but for that share of the edge's places.
+    heights = np.minimum(heights, _LARGEST_HEIGHT)
+    squares: NDArray[np.float64] = heights * np.minimum(heights, plan.sensor.saturation_gray - plan.sensor.dark_gray)
+    return squares * (share / _EDGE_VARIANCE)

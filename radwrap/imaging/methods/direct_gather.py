@@ -6,6 +6,8 @@ where the compiled tracer is in use.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,15 +18,25 @@ Array = NDArray[np.float64]
 Whole = NDArray[np.intp]
 
 
-def gathered_directly(values: Array, footprint: Footprint, corner: tuple[int, int], step: int, out: Array) -> None:
-    """Add what pixels gather from the cells of one layer.
+def gathered_directly(
+    values: Array,
+    places: Array | None,
+    prints: Mapping[int, Footprint],
+    *,
+    corner: tuple[int, int],
+    step: int,
+    out: Array,
+) -> None:
+    """Add what pixels gather from cells, each layer by its own footprint.
 
     Parameters
     ----------
     values : ndarray, shape (..., rows, columns)
         Cells.
-    footprint : Footprint
-        Of every pixel.
+    places : ndarray, shape (rows, columns), optional
+        Numbers of the layers that their light lies at or between, see `kernel.layer_places`; default is the first.
+    prints : dict of Footprint
+        Of every pixel, of the layers that have light, by their number.
     corner : tuple of int
         Row and column of the cell in which the first pixel's corner lies.
     step : int
@@ -32,13 +44,19 @@ def gathered_directly(values: Array, footprint: Footprint, corner: tuple[int, in
     out : ndarray, shape (..., pixel rows, pixel columns)
         To which is added.
     """
-    row, column = (at + first for at, first in zip(corner, footprint.first, strict=True))
+    height, width = values.shape[-2:]
+    each = np.ascontiguousarray(values.reshape(-1, height, width))
     # Columns that lie alike in their pixels side by side: the inner loop then reads what lies together.
-    padding = -values.shape[-1] % step
-    padded = np.pad(values.reshape(-1, *values.shape[-2:]), ((0, 0), (0, 0), (0, padding)))
-    phases = np.ascontiguousarray(np.moveaxis(padded.reshape(*padded.shape[:2], -1, step), -1, 1))
-    for cells, pixels in zip(phases, out.reshape(-1, *out.shape[-2:]), strict=True):
-        _add(cells, footprint.weights, (row, column), step, pixels)
+    phases = np.zeros((step, height, -(-width // step)))
+    for number, footprint in prints.items():
+        row, column = (at + begin for at, begin in zip(corner, footprint.first, strict=True))
+        for cells, pixels in zip(each, out.reshape(-1, *out.shape[-2:]), strict=True):
+            if places is None:
+                _lay_out(cells, phases)
+                lit = (0, height)
+            else:
+                lit = _lay_out_layer(cells, places, number, phases)
+            _add(phases, footprint.weights, (row, column), step, lit, pixels)
 
 
 def gathered_by_source(
@@ -75,7 +93,9 @@ def gathered_by_source(
 
 def compile_ahead() -> None:
     """Compile what is not compiled yet, so that no image waits for it."""
-    _add(np.zeros((1, 1, 1)), np.ones((1, 1)), (0, 0), 1, np.zeros((1, 1)))
+    cell, pixel = np.zeros((1, 1)), np.zeros((1, 1))
+    for places in (None, cell):
+        gathered_directly(cell, places, {0: Footprint((0, 0), np.ones((1, 1)))}, corner=(0, 0), step=1, out=pixel)
     nothing = np.zeros(1, dtype=np.intp)
     one = np.ones((1, 1, 1))
     gathered_by_source(one[0], nothing.reshape(1, 1), 1, shares=one, weights=one, corners=(nothing, nothing))
@@ -123,15 +143,48 @@ def _add_sources(  # noqa: PLR0917  (compiled functions take their arrays one by
 
 
 @compiled
-def _add(phases: Array, weights: Array, corner: tuple[int, int], step: int, out: Array) -> None:
+def _lay_out(values: Array, phases: Array) -> None:
+    """Cells that lie alike in their pixels side by side."""
+    step = len(phases)
+    for i in range(values.shape[0]):
+        for phase in range(step):
+            for j in range((values.shape[1] - phase + step - 1) // step):
+                phases[phase, i, j] = values[i, j * step + phase]
+
+
+@compiled
+def _lay_out_layer(values: Array, places: Array, number: int, phases: Array) -> tuple[int, int]:
+    """The same of one layer's share in them; between which rows it has any."""
+    step = len(phases)
+    first, end = values.shape[0], 0
+    for i in range(values.shape[0]):
+        for phase in range(step):
+            most = 0.0
+            for j in range((values.shape[1] - phase + step - 1) // step):
+                share = max(1 - abs(places[i, j * step + phase] - number), 0.0)
+                phases[phase, i, j] = values[i, j * step + phase] * share
+                most = max(most, share)
+            if most > 0:
+                first, end = min(first, i), i + 1
+    return first, end
+
+
+@compiled
+def _add(  # noqa: PLR0917  (compiled functions take their arrays one by one)
+    phases: Array, weights: Array, corner: tuple[int, int], step: int, lit: tuple[int, int], out: Array
+) -> None:
+    """Add what pixels gather of one layer, which has light between some rows of cells."""
     height, width = weights.shape
     row, column = corner
     for i in range(out.shape[0]):
         for a in range(height):
+            line = row + i * step + a
+            if line < lit[0] or line >= lit[1]:
+                continue
             for b in range(width):
                 weight = weights[a, b]
                 if weight == 0:
                     continue
-                phase, first, line = (column + b) % step, (column + b) // step, row + i * step + a
+                phase, first = (column + b) % step, (column + b) // step
                 for j in range(out.shape[1]):
                     out[i, j] += weight * phases[phase, line, first + j]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from radwrap.errors import InputError
 from radwrap.imaging.methods.central import Cells, CentralImage, central_image, decide_cells
 from radwrap.imaging.methods.grid import GridPlan
-from radwrap.imaging.optics.footprint import Footprint, footprint, laid_out, reach_px
+from radwrap.imaging.optics.footprint import footprint, laid_out, reach_px
 from radwrap.imaging.optics.smooth import SmoothField
 from radwrap.imaging.optics.view import View
 from radwrap.imaging.response.sensor import gray_levels
@@ -54,6 +54,10 @@ _RESOLVED: Final = 2.0
 _FEW_CELLS: Final = 1024
 # Grid cells of a tile: what a transform of some 30 MiB holds; wide rather than high, so that small images have two.
 _TILE_ROWS, _TILE_COLUMNS = 400, 1600
+
+
+# Of a tile of smooth blocks only.
+NO_CELLS: Final = Cells((0, 0), np.zeros((1, 1), dtype=np.int8), 0, 0.0, 0)
 
 
 class TooDeep(InputError):
@@ -250,7 +254,7 @@ def decide_tile(
     place, cell = plan.tiles[tile], plan.grid.cell
     reach = plan.reach_px
     if _is_smooth(view, plan, place):
-        return Cells((0, 0), np.zeros((1, 1), dtype=np.int8), 0, 0.0, 0)
+        return NO_CELLS
     # One pair of cells more on each side, for the coarser image.
     spans = [
         (math.floor((begin - far) / cell) - 2, math.ceil((end + far) / cell) + 2)
@@ -382,8 +386,8 @@ def _by_phase(
     phases: Iterator[tuple[int, ...]],
 ) -> Iterator[tuple[tuple[NDArray[np.intp], ...], NDArray[np.float64]]]:
     """Pixels whose corner lies alike in a cell have one footprint; gather them together."""
-    if prints := small_footprints(plan, cell):
-        yield _by_sums(plan, central, cell, place, prints)
+    if has_small_footprints(plan, cell):
+        yield _by_sums(plan, central, cell, place)
         return
     shape = tuple(fast_length(size) for size in central.values.shape[-2:])
     if central.magnification is None:
@@ -406,23 +410,24 @@ def _by_phase(
         )
 
 
-def small_footprints(plan: KernelPlan, cell: float) -> list[Footprint]:
-    """Footprints of the layers, where they are of few cells: then sums are faster; else none.
+def has_small_footprints(plan: KernelPlan, cell: float) -> bool:
+    """Whether the footprints of all layers are of few cells: then sums are faster.
 
     Sums need the compiler, which is there where the view's blocks are smooth, and takes a third of a second to load.
     """
     if not plan.grid.smooth or cell >= 1:
-        return []
-    prints = [footprint(plan.camera, layer, cell) for layer in plan.layers]
-    return prints if all(one.weights.size <= _FEW_CELLS for one in prints) else []
+        return False
+    most = reach_px(plan.camera, max(map(abs, plan.layers)))
+    return math.prod(math.ceil((2 * reach + 1) / cell) + 1 for reach in most) <= _FEW_CELLS
+
+
+def layers_met(places: NDArray[np.float64] | None) -> range:
+    """Numbers of the layers that have light which lies at some places between them: few of a deep scene's in a tile."""
+    return range(1) if places is None else range(math.floor(places.min()), math.ceil(places.max()) + 1)
 
 
 def _by_sums(
-    plan: KernelPlan,
-    central: CentralImage,
-    cell: float,
-    place: tuple[int, int, int, int],
-    prints: Sequence[Footprint],
+    plan: KernelPlan, central: CentralImage, cell: float, place: tuple[int, int, int, int]
 ) -> tuple[tuple[NDArray[np.intp], ...], NDArray[np.float64]]:
     """All pixels of a tile, where cells are smaller than pixels and footprints small."""
     from radwrap.imaging.methods.direct_gather import gathered_directly
@@ -430,12 +435,9 @@ def _by_sums(
     pixels = lattice(cell, place)
     values = np.zeros((*central.values.shape[:-2], *(len(at) for at in pixels)))
     row, column = (int(at[0] / cell) - first for at, first in zip(pixels, central.first, strict=True))
-    shares: Sequence[NDArray[np.float64] | float] = [1.0]
-    if central.magnification is not None:
-        shares = layer_shares(plan.layers, central.magnification)
-    for one, share in zip(prints, shares, strict=True):
-        if np.any(share):  # few of a deep scene's layers lie in one tile
-            gathered_directly(central.values * share, one, (row, column), round(1 / cell), values)
+    places = None if central.magnification is None else layer_places(plan.layers, central.magnification)
+    prints = {number: footprint(plan.camera, plan.layers[number], cell) for number in layers_met(places)}
+    gathered_directly(central.values, places, prints, corner=(row, column), step=round(1 / cell), out=values)
     return np.ix_(pixels[0] - place[0], pixels[1] - place[2]), values
 
 

@@ -28,21 +28,21 @@ _Lit = TypeVar("_Lit", Light, LitView)
 _ERROR_SHARE: Final = 0.05
 
 
-def smooth_field(view: View, reach: tuple[float, float], tolerance: float) -> SmoothField | None:
+def smooth_field(view: View, reach: float, tolerance: float) -> SmoothField | None:
     """Find the smooth blocks of a view; None where its tracer cannot prove any.
 
     Parameters
     ----------
     view : View
         Who traces, and proves.
-    reach : tuple of float
-        How far, in columns and rows, light is gathered from beyond the sensor [px].
+    reach : float
+        How far light is gathered from beyond the sensor [px].
     tolerance : float
         Of the image [gray level].
     """
     if view.prover is None:
         return None
-    sensor, margin = view.camera.sensor, math.ceil(max(reach) / BLOCK)
+    sensor, margin = view.camera.sensor, math.ceil(reach / BLOCK)
     shape = (-(-sensor.rows // BLOCK) + 2 * margin, -(-sensor.columns // BLOCK) + 2 * margin)
     first = (-margin, -margin)
     corners = corners_of(first, shape)

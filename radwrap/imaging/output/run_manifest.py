@@ -60,13 +60,15 @@ class BouncesTraced:
 class DiffractionTaken:
     """Diffraction that the image has: at which wavelength [m], about what it changes, and rays for it.
 
-    Where sources differ, ``wavelength`` is their mean, and ``wavelengths`` are those that were taken.
+    Where sources differ, ``wavelength`` is their mean, and ``wavelengths`` are those that were taken. ``lasting_gray``
+    is what of the error no more rays make smaller: light behind near edges, and from far away.
     """
 
     wavelength: Positive
     about_rms_gray: NotNegative
     rays: Rays
     wavelengths: tuple[Positive, ...] | None = field(default=None, metadata=ONLY_WHERE_USED)
+    lasting_gray: NotNegative | None = field(default=None, metadata=ONLY_WHERE_USED)
 
 
 @dataclass(frozen=True, slots=True)

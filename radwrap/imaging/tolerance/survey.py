@@ -21,6 +21,7 @@ from radwrap.imaging.methods.rays import (
     sampled_radiance,
 )
 from radwrap.imaging.methods.smooth_blocks import smooth_field
+from radwrap.imaging.optics.guard_band import least_guard
 from radwrap.imaging.optics.smooth import BLOCK
 from radwrap.imaging.optics.view import View, magnifications_at
 from radwrap.imaging.tolerance.bounds import NOTHING, Bounded, stratified_mean
@@ -128,7 +129,10 @@ def with_smooth_blocks(view: View, found: Survey, tolerance: float, seed: int, *
     plan = plan_kernel(view, met_by(view, found.magnification), AIM_SHARE * tolerance)
     if plan.grid.base >= BLOCK:
         return view
-    field = smooth_field(view, plan.reach_px, tolerance)
+    reach = max(plan.reach_px)
+    if view.camera.diffraction is not None:  # what waves look at is known then too
+        reach += least_guard(view.camera.sensor)
+    field = smooth_field(view, reach, tolerance)
     if field is not None and sampled:
         field = with_sampled_blocks(view, field, tolerance, seed)
     return replace(view, smooth=field)

@@ -12,14 +12,13 @@ being laid out where it is seen is how far this may be off.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.imaging.methods.kernel import layer_places, layer_share
+from radwrap.imaging.methods.kernel import layer_places, layer_share, layers_met
 
 Array = NDArray[np.float64]
 ByLayer = dict[int, Array]  # of the layers that have any, by their number
@@ -50,10 +49,10 @@ class Layout:
     @classmethod
     def of(cls, magnification: Array, layers: tuple[float, ...]) -> Layout:
         """For magnifications of shape (rows, columns), and those of the layers, from the farthest on."""
+        shares = shares_by_layer(magnification, layers)
         if len(layers) == 1:
-            return cls({0: np.ones_like(magnification)}, (), {})
+            return cls(shares, (), {})
         place = layer_places(layers, magnification)
-        shares = _shares_at(place)
         if not any((np.abs(np.diff(place, axis=axis)) > _STEP).any() for axis in (0, 1)):
             return cls(shares, (), {})
         number = np.rint(place).astype(np.intp)
@@ -62,29 +61,32 @@ class Layout:
             here, far = number == near, Filling.of(number < near)
             depth[here] = far.filled(magnification)[here]
             hiding.append((here, far))
-        return cls(shares, tuple(hiding), _shares_at(layer_places(layers, depth)))
-
-    def as_seen(self, values: Array) -> ByLayer:
-        """Light of each layer where it is seen, of values of shape (rows, columns)."""
-        return {number: values * share for number, share in self.shares.items()}
+        return cls(shares, tuple(hiding), shares_by_layer(depth, layers))
 
     def going_on(self, values: Array) -> ByLayer | None:
-        """The same, what lies behind laid out to go on; None where nothing hides another thing."""
+        """As `as_seen`, what lies behind laid out to go on; None where nothing hides another thing."""
         if not self.behind:
             return None
         light = np.zeros_like(values)
         for here, far in self.hiding:
             light[here] = far.filled(values)[here]
-        found = self.as_seen(values - light)
+        found = as_seen(values - light, self.shares)
         for number, share in self.behind.items():
             found[number] = found.get(number, 0.0) + light * share
         return dict(sorted(found.items()))
 
 
-def _shares_at(place: Array) -> ByLayer:
+def shares_by_layer(magnification: Array, layers: tuple[float, ...]) -> ByLayer:
     """Shares of those layers that have any: a tile shows one or two depths of a scene."""
-    numbers = range(math.floor(place.min()), math.ceil(place.max()) + 1)
-    return {number: layer_share(place, number) for number in numbers}
+    if len(layers) == 1:
+        return {0: np.ones_like(magnification)}
+    places = layer_places(layers, magnification)
+    return {number: layer_share(places, number) for number in layers_met(places)}
+
+
+def as_seen(values: Array, shares: ByLayer) -> ByLayer:
+    """Light of each layer where it is seen, of values of shape (rows, columns)."""
+    return {number: values * share for number, share in shares.items()}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.imaging.methods.kernel import fast_length
+from radwrap.imaging.optics.guard_band import BLOCKS, FEWEST_BLOCK
 from radwrap.imaging.optics.view import View, known_or_traced
 from radwrap.imaging.optics.waves import rim
-from radwrap.imaging.tolerance.wave_plan import BLOCKS, FEWEST_BLOCK, WavePlan, bare, known_to
+from radwrap.imaging.tolerance.wave_plan import WavePlan, bare, known_to
 from radwrap.random_streams import Rendering, generator
 from radwrap.scene.camera import Aperture, Sensor
 
@@ -31,10 +32,11 @@ _WIDER: Final = 8.0
 _DOUBLINGS: Final = 4
 _MOST_BLOCKS: Final = 1 << 20
 # A pixel gathers most of it from just beyond its guard band: up to so many guard bands beside the sensor a block has
-# n x n rays, and one farther away.
+# n x n rays, and one farther away. On the sensor cells find what is small and bright, so that fewer rays do.
 _DENSE: Final = 3.0
 _LEAST_SHARE: Final = 0.01  # of the light, that goes so far: what is less needs no fewer points of wide lights
 _STRATA: Final = 3
+_ON_SENSOR: Final = 2
 # Steps along a straight edge's tail, and across it: it is as wide as the edge.
 _STEPS: Final = 4096
 _BESIDE: Final = 8
@@ -107,7 +109,7 @@ def far_rays(plan: WavePlan) -> int:
     known = 0.0 if plan.smooth is None else plan.smooth.share_of((0, sensor.rows - 1), (0, sensor.columns - 1))
     for ring in _rings(plan):
         rays += sum(np.count_nonzero(some) * strata**2 for some, strata in _strata(ring))
-        rays -= known * sensor.pixels / ring.block**2 * min(_STRATA, round(ring.block)) ** 2
+        rays -= known * sensor.pixels / ring.block**2 * min(_ON_SENSOR, round(ring.block)) ** 2
     return round(rays)
 
 
@@ -115,10 +117,13 @@ def _strata(coarse: _Coarse) -> tuple[tuple[NDArray[np.bool_], int], ...]:
     """Blocks, shape (rows, columns), and how many rays along a side each of them gets."""
     block, margin, (rows, columns) = coarse.block, coarse.margin, coarse.shape
     beside = min(margin, math.ceil(_DENSE * coarse.near / block))
-    dense = np.zeros((rows, columns), dtype=bool)
-    dense[margin - beside : rows - margin + beside, margin - beside : columns - margin + beside] = True
-    # No more rays than pixels are needed to tell light that is spread so far.
-    return (dense, min(_STRATA, round(block))), (~dense, 1)
+    strata = np.ones((rows, columns), dtype=np.intp)
+    for around, number in ((beside, _STRATA), (0, _ON_SENSOR)):
+        # No more rays than pixels are needed to tell light that is spread so far.
+        strata[margin - around : rows - margin + around, margin - around : columns - margin + around] = min(
+            number, round(block)
+        )
+    return tuple((strata == number, number) for number in range(_STRATA, 0, -1))
 
 
 def _correlated(values: Array, kernel: Array) -> Array:

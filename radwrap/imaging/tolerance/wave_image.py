@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from radwrap.imaging.optics.view import View, trace_rays
 from radwrap.imaging.response.sensor import unclipped_gray
 from radwrap.imaging.tolerance.bounds import NOTHING, Bounded
 from radwrap.imaging.tolerance.replicates import noise_of
@@ -20,6 +21,8 @@ Array = NDArray[np.float64]
 Gray = Callable[[Array], Array]
 
 _QUANTILE: Final = 0.995
+_LITTLE: Final = 0.01  # of the light
+_LOOKED: Final = 32  # pixels along a side that tell how much light is seen
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,3 +107,20 @@ def visible_gray(exposure_of_radiance: float, sensor: Sensor) -> Gray:
         return levels
 
     return gray
+
+
+def look(view: View, *, whole: bool = False) -> Array:
+    """About what an image shows, a ray a pixel, of some pixels or of all [W m^-2 sr^-1]."""
+    rows, columns = (
+        np.arange(size, dtype=np.float64)[:: 1 if whole else math.ceil(size / _LOOKED)]
+        for size in (view.camera.sensor.rows, view.camera.sensor.columns)
+    )
+    v, u = np.meshgrid(rows, columns, indexing="ij")
+    return trace_rays(view, None, u.ravel(), v.ravel())[0].reshape(v.shape)
+
+
+def seen_rms(radiance: Array, view: View) -> float:
+    """Rms of gray levels that the light of an image adds, by what a hundredth of it does."""
+    gray = visible_gray(view.exposure_of_radiance, view.camera.sensor)
+    more = gray(radiance * (1 + _LITTLE)) - gray(radiance)
+    return math.sqrt(float((more**2).mean())) / _LITTLE

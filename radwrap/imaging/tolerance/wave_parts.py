@@ -20,11 +20,19 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.imaging.methods.central import Cells, CentralImage, central_image, common_samples
-from radwrap.imaging.methods.kernel import GRID_SHARE, coarsened, decide_tile, fast_length, lattice
+from radwrap.imaging.methods.central import Cells, CentralImage, EdgeSampling, central_image, edge_sampling
+from radwrap.imaging.methods.kernel import (
+    GRID_SHARE,
+    NO_CELLS,
+    coarsened,
+    decide_tile,
+    fast_length,
+    lattice,
+    layer_places,
+)
 from radwrap.imaging.optics.lens_field import MIXED_SHARE, Place
 from radwrap.imaging.optics.view import View
-from radwrap.imaging.tolerance.wave_behind import ByLayer, Layout
+from radwrap.imaging.tolerance.wave_behind import ByLayer, Layout, as_seen, shares_by_layer
 from radwrap.imaging.tolerance.wave_far import far_change, far_light
 from radwrap.imaging.tolerance.wave_plan import WavePlan, bare, known_to
 from radwrap.kept import Kept, of_kept
@@ -61,8 +69,8 @@ class WaveParts:
         What light may change that comes from farther than was looked at.
     rays : int
         How many it took.
-    samples : int
-        Rays along a side of cells that differ much, which all tiles had in common.
+    sampling : EdgeSampling
+        Rays in cells that differ much, which all tiles had in common.
     """
 
     change: Array
@@ -70,7 +78,7 @@ class WaveParts:
     lasting: Array
     beyond: Array
     rays: int
-    samples: int
+    sampling: EdgeSampling
 
 
 def in_turn(jobs: list[Job]) -> None:
@@ -121,12 +129,13 @@ def wave_parts(
         decided[tile] = wave_cells(replace(view, workers=1), plan, tile, count)
 
     run([partial(decide, tile) for tile in tiles])
-    samples = samples_of_all(plan, decided)
+    sampling = sampling_of_all(plan, decided)
+    finest = plan.kernel.grid.levels
     transforms = kept_transforms()
 
     def trace(tile: int) -> None:
         r0, r1, c0, c1 = plan.kernel.tiles[tile]
-        each = replace(decided[tile], samples=samples)
+        each = decided[tile].with_rays(finest, sampling)
         for replicate, (lit, of_light) in itertools.product(range(replicates), plans):
             one, alike = replace(lit, workers=1), None if of_all is None else replace(of_all, workers=1)
             traced = wave_tile(one, [of_light], (tile, replicate), each, count, transforms=transforms, of_all=alike)
@@ -142,24 +151,29 @@ def wave_parts(
         far, farther = far_change(of_light, around)
         change[replicate] += far
         beyond += farther / replicates
-    return WaveParts(change, cells, lasting, beyond, counted, samples)
+    return WaveParts(change, cells, lasting, beyond, counted, sampling)
 
 
 def wave_cells(view: View, plan: WavePlan, tile: int, progress: Callable[[int], None]) -> Cells:
     """Find out, in the light of all sources, which cells of the central image a tile needs."""
+    place, (columns, rows) = plan.kernel.tiles[tile], plan.kernel.reach_px
+    if plan.smooth is not None and plan.smooth.holds_all(
+        (place[0] - rows, place[1] - 1 + rows), (place[2] - columns, place[3] - 1 + columns)
+    ):
+        return NO_CELLS
     seed = (plan.seed, Rendering.WAVE_CELLS, tile)
     found = decide_tile(bare(view), plan.kernel, tile, seed, progress, smooth=plan.smooth)
-    return found if plan.samples is None else replace(found, samples=plan.samples)
+    return found if plan.sampling is None else found.with_rays(plan.kernel.grid.levels, plan.sampling)
 
 
-def samples_of_all(plan: WavePlan, decided: Mapping[int, Cells]) -> int:
-    """Rays along a side of each cell that differs much, the same for all tiles; what is known of some, by number."""
-    if plan.samples is not None or plan.kernel.grid.even:
-        return plan.samples or 1
+def sampling_of_all(plan: WavePlan, decided: Mapping[int, Cells]) -> EdgeSampling:
+    """Rays in cells that differ much, the same for all tiles, by what is known of some, by number."""
+    if plan.sampling is not None:
+        return plan.sampling
     places = [
         (cells, plan.kernel.tiles[tile]) for tile, cells in sorted(decided.items())
     ]  # the same sum, whatever the workers
-    return common_samples(plan.kernel.grid, [(cells, (r1 - r0) * (c1 - c0)) for cells, (r0, r1, c0, c1) in places])
+    return edge_sampling(plan.kernel.grid, [(cells, (r1 - r0) * (c1 - c0)) for cells, (r0, r1, c0, c1) in places])
 
 
 def wave_tile(
@@ -198,6 +212,9 @@ def wave_tile(
     """
     tile, replicate = which
     plan = plans[0]
+    if not cells.samples:
+        yield from _smooth_tile(view, plans, plan.kernel.tiles[tile])
+        return
     kernel = plan.kernel
     key = (plan.seed, Rendering.WAVE_RAYS, replicate, tile)
 
@@ -210,19 +227,18 @@ def wave_tile(
     summed = central if central.values.ndim == 2 else replace(central, values=central.values.sum(axis=0))
     coarser = coarsened(central, coarsened(like or summed))
     place, cell = kernel.tiles[tile], kernel.grid.cell
-    layouts = [
-        None if depth is None else Layout.of(depth, kernel.layers)
-        for depth in (central.magnification, coarser.magnification)
-    ]
+    layout = None if central.magnification is None else Layout.of(central.magnification, kernel.layers)
+    fine_shares = None if layout is None else layout.shares
+    rough_shares = None if coarser.magnification is None else shares_by_layer(coarser.magnification, kernel.layers)
     each = (array.reshape(-1, *array.shape[-2:]) for array in (central.values, coarser.values))
     for of_source, fine, rough in zip(plans, *each, strict=True):
         # Cells that do not resolve what waves do say little of what smaller ones would change.
         share = GRID_SHARE if cell * plan.pitch <= of_source.waves.blur else 1.0
         seen, rough_seen = (
-            {0: light} if layout is None else layout.as_seen(light)
-            for layout, light in zip(layouts, (fine, rough), strict=True)
+            {0: light} if shares is None else as_seen(light, shares)
+            for shares, light in ((fine_shares, fine), (rough_shares, rough))
         )
-        behind = None if layouts[0] is None else layouts[0].going_on(fine)
+        behind = None if layout is None else layout.going_on(fine)
         found, of_field = _gathered(of_source, central, seen, cell, place, transforms=transforms)
         seen_only = found
         if behind is not None:
@@ -235,6 +251,27 @@ def wave_tile(
         yield found, off + np.copysign(of_field, off), of_hiding + np.copysign(of_field, of_hiding)
 
 
+def _smooth_tile(view: View, plans: Sequence[WavePlan], place: Rect) -> Iterator[tuple[Array, Array, Array]]:
+    """A tile of smooth blocks only: the sum of the weights is what counts where light changes evenly."""
+    known = known_to(view, plans[0])
+    if known is None:
+        raise TypeError("no block of this view is known to be smooth")
+    shape = place[1] - place[0], place[3] - place[2]
+    rows, columns = np.indices(shape, dtype=np.float64)
+    values, m = known.at((columns + place[2]).ravel(), (rows + place[0]).ravel())
+    layers, cell = plans[0].kernel.layers, plans[0].kernel.grid.cell
+    at_layers = np.zeros(m.shape) if len(layers) == 1 else layer_places(layers, m)
+    for of_source, light in zip(plans, values.reshape(-1, m.size), strict=True):
+        added, of_coarser = np.zeros((2, *shape))
+        for of_field, share, coarser in of_source.weights.lens_field.shares(place):
+            sums = [float(each.sum()) for each in of_source.weights.near(cell, (0, 0), of_field)]
+            of_place = (np.interp(at_layers, np.arange(len(sums)), sums) * light).reshape(shape)
+            added += share * of_place
+            of_coarser += coarser * of_place
+        off = MIXED_SHARE * np.abs(added - of_coarser)
+        yield added, off, off
+
+
 def kept_transforms() -> Kept:
     """Room for the transforms of what waves do to the light of each layer.
 
@@ -245,7 +282,7 @@ def kept_transforms() -> Kept:
 
 def lit_layers(light: ByLayer) -> ByLayer:
     """Those layers that have light, one at least."""
-    brightest = {number: float(np.abs(one).max()) for number, one in light.items()}
+    brightest = {number: max(float(one.max()), -float(one.min())) for number, one in light.items()}
     least = _NO_LIGHT * max(brightest.values())
     return {number: light[number] for number, most in brightest.items() if most > least} or dict([*light.items()][:1])
 

@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.imaging.demand import FINEST_CELL
+from radwrap.imaging.methods.central import EdgeSampling
 from radwrap.imaging.methods.kernel import KernelPlan, fast_length, plan_kernel
 from radwrap.imaging.optics.footprint import Footprint, laid_out
+from radwrap.imaging.optics.guard_band import least_guard
 from radwrap.imaging.optics.lens_field import LensField, Place, Signs, glass_at, glass_reach, images_of, lens_field
 from radwrap.imaging.optics.smooth import SmoothField
 from radwrap.imaging.optics.transfer import Transfer
@@ -24,7 +26,6 @@ from radwrap.imaging.optics.waves import Waves
 from radwrap.imaging.tolerance.plans import POINTS_SHARE
 from radwrap.imaging.tolerance.points_noise import points_noise
 from radwrap.random_streams import Rendering, generator
-from radwrap.scene.camera import Sensor
 from radwrap.tracers.noise import halvings_for
 
 Array = NDArray[np.float64]
@@ -44,12 +45,6 @@ _ABOUT: Final = 0.25  # of a halving: the size is a guess, and the next smaller 
 # a law that is off, see `wave_far`.
 _NEAR: Final = 6.0
 _WIDEST_NEAR: Final = 64.0
-# Blocks of that image in a guard band's width: half of what goes beyond it comes from within twice that width, so that
-# wider ones would move the light of an edge to where it is not. Their side in pixels, at least, and how many may lie on
-# the sensor.
-BLOCKS: Final = 4
-FEWEST_BLOCK: Final = 1.0
-_MOST_ON_SENSOR: Final = 1 << 19
 # The weights are made on a grid so many times as wide as they are taken from, of so many cells at most.
 _AROUND: Final = 8
 _AROUND_GLASS: Final = 4  # there are many weights then; what comes in is 5e-6 of the highest
@@ -186,8 +181,8 @@ class WavePlan:
         That the look at the depths took.
     smooth : SmoothField, optional
         Blocks whose cells are not to be cut: nothing changes there but smoothly.
-    samples : int, optional
-        Rays along a side of cells that differ much, the same for all tiles; default as each tile needs for itself.
+    sampling : EdgeSampling, optional
+        Rays in cells that differ much, the same for all tiles; default as all need together.
     """
 
     kernel: KernelPlan
@@ -196,7 +191,7 @@ class WavePlan:
     seed: int
     rays: int
     smooth: SmoothField | None = None
-    samples: int | None = None
+    sampling: EdgeSampling | None = None
 
     def at(self, wavelength: float) -> WavePlan:
         """The same rays, for light of another wavelength [m]."""
@@ -269,7 +264,7 @@ def plan_waves(
         wider = max(0, math.floor(math.log2(max(_BASE_SHARE * blur, _LEAST_BASE) / plan.grid.base)))
         plan = replace(plan, grid=replace(plan.grid, base=plan.grid.base << wider, levels=plan.grid.levels + wider))
     near = waves.blur * min(_WIDEST_NEAR, max(_NEAR, waves.tail_radius(far) / waves.blur))
-    plan = replace(plan, guard=max(near / pitch, _resolved(camera.sensor)) + glass_reach(camera) / pitch)
+    plan = replace(plan, guard=max(near / pitch, least_guard(camera.sensor)) + glass_reach(camera) / pitch)
     weights = WaveWeights(plan, _less_rays(waves), lens_field(camera, wavelength))
     if even_cell is None:
         aim /= _noise_gain(weights)
@@ -278,14 +273,6 @@ def plan_waves(
         plan, rays = replace(plan, grid=replace(plan.grid, aim=aim, halvings=halvings)), rays + looked
         weights = replace(weights, kernel=plan)
     return WavePlan(plan, waves, weights, seed, rays, None if even_cell is not None else view.smooth)
-
-
-def _resolved(sensor: Sensor) -> float:
-    """Width of a guard band beyond which blocks tell what comes from where, few enough of which cover a sensor [px]."""
-    block = FEWEST_BLOCK
-    while sensor.pixels > _MOST_ON_SENSOR * block**2:
-        block *= 2
-    return BLOCKS * block
 
 
 def _noise_gain(weights: WaveWeights) -> float:
