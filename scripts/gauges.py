@@ -4,9 +4,9 @@ Usage: gauges.py [--scenes 200] [--frames 20] [--seed 2] [--gauges circle width 
 
 Each scene is drawn with its blur (.3 to 1, 1 to 2, 2 to 5 px), size, place, levels and noise; a quarter of them each
 has uneven light, a neighbour that touches, or a half-tone rim narrower than the blur. z is the error over the standard
-error of noise, frame by frame; bias is that of a scene's mean, and of the picture without noise. What fails is counted.
-OpenCV's usual ways see the same frames. What gauges say of things of another shape or blur is counted by
-`wrong_models.py`.
+error of noise, frame by frame; bias is that of a scene's mean, and of the picture without noise. What fails is counted,
+and so are stripes that have a middle and no width, whose place and direction have a z of their own. OpenCV's usual ways
+see the same frames. What gauges say of things of another shape or blur is counted by `wrong_models.py`.
 """
 
 from __future__ import annotations
@@ -46,6 +46,8 @@ class Tally:
     failed: int = 0
     warned: int = 0
     frames: int = 0
+    without_width: int = 0
+    by_middle: dict[str, list[float]] = field(default_factory=dict)
     others: dict[str, list[float]] = field(default_factory=dict)
 
     def told(self) -> dict[str, Any]:
@@ -59,6 +61,11 @@ class Tally:
             "frames": self.frames,
             "failed": self.failed,
             "warned": self.warned,
+            "without_width": self.without_width,
+            "by_middle": {
+                name: {"z_mean": float(np.mean(z)), "z_sd": float(np.std(z)), "z_largest": float(np.abs(z).max())}
+                for name, z in self.by_middle.items()
+            },
             "z_mean": float(z.mean()),
             "z_sd": float(z.std()),
             "z_largest": float(np.abs(z).max()),
@@ -74,12 +81,22 @@ class Tally:
 
 
 @dataclass(frozen=True)
+class Said:
+    """What a gauge says of a frame; a stripe's width may be None, and z are those of its place and direction."""
+
+    value: float | None
+    sigma: float
+    warned: bool
+    by_middle: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
 class Picture:
     """Light without noise, and what a gauge does with a frame of it."""
 
     light: Array
     true: float
-    measured: Callable[[GrayImage], tuple[float, float, bool]]
+    measured: Callable[[GrayImage], Said]
     radius: float = 0.0
     centre: tuple[float, float] = (0.0, 0.0)
 
@@ -142,9 +159,9 @@ def _circle(_: str, dice: np.random.Generator, blur: float, levels: tuple[float,
     off, about = dice.uniform(-1, 1, 2), radius + dice.uniform(-1.5, 1.5)
     caliper = Caliper((float(centre[0] + off[0]), float(centre[1] + off[1])), about, min(8.0, radius - 1.5))
 
-    def measured(image: GrayImage) -> tuple[float, float, bool]:
+    def measured(image: GrayImage) -> Said:
         found = measure_circle(image, caliper)
-        return found.diameter, found.diameter_sigma, bool(found.warnings)
+        return Said(found.diameter, found.diameter_sigma, bool(found.warnings))
 
     return Picture(light, 2 * radius, measured, radius, (float(centre[0]), float(centre[1])))
 
@@ -167,17 +184,20 @@ def _straight(kind: str, dice: np.random.Generator, blur: float, levels: tuple[f
         10.0 if kind == "line" else size / 2 + 8 + blur,
     )
 
-    def measured(image: GrayImage) -> tuple[float, float, bool]:
+    def measured(image: GrayImage) -> Said:
         if kind == "width":
             width = measure_width(image, caliper)
-            return width.width, width.width_sigma, bool(width.warnings)
+            return Said(width.width, width.width_sigma or math.nan, bool(width.warnings))
         line = measure_line(image, caliper, stripe=kind == "stripe")
-        if line.width is not None and line.width_sigma is not None:
-            return line.width, line.width_sigma, bool(line.warnings)
-        if kind == "stripe":
-            raise InputError(line.warnings[-1], where="the image")
         (a, b), (c, d) = line.centre, centre
-        return (a - c) * math.cos(angle) + (b - d) * math.sin(angle), line.position_sigma, bool(line.warnings)
+        across = (a - c) * math.cos(angle) + (b - d) * math.sin(angle)
+        if kind == "line":
+            return Said(across, line.position_sigma, bool(line.warnings))
+        turn = (line.angle - angle + math.pi / 2) % math.pi - math.pi / 2
+        by_middle = across / line.position_sigma, turn / line.angle_sigma
+        # That a width is not known is counted by itself.
+        warned = len(line.warnings) > bool(line.readings)
+        return Said(line.width, line.width_sigma or math.nan, warned, by_middle)
 
     return Picture(light, size, measured)
 
@@ -224,22 +244,29 @@ def campaign(kind: str, span: tuple[float, float], scenes: int, frames: int, see
             image = frame(scene.light, dice, gain, read)
             tally.frames += 1
             try:
-                value, sigma, warned = scene.measured(image)
+                said = scene.measured(image)
             except InputError:
                 tally.failed += 1
                 continue
-            errors.append(value - scene.true)
-            sigmas.append(sigma)
-            tally.warned += warned
+            tally.warned += said.warned
+            of = "without a width" if said.value is None else "with a width"
+            for name, z in zip(("place", "direction"), said.by_middle, strict=False):
+                tally.by_middle.setdefault(f"{name} of those {of}", []).append(z)
+            if said.value is None:
+                tally.without_width += 1
+                continue
+            errors.append(said.value - scene.true)
+            sigmas.append(said.sigma)
             if kind == "circle" and each < 2:
                 for name, diameter in opencv_diameters(image, scene).items():
                     tally.others.setdefault(name, []).append(diameter - scene.true)
         if errors:
             # The mean of twenty frames has a fifth of one frame's sigma itself: bias is that of the light alone.
             try:
-                tally.exact.append(scene.measured(GrayImage(scene.light))[0] - scene.true)
+                exact = scene.measured(GrayImage(scene.light)).value
             except InputError:
-                tally.exact.append(math.nan)
+                exact = None
+            tally.exact.append(math.nan if exact is None else exact - scene.true)
             tally.z += list(np.array(errors) / np.array(sigmas))
             tally.bias.append(float(np.mean(errors)))
             tally.sigma.append(float(np.mean(sigmas)))
@@ -247,14 +274,14 @@ def campaign(kind: str, span: tuple[float, float], scenes: int, frames: int, see
 
 
 def _line(kind: str, span: tuple[float, float], told: dict[str, Any]) -> str:
-    if told["failed"] == told["frames"]:
-        return f"{kind:7s} blur {span[0]:g} to {span[1]:g} px: all of {told['frames']} failed"
+    if "z_mean" not in told:
+        return f"{kind:7s} blur {span[0]:g} to {span[1]:g} px: none of {told['frames']} gave a number"
     return (
         f"{kind:7s} blur {span[0]:g} to {span[1]:g} px: z {told['z_mean']:+.2f}, sd {told['z_sd']:.2f}, "
         f"largest {told['z_largest']:.1f}; bias rms {told['bias_rms']:.4f} px of sigma {told['sigma_median']:.4f}, "
         f"without noise {told['bias_without_noise_rms']:.4f}, "
         f"small in {told['scenes_of_small_bias']:.0%}, refused {told['refused_without_noise']}; "
-        f"failed {told['failed']}, warned {told['warned']} of "
+        f"failed {told['failed']}, without a width {told['without_width']}, warned {told['warned']} of "
         f"{told['frames']}"
     )
 
@@ -275,6 +302,8 @@ def main() -> int:
             told = campaign(kind, span, math.ceil(given.scenes / len(BLURS)), given.frames, given.seed).told()
             result[f"{kind} {span[0]:g} to {span[1]:g} px"] = told
             print(_line(kind, span, told), flush=True)
+            for name, of in told.get("by_middle", {}).items():
+                print(f"        {name}: z {of['z_mean']:+.2f}, sd {of['z_sd']:.2f}, largest {of['z_largest']:.1f}")
             for name, rms in told.get("others_rms", {}).items():
                 print(f"        {name}: rms {rms:.3f} px, median {told['others_median'][name]:+.3f}")
     if given.json:

@@ -120,7 +120,7 @@ def by_width(
         caliper = StraightCaliper((centre[0] + 0.4, centre[1] - 0.3), angle, length, size / 2 + 9)
         if not stripe:
             width = measure_width(image, caliper)
-            return width.width, width.width_sigma, width.warnings
+            return width.width or math.nan, width.width_sigma or math.nan, width.warnings
         line = measure_line(image, caliper, stripe=True)
         return line.width or math.nan, line.width_sigma or math.nan, line.warnings
 

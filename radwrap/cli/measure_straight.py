@@ -9,7 +9,7 @@ from typing import Any
 
 from radwrap.cli import gauging
 from radwrap.cli import options as shared
-from radwrap.errors import InputError
+from radwrap.errors import InputError, ToleranceNotMet
 from radwrap.manifest import finite, json_text
 from radwrap.measure.gauges import Line, StraightCaliper, Width, measure_line, measure_width
 from radwrap.study.placed_calipers import AXES, line_caliper, width_caliper
@@ -75,7 +75,7 @@ def run_width(arguments: argparse.Namespace) -> int:
     if true_width is not None:
         told["true_width_mm"] = true_width / gauging.MM
     print(json_text(told) if arguments.json else "\n".join(_width_lines(told)) + "\n", end="")
-    return 0
+    return ToleranceNotMet.exit_code if width.width is None else 0
 
 
 def run_line(arguments: argparse.Namespace) -> int:
@@ -129,11 +129,8 @@ def _true_line(found: gauging.Look) -> StraightCaliper:
 
 
 def _told_width(found: gauging.Look, width: Width) -> dict[str, Any]:
-    told = gauging.length_with_errors(
-        found, "width", (width.width, width.width_sigma, width.width_by_rendering), width.unit
-    )
     return {
-        **told,
+        **_told_length(found, width, width.unit),
         "inside": width.inside,
         "centre": list(width.centre),
         "angle": width.angle,
@@ -166,16 +163,21 @@ def _told_line(found: gauging.Look, line: Line) -> dict[str, Any]:
         "points": line.points,
         "warnings": list(line.warnings),
     }
-    if line.width is not None and line.width_sigma is not None and line.width_by_rendering is not None:
-        told |= {"inside": line.inside}
-        told |= gauging.length_with_errors(
-            found, "width", (line.width, line.width_sigma, line.width_by_rendering), "px"
-        )
+    if line.inside is not None:
+        told |= {"inside": line.inside} | _told_length(found, line, "px")
     return told
 
 
+def _told_length(found: gauging.Look, of: Line | Width, unit: str) -> dict[str, Any]:
+    """The width with its errors; where it is not known, the widths and blurs that look alike."""
+    if of.width is None or of.width_sigma is None or of.width_by_rendering is None:
+        alike = [{"width": found.told(width, unit), "blur_radius": blur} for width, blur in of.readings]
+        return {"width": None, "width_readings": alike}
+    return gauging.length_with_errors(found, "width", (of.width, of.width_sigma, of.width_by_rendering), unit)
+
+
 def _width_lines(told: dict[str, Any]) -> Iterator[str]:
-    yield f"width: {gauging.in_words(told, 'width', told['unit'])}; {told['inside']} inside"
+    yield f"width: {_width_in_words(told)}; {told['inside']} inside"
     u, v = told["centre"]
     yield f"  about u {u:.3f}, v {v:.3f} px, normal at {math.degrees(told['angle']):.4f} deg"
     if "true_width_mm" in told:
@@ -183,6 +185,10 @@ def _width_lines(told: dict[str, Any]) -> Iterator[str]:
     yield from _more(told)
     if told["unit"] == "mm":
         yield f"scale: {told['scale_source']}"
+
+
+def _width_in_words(told: dict[str, Any]) -> str:
+    return "not known" if told["width"] is None else gauging.in_words(told, "width", told["unit"])
 
 
 def _line_lines(told: dict[str, Any]) -> Iterator[str]:
@@ -195,7 +201,7 @@ def _line_lines(told: dict[str, Any]) -> Iterator[str]:
     rendering = "" if by is None else f", rendering about {gauging.two_digits(by)}"
     yield f"  at u {u:.3f}, v {v:.3f}, where it is known to {gauging.two_digits(told['position_sigma'])} px{rendering}"
     if "width" in told:
-        yield f"  width {gauging.in_words(told, 'width', told['unit'])}; {told['inside']} inside"
+        yield f"  width {_width_in_words(told)}; {told['inside']} inside"
     yield from _more(told)
 
 

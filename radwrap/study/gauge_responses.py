@@ -102,7 +102,14 @@ def _width(seen: Seen, options: Options, *, less_true: bool = False) -> Answer:
             pixel_aspect=aspect_of(camera),
         )
 
-    return again_with_warnings(seen, width, lambda found: float(found.width) - (true if less_true else 0.0))
+    return again_with_warnings(seen, width, lambda found: _known(found) - (true if less_true else 0.0))
+
+
+def _known(found: Width) -> float:
+    """The width, or an error that says why it is not known."""
+    if found.width is None:
+        raise InputError(found.warnings[-1], where="the image")
+    return found.width
 
 
 def _width_error(seen: Seen, options: Options) -> Answer:

@@ -68,6 +68,20 @@ def test_widths_and_lines(pictures: Path, way: str, capsys: pytest.CaptureFixtur
         assert "px" in here(["measure", verb, pictures / f"{name}.png", *at], capsys).success().stdout
 
 
+def test_a_width_that_is_not_known_is_null_and_its_place_is_there(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    light = stripe_picture((60, 80), 0.3, 42.0, 7.4, blur=3.3, levels=(30.0, 90.0))
+    write_png(tmp_path / "faint.png", GrayImage(noisy(light, np.random.default_rng(2))).codes)
+    argv = ["measure", "width", tmp_path / "faint.png", "--at", 40, 20, "--angle", "0.3 rad", "--length", 24]
+    done = here([*argv, "--band", 14, "--json"], capsys)
+    told = done.json
+    assert (done.code, told["width"], "width_sigma" in told) == (3, None, False)
+    assert [reading["width"] for reading in told["width_readings"]] == pytest.approx([7.4, 5.5], abs=0.3)
+    assert "the width is not known" in told["warnings"][-1] and told["angle"] == pytest.approx(0.3, abs=8e-3)
+    assert told["centre"][0] * math.cos(0.3) + told["centre"][1] * math.sin(0.3) == pytest.approx(42, abs=0.1)
+
+
 def test_regions_and_uniformity(pictures: Path, capsys: pytest.CaptureFixture[str]) -> None:
     boxes = ["--region", 15, 28, 18, 34, "--against", 26, 28, 33, 34]
     argv = ["measure", "region", pictures / "ring.png", *boxes, "--dark", 10]

@@ -76,6 +76,13 @@ class NarrowFit:
     other: Trial | None = None
 
     @property
+    def readings(self) -> tuple[tuple[float, float], ...]:
+        """Width and blur of both fits that look alike [px]; none where the width is known."""
+        if self.other is None:
+            return ()
+        return (float(self.fit.parameters[-1]), float(self.fit.blur)), (self.other.width, float(self.other.blur))
+
+    @property
     def in_doubt(self) -> str | None:
         """What cannot be told apart; None where the width is known."""
         if self.other is None:

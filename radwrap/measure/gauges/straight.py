@@ -10,10 +10,10 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.errors import InputError
 from radwrap.images import GrayImage
 from radwrap.measure.gauges.calipers import Side, StraightCaliper
 from radwrap.measure.gauges.contour import BEYOND, Contour
+from radwrap.measure.gauges.narrow import NarrowFit
 from radwrap.measure.gauges.points import PointFit
 from radwrap.measure.gauges.response import Response
 from radwrap.measure.gauges.scale import Plane
@@ -62,6 +62,8 @@ class Line:
         How it was found.
     warnings : tuple of str
         Where the model does not fit.
+    readings : tuple of tuple of float
+        Where the width is not known: width and blur of both fits that look alike, the better one first [px].
     """
 
     angle: float
@@ -82,6 +84,7 @@ class Line:
     points: int
     way: Way
     warnings: tuple[str, ...]
+    readings: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,8 +93,9 @@ class Width:
 
     Attributes
     ----------
-    width, width_sigma, width_by_rendering : float
-        At the caliper's middle; errors as of a `Line`.
+    width, width_sigma, width_by_rendering : float or None
+        At the caliper's middle; errors as of a `Line`. None of a stripe that is hardly wider than its blur, where
+        another width with another blur looks alike: place and angle are known even so.
     unit : str
         "px" or "m", of the width.
     inside : str
@@ -104,13 +108,13 @@ class Width:
         Middle between them, (u, v) [px].
     blur : float
         Radius of the disc of blur, the mean of both [px]; NaN where the way gives none.
-    misfit, left_out, points, way, warnings
+    misfit, left_out, points, way, warnings, readings
         As of a `Line`; the larger misfit, and all warnings.
     """
 
-    width: float
-    width_sigma: float
-    width_by_rendering: float
+    width: float | None
+    width_sigma: float | None
+    width_by_rendering: float | None
     unit: Literal["px", "m"]
     inside: Side
     angle: float
@@ -124,6 +128,7 @@ class Width:
     points: int
     way: Way
     warnings: tuple[str, ...]
+    readings: tuple[tuple[float, float], ...] = ()
 
 
 def measure_line(
@@ -181,10 +186,7 @@ def measure_line(
         if isinstance(stripe_fit, PointFit):
             return _line(gauge, stripe_fit, way, None, both.inside)
         line = _line(gauge, stripe_fit.fit, way, None, both.inside)
-        if stripe_fit.in_doubt is None:
-            return line
-        told = f"the width is not known: {stripe_fit.in_doubt}: {_REMEDY}"
-        return replace(line, width=None, width_sigma=None, width_by_rendering=None, warnings=(*line.warnings, told))
+        return line if stripe_fit.in_doubt is None else replace(line, **_without_width(line.warnings, stripe_fit))
     rising = None if bright_side is None else bright_side == "positive"
     found = gauge.crossings(rising, way)
     fit = gauge.edge_fit(found, way, caliper.band + 2)
@@ -247,11 +249,17 @@ def measure_width(
         fit = gauge.stripe_fit(both, way)
         if isinstance(fit, PointFit):
             return _width(gauge, [fit], both.inside, None, way)
-        if fit.in_doubt is not None:
-            raise InputError(f"does not show the width: {fit.in_doubt}", where="the image", remedy=_REMEDY)
-        return _width(gauge, [fit.fit], both.inside, None, way)
+        width = _width(gauge, [fit.fit], both.inside, None, way)
+        return width if fit.in_doubt is None else replace(width, **_without_width(width.warnings, fit))
     fits = [gauge.edge_fit(one, way, min(caliper.band, gap / 2)) for one in (both.low, both.high)]
     return _width(gauge, fits, both.inside, plane, way)
+
+
+def _without_width(warnings: tuple[str, ...], fit: NarrowFit) -> dict[str, Any]:
+    """What changes where the width is not known."""
+    told = f"the width is not known: {fit.in_doubt}: {_REMEDY}"
+    unknown = dict.fromkeys(("width", "width_sigma", "width_by_rendering"))
+    return {**unknown, "readings": fit.readings, "warnings": (*warnings, told)}
 
 
 def _rendering(fit: Contour | PointFit) -> Callable[[Array], float]:
