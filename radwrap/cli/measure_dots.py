@@ -124,6 +124,7 @@ def _document(dots: Dots, path: Path) -> dict[str, Any]:
                 "area": dot.area,
                 "saturated_fraction": dot.saturated_fraction,
                 "split": dot.split,
+                "unlike": dot.unlike,
             }
             for dot in dots.dots
         ],
@@ -132,12 +133,12 @@ def _document(dots: Dots, path: Path) -> dict[str, Any]:
 
 
 def _csv(dots: Dots) -> str:
-    lines = ["row,column,u,v,var_u,cov_uv,var_v,area,saturated_fraction,split"]
+    lines = ["row,column,u,v,var_u,cov_uv,var_v,area,saturated_fraction,split,unlike"]
     for dot in dots.dots:
         (uu, uv), (_, vv) = dot.covariance.tolist()
         lines.append(
             f"{dot.row},{dot.column},{dot.u!r},{dot.v!r},{uu!r},{uv!r},{vv!r},{dot.area!r},"
-            f"{dot.saturated_fraction!r},{int(dot.split)}"
+            f"{dot.saturated_fraction!r},{int(dot.split)},{dot.unlike!r}"
         )
     return "\n".join(lines) + "\n"
 

@@ -11,8 +11,10 @@ from scipy import signal
 from radwrap.errors import InputError
 from radwrap.images import GrayImage
 from radwrap.measure.dots import METHODS, Dots, DotsNotFound, find_dots, find_dots_by, measured_dots, seek_dots
+from radwrap.measure.dots.centres import Window
 from radwrap.measure.dots.overlay import overlay_png
 from radwrap.measure.dots.plane import disc_centre_shift, fit_homography, jacobian, project
+from radwrap.measure.dots.unlike import likeness_of
 
 # The paper's board and camera: f 12.5 mm on pixels of 13.75 um, 19.05 mm pitch at 0.79 m.
 FOCAL_LENGTH = 12.5 / 13.75e-3  # px
@@ -115,7 +117,7 @@ def test_a_board_seen_squarely_gives_its_centres_by_every_method() -> None:
         area = np.pi / 4 * (22.37 * RATIO) ** 2
         assert [dot.area for dot in dots.dots] == pytest.approx([area] * 25, rel=0.03)
         assert dots.contrast == "bright"
-        assert not any(dot.split or dot.saturated_fraction for dot in dots.dots)
+        assert not any(dot.split or dot.saturated_fraction or dot.unlike for dot in dots.dots)
 
 
 def test_the_centre_of_a_tilted_disc_is_not_the_centre_of_its_image() -> None:
@@ -128,6 +130,110 @@ def test_the_centre_of_a_tilted_disc_is_not_the_centre_of_its_image() -> None:
         expected = disc_centre_shift(picture.homography, found_board(5, 5), RATIO / 2)
         assert np.abs(error - expected).max() < 0.01
     assert rms(found["conic"], picture) < 5e-3
+
+
+def window_of(dot: tuple[float, float], expected: tuple[float, float], level: float, noise: np.ndarray) -> Window:
+    """A dot of 7 px with a soft rim, and where the grid has it."""
+    v, u = np.indices((24, 24), dtype=float)
+    light = level / (1 + np.exp(2 * (np.hypot(u - dot[0], v - dot[1]) - 7)))
+    everywhere = np.ones(light.shape, dtype=bool)
+    return Window(np.zeros(2), light + noise, everywhere, np.array(expected), np.eye(2) * 24, 7 / 24, 0.5, level)
+
+
+def test_neither_a_place_that_is_off_nor_noise_makes_a_dot_unlike_others() -> None:
+    """Dots lie .4 px off the grid in all directions, and the dimmest is seven times as noisy for its level."""
+    dice = np.random.default_rng(3)
+    turns, levels = 2 * np.pi * np.arange(8) / 8, np.array([160.0] * 7 + [22.0])
+    windows = [
+        window_of((11.5 + 0.4 * np.cos(t), 11.5 + 0.4 * np.sin(t)), (11.5, 11.5), level, dice.normal(0, 1.5, (24, 24)))
+        for t, level in zip(turns, levels, strict=True)
+    ]
+    found = likeness_of(windows, np.zeros(8, dtype=bool), 1.5)
+    assert not found.unlike.any() and found.hollow == 0
+    windows[2].signal[9:12, 8:10] *= 0.5
+    windows[5].signal[9:14, 9:14] *= 1.6
+    assert np.flatnonzero(likeness_of(windows, np.zeros(8, dtype=bool), 1.5).unlike).tolist() == [2, 5]
+
+
+def hole_in(picture: Picture, dot: int, aside: float, size: float, left: float) -> Any:
+    """Light that is less within a circle about a place to the right of a dot's middle [px]."""
+    u0, v0 = picture.truth[dot]
+    return lambda u, v: np.where(np.hypot(u - u0 - aside, v - v0) < size, left, 1.0)
+
+
+def test_a_hole_in_a_dot_moves_its_centroid_and_is_warned_of() -> None:
+    """In closed form, by the areas and middles of both discs; the other dots look as they should."""
+    options: dict[str, Any] = {
+        "rows": 4,
+        "columns": 4,
+        "size": (104, 108),
+        "ratio": 0.6,
+        "pitch": 24.0,
+        "blur": 0.8,
+        "noise": 1.0,
+        "rounded": True,
+    }
+    sound = drawn(**options)
+    assert by(sound, rows=4, columns=4).warnings == ()
+    found = by(drawn(**options, light=hole_in(sound, 6, 3.0, 2.0, 0.0)), rows=4, columns=4)
+    radius = 0.3 * 24
+    aside = found.dots[6].u - sound.truth[6][0]
+    assert aside == pytest.approx(-3.0 * 2.0**2 / (radius**2 - 2.0**2), abs=5 * found.dots[6].covariance[0, 0] ** 0.5)
+    assert np.flatnonzero([dot.unlike for dot in found.dots]).tolist() == [6]
+    assert len(found.warnings) == 1 and "1 of 16 dots do not look like the others" in found.warnings[0]
+    assert "row 1 column 2;" in found.warnings[0]
+
+
+@pytest.mark.parametrize(
+    "name", ["scratch", *(pytest.param(name, marks=pytest.mark.long) for name in ("shadow", "highlight"))]
+)
+def test_dots_that_are_cut_or_lit_in_part_are_warned_of(name: str) -> None:
+    """By light outside: one dot cut in two, half in shadow, or with a bright speck of a twentieth of its area."""
+    options: dict[str, Any] = {
+        "rows": 4,
+        "columns": 4,
+        "size": (104, 108),
+        "ratio": 0.6,
+        "pitch": 24.0,
+        "blur": 0.8,
+        "levels": (20.0, 120.0),
+        "noise": 1.0,
+        "rounded": True,
+    }
+    u0, v0 = drawn(**options).truth[15]
+    lights = {
+        "scratch": lambda u, v: np.where((np.abs(u - u0 + v - v0) < 1.5) & (np.hypot(u - u0, v - v0) < 12), 0.1, 1.0),
+        "shadow": lambda u, v: np.where((np.hypot(u - u0, v - v0) < 12) & (v > v0 + 2), 0.4, 1.0),
+        "highlight": lambda u, v: np.where(np.hypot(u - u0 - 3, v - v0) < 1.6, 1.6, 1.0),
+    }
+    picture = drawn(**options, light=lights[name])
+    for method, found in find_dots_by(picture.gray, 4, 4, methods=("gray", "binary", "ellipse")).items():
+        assert np.flatnonzero([dot.unlike for dot in found.dots]).tolist() == [15], method
+        assert any("row 3 column 3;" in text for text in found.warnings)
+
+
+@pytest.mark.long
+def test_dots_that_are_all_weak_in_the_middle_are_warned_of_and_right() -> None:
+    options: dict[str, Any] = {
+        "rows": 4,
+        "columns": 4,
+        "size": (104, 108),
+        "ratio": 0.6,
+        "pitch": 24.0,
+        "blur": 0.8,
+        "noise": 0.5,
+    }
+    truth = drawn(**options).truth
+
+    def light(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        away = np.min([np.hypot(u - a, v - b) for a, b in truth], axis=0)
+        return np.where(away < 3.0, 0.5, 1.0)
+
+    picture = drawn(**options, light=light)
+    found = by(picture, rows=4, columns=4)
+    assert rms(found, picture) < 0.02
+    assert not any(dot.unlike for dot in found.dots)
+    assert len(found.warnings) == 1 and "the dots are weaker in their middle, by" in found.warnings[0]
 
 
 def found_board(rows: int, columns: int) -> np.ndarray:

@@ -51,7 +51,7 @@ def test_json_csv_table_and_overlay(tmp_path: Path, capsys: pytest.CaptureFixtur
         assert np.linalg.eigvalsh(dot["covariance"]).min() > 0
         assert dot["split"] is False
     lines = (tmp_path / "d.csv").read_text().splitlines()
-    assert lines[0] == "row,column,u,v,var_u,cov_uv,var_v,area,saturated_fraction,split"
+    assert lines[0] == "row,column,u,v,var_u,cov_uv,var_v,area,saturated_fraction,split,unlike"
     assert len(lines) == 21
     assert float(lines[1].split(",")[2]) == told["dots"][0]["u"]
     assert (tmp_path / "o.png").read_bytes().startswith(b"\x89PNG")

@@ -9,6 +9,7 @@ The data's way::
     -> whose light is whose, where dots run together        split
     -> the centre of each, by five definitions              centres
     -> the grid, with a dot in every place, none beyond     settle
+    -> which dots do not look like the others               unlike
     -> all dots, or an error that says how many             find, result
     -> the picture of what was found                        overlay
 """

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final
@@ -16,9 +16,10 @@ from radwrap.images import GrayImage
 from radwrap.measure.dots.centres import METHODS, Centre, Method, Window, centre
 from radwrap.measure.dots.detect import noise_of
 from radwrap.measure.dots.plane import disc_centre_shift, fit_homography, project
-from radwrap.measure.dots.result import Dot, Dots, DotsNotFound, missing
+from radwrap.measure.dots.result import Dot, Dots, DotsNotFound, missing, named_dots
 from radwrap.measure.dots.settle import grid_in, grid_near, present
 from radwrap.measure.dots.survey import Grid, Survey, windows
+from radwrap.measure.dots.unlike import Likeness, likeness_of
 from radwrap.progress import Progress
 
 Field = NDArray[np.float64]
@@ -155,6 +156,8 @@ class SoughtDots:
     survey : Survey
     noise : float
         [gray level].
+    likeness : Likeness
+        Of the dots to one another.
     dark : float or None
     pitch, dot_diameter : float or None
         As for `find_dots`.
@@ -164,6 +167,7 @@ class SoughtDots:
     grid: Grid
     survey: Survey
     noise: float
+    likeness: Likeness
     dark: float | None
     pitch: float | None
     dot_diameter: float | None
@@ -203,7 +207,9 @@ def seek_dots(
             grid, found = grid_near(image, near.grid, noise, progress)
     if grid is None:
         grid, found = grid_in(image, (rows, columns), noise, radius, saturation=saturation, progress=progress)
-    return SoughtDots(image, grid, found, noise, dark, pitch, dot_diameter)
+    views = [_flattened(view, slope) for view, slope in zip(windows(grid, found), _slopes(found), strict=True)]
+    likeness = likeness_of(views, found.touching, noise)
+    return SoughtDots(image, grid, found, noise, likeness, dark, pitch, dot_diameter)
 
 
 def measured_dots(sought: SoughtDots, method: Method) -> Dots:
@@ -229,7 +235,7 @@ def measured_dots(sought: SoughtDots, method: Method) -> Dots:
     saturated = np.array([_saturated(image, view, grid.saturation) for view in views])
     shift = np.zeros((len(views), 2))
     if contour and found.slopes is not None:
-        views = [_flattened(view, slope) for view, slope in zip(views, found.slopes, strict=True)]
+        views = [_flattened(view, slope) for view, slope in zip(views, _slopes(found), strict=True)]
         if found.model is not None:
             # Blur mixes the light's fall-off in before it can be divided out: a kernel of variance s^2 along each
             # axis, r^2/4 for a disc, then seems displaced by -s^2 times the relative gradient.
@@ -249,6 +255,7 @@ def measured_dots(sought: SoughtDots, method: Method) -> Dots:
     if found.touching.any():
         how = "by a model of the board's light" if found.model is not None else "by windows only"
         warnings.append(f"{int(found.touching.sum())} of {len(whole)} dots ran together and were separated {how}")
+    warnings += _told_unlike(sought.likeness, columns)
     dots = tuple(
         Dot(
             row=index // columns,
@@ -259,11 +266,35 @@ def measured_dots(sought: SoughtDots, method: Method) -> Dots:
             area=one.area,
             saturated_fraction=float(saturated[index]),
             split=bool(found.touching[index]),
+            unlike=float(sought.likeness.unlike[index]),
         )
         for index, one in enumerate(whole)
     )
     contrast = "bright" if grid.sign > 0 else "dark"
     return Dots(rows, columns, method, contrast, dots, homography, noise, tuple(warnings))
+
+
+def _told_unlike(likeness: Likeness, columns: int) -> Iterator[str]:
+    """Warnings that name the dots which do not look like the others, and that none looks like a disc."""
+    if likeness.hollow:
+        yield (
+            f"the dots are weaker in their middle, by {likeness.hollow:.0%} of their level, which is taken there: only "
+            "`gray` does not hang on it"
+        )
+    unlike = likeness.unlike
+    if not unlike.any():
+        return
+    which = np.flatnonzero(unlike)
+    yield (
+        f"{len(which)} of {len(unlike)} dots do not look like the others, by up to {unlike.max():.0%} of their level: "
+        f"{named_dots(which, columns)}; a scratch, dirt, a highlight or a shadow on a dot moves its centre by more "
+        "than is stated"
+    )
+
+
+def _slopes(found: Survey) -> Field:
+    """Of the light at each dot; 0 where no smooth law is known."""
+    return np.zeros((len(found.levels), 2)) if found.slopes is None else found.slopes
 
 
 def _check_method(method: str, pitch: float | None, dot_diameter: float | None) -> None:

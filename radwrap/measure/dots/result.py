@@ -38,6 +38,9 @@ class Dot:
         Share of the dot's pixels at or above saturation.
     split : bool
         Whether its light ran into a neighbour's and was parted from it.
+    unlike : float
+        By how much its light differs from that of the board's usual dot: rms beyond noise as a share of its level; 0
+        where it does not.
     """
 
     row: int
@@ -48,6 +51,7 @@ class Dot:
     area: float
     saturated_fraction: float
     split: bool
+    unlike: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,6 +108,12 @@ class DotsNotFound(InputError):
         self.missing = missing
 
 
+def named_dots(which: NDArray[np.intp], columns: int) -> str:
+    """The first of some dots by row and column."""
+    named = [f"row {dot // columns} column {dot % columns}" for dot in which[:3].tolist()]
+    return ", ".join(named) + (" and others" if len(which) > 3 else "")
+
+
 def missing(places: Field, shape: tuple[int, int], good: NDArray[np.bool_], why: str = "") -> DotsNotFound:
     """The error for a grid with empty places.
 
@@ -118,10 +128,8 @@ def missing(places: Field, shape: tuple[int, int], good: NDArray[np.bool_], why:
     why : str
         Added to the message.
     """
-    lost = [f"row {dot // shape[1]} column {dot % shape[1]}" for dot in np.flatnonzero(~good)]
-    named = ", ".join(lost[:3]) + (" and others" if len(lost) > 3 else "")
     return DotsNotFound(
-        f"found {int(good.sum())} of {len(good)} dots; missing: {named}{why}",
+        f"found {int(good.sum())} of {len(good)} dots; missing: {named_dots(np.flatnonzero(~good), shape[1])}{why}",
         places[good],
         places[~good],
         remedy=REMEDY,
