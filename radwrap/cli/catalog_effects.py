@@ -110,15 +110,16 @@ def _measured(words: list[str], image: Path) -> Any:
 
     parser = argparse.ArgumentParser(prog="--measure", exit_on_error=False)
     measure.add_to(parser.add_subparsers(required=True))
-    # Where dots are missing, the picture of what was found goes as the image does.
-    picture = ["--overlay", str(image.with_suffix(".dots.png"))] if words[0] == "dots" else []
     heard = io.StringIO()
     try:
         with contextlib.redirect_stderr(heard):
-            parsed = parser.parse_args(["measure", words[0], str(image), *picture, *words[1:], "--json"])
+            parsed = parser.parse_args(["measure", words[0], str(image), *words[1:], "--json"])
     except (argparse.ArgumentError, SystemExit) as error:
         said = str(error) if isinstance(error, argparse.ArgumentError) else heard.getvalue().strip()
         raise InputError(said.rpartition("error: ")[2], where="--measure", remedy="see `radwrap measure`") from error
+    if getattr(parsed, "overlay", "") is None:
+        # A picture that nobody asked for, such as of dots where some are missing, goes as the image does.
+        parsed.overlay = str(image.with_suffix(".overlay.png"))
     written = io.StringIO()
     with contextlib.redirect_stdout(written):
         parsed.run(parsed)
