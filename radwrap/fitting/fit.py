@@ -6,8 +6,9 @@ import json
 import math
 import shutil
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,7 +22,7 @@ from radwrap.fitting.captured import Captured, read_mask
 from radwrap.fitting.covariance import GRAIN, RANK, PredictionErrors, Shared, Spread, inverse_of, spread
 from radwrap.fitting.directions import in_words
 from radwrap.fitting.free_keys import FreeKey, FreeScene, free_scene
-from radwrap.fitting.light import Light
+from radwrap.fitting.light import FEW, REPLICATES, Light
 from radwrap.fitting.page import FILES, RESIDUAL, write_fit
 from radwrap.fitting.places import Places, need_renders
 from radwrap.fitting.poses import aimed_keys
@@ -35,6 +36,8 @@ from radwrap.fitting.told import Fit, FittedKey, as_manifest
 from radwrap.fitting.verdict import verdict
 from radwrap.fitting.weights import patterns
 from radwrap.images import GrayImage
+from radwrap.imaging.relight.relit import Basis
+from radwrap.imaging.relight.source_images import SourceImages
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.response.sensor import gray_levels, image_of_levels
 from radwrap.manifest import SCHEMA_VERSION, sha256_of_value, versions
@@ -48,10 +51,12 @@ _SCENE_FILE: Final = FileKind("scene file", 16 << 20, "")
 _NOTHING: Final[Mapping[str, Any]] = {}
 _AT_BOUND: Final = 1e-6  # of a key's scale
 _WORK: Final = ".fit"
-_COARSE: Final = "coarse"
 _NEAR: Final = "near"
+_ROUGHEST: Final = 4.0  # times as large cells, from afar
+_ROUGHER: Final = 2.0  # the same near the end
+_FEWER: Final = 4  # times fewer rays at the first of these places
 _PLACES: Final = 4  # at most, where it is looked for the end by unbiased rays
-_ARRIVED: Final = 0.5  # expected deviations: by so little the prediction moves in a last step
+_ARRIVED: Final = 0.2  # expected deviations: so little of a last step is not linear
 PACKAGES: Final = ("tomlkit",)
 
 
@@ -153,7 +158,11 @@ def fit(
 
 
 def _prediction(
-    states: Sequence[State], rendered: Sequence[bool], light: Light, steps: Sequence[float] = ()
+    states: Sequence[State],
+    rendered: Sequence[bool],
+    trace: Callable[[Scene], Basis | SourceImages],
+    steps: Sequence[float] = (),
+    rough: Prediction | None = None,
 ) -> Prediction:
     """Of all states; those that differ in levels, exposure or the sensor's electronics only are seen in one light."""
     known: list[Places] = []
@@ -161,10 +170,10 @@ def _prediction(
     for state in states:
         places = next((one for one in known if one.serves(state.free.scene)), None)
         if places is None:
-            places = Places(state.free, rendered, light.at)
+            places = Places(state.free, rendered, trace)
             known.append(places)
         shots.append((state.free, places))
-    return Prediction(shots, steps)
+    return Prediction(shots, steps, rough)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,16 +185,14 @@ class _Begin:
     rays: int = 0
 
 
-def _begin(free: FreeScene, rendered: Sequence[bool], states: Sequence[State], light: Light, work: Path) -> _Begin:
+def _begin(rendered: Sequence[bool], states: Sequence[State], light: Light) -> _Begin:
     """Where coarse renders lead to, if any key needs renders."""
     if not any(rendered):
         return _Begin()
-    folder = work / _COARSE
-    make_folder(folder)
-    coarse = light.coarser(COARSER, folder)
-    prediction = _prediction(states, rendered, coarse)
-    values = approached(free.keys, prediction, [state.captured for state in states], coarse.tolerance)
-    return _Begin(values, prediction.steps, coarse.rays)
+    keys, captures = states[0].free.keys, [state.captured for state in states]
+    prediction = _prediction(states, rendered, partial(light.roughly, times=_ROUGHEST, replicates=FEW))
+    values = approached(keys, prediction, captures, COARSER * light.tolerance)
+    return _Begin(values, prediction.steps, light.rays)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -232,13 +239,14 @@ def ended(
     """
     place, scales = begin, np.array([key.scale for key in keys])
     before: Settled | None = None
-    for _ in range(_PLACES):
-        bases = [light.unbiased(places.scene(place)) for places in prediction.places]
+    # Where renders are compared, few rays first: a step from there is short.
+    for share in (_FEWER, *[1] * _PLACES) if prediction.has_renders else [1]:
+        bases = [light.unbiased(places.scene(place), share) for places in prediction.places]
         before = near = Settled(prediction, keys, place, bases, before)
         solved, grained = settle(keys, near, captures, noise, robust=robust, begin=place)
         way = (solved.values - place) / scales
         place = solved.values
-        if not prediction.has_renders or float(np.linalg.norm(solved.jacobian @ way)) < _ARRIVED:
+        if share == 1 and float(np.linalg.norm(solved.jacobian @ way)) * near.bent(place) < _ARRIVED:
             break
     else:  # it still goes elsewhere
         solved = replace(solved, converged=False)
@@ -272,16 +280,26 @@ def _fitted(
     robust: bool,
 ) -> Fit:
     light = Light(states[0].free.scene, options, work, is_even=any(rendered))
-    begin = _begin(free, rendered, states, light, work)
+    begin, taken = _begin(rendered, states, light), 0
     if begin.values is not None and begin.values.tolist() != [key.value for key in free.keys]:
         # Rays are planned where the values are: a target that was out of sight may have come into it.
         near = work / _NEAR
         make_folder(near)
+        taken = begin.rays
         light = Light(states[0].free.at(begin.values.tolist()), options, near, is_even=True)
-    prediction = _prediction(states, rendered, light, begin.steps)
     captures = [state.captured for state in states]
-    tolerance = light.tolerance if any(rendered) else 0.0
-    sought = solve(free.keys, prediction, captures, noise, robust=robust, begin=begin.values, tolerance=tolerance)
+    rough = None
+    if any(rendered):  # the way is sought by few rays: what these are off by is settled at its end
+        trace = partial(light.roughly, times=_ROUGHER, replicates=REPLICATES)
+        rough = _prediction(states, rendered, trace, begin.steps)
+    prediction = _prediction(states, rendered, light.at, rough=rough)
+    off = _ROUGHER * light.tolerance
+    sought = solve(free.keys, rough or prediction, captures, noise, robust=robust, begin=begin.values, tolerance=off)
+    rounds = sought.rounds
+    if rough is not None:
+        off, begun = light.tolerance, sought.values
+        sought = solve(free.keys, prediction, captures, noise, robust=robust, begin=begun, tolerance=off)
+        rounds += sought.rounds
     found = ended(free.keys, prediction, light, captures, sought.values, noise=noise, robust=robust)
     solved, errors = found.solved, found.errors
     used, sigma = solved.weighed.used, solved.weighed.sigma
@@ -319,11 +337,11 @@ def _fitted(
         "noise": noise,
         "robust": robust,
         "held": light.held(),
-        "rays": light.rays + begin.rays,
+        "rays": light.rays + taken,
         "places": prediction.renders,
         "left_out": light.left_out,
         "converged": solved.converged,
-        "rounds": sought.rounds + solved.rounds,
+        "rounds": rounds + solved.rounds,
         "used_pixels": int(np.count_nonzero(used)),
         "censored_pixels": censored,
         "undetermined": words,

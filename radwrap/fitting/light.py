@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from radwrap.errors import EnvironmentFailure, InputError
-from radwrap.imaging.demand import SamplingPlan
+from radwrap.imaging.demand import FEWEST, SamplingPlan
 from radwrap.imaging.relight.relit import Basis, read_basis
+from radwrap.imaging.relight.source_images import SourceImages, source_images, suffice
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.rendered import Rendered
 from radwrap.imaging.synthesis import render
@@ -20,6 +21,7 @@ from radwrap.scene.scene import Scene
 from radwrap.study.pilots import read_pilot, write_pilot
 
 REPLICATES: Final = 4  # of each basis of a fit with renders
+FEW: Final = 2  # of each by which the way is sought
 _SEED_STEP: Final = 1_000_003  # between seeds: none is that of a neighbouring fit
 
 
@@ -68,22 +70,34 @@ class Light:
         """Of each image [gray level]."""
         return self._options.demand.tolerance
 
-    def coarser(self, times: float, work: Path) -> Light:
-        """The same at a tolerance that is so many times larger, with a folder of its own."""
-        options = replace(self._options, tolerance=times * self.tolerance, sampling=None)
-        return Light(self._scene, options, work, is_even=self._is_even)
+    def roughly(self, scene: Scene, times: float, replicates: int) -> Basis | SourceImages:
+        """The same by few rays: by cells so many times as large, and no larger than a pixel unless they were."""
+        known = self._options.sampling
+        if known is None:
+            raise TypeError("only what is traced by an even plan has a rough one")
+        if known.cell is not None:
+            plan = replace(known, cell=min(times * known.cell, max(known.cell, 1.0)), replicates=replicates)
+        else:
+            plan = replace(known, rays=max(FEWEST, int((known.rays or 1) / times**2)), replicates=replicates)
+        return self._basis(scene, replace(self._options, sampling=plan))
 
-    def at(self, scene: Scene) -> Basis:
+    def at(self, scene: Scene) -> Basis | SourceImages:
         """The basis of another scene, by the same rays."""
         return self._basis(scene, self._options)
 
-    def unbiased(self, scene: Scene) -> Basis:
-        """The basis of a scene by other rays, over pixel and opening: no cell and no model of a kernel is in it."""
+    def unbiased(self, scene: Scene, share: int = 1) -> Basis | SourceImages:
+        """The basis of a scene by other rays, over pixel and opening: no cell and no model of a kernel is in it.
+
+        It keeps the tolerance, or is by one of `share` rays of what that takes.
+        """
         if self._pilot is None:
             self._pilot = self._looked_at(scene, self._options)
         demand = replace(self._options.demand, method="rays")
-        self.settled = strictest([self._pilot], demand)
-        options = replace(self._options, method="rays", sampling=self.settled)
+        plan = strictest([self._pilot], demand)
+        # A plan is made for a bound of the error. Here the error itself is to keep the tolerance: replicates show it.
+        self.settled = replace(plan, rays=max(FEWEST, (plan.rays or 1) // 2))
+        plan = replace(plan, rays=max(FEWEST, (plan.rays or 1) // (2 * share)))
+        options = replace(self._options, method="rays", sampling=plan)
         return self._basis(scene, replace(options, seed=(options.seed + _SEED_STEP) % 2**63))
 
     def _planned(self, scene: Scene, options: RenderOptions) -> RenderOptions:
@@ -106,9 +120,14 @@ class Light:
         planned = SamplingPlan("rays", rays=1024).replicates
         return replace(options.demand, tolerance=options.demand.tolerance * math.sqrt(REPLICATES / planned))
 
-    def _basis(self, scene: Scene, options: RenderOptions) -> Basis:
+    def _basis(self, scene: Scene, options: RenderOptions) -> Basis | SourceImages:
         folder = self._work / str(self._count)
         self._count += 1
+        # The first one is an image with all that is to know of it: who traces, and what is left out.
+        if self._count > 1 and options.tracer == "compiled" and options.sampling and suffice(scene, options):
+            lit = source_images(scene, folder, options, options.sampling)
+            self.rays += lit.rays
+            return lit
         made = self._rendered(scene, folder, options)
         self.rays += made.run.rays
         self.left_out = self.left_out or made.run.missing

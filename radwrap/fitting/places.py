@@ -13,6 +13,7 @@ from radwrap.errors import InputError
 from radwrap.fitting.free_keys import FreeScene
 from radwrap.imaging.other_camera import check_same_light
 from radwrap.imaging.relight.relit import Basis
+from radwrap.imaging.relight.source_images import SourceImages
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Emitter
 
@@ -28,7 +29,7 @@ class Lit:
 
     Attributes
     ----------
-    basis : Basis
+    basis : Basis or SourceImages
         As it was traced.
     images : ndarray, shape (sources, rows, columns)
         Mean of its replicates [W m^-2 sr^-1].
@@ -36,12 +37,12 @@ class Lit:
         Of each source in that scene [W m^-2 sr^-1].
     """
 
-    basis: Basis
+    basis: Basis | SourceImages
     images: Array
     radiances: Mapping[str, float]
 
     @classmethod
-    def of(cls, scene: Scene, basis: Basis) -> Lit:
+    def of(cls, scene: Scene, basis: Basis | SourceImages) -> Lit:
         """Of a scene's basis."""
         return cls(basis, basis.images.astype(np.float64).mean(axis=1), radiances(scene))
 
@@ -59,7 +60,9 @@ class Places:
         Traces the basis of a scene, by the same rays for all.
     """
 
-    def __init__(self, free: FreeScene, rendered: Sequence[bool], trace: Callable[[Scene], Basis]) -> None:
+    def __init__(
+        self, free: FreeScene, rendered: Sequence[bool], trace: Callable[[Scene], Basis | SourceImages]
+    ) -> None:
         self._free = free
         self._begin = np.array([key.value for key in free.keys], dtype=np.float64)
         self._rendered = np.array(rendered or [False] * len(free.keys), dtype=np.bool_)

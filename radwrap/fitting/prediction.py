@@ -13,6 +13,7 @@ from radwrap.errors import InputError
 from radwrap.fitting.free_keys import FreeKey, FreeScene
 from radwrap.fitting.places import Lit, Places, radiances
 from radwrap.imaging.relight.relit import Basis
+from radwrap.imaging.relight.source_images import SourceImages
 from radwrap.imaging.response.exposure import exposure_of_radiance
 from radwrap.imaging.response.sensor import unclipped_gray
 from radwrap.scene.camera import Sensor
@@ -34,6 +35,7 @@ _LARGEST_FROM_0: Final = {"deg": 10.0}
 _LARGEST_ELSE: Final = 50.0
 _TRIALS: Final = 6
 _NEAR_ENOUGH: Final = 0.25  # of a step: so far from where slopes were seen they are the same
+_FINE_ENOUGH: Final = 1e-2  # of what few rays show, by its square: so much may be grain
 _FIT: Final = 2.0  # a step that is right within this factor
 
 
@@ -51,7 +53,7 @@ class Part:
         H [J m^-2].
     unclipped : ndarray, shape (rows, columns)
         Gray levels without saturation and rounding.
-    basis : Basis
+    basis : Basis or SourceImages
         The light that it is made of.
     """
 
@@ -59,7 +61,7 @@ class Part:
     factors: Array
     exposure: Array
     unclipped: Array
-    basis: Basis
+    basis: Basis | SourceImages
 
     @property
     def sensor(self) -> Sensor:
@@ -121,9 +123,17 @@ class Prediction:
         For each capture its scene, and the light that it is seen in. All have the same keys.
     steps : sequence of float, optional
         How far each key may be moved for its slope, over its scale, where that is known from another prediction.
+    rough : Prediction, optional
+        The same by fewer rays, which has the slopes.
     """
 
-    def __init__(self, shots: Sequence[tuple[FreeScene, Places]], steps: Sequence[float] = ()) -> None:
+    def __init__(
+        self,
+        shots: Sequence[tuple[FreeScene, Places]],
+        steps: Sequence[float] = (),
+        rough: Prediction | None = None,
+    ) -> None:
+        self._rough = rough
         self._shots = tuple(shots)
         self._keys: tuple[FreeKey, ...] = shots[0][0].keys
         self._rendered = shots[0][1].rendered
@@ -150,7 +160,8 @@ class Prediction:
     @property
     def renders(self) -> int:
         """Bases so far."""
-        return sum(places.count for places in self.places)
+        rough = 0 if self._rough is None else self._rough.renders
+        return rough + sum(places.count for places in self.places)
 
     def at(self, values: Sequence[float] | Array) -> Predicted:
         """Gray levels for some values; InputError where a scene does not take them."""
@@ -176,8 +187,11 @@ class Prediction:
         blur : float
             Sigma of the blur that the image is looked at with [px]: the wider, the farther a key is moved.
         """
+        if self._rough is not None:
+            return self._rough.slopes(values, blur)
         if blur not in self._steps:
-            self._steps[blur] = [self._step(values, number, blur, step) for number, step in enumerate(self._begun)]
+            begun = self.steps
+            self._steps[blur] = [self._step(values, number, blur, step) for number, step in enumerate(begun)]
         near = self._near(values, blur)
         return np.stack([self._slope(near, number, step) for number, step in enumerate(self._steps[blur])])
 
@@ -240,15 +254,20 @@ class Prediction:
         two large slopes would be off by their grain, and by what a finite step leaves out of each.
         """
         slopes = self.slopes(values)
-        near = self._near(values, 0.0)
+        rough = self._rough
+        if rough is not None:
+            self._steps = rough._steps
+        near = (rough or self)._near(values, 0.0)
         scales = np.array([key.scale for key in self._keys])
         reach = np.array(self._steps[0.0]) * scales
         if (np.abs(values - near) > _NEAR_ENOUGH * reach)[self._rendered].any():
             near = np.array(values, dtype=np.float64)
         numbers = np.flatnonzero(self._rendered)
         moved = slopes[numbers] * (reach / scales)[numbers, np.newaxis, np.newaxis]
-        ways = np.linalg.svd(moved.reshape(len(numbers), -1), full_matrices=False)[0].T
-        target = _CHANGE * float(np.ptp(self._smooth(self.at(near).unclipped, _SMOOTH)))
+        others = np.flatnonzero(~self._rendered)
+        beside = np.linalg.qr(slopes[others].reshape(len(others), slopes[0].size).T)[0]
+        ways = np.linalg.svd(_off(moved.reshape(len(numbers), -1), beside), full_matrices=False)[0].T
+        target = _CHANGE * float(np.ptp(self._smooth((rough or self).at(near).unclipped, _SMOOTH)))
         steps = np.zeros((len(numbers), len(self._keys)))
         steps[:, numbers] = ways * reach[numbers]
         if min(self._room(near, step) for step in steps) < _LEAST_ROOM:  # a key at its bound: each key by itself
@@ -258,14 +277,21 @@ class Prediction:
         for way, step in zip(ways, steps, strict=True):
             change = float(np.abs(self._smooth(np.tensordot(way, moved, axes=1), _SMOOTH)).max())
             times = min(target / max(change, target / _FARTHEST), max(self._room(near, step), 1.0))
-            above, below, span = self._both(near, step, times)
-            count = min(len(above), len(below))
-            seen.append((_joined(above, count) - _joined(below, count)) / span)
+            image = None if rough is None else rough._seen_along(near, step, times)
+            if image is None or _grain_of(image, beside) > _FINE_ENOUGH:
+                image = self._seen_along(near, step, times)
+            seen.append(image)
             gone = np.maximum(gone, times * np.abs(way))
         count = min(len(one) for one in seen)
         images = np.stack([_joined(one, count) for one in seen])
         changes = np.tensordot(ways, images, axes=(0, 0)) * (scales / reach)[numbers, None, None, None]
         return Steepness(numbers, changes, gone * reach[numbers], near)
+
+    def _seen_along(self, values: Array, step: Array, times: float) -> Array:
+        """Change of the radiant exposure with a step, shape (replicates, captures * rows, columns)."""
+        above, below, span = self._both(values, step, times)
+        count = min(len(above), len(below))
+        return np.asarray((_joined(above, count) - _joined(below, count)) / span)
 
     def _room(self, values: Array, step: Array) -> float:
         """How many times a step may be gone both ways: within bounds, and no farther than one key is ever moved."""
@@ -320,6 +346,20 @@ def ends_of(key: FreeKey, values: Array, number: int, step: float) -> tuple[tupl
 def _joined(images: Array, count: int) -> Array:
     """Means of neighbouring replicates, as many as asked for; replicates are the first axis."""
     return np.stack([part.mean(axis=0) for part in np.array_split(images, count)])
+
+
+def _off(rows: Array, beside: Array) -> Array:
+    """What is left of some rows beside what orthonormal columns do as well."""
+    return np.asarray(rows - (rows @ beside) @ beside.T)
+
+
+def _grain_of(images: Array, beside: Array) -> float:
+    """Share of grain, by squares, in the mean of replicates: in what is left of it beside other columns."""
+    rows = images.reshape(len(images), -1)
+    mean = rows.mean(axis=0)
+    grain = float(((rows - mean) ** 2).sum()) / (len(rows) * (len(rows) - 1))
+    left = float((_off(mean[np.newaxis], beside) ** 2).sum())
+    return grain / left if left > 0 else np.inf
 
 
 def factors_of(scene: Scene, lit: Lit) -> Array:

@@ -19,6 +19,7 @@ from radwrap.fitting.free_keys import FreeKey, FreeScene
 from radwrap.fitting.places import Lit
 from radwrap.fitting.prediction import Part, Predicted, Prediction, Steepness, ends_of, factors_of
 from radwrap.imaging.relight.relit import Basis
+from radwrap.imaging.relight.source_images import SourceImages
 from radwrap.imaging.response.exposure import exposure_of_radiance
 from radwrap.imaging.response.sensor import unclipped_gray
 from radwrap.imaging.tolerance.wave_image import visible_gray
@@ -107,7 +108,7 @@ class Settled:
         Its keys.
     place : ndarray, shape (keys,)
         Where.
-    bases : sequence of Basis
+    bases : sequence of Basis or SourceImages
         By independent rays of the scene there, in each of the prediction's places.
     before : Settled, optional
         Near another place, whose slopes are taken if they still hold.
@@ -118,7 +119,7 @@ class Settled:
         prediction: Prediction,
         keys: Sequence[FreeKey],
         place: Array,
-        bases: Sequence[Basis],
+        bases: Sequence[Basis | SourceImages],
         before: Settled | None = None,
     ) -> None:
         self._place = np.array(place, dtype=np.float64)
@@ -149,6 +150,11 @@ class Settled:
     def seen(self) -> Array:
         """Where its slopes were seen."""
         return self._seen
+
+    def bent(self, values: Array) -> float:
+        """About what share of a step to some values its slopes leave out: as far as it goes, over their reach."""
+        away = np.abs(np.asarray(values) - self._place)[self._rendered]
+        return float((away / self._reach).max(initial=0.0))
 
     def reaches(self, values: Array, share: float = 1.0) -> bool:
         """Whether no key lies farther away than it was moved for slopes, or than a share of that."""

@@ -17,6 +17,7 @@ STILL: Final = 0.3
 _ENOUGH: Final = 3.0  # the same of a step that lowers nothing: the grain hides it
 _ROUNDS: Final = 30
 _TRIES: Final = 7  # of dampings in one round
+_FEW_TRIES: Final = 2  # where the grain hides what a step brings
 _LEAST_DAMPING: Final = 1e-3  # share of the largest singular value: a tenth of what stands out of the grain
 _RAISED: Final = 5.0  # times, where a step does not lower the sum
 _EASED: Final = 5.0  # times, where it does
@@ -109,7 +110,8 @@ def through_grain(
             jacobian = np.where(held, 0.0, jacobian)
             led = _Directions.of(jacobian, left * weight)
         moved = float(np.linalg.norm(jacobian @ led.step()))
-        for _ in range(_TRIES):
+        hidden = moved < _ENOUGH * max(grain, 1.0)
+        for _ in range(_FEW_TRIES if hidden else _TRIES):
             tried = np.clip(values + led.step(damping) * scales, bounds[0], bounds[1])
             gain = sum_here - _sum(compared, tried, weights, weight)
             if gain > 0:
@@ -117,7 +119,7 @@ def through_grain(
                 break
             damping = max(damping * _RAISED, _LEAST_DAMPING)
         else:
-            return Arrived(values, rounds, converged=moved < _ENOUGH * max(grain, 1.0))
+            return Arrived(values, rounds, converged=hidden)
         if moved < STILL or gain < STILL**2:
             return Arrived(values, rounds, converged=True)
     return Arrived(values, rounds, converged=False)

@@ -169,15 +169,14 @@ def test_a_step_that_the_scene_does_not_take_is_made_smaller(bench: Scene, basis
 
 
 def test_few_rays_lead_the_way(bench: Scene, tmp_path: Path) -> None:
-    folders = [tmp_path / "fine", tmp_path / "coarse"]
-    for folder in folders:
-        folder.mkdir()
-    light = Light(bench, OPTIONS, folders[0], is_even=True)
-    coarse = light.coarser(8.0, folders[1])
-    assert coarse.tolerance == 8 * light.tolerance == 8.0
-    for one in (light, coarse):
-        one.at(bench)
-    assert coarse.rays < light.rays
+    light = Light(bench, OPTIONS, tmp_path, is_even=True)
+    light.at(bench)  # all that is known of an image is told of the first one
+    taken = [light.rays]
+    for times, replicates in ((1.0, 4), (2.0, 4), (4.0, 2)):
+        light.roughly(bench, times, replicates)
+        taken.append(light.rays)
+    fine, rough, roughest = np.diff(taken)
+    assert roughest < rough < fine < taken[0]
 
 
 def test_a_fit_begins_where_the_way_leads(bench: Scene, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,11 +19,15 @@ FIRST = 1  # bases of a fit: one that it begins with, and one whose rays are oth
 
 
 def _stamps(out: Path) -> dict[str, tuple[int, int]]:
-    found = sorted((out / ".fit").glob("*/manifest.json"))
+    found = sorted((out / ".fit").glob("*/manifest.json")) + sorted((out / ".fit").glob("*/source_images.npz"))
     return {str(path.relative_to(out)): (path.stat().st_ino, path.stat().st_mtime_ns) for path in found}
 
 
-def test_a_killed_fit_traces_nothing_twice(bench: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("stage", "bases"), [((light, "source_images"), FIRST), ((fitting, "write_fit"), 2)])
+def test_a_killed_fit_traces_nothing_twice(
+    bench: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stage: tuple[Any, str], bases: int
+) -> None:
+    """Killed once so many bases were traced."""
     capture = radwrap.render(bench, options=COARSE, seed=5).frames(1)
 
     def fitted(out: Path) -> radwrap.Fit:
@@ -31,21 +35,17 @@ def test_a_killed_fit_traces_nothing_twice(bench: Scene, tmp_path: Path, monkeyp
 
     fitted(tmp_path / "good")
     assert not (tmp_path / "good" / ".fit").exists()
-    render, asked = light.render, []
 
-    def killed(scene: Scene, out: Path, *rest: Any) -> Any:
-        if len(asked) == FIRST:
-            raise KeyboardInterrupt
-        asked.append(out)
-        return render(scene, out, *rest)
+    def killed(*_: Any) -> Any:
+        raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(light, "render", killed)
+        patch.setattr(*stage, killed)
         with pytest.raises(KeyboardInterrupt):
             fitted(tmp_path / "out")
     assert not (tmp_path / "out" / "fit.json").exists()
     before, after = _stamps(tmp_path / "out"), {}
-    assert len(before) == FIRST
+    assert len(before) == bases
     write = fitting.write_fit
 
     def written(made: radwrap.Fit, text: str, out: Path) -> None:
