@@ -21,7 +21,7 @@ from typing import Any, Final
 
 import radwrap
 from fit_twins import bench, done, edge, keys_of, truth_of
-from radwrap.errors import InputError
+from radwrap.errors import InputError, ToleranceNotMet
 from radwrap.files import write_bytes
 from radwrap.fitting.free_keys import free_scene
 from radwrap.fitting.verdict import Test
@@ -116,7 +116,7 @@ def case(number: int, seed: int, tolerance: float) -> dict[str, Any]:
     begun = {"case": number, "kind": kind, "amount": amount}
     try:
         best = radwrap.fit(wrong, [expected], keys_of(truth), options=options).verdict
-    except InputError as error:  # a refit that is best at infinity
+    except (InputError, ToleranceNotMet) as error:  # a refit that is best at infinity
         return {**begun, "deviations": None, "counts": False, "power": {}, "refused": None, "ended": str(error)}
     left = {"pixels": best.pixels.chi_square - best.pixels.prediction}
     tests = {"pixels": best.pixels}

@@ -109,6 +109,8 @@ def fit(
     ------
     InputError
         If a key cannot be fitted, a capture is not one of the scene's sensor, or no noise is known.
+    ToleranceNotMet
+        If the best lies at infinity.
 
     Examples
     --------

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.errors import InputError
+from radwrap.errors import InputError, ToleranceNotMet
 from radwrap.fitting.captured import Captured
 from radwrap.fitting.covariance import GRAIN, RANK, inverse_of
 from radwrap.fitting.free_keys import FreeKey
@@ -27,6 +27,8 @@ _STILL: Final = 1e-9  # expected deviations by which a round may still move the 
 _ENOUGH: Final = 1e-2  # the same after the last round: weights of a pixel go to and fro
 _EVALUATIONS: Final = 100  # of one round
 _AS_MUCH: Final = 1e-2  # of a pixel's weight: by so little it may change, and the grain of slopes is the same
+_TOO_FAR: Final = 1e6  # of a key's scale, from where it begins: no value is sought there
+_CREEPS: Final = 2  # rounds one after the other that end nowhere
 _INSIDE: Final = 1e-9  # of a key's scale: so far from its bounds the solver begins
 
 
@@ -119,6 +121,8 @@ def solve(
     ------
     InputError
         If all pixels are censored, or as `weighed`.
+    ToleranceNotMet
+        If the best lies at infinity.
     """
     from scipy.optimize import least_squares
 
@@ -127,14 +131,15 @@ def solve(
     inside = np.where(np.isfinite(bounds), _INSIDE, 0.0)
     start = np.array([key.value for key in keys]) if begin is None else begin
     x = np.clip(start / scales, bounds[0] + inside[0], bounds[1] - inside[1])
-    moved, rounds, ended = np.inf, 0, True
+    moved, rounds, creeps = np.inf, 0, 0
+    first = x
     against = _Against(prediction, tuple(captured), noise)
     if prediction.has_renders:
         within = np.clip(start, *(bounds * scales))
         grain = tolerance / float(np.median(against.weights(within).sigma))
         arrived = through_grain(against, within, scales, bounds * scales, robust=robust, grain=grain)
         return against.ended(arrived.values, arrived.rounds, converged=arrived.converged, robust=robust)
-    while rounds < _ROUNDS and not moved < _STILL:
+    while rounds < _ROUNDS and not moved < _STILL and creeps < _CREEPS:
         rounds += 1
         counted = against.weighed(prediction.at(x * scales))
         used, sigma = counted.used, counted.sigma[counted.used]
@@ -143,14 +148,11 @@ def solve(
         def misfit(
             at: Array, used: NDArray[np.bool_] = used, sigma: Array = sigma, measured: Array = measured
         ) -> Array:
+            _check_near(keys, at - first)
             try:
                 predicted = prediction.at(at * scales)
             except InputError as error:
-                raise InputError(
-                    f"the fit goes on and on to where the scene takes no value: {error.what}",
-                    where=error.where,
-                    remedy="nothing is best there: give the key bounds, KEY=low:high, or free fewer keys",
-                ) from error
+                raise _runs_off(f"to where the scene takes no value: {error.what}", error.where) from error
             return np.asarray((predicted.unclipped[used] - measured) / sigma)
 
         def slopes(at: Array, used: NDArray[np.bool_] = used, sigma: Array = sigma) -> Array:
@@ -168,10 +170,10 @@ def solve(
             max_nfev=_EVALUATIONS,
             x_scale="jac",
         )
-        ended = found.status > 0
+        creeps = 0 if found.status > 0 else creeps + 1
         moved = float(np.linalg.norm(found.jac @ (found.x - x)))
         x = found.x
-    return against.ended(x * scales, rounds, converged=ended and moved < _ENOUGH, robust=robust)
+    return against.ended(x * scales, rounds, converged=not creeps and moved < _ENOUGH, robust=robust)
 
 
 def settle(
@@ -204,7 +206,7 @@ def settle(
 
     Raises
     ------
-    InputError
+    InputError, ToleranceNotMet
         As `solve`.
     """
     scales = np.array([key.scale for key in keys])
@@ -230,7 +232,24 @@ def settle(
         tried = np.clip(values + step * scales, low, high)
         moved = float(np.linalg.norm(jacobian @ ((tried - values) / scales)))
         values = tried
+        _check_near(keys, (values - start) / scales)
     return against.ended(values, rounds, converged=moved < _ENOUGH, robust=robust), grains.grained
+
+
+def _check_near(keys: Sequence[FreeKey], away: Array) -> None:
+    """See that no key has gone so many scales away that it goes on without end."""
+    farthest = int(np.abs(away).argmax())
+    if abs(away[farthest]) > _TOO_FAR:
+        raise _runs_off("away from where it began", keys[farthest].key)
+
+
+def _runs_off(whither: str, key: str) -> ToleranceNotMet:
+    """What is to be said of a fit whose best lies at infinity."""
+    return ToleranceNotMet(
+        f"the fit goes on and on {whither}",
+        where=key,
+        remedy="nothing is best there: give the key bounds, KEY=low:high, or free fewer keys",
+    )
 
 
 class _Grains:

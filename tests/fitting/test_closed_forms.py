@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from radwrap.errors import InputError
+from radwrap.errors import InputError, ToleranceNotMet
 from radwrap.fitting.covariance import RANK, PredictionErrors, Spread, spread
 from radwrap.fitting.directions import in_words
 from radwrap.fitting.fit import Ended
@@ -136,9 +136,34 @@ def test_a_fit_that_leaves_what_the_scene_takes_says_so(bench: Scene, basis: Bas
             raise InputError("must be at most 1.2", where=level)
         return at(values)
 
-    with patch.object(prediction, "at", within), pytest.raises(InputError, match="takes no value: must be") as told:
+    with (
+        patch.object(prediction, "at", within),
+        pytest.raises(ToleranceNotMet, match="takes no value: must be") as told,
+    ):
         solve(keys.keys, prediction, [capture], None, robust=False)
     assert told.value.where == level and "give the key bounds" in told.value.remedy
+
+
+@pytest.mark.parametrize("brightest", [2.4, 1.9])
+def test_a_fit_whose_best_lies_at_infinity_ends_soon(bench: Scene, basis: Basis, brightest: float) -> None:
+    """By a level x the light is that of 2 x/(1 + x): more than 2 is met best at infinity, and 1.9 at 19."""
+    level = "sources[0].leds[0].radiance_factor"
+    keys, prediction = begun(bench, basis, [level])
+    capture, at, asked = taken(prediction.at([brightest]).unclipped, bench), prediction.at, []
+
+    def bounded(values: Sequence[float]) -> Predicted:
+        asked.append(float(values[0]))
+        return at([2 * asked[-1] / (1 + asked[-1])])
+
+    with patch.object(prediction, "at", bounded):
+        if brightest > 2:
+            with pytest.raises(ToleranceNotMet, match="on and on away from") as told:
+                solve(keys.keys, prediction, [capture], None, robust=False)
+            assert told.value.where == level and "give the key bounds" in told.value.remedy
+        else:
+            solved = solve(keys.keys, prediction, [capture], None, robust=False)
+            assert solved.converged and solved.values[0] == pytest.approx(19, rel=1e-6)
+    assert len(asked) < 200
 
 
 def test_a_missing_source_is_not_explained(bench: Scene, basis: Basis) -> None:
