@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from radwrap.designing.candidates import Candidate, candidate_of, corners
 from radwrap.designing.document import Problem
+from radwrap.designing.keys import STEPS_OF_BALANCE
 from radwrap.designing.light import LightAim, levels_of, time_of
 from radwrap.designing.quantities import LEDS, TIME_OF_EXPOSURE
 from radwrap.designing.trials import Trial, read_record, trial_of, write_record
@@ -151,7 +152,9 @@ class Bench:
     def _find_levels(self, jobs: Sequence[CandidateJob]) -> None:
         """Make the bases of candidates and their corners, find levels on them, and keep what is measured there."""
         images = {one.image: one for job in jobs for one in (job, *job.around)}
-        due = {job.image: job for job in jobs if any(read_record(path) is None for path in self._records(job))}
+        due = {
+            self._records(job)[0]: job for job in jobs if any(read_record(path) is None for path in self._records(job))
+        }
         left = {one.image for job in due.values() for one in (job, *job.around)} - self._known
         self._progress.skip(len(images.keys() - left - self._known))
         self._known |= images.keys()
@@ -188,8 +191,10 @@ class Bench:
         return {folder: lost[one.name] for folder, one in due.items() if one.name in lost}
 
     def _records(self, job: CandidateJob) -> list[Path]:
-        """Of a candidate in the levels of the worst case, and of its corners."""
-        name = self._out / RECORDS / Path(job.image).name
+        """Of a candidate in the levels of the worst case, and of its corners; of one without them its own."""
+        if not job.around:
+            return [self._record(job)]
+        name = self._out / RECORDS / _name(job)
         return [Path(f"{name}-worst.json"), *(Path(f"{name}-worst-{k}.json") for k in range(len(job.around)))]
 
     def _seen(
@@ -202,7 +207,10 @@ class Bench:
             is_due = not candidate.fault and self._is_worth(candidate)
             jobs.append(self._job(candidate, number, tolerance, seed, sought=sought) if is_due else None)
         named = {job.runs[0].run: job for job in jobs if job is not None}
-        self._make(list(named.values()))
+        if self._problem.is_balanced and sought:
+            self._find_levels(list(named.values()))  # on one light for all balances
+        else:
+            self._make(list(named.values()))
         for number, candidate in enumerate(candidates):
             job = named.get(number)
             record = None if job is None else read_record(self._record(job))
@@ -264,10 +272,14 @@ class Bench:
         scene = problem.scene(candidate.document)
         levels = levels_of(problem.levels, candidate.document, scene, problem.origin)
         time = None if problem.time is None else time_of(problem.time, scene)
-        return LightAim(levels, problem.objectives[0], problem.constraints, problem.study.responses, time)
+        first, *others = problem.objectives
+        aim = LightAim(levels, first, problem.constraints, problem.study.responses, time)
+        if not others:
+            return aim
+        return replace(aim, second=others[0], share=float(candidate.codes[-1]) / (STEPS_OF_BALANCE - 1))
 
     def _record(self, job: CandidateJob) -> Path:
-        return self._out / RECORDS / f"{Path(job.image).name}.json"
+        return self._out / RECORDS / f"{_name(job)}.json"
 
     def _make(self, jobs: Sequence[CandidateJob]) -> None:
         """Render and measure what has no record yet; equal candidates once."""
@@ -297,6 +309,14 @@ class Bench:
                 raise why
             wrong[name] = why
         return wrong
+
+
+def _name(job: CandidateJob) -> str:
+    """Of a record: that of its image, and of the balance of two objectives on it."""
+    name = Path(job.image).name
+    if job.aim is None or job.aim.second is None:
+        return name
+    return f"{name}-{job.aim.share:g}"
 
 
 class _Outcomes:

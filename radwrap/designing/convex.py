@@ -135,6 +135,28 @@ def most_even(problem: EvenLight, measure: Measure, around: Sequence[EvenLight] 
     return _levels(problem, images, limits, point)
 
 
+def least(problem: EvenLight, row: Array) -> Array:
+    """The levels at which a row times the levels is least, within bounds and limits; errors as of `most_even`.
+
+    Parameters
+    ----------
+    problem : EvenLight
+        Whose bounds and limits hold.
+    row : ndarray, shape (n + 1,)
+        What is to be small; its last number does not count.
+    """
+    scale = float(problem.cells.sum(axis=1).mean())
+    if not scale > 0:
+        raise InputError("no light reaches the region", where="levels")
+    limits = [Limit(one.light / scale, one.low / scale, one.high / scale) for one in problem.limits]
+    count = len(row)
+    cost = row / max(float(np.abs(row[:-1]).max()), 1e-300)
+    held = np.eye(count)[-1]  # t = 1: the levels themselves
+    solved = partial(_program, np.zeros((count, count)), cost, held)
+    point = _Cuts(_bounds(problem), limits).within(solved)
+    return _levels(problem, [problem], limits, point, is_held=True)
+
+
 class _Cuts:
     """Rows of bounds, and of those places at which a limit has been broken so far; the others need none."""
 
@@ -277,16 +299,18 @@ def _program(square: Array, cost: Array, held: Array, rows: Array, lengths: Sequ
     return np.asarray(found.x, dtype=np.float64)
 
 
-def _levels(problem: EvenLight, images: Sequence[EvenLight], limits: Sequence[Limit], point: Array) -> Array:
-    """Levels of (y, t); without light that does not change, t may fall until a limit holds it."""
+def _levels(
+    problem: EvenLight, images: Sequence[EvenLight], limits: Sequence[Limit], point: Array, *, is_held: bool = False
+) -> Array:
+    """Levels of (y, t); without light that does not change, t may fall until a limit holds it, unless it `is_held`."""
     y, t = point[:-1].copy(), float(point[-1])
     every = [*(one.cells for one in images), *(one.light for one in limits)]
-    if problem.is_timed and not any(parts[:, -2].any() for parts in every):
+    if not is_held and problem.is_timed and not any(parts[:, -2].any() for parts in every):
         # No light hangs on the time by itself: the shortest one in which the sources give theirs.
         y[-1] = float((y[:-1] / problem.high[:-1]).max())
     rows = [_bounds(problem), *(_rows(limit, np.ones(len(limit.light), dtype=bool)) for limit in limits)]
     is_free = not any(parts[:, -1].any() for parts in every)
-    if is_free or t <= 0:
+    if not is_held and (is_free or t <= 0):
         together = np.vstack(rows)
         held = together[:, -1] < 0
         t = float((together[held, :-1] @ y / -together[held, -1]).max())

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from radwrap.designing.keys import SearchKey, read_key
+from radwrap.designing.keys import BALANCE, SearchKey, read_key
 from radwrap.designing.light import levels_of
 from radwrap.designing.quantities import (
     COST,
@@ -60,7 +60,7 @@ class Problem:
     changes : Mapping
         Keys that ``[set]`` changes.
     keys : tuple of SearchKey
-        What a search varies.
+        What a search varies; the last one is `BALANCE` where levels have two objectives.
     levels : tuple of SearchKey
         Levels of sources, which are solved for on a light basis.
     time : SearchKey or None
@@ -90,6 +90,16 @@ class Problem:
     coarse: float
     time: SearchKey | None = None
     allowed: tuple[Allowed, ...] = ()
+
+    @property
+    def free(self) -> tuple[SearchKey, ...]:
+        """Keys that are searched and change the scene: all but the balance of two objectives that levels have."""
+        return tuple(key for key in self.keys if key != BALANCE)
+
+    @property
+    def is_balanced(self) -> bool:
+        """Whether levels are solved for between two objectives."""
+        return BALANCE in self.keys
 
     @property
     def images_each(self) -> int:
@@ -122,7 +132,7 @@ class Problem:
 
     def documents(self) -> list[dict[str, Any]]:
         """Tables of the scene with each end or choice of each key, the others as the scene has them."""
-        keys = (*self.keys, *self.solved)
+        keys = (*self.free, *self.solved)
         return [with_values(self.study, key, key.values(code)) for key in keys for code in key.ends()]
 
 
@@ -167,7 +177,9 @@ def read_problem(path: Path, *, trust: bool = False) -> Problem:
     responses = read_responses(told.responses, path.parent, f"{origin}: responses") if told.responses else ()
     asked = [one.of for one in told.objectives] + [one.of for one in told.constraints]
     responses = _with_peak(responses, asked)
-    _check_names(keys, responses, origin)
+    is_balanced = len(told.objectives) > 1 and any(key.is_level for key in keys)
+    balance = (BALANCE,) if is_balanced else ()
+    _check_names((*keys, *balance), responses, origin)
     render_options(told.render.given(), f"{origin}: render")
     study = Design(
         title=told.title or path.stem,
@@ -192,7 +204,7 @@ def read_problem(path: Path, *, trust: bool = False) -> Problem:
         study=study,
         text=read_text(scene_path, _SCENE_FILE),
         changes=told.set,
-        keys=tuple(key for key in keys if not key.is_level and key is not time),
+        keys=(*(key for key in keys if not key.is_level and key is not time), *balance),
         levels=tuple(key for key in keys if key.is_level),
         objectives=_objectives(told.objectives, responses, origin),
         constraints=_constraints(told.constraints, responses, origin),
@@ -299,12 +311,6 @@ def _check(problem: Problem, keys: Sequence[SearchKey], *, trust: bool, is_fixed
             "levels of sources are solved for on a light basis, which is made to a tolerance",
             where=f"{study.origin}: render.method",
             remedy="leave the method out, or give the levels a step",
-        )
-    if problem.levels and len(problem.objectives) > 1:
-        raise InputError(
-            "levels of sources are solved for one objective, and there are two",
-            where=f"{study.origin}: objectives",
-            remedy="give the levels a step, or make one objective a limit",
         )
     base = problem.scene(study.document)
     for response in study.responses:

@@ -114,6 +114,8 @@ def limited_by(problem: Problem, best: Trial) -> list[str]:
                 low, high, value = math.log(low), math.log(high), math.log(value)
             share = (value - low) / (high - low)
             at = "low" if share <= _AT_BOUND else "high" if share >= 1 - _AT_BOUND else ""
+        elif not key.keys:  # what is between objectives is no limit
+            continue
         else:
             at = "first" if code == 0 else "last" if code == len(key.choices) - 1 else ""
             at = at if key.is_ordered else ""

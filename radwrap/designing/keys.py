@@ -119,6 +119,18 @@ class SearchKey:
         return (self.span.high,) if self.is_level else (self.span.low, self.span.high)
 
 
+# Of two objectives, levels are solved for one within a limit of the other: so far that limit goes from where the first
+# objective alone leads to the best of the other.
+STEPS_OF_BALANCE: Final = 9
+BALANCE: Final = SearchKey(
+    "balance",
+    (),
+    choices=((),) * STEPS_OF_BALANCE,
+    labels=tuple(f"{100 * step / (STEPS_OF_BALANCE - 1):g} %" for step in range(STEPS_OF_BALANCE)),
+    is_ordered=True,
+)
+
+
 def read_key(name: str, told: KeyModel, where: str) -> SearchKey:
     """A key as the design file writes it.
 

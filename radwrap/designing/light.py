@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.designing.convex import EvenLight, Limit, Measure, most_even, unevenness
+from radwrap.designing.convex import EvenLight, Limit, Measure, least, most_even, unevenness
 from radwrap.designing.keys import SearchKey
 from radwrap.designing.local import best_nearby, worst
 from radwrap.designing.quantities import PEAK, TIME_OF_EXPOSURE, Constraint, Objective
@@ -40,6 +40,7 @@ _MEANS: Final = ("mean_gray", "region_mean")
 _AT_BOUND: Final = 1e-7  # of a level's range: what a solver leaves of a bound
 # Of a level's upper bound, in place of 0: a scene leaves a source without light out with its body, which a basis has.
 _DARK: Final = 1e-6
+_NEARLY: Final = 1 - 1e-6  # of the way to the best of the other objective: beyond it solvers find nothing
 CONVEX: Final = "convex program"
 LOCAL: Final = "local search"
 
@@ -89,6 +90,10 @@ class LightAim:
         The exposure time, where it is sought too.
     time_off : tuple of float
         The shortest and the longest time that tolerances make of it, over the time itself.
+    second : Objective, optional
+        The other one of two.
+    share : float
+        How far levels go from those that are best by the first objective to those that are best by the second.
     """
 
     levels: tuple[Level, ...]
@@ -97,6 +102,12 @@ class LightAim:
     responses: tuple[Response, ...]
     time: Level | None = None
     time_off: tuple[float, float] = (1.0, 1.0)
+    second: Objective | None = None
+    share: float = 0.0
+
+    def alone(self, objective: Objective, *limits: Constraint) -> LightAim:
+        """The same for one objective, within limits more."""
+        return replace(self, objective=objective, second=None, constraints=(*self.constraints, *limits))
 
     @property
     def sought(self) -> tuple[Level, ...]:
@@ -237,9 +248,11 @@ def best_levels(aim: LightAim, basis: Basis, scene: Scene, around: Sequence[tupl
             raise InputError(f"{missing[0]} is dark", where="levels")
     times = [1.0, *(other.camera.exposure_time / scene.camera.exposure_time for _, other in around)]
     aim = replace(aim, time_off=(min(times), max(times)))
-    way = aim.way([one.sensor for one in bases])
-    light = Lit([LitBy(aim, *one) for one in ((basis, scene), *around)])
-    factors, value = light.convex() if way == CONVEX else light.local()
+    seen = ((basis, scene), *around)
+    if aim.second is None:
+        way, factors, value = _solved(aim, seen)
+    else:
+        way, factors, value = _between(aim, aim.second, seen)
     levels: dict[str, Any] = {}
     at_low: list[str] = []
     at_high: list[str] = []
@@ -254,6 +267,65 @@ def best_levels(aim: LightAim, basis: Basis, scene: Scene, around: Sequence[tupl
         levels[level.path] = level.written(factor)
     own, *others = (_by_source(aim, exact, one) for one in bases)
     return FoundLevels(own, levels, way, value, tuple(at_low), tuple(at_high), tuple(others))
+
+
+_Seen = tuple[Basis, Scene]
+
+
+def _solved(aim: LightAim, seen: Sequence[_Seen]) -> tuple[str, Array, float]:
+    """The best levels for one objective: how they were found, factors, and the objective of the worst image."""
+    way = aim.way([basis.sensor for basis, _ in seen])
+    light = Lit([LitBy(aim, *one) for one in seen])
+    return (way, *(light.convex() if way == CONVEX else light.local()))
+
+
+def _between(aim: LightAim, second: Objective, seen: Sequence[_Seen]) -> tuple[str, Array, float]:
+    """The same between two objectives: the best levels by one within a limit of the other.
+
+    The limit goes from what the one leads to by itself to the best of the other. All points of the front are of that
+    kind, wherever it bends. The value is that of the first objective.
+    """
+    sensors = [basis.sensor for basis, _ in seen]
+    main, other, share = aim.objective, second, aim.share
+    if (
+        _limited(aim, main, other, 0.0).way(sensors) != CONVEX
+        and _limited(aim, other, main, 0.0).way(sensors) == CONVEX
+    ):
+        main, other, share = other, main, 1.0 - share
+    images = [LitBy(aim, *one) for one in seen]
+
+    def of(objective: Objective, factors: Array) -> float:
+        return worst(images, objective, factors)
+
+    way, factors, value = _solved(aim.alone(main), seen)
+    if share > 0:
+        there, best, _ = _best_of(aim.alone(other), seen)
+        reached = of(other, factors)
+        limit = reached + min(share, _NEARLY) * (of(other, best) - reached)
+        if other.sign * (reached - limit) > 0:  # else the one has led to the best of the other already
+            way, factors, value = _solved(_limited(aim, main, other, limit), seen)
+        way = way if there == CONVEX else LOCAL
+    return way, factors, value if main == aim.objective else of(aim.objective, factors)
+
+
+def _limited(aim: LightAim, main: Objective, other: Objective, limit: float) -> LightAim:
+    """For one objective, with the other no worse than a limit."""
+    least, most = (limit, math.inf) if other.is_maximised else (-math.inf, limit)
+    return aim.alone(main, Constraint(other.quantity, least, most))
+
+
+def _best_of(aim: LightAim, seen: Sequence[_Seen]) -> tuple[str, Array, float]:
+    """The same as `_solved`, but of a mean or a time, which are linear, exactly."""
+    response, name = aim.response(aim.objective.quantity.name), aim.objective.quantity.name
+    is_mean = response is not None and response.kind in _MEANS and not response.repeatability and not response.user
+    is_time = response is None and name == TIME_OF_EXPOSURE and aim.time is not None
+    sensors = [basis.sensor for basis, _ in seen]
+    is_linear = all(aim._is_linear(one, sensors) for one in (*aim.constraints, Constraint(aim.objective.quantity)))
+    if len(seen) > 1 or not (is_mean or is_time) or not is_linear:
+        return _solved(aim, seen)
+    light = LitBy(aim, *seen[0])
+    factors = light.extreme()
+    return CONVEX, factors, light.measured(name, factors)
 
 
 def _by_source(aim: LightAim, factors: Sequence[float], basis: Basis) -> dict[str, float]:
@@ -292,11 +364,34 @@ class LitBy:
         box = region_of(self._scene, asked) if isinstance(asked, str) else Box(*asked)
         return self._light[box.v0 : box.v1 + 1, box.u0 : box.u1 + 1]
 
+    def extreme(self) -> Array:
+        """Factors by which a mean, or the time, is as small or large as limits allow."""
+        aimed, sign = self.aim.response(self.aim.objective.quantity.name), self.aim.objective.sign
+        if aimed is None:
+            row = np.zeros(self._light.shape[-1])
+            row[-2] = sign  # the time: light that does not change comes after it
+            region = self._light
+        else:
+            region = self._in(aimed)
+            row = sign * _flat(region).mean(axis=0)
+        problem = self._within(region)
+        if aimed is not None:  # no pixel of what has a mean may be saturated
+            limit = Limit(_flat(region), -math.inf, self._exposure(self._brightest()))
+            problem = replace(problem, limits=(*problem.limits, limit))
+        return self._factors(least(problem, row))
+
     def even_light(self) -> EvenLight:
         """The convex program."""
         aimed = self.aim.response(self.aim.objective.quantity.name)
         assert aimed is not None  # noqa: S101  (the way says so)
-        region = self._in(aimed)
+        return self._within(self._in(aimed))
+
+    def _factors(self, levels: Array) -> Array:
+        """Factors from levels, which with a time are those of light."""
+        return levels if self.aim.time is None else np.append(levels[:-1] / levels[-1], levels[-1])
+
+    def _within(self, region: Array) -> EvenLight:
+        """Cells of a region, bounds, and limits."""
         parts = [cells_of(region[..., k]) for k in range(region.shape[-1])]
         cells = np.stack([means.ravel() for means, _, _ in parts], axis=-1)
         weights = parts[0][1].ravel() / parts[0][1].sum()
@@ -379,8 +474,7 @@ class Lit:
         except InputError as error:
             raise self._unkept(error) from error
         uneven = max(unevenness(one, factors, measure) for one in (problem, *around))
-        if problem.is_timed:
-            factors = np.append(factors[:-1] / factors[-1], factors[-1])
+        factors = self._images[0]._factors(factors)
         return factors, 1 - uneven if measure == "deviation" else uneven
 
     def _unkept(self, error: InputError) -> InputError:

@@ -13,6 +13,7 @@ from radwrap.designing.bench import RECORDS, Bench
 from radwrap.designing.candidates import candidate_of
 from radwrap.designing.document import Problem, read_problem
 from radwrap.designing.judged import pareto_front, ranked, shortlist, ties_of
+from radwrap.designing.keys import STEPS_OF_BALANCE
 from radwrap.designing.page import PAGE, write_page
 from radwrap.designing.sampler import AllOf, Asker, Codes, Tpe
 from radwrap.designing.told import BEST, DESIGN, Designed
@@ -142,7 +143,7 @@ def _write(found: Designed, out: Path) -> None:
 
 def _found(problem: Problem, bench: Bench) -> Designed:
     tolerance, seed = _tolerance(problem), problem.study.seed
-    is_one = not problem.keys  # nothing is searched: the first look decides
+    is_one = not problem.free  # nothing is searched: the first look decides
     coarse = None if tolerance is None else tolerance * (1.0 if is_one else problem.coarse)
     is_coarse = coarse != tolerance
     each = problem.images_each
@@ -184,6 +185,9 @@ def _decided(problem: Problem, bench: Bench, trials: Sequence[Trial], most: int)
         chosen = _each_once(shortlist(problem, left, most - len(tried)))
         if not chosen:
             break
+        if problem.is_balanced:  # other levels on the same light take no image
+            light = {trial.codes[:-1] for trial in chosen}
+            chosen = [one for one in _each_once(left) if one.codes[:-1] in light]
         tried |= {trial.codes for trial in chosen}
         candidates = [candidate_of(problem, one.codes) for one in chosen]
         found += bench.look_at(candidates, "decide", _tolerance(problem), problem.study.seed)
@@ -218,6 +222,8 @@ def _searched(
         codes = asker.ask(min(problem.batch, (budget - bench.renders) // each))
         if not codes:
             break
+        if problem.is_balanced and isinstance(asker, AllOf):  # all levels on one light
+            codes = [(*one, step) for one in codes for step in range(STEPS_OF_BALANCE)]
         candidates = [candidate_of(problem, one) for one in codes]
         trials = bench.look_at(candidates, "search", tolerance, problem.study.seed)
         for trial in trials:
@@ -231,9 +237,9 @@ def _searched(
 
 
 def _asker(problem: Problem, budget: int) -> tuple[Asker, str]:
-    keys = problem.keys
-    if all(key.span is None for key in keys) and math.prod(len(key.choices) for key in keys) <= budget:
-        return AllOf(keys), "every combination"
+    keys, free = problem.keys, problem.free
+    if all(key.span is None for key in free) and math.prod(len(key.choices) for key in free) <= budget:
+        return AllOf(free), "every combination"
     maximised = [one.is_maximised for one in problem.objectives]
     return Tpe(keys, maximised, problem.study.seed, problem.batch), "optuna's TPE"
 
