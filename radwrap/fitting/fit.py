@@ -56,7 +56,8 @@ _ROUGHEST: Final = 4.0  # times as large cells, from afar
 _ROUGHER: Final = 2.0  # the same near the end
 _FEWER: Final = 4  # times fewer rays at the first of these places
 _PLACES: Final = 4  # at most, where it is looked for the end by unbiased rays
-_ARRIVED: Final = 0.2  # expected deviations: so little of a last step is not linear
+_ARRIVED: Final = 0.1  # expected deviations: by so little a last step is off
+_SLOPE_OFF: Final = 0.1  # of a step, by the grain that slopes of few rays may have
 PACKAGES: Final = ("tomlkit",)
 
 
@@ -248,7 +249,8 @@ def ended(
         solved, grained = settle(keys, near, captures, noise, robust=robust, begin=place)
         way = (solved.values - place) / scales
         place = solved.values
-        if share == 1 and float(np.linalg.norm(solved.jacobian @ way)) * near.bent(place) < _ARRIVED:
+        off = near.bent(place) + _SLOPE_OFF if prediction.has_renders else 0.0
+        if share == 1 and off * float(np.linalg.norm(solved.jacobian @ way)) < _ARRIVED:
             break
     else:  # it still goes elsewhere
         solved = replace(solved, converged=False)

@@ -386,3 +386,28 @@ def test_grain_counts_beside_what_other_keys_do_as_well() -> None:
     images = np.array([[3.0, 2.0, 0.5], [3.0, 2.0, -0.5]])
     assert _grain_of(images, np.array([[1.0], [0.0], [0.0]])) == pytest.approx(0.5**2 / 2**2)
     assert _grain_of(images, np.zeros((3, 0))) == pytest.approx(0.5**2 / (3**2 + 2**2))
+
+
+def test_a_step_by_slopes_that_are_off_is_not_the_last_one(bench: Scene, basis: Basis) -> None:
+    """Few rays show the spot a tenth too far: after the first steps more than a tenth of a deviation is left."""
+    keys = free_scene(bench, ["targets[0].position[0]=-0.1 m:0.1 m"])
+
+    def traced(scene: Scene, times: float) -> Basis:
+        shown = LEVEL * _spot(times * scene.targets[0].pose.position[0] * 1e3 / PIXEL, 0.0)
+        return replace(basis, images=np.broadcast_to(shown / 3, basis.images.shape).astype(np.float32))
+
+    class Unbiased:
+        places = 0
+
+        def unbiased(self, scene: Scene, share: int) -> Basis:
+            self.places += 1
+            return traced(scene, 1.0)
+
+    rough, light = prediction_of(keys, lambda scene: traced(scene, 1.1)), Unbiased()
+    prediction = Prediction([(keys, Places(keys, [True], lambda scene: traced(scene, 1.0)))], rough=rough)
+    truth = np.array([3e-4])
+    seen = taken(prediction.at(truth).unclipped, bench)
+    found = ended(keys.keys, prediction, light, [seen], np.zeros(1), noise=1.5, robust=False)  # type: ignore[arg-type]
+    off = (found.solved.values - truth) / keys.keys[0].scale * np.linalg.norm(found.solved.jacobian)
+    assert found.solved.converged and light.places == 3
+    assert abs(off[0]) < 0.1
