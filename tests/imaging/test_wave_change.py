@@ -112,7 +112,7 @@ def test_a_bound_holds_where_few_pixels_hold_nearly_all_that_changes() -> None:
     )
     levels = [gray_levels(one.radiant_exposure.values, scene.camera.sensor) for one in (on, off)]
     known = float(np.sqrt(np.mean((levels[0] - levels[1]) ** 2)))
-    assert known == pytest.approx(1.93, abs=0.2)
+    assert known == pytest.approx(1.74, abs=0.2)  # 1.73 to 1.75 at tolerances of 0.1 and 0.2
     lit = radwrap.with_value(scene, "camera.diffraction", "on")
     with traced_scene(lit, radwrap.RenderOptions(tracer="compiled", workers=1)) as view:
         found = [wave_change(view, wavelength_of(lit)[0], seed, 1 << 13)[0] for seed in range(16)]
