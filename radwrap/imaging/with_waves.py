@@ -44,7 +44,7 @@ _LEAST_LEFT: Final = 0.3  # of the tolerance; where the image leaves less, it is
 _OF_CELLS: Final = 0.5  # of what the image leaves, what the size of their cells may change
 _FINER: Final = 0.25  # of either, where it was too much
 _TRIES: Final = 3  # plans of waves
-_FAR_SHARE: Final = 0.3  # of the tolerance, what the law of far light may be off by: that adds to all else
+_FAR_SHARE: Final = 0.3  # of the tolerance, what the law of far light may be off by
 _LESS: Final = 0.8  # of the tolerance is left to the rays' own image, where both together break it
 _TWO: Final = 2  # replicates, where nothing is made of them but their mean
 # Degrees of freedom by which noise is known: its bound is then 1.4 of it. Two replicates have one for each block over
@@ -191,7 +191,7 @@ def _finer(tolerance: float, made: Made, off: WaveError, *, least: float) -> tup
 
     Where one of them is not 1, it is at most `least`: what is made goes by steps.
     """
-    rest = max(max(tolerance - off.tails, 0.0) ** 2 - made.certificate.rms_gray_upper95**2 - off.lasting, 0.0)
+    rest = max(tolerance**2 - off.tails**2 - made.certificate.rms_gray_upper95**2 - off.lasting, 0.0)
     parts = (off.noise.upper, (1 - _OF_CELLS**2) * rest), (off.cells - off.lasting, _OF_CELLS**2 * rest)
     noise, cells = (
         1.0 if found <= most else min(least, max(_FINER, _LESS * math.sqrt(most / found))) for found, most in parts
@@ -447,19 +447,19 @@ def _is_met(made: Made) -> bool:
 def _more_rays_may_do(made: Made, waves: _Waves, off: WaveError, share: float = 0.0) -> bool:
     """Whether the image and what its waves are off by anyway would leave a share of what is asked to rays and cells."""
     known, demand = made.certificate, waves.options.demand
-    lasting = math.hypot(known.rms_gray_upper95, share * waves.options.gray_tolerance, math.sqrt(off.lasting))
-    lasting += off.tails + waves.by_bands
+    parts = known.rms_gray_upper95, math.sqrt(off.lasting), off.tails, share * waves.options.gray_tolerance
+    lasting = math.hypot(*parts) + waves.by_bands
     return demand is not None and demand.is_met(lasting, known.p99_gray_upper95)
 
 
 def _lasting(waves: _Waves, off: WaveError) -> float:
     """What waves are off by whatever rays are taken, rms [gray level]."""
-    return math.sqrt(off.lasting) + off.tails + waves.by_bands
+    return math.hypot(math.sqrt(off.lasting), off.tails) + waves.by_bands
 
 
 def _square_left(tolerance: float, waves: _Waves, off: WaveError) -> float:
     """Mean square that what no rays make smaller leaves to the image, and to rays and cells of its waves [gray^2]."""
-    return max(tolerance - off.tails - waves.by_bands, 0.0) ** 2 - off.lasting
+    return max(tolerance - waves.by_bands, 0.0) ** 2 - off.tails**2 - off.lasting
 
 
 def _left_to_image(square: float, off: WaveError) -> float:
@@ -476,8 +476,8 @@ def _added(made: Made, plan: WavePlan, parts: WaveParts, waves: _Waves, rays: in
     """The image with what waves add and the certificate of both, and how far it may be off by them."""
     radiance = np.maximum(made.radiance + parts.change.mean(axis=0), 0.0)
     found = _error(plan, parts, radiance, waves.work)
-    lasting, quantile = found.tails + waves.by_bands, found.quantile + waves.by_bands
-    certificate = made.certificate.with_waves(found.noise, found.cells, lasting, quantile)
+    bands, quantile = waves.by_bands, found.quantile + waves.by_bands
+    certificate = made.certificate.with_waves(found.noise, found.cells, found.tails, quantile, bands=bands)
     used = replace(made.used, rays=made.used.rays + rays)
     outcome, demand = made.outcome, waves.options.demand if made.outcome is not None else None
     if outcome is not None and demand is not None:

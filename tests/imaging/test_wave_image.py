@@ -16,6 +16,7 @@ import radwrap
 from radwrap.errors import InputError
 from radwrap.imaging.optics.view import View
 from radwrap.imaging.tolerance.bounds import Bounded
+from radwrap.imaging.tolerance.certificate import Certificate
 from radwrap.imaging.tolerance.wave_image import WaveError, _common_square, visible_gray, wave_error
 from radwrap.imaging.tolerance.wave_parts import wave_parts
 from radwrap.imaging.tolerance.wave_plan import by_diameter, plan_waves
@@ -80,7 +81,7 @@ def test_an_edge_becomes_its_closed_form_within_the_bound(side: float, focus: fl
     error = wave_error(parts, radiance + found, visible_gray(scale, sensor), plan.block)
     off = (found - change) * scale * sensor.gain
     size = math.sqrt(float(np.mean((change * scale * sensor.gain) ** 2)))
-    bound = math.sqrt(error.noise.upper + error.cells) + error.tails
+    bound = math.sqrt(error.noise.upper + error.cells + error.tails**2)
     # Bounds of small changes are mostly noise of two replicates: over six seeds .04 to .86; and the law of far light.
     assert math.sqrt(float((off**2).mean())) < bound < max(1.0, 0.3 * size), (bound, size)
 
@@ -155,14 +156,30 @@ def _made(rms: float) -> Any:
 def test_what_no_ray_makes_smaller_is_left_out_of_what_finer_cells_may_do() -> None:
     """All the cells' part lasts: cells stay, and rays get what it and the image leave."""
     off = WaveError(Bounded(0.04, 0.09), 0.25, 0.25, 0.1, 0.0)
-    noise, cells = _finer(1.1, _made(0.6), off, least=0.8)
+    noise, cells = _finer(1.0, _made(0.6), off, least=0.8)
     assert cells == 1.0
-    # (1.1 - 0.1)^2 - 0.36 - 0.25 is left; the noise may take three quarters of it.
+    # 1 - 0.1^2 - 0.36 - 0.25 is left; the noise may take three quarters of it.
     assert noise == 1.0
-    assert _finer(1.1, _made(0.8), off, least=0.8)[0] == pytest.approx(0.8 * math.sqrt(0.75 * 0.11 / 0.09), rel=1e-9)
+    assert _finer(1.0, _made(0.8), off, least=0.8)[0] == pytest.approx(0.8 * math.sqrt(0.75 * 0.1 / 0.09), rel=1e-9)
     # An image gets what rays and cells of waves leave, and half of all where these take more.
     assert _left_to_image(0.75, off) == pytest.approx(math.sqrt(0.75 - 0.09))
     assert _left_to_image(0.1, off) == pytest.approx(math.sqrt(0.05))
+
+
+def test_errors_that_have_nothing_in_common_add_as_squares() -> None:
+    """Noise of an image and of its waves, a change at edges and far light: the bound is the rms of their sum."""
+    random, x = np.random.default_rng(4), np.arange(400) / 400
+    image, waves = random.normal(0, 3, (300, 400)), random.normal(0, 2, (300, 400))
+    cells, far = np.tile(np.where(np.arange(400) % 8 < 4, 1.0, -1.0), (300, 1)), np.tile(1.5 + x / 2, (300, 1))
+    known = Certificate(3.0, 3.0, 10.0, 0.0, 3.0, 0, 0, "replicates")
+    square = float((far**2).mean())
+    whole = known.with_waves(Bounded(4.0, 4.0), 1.0, math.sqrt(square), 5.0)
+    assert whole.rms_gray_upper95 == pytest.approx(math.sqrt(((image + waves + cells + far) ** 2).mean()), rel=0.01)
+    assert whole.diffraction_gray == pytest.approx(math.sqrt(((waves + cells + far) ** 2).mean()), rel=0.01)
+    # What no pixel is beyond adds as it is, and so does what may look as all else.
+    assert whole.p99_gray_upper95 == 15.0
+    of_bands = known.with_waves(Bounded(4.0, 4.0), 1.0, math.sqrt(square), 5.0, bands=0.25)
+    assert of_bands.rms_gray_upper95 == pytest.approx(whole.rms_gray_upper95 + 0.25)
 
 
 def test_what_lasts_holds_no_noise_of_rays() -> None:

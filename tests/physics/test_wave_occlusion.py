@@ -107,7 +107,7 @@ def test_what_hides_is_blurred_at_its_own_depth_within_the_bound(side: float, fo
         parts, np.tile(rays + found, (ROWS, 1)), visible_gray(view.exposure_of_radiance, view.camera.sensor), plan.block
     )
     off = GRAY * math.sqrt(float(np.mean((found - (waves - rays)) ** 2)))
-    assert off < math.sqrt(error.noise.upper + error.cells) + error.tails
+    assert off < math.sqrt(error.noise.upper + error.cells + error.tails**2)
     # What is not known of what hides stays, however fine the cells; right before the lamp it is less than noise.
     assert 0 <= error.lasting <= error.cells
     assert error.lasting > 0 or near == 0.9

@@ -377,7 +377,8 @@ class Relighter:
         """With what diffraction may be off by; noise of its rays is that of the replicates, which have it."""
         gray = visible_gray(self._basis.exposure_of_radiance, self._basis.sensor)
         error = lasting_wave_error(waves[0], waves[1], mean, gray)
-        return certificate.with_waves(NOTHING, error.cells, error.tails, error.quantile)
+        # What wavelengths change is in what comes from farther: they add as one.
+        return certificate.with_waves(NOTHING, error.cells, 0.0, error.quantile, bands=error.tails)
 
     def _kept(
         self, replicates: NDArray[np.float64], grid: NDArray[np.float64], cells: NDArray[np.float64] | None

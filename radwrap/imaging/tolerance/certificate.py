@@ -87,7 +87,9 @@ class Certificate:
         bound = self.rms_gray_upper95 + gray
         return replace(self, rms_gray_upper95=bound, p99_gray_upper95=quantile, bands_gray=gray)
 
-    def with_waves(self, noise: Bounded, cells: float, tails: float, quantile: float) -> Certificate:
+    def with_waves(
+        self, noise: Bounded, cells: float, tails: float, quantile: float, *, bands: float = 0.0
+    ) -> Certificate:
         """The certificate of an image with what waves add.
 
         Parameters
@@ -97,17 +99,24 @@ class Certificate:
         cells : float
             Mean square of what their cells add [gray level^2].
         tails : float
-            Rms of what light may add that comes from farther than was looked at, and of what one wavelength in place of
-            all may [gray level].
+            Rms of what light may add that comes from farther than was looked at [gray level].
         quantile : float
-            Of all three, that 99.5 % of the pixels stay below [gray level].
+            Of all, that 99.5 % of the pixels stay below [gray level].
+        bands : float
+            Rms of what one wavelength in place of all may add [gray level].
+
+        Notes
+        -----
+        Squares add: noise has no part in common with anything; far light changes slowly over an image and has one sign,
+        and the cells' size changes either side of an edge the other way. Only what wavelengths change may look as the
+        rest does.
         """
         return replace(
             self,
             rms_gray=math.sqrt(self.rms_gray**2 + noise.mean + cells),
-            rms_gray_upper95=math.sqrt(self.rms_gray_upper95**2 + noise.upper + cells) + tails,
+            rms_gray_upper95=math.sqrt(self.rms_gray_upper95**2 + noise.upper + cells + tails**2) + bands,
             p99_gray_upper95=None if self.p99_gray_upper95 is None else self.p99_gray_upper95 + quantile,
-            diffraction_gray=math.sqrt(noise.upper + cells) + tails,
+            diffraction_gray=math.sqrt(noise.upper + cells + tails**2) + bands,
         )
 
 

@@ -72,6 +72,11 @@ _GRID_SHARE: Final = 0.5
 _FINEST: Final = 2
 # Pixels of the model's certificate, and pairs of each: where depth is even, and near steps; tried in turn.
 EFFORTS: Final = ((512, 4, 16), (1024, 8, 32), (1024, 16, 128), (2048, 64, 1024))
+# Where a tolerance is kept already more pairs are traced if the model's bound is mostly of what few pairs cannot see:
+# that is so much of all other squares. They may take so much of the rays so far, or a few in any case.
+_UNSEEN_SHARE: Final = 0.25
+_TELLING_SHARE: Final = 0.25
+_FEW_RAYS: Final = 1 << 15
 # A 99 % quantile without an exceedance among so many: 97.5 % sure of each half's 99.5 %.
 _QUANTILE_PIXELS: Final = 1024
 _QUANTILE: Final = 0.995
@@ -345,13 +350,17 @@ class Search:
         risky = steps(view.camera, self.found.magnification, gray, RISK_SHARE * self.demand.tolerance)
         if isinstance(plan, KernelPlan):
             self.plans.kernel = plan, len(replicates.images), noise_beside(replicates, errors, risky)
+        wanted, met = self.demand.tolerance**2, False
         for effort in range(self.effort, len(EFFORTS)):
             pixels, pairs = self._pixels_and_pairs(effort)
             key = (seed, Rendering.MODEL_PIXELS, effort)
             drawn = draw_pixels(gray, pixels, key, risky=risky, pairs=pairs, exact=replicates.own_rays)
             all_pairs = int(drawn.pairs.sum())
+            rays = rays_of_lacks(kernel.layers, all_pairs)
+            enough = max(_TELLING_SHARE * self.spent, _FEW_RAYS) if met else math.inf
+            dear = rays > min(enough, self.demand.budget.rays - self.spent)
             # The first must be, whatever it takes.
-            if effort > self.effort and self.spent + rays_of_lacks(kernel.layers, all_pairs) > self.demand.budget.rays:
+            if effort > self.effort and dear:
                 break
             self.effort, sample = effort, drawn
             self.pairs[effort] = all_pairs
@@ -359,11 +368,12 @@ class Search:
             found = model_errors(view, kernel.layers, sample, at, seed=(seed, Rendering.MODEL_RAYS, effort))
             self.traced_rays += found.rays
             model = found.mean_square(sample, (seed, Rendering.MODEL_RESAMPLES, effort), self.work.kept)
-            wanted = self.demand.tolerance**2
+            met = model.upper + noise.upper <= wanted
             # More pairs help where the bound is wide, not where the error is surely large: one pixel of few pairs on a
             # highlight may look like it.
             surely = 2 * model.mean - model.upper + noise.mean > wanted
-            if surely or model.upper + noise.upper <= wanted or noise.upper > wanted:
+            unseen = model.upper - max(model.mean, 0.0) > _UNSEEN_SHARE * (max(model.mean, 0.0) + noise.upper)
+            if surely or (met and not unseen) or noise.upper > wanted:
                 break
         self.last_model = model
         quantile = None
