@@ -11,7 +11,15 @@ SCRIPTS = Path(__file__).parents[1] / "scripts"
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    "name", ["certificates", "cell_certificates", "lens_certificates", "wave_certificates", "wide_certificates"]
+    "name",
+    [
+        "certificates",
+        "cell_certificates",
+        "glass_certificates",
+        "lens_certificates",
+        "wave_certificates",
+        "wide_certificates",
+    ],
 )
 def test_a_scene_is_judged(name: str) -> None:
     words = [sys.executable, str(SCRIPTS / f"{name}.py"), "--scenes", "1"]
