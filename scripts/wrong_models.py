@@ -286,6 +286,42 @@ def shapes_circle(dice: Dice) -> Case:
     return Case(pixels(lit(dice, soft(inside)), disc(dice.uniform(0.3, 4))), by_circle(centre, radius))
 
 
+def coma_beside_circle(dice: Dice) -> Case:
+    """A disc with coma, and another that touches it or nearly does."""
+    radius, centre, x, y = _round(dice)
+    size, turn = dice.uniform(0.15, 0.4) * radius + 2, dice.uniform(0, 2 * math.pi)
+    away = radius + size - dice.uniform(-2, 1)
+    beside = soft(size - np.hypot(x - away * math.cos(turn), y - away * math.sin(turn)))
+    inside = np.maximum(soft(radius - np.hypot(x, y)), beside)
+    return Case(pixels(lit(dice, inside), coma(dice.uniform(-3, 3))), by_circle(centre, radius), 2 * radius)
+
+
+def coma_beside_line(dice: Dice) -> Case:
+    """An edge with coma, and a disc that touches it or nearly does."""
+    centre, angle, x, y = _straight(dice)
+    at, size, gap = dice.uniform(-16, 16), dice.uniform(3, 9), dice.uniform(-2, 1)
+    inside = np.maximum(soft(x), soft(size - np.hypot(x + size + gap, y - at)))
+    turn = angle + dice.uniform(-1, 1) + (math.pi if dice.random() < 0.5 else 0)
+    return Case(pixels(lit(dice, inside), coma(turn)), by_line(centre, angle))
+
+
+def burr_arc(dice: Dice) -> Case:
+    """An arc of 25 to 110 degrees, by a caliper that is one, with a burr on it."""
+    radius, centre, x, y = _round(dice, 14, 30)
+    first, extent = dice.uniform(-math.pi, math.pi), math.radians(dice.uniform(25, 110))
+    at, size = first + extent * dice.uniform(0.15, 0.85), dice.uniform(1.5, 5)
+    away = radius + dice.uniform(-0.7, 0.7) * size
+    burr = soft(size - np.hypot(x - away * math.cos(at), y - away * math.sin(at)))
+    light = pixels(lit(dice, np.maximum(soft(radius - np.hypot(x, y)), burr)), disc(dice.uniform(0.3, 3)))
+
+    def measured(image: GrayImage) -> Said:
+        caliper = Caliper((centre[0] + 0.3, centre[1] - 0.2), radius + 0.3, 6.0, arc=(first, extent))
+        found = measure_circle(image, caliper)
+        return found.diameter, found.diameter_sigma, found.warnings
+
+    return Case(light, measured, 2 * radius)
+
+
 KINDS: Final[dict[str, Callable[[Dice], Case]]] = {
     name.replace("_", " by ", 1) if "_" in name else name: make
     for name, make in (
@@ -296,6 +332,8 @@ KINDS: Final[dict[str, Callable[[Dice], Case]]] = {
         ("sector_circle", sector_circle),
         ("below its blur_circle", small_circle), ("below its blur_stripe", small_stripe),
         ("ellipse or polygon_circle", shapes_circle),
+        ("coma beside a neighbour_line", coma_beside_line), ("coma beside a neighbour_circle", coma_beside_circle),
+        ("short arc with a burr_circle", burr_arc),
     )
 }  # fmt: skip
 
@@ -337,7 +375,7 @@ def main() -> int:
         counts, largest = counted(KINDS[kind], given.seed, given.scenes, list(KINDS).index(kind))
         result[kind] = {**counts, "largest_without_a_warning": largest}
         print(
-            f"{kind:26s} of {given.scenes}: warned {counts['warned']}, refused {counts['refused']}, right "
+            f"{kind:33s} of {given.scenes}: warned {counts['warned']}, refused {counts['refused']}, right "
             f"{counts['right']}, wrong {counts['wrong']}, by up to {largest:.3f} px",
             flush=True,
         )
