@@ -93,10 +93,8 @@ class Light:
         if self._pilot is None:
             self._pilot = self._looked_at(scene, self._options)
         demand = replace(self._options.demand, method="rays")
-        plan = strictest([self._pilot], demand)
-        # A plan is made for a bound of the error. Here the error itself is to keep the tolerance: replicates show it.
-        self.settled = replace(plan, rays=max(FEWEST, (plan.rays or 1) // 2))
-        plan = replace(plan, rays=max(FEWEST, (plan.rays or 1) // (2 * share)))
+        self.settled = strictest([self._pilot], demand)
+        plan = replace(self.settled, rays=max(FEWEST, (self.settled.rays or 1) // share))
         options = replace(self._options, method="rays", sampling=plan)
         return self._basis(scene, replace(options, seed=(options.seed + _SEED_STEP) % 2**63))
 
