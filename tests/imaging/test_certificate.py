@@ -193,6 +193,20 @@ def test_noise_is_bounded_by_as_many_degrees_of_freedom_as_it_has() -> None:
     assert wrong.upper < 0.8 * found.upper
 
 
+@pytest.mark.parametrize("spread", [(1.0,), (1.0, 1.0), (1.0, 0.3), (1.0, 0.7, 0.4)])
+def test_noise_of_few_pixels_is_below_its_bound(spread: tuple[float, ...]) -> None:
+    """Below three degrees of freedom the bound is that of the distribution itself, and not forty times the error."""
+    random, held, wide = np.random.default_rng(5), 0, []
+    for _ in range(2000):
+        noise = random.normal(size=(2, 1, len(spread))) * spread
+        found = mean_square_of_differences((noise[:1] - noise[1:]) / 2, (1, 1))
+        held += float((noise.mean(axis=0) ** 2).mean()) <= found.upper
+        wide.append(found.upper / found.mean)
+    assert held >= 0.95 * 2000
+    # Of one degree it is 1 over the quantile of a normal's square, of two that of an exponential's.
+    assert max(wide) <= 1 / 9.8e-4 and min(wide) >= (-1 / math.log(0.975) if len(spread) < 3 else 9.0)
+
+
 def test_strata_cover_the_image_and_look_where_gray_changes() -> None:
     image = np.zeros((100, 200))
     image[:, 100:] = 100.0

@@ -23,8 +23,9 @@ _RESAMPLES: Final = 999
 # Multiplications up to which OpenBLAS works alone: its threads wait for each other, for long where the machine is busy.
 ALONE: Final = 1 << 18
 _ROUNDING: Final = 1e-12  # of sums of squares in float64
-# Wilson and Hilferty's cube is good to some per cent from here on; below, nothing is certain.
+# Wilson and Hilferty's cube is good to some per cent from here on; below, a series is.
 _FEWEST_DEGREES: Final = 3.0
+_TERMS: Final = 8  # of it: what is left is 1e-9 below that many degrees
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +199,12 @@ def mean_square_of_differences(differences: NDArray[np.float64], block: tuple[in
 
 
 def _lower_chi_square(degrees: float) -> float:
-    """2.5 % quantile of chi-square (Wilson and Hilferty 1931); nearly 0 for few degrees of freedom."""
-    if degrees < _FEWEST_DEGREES:
-        return 1e-3
-    return degrees * (1 - 2 / (9 * degrees) - _NORMAL_QUANTILE * math.sqrt(2 / (9 * degrees))) ** 3
+    """2.5 % quantile of chi-square (Wilson and Hilferty 1931); for few degrees of freedom by its series."""
+    if degrees >= _FEWEST_DEGREES:
+        return degrees * (1 - 2 / (9 * degrees) - _NORMAL_QUANTILE * math.sqrt(2 / (9 * degrees))) ** 3
+    # The share below 2 y is y^a e^-y times the sum of y^k / gamma(a + k + 1).
+    a, y = degrees / 2, 0.0
+    for _ in range(_TERMS):
+        terms = sum(y**k * math.exp(-y) / math.gamma(a + k + 1) for k in range(_TERMS))
+        y = (_TAIL / terms) ** (1 / a)
+    return 2 * y
