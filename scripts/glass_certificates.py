@@ -33,9 +33,9 @@ from radwrap.images import write_exr
 from radwrap.imaging.methods.sobol import scrambled_points
 from radwrap.imaging.optics.view import View, look_at_depths, trace_rays
 from radwrap.imaging.response.sensor import gray_levels
-from radwrap.imaging.tolerance.certificate import root
 from radwrap.imaging.tracing import traced_scene
-from radwrap.manifest import plain
+from wave_certificates import held
+from wave_certificates import in_words as waves_in_words
 
 Array = np.ndarray[Any, Any]
 Pupil = Callable[[Array, Array], Array]  # at places of the unit disc, x right and y up
@@ -474,8 +474,7 @@ def judged(number: int, budget: float) -> dict[str, Any] | None:
             end = resource.getrusage(resource.RUSAGE_SELF)
         except radwrap.InputError as refused:
             return {"number": number, "refused": str(refused)}
-    error, plan = result.run.error, result.run.plan
-    assert plan is not None  # noqa: S101  (there is a tolerance)
+    error = result.run.error
     with traced_scene(scene) as view:
         gray = gray_levels(result.radiant_exposure.values, scene.camera.sensor)
         try:
@@ -483,34 +482,13 @@ def judged(number: int, budget: float) -> dict[str, Any] | None:
             square, noise = true_square(view, gray, error.rms_gray_upper95, 1000 + number, sampled)
         except TooWideError as wide:
             return {"number": number, "refused": str(wide)}
-    truth, camera = root(square), scene.camera
-    return {
-        "number": number,
-        "tolerance": tolerance,
-        "method": result.run.method,
-        "met": plan.met,
-        "glass": glass.kind,
-        "varies": glass.varies,
-        "blur_px": light * camera.image_distance / camera.aperture.diameter / camera.sensor.pixel_width,
-        "about_gray": result.manifest["diffraction"]["about_rms_gray"],
-        "true_rms_gray": truth,
-        "truth_standard_error_gray": noise / (2 * max(truth, 1e-3)),
-        "error": plain(error, named=False),
-        "holds": truth <= error.rms_gray_upper95,
-        "ratio": error.rms_gray_upper95 / max(truth, 1e-9),
-        "processor_s": end.ru_utime - start.ru_utime,
-    }
+    kind, seconds = {"glass": glass.kind, "varies": glass.varies}, end.ru_utime - start.ru_utime
+    return {"number": number, "tolerance": tolerance} | kind | held(result, (square, noise), light, seconds)
 
 
 def in_words(row: dict[str, Any]) -> str:
     """A line of a scene."""
-    return (
-        f"{row['number']:4d} tol {row['tolerance']:.1f} {row['method']:6} {'met ' if row['met'] else 'MISS'} "
-        f"{row['glass']:9} {'over the field' if row['varies'] else 'everywhere'} lambda N {row['blur_px']:.2f} px, "
-        f"waves {row['about_gray']:.2f}: true {row['true_rms_gray']:.4f}+-{row['truth_standard_error_gray']:.4f} "
-        f"upper {row['error']['rms_gray_upper95']:.4f} of waves {row['error']['diffraction_gray']:.4f} "
-        f"{'' if row['holds'] else 'BROKEN BOUND '}{row['processor_s']:.1f} s"
-    )
+    return waves_in_words(row, f"{row['glass']:9} {'over the field' if row['varies'] else 'everywhere'}")
 
 
 def main() -> int:

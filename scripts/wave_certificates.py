@@ -189,40 +189,57 @@ def judged(number: int, budget: float) -> dict[str, Any] | None:
         start = resource.getrusage(resource.RUSAGE_SELF)
         result = radwrap.render(scene, tolerance=tolerance, budget_rays=budget, seed=number, workers=1)
         end = resource.getrusage(resource.RUSAGE_SELF)
-    except radwrap.InputError as error:
-        return {"number": number, "refused": str(error)}
-    error, plan = result.run.error, result.run.plan
-    assert plan is not None  # noqa: S101  (there is a tolerance)
+    except radwrap.InputError as refused:
+        return {"number": number, "refused": str(refused)}
+    error = result.run.error
     with traced_scene(scene) as view:
         radiance = result.radiant_exposure.values / view.exposure_of_radiance
         gray = gray_levels(radiance * view.exposure_of_radiance, scene.camera.sensor)
         spread = spread_of(view, lights)
         square, noise = true_square(view, gray, error.rms_gray_upper95, 1000 + number, drawn_from(spread))
-    truth, camera = root(square), scene.camera
+    opening = "pinhole" if scene.camera.lens is None else "lens"
+    kind = {"opening": opening, "wavelengths": len(lights)}
+    seconds = end.ru_utime - start.ru_utime
+    return {"number": number, "tolerance": tolerance} | kind | held(result, (square, noise), lights[0][0], seconds)
+
+
+def held(result: radwrap.Rendered, found: tuple[float, float], light: float, processor_s: float) -> dict[str, Any]:
+    """What an image's error says, against the truth: its mean square [gray level^2], and how far that may be off.
+
+    Parameters
+    ----------
+    result : Rendered
+        The image.
+    found : tuple of float
+        The truth.
+    light : float
+        Its wavelength, or the first of several [m].
+    processor_s : float
+        What the image took [s].
+    """
+    (square, noise), error, plan, camera = found, result.run.error, result.run.plan, result.scene.camera
+    assert plan is not None  # noqa: S101  (there is a tolerance)
+    truth = root(square)
     return {
-        "number": number,
-        "tolerance": tolerance,
         "method": result.run.method,
         "met": plan.met,
-        "opening": "pinhole" if camera.lens is None else "lens",
-        "wavelengths": len(lights),
-        "blur_px": lights[0][0] * camera.image_distance / camera.aperture.diameter / camera.sensor.pixel_width,
+        "blur_px": light * camera.image_distance / camera.aperture.diameter / camera.sensor.pixel_width,
         "about_gray": result.manifest["diffraction"]["about_rms_gray"],
         "true_rms_gray": truth,
         "truth_standard_error_gray": noise / (2 * max(truth, 1e-3)),
         "error": plain(error, named=False),
         "holds": truth <= error.rms_gray_upper95,
         "ratio": error.rms_gray_upper95 / max(truth, 1e-9),
-        "processor_s": end.ru_utime - start.ru_utime,
+        "processor_s": processor_s,
     }
 
 
-def in_words(row: dict[str, Any]) -> str:
-    """A line of a scene."""
+def in_words(row: dict[str, Any], kind: str = "") -> str:
+    """A line of a scene of a kind."""
     return (
         f"{row['number']:4d} tol {row['tolerance']:.1f} {row['method']:6} {'met ' if row['met'] else 'MISS'} "
-        f"{row['opening']:7} {row['wavelengths']} lambda N {row['blur_px']:.2f} px, waves {row['about_gray']:.2f}: "
-        f"true {row['true_rms_gray']:.4f}+-{row['truth_standard_error_gray']:.4f} "
+        f"{kind or '{opening:7} {wavelengths}'.format(**row)} lambda N {row['blur_px']:.2f} px, "
+        f"waves {row['about_gray']:.2f}: true {row['true_rms_gray']:.4f}+-{row['truth_standard_error_gray']:.4f} "
         f"upper {row['error']['rms_gray_upper95']:.4f} of waves {row['error']['diffraction_gray']:.4f} "
         f"{'' if row['holds'] else 'BROKEN BOUND '}{row['processor_s']:.1f} s"
     )

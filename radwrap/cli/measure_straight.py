@@ -20,7 +20,8 @@ def add_to(verbs: argparse._SubParsersAction[Any]) -> None:
     width = verbs.add_parser(
         "width",
         help="width between two straight edges",
-        description="Distance of two straight edges that face each other, to a small part of a pixel.",
+        description="Distance of two straight edges that face each other, to a small part of a pixel. Exit code 3 "
+        "where place and direction are known, but the width is not.",
     )
     gauging.add_look(width, plane=True)
     _add_caliper(width)

@@ -176,11 +176,13 @@ def run(arguments: argparse.Namespace) -> int:
 def _why(made: RunManifest) -> str:
     """What keeps an image from its tolerance though more rays were taken, where that is the most of it."""
     lasting = None if made.diffraction is None else made.diffraction.lasting_gray
-    if lasting is None or lasting < _MOST_OF_IT * made.error.rms_gray_upper95:
+    asked = made.tolerance
+    of_rms = asked is not None and made.error.rms_gray_upper95 > asked
+    if lasting is None or not of_rms or lasting < _MOST_OF_IT * made.error.rms_gray_upper95:
         return ""
     return (
-        f": {lasting:.2g} gray of its error is light that waves bend around near edges and from far away, "
-        "which no more rays make smaller"
+        f": {lasting:.2g} gray of its error is not known of diffraction (light behind near edges, from far away, "
+        "or of a lens that differs over the field), and no more rays make that smaller"
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -238,8 +239,10 @@ def settle(
 
 def _check_near(keys: Sequence[FreeKey], away: Array) -> None:
     """See that no key has gone so many scales away that it goes on without end."""
-    farthest = int(np.abs(away).argmax())
-    if abs(away[farthest]) > _TOO_FAR:
+    bounded = np.array([math.isfinite(key.low) and math.isfinite(key.high) for key in keys])
+    far = np.where(bounded, 0.0, np.abs(away))  # between two bounds none goes on
+    farthest = int(far.argmax())
+    if far[farthest] > _TOO_FAR:
         raise _runs_off("away from where it began", keys[farthest].key)
 
 

@@ -317,7 +317,7 @@ def with_waves(
     unsure = scene.tolerances is not None and scene.tolerances.aperture_diameter
     slope = _blur_slope(waves, added) if unsure else None
     told = DiffractionTaken(
-        waves.wavelength, found.rms_gray, added.parts.rays, _told_wavelengths(waves.lights), _lasting(waves, added.off)
+        waves.wavelength, found.rms_gray, added.parts.rays, _told_wavelengths(waves.lights), _lasting(added.off)
     )
     return WithWaves(added.whole, None, told, added.plan, tuple(waves.lights), slope)
 
@@ -452,9 +452,9 @@ def _more_rays_may_do(made: Made, waves: _Waves, off: WaveError, share: float = 
     return demand is not None and demand.is_met(lasting, known.p99_gray_upper95)
 
 
-def _lasting(waves: _Waves, off: WaveError) -> float:
+def _lasting(off: WaveError) -> float:
     """What waves are off by whatever rays are taken, rms [gray level]."""
-    return math.hypot(math.sqrt(off.lasting), off.tails) + waves.by_bands
+    return math.hypot(math.sqrt(off.lasting), off.tails)
 
 
 def _square_left(tolerance: float, waves: _Waves, off: WaveError) -> float:

@@ -52,11 +52,12 @@ def test_a_tolerance_beyond_the_budget_ends_with_3_and_the_best_image(
 def test_what_no_more_rays_make_smaller_is_named() -> None:
     """Only where it is half of the squares that the error is made of."""
 
-    def made(lasting: float | None) -> Any:
+    def made(lasting: float | None, tolerance: float = 0.9) -> Any:
         taken = None if lasting is None else SimpleNamespace(lasting_gray=lasting)
-        return SimpleNamespace(diffraction=taken, error=SimpleNamespace(rms_gray_upper95=1.0))
+        return SimpleNamespace(diffraction=taken, error=SimpleNamespace(rms_gray_upper95=1.0), tolerance=tolerance)
 
     assert _why(made(None)) == _why(made(0.69)) == ""
+    assert _why(made(0.9, tolerance=1.1)) == ""  # a largest error was asked for, and missed
     assert _why(made(0.71)).startswith(": 0.71 gray of its error")
 
 

@@ -360,6 +360,7 @@ def test_rays_go_where_much_differs(share: float) -> None:
         if one_ray(grid, off, 400) <= grid.aim:
             fewest.append(int(few.sum() + (~few).sum() * n**2))
     given = tile.with_rays(2, found)
-    assert (given.levels == 3).sum() == (heights > found.passed_over).sum()
+    assert (given.levels == 3).sum() == (heights > found.passed_over).sum() == len(given.heights)
+    assert (given.with_rays(2, found).levels == given.levels).all()
     assert (given.levels == 2).sum() + (given.levels == 3).sum() * found.samples**2 == min(fewest)
     assert central_rays(grid, given) < 0.5 * central_rays(grid, tile.with_rays(2, EdgeSampling(found.samples, 0.0)))

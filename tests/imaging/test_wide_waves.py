@@ -20,6 +20,7 @@ from radwrap.imaging.tolerance.wave_image import visible_gray
 from radwrap.imaging.tolerance.wave_parts import kept_transforms, wave_cells, wave_parts, wave_tile
 from radwrap.imaging.tolerance.wave_plan import known_to, plan_waves
 from radwrap.imaging.tracing import laid_out
+from radwrap.scene.aberrations import Wavefront
 from radwrap.scene.scene import Scene
 from tests.imaging.test_smooth_blocks import LENS
 from tests.tracers.test_compiled_smooth import at, scene_of
@@ -128,6 +129,12 @@ def test_a_tile_of_smooth_blocks_has_the_sum_of_the_weights() -> None:
         cells = wave_cells(seen, plan, 0, taken.append)
         general = wave_cells(seen, replace(plan, smooth=None), 0, taken.append)
         assert cells.samples == 0 and general.samples
+        # Coma moves a point's light to one side, which the sum of the weights does not tell.
+        assert view.camera.lens is not None
+        coma = Wavefront(view.camera.aperture.diameter, ((3, 1), (3, -1)), ((1e-7, 0.0),))
+        camera = replace(view.camera, lens=replace(view.camera.lens, glass=coma))
+        behind_glass = replace(plan, kernel=replace(plan.kernel, camera=camera))
+        assert wave_cells(seen, behind_glass, 0, lambda _: None).samples
         taken.clear()
         found, wanted = (
             next(wave_tile(seen, [plan], (0, 0), each, taken.append, transforms=kept_transforms()))

@@ -71,7 +71,8 @@ class Cells:
         row, column = np.nonzero(levels > finest)
         few = self.heights <= sampling.passed_over
         levels[row[few], column[few]] = finest
-        return replace(self, levels=levels, samples=sampling.samples if self.samples else 0)
+        samples = sampling.samples if self.samples else 0
+        return replace(self, levels=levels, samples=samples, heights=self.heights[~few])
 
 
 @dataclass(frozen=True, slots=True)

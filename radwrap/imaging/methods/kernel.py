@@ -253,7 +253,7 @@ def decide_tile(
     """
     place, cell = plan.tiles[tile], plan.grid.cell
     reach = plan.reach_px
-    if _is_smooth(view, plan, place):
+    if plan.grid.smooth and is_smooth(view.smooth, plan, place):
         return NO_CELLS
     # One pair of cells more on each side, for the coarser image.
     spans = [
@@ -321,12 +321,12 @@ def smooth_tiles(view: View, plan: KernelPlan, place: tuple[int, int, int, int])
         yield _smooth_tile(replace(known, values=values), plan, place)
 
 
-def _is_smooth(view: View, plan: KernelPlan, place: tuple[int, int, int, int]) -> bool:
-    """Whether all that the pixels of a tile gather from is smooth."""
-    if not plan.grid.smooth or view.smooth is None or plan.camera.sensor.window is not None:
+def is_smooth(known: SmoothField | None, plan: KernelPlan, place: tuple[int, int, int, int]) -> bool:
+    """Whether all that the pixels of a tile gather from is known to be smooth."""
+    if known is None or plan.camera.sensor.window is not None:
         return False
     columns, rows = (far + 0.5 for far in plan.reach_px)
-    return view.smooth.holds_all((place[0] - rows, place[1] - 1 + rows), (place[2] - columns, place[3] - 1 + columns))
+    return known.holds_all((place[0] - rows, place[1] - 1 + rows), (place[2] - columns, place[3] - 1 + columns))
 
 
 def _smooth_tile(known: SmoothField, plan: KernelPlan, place: tuple[int, int, int, int]) -> Gathered:

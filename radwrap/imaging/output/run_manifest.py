@@ -61,7 +61,8 @@ class DiffractionTaken:
     """Diffraction that the image has: at which wavelength [m], about what it changes, and rays for it.
 
     Where sources differ, ``wavelength`` is their mean, and ``wavelengths`` are those that were taken. ``lasting_gray``
-    is what of the error no more rays make smaller: light behind near edges, and from far away.
+    is what of the error no more rays make smaller: light behind near edges, from far away, or of a lens
+    that differs over the field.
     """
 
     wavelength: Positive

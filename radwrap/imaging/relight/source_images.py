@@ -36,7 +36,6 @@ from radwrap.scene.scene import Scene
 
 _FILE: Final = "source_images.npz"
 _PIECES: Final = "pieces"
-_BROKEN: Final = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)  # what reading such a file may raise
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -350,8 +350,8 @@ class Search:
         risky = steps(view.camera, self.found.magnification, gray, RISK_SHARE * self.demand.tolerance)
         if isinstance(plan, KernelPlan):
             self.plans.kernel = plan, len(replicates.images), noise_beside(replicates, errors, risky)
-        wanted, met = self.demand.tolerance**2, False
-        for effort in range(self.effort, len(EFFORTS)):
+        wanted, met, first = self.demand.tolerance**2, False, self.effort
+        for effort in range(first, len(EFFORTS)):
             pixels, pairs = self._pixels_and_pairs(effort)
             key = (seed, Rendering.MODEL_PIXELS, effort)
             drawn = draw_pixels(gray, pixels, key, risky=risky, pairs=pairs, exact=replicates.own_rays)
@@ -360,9 +360,11 @@ class Search:
             enough = max(_TELLING_SHARE * self.spent, _FEW_RAYS) if met else math.inf
             dear = rays > min(enough, self.demand.budget.rays - self.spent)
             # The first must be, whatever it takes.
-            if effort > self.effort and dear:
+            if effort > first and dear:
                 break
-            self.effort, sample = effort, drawn
+            sample = drawn
+            if not met:  # what only tells more is not the least that the next image gets
+                self.effort = effort
             self.pairs[effort] = all_pairs
             at = radiance.ravel()[sample.pixels]
             found = model_errors(view, kernel.layers, sample, at, seed=(seed, Rendering.MODEL_RAYS, effort))

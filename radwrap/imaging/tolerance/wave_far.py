@@ -32,7 +32,8 @@ _WIDER: Final = 8.0
 _DOUBLINGS: Final = 4
 _MOST_BLOCKS: Final = 1 << 20
 # A pixel gathers most of it from just beyond its guard band: up to so many guard bands beside the sensor a block has
-# n x n rays, and one farther away. On the sensor cells find what is small and bright, so that fewer rays do.
+# n x n rays, and one farther away. What is small and bright on the sensor stands in the image itself, beside which far
+# light that is missed of it is little: fewer rays do there.
 _DENSE: Final = 3.0
 _LEAST_SHARE: Final = 0.01  # of the light, that goes so far: what is less needs no fewer points of wide lights
 _STRATA: Final = 3

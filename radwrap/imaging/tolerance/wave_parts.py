@@ -27,6 +27,7 @@ from radwrap.imaging.methods.kernel import (
     coarsened,
     decide_tile,
     fast_length,
+    is_smooth,
     lattice,
     layer_places,
 )
@@ -156,10 +157,9 @@ def wave_parts(
 
 def wave_cells(view: View, plan: WavePlan, tile: int, progress: Callable[[int], None]) -> Cells:
     """Find out, in the light of all sources, which cells of the central image a tile needs."""
-    place, (columns, rows) = plan.kernel.tiles[tile], plan.kernel.reach_px
-    if plan.smooth is not None and plan.smooth.holds_all(
-        (place[0] - rows, place[1] - 1 + rows), (place[2] - columns, place[3] - 1 + columns)
-    ):
+    # Glass may move light to one side: the sum of the weights does not tell that.
+    symmetric = plan.kernel.camera.lens is None or plan.kernel.camera.lens.glass is None
+    if symmetric and is_smooth(plan.smooth, plan.kernel, plan.kernel.tiles[tile]):
         return NO_CELLS
     seed = (plan.seed, Rendering.WAVE_CELLS, tile)
     found = decide_tile(bare(view), plan.kernel, tile, seed, progress, smooth=plan.smooth)
@@ -262,14 +262,10 @@ def _smooth_tile(view: View, plans: Sequence[WavePlan], place: Rect) -> Iterator
     layers, cell = plans[0].kernel.layers, plans[0].kernel.grid.cell
     at_layers = np.zeros(m.shape) if len(layers) == 1 else layer_places(layers, m)
     for of_source, light in zip(plans, values.reshape(-1, m.size), strict=True):
-        added, of_coarser = np.zeros((2, *shape))
-        for of_field, share, coarser in of_source.weights.lens_field.shares(place):
-            sums = [float(each.sum()) for each in of_source.weights.near(cell, (0, 0), of_field)]
-            of_place = (np.interp(at_layers, np.arange(len(sums)), sums) * light).reshape(shape)
-            added += share * of_place
-            of_coarser += coarser * of_place
-        off = MIXED_SHARE * np.abs(added - of_coarser)
-        yield added, off, off
+        (of_field,) = of_source.weights.lens_field.places
+        sums = [float(each.sum()) for each in of_source.weights.near(cell, (0, 0), of_field)]
+        added = (np.interp(at_layers, np.arange(len(sums)), sums) * light).reshape(shape)
+        yield added, np.zeros(shape), np.zeros(shape)
 
 
 def kept_transforms() -> Kept:

@@ -180,8 +180,13 @@ def likeness_of(windows: Sequence[Window | None], touching: NDArray[np.bool_], n
     least = np.maximum(np.where(touching, LEAST_TOUCHING, LEAST), _TIMES * usually)
     far = (share > least) & (excess > _SIGMAS * sigma)
     found[far] = share[far]
-    hollow = usual.hollow(float(np.median([dot.radius for dot in seen.values()])))
-    return Likeness(found, hollow if hollow > _HOLLOW else 0.0)
+    dots = list(seen.values())
+    hollow = usual.hollow(float(np.median([dot.radius for dot in dots])))
+    # What noise makes of the mean of the pixels in all middles, of each of which the same light is expected.
+    middles = sum(int((dot.distance < (_MIDDLE - 1) * dot.radius).sum()) for dot in dots)
+    level = float(np.median([dot.level for dot in dots]))
+    error = math.sqrt((ground + by_light * level) / max(middles, 1)) / level
+    return Likeness(found, hollow if hollow > _HOLLOW + _SIGMAS * error else 0.0)
 
 
 def _fitted(dot: _Seen, usual: _Usual, noise: float) -> tuple[Field, Field]:
