@@ -51,7 +51,9 @@ def test_half_shadows_take_few_rays_and_keep_their_bound() -> None:
     made, all_traced = (render(scene, None, COMPILED, tolerance=0.3, max_error=most) for most in (None, 50.0))
     gray = made.gray.values
     assert gray.max() > 1.3 * gray.min() > 20  # all of it lies in the half shadow
-    assert made.manifest["rays"] < 0.5 * all_traced.manifest["rays"]
+    # Beside those that look at the kernel's model, which both take alike.
+    rays, of_all = (one.manifest["rays"] - one.manifest["error"]["certificate_rays"] for one in (made, all_traced))
+    assert rays < 0.5 * of_all
     pixels = np.random.default_rng(2).choice(gray.size, 200, replace=False)
     assert rms(true_errors(scene, made, pixels)) < made.manifest["error"]["rms_gray_upper95"] < 0.3
 
