@@ -331,12 +331,11 @@ def is_smooth(known: SmoothField | None, plan: KernelPlan, place: tuple[int, int
 
 def _smooth_tile(known: SmoothField, plan: KernelPlan, place: tuple[int, int, int, int]) -> Gathered:
     """A tile that gathers from smooth blocks only: the mean of what changes evenly is what is seen in the middle."""
-    rows, columns = np.indices((place[1] - place[0], place[3] - place[2]), dtype=np.float64)
-    values, _ = known.at((columns + place[2]).ravel(), (rows + place[0]).ravel())
+    values, _ = known.in_pixels(place)
     some = np.ix_(*(at - first for at, first in zip(lattice(2 * plan.grid.cell, place), place[::2], strict=True)))
     nothing = CentralImage((0, 0), np.zeros((0, 0)), None, 0)
     unchanged = np.zeros((len(some[0]), some[1].size))
-    return Gathered(values.reshape(rows.shape), some, unchanged, nothing, nothing)
+    return Gathered(values, some, unchanged, nothing, nothing)
 
 
 def grid_share(plan: KernelPlan) -> float:

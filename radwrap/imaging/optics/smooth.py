@@ -117,6 +117,12 @@ class SmoothField:
             values[..., part], magnification[part] = value, m
         return values, magnification
 
+    def in_pixels(self, place: tuple[int, int, int, int]) -> tuple[Array, Array]:
+        """As `at`, in the middles of pixels from a first row to a last row + 1, and of columns likewise."""
+        rows, columns = np.indices((place[1] - place[0], place[3] - place[2]), dtype=np.float64)
+        values, magnification = self.at((columns + place[2]).ravel(), (rows + place[0]).ravel())
+        return values.reshape(*values.shape[:-1], *rows.shape), magnification.reshape(rows.shape)
+
     def _at(self, u: Array, v: Array) -> tuple[Array, Array]:
         row, column = self._block(v, 0), self._block(u, 1)
         down = (v + 0.5) / self.block - self.first[0] - row

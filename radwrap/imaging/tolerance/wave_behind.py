@@ -49,10 +49,10 @@ class Layout:
     @classmethod
     def of(cls, magnification: Array, layers: tuple[float, ...]) -> Layout:
         """For magnifications of shape (rows, columns), and those of the layers, from the farthest on."""
-        shares = shares_by_layer(magnification, layers)
         if len(layers) == 1:
-            return cls(shares, (), {})
+            return cls(shares_by_layer(magnification, layers), (), {})
         place = layer_places(layers, magnification)
+        shares = _shares_at(place)
         if not any((np.abs(np.diff(place, axis=axis)) > _STEP).any() for axis in (0, 1)):
             return cls(shares, (), {})
         number = np.rint(place).astype(np.intp)
@@ -80,7 +80,10 @@ def shares_by_layer(magnification: Array, layers: tuple[float, ...]) -> ByLayer:
     """Shares of those layers that have any: a tile shows one or two depths of a scene."""
     if len(layers) == 1:
         return {0: np.ones_like(magnification)}
-    places = layer_places(layers, magnification)
+    return _shares_at(layer_places(layers, magnification))
+
+
+def _shares_at(places: Array) -> ByLayer:
     return {number: layer_share(places, number) for number in layers_met(places)}
 
 

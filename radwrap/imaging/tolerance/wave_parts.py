@@ -256,16 +256,13 @@ def _smooth_tile(view: View, plans: Sequence[WavePlan], place: Rect) -> Iterator
     known = known_to(view, plans[0])
     if known is None:
         raise TypeError("no block of this view is known to be smooth")
-    shape = place[1] - place[0], place[3] - place[2]
-    rows, columns = np.indices(shape, dtype=np.float64)
-    values, m = known.at((columns + place[2]).ravel(), (rows + place[0]).ravel())
+    values, m = known.in_pixels(place)
     layers, cell = plans[0].kernel.layers, plans[0].kernel.grid.cell
     at_layers = np.zeros(m.shape) if len(layers) == 1 else layer_places(layers, m)
-    for of_source, light in zip(plans, values.reshape(-1, m.size), strict=True):
+    for of_source, light in zip(plans, values.reshape(-1, *m.shape), strict=True):
         (of_field,) = of_source.weights.lens_field.places
         sums = [float(each.sum()) for each in of_source.weights.near(cell, (0, 0), of_field)]
-        added = (np.interp(at_layers, np.arange(len(sums)), sums) * light).reshape(shape)
-        yield added, np.zeros(shape), np.zeros(shape)
+        yield np.interp(at_layers, np.arange(len(sums)), sums) * light, np.zeros(m.shape), np.zeros(m.shape)
 
 
 def kept_transforms() -> Kept:
