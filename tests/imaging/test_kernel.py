@@ -337,8 +337,8 @@ def one_ray(grid: GridPlan, heights: Array, cells: int) -> float:
 def test_a_tile_without_edges_leaves_its_share_to_the_others(least: float, samples: int) -> None:
     """With three parts in four that have none an image is off by half as much; n x n rays make it n^1.5 less."""
     heights = np.full(40, 50.0)
-    grid = plan_kernel(view(ROUND), np.zeros(1), 1.0).grid
-    grid = replace(grid, levels=2, aim=least * one_ray(grid, heights, 400) / 2)
+    grid = replace(plan_kernel(view(ROUND), np.zeros(1), 1.0).grid, levels=2, area=2.5)
+    grid = replace(grid, aim=least * one_ray(grid, heights, 400) / 2)
     found = edge_sampling(grid, [(cells_of(heights), 100), (cells_of(np.empty(0)), 300)])
     assert found.samples == samples
     assert found.passed_over == (50.0 if samples == 1 else 0.0)
@@ -350,7 +350,7 @@ def test_rays_go_where_much_differs(share: float) -> None:
     random = np.random.default_rng(7)
     heights = np.float32(np.concatenate([random.uniform(1, 3, 150), random.uniform(20, 90, 30), [90.0] * 9]))
     random.shuffle(heights)
-    tile, grid = cells_of(heights), replace(plan_kernel(view(ROUND), np.zeros(1), 1.0).grid, levels=2)
+    tile, grid = cells_of(heights), replace(plan_kernel(view(ROUND), np.zeros(1), 1.0).grid, levels=2, area=2.5)
     grid = replace(grid, aim=share * one_ray(grid, heights, 400))
     found = edge_sampling(grid, [(tile, 100)])
     fewest = []
