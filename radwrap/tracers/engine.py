@@ -28,7 +28,8 @@ class BlockLight(IntEnum):
         Only a flat face is seen in it, of one material, wholly, with nothing near. Each place of it gets the light of
         each small source, and of wide ones what something may hide in part: mostly it changes smoothly.
     PROVED
-        The same, the face is matte, and each place gets the light of wide sources wholly: it can only change smoothly.
+        Only a flat face is seen in it, matte or with a broad lobe. Each place gets the light of the same small sources,
+        and of wide ones wholly: it can only change smoothly.
     """
 
     UNKNOWN = 0

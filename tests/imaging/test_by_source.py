@@ -26,7 +26,7 @@ from radwrap.imaging.optics.view import LitView, View, look_at_depths
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.tracing import laid_out
 from tests.imaging.test_smooth_blocks import LENS
-from tests.tracers.test_compiled_smooth import at, scene_of
+from tests.tracers.belt import at, scene_of
 
 NAMES = tuple(f"ring.led{number:02d}" for number in range(12))
 BOX = {"type": "box", "name": "box", "material": "dark", "size": at(4.0, 4.0, 30.0), "position": at(-2.0, 1.0, 15.1)}

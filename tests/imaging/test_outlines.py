@@ -25,7 +25,7 @@ from radwrap.scene.look.wide_sources import divided
 from radwrap.scene.sources import WideSource
 from radwrap.tracers.compiled.layout import compiled_scene
 from radwrap.tracers.text_frame import TextFrame
-from tests.tracers.test_compiled_smooth import at, scene_of
+from tests.tracers.belt import at, scene_of
 
 FEW = 64
 BLACK = 1e-3  # reflectance

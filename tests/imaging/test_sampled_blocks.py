@@ -19,7 +19,7 @@ from radwrap.imaging.tolerance.sampled_blocks import with_sampled_blocks
 from radwrap.imaging.tracing import laid_out
 from radwrap.scene.scene import Scene
 from tests.imaging.test_smooth_blocks import COMPILED, LENS, rms, true_errors
-from tests.tracers.test_compiled_smooth import FLAT, at, scene_of
+from tests.tracers.belt import FLAT, at, scene_of
 
 LAMP: dict[str, Any] = {
     "type": "rectangle",

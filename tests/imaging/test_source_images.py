@@ -21,7 +21,7 @@ from radwrap.scene.scene import Scene
 from tests.fitting.conftest import tables
 from tests.imaging.test_by_source import BOX
 from tests.imaging.test_smooth_blocks import LENS
-from tests.tracers.test_compiled_smooth import scene_of
+from tests.tracers.belt import scene_of
 
 KERNEL = SamplingPlan("kernel", cell=2.0, layered=True, replicates=2)
 RAYS = SamplingPlan("rays", rays=4, replicates=2)

@@ -23,7 +23,7 @@ from radwrap.imaging.tracing import laid_out
 from radwrap.scene.aberrations import Wavefront
 from radwrap.scene.scene import Scene
 from tests.imaging.test_smooth_blocks import LENS
-from tests.tracers.test_compiled_smooth import at, scene_of
+from tests.tracers.belt import at, scene_of
 
 COMPILED = RenderOptions(tracer="compiled", tolerance=0.5)
 BAR = {

@@ -10,87 +10,13 @@ import pytest
 
 pytest.importorskip("numba")
 
-import radwrap
-from radwrap.imaging.optics.smooth import BLOCK, corners_of
+from radwrap.imaging.optics.smooth import BLOCK
 from radwrap.imaging.optics.view import central_rays
 from radwrap.scene.materials import Lambertian
-from radwrap.scene.scene import Scene
 from radwrap.tracers.compiled.layout import compiled_scene
-from radwrap.tracers.compiled.smooth import smooth_blocks
 from radwrap.tracers.compiled.tracer import CompiledTracer
-from radwrap.tracers.engine import BlockLight
 from radwrap.tracers.text_frame import TextFrame
-
-ROWS, COLUMNS = 96, 120
-PIXEL_MM = 0.2  # on the belt
-FLAT: dict[str, Any] = {
-    "camera": {
-        "position": ["0 mm", "0 mm", "400 mm"],
-        "look_at": ["0 mm", "0 mm", "0 mm"],
-        "up": [0, 1, 0],
-        "focal_length": "20 mm",
-        "exposure_time": "10 ms",
-        "aperture": {"diameter": "0.01 mm"},
-        "diffraction": "off",
-        "sensor": {
-            "rows": ROWS,
-            "columns": COLUMNS,
-            "pixel_width": "10 um",
-            "pixel_height": "10 um",
-            "gain": "1e5 (J/m^2)^-1",
-            "gamma": 1.0,
-            "dark_gray": 0,
-            "saturation_gray": 255,
-        },
-    },
-    "sources": [
-        {
-            "type": "ring",
-            "name": "ring",
-            "count": 12,
-            "diameter": "120 mm",
-            "position": ["0 mm", "0 mm", "300 mm"],
-            "look_at": ["0 mm", "0 mm", "0 mm"],
-            "led_diameter": "3 mm",
-            "radiant_intensity": "0.2 W/sr",
-            "beam": {"profile": "gaussian", "width": "60 deg", "width_definition": "fwhm"},
-        }
-    ],
-    "materials": {
-        "belt": {"type": "lambertian", "reflectance": 0.3},
-        "dark": {"type": "lambertian", "reflectance": 0.05},
-        "shiny": {
-            "type": "specular",
-            "diffuse_reflectance": 0.1,
-            "specular_reflectance": 0.1,
-            "roughness": 0.1,
-        },
-    },
-    "targets": [{"type": "sheet", "name": "belt", "material": "belt", "size": ["100 mm", "100 mm"]}],
-}
-
-
-def at(x: float, y: float, z: float) -> list[str]:
-    return [f"{value} mm" for value in (x, y, z)]
-
-
-def scene_of(*more: dict[str, Any], **changes: Any) -> Scene:
-    return radwrap.scene_from_document({**FLAT, **changes, "targets": [*FLAT["targets"], *more]})
-
-
-def lattice(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    corners = corners_of((0, 0), (ROWS // BLOCK, COLUMNS // BLOCK))
-    middles = tuple(places[:-1, :-1] + BLOCK / 2 for places in corners)
-    return central_rays(scene.camera, *corners), central_rays(scene.camera, *middles)
-
-
-def proved(scene: Scene) -> np.ndarray:
-    return smooth_blocks(compiled_scene(scene, TextFrame()), *lattice(scene)) == BlockLight.PROVED
-
-
-def block_of(x: float, y: float) -> tuple[int, int]:
-    """Row and column of the block that sees a place on the belt [mm]."""
-    return int((ROWS / 2 - y / PIXEL_MM) // BLOCK), int((COLUMNS / 2 + x / PIXEL_MM) // BLOCK)
+from tests.tracers.belt import FLAT, at, block_of, lattice, proved, scene_of
 
 
 def test_an_empty_belt_is_smooth_everywhere() -> None:
@@ -137,7 +63,7 @@ def test_a_block_with_a_thin_shadow_in_it_is_not_smooth() -> None:
 @pytest.mark.parametrize(
     ("target", "why"),
     [
-        ({"type": "sheet", "material": "shiny", "size": ["100 mm", "100 mm"]}, "its highlight may be small"),
+        ({"type": "sheet", "material": "polished", "size": ["100 mm", "100 mm"]}, "its highlight may be small"),
         (
             {
                 "type": "polygon",
@@ -151,6 +77,42 @@ def test_a_block_with_a_thin_shadow_in_it_is_not_smooth() -> None:
 def test_faces_of_which_nothing_is_proved(target: dict[str, Any], why: str) -> None:
     found = proved(scene_of({"name": "top", "position": at(0, 0, 1), **target}))
     assert not found[block_of(5, -5)], why
+
+
+def test_a_broad_lobe_under_lights_far_away_is_as_good_as_its_middle_says() -> None:
+    """No place of a block is farther from straight lines between its corners than three times the middle, and noise."""
+    scene = scene_of(
+        {"type": "sheet", "name": "top", "material": "shiny", "size": ["30 mm", "30 mm"]} | {"position": at(0, 0, 1)}
+    )
+    found = proved(scene)
+    assert found.all()
+    tracer = CompiledTracer(compiled_scene(scene, TextFrame()))
+    at_corners, at_middles = (next(tracer.trace([rays.reshape(-1, 6)])) for rays in lattice(scene))
+    corner = at_corners.reshape(found.shape[0] + 1, -1)
+    four = np.stack([corner[:-1, :-1], corner[:-1, 1:], corner[1:, :-1], corner[1:, 1:]])
+    middle = np.abs(at_middles.reshape(found.shape) - four.mean(axis=0))
+    row, column = np.indices(found.shape)
+    for down in np.linspace(0.1, 0.9, 5):
+        for right in np.linspace(0.1, 0.9, 5):
+            u, v = (BLOCK * (axis + share) - 0.5 for axis, share in ((column, right), (row, down)))
+            seen = next(tracer.trace([central_rays(scene.camera, u.ravel(), v.ravel())])).reshape(found.shape)
+            weights = np.array([(1 - down) * (1 - right), (1 - down) * right, down * (1 - right), down * right])
+            off = np.abs(seen - np.tensordot(weights, four, axes=1))
+            assert (off <= 3 * middle + 2e-4 * corner.max()).all()
+
+
+def test_a_lobe_is_not_smooth_under_a_light_nearby() -> None:
+    led = {
+        "type": "led",
+        "name": "led",
+        "position": at(2, 2, 6),
+        "look_at": at(2, 2, 0),
+        "diameter": "0.1 mm",
+        "radiant_intensity": "0.2 W/sr",
+        "beam": {"profile": "lambertian"},
+    }
+    top = {"type": "sheet", "name": "top", "material": "shiny", "size": ["30 mm", "30 mm"], "position": at(0, 0, 1)}
+    assert not proved(scene_of(top, sources=[*FLAT["sources"], led])).any()
 
 
 def test_dots_between_the_rays_of_a_block() -> None:

@@ -17,8 +17,8 @@ from radwrap.tracers.compiled.layout import CompiledScene, compiled_scene
 from radwrap.tracers.compiled.tree import DEPTH
 from radwrap.tracers.compiled.whole_face import fills, room
 from radwrap.tracers.text_frame import TextFrame
+from tests.tracers.belt import scene_of
 from tests.tracers.crowd import mesh_of
-from tests.tracers.test_compiled_smooth import scene_of
 
 INNER, OUTER, HEIGHT = 0.010, 0.020, 0.003  # m
 

@@ -13,7 +13,7 @@ pytest.importorskip("numba")
 from radwrap.tracers.compiled.layout import CompiledScene, compiled_scene
 from radwrap.tracers.compiled.tracer import CompiledTracer
 from radwrap.tracers.text_frame import TextFrame
-from tests.tracers.test_compiled_smooth import at, scene_of
+from tests.tracers.belt import at, scene_of
 
 RADIANCE = 7.0
 DOWN = {"look_at": at(0, 0, 0), "radiance": f"{RADIANCE} W/m^2/sr", "irradiance_error": 0.2}

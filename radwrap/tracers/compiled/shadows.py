@@ -28,8 +28,8 @@ from radwrap.tracers.compiled.shine import towards
 TOGETHER: Final = 8
 # Heights over a plane, for each unit of distance, from which on rounding does not matter, and from which on what is at
 # the other end may touch the plane.
-_OFF: Final = 1e-7
-_WELL_OFF: Final = 0.01
+OFF: Final = 1e-7
+_WELLOFF: Final = 0.01
 
 
 @compiled
@@ -156,16 +156,16 @@ def clear_between(
         height -= 1
         node = stack[height]
         box = nodes[node]
-        near, far = _overlap(box.x0 - x1, box.x1 - x0, ax, bx, iax, ibx, 0.0, 1.0)
-        near, far = _overlap(box.y0 - y1, box.y1 - y0, ay, by, iay, iby, near, far)
-        near, far = _overlap(box.z0 - z1, box.z1 - z0, az, bz, iaz, ibz, near, far)
+        near, far = overlap(box.x0 - x1, box.x1 - x0, ax, bx, iax, ibx, 0.0, 1.0)
+        near, far = overlap(box.y0 - y1, box.y1 - y0, ay, by, iay, iby, near, far)
+        near, far = overlap(box.z0 - z1, box.z1 - z0, az, bz, iaz, ibz, near, far)
         if near > far:
             continue
         count = box.count
         if count:
             first = box.first
             for i in range(first, first + count):
-                if i != but and not _aside(shapes[i], there, x0, y0, z0, x1, y1, z1, may_touch):
+                if i != but and not aside(shapes[i], there, x0, y0, z0, x1, y1, z1, may_touch):
                     return False
         else:
             stack[height], stack[height + 1] = box.second, node + 1
@@ -174,7 +174,7 @@ def clear_between(
 
 
 @compiled
-def _overlap(
+def overlap(
     low: float, high: float, a: float, b: float, ia: float, ib: float, near: float, far: float
 ) -> tuple[float, float]:
     """Shares of the way, within those given, at which [t a, t b] meets [low, high]; `i` are inverses."""
@@ -190,7 +190,7 @@ def _overlap(
 
 
 @compiled
-def _aside(
+def aside(
     s: Shape,
     there: Cluster | Wide,
     x0: float,
@@ -216,8 +216,8 @@ def _aside(
         far, here = -far, -here
     away = abs(x - ox) + abs(y - oy) + abs(z - oz) + reach + half
     far, here = far - reach, here - half
-    if far > _OFF * away and here > _OFF * away:
+    if far > OFF * away and here > OFF * away:
         return True
     # One may touch the plane, as rays then meet it no farther from their ends than they may.
-    on, off = -_WELL_OFF * NEAREST, _WELL_OFF * away
+    on, off = -_WELLOFF * NEAREST, _WELLOFF * away
     return may_touch and ((far > off and here > on) or (here > off and far > on))

@@ -2,7 +2,8 @@
 
 Of a block the rays through its four corners and its middle are known. What
 lies between them is not traced but proved: no shape can stand between the eye
-and the block, nor between the block and any light.
+and the block, and none between the block and any light; or what stands there
+hides a light from all of the block, see `outlines`.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from radwrap.tracers.compiled import outlines
 from radwrap.tracers.compiled.arrays import (
     BRUSHED,
     CONE,
@@ -34,6 +36,7 @@ from radwrap.tracers.compiled.arrays import (
     Shape,
     Shapes,
     Whole,
+    Wide,
     Wides,
     put,
     rows,
@@ -54,10 +57,14 @@ _SPARE: Final = 0.1
 # What shadows a block from nearer than this, in its own half diagonals, may do it sharply.
 _NEAR: Final = 2.0
 _BROAD: Final = 0.05  # rad; a narrower lobe shows outlines of what it mirrors
+# Of the finest angle of a lobe: over a block that is seen from eye and lights under less, straight lines are off by
+# the square of that over 8, and most at the middle.
+_SMALL: Final = 0.1
 _TURNED: Final = 1e-9  # rad, and of lengths: as far as rounding turns and moves faces of one plane
 # Where nothing is met a block is looked at so many times as far away as the farthest corner of all that is there.
 _BEYOND: Final = 2.0
 _LIKELY, _PROVED = int(BlockLight.LIKELY), int(BlockLight.PROVED)
+_SHADED: Final = -1  # proved, but for what may stand between it and some small light
 _EMITTER: Final = -2
 _NOTHING: Final = -1
 
@@ -99,6 +106,7 @@ def smooth_blocks(scene: CompiledScene, corners: Floats, middles: Floats) -> NDA
     reach = np.sqrt(((places[:4] - places[4]) ** 2).sum(axis=2)).max(axis=0) * (1 + _SPARE)
     ex, ey, ez = ((middles[0, 0, :3] - scene.frame.origin) * scene.frame.units).tolist()
     found = np.zeros(len(row), dtype=np.int8)
+    places = np.ascontiguousarray(places.transpose(1, 0, 2))
     _undisturbed(
         scene.targets.shapes,
         scene.targets.nodes,
@@ -110,7 +118,7 @@ def smooth_blocks(scene: CompiledScene, corners: Floats, middles: Floats) -> NDA
         scene.clusters,
         scene.wides,
         boxes,
-        np.ascontiguousarray(places.transpose(1, 0, 2)),
+        places,
         reach,
         shape[chosen],
         wears[chosen],
@@ -123,9 +131,43 @@ def smooth_blocks(scene: CompiledScene, corners: Floats, middles: Floats) -> NDA
         room(),
         found,
     )
+    _settle_shaded(scene, boxes, places, shape[chosen], (ex, ey, ez), found)
     smooth = np.zeros(count, dtype=np.int8)
     smooth[chosen] = found
     return smooth
+
+
+def _settle_shaded(
+    scene: CompiledScene,
+    boxes: NDArray[np.void],
+    places: Floats,
+    met: Whole,
+    eye: tuple[float, float, float],
+    found: NDArray[np.int8],
+) -> None:
+    """Of blocks that are `_SHADED`, those on which no outline falls are proved, and nothing is known of the others."""
+    shaded = found == _SHADED
+    lights = outlines.places_of(scene.lights, scene.clusters)
+    if not shaded.any() or len(lights) > outlines.MOST_LIGHTS:
+        found[shaded] = 0
+        return
+    shapes = scene.targets.shapes
+    even = shaded.copy()
+    outlines.settle(
+        shapes,
+        scene.targets.nodes,
+        outlines.edges_of(shapes),
+        lights,
+        boxes,
+        places,
+        met,
+        _SPARE,
+        np.array(eye),
+        np.empty(DEPTH, dtype=np.int64),
+        outlines.room(),
+        even,
+    )
+    found[shaded] = np.where(even[shaded], _PROVED, 0)
 
 
 def _in_one_plane(scene: CompiledScene, one: Whole, other: Whole, place: Floats) -> NDArray[np.bool_]:
@@ -235,7 +277,7 @@ def _undisturbed(
     found: NDArray[np.int8],
 ) -> None:
     for b in range(len(boxes)):
-        box, but, proved = boxes[b], met[b], same[b]
+        box, but, proved, filled = boxes[b], met[b], same[b], False
         if but >= 0:
             cover = covers[wears[b]]
             middle = places[b, 4]
@@ -243,21 +285,31 @@ def _undisturbed(
                 continue
             if cover.kind != NOTHING and cover.fine < _BROAD:
                 continue
-            proved = (
-                proved
-                and cover.kind == NOTHING
-                and _is_one_face(shapes[but], decals, tables, middle[0], middle[1], middle[2], reach[b])
-            )
+            for k in range(4):
+                for axis in range(3):
+                    quad[k, axis] = middle[axis] + (1 + _SPARE) * (places[b, k, axis] - middle[axis])
+            s = shapes[but]
+            filled = s.kind == TRIANGLE and s.decal < 0
+            filled = filled and fills(shapes, nodes, quad, but, _SPARE * reach[b], stack, polygons)
+            proved = filled or (proved and _is_one_face(s, decals, tables, middle[0], middle[1], middle[2], reach[b]))
+            if cover.kind != NOTHING:
+                away = _SMALL * cover.fine
+                proved = proved and reach[b] <= away * _distance(box, ex, ey, ez)
+                for c in range(len(clusters)):
+                    proved = proved and reach[b] <= away * _between(box, clusters[c])
+                for w in range(len(wides)):
+                    proved = proved and reach[b] <= away * _between(box, wides[w])
         # Of surfaces in one plane any may be seen.
-        free = clear_between(shapes, nodes, box, ex, ey, ez, ex, ey, ez, but, not proved, stack)
+        free = clear_between(shapes, nodes, box, ex, ey, ez, ex, ey, ez, but, filled or not proved, stack)
         proved = proved and free and clear_between(discs, disc_nodes, box, ex, ey, ez, ex, ey, ez, -1, False, stack)
         if but < 0:
             if proved:
                 found[b] = _PROVED
             continue
         x0, y0, z0, x1, y1, z1 = box.x0, box.y0, box.z0, box.x1, box.y1, box.z1
+        lit = True
         for c in range(len(clusters)):
-            free = free and clear_between(shapes, nodes, clusters[c], x0, y0, z0, x1, y1, z1, but, True, stack)
+            lit = lit and clear_between(shapes, nodes, clusters[c], x0, y0, z0, x1, y1, z1, but, True, stack)
             if free and clusters[c].may_be_hidden:
                 free = clear_between(discs, disc_nodes, clusters[c], x0, y0, z0, x1, y1, z1, -1, True, stack)
         for w in range(len(wides)):
@@ -267,19 +319,32 @@ def _undisturbed(
             proved = proved and clear_between(shapes, nodes, wides[w], x0, y0, z0, x1, y1, z1, but, True, stack)
             proved = proved and clear_between(discs, disc_nodes, wides[w], x0, y0, z0, x1, y1, z1, own, True, stack)
         if free and proved:
-            found[b] = _PROVED
-        elif free and len(wides):
+            found[b] = _PROVED if lit else _SHADED
+        elif free and lit and len(wides):
             # Where a small emitter may be in the way, its outline may lie between the rays.
             if len(clusters) and not clear_between(discs, disc_nodes, box, ex, ey, ez, ex, ey, ez, -1, False, stack):
                 continue
-            for k in range(4):
-                for axis in range(3):
-                    quad[k, axis] = middle[axis] + (1 + _SPARE) * (places[b, k, axis] - middle[axis])
             is_plain = shapes[but].kind == TRIANGLE or _is_one_face(
                 shapes[but], decals, tables, middle[0], middle[1], middle[2], reach[b]
             )
             if is_plain and fills(shapes, nodes, quad, but, _NEAR * reach[b], stack, polygons):
                 found[b] = _LIKELY
+
+
+@compiled
+def _distance(box: Cluster, x: float, y: float, z: float) -> float:
+    """From a place to a box."""
+    dx, dy, dz = max(box.x0 - x, x - box.x1, 0.0), max(box.y0 - y, y - box.y1, 0.0), max(box.z0 - z, z - box.z1, 0.0)
+    return math.sqrt(dx * dx + dy * dy + dz * dz)
+
+
+@compiled
+def _between(box: Cluster, there: Cluster | Wide) -> float:
+    """Distance of two boxes."""
+    dx = max(box.x0 - there.x1, there.x0 - box.x1, 0.0)
+    dy = max(box.y0 - there.y1, there.y0 - box.y1, 0.0)
+    dz = max(box.z0 - there.z1, there.z0 - box.z1, 0.0)
+    return math.sqrt(dx * dx + dy * dy + dz * dz)
 
 
 @compiled

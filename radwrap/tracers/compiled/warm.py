@@ -22,7 +22,15 @@ from radwrap.tracers.compiled.walker import WalkingTracer
 from radwrap.tracers.text_frame import TextFrame
 
 # Functions that programs call, each of which brings with it those that it calls.
-_KEPT: Final = ("kernels.trace", "kernels.surfaces", "walks.go_on", "tree._grow", "smooth._met", "smooth._undisturbed")
+_KEPT: Final = (
+    "kernels.trace",
+    "kernels.surfaces",
+    "walks.go_on",
+    "tree._grow",
+    "smooth._met",
+    "smooth._undisturbed",
+    "outlines.settle",
+)
 
 
 def is_warm() -> bool:

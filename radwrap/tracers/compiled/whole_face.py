@@ -64,6 +64,8 @@ def fills(shapes: Shapes, nodes: Nodes, quad: Floats, but: int, near: float, sta
         for i in range(box.first, box.first + box.count):
             t = shapes[i]
             if not _in_one_plane(s, t, size):
+                if t.kind == TRIANGLE and _is_apart(t, x0, y0, z0, x1, y1, z1):  # a leaf's box holds others
+                    continue
                 return False
             if t.kind == TRIANGLE:
                 found += _shared_area(start, t, first, second, polygons)
@@ -95,6 +97,19 @@ def _in_one_plane(s: Shape, t: Shape, size: float) -> bool:
     across = math.sqrt((s.nx - t.nx) ** 2 + (s.ny - t.ny) ** 2 + (s.nz - t.nz) ** 2)
     off = abs((t.x - s.x) * s.nx + (t.y - s.y) * s.ny + (t.z - s.z) * s.nz)
     return across <= _ROUNDING and off <= _ROUNDING * size
+
+
+@compiled
+def _is_apart(t: Shape, x0: float, y0: float, z0: float, x1: float, y1: float, z1: float) -> bool:
+    """Whether the box of a triangle does not touch another box."""
+    return (
+        t.x + min(0.0, t.ux, t.vx) > x1
+        or t.x + max(0.0, t.ux, t.vx) < x0
+        or t.y + min(0.0, t.uy, t.vy) > y1
+        or t.y + max(0.0, t.uy, t.vy) < y0
+        or t.z + min(0.0, t.uz, t.vz) > z1
+        or t.z + max(0.0, t.uz, t.vz) < z0
+    )
 
 
 @compiled
