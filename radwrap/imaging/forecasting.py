@@ -242,13 +242,15 @@ class Stage:
             # All three by the same short rehearsal, so that what it leaves out is left out of all.
             short, demand = replace(self, longest=_SHORT), what.demand
             now = short._seconds(what)
-            looser = Search(self.work, replace(demand, tolerance=2 * demand.tolerance))
+            # Blocks that are found once are smooth at twice the tolerance too, and in pixels of twice the size.
+            looser = Search(self.work, replace(demand, tolerance=2 * demand.tolerance), smooth=what.view.smooth)
             smaller = replace(self.work, view=replace(self.work.view, camera=_halved(self.work.view.camera)))
+            coarser = None if what.view.smooth is None else what.view.smooth.in_doubled_pixels
             yield (
                 f"a tolerance of {2 * demand.tolerance:g} gray in place of {demand.tolerance:g}",
                 rest + image * short._seconds(looser) / now,
             )
-            coarse = replace(short, work=smaller)._seconds(Search(smaller, demand))
+            coarse = replace(short, work=smaller)._seconds(Search(smaller, demand, smooth=coarser))
             yield _HALF, rest - 0.75 * files + image * coarse / now
         yield from self._with_fewer_patches(rest, image)
 

@@ -20,6 +20,7 @@ from radwrap.imaging import forecasting
 from radwrap.imaging.forecast.rehearsal import Stopwatch, rehearsed, rehearsed_viewpoints, seconds_per_ray
 from radwrap.imaging.forecasting import forecast
 from radwrap.imaging.mean_radiance import viewpoint_plan
+from radwrap.imaging.tolerance import planner
 from radwrap.imaging.tolerance.planner import Search
 from radwrap.imaging.tolerance.replicates import Work, trace_replicates
 from radwrap.imaging.tracing import traced_scene
@@ -210,6 +211,22 @@ def test_a_long_run_says_so_before_and_what_is_cheaper(
     assert (
         "a tolerance of 0.8 gray in place of 0.4" if "method" in options else "19 viewpoints in place of 37"
     ) in found
+
+
+def test_what_is_cheaper_looks_for_no_smooth_blocks_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They take a third of a render under wide lights, and are the same at twice the tolerance or in larger pixels."""
+    pytest.importorskip("numba")
+    from tests.tracers.belt import scene_of  # imports numba
+
+    options = radwrap.RenderOptions(tolerance=0.5, tracer="compiled")
+    with forecasting._stage(scene_of(), options) as stage:
+        what = Search(stage.work, options.demand)
+        assert what.view.smooth is not None
+        parts = dict.fromkeys(("image", "certificate", "files"), 1.0)
+        monkeypatch.setattr(planner, "with_smooth_blocks", None)
+        monkeypatch.setattr(forecasting, "_SHORT_SEARCH", 0.0)  # what is short is rehearsed as a whole
+        changes = [change for change, seconds in stage._changes(what, parts) if math.isfinite(seconds)]
+    assert changes == ["a tolerance of 1 gray in place of 0.5", "half as many columns and rows of pixels"]
 
 
 def test_diffraction_is_a_part_of_what_a_run_takes(tmp_path: Path) -> None:

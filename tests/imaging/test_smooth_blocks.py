@@ -22,7 +22,7 @@ from radwrap.imaging.synthesis import render
 from radwrap.imaging.tolerance.certificate import PixelErrors, independent_errors, root
 from radwrap.imaging.tracing import laid_out
 from radwrap.scene.scene import Scene
-from tests.tracers.test_compiled_smooth import FLAT, at, scene_of
+from tests.tracers.belt import FLAT, at, scene_of
 
 COMPILED = RenderOptions(tracer="compiled")
 LENS: dict[str, Any] = {**FLAT["camera"], "lens": {"focus_distance": "400 mm", "f_number": 8}}
@@ -61,6 +61,20 @@ def test_between_corners_lies_what_rays_see() -> None:
         value, _ = trace_rays(traced.view_of("ring.led03"), None, u, v)
         assert other.at(u, v)[0] == pytest.approx(value, rel=1e-3)
         assert other.sha256 == found.sha256
+
+
+def test_blocks_are_those_of_doubled_pixels_too() -> None:
+    with laid_out(scene_of(camera=LENS), COMPILED) as traced:
+        found = smooth_field(traced.view(), 3.0, 0.5)
+    assert found is not None
+    found = replace(found, smooth=found.smooth & (np.indices(found.smooth.shape).sum(axis=0) % 3 > 0))
+    u, v = np.random.default_rng(1).uniform(-0.5, 90.0, (2, 1000))
+    half = found.in_doubled_pixels
+    halves = (u + 0.5) / 2 - 0.5, (v + 0.5) / 2 - 0.5
+    np.testing.assert_array_equal(half.holds(*halves), found.holds(u, v))
+    assert 0 < half.holds(*halves).mean() < 1
+    for one, other in zip(half.at(*halves), found.at(u, v), strict=True):
+        assert one == pytest.approx(other, rel=1e-12)
 
 
 def test_radiance_proves_nothing() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, TypeVar
 
 import numpy as np
@@ -75,6 +75,12 @@ class SmoothField:
         if self.finer:
             told += self.finer.sha256.encode()
         return hashlib.sha256(told).hexdigest()
+
+    @property
+    def in_doubled_pixels(self) -> SmoothField:
+        """The same blocks of the same view, in pixels of twice the width and height."""
+        finer = None if self.finer is None else self.finer.in_doubled_pixels
+        return replace(self, block=self.block // 2, finer=finer)
 
     def holds(self, u: Array, v: Array) -> NDArray[np.bool_]:
         """Whether places (u, v) on the sensor [px] lie in smooth blocks."""

@@ -142,9 +142,12 @@ def render_to_tolerance(
 
 
 class Search:
-    """One search for an image that keeps the tolerance, or a survey and the image by a plan that others made."""
+    """One search for an image that keeps the tolerance, or a survey and the image by a plan that others made.
 
-    def __init__(self, work: Work, demand: Demand, *, relit: bool = False) -> None:
+    Smooth blocks are looked for, unless they are given.
+    """
+
+    def __init__(self, work: Work, demand: Demand, *, relit: bool = False, smooth: SmoothField | None = None) -> None:
         self.demand, self.tracer = demand, work.view.tracer
         self.pace = Pace(demand.budget.seconds)
         self.found = of_kept(
@@ -155,7 +158,11 @@ class Search:
         )
         # A sample of squared errors knows nothing of single pixels, either.
         sampled = demand.max_error is None and not relit
-        self.view = with_smooth_blocks(work.view, self.found, demand.tolerance, work.seed, sampled=sampled)
+        self.view = (
+            with_smooth_blocks(work.view, self.found, demand.tolerance, work.seed, sampled=sampled)
+            if smooth is None
+            else replace(work.view, smooth=smooth)
+        )
         self.work = replace(work, view=self.view)
         self.traced_rays = self.found.rays + (self.view.smooth.rays if self.view.smooth else 0)
         self.plans = Plans(self.view, self.found, demand, work.seed)
