@@ -262,9 +262,7 @@ class _Maker:
             if in_one_pass not in frozen:
                 frozen[in_one_pass] = freeze_tile(self.work, self.plan, replicate, tile, in_one_pass=in_one_pass)
             traced = frozen[in_one_pass].trace(self.pieces.views[view], self.work.progress.add)
-            self.pieces.write(
-                kind, view, np.stack([np.concatenate([values.ravel(), change]) for values, change in traced])
-            )
+            self.pieces.write(kind, view, (np.concatenate([values.ravel(), change]) for values, change in traced))
 
     def _trace_model(self, view: int) -> None:
         kernel = kernel_of(self.plan)
@@ -290,10 +288,10 @@ class _Maker:
         images = np.empty((len(self.pieces.views[view].names), sensor.rows, sensor.columns), dtype=np.float32)
         changes = []
         for tile, (r0, r1, c0, c1) in enumerate(self.plan.tiles):
-            values = np.stack([rows[0] for rows in self.pieces.each(self.tile_kind(replicate, tile), view)])
-            size = (r1 - r0) * (c1 - c0)
-            images[:, r0:r1, c0:c1] = values[:, :size].reshape(-1, r1 - r0, c1 - c0)
-            changes.append(values[:, size:])
+            size, each = (r1 - r0) * (c1 - c0), self.pieces.each(self.tile_kind(replicate, tile), view)
+            for image, (values,) in zip(images, each, strict=True):
+                image[r0:r1, c0:c1] = values[:size].reshape(r1 - r0, c1 - c0)
+            changes.append(np.stack([values[size:] for (values,) in each]))
         return images, np.concatenate(changes, axis=1)
 
 

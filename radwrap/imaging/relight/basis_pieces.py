@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -61,11 +62,13 @@ class BasisPieces:
             raise EnvironmentFailure("was changed by somebody else", where=where, remedy="run again")
         return np.split(rows, len(self.views[view].names))
 
-    def write(self, kind: str, view: int, rows: NDArray[np.float64]) -> None:
-        """Keep what was made of a view."""
-        length = rows.shape[1]
-        folded = np.zeros((len(rows), _folded(length)), dtype=np.float32)
-        folded[:, :length] = rows
+    def write(self, kind: str, view: int, rows: Iterable[NDArray[np.float64]]) -> None:
+        """Keep what was made of a view; rows are made small as they come, as all together may be large."""
+        small = [row.astype(np.float32) for row in rows]
+        length = len(small[0])
+        folded = np.zeros((len(small), _folded(length)), dtype=np.float32)
+        for number, row in enumerate(small):
+            folded[number, :length] = row
         pixels = folded.reshape(-1, min(length, _WIDEST))
         write_piece(self.path(kind, view), pixels, f"{self.name}-{kind}-{view}", {"length": length})
 

@@ -81,8 +81,8 @@ class BasisWaves:
         sensor = self.plan.kernel.camera.sensor
         found = np.empty((2, len(self.views[view].names), sensor.rows, sensor.columns), dtype=np.float32)
         for tile, (r0, r1, c0, c1) in enumerate(self.plan.kernel.tiles):
-            rows = np.stack(self.pieces.each(self._kind(replicate, tile), view), axis=1)
-            found[..., r0:r1, c0:c1] = rows.reshape(2, -1, r1 - r0, c1 - c0)
+            for number, rows in enumerate(self.pieces.each(self._kind(replicate, tile), view)):
+                found[:, number, r0:r1, c0:c1] = rows.reshape(2, r1 - r0, c1 - c0)
         around = self.pieces.each(self._around(replicate), view)
         for number, (plan, light) in enumerate(zip(self._plans(view), around, strict=True)):
             found[0, number] += far_change(plan, light.astype(np.float64))[0].astype(np.float32)
@@ -138,9 +138,7 @@ class BasisWaves:
             alone = of_all if len(lit.names) == 1 else None
             one, plans = replace(lit.view, workers=1), self._plans(view)
             traced = wave_tile(one, plans, (tile, replicate), cells, count, transforms=transforms, of_all=alone)
-            self.pieces.write(
-                kind, view, np.stack([part.ravel() for change, off, _ in traced for part in (change, off)])
-            )
+            self.pieces.write(kind, view, (part.ravel() for change, off, _ in traced for part in (change, off)))
 
     @staticmethod
     def _around(replicate: int) -> str:
