@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shutil
 import stat
 import sys
 from collections.abc import Iterable, Iterator, Mapping
@@ -14,6 +15,8 @@ from radwrap.errors import EnvironmentFailure, FolderTaken, InputError
 
 TEMPORARY_SUFFIX = ".part"
 LOCK_NAME = ".radwrap.lock"
+_MEMORY = Path("/dev/shm")  # noqa: S108  (folders in it are made by tempfile)
+_ROOM = 1 << 30  # byte; where it is smaller it stays for others
 
 
 def temporary_name(path: Path) -> Path:
@@ -28,6 +31,11 @@ def disk_failure(path: Path, error: OSError) -> EnvironmentFailure:
         where=str(path),
         remedy="free disk space or choose another folder",
     )
+
+
+def disk_in_memory() -> Path | None:
+    """A disk in memory, where what is written need not be waited for; None where there is none with room."""
+    return _MEMORY if os.access(_MEMORY, os.W_OK) and shutil.disk_usage(_MEMORY).free >= _ROOM else None
 
 
 def flush_to_disk(path: Path) -> None:

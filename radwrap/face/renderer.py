@@ -2,8 +2,8 @@
 
 The server's side starts it, tells it what to render and hears how far it is. The child answers in lines of JSON. It
 learns of the server's end by the end of its stdin, however that went, ends its own tracers, and removes the server's
-working folder, which nobody else can do then.
-It may be started before there is such a folder: it loads its libraries until it is told of one.
+working folders, which nobody else can do then.
+It may be started before there are such folders: it loads its libraries until it is told of them.
 Run as ``python -m radwrap.face.renderer``.
 """
 
@@ -33,7 +33,7 @@ OBEYS_WITHIN: Final = 0.5  # s in which a render that is told to stop has to
 _START: Final = 60.0  # s, on a busy machine
 _LISTEN: Final = 0.05  # s between looks at whether to stop
 _FAREWELL: Final = 3.0  # s
-_STOP, _BYE, _RENDER, _FOLDER = "stop", "bye", "render", "folder"
+_STOP, _BYE, _RENDER, _FOLDERS = "stop", "bye", "render", "folders"
 EFFECTS: Final = "effects"
 TRADE: Final = "trade"
 _ERRORS: Final[dict[str, type[RadwrapError]]] = {
@@ -50,10 +50,12 @@ class Renderer:
         Where requests are left for the child, which removes it once the server is gone.
     ahead : Child, optional
         One that was started already; whoever did so ends it too.
+    more : tuple of Path
+        What the child removes likewise.
     """
 
-    def __init__(self, folder: Path, ahead: Child | None = None) -> None:
-        self._folder = folder
+    def __init__(self, folder: Path, ahead: Child | None = None, more: tuple[Path, ...] = ()) -> None:
+        self._folder, self._more = folder, more
         self._ahead = ahead
         self._child: Child | None = None
         self._warm: Path | None = None  # where its warm scene lies
@@ -144,7 +146,7 @@ class Renderer:
             self.kill()
             ahead, self._ahead = self._ahead, None
             self._child = ahead if ahead is not None and not ahead.ended else start_module("radwrap.face.renderer")
-            told = self._child.tell(f"{_FOLDER} {json.dumps(str(self._folder))}")
+            told = self._child.tell(f"{_FOLDERS} {json.dumps([str(one) for one in (self._folder, *self._more)])}")
             if not told or self._child.hear(_START) != "ready":
                 self.kill()
                 raise _gone(again)
@@ -189,15 +191,17 @@ def main() -> int:
     gc.disable()  # among what is loaded here there is no garbage: to look for it is time lost
     from radwrap.face.warmth import Warmth, load_tracer
 
-    print("ready", flush=True)
+    with suppress(OSError):  # the server is gone already, and its folders are to be removed
+        print("ready", flush=True)
     load_tracer()
     gc.freeze()  # what is loaded stays: to look through it took a tenth of the first picture's time
     gc.enable()
     with Warmth() as warmth:
         while (name := ears.asked.get()) is not None:
-            _tell(_answered(warmth, ears.folder / name, ears))
-    if ears.orphaned and ears.folder != Path():
-        shutil.rmtree(ears.folder, ignore_errors=True)
+            _tell(_answered(warmth, ears.folders[0] / name, ears))
+    if ears.orphaned:
+        for folder in ears.folders:
+            shutil.rmtree(folder, ignore_errors=True)
     return 0
 
 
@@ -244,7 +248,7 @@ class _Ears(threading.Thread):
         self.asked: queue.Queue[str | None] = queue.Queue()
         self.stop = threading.Event()
         self.orphaned = False
-        self.folder = Path()  # of the server; until it tells that, there is none
+        self.folders: list[Path] = []  # of the server, that of requests first
 
     def run(self) -> None:
         """Listen until the end."""
@@ -255,8 +259,8 @@ class _Ears(threading.Thread):
             elif word == _RENDER:
                 self.stop.clear()
                 self.asked.put(name)
-            elif word == _FOLDER:
-                self.folder = Path(json.loads(name))
+            elif word == _FOLDERS:
+                self.folders = [Path(one) for one in json.loads(name)]
             elif word == _BYE:
                 break
         else:

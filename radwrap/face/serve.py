@@ -23,6 +23,7 @@ from radwrap.errors import EnvironmentFailure
 from radwrap.face.recipe import Recipe
 from radwrap.face.ring import HeldRing, Opened
 from radwrap.face.session import Session
+from radwrap.files import disk_in_memory
 from radwrap.process import Child
 from radwrap.scene.scene import Scene
 
@@ -153,11 +154,14 @@ def serve(
     token = secrets.token_urlsafe(32)
     with (
         contextlib.closing(listening(port)) as listener,
-        tempfile.TemporaryDirectory(prefix="radwrap-face-", ignore_cleanup_errors=True) as folder,
+        _own_folder() as folder,
+        _own_folder(disk_in_memory()) as quick,
     ):
         work = Path(folder)
         at = listener.getsockname()[1]
-        session = Session(scene, options, work=work, out=out, recipe=recipe, study=study, ahead=ahead)
+        session = Session(
+            scene, options, work=work, out=out, recipe=recipe, study=study, ahead=ahead, quick=Path(quick)
+        )
         stack = contextlib.ExitStack()
         before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
         try:
@@ -175,6 +179,11 @@ def serve(
             for number, handler in before.items():
                 signal.signal(number, handler)
     raise KeyboardInterrupt
+
+
+def _own_folder(place: Path | None = None) -> tempfile.TemporaryDirectory[str]:
+    """Of the server, which removes it; where the server is killed its renderer does."""
+    return tempfile.TemporaryDirectory(prefix="radwrap-face-", dir=place, ignore_cleanup_errors=True)
 
 
 async def _served(app: Any, listener: socket.socket, ring: HeldRing | None) -> None:

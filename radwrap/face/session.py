@@ -73,6 +73,8 @@ class Session:
         Results of a study, see `study_told`.
     ahead : Child, optional
         See `Renderer`.
+    quick : Path, optional
+        Another folder of the server's own, for coarse pictures: it may lie in memory, as these are small and not kept.
     """
 
     def __init__(
@@ -85,13 +87,15 @@ class Session:
         recipe: Recipe | None,
         study: Mapping[str, Any] | None = None,
         ahead: Child | None = None,
+        quick: Path | None = None,
     ) -> None:
         self.study = study
         self._options, self._work, self._recipe = dict(options), work, recipe
+        self._quick = quick or work
         self.out = out
         self._scene = scene
         self._ray_knobs_of_file = ray_knobs(scene)
-        self._renderer = Renderer(work, ahead)
+        self._renderer = Renderer(work, ahead, more=() if quick is None else (quick,))
         self._number = 0  # of bases
         self._traces = 0
         self._traced: Traced | None = None
@@ -323,7 +327,7 @@ class Session:
             Number of the basis that the next one replaces.
         """
         for number, coarse in enumerate(stages_of(scene, self._options)):
-            folder = self._work / f"coarse_{trace}_{number}"
+            folder = self._quick / f"coarse_{trace}_{number}"
             try:
                 self._render(coarse.scene, coarse.options, folder)
                 found = self._read(coarse.scene, folder, coarse=coarse, replaces=replaces, ray_knobs=ray_knobs(scene))
@@ -341,7 +345,7 @@ class Session:
     def _show(self, found: Traced) -> None:
         """A basis takes the place of the one before, whose folder is of no use if it is not for keeping."""
         before, self._traced = self._traced, found
-        if before is not None and before.folder.parent == self._work:
+        if before is not None and before.folder.parent in (self._work, self._quick):
             shutil.rmtree(before.folder, ignore_errors=True)
 
     def _render(self, scene: Scene, options: Mapping[str, Any], folder: Path) -> None:

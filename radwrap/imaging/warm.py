@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import tempfile
 import threading
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from radwrap.errors import InputError
+from radwrap.files import disk_in_memory
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.rendered import Rendered
 from radwrap.imaging.synthesis import Warmth, rendered
@@ -24,9 +24,6 @@ from radwrap.scene.scene import Scene
 
 # byte; what a warm scene keeps at most: hits of ten million rays.
 KEPT_AT_MOST: Final = 256 << 20
-# A disk in memory: what is written there need not be waited for. Where it is small it stays for others.
-_MEMORY: Final = Path("/dev/shm")  # noqa: S108  (the folder in it is made by tempfile)
-_ROOM: Final = 1 << 30  # byte
 
 
 class WarmScene:
@@ -40,8 +37,7 @@ class WarmScene:
         self._scene, self._options = scene, options
         self._kept = Kept(KEPT_AT_MOST)
         self._one = threading.Lock()
-        place = _MEMORY if os.access(_MEMORY, os.W_OK) and shutil.disk_usage(_MEMORY).free >= _ROOM else None
-        self._folder: Path | None = Path(tempfile.mkdtemp(prefix="radwrap-", dir=place))
+        self._folder: Path | None = Path(tempfile.mkdtemp(prefix="radwrap-", dir=disk_in_memory()))
         try:
             with tempfile.TemporaryDirectory(dir=self._folder) as work, Programs() as programs:
                 LaidOutScene(scene, options, programs, Path(work), kept=self._kept)

@@ -82,13 +82,15 @@ def worth_it(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def session(worth_it: None, tmp_path: Path) -> Iterator[Session]:
     del worth_it
-    (tmp_path / "work").mkdir()
+    for name in ("work", "quick"):
+        (tmp_path / name).mkdir()
     found = Session(
         scene_of(20, 24),
         {"tolerance": 2.0, "tracer": "radiance"},
         work=tmp_path / "work",
         out=None,
         recipe=Recipe(("x",), "s", {}, {}),
+        quick=tmp_path / "quick",
     )
     yield found
     found.close()
@@ -134,7 +136,8 @@ def test_it_stands_in_and_changes_no_byte(session: Session, tmp_path: Path) -> N
     means = [one.gray.values.mean() for one in pictures]
     assert abs(means[0] - means[1]) < sum(one.certificate.rms_gray_upper95 for one in pictures)
     radwrap.render(scene_of(20, 24), tmp_path / "alone", basis=True, tolerance=2.0, tracer="radiance")
-    assert hashes(last.folder) == hashes(tmp_path / "alone") and last.folder.name == "basis"
+    assert hashes(last.folder) == hashes(tmp_path / "alone") and last.folder == tmp_path / "work" / "basis"
+    assert first.folder.parent == tmp_path / "quick" and not first.folder.exists()  # it may lie in memory
 
 
 @pytest.mark.long

@@ -305,6 +305,21 @@ def test_who_waits_for_a_server_ends_with_it(tmp_path: Path) -> None:
     assert gone([process], 1.0) and Path.cwd().is_dir()
 
 
+@pytest.mark.parametrize("farewell", [False, True])
+def test_who_loses_its_server_removes_that_ones_folders(tmp_path: Path, farewell: bool) -> None:
+    """Not where the server says farewell: it may still read them, and removes them itself."""
+    folders = [tmp_path / "work", tmp_path / "quick"]
+    for folder in folders:
+        folder.mkdir()
+        (folder / "left").write_text("")
+    child = own_modules.start_module("radwrap.face.renderer")
+    child.tell(f"folders {json.dumps([str(folder) for folder in folders])}")
+    if farewell:
+        child.tell("bye")
+    child.close(PATIENCE)
+    assert [folder.exists() for folder in folders] == [farewell, farewell]
+
+
 def test_what_is_wrong_is_told_before_anything_is_served(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene = write_scene(tmp_path, TWO)
     assert "no such scene file" in here(["face", tmp_path / "none.toml"], capsys).refusal(2)

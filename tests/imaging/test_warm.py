@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import radwrap
+from radwrap import files
 from radwrap.imaging import tracer_choice, tracing
 from radwrap.imaging import warm as warm_module
 from radwrap.imaging.demand import SamplingPlan
@@ -222,8 +223,8 @@ def test_what_is_known_of_the_tracers_is_asked_again_where_it_may_have_changed(m
 
 
 def test_errors_of_the_scene_come_when_it_is_laid_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(warm_module, "_MEMORY", tmp_path)
-    monkeypatch.setattr(warm_module, "_ROOM", 0)
+    monkeypatch.setattr(files, "_MEMORY", tmp_path)
+    monkeypatch.setattr(files, "_ROOM", 0)
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(radwrap.EnvironmentFailure):
         radwrap.warm(board(), radwrap.RenderOptions(radiance=str(SCENES)))
@@ -234,8 +235,8 @@ def test_nothing_stays_once_it_is_closed(tmp_path: Path, monkeypatch: pytest.Mon
     memory, others = tmp_path / "memory", tmp_path / "others"
     memory.mkdir()
     others.mkdir()
-    monkeypatch.setattr(warm_module, "_MEMORY", memory)
-    monkeypatch.setattr(warm_module, "_ROOM", 0)
+    monkeypatch.setattr(files, "_MEMORY", memory)
+    monkeypatch.setattr(files, "_ROOM", 0)
     monkeypatch.setattr("tempfile.tempdir", str(others))
     with radwrap.warm(board(), OPTIONS) as live:
         live.render()
