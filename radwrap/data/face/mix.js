@@ -9,13 +9,16 @@
 /** @typedef {import("./types.js").Frame} Frame */
 /** @typedef {{first: number, values: Float32Array, words: Int32Array, begin: Uint16Array, single: boolean,
  *   saturated: number, lit: number}} Ranks thresholds as floats and as their bits, and where a bucket of bits begins */
-/** @typedef {{light: Float32Array, ranks: Uint16Array, counted: Uint32Array, saturated: number, dark: number, full: number,
- *   lit: number}} Line a row of pixels in the making */
+/** @typedef {Ranks & {full: number, barely: number}} Begun where ranks begin in a sum of planes that a scale multiplies, and
+ *   where it is saturated, and no longer dark */
+/** @typedef {{ranks: Uint16Array, counted: Uint32Array[], saturated: number, dark: number}} Line a row of pixels in the
+ *   making */
 
 const SHIFT = 15; // bits of a float that the table passes over
 const CHUNK = 4096;
 const ALIKE = 1e-12; // of a level: far below what a float of the planes holds
-const LANES = 4; // counts of each code, for pixels that follow each other
+const LANES = 4; // counts of each code, as neighbours are alike: one count would wait for the other
+const STEPS = 2; // floats at most between a quotient and where the product, as it is rounded, reaches a threshold
 const LAST_WORD = 0x7fffffff;
 
 /**
@@ -71,16 +74,53 @@ export function ranksOf({ first, values, saturated, lit }) {
   const words = new Int32Array(values.length + 1);
   words.set(new Int32Array(values.buffer.slice(values.byteOffset, values.byteOffset + values.byteLength)));
   words[values.length] = LAST_WORD; // no light is brighter
-  const buckets = 0x7f800000 >>> SHIFT;
+  return { first, values, words, saturated, lit, ...bucketsOf(words) };
+}
+
+/**
+ * The rank with which each bucket of bits begins, and whether none holds more than one threshold.
+ * @param {Int32Array} words
+ */
+function bucketsOf(words) {
+  const buckets = 0x7f800000 >>> SHIFT, count = words.length - 1;
   const begin = new Uint16Array(buckets + 2);
   let rank = 0, most = 0;
   for (let bucket = 0; bucket < begin.length; bucket++) {
     const least = bucket * 2 ** SHIFT, before = rank;
-    while (rank < values.length && words[rank] < least) rank++;
+    while (rank < count && words[rank] < least) rank++;
     begin[bucket] = rank;
     most = Math.max(most, rank - before);
   }
-  return { first, values, words, begin, single: most <= 1, saturated, lit };
+  return { begin, single: most <= 1 };
+}
+
+/**
+ * Where ranks begin in what a scale multiplies: pixels then need no multiplication.
+ * @param {Ranks} ranks
+ * @param {number} scale
+ * @returns {Begun}
+ */
+export function begunAt(ranks, scale) {
+  const full = leastWord(ranks.saturated, scale), barely = leastWord(ranks.lit, scale);
+  if (scale === 1) return { ...ranks, full, barely };
+  const words = ranks.words.map((_, k) => (k < ranks.values.length ? leastWord(ranks.values[k], scale) : LAST_WORD));
+  return { ...ranks, words, ...bucketsOf(words), full, barely };
+}
+
+/**
+ * Bits of the least float whose product with a scale, rounded to a float, reaches a threshold; of floats that are no
+ * smaller than 1e-37, as light is.
+ * @param {number} threshold
+ * @param {number} scale
+ */
+function leastWord(threshold, scale) {
+  if (!(threshold > 0)) return 0;
+  /** @param {number} word */
+  const reaches = (word) => Math.fround(floatOf(word) * scale) >= threshold;
+  let word = wordOf(threshold / scale);
+  for (let step = 0; step < STEPS && reaches(word - 1); step++) word--;
+  for (let step = 0; step < STEPS && !reaches(word); step++) word++;
+  return word;
 }
 
 const oneFloat = new Float32Array(1);
@@ -90,6 +130,12 @@ const oneWord = new Int32Array(oneFloat.buffer);
 function wordOf(value) {
   oneFloat[0] = value;
   return oneWord[0];
+}
+
+/** @param {number} word */
+function floatOf(word) {
+  oneWord[0] = word;
+  return oneFloat[0];
 }
 
 /**
@@ -125,38 +171,41 @@ export function frameOf(sum, columns, top, scale, ranks, section, look, codes) {
   const width = Math.ceil((section.x1 - section.x0) / bin);
   const colours = coloursOf(look, codes);
   const pixels = new Uint32Array(width * (row1 - row0));
-  const { first, saturated, lit } = ranks;
-  const line = { light: new Float32Array(columns), ranks: new Uint16Array(columns), counted: new Uint32Array(LANES * codes),
-    saturated: 0, dark: 0, full: wordOf(saturated), lit: wordOf(lit) };
+  const { first } = ranks;
+  const begun = begunAt(ranks, scale);
+  const bits = new Int32Array(sum.buffer, sum.byteOffset, sum.length);
+  const line = { ranks: new Uint16Array(columns), counted: Array.from({ length: LANES }, () => new Uint32Array(codes)),
+    saturated: 0, dark: 0 };
+  const down = new Uint32Array(columns); // sums of ranks, from the first row of a bin
   const sums = new Uint32Array(width);
   const marks = new Uint8Array(width);
   const marked = look.saturated || look.dark || look.flips;
   let flipped = 0;
   for (let row = 0; row < rows; row++) {
-    rank(sum, row * columns, scale, ranks, line);
     const v = top + row - section.y0;
     const seen = v >= 0 && top + row < section.y1;
-    if (marked) flipped += mark(line, ranks, section, look, seen ? marks : null);
+    rank(bits, row * columns, begun, line);
+    if (marked) flipped += mark(sum, row * columns, scale, line, begun, ranks, section, look, seen ? marks : null);
     if (!seen) continue;
-    if (bin === 1) for (let column = 0; column < width; column++) sums[column] = line.ranks[section.x0 + column];
-    else addBins(line.ranks, section, sums);
+    for (let column = section.x0; column < section.x1; column++) down[column] += line.ranks[column];
     if (v % bin === bin - 1 || row === rows - 1 || top + row === section.y1 - 1) {
-      const down = (v % bin) + 1, at = Math.floor(v / bin) - row0;
+      const high = (v % bin) + 1, at = Math.floor(v / bin) - row0;
       if (at >= 0 && at < row1 - row0) {
+        binned(down, section, sums);
         for (let column = 0; column < width; column++) {
           const across = Math.min(bin, section.x1 - section.x0 - column * bin);
-          const code = first + (bin === 1 ? sums[column] : Math.round(sums[column] / (down * across)));
+          const code = first + (bin === 1 ? sums[column] : Math.round(sums[column] / (high * across)));
           const colour = colours[code];
           pixels[at * width + column] = marks[column] ? markedColour(colour, marks[column], look, column, at + row0) : colour;
         }
       }
-      sums.fill(0);
+      down.fill(0);
       marks.fill(0);
     }
   }
   const counts = new Float64Array(codes);
   for (let lane = 0; lane < LANES; lane++) {
-    for (let code = first; code < codes; code++) counts[code] += line.counted[LANES * (code - first) + lane];
+    for (let code = first; code < codes; code++) counts[code] += line.counted[lane][code - first];
   }
   const rgba = new Uint8ClampedArray(pixels.buffer);
   return { rgba, width, height: row1 - row0, row: row0, counts, saturated: line.saturated, dark: line.dark, flips: flipped };
@@ -165,27 +214,43 @@ export function frameOf(sum, columns, top, scale, ranks, section, look, codes) {
 /**
  * Ranks of a row of pixels, how many pixels have each, and how many are saturated or dark. No branch hangs on the light:
  * a processor that guesses wrong loses as much time as all the rest takes.
- * @param {Float32Array} sum
+ * @param {Int32Array} bits of the light
  * @param {number} offset of the row
- * @param {number} scale
- * @param {Ranks} ranks
+ * @param {Begun} begun
  * @param {Line} line
  */
-function rank(sum, offset, scale, { words, begin, single }, line) {
-  const { light, counted, ranks, full, lit } = line;
-  const bits = new Int32Array(light.buffer);
-  const count = light.length;
-  for (let x = 0; x < count; x++) light[x] = sum[offset + x] * scale;
+function rank(bits, offset, begun, line) {
+  const { words, begin, full, barely } = begun;
+  const { ranks, counted } = line;
+  const whole = begun.single ? ranks.length - (ranks.length % LANES) : 0;
+  const [count0, count1, count2, count3] = counted;
   let saturated = 0, dark = 0;
-  for (let x = 0; x < count; x++) {
-    const word = bits[x];
+  for (let x = 0; x < whole; x += LANES) {
+    const word0 = bits[offset + x], word1 = bits[offset + x + 1], word2 = bits[offset + x + 2], word3 = bits[offset + x + 3];
+    let rank0 = begin[word0 >>> SHIFT], rank1 = begin[word1 >>> SHIFT], rank2 = begin[word2 >>> SHIFT], rank3 = begin[word3 >>> SHIFT];
+    rank0 += (words[rank0] - 1 - word0) >>> 31; // 1 where the word is no less
+    rank1 += (words[rank1] - 1 - word1) >>> 31;
+    rank2 += (words[rank2] - 1 - word2) >>> 31;
+    rank3 += (words[rank3] - 1 - word3) >>> 31;
+    ranks[x] = rank0;
+    ranks[x + 1] = rank1;
+    ranks[x + 2] = rank2;
+    ranks[x + 3] = rank3;
+    count0[rank0]++;
+    count1[rank1]++;
+    count2[rank2]++;
+    count3[rank3]++;
+    saturated += ((full - 1 - word0) >>> 31) + ((full - 1 - word1) >>> 31) + ((full - 1 - word2) >>> 31) + ((full - 1 - word3) >>> 31);
+    dark += ((word0 - barely) >>> 31) + ((word1 - barely) >>> 31) + ((word2 - barely) >>> 31) + ((word3 - barely) >>> 31);
+  }
+  for (let x = whole; x < ranks.length; x++) {
+    const word = bits[offset + x];
     let found = begin[word >>> SHIFT];
-    if (single) found += (words[found] - 1 - word) >>> 31; // 1 where the word is no less
-    else while (words[found] <= word) found++;
+    while (words[found] <= word) found++;
     ranks[x] = found;
-    counted[LANES * found + (x % LANES)]++; // neighbours are alike: one count would wait for the other
+    counted[x % LANES][found]++;
     saturated += (full - 1 - word) >>> 31;
-    dark += (word - lit) >>> 31;
+    dark += (word - barely) >>> 31;
   }
   line.saturated += saturated;
   line.dark += dark;
@@ -193,19 +258,24 @@ function rank(sum, offset, scale, { words, begin, single }, line) {
 
 /**
  * What overlays show of a row; returns how many pixels flip.
+ * @param {Float32Array} sum
+ * @param {number} offset of the row
+ * @param {number} scale
  * @param {Line} line
+ * @param {Begun} begun
  * @param {Ranks} ranks
  * @param {Section} section
  * @param {Look} look
  * @param {Uint8Array | null} marks null where the row is not seen
  */
-function mark({ light, ranks: found }, ranks, section, look, marks) {
+function mark(sum, offset, scale, { ranks: found }, { full, barely }, ranks, section, look, marks) {
+  const bits = new Int32Array(sum.buffer, sum.byteOffset + 4 * offset, found.length);
   const brighter = 1 + look.share;
   let flipped = 0;
-  for (let x = 0; x < light.length; x++) {
-    let one = light[x] >= ranks.saturated ? 1 : 0;
-    if (light[x] < ranks.lit) one |= 2;
-    if (look.flips && flips(light[x] * brighter, found[x], ranks)) {
+  for (let x = 0; x < found.length; x++) {
+    let one = bits[x] >= full ? 1 : 0;
+    if (bits[x] < barely) one |= 2;
+    if (look.flips && flips(Math.fround(sum[offset + x] * scale) * brighter, found[x], ranks)) {
       flipped++;
       one |= 4;
     }
@@ -215,17 +285,17 @@ function mark({ light, ranks: found }, ranks, section, look, marks) {
 }
 
 /**
- * Add a row's ranks to those of the columns of the picture.
- * @param {Uint16Array} ranks
+ * Sums of ranks over the columns of each bin.
+ * @param {Uint32Array} down
  * @param {Section} section
  * @param {Uint32Array} sums
  */
-function addBins(ranks, { x0, x1, bin }, sums) {
+function binned(down, { x0, x1, bin }, sums) {
   for (let column = 0, x = x0; x < x1; column++) {
     const end = Math.min(x + bin, x1);
     let all = 0;
-    for (; x < end; x++) all += ranks[x];
-    sums[column] += all;
+    for (; x < end; x++) all += down[x];
+    sums[column] = all;
   }
 }
 

@@ -72,6 +72,27 @@ test("equal thresholds are passed together, and those at infinity never", () => 
   assert.deepEqual([0, 0.99, 1, 1.5, 2, 3e38].map((light) => codeOf(light, ranks)), [0, 0, 3, 3, 4, 4]);
 });
 
+test("a frame of light times a scale is that of the products as floats hold them, at each threshold", () => {
+  const columns = 43, rows = 12;
+  const whole = { x0: 0, y0: 0, x1: columns, y1: rows, bin: 1 };
+  const look = { ...PLAIN, saturated: true, dark: true, flips: true };
+  const word = new Uint32Array(1), float = new Float32Array(word.buffer);
+  for (const bits of [8, 12]) {
+    const thresholds = thresholdsOf({ ...EQ5, gain: EQ5.gain * 2 ** (bits - 8), saturation_gray: 2 ** bits - 1, bit_depth: bits });
+    const ranks = ranksOf(thresholds);
+    for (const scale of [1, 0, 0.3, 1 / 3, 387e-3, 7.77, 1e-30, 1e30]) {
+      const sum = floats(columns * rows, (_, i) => {
+        float[0] = Math.min(3e38, thresholds.values[(i * 7) % thresholds.values.length] / (scale || 1));
+        word[0] += (i % 5) - 2; // beside the float at which the next code begins, and at it
+        return i % 11 ? float[0] : 3e-3 * next();
+      });
+      const products = sum.map((light) => light * scale);
+      assert.deepEqual(frameOf(sum, columns, 0, scale, ranks, whole, look, 2 ** bits),
+        frameOf(products, columns, 0, 1, ranks, whole, look, 2 ** bits), `${bits} bits, times ${scale}`);
+    }
+  }
+});
+
 test("a frame counts each pixel once, whatever part of it is seen", () => {
   const columns = 40, rows = 30;
   const sum = floats(columns * rows, () => 3e-3 * next());
