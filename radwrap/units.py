@@ -138,7 +138,7 @@ def parse_quantity(text: object, dimension: Dimension) -> float:
     units = ", ".join(dimension.units)
     if not isinstance(text, str) or re.fullmatch(_NUMBER, text):
         raise InputError(
-            f"{text!r} has no unit", remedy=f'write it as "NUMBER UNIT"; units of {dimension.name}: {units}'
+            f"{_quoted(text)} has no unit", remedy=f'write it as "NUMBER UNIT"; units of {dimension.name}: {units}'
         )
     match = _QUANTITY.fullmatch(text)
     if match is None:
@@ -188,7 +188,12 @@ def parse_gain(text: object) -> tuple[float, float]:
     match = _GAIN.fullmatch(text) if isinstance(text, str) else None
     if match is None:
         raise InputError(
-            f"{text!r} is not a sensor gain K",
+            f"{_quoted(text)} is not a sensor gain K",
             remedy='write K with its unit, which holds gamma: "3.38e4 (J/m^2)^-0.85"',
         )
     return _finite(match[1]), _finite(match[2])
+
+
+def _quoted(value: object) -> str:
+    """A value for a message; of a text between such quotes only the beginning is shown where it is long."""
+    return f'"{value}"' if isinstance(value, str) else repr(value)

@@ -67,6 +67,14 @@ def test_steradian_counts() -> None:
         parse_quantity("47.1 W/m^2", RADIANCE)
 
 
+@pytest.mark.parametrize("text", ["1" * 400, f"{'1' * 400} fathom", "m" * 400])
+def test_a_long_text_is_quoted_by_its_beginning(text: str) -> None:
+    for read in (lambda: parse_quantity(text, LENGTH), lambda: parse_gain(text)):
+        with pytest.raises(InputError) as caught:
+            read()
+        assert len(str(caught.value)) < 200
+
+
 def test_the_message_names_the_units() -> None:
     with pytest.raises(InputError, match="km, in, ft"):
         parse_quantity(12.5, LENGTH)

@@ -135,6 +135,7 @@ BAD: Final[dict[str, tuple[Any, str]]] = {
     "half a bit": ({"knobs": {"bit_depth": "8.5"}}, "bit_depth"),
     "17 bits": ({"knobs": {"bit_depth": "17"}}, "bit_depth"),
     "long": ({"knobs": {"gain": "1" * 100_000}}, "gain"),
+    "400 digits": ({"knobs": {"exposure_time": f"0.{'3' * 400} s"}}, "exposure_time"),
 }
 
 

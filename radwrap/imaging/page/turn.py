@@ -20,6 +20,7 @@ from radwrap.scene.camera import Camera
 _NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 _LARGEST_FACTOR: Final = 1e6
 MOST_BITS: Final = 16
+_LONGEST: Final = 64  # characters of a knob's text: no number that is meant needs more
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +71,9 @@ def turn_of(told: Any, sources: Sequence[str]) -> Turn:
     for name, value in knobs.items():
         if not isinstance(value, str):
             raise InputError("must be a text", where=name)
+        if len(value.strip()) > _LONGEST:
+            what = f'must be at most {_LONGEST} characters long, not "{shortened(value)}"'
+            raise InputError(what, where=name)
     bits = _knob(knobs, "bit_depth", 1, MOST_BITS)
     if bits is not None and bits != int(bits):
         raise InputError(f'must be a whole number, not "{shortened(knobs["bit_depth"])}"', where="bit_depth")
@@ -94,7 +98,7 @@ def _knob(knobs: Mapping[str, str], name: str, low: float, high: float) -> float
     if name not in knobs:
         return None
     text = knobs[name].strip()
-    value = float(text) if len(text) < 64 and _NUMBER.fullmatch(text) else math.nan
+    value = float(text) if _NUMBER.fullmatch(text) else math.nan
     if not low <= value <= high:
         raise InputError(f'must be a number from {low:g} to {high:g}, not "{shortened(text)}"', where=name)
     return value

@@ -208,7 +208,8 @@ test("what is wrong is said at its field, and the picture stays", async (t) => {
   const { page } = await loaded(t, { expected: /422/ }); // the browser's own word on a refusal
   const before = await picture(page, 20, 20);
   for (const [name, text, says] of [["exposure_time", "5 mm", '"mm" is not a unit of time'], ["exposure_time", "nan s", "exposure_time"],
-    ["exposure_time", "1e300 s", "must be at most"], ["gain", "NaN", "gain factor is a number"], ["gain", "1e300", "gain factor is a number"],
+    ["exposure_time", "1e300 s", "must be at most"], ["exposure_time", `${"1".repeat(400)} ms`, "at most 64 characters"],
+    ["gain", "NaN", "gain factor is a number"], ["gain", "1e300", "gain factor is a number"], ["gain", "1".repeat(400), "gain factor is a number"],
     ["gamma", "1 mm", "gamma is a number"], ["bit_depth", "8.5", "whole number"], ["level:ring.led01", "-1", "a level is a number"]]) {
     await type(page, name, text);
     const wrong = page.locator(`[data-knob="${name}"] .wrong`);
