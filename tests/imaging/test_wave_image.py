@@ -18,7 +18,7 @@ from radwrap.imaging.optics.view import View
 from radwrap.imaging.tolerance.bounds import Bounded
 from radwrap.imaging.tolerance.certificate import Certificate
 from radwrap.imaging.tolerance.wave_image import WaveError, _common_square, visible_gray, wave_error
-from radwrap.imaging.tolerance.wave_parts import wave_parts
+from radwrap.imaging.tolerance.wave_parts import _crossing, wave_parts
 from radwrap.imaging.tolerance.wave_plan import by_diameter, plan_waves
 from radwrap.imaging.with_waves import _finer, _Image, _left_to_image
 from radwrap.scene.camera import Aperture, Lens
@@ -306,3 +306,23 @@ def test_a_kernel_is_not_given_up_before_a_smaller_aim_was_tried(tolerance: floa
     scene = scene_of("off")
     made = radwrap.render(scene, options=COMPILED, tolerance=tolerance, seed=seed, budget_rays=2e7)
     assert made.met and made.run.method == "kernel"
+
+
+@pytest.mark.parametrize(
+    ("rows", "columns", "even"),
+    [
+        ([1, 3, 5], [0, 1, 2, 3], True),
+        ([0, 1, 2, 3, 4, 5], [2, 5], True),
+        ([1, 3, 4], [0, 1], False),
+        ([0, 1], [5, 4], False),
+        ([2], [0, 1], False),
+        ([], [0, 1], False),
+    ],
+)
+def test_places_that_lie_evenly_are_seen_without_a_copy(rows: list[int], columns: list[int], even: bool) -> None:
+    image = np.arange(36.0).reshape(6, 6)
+    index = _crossing(np.array(rows, dtype=np.intp), np.array(columns, dtype=np.intp))
+    assert np.array_equal(
+        image[index], [[image[row, column] for column in columns] for row in rows] or np.zeros((0, 2))
+    )
+    assert np.shares_memory(image, image[index]) == even

@@ -63,12 +63,13 @@ class BasisPieces:
         return np.split(rows, len(self.views[view].names))
 
     def write(self, kind: str, view: int, rows: Iterable[NDArray[np.float64]]) -> None:
-        """Keep what was made of a view; rows are made small as they come, as all together may be large."""
+        """Keep what was made of a view; rows are made small as they come, and let go, as all together may be large."""
         small = [row.astype(np.float32) for row in rows]
         length = len(small[0])
         folded = np.zeros((len(small), _folded(length)), dtype=np.float32)
-        for number, row in enumerate(small):
-            folded[number, :length] = row
+        small.reverse()
+        for place in folded:
+            place[:length] = small.pop()
         pixels = folded.reshape(-1, min(length, _WIDEST))
         write_piece(self.path(kind, view), pixels, f"{self.name}-{kind}-{view}", {"length": length})
 

@@ -15,7 +15,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -324,13 +324,29 @@ def _gathered(
                 for at, first, one in zip(pixels, central.first, cells, strict=True)
             )
             inside = (row >= 0) & (row < size[0]), (column >= 0) & (column < size[1])
-            at = np.ix_(
+            at = _crossing(
                 *(one[some] - begin for one, some, begin in zip(pixels, inside, (place[0], place[2]), strict=True))
             )
-            values = field[row[inside[0], np.newaxis], column[inside[1]]]
+            values = field[_crossing(row[inside[0]], column[inside[1]])]
             found[at] += share[at] * values
             of_coarser[at] += coarser[at] * values
     return found, MIXED_SHARE * np.abs(found - of_coarser)
+
+
+def _crossing(rows: NDArray[np.intp], columns: NDArray[np.intp]) -> tuple[Any, Any]:
+    """Index of where rows and columns cross; slices where both lie evenly, as these need no copy of an image."""
+    even = [_evenly(one) for one in (rows, columns)]
+    return np.ix_(rows, columns) if None in even else (even[0], even[1])
+
+
+def _evenly(numbers: NDArray[np.intp]) -> slice | None:
+    """The slice of numbers that ascend by equal steps, if they do."""
+    if len(numbers) < 2:
+        return None
+    first, step = int(numbers[0]), int(numbers[1] - numbers[0])
+    stop = first + step * len(numbers)
+    even = step > 0 and np.array_equal(numbers, np.arange(first, stop, step))
+    return slice(first, stop, step) if even else None
 
 
 def _number(cells: Part) -> int:
