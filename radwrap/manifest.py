@@ -31,6 +31,8 @@ _PACKAGES: Final = ("numpy", "scipy", "OpenImageIO", "pydantic", "pyradiance")
 STUDY_PACKAGES: Final = ("opencv-contrib-python-headless", "pyDOE3", "statsmodels")
 # What compiles our own tracer.
 COMPILER_PACKAGES: Final = ("numba", "llvmlite")
+# What JSON holds as it is: of a basis thousands of pixels' numbers, for which nothing else is asked.
+_AS_IT_IS: Final = frozenset({bool, float, int, str, type(None)})
 
 
 def versions(*more: str) -> dict[str, str]:
@@ -73,6 +75,8 @@ def plain(value: Any, *, named: bool = True) -> Any:
     Left out are fields that are not compared, and those with the metadata
     ``only_where_used`` that are None: a new field changes no hash of what has none.
     """
+    if type(value) in _AS_IT_IS:
+        return value
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         told = [field for field in dataclasses.fields(value) if _is_told(field, value)]
         values = {field.name: plain(getattr(value, field.name), named=named) for field in told}
@@ -80,7 +84,7 @@ def plain(value: Any, *, named: bool = True) -> Any:
     if isinstance(value, Mapping):
         return {str(key): plain(item, named=named) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(item, named=named) for item in value]
+        return [item if type(item) in _AS_IT_IS else plain(item, named=named) for item in value]
     if isinstance(value, Path):
         return str(value)
     return value
