@@ -4,8 +4,8 @@
 //     node scripts/face_benchmark.mjs [--turns 200] [--sizes small,large] [--json FILE]
 //
 // Times to the first picture, from the command and from opening the page, and to the one that was asked for; 200 turns each of one level, of all levels and of the
-// exposure, each from its input event to codes on the canvas; ten rests of the knobs to the certificate; memory; and the
-// user's other way, `radwrap render` of the changed scene. Beside wall time stands processor time, of the page's
+// exposure, each from its input event to codes on the canvas; ten rests of the knobs to the certificate; turns of the
+// camera's pose to the next picture, which is coarse; memory; and the user's other way, `radwrap render` of the changed scene. Beside wall time stands processor time, of the page's
 // processes or of radwrap's, as another program may use the machine. Needs what `make test-face` has installed.
 
 import { execFileSync, spawn, spawnSync } from "node:child_process";
@@ -23,11 +23,13 @@ const TICKS = Number(execFileSync("getconf", ["CLK_TCK"], { encoding: "utf8" }))
 const SIZES = { small: [192, 165, "13.75 um"], large: [2448, 2048, "1.0784 um"] };
 // Of issue M's third figure [ms, MiB].
 const LIMITS = {
-  small: { first: 1000, turn: [16, 33], certificate: 200 },
-  large: { first: 5000, turn: [50, 100], certificate: 2000 },
+  small: { first: 1000, turn: [16, 33], certificate: 200, pose: 500 },
+  large: { first: 5000, turn: [50, 100], certificate: 2000, pose: 3000 },
   memory: { page: 1024, server: 3072 },
 };
 const PATIENCE = 600_000; // ms
+const POSES = 5;
+const LOOK = 500; // ms between looks at memory
 
 const { values: told } = parseArgs({ options: { turns: { type: "string", default: "200" },
   sizes: { type: "string", default: "small,large" }, json: { type: "string" } } });
@@ -60,17 +62,6 @@ function family(root) {
 
 /** Processor time of a family, and of those of its members that have ended [ms]. */
 const cpu = (root) => family(root).reduce((sum, { own, waited }) => sum + own + waited, 0);
-
-/** Most memory that each of some processes ever held, shared or not, together [MiB]. */
-function peak(members) {
-  let sum = 0;
-  for (const { pid } of members) {
-    try {
-      sum += Number(readFileSync(`/proc/${pid}/status`, "utf8").match(/^VmHWM:\s+(\d+)/m)?.[1] ?? 0);
-    } catch { /* it has ended */ }
-  }
-  return Math.round(sum / 1024);
-}
 
 /** Memory of some processes, what they share counted once [MiB]. */
 function memory(members) {
@@ -133,6 +124,32 @@ async function rested(page, count) {
   }, count);
 }
 
+/** In the page: move the camera, and wait for the next picture; then for the trace to end, or end it. */
+async function moved(page, server, count, whole) {
+  const times = [], before = cpu(server);
+  let spent = 0;
+  for (let k = 0; k < count; k++) {
+    const start = cpu(server);
+    times.push(await page.evaluate(async (value) => {
+      const frame = document.getElementById("picture");
+      const field = document.querySelector('[data-knob="ray:camera.position"] input');
+      const anew = new Promise((resolve) => {
+        const watch = new MutationObserver(() => { if (frame.dataset.frames === "1") { watch.disconnect(); resolve(performance.now()); } });
+        watch.observe(frame, { attributes: true });
+      });
+      const begun = performance.now();
+      field.value = value;
+      field.dispatchEvent(new Event("change", { bubbles: true }));
+      return await anew - begun;
+    }, `0 mm, 0 mm, ${789 - k} mm`));
+    spent += cpu(server) - start;
+    if (!whole) await page.click("#stop");
+    await page.waitForFunction((states) => states.includes(document.getElementById("state").textContent),
+      ["measured", "stopped, coarse"], { timeout: PATIENCE });
+  }
+  return { ...quantiles(times), cpu: Math.round(spent / count), whole: Math.round((cpu(server) - before) / count) };
+}
+
 /** What one size takes. */
 async function measured(name, turns, folder) {
   const [columns, rows, pixel] = SIZES[name];
@@ -153,10 +170,13 @@ async function measured(name, turns, folder) {
     await page.goto(readFileSync(said.match(/\/\S+\/link/)[0], "utf8").trim());
     const wait = (look) => page.waitForFunction(look, undefined, { timeout: PATIENCE });
     const lap = () => ({ wall: Date.now() - start, cpu: Math.round(cpu(server.pid)) });
+    let most = 0;
+    const looks = setInterval(() => { most = Math.max(most, memory(family(server.pid))); }, LOOK);
     await wait(() => Number(document.getElementById("picture").dataset.frames) > 0);
     found.first = { ...lap(), opened: Date.now() - opened, told: await page.textContent("#kept") };
     await wait(() => document.getElementById("state").textContent === "measured");
-    found.asked = { ...lap(), peak: peak(family(server.pid)) };
+    clearInterval(looks);
+    found.asked = { ...lap(), peak: most };
     // All planes are there when a turn can be drawn without the server.
     await page.waitForTimeout(columns > 1000 ? 5000 : 500);
     for (const kind of ["level", "exposure", "all"]) {
@@ -172,6 +192,7 @@ async function measured(name, turns, folder) {
       try { return readFileSync(`/proc/${pid}/cmdline`, "utf8").includes("--type=renderer"); } catch { return false; }
     });
     found.memory = { page: memory(tabs), server: memory(family(server.pid)) };
+    found.pose = await moved(page, server.pid, POSES, name === "small");
   } finally {
     server.kill("SIGTERM");
     await browser.close();
@@ -189,7 +210,7 @@ function cpuOfRun(argv) {
 }
 
 function judged(name, found) {
-  const { first, turn: [median, below95], certificate } = LIMITS[name];
+  const { first, turn: [median, below95], certificate, pose } = LIMITS[name];
   const line = (what, value, limit) => `  ${what}: ${value} ms (limit ${limit}${value <= limit ? "" : ": MISS"})`;
   const lines = [`${found.size}`, line(`first picture ("${found.first.told}") from opening the page`, found.first.opened, first),
     line(`first picture from the command (${found.first.cpu} of processor time)`, found.first.wall, first),
@@ -200,6 +221,7 @@ function judged(name, found) {
       line(`${kind}, 95 % below`, found[kind].below95, below95));
   }
   lines.push(line(`certificate after rest, median (${found.certificate.cpu} of processor time)`, found.certificate.median, certificate));
+  lines.push(line(`pose to the next picture, median of ${found.pose.turns} (${found.pose.cpu} of processor time)`, found.pose.median, pose));
   for (const who of ["page", "server"]) {
     const value = found.memory[who], limit = LIMITS.memory[who];
     lines.push(`  memory of the ${who}: ${value} MiB (limit ${limit}${value <= limit ? "" : ": MISS"})`);

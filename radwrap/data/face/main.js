@@ -4,6 +4,7 @@ import { byId, pressed } from "./dom.js";
 import { Explorer } from "./explorer.js";
 import { keptOf } from "./handover.js";
 import { Refused, Server, takeToken } from "./server.js";
+import { countText } from "./units.js";
 
 const HAND = 100; // ms between looks at whether a knob is let go
 const BEAT = 1500; // ms between looks at whether the server lives
@@ -72,7 +73,7 @@ async function begin() {
       }
       if (told.state === "tracing") {
         trace.hidden = true;
-        const far = told.of ? `tracing ${Math.min(99, Math.floor((100 * done) / told.of))} %` : "tracing";
+        const far = done > 0 ? `tracing, ${countText(done)} rays` : "tracing"; // how many it takes shows on the way only
         if (explorer?.described.coarse) state(`coarse, ${far}`, "stale");
         else {
           state(far, "stale");

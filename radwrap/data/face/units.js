@@ -43,6 +43,11 @@ export function shortNumber(value, digits = 4) {
   return String(Number(value.toPrecision(digits)));
 }
 
+/** A large number as people say it. @param {number} count */
+export function countText(count) {
+  return count < 1e4 ? String(count) : count < 999_500 ? `${Math.round(count / 1e3)} thousand` : `${(count / 1e6).toFixed(1)} million`;
+}
+
 /** @param {number} share */
 export function percent(share) {
   if (share === 0) return "0 %";

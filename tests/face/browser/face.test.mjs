@@ -786,7 +786,7 @@ test("a coarse picture comes first, is marked, and hands its knobs on", async (t
   t.after(() => own.process.kill("SIGTERM"));
   await page.goto(own.link);
   await page.waitForFunction(() => document.getElementById("kept").textContent.startsWith("coarse picture: tolerance 3.1, 3 × 3 pixels as one"));
-  assert.match(await page.textContent("#state"), /^coarse, tracing/);
+  assert.match(await page.textContent("#state"), /^coarse, tracing(, [\d.]+( thousand| million)? rays)?$/); // no share: it is not known
   assert.match(await page.textContent("#error"), /^error .* gray rms, below .*95 %/);
   for (const id of ["png", "toml", "save", "copy", "trace"]) assert.ok(!(await page.locator(`#${id}`).isVisible()), id);
   await type(page, "level:all", "0.5");

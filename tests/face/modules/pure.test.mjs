@@ -2,6 +2,8 @@
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
+import { setFlagsFromString } from "node:v8";
+import { runInNewContext } from "node:vm";
 import { colourOf, differenceOf, graysOf, together } from "../../../radwrap/data/face/difference.js";
 import { addPlane, codeOf, coloursOf, frameOf, MAPS, ranksOf, sumPlanes, timesOf } from "../../../radwrap/data/face/mix.js";
 import { drawn, frustum, placesOf, rim, turn, VIEWS } from "../../../radwrap/data/face/layout.js";
@@ -11,7 +13,7 @@ import { causeText, pictureOf } from "../../../radwrap/data/face/photo.js";
 import { grayOf, rankOf, thresholdsOf, turnedSensor } from "../../../radwrap/data/face/response.js";
 import { History, sameTurn, untouched, withKnob, withLevels } from "../../../radwrap/data/face/state.js";
 import { draggedWindow, grouped, linePixels, profileCsv, quantile, stripPixels, summary } from "../../../radwrap/data/face/statistics.js";
-import { exposureText, parseNumber, parseTime, percent, shortNumber, timeText } from "../../../radwrap/data/face/units.js";
+import { countText, exposureText, parseNumber, parseTime, percent, shortNumber, timeText } from "../../../radwrap/data/face/units.js";
 
 const EQ5 = { gain: 3.38e4, gamma: 0.85, dark_gray: 22, saturation_gray: 181, bit_depth: 8, rounding: true };
 const PLAIN = { low: 0, high: 255, map: "gray", saturated: false, dark: false, flips: false, share: 0.01 };
@@ -91,6 +93,53 @@ test("a frame of light times a scale is that of the products as floats hold them
         frameOf(products, columns, 0, 1, ranks, whole, look, 2 ** bits), `${bits} bits, times ${scale}`);
     }
   }
+});
+
+test("a band of five megapixels of twelve sources: a turned knob costs no pass over all planes, and leaves no memory", async () => {
+  const columns = 2448, rows = 1024, sources = 12, size = 4 * columns * rows;
+  /** @type {any} */
+  const worker = globalThis;
+  let answer = null;
+  worker.onmessage = null;
+  worker.postMessage = (told) => { answer = told; };
+  setFlagsFromString("--expose-gc");
+  const tidied = runInNewContext("gc");
+  const held = async () => {
+    tidied();
+    await new Promise((resolve) => { setTimeout(resolve, 20); }); // memory is given back beside the program
+    tidied();
+    return process.memoryUsage().arrayBuffers;
+  };
+  const before = await held();
+  await import("../../../radwrap/data/face/worker.js");
+  const tell = (data) => worker.onmessage({ data });
+  tell({ kind: "begin", columns, top: 0, rows });
+  tell({ kind: "response", thresholds: thresholdsOf(EQ5), sensor: EQ5 });
+  const light = floats(columns * rows, () => 3e-4 * next());
+  for (let k = 0; k < sources; k++) tell({ kind: "plane", plane: light.slice() });
+  const section = { x0: 0, y0: 0, x1: columns, y1: rows, bin: 4 };
+  let levels = new Array(sources).fill(1);
+  const median = (turn) => {
+    const times = Array.from({ length: 9 }, (_, n) => {
+      levels = turn(n);
+      const start = process.cpuUsage().user;
+      tell({ kind: "frame", id: n, factors: levels, scale: 1, certified: false, section, look: PLAIN, shown: "b", range: 1 });
+      assert.equal(answer.frame.counts.reduce((all, count) => all + count), columns * rows);
+      return process.cpuUsage().user - start;
+    }).sort((a, b) => a - b);
+    return times[4];
+  };
+  const all = median((n) => levels.map((_, k) => 1 + 0.01 * n + 0.1 * k)); // no two alike: each plane has its share
+  const whole = await held();
+  const [one, exposure] = [median((n) => levels.with(n, 0.7)), median((n) => levels.map((level) => level * 1.01))];
+  assert.ok(one < all / 1.8, `one knob ${one} us, all planes ${all} us`);
+  assert.ok(exposure < all / 1.8, `all knobs alike ${exposure} us, all planes ${all} us`);
+  // Planes, their sum, the light that they were made from; and a frame.
+  assert.ok(whole - before < (sources + 3) * size, `${(whole - before) / size} planes`);
+  answer = null;
+  const more = await held() - whole;
+  assert.ok(more < size / 4, `${more / size} planes more`);
+  tell({ kind: "begin", columns: 1, top: 0, rows: 1 });
 });
 
 test("a frame counts each pixel once, whatever part of it is seen", () => {
@@ -229,6 +278,11 @@ test("units as radwrap has them", () => {
   assert.deepEqual([percent(0), percent(1e-9), percent(0.5), percent(1e-4)], ["0 %", "< 0.001 %", "50.0 %", "0.010 %"]);
   assert.equal(shortNumber(Infinity), "no bound");
   assert.equal(exposureText(1.483e-3), "1.483 mJ/m²");
+});
+
+test("counts are said in thousands and millions", () => {
+  assert.deepEqual([0, 9999, 10_000, 999_499, 999_500, 12_345_678].map(countText),
+    ["0", "9999", "10 thousand", "999 thousand", "1.0 million", "12.3 million"]);
 });
 
 test("levels that are turned alike need one factor, others a new sum", () => {
