@@ -9,7 +9,7 @@ Eq. 5, and is linear too.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -413,29 +413,31 @@ def _write_view(out: Path, maker: _Maker, view: int) -> Iterator[str]:
     parts: list[str] = []
     grids = []
 
-    def written(part: str, each: Sequence[NDArray[np.float32]] | NDArray[np.float32]) -> None:
+    def written(part: str, each: Iterable[NDArray[np.float32]]) -> None:
         for name, values in zip(names, each, strict=True):
             path = out / file_name(name, part)
             write_exr(path, values, channel="radiance_cos4", metadata={"radwrap:unit": "W m^-2 sr^-1"})
         parts.append(part)
 
-    changes: list[NDArray[np.float32]] = []
-    cells: list[NDArray[np.float32]] = []
+    # All sources of a large sensor take a gigabyte: of each there is one at a time, and sums are made in place.
+    waves: NDArray[np.float32] | None = None
     for replicate in range(maker.replicates):
+        by_waves = None if maker.waves is None else maker.waves.replicate(view, replicate)
         images, grid = maker.replicate(view, replicate)
-        if maker.waves is not None:
-            change, of_cells = maker.waves.replicate(view, replicate)
-            images += change
-            changes, cells = [sum(changes, change)], [sum(cells, of_cells)]
+        if by_waves is not None:
+            images += by_waves[0]
+            waves = by_waves if waves is None else np.add(by_waves, waves, out=waves)
         written(str(replicate), images)
         grids.append(grid)
+        del images, by_waves
     if grids[0].size:
         written("grid", np.stack(grids, axis=1))
     if maker.sample is not None:
         written("model", maker.pieces.each("model", view))
-    if maker.waves is not None:
-        change, of_cells = (parts[0] / np.float32(maker.replicates) for parts in (changes, cells))
-        written(WAVES, np.concatenate([of_cells, maker.waves.beyond(view, change)], axis=1))
+    if maker.waves is not None and waves is not None:
+        waves /= np.float32(maker.replicates)
+        beyond = maker.waves.beyond(view, waves[0])
+        written(WAVES, (np.concatenate(each) for each in zip(waves[1], beyond, strict=True)))
     yield from (file_name(name, part) for name in names for part in parts)
 
 

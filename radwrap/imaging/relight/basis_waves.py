@@ -76,8 +76,8 @@ class BasisWaves:
                 partial(self._trace_around, replicate, view) for view in self.pieces.due(self._around(replicate))
             )
 
-    def replicate(self, view: int, replicate: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """What waves add to the sources of a view, and what their cells may change, shape (sources, rows, columns)."""
+    def replicate(self, view: int, replicate: int) -> NDArray[np.float32]:
+        """What waves add to a view's sources, and what their cells may change, shape (2, sources, rows, columns)."""
         sensor = self.plan.kernel.camera.sensor
         found = np.empty((2, len(self.views[view].names), sensor.rows, sensor.columns), dtype=np.float32)
         for tile, (r0, r1, c0, c1) in enumerate(self.plan.kernel.tiles):
@@ -86,7 +86,7 @@ class BasisWaves:
         around = self.pieces.each(self._around(replicate), view)
         for number, (plan, light) in enumerate(zip(self._plans(view), around, strict=True)):
             found[0, number] += far_change(plan, light.astype(np.float64))[0].astype(np.float32)
-        return found[0], found[1]
+        return found
 
     def beyond(self, view: int, change: NDArray[np.float32]) -> NDArray[np.float32]:
         """What light may change that comes from farther than was looked at, and other wavelengths than the one taken.
@@ -106,10 +106,10 @@ class BasisWaves:
         around: NDArray[np.float64] = np.asarray(each, dtype=np.float64).mean(axis=0)  # of each source
         spreads = [self.lights[number].spread for number in self._of_sources(view)]
         found = [
-            far_change(plan, light)[1] + spread * np.abs(by_waves)
+            (far_change(plan, light)[1] + spread * np.abs(by_waves)).astype(np.float32)
             for plan, light, spread, by_waves in zip(self._plans(view), around, spreads, change, strict=True)
         ]
-        return np.stack(found).astype(np.float32)
+        return np.stack(found)
 
     def _of_sources(self, view: int) -> list[int]:
         """Numbers of the lights that the sources of a view belong to."""
