@@ -333,10 +333,10 @@ def _gathered(
     return found, MIXED_SHARE * np.abs(found - of_coarser)
 
 
-def _crossing(rows: NDArray[np.intp], columns: NDArray[np.intp]) -> tuple[Any, Any]:
+def _crossing(rows: NDArray[np.intp], columns: NDArray[np.intp]) -> tuple[Any, ...]:
     """Index of where rows and columns cross; slices where both lie evenly, as these need no copy of an image."""
-    even = [_evenly(one) for one in (rows, columns)]
-    return np.ix_(rows, columns) if None in even else (even[0], even[1])
+    down, across = _evenly(rows), _evenly(columns)
+    return np.ix_(rows, columns) if down is None or across is None else (down, across)
 
 
 def _evenly(numbers: NDArray[np.intp]) -> slice | None:
