@@ -247,6 +247,11 @@ def _write(
             temporary.unlink(missing_ok=True)
 
 
+def get_ready() -> None:
+    """Load what reads and writes, for who has time now and none later."""
+    _reader_and_writer()
+
+
 def _reader_and_writer() -> Any:
     """OpenImageIO, without threads of OpenEXR's: a process that is forked later would wait for them for ever.
 

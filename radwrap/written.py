@@ -54,6 +54,12 @@ def read_back(told: Any, shape: Any, where: str) -> Any:
         raise InputError(what, where=f"{where}: {_key(first['loc'])}", remedy=_REMEDY) from error
 
 
+def get_ready(*shapes: Any) -> None:
+    """Build what `read_back` needs for some shapes, for who has time now and none later."""
+    for shape in shapes:
+        _reader(shape)
+
+
 @cache
 def _reader(shape: Any) -> TypeAdapter[Any]:
     """What checks values of a shape; to build it takes 20 ms, and a study reads a manifest for each of its images."""

@@ -69,6 +69,9 @@ DEFENCES: Final = (
         ("gate", "word_of_a_table"),
     ),
     Defence("long bodies", GATE, "if size > largest:", "if False:", ("gate", "bodies")),
+    Defence(
+        "long texts of knobs", "imaging/page/turn.py", "len(value.strip()) > _LONGEST", "False", ("turns", "bad_turn")
+    ),
     Defence("announced long bodies", GATE, "int(lengths[0][:12]) > door.largest", "False", ("gate", "bodies")),
     Defence("slow bodies", GATE, "BODY_PATIENCE: Final = 5.0", "BODY_PATIENCE: Final = 500.0", ("gate", "slow")),
     Defence(
@@ -115,6 +118,13 @@ DEFENCES: Final = (
         "        self.asked.put(None)\n",
         "        threading.Event().wait()\n",
         ("life", "killed_server"),
+    ),
+    Defence(
+        "folders of servers killed at once",
+        "face/renderer.py",
+        "with suppress(OSError):  # the server is gone already",
+        "if True:  # the server is gone already",
+        ("life", "loses_its_server"),
     ),
     Defence("killing what may stay warm", "face/renderer.py", "child.tell(_STOP)", "pass", ("life", "stopped_begun")),
     Defence(

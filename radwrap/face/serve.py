@@ -169,7 +169,9 @@ def serve(
             session.trace()
             _tell_link(work, f"http://{LOOPBACK}:{at}/#{token}", opened)
             from radwrap.face.app import gated  # while the renderer works already: it loads what makes pictures
+            from radwrap.face.traced import get_ready
 
+            threading.Thread(target=get_ready, daemon=True).start()
             asyncio.run(_served(gated(session, port=at, token=token, ring=held), listener, held))
         finally:
             for number in before:  # one interrupt is enough: the rest is short, and must be whole

@@ -6,6 +6,8 @@ import json
 import resource
 import shlex
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -389,3 +391,21 @@ def test_what_is_left_out_of_other_light_is_not_known(
     served: Served, levels: list[float], knobs: dict[str, str]
 ) -> None:
     assert left_out(served, levels, **knobs) is None
+
+
+def test_what_reads_a_basis_is_built_before_there_is_one(served: Served) -> None:
+    """While its renderer traces, a server has time; of a picture that is there each hundredth of a second counts."""
+    served.ready()
+    code = """
+import sys
+from pathlib import Path
+from radwrap import load_scene, written
+from radwrap.face.traced import get_ready, read_traced
+get_ready()
+built = written._reader.cache_info().misses
+read_traced(1, load_scene(Path(sys.argv[1])), Path(sys.argv[2]))
+print(written._reader.cache_info().misses - built, "OpenImageIO" in sys.modules)
+"""
+    argv = [sys.executable, "-c", code, served.scene, served.out / "basis"]
+    said = subprocess.run(argv, capture_output=True, text=True, check=True)
+    assert said.stdout.split() == ["0", "True"]
