@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import io
 import json
+import math
 import shlex
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -14,10 +15,12 @@ from typing import Any, Final
 
 from radwrap.cli import options as shared
 from radwrap.errors import InputError
-from radwrap.manifest import SCHEMA_VERSION, json_text, plain
+from radwrap.manifest import SCHEMA_VERSION, finite, json_text, plain
 
 _IMAGE: Final = "gray.png"
 _SHOWN: Final = 1e-6  # change of a number, over the larger of itself and 1, that is shown
+_READINGS: Final = "_readings"  # behind the name of a number: what it may be where it is not known
+_AT: Final = ("as rendered", "at the low end", "at the high end")
 # What of a measurement is no result: settings, and counts of what was looked at.
 _NO_RESULTS: Final = ("schema_version", "image", "covariance", "strip")
 
@@ -135,10 +138,12 @@ def _or_why(measured: Any, light: Any, sensor: Any) -> dict[str, float] | str:
 
 
 def _numbers(value: Any, key: str = "") -> Iterator[tuple[str, float]]:
-    """Key and value of each number of a measurement."""
+    """Key and value of each number of a measurement; NaN of one that is not known, and has readings in its place."""
     if isinstance(value, Mapping):
         for name, item in value.items():
-            if key or name not in _NO_RESULTS:
+            if item is None and f"{name}{_READINGS}" in value:
+                yield f"{key}.{name}" if key else str(name), math.nan
+            elif key or name not in _NO_RESULTS:
                 yield from _numbers(item, f"{key}.{name}" if key else str(name))
     elif isinstance(value, list):
         for number, item in enumerate(value):
@@ -148,15 +153,26 @@ def _numbers(value: Any, key: str = "") -> Iterator[tuple[str, float]]:
 
 
 def _changes(before: Mapping[str, float], low: Any, high: Any) -> dict[str, Any]:
-    """Of each number that changes its value, and the change at both ends; null where it cannot be measured."""
+    """Of each number that changes its value, and the change at both ends; null where it cannot be measured.
+
+    A number that is not known is there too, with `not_known`: where it is not.
+    """
     found: dict[str, Any] = {"cannot": [one for one in (low, high) if isinstance(one, str)]}
     if not found["cannot"]:
         del found["cannot"]
     for key, value in before.items():
         ends = [None if isinstance(one, str) or key not in one else one[key] - value for one in (low, high)]
-        if any(end is not None and abs(end) > _SHOWN * max(abs(value), 1.0) for end in ends):
+        unknown = [at for at, one in zip(_AT, (before, low, high), strict=True) if _is_unknown(one, key)]
+        if unknown:
+            known = [None if end is None else finite(end) for end in ends]
+            found[key] = {"value": finite(value), "change": known, "not_known": unknown}
+        elif any(end is not None and abs(end) > _SHOWN * max(abs(value), 1.0) for end in ends):
             found[key] = {"value": value, "change": ends}
     return found
+
+
+def _is_unknown(measured: Any, key: str) -> bool:
+    return isinstance(measured, Mapping) and math.isnan(measured.get(key, 0.0))
 
 
 def _lines(effects: list[dict[str, Any]], *, measure: bool) -> Iterator[str]:
@@ -171,4 +187,6 @@ def _lines(effects: list[dict[str, Any]], *, measure: bool) -> Iterator[str]:
                 yield f"  cannot be measured: {'; '.join(change)}"
                 continue
             low, high = ("?" if one is None else f"{one:+.3g}" for one in change["change"])
-            yield f"  {key} {change['value']:.6g}: {low} to {high}"
+            value = "?" if change["value"] is None else f"{change['value']:.6g}"
+            unknown = f"; not known {', '.join(change['not_known'])}" if "not_known" in change else ""
+            yield f"  {key} {value}: {low} to {high}{unknown}"

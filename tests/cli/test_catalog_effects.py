@@ -6,10 +6,15 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import radwrap
+from radwrap import GrayImage, StraightCaliper, measure_width
 from radwrap.cli.main import main
+from radwrap.images import read_gray
+from radwrap.measure.gauges import Width
+from tests.measure.pictures import noisy, stripe_picture
 
 # 0.370 DN/e, offset 64 in 0 to 240, PRNU 0 to 1.4 %, DSNU 0 to 3.7 e.
 SENSOR = {
@@ -110,6 +115,38 @@ LIGHTS = [
     SCENE["sources"][0]
     | {"name": "right", "count": 2, "position": ["80 mm", "0 mm", "390 mm"], "radiant_intensity": "20 mW/sr"},
 ]
+
+
+def stripe(bright: float) -> Width:
+    """A stripe of 7.4 px: of little light it looks like one of 5.5 px with more blur, and its width is not known."""
+    light = stripe_picture((60, 80), 0.3, 42.0, 7.4, blur=3.3, levels=(30.0, bright))
+    image = GrayImage(noisy(light, np.random.default_rng(2)))
+    return measure_width(image, StraightCaliper((39.0, 17.5), 0.3, 24, 14))
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_width_that_is_not_known_is_named(
+    known: bool, rendered: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is null there, and would not be seen among what changes: with a tenth of the light, or everywhere."""
+    clear, faint = stripe(220.0), stripe(90.0)
+    half = (read_gray(rendered / "gray.png").codes.max() + 64) / 2  # beside the offset
+
+    def by_light(image: GrayImage, *_: Any, **__: Any) -> Width:
+        return clear if known and image.codes.max() > half else faint
+
+    monkeypatch.setattr("radwrap.cli.measure_straight.measure_width", by_light)
+    words = ("--measure", "width --at 9 9 --length 9 --band 9")
+    found = effects(rendered, capsys, *words)["sources[0].radiant_intensity"]["measured"]["width"]
+    low = "at the low end"
+    assert main(["catalog", "effects", str(rendered), *words]) == 0
+    told = capsys.readouterr().out
+    if known:
+        assert found == {"value": clear.width, "change": [None, 0.0], "not_known": [low]}
+        assert f"  width {clear.width:.6g}: ? to +0; not known {low}" in told
+    else:
+        assert found == {"value": None, "change": [None, None], "not_known": ["as rendered", low, "at the high end"]}
+        assert f"  width ?: ? to ?; not known as rendered, {low}, at the high end" in told
 
 
 @pytest.mark.parametrize("basis", [True, False])

@@ -82,6 +82,22 @@ def test_a_width_that_is_not_known_is_null_and_its_place_is_there(
     assert told["centre"][0] * math.cos(0.3) + told["centre"][1] * math.sin(0.3) == pytest.approx(42, abs=0.1)
 
 
+def test_a_width_in_a_plane_that_is_not_known_is_null_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The same light in the plane of a sheet that faces the camera: lengths in mm, the same exit code."""
+    light = stripe_picture((60, 80), 0.0, 39.4, 7.4, blur=3.3, levels=(30.0, 90.0))
+    write_png(tmp_path / "faint.png", GrayImage(noisy(light, np.random.default_rng(2))).codes)
+    scene = write_scene(tmp_path, FACING)
+    argv = ["measure", "width", tmp_path / "faint.png", "--scene", scene, "--truth", "bar", "--dark", 0, "--gamma", 1]
+    done = here([*argv, "--json"], capsys)
+    told = done.json
+    assert (done.code, told["unit"], told["width"], "width_sigma" in told) == (3, "mm", None, False)
+    true = told["true_width_mm"]
+    in_pixels = here(["measure", "width", argv[2], "--at", 39.5, 29.5, "--length", 24, "--band", 14, "--json"], capsys)
+    for mine, other in zip(told["width_readings"], in_pixels.json["width_readings"], strict=True):
+        assert mine["width"] == pytest.approx(other["width"] * true / 7.4, rel=0.1)
+    assert told["centre"][0] == pytest.approx(39.4, abs=0.2) and "not known" in here(argv, capsys).stdout
+
+
 def test_regions_and_uniformity(pictures: Path, capsys: pytest.CaptureFixture[str]) -> None:
     boxes = ["--region", 15, 28, 18, 34, "--against", 26, 28, 33, 34]
     argv = ["measure", "region", pictures / "ring.png", *boxes, "--dark", 10]
@@ -171,6 +187,23 @@ def test_bad_input_is_one_line(
     assert message in done.stderr and done.stderr.count("\n") == 1
 
 
+# One pixel is a millimetre on a sheet at the world's origin, which is 7.4 px wide.
+FACING = {
+    "camera.sensor.rows": 60,
+    "camera.sensor.columns": 80,
+    "camera.sensor.pixel_width": "25 um",
+    "camera.sensor.pixel_height": "25 um",
+    "targets": [
+        {"type": "sheet", "name": "ground", "material": "black", "size": ["120 mm", "120 mm"]},
+        {
+            "type": "sheet",
+            "name": "bar",
+            "material": "white",
+            "size": ["7.4 mm", "40 mm"],
+            "position": ["0 mm", "0 mm", "0.1 mm"],
+        },
+    ],
+}
 # A disc of 30 mm on black, tilted, seen through a pinhole that blurs it over some pixels.
 TILTED = {
     "camera.sensor.rows": 60,

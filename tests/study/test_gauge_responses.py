@@ -10,12 +10,18 @@ import numpy as np
 import pytest
 
 from radwrap import load_scene, with_value
+from radwrap.errors import InputError
+from radwrap.images import GrayImage
 from radwrap.study.design import read_design
+from radwrap.study.gauge_responses import GAUGES
+from radwrap.study.image_error import error_fields, image_error
 from radwrap.study.placed_calipers import named_face, width_caliper
 from radwrap.study.runs import check_design
+from radwrap.study.seen import Seen
 from radwrap.study.study import StudyOptions, run_study
 from tests.cli.conftest import here, write_scene
-from tests.measure.test_gauges_cli import TILTED
+from tests.measure.pictures import noisy, stripe_picture
+from tests.measure.test_gauges_cli import FACING, TILTED
 
 LINEAR: dict[str, Any] = {
     "model": "linear",
@@ -168,3 +174,21 @@ def test_a_width_caliper_stays_within_the_image(size: str, fits: float) -> None:
         for end in (-along, along):
             u, v = np.array(caliper.centre) + sign * caliper.band * across + end * np.array([-across[1], across[0]])
             assert 0 <= u <= 63 and 0 <= v <= 47
+
+
+@pytest.mark.parametrize(("bright", "known"), [(220.0, True), (90.0, False)])
+def test_a_width_in_doubt_costs_its_response(tmp_path: Path, bright: float, known: bool) -> None:
+    """Of 7.4 px under a blur of 3.3 px, a millimetre each: of little light it has no value, and the answer says why."""
+    square = {"rows": 60, "columns": 80, "pixel_width": "25 um", "pixel_height": "25 um"}
+    sheets = {"targets": FACING["targets"], "camera.sensor": LINEAR | square}
+    scene = load_scene(write_scene(tmp_path, sheets))
+    light = stripe_picture((60, 80), 0.0, 39.4, 7.4, blur=3.3, levels=(30.0, bright))
+    gray = noisy(light, np.random.default_rng(2))
+    error, fields = image_error(gray, 0.1, (1.0, 1.0)), error_fields(gray.shape, (1.0, 1.0))
+    seen = Seen(scene, GrayImage(gray, 12), gray, error, fields)
+    if known:
+        found = GAUGES["width"].answer(seen, {"target": "bar"})
+        assert found.value == pytest.approx(7.4e-3, abs=3e-4) and 0 < found.error < 1e-4
+    else:
+        with pytest.raises(InputError, match="the width is not known: "):
+            GAUGES["width"].answer(seen, {"target": "bar"})

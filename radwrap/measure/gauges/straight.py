@@ -109,7 +109,7 @@ class Width:
     blur : float
         Radius of the disc of blur, the mean of both [px]; NaN where the way gives none.
     misfit, left_out, points, way, warnings, readings
-        As of a `Line`; the larger misfit, and all warnings.
+        As of a `Line`; the larger misfit, all warnings, and widths of readings in the `unit`.
     """
 
     width: float | None
@@ -245,21 +245,23 @@ def measure_width(
     both = gauge.pair(way, inside)
     gap = both.gap
     blur = max(both.low.width, both.high.width) * 2
-    if gap < 2 * (blur + BEYOND) and plane is None:
-        fit = gauge.stripe_fit(both, way)
+    if gap < 2 * (blur + BEYOND) and (plane is None or way == "model"):
+        fit = gauge.stripe_fit(both, way, plane)
         if isinstance(fit, PointFit):
             return _width(gauge, [fit], both.inside, None, way)
-        width = _width(gauge, [fit.fit], both.inside, None, way)
-        return width if fit.in_doubt is None else replace(width, **_without_width(width.warnings, fit))
+        width = _width(gauge, [fit.fit], both.inside, plane, way)
+        of_pixel = 1.0 if plane is None else gauge.pixel_in(plane)
+        return width if fit.in_doubt is None else replace(width, **_without_width(width.warnings, fit, of_pixel))
     fits = [gauge.edge_fit(one, way, min(caliper.band, gap / 2)) for one in (both.low, both.high)]
     return _width(gauge, fits, both.inside, plane, way)
 
 
-def _without_width(warnings: tuple[str, ...], fit: NarrowFit) -> dict[str, Any]:
-    """What changes where the width is not known."""
+def _without_width(warnings: tuple[str, ...], fit: NarrowFit, of_pixel: float = 1.0) -> dict[str, Any]:
+    """What changes where the width is not known; `of_pixel` is the length of a pixel."""
     told = f"the width is not known: {fit.in_doubt}: {_REMEDY}"
     unknown = dict.fromkeys(("width", "width_sigma", "width_by_rendering"))
-    return {**unknown, "readings": fit.readings, "warnings": (*warnings, told)}
+    readings = tuple((width * of_pixel, blur) for width, blur in fit.readings)
+    return {**unknown, "readings": readings, "warnings": (*warnings, told)}
 
 
 def _rendering(fit: Contour | PointFit) -> Callable[[Array], float]:
@@ -322,14 +324,13 @@ def _width(gauge: StraightGauge, fits: list[Contour | PointFit], inside: Side, p
         covariance[first:, first:] = fits[1].covariance
     # Of one stripe: shift, turn and width; of two edges: shift and turn of each.
     if len(fits) == 1:
-        width, slopes, middle = float(parameters[2]), np.array([0.0, 0.0, 1.0]), parameters[:2]
+        of_pixel = 1.0 if plane is None else gauge.pixel_in(plane)
+        width, slopes, middle = of_pixel * float(parameters[2]), np.array([0.0, 0.0, of_pixel]), parameters[:2]
         slant, by_slant, by_turn = 0.0, np.zeros(3), np.array([0.0, 1.0, 0.0])
     else:
         step = np.array([1e-4, 1e-4 / gauge.length] * 2)
-        width = _distance(gauge, parameters, plane)
-        ends = [
-            (_distance(gauge, parameters + h, plane) - _distance(gauge, parameters - h, plane)) for h in np.diag(step)
-        ]
+        width = gauge.distance(parameters, plane)
+        ends = [(gauge.distance(parameters + h, plane) - gauge.distance(parameters - h, plane)) for h in np.diag(step)]
         slopes = np.array(ends) / (2 * step)
         middle = (parameters[:2] + parameters[2:]) / 2
         slant, by_slant = float(parameters[3] - parameters[1]), np.array([0.0, -1.0, 0.0, 1.0])
@@ -358,25 +359,3 @@ def _width(gauge: StraightGauge, fits: list[Contour | PointFit], inside: Side, p
         way=way,
         **quality,
     )
-
-
-def _distance(gauge: StraightGauge, parameters: Array, plane: Plane | None) -> float:
-    """Of two edges at the caliper's middle, along their mean normal [px or, in a plane, m]."""
-    ends = []
-    for shift, turn in (parameters[:2], parameters[2:]):
-        angle = gauge.angle + turn
-        normal, along = np.array([math.cos(angle), math.sin(angle)]), np.array([-math.sin(angle), math.cos(angle)])
-        middle = gauge.centre + shift * normal
-        two = np.stack([middle - gauge.length / 4 * along, middle + gauge.length / 4 * along])
-        ends.append(two if plane is None else plane.to_plane(two / np.array([1.0, gauge.aspect])))
-    directions = [(two[1] - two[0]) / np.linalg.norm(two[1] - two[0]) for two in ends]
-    mean = directions[0] + directions[1]
-    mean = mean / np.linalg.norm(mean)
-    across = np.array([mean[1], -mean[0]])
-    # Where each passes the line through the middle of all four ends, along the mean normal.
-    middle = np.concatenate(ends).mean(axis=0)
-    places = [
-        float((two[0] - middle) @ across - ((two[0] - middle) @ mean) * (d @ across) / (d @ mean))
-        for two, d in zip(ends, directions, strict=True)
-    ]
-    return abs(places[1] - places[0])

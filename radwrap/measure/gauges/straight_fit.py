@@ -17,13 +17,15 @@ from radwrap.measure.gauges.narrow import NarrowFit, fit_narrow
 from radwrap.measure.gauges.points import PointFit, fit_points, robust_line
 from radwrap.measure.gauges.response import Light, Response, light_of
 from radwrap.measure.gauges.rims import Shape
+from radwrap.measure.gauges.scale import Plane
 from radwrap.measure.gauges.scan import Crossings, ScanLines, Way, check_unsaturated, crossings
-from radwrap.measure.gauges.straight_shapes import line_shape, stripe_shape
+from radwrap.measure.gauges.straight_shapes import line_shape, stripe_in_plane_shape, stripe_shape
 
 Array = NDArray[np.float64]
 
 _FEWEST_SHARE: Final = 0.3  # of the scan lines, that must cross the edge
 _LARGEST_TURN: Final = math.radians(30)  # between the caliper and the edge
+_BEYOND_BOX: Final = 8.0  # px beyond the caliper, where a plane's map is still followed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,15 +125,48 @@ class StraightGauge:
             return fit_points(shape, points)
         return fit_contour(self.light, shape, 2 * found.width, band, self.aspect)
 
-    def stripe_fit(self, both: Pair, way: Way) -> NarrowFit | PointFit:
-        """Shift, turn and width of a stripe."""
+    def stripe_fit(self, both: Pair, way: Way, plane: Plane | None = None) -> NarrowFit | PointFit:
+        """Shift, turn and width of a stripe; in a plane the width is in units of what a pixel across it is there."""
         first, points = self.start(both.low)
         second, others = self.start(both.high)
         start = np.array([(first[0] + second[0]) / 2, (first[1] + second[1]) / 2, abs(second[0] - first[0])])
-        shape = stripe_shape(self.centre, self.angle, self.length, start)
+        shape = self._stripe(start, plane)
         if way != "model":
             return _stripe_points(shape, points, others)
         return fit_narrow(shape, both.low.width + both.high.width, self._contour)
+
+    def _stripe(self, start: Array, plane: Plane | None) -> Shape:
+        if plane is None:
+            return stripe_shape(self.centre, self.angle, self.length, start)
+        reach = math.hypot(self.length / 2, self.lines.half_length) + _BEYOND_BOX
+        local = plane.near(self.centre - reach, self.centre + reach, self.aspect)
+        scale = self.pixel_in(plane)
+        return stripe_in_plane_shape(self.centre, self.angle, self.length, start, local, scale=scale)
+
+    def pixel_in(self, plane: Plane) -> float:
+        """How long a pixel across the edges is in a plane, at the caliper's middle [m]."""
+        return self.distance(np.array([-0.5, 0.0, 0.5, 0.0]), plane)
+
+    def distance(self, parameters: Array, plane: Plane | None) -> float:
+        """Of two edges at the caliper's middle, along their mean normal [px or, in a plane, m]."""
+        ends = []
+        for shift, turn in (parameters[:2], parameters[2:]):
+            angle = self.angle + turn
+            normal, along = np.array([math.cos(angle), math.sin(angle)]), np.array([-math.sin(angle), math.cos(angle)])
+            middle = self.centre + shift * normal
+            two = np.stack([middle - self.length / 4 * along, middle + self.length / 4 * along])
+            ends.append(two if plane is None else plane.to_plane(two / np.array([1.0, self.aspect])))
+        directions = [(two[1] - two[0]) / np.linalg.norm(two[1] - two[0]) for two in ends]
+        mean = directions[0] + directions[1]
+        mean = mean / np.linalg.norm(mean)
+        across = np.array([mean[1], -mean[0]])
+        # Where each passes the line through the middle of all four ends, along the mean normal.
+        middle = np.concatenate(ends).mean(axis=0)
+        places = [
+            float((two[0] - middle) @ across - ((two[0] - middle) @ mean) * (d @ across) / (d @ mean))
+            for two, d in zip(ends, directions, strict=True)
+        ]
+        return abs(places[1] - places[0])
 
     def _contour(self, shape: Shape, blur: float) -> Contour:
         return fit_contour(self.light, shape, blur, self.lines.half_length, self.aspect)

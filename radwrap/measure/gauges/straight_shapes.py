@@ -1,13 +1,15 @@
-"""Shapes of straight rims: one edge, and a stripe."""
+"""Shapes of straight rims: one edge, a stripe, and a stripe in a plane that the camera sees askew."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.measure.gauges.rims import Rim, Shape
+from radwrap.measure.gauges.rims import Rim, Shape, implicit
 
 Array = NDArray[np.float64]
 
@@ -33,6 +35,51 @@ def stripe_shape(centre: Array, normal_angle: float, length: float, start: Array
         across, normal, along = _seen(centre, normal_angle, length, parameters, places)
         half, flat = parameters[2] / 2, np.zeros(len(places))
         return [Rim(half + across, normal, flat, along), Rim(half - across, -normal, flat, along)]
+
+    return Shape(rims, start, np.array([1.0, 2 / length, 1.0]), length, closed=False)
+
+
+def stripe_in_plane_shape(
+    centre: Array,
+    normal_angle: float,
+    length: float,
+    start: Array,
+    local: Callable[[Array], tuple[Array, Array]],
+    *,
+    scale: float,
+) -> Shape:
+    """Stripe with sides that are parallel in a plane: shift [px] and turn [rad] of its middle in the image, and width.
+
+    Parameters
+    ----------
+    centre, normal_angle, length
+        Of the caliper, in pixel widths.
+    start : ndarray, shape (3,)
+        To begin with; the width in units of `scale`.
+    local : callable
+        Places [px] -> places in the plane [m], shape (n, 2), and their derivatives, shape (n, 2, 2).
+    scale : float
+        About how long a pixel is across the stripe [m].
+    """
+
+    def rims(parameters: Array, places: Array) -> list[Rim]:
+        angle = normal_angle + parameters[1]
+        normal, tangent = np.array([math.cos(angle), math.sin(angle)]), np.array([-math.sin(angle), math.cos(angle)])
+        (middle,), (by_place,) = local((centre + parameters[0] * normal)[None])
+        x, y = by_place @ tangent
+        across = np.array([y, -x]) / math.hypot(x, y)
+        across *= math.copysign(1.0, float(across @ by_place @ normal))
+        _, _, along = _seen(centre, normal_angle, length, parameters, places)
+
+        def rim(sign: float) -> Rim:
+            def value(at: Array) -> tuple[Array, Array]:
+                there, slopes = local(at)
+                here = parameters[2] / 2 + sign * (there - middle) @ across / scale
+                return here, sign * (across[0] * slopes[:, 0] + across[1] * slopes[:, 1]) / scale
+
+            return replace(implicit(value, places), along=along)
+
+        return [rim(1.0), rim(-1.0)]
 
     return Shape(rims, start, np.array([1.0, 2 / length, 1.0]), length, closed=False)
 
