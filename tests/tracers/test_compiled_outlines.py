@@ -80,6 +80,49 @@ def test_the_outline_of_a_wall_begins_below_the_belt(tmp_path: Path) -> None:
     assert [bool(found[block_of(-5, y)]) for y in (0.8, 2.2, 4.0)] == [True, False, True]
 
 
+def test_a_side_that_a_light_lies_in_has_outlines(tmp_path: Path) -> None:
+    """Rounding alone would say on which side of it the corners of the next faces are."""
+    side = np.array([[41.4, -4.28, 143], [21.1, -0.92, 86], [53.1, -8.92, 142], [73.4, -12.28, 199.0]])
+    faces = [
+        [0, 1, 2],
+        [0, 2, 3],
+        [4, 6, 5],
+        [4, 7, 6],
+        [0, 4, 5],
+        [0, 5, 1],
+        [1, 5, 6],
+        [1, 6, 2],
+        [2, 6, 7],
+        [2, 7, 3],
+    ]
+    wall = trimesh.Trimesh(
+        np.concatenate([side, side + np.array([8, -6, 0])]), [*faces, [3, 7, 4], [3, 4, 0]], process=False
+    )
+    scene = with_part(tmp_path, wall, sources=[{**LED, "position": at(98, -15, 285)}])
+    found = proved(scene)
+    rays, _ = every_ray(scene, found, 256, np.random.default_rng(1))
+    values = next(CompiledTracer(compiled_scene(scene, TextFrame())).trace([rays])).reshape(-1, 256)
+    assert not found.all()
+    assert set(np.unique((values > 0).mean(axis=1))) <= {0.0, 1.0}
+
+
+def test_a_gap_that_is_as_large_as_an_overlap_is_seen(tmp_path: Path) -> None:
+    """One square of a floor is cut along both diagonals, so that a quarter is there twice and another is not."""
+    count = 25
+    x, y = (a.ravel() for a in np.meshgrid(*[np.arange(count + 1) - count / 2] * 2, indexing="ij"))
+    corners = np.stack([x, y, np.full(x.shape, 5.0)], axis=1)
+    start = np.arange(count * (count + 1)).reshape(count, -1)[:, :-1].ravel()
+    a, b, c, d = start, start + count + 1, start + count + 2, start + 1
+    faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    whole = proved(with_part(tmp_path, trimesh.Trimesh(corners, faces, process=False)))
+    middle = int(np.argmin(np.hypot(x[start] + 0.5, y[start] + 0.5)))
+    faces[len(start) + middle] = a[middle], b[middle], d[middle]
+    found = proved(with_part(tmp_path, trimesh.Trimesh(corners, faces, process=False)))
+    assert whole.all()
+    assert not found[block_of(0, 0)]
+    assert found.mean() > 0.9
+
+
 def test_a_hole_in_a_plate_lights_a_block_in_its_shadow(tmp_path: Path) -> None:
     """A triangle of .05 mm is missing of 2048: no ray of the lattice knows of it."""
     mesh = plate(10.0, 150.0, 5)

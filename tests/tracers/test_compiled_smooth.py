@@ -156,6 +156,21 @@ def test_a_cone_of_light_ends_at_once() -> None:
     assert not proved(scene_of(sources=[ring])).any()
 
 
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({"position": at(3, 20, 30), "look_at": at(20, 20, 30)}, "a Gaussian ends at a right angle"),
+        ({"position": at(3, 2, 4), "look_at": at(3, 2, 0), "diameter": "0.05 mm"}, "it is as near as a block is wide"),
+        ({"position": at(3, 2, 300), "look_at": at(3, 2, 0), "width": 0.2}, "its beam is as narrow as a block"),
+    ],
+)
+def test_a_beam_that_changes_over_a_block_proves_nothing(changes: dict[str, Any], why: str) -> None:
+    width = f"{changes.pop('width', 120)} deg"
+    led = {"type": "led", "name": "led", "diameter": "1 mm", "radiant_intensity": "0.2 W/sr"}
+    led |= {"beam": {"profile": "gaussian", "width": width, "width_definition": "fwhm"}, **changes}
+    assert not proved(scene_of(sources=[led]))[block_of(3, 2)], why
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_what_is_proved_is_so(seed: int) -> None:
     """All over the blocks, in random crowds: radiance is that of the bare face, with nothing else in the world."""

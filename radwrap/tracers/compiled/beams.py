@@ -6,7 +6,17 @@ import math
 from typing import Final
 
 from radwrap.tracers.compiled.arithmetic import angle_of, azimuth, exponential, log_cosine, squared_angle_of
-from radwrap.tracers.compiled.arrays import CONE, COSINE_POWER, GAUSSIAN, LAMBERTIAN, LUMINAIRE, Floats, Light, Wide
+from radwrap.tracers.compiled.arrays import (
+    CONE,
+    COSINE_POWER,
+    GAUSSIAN,
+    LAMBERTIAN,
+    LUMINAIRE,
+    TABLE_BEAM,
+    Floats,
+    Light,
+    Wide,
+)
 from radwrap.tracers.compiled.compiler import compiled
 
 # As Radiance, which leaves out light that grazes a source.
@@ -45,6 +55,39 @@ def share_of(light: Light | Wide, tables: Floats, half_sine2: float) -> float:
     low = min(int(place), count - 1)
     above = min(low + 1, count - 1)
     return tables[first + low] * (1 - (place - low)) + tables[first + above] * (place - low)
+
+
+@compiled
+def changes_slowly(light: Light, tables: Floats, middle: Floats, reach: float, small: float) -> bool:
+    """Whether a light's beam ends nowhere within reach of a place, which it sees under a small share of its width.
+
+    Parameters
+    ----------
+    light, tables
+        As of `radiance_along`.
+    middle : ndarray, shape (3,)
+        The place.
+    reach : float
+        Distance from it.
+    small : float
+        That share. A beam is as wide as it is by its law, but no wider than a radian.
+    """
+    dx, dy, dz = middle[0] - light.x, middle[1] - light.y, middle[2] - light.z
+    away = math.sqrt(dx * dx + dy * dy + dz * dz)
+    width = 1.0
+    if light.beam != LUMINAIRE:
+        before = dx * light.nx + dy * light.ny + dz * light.nz
+        if before < -reach:
+            return True
+        if before <= reach:
+            return False
+        if light.beam in (GAUSSIAN, COSINE_POWER):
+            width = min(width, light.spread)
+        elif light.beam == TABLE_BEAM and tables[light.table + light.columns - 1] > 0:
+            half_sine2 = (1 - before / away) / 2
+            if abs(angle_of(half_sine2) - light.spread * math.pi / 2) * away <= 2 * reach:
+                return False
+    return reach <= small * width * away
 
 
 @compiled

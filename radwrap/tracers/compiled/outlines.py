@@ -7,6 +7,7 @@ that have one triangle only. Edges between two triangles that part them, as most
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import numpy as np
@@ -28,6 +29,7 @@ from radwrap.tracers.compiled.arrays import (
 from radwrap.tracers.compiled.compiler import compiled
 from radwrap.tracers.compiled.intersect import inverse_of
 from radwrap.tracers.compiled.shadows import OFF, aside, overlap
+from radwrap.tracers.compiled.whole_face import corner
 
 # Lights that are asked one by one, and triangles whose neighbours are looked up, at most: what it saves is rays of one
 # image, and each light costs as much as a ray for each block.
@@ -35,6 +37,8 @@ MOST_LIGHTS: Final = 256
 _MOST_TRIANGLES: Final = 200_000
 # Of the size of all that is there: corners of triangles that are so near are one.
 _ONE_CORNER: Final = 1e-9
+# Of the product of lengths: a corner so near to the plane through a light and an edge may lie on either side.
+_IN_PLANE: Final = 1e-9
 # Rows of what a light sees of a block, see `_aim`.
 _LIGHT: Final = 4
 _MIDDLE: Final = 5
@@ -231,30 +235,27 @@ def _is_even(
 def _has_outline(s: Shape, beyond: Floats, seen: Floats) -> bool:
     """Whether an edge of a triangle may be an outline before the block."""
     for k in range(3):
-        px, py, pz = _corner(s, k)
-        qx, qy, qz = _corner(s, (k + 1) % 3)
+        px, py, pz = corner(s, k)
+        qx, qy, qz = corner(s, (k + 1) % 3)
         if _is_outside(px, py, pz, qx, qy, qz, seen):
             continue
         if beyond[k, 0] == 0:
             return True
         lx, ly, lz = seen[_LIGHT, 0], seen[_LIGHT, 1], seen[_LIGHT, 2]
-        rx, ry, rz = _corner(s, (k + 2) % 3)
+        rx, ry, rz = corner(s, (k + 2) % 3)
         ax, ay, az, bx, by, bz = px - lx, py - ly, pz - lz, qx - lx, qy - ly, qz - lz
         cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-        own = cx * (rx - lx) + cy * (ry - ly) + cz * (rz - lz)
-        other = cx * (beyond[k, 1] - lx) + cy * (beyond[k, 2] - ly) + cz * (beyond[k, 3] - lz)
-        if own * other >= 0:  # both on one side
+        wx, wy, wz = beyond[k, 1] - lx, beyond[k, 2] - ly, beyond[k, 3] - lz
+        rx, ry, rz = rx - lx, ry - ly, rz - lz
+        own, other = cx * rx + cy * ry + cz * rz, cx * wx + cy * wy + cz * wz
+        if own < 0:
+            own, other = -own, -other
+        # Products of lengths, not of what they differ by: as large as rounding of the sums above may be.
+        size = math.sqrt((ax * ax + ay * ay + az * az) * (bx * bx + by * by + bz * bz))
+        least = _IN_PLANE * size * math.sqrt(max(rx * rx + ry * ry + rz * rz, wx * wx + wy * wy + wz * wz))
+        if not (own > least and other < -least):  # both on one side, as far as is sure
             return True
     return False
-
-
-@compiled
-def _corner(s: Shape, k: int) -> tuple[float, float, float]:
-    if k == 0:
-        return s.x, s.y, s.z
-    if k == 1:
-        return s.x + s.ux, s.y + s.uy, s.z + s.uz
-    return s.x + s.vx, s.y + s.vy, s.z + s.vz
 
 
 @compiled

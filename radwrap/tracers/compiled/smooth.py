@@ -32,6 +32,7 @@ from radwrap.tracers.compiled.arrays import (
     Covers,
     Decals,
     Floats,
+    Lights,
     Nodes,
     Shape,
     Shapes,
@@ -41,6 +42,7 @@ from radwrap.tracers.compiled.arrays import (
     put,
     rows,
 )
+from radwrap.tracers.compiled.beams import changes_slowly
 from radwrap.tracers.compiled.compiler import compiled
 from radwrap.tracers.compiled.covers import from_dot, painted, rim_beyond
 from radwrap.tracers.compiled.intersect import closest
@@ -48,7 +50,7 @@ from radwrap.tracers.compiled.kernels import placed
 from radwrap.tracers.compiled.layout import CompiledScene
 from radwrap.tracers.compiled.shadows import clear_between
 from radwrap.tracers.compiled.tree import DEPTH
-from radwrap.tracers.compiled.whole_face import fills, room
+from radwrap.tracers.compiled.whole_face import fills, is_seamless, room
 from radwrap.tracers.compiled.wide_shape import may_be_outside
 from radwrap.tracers.engine import BlockLight
 
@@ -107,6 +109,7 @@ def smooth_blocks(scene: CompiledScene, corners: Floats, middles: Floats) -> NDA
     ex, ey, ez = ((middles[0, 0, :3] - scene.frame.origin) * scene.frame.units).tolist()
     found = np.zeros(len(row), dtype=np.int8)
     places = np.ascontiguousarray(places.transpose(1, 0, 2))
+    edges = outlines.edges_of(scene.targets.shapes)
     _undisturbed(
         scene.targets.shapes,
         scene.targets.nodes,
@@ -115,6 +118,8 @@ def smooth_blocks(scene: CompiledScene, corners: Floats, middles: Floats) -> NDA
         scene.covers,
         scene.decals,
         scene.tables,
+        edges,
+        scene.lights,
         scene.clusters,
         scene.wides,
         boxes,
@@ -131,7 +136,7 @@ def smooth_blocks(scene: CompiledScene, corners: Floats, middles: Floats) -> NDA
         room(),
         found,
     )
-    _settle_shaded(scene, boxes, places, shape[chosen], (ex, ey, ez), found)
+    _settle_shaded(scene, edges, boxes, places, shape[chosen], (ex, ey, ez), found)
     smooth = np.zeros(count, dtype=np.int8)
     smooth[chosen] = found
     return smooth
@@ -139,6 +144,7 @@ def smooth_blocks(scene: CompiledScene, corners: Floats, middles: Floats) -> NDA
 
 def _settle_shaded(
     scene: CompiledScene,
+    edges: Floats,
     boxes: NDArray[np.void],
     places: Floats,
     met: Whole,
@@ -156,7 +162,7 @@ def _settle_shaded(
     outlines.settle(
         shapes,
         scene.targets.nodes,
-        outlines.edges_of(shapes),
+        edges,
         lights,
         boxes,
         places,
@@ -260,6 +266,8 @@ def _undisturbed(
     covers: Covers,
     decals: Decals,
     tables: Floats,
+    edges: Floats,
+    lights: Lights,
     clusters: Clusters,
     wides: Wides,
     boxes: Clusters,
@@ -291,7 +299,11 @@ def _undisturbed(
             s = shapes[but]
             filled = s.kind == TRIANGLE and s.decal < 0
             filled = filled and fills(shapes, nodes, quad, but, _SPARE * reach[b], stack, polygons)
+            filled = filled and is_seamless(shapes, nodes, edges, quad, but, stack)
             proved = filled or (proved and _is_one_face(s, decals, tables, middle[0], middle[1], middle[2], reach[b]))
+            for c in range(len(clusters)):
+                for i in range(clusters[c].first, clusters[c].end):
+                    proved = proved and changes_slowly(lights[i], tables, middle, reach[b], _SMALL)
             if cover.kind != NOTHING:
                 away = _SMALL * cover.fine
                 proved = proved and reach[b] <= away * _distance(box, ex, ey, ez)

@@ -75,6 +75,88 @@ def fills(shapes: Shapes, nodes: Nodes, quad: Floats, but: int, near: float, sta
 
 
 @compiled
+def is_seamless(shapes: Shapes, nodes: Nodes, edges: Floats, quad: Floats, but: int, stack: Whole) -> bool:
+    """Whether no edge of faces in the plane of a triangle ends or doubles what is there within a quadrangle.
+
+    Then all places of it lie in as many triangles, and in one if these fill it by their area. Only "yes" is sure.
+
+    Parameters
+    ----------
+    edges : ndarray
+        What lies beyond edges of triangles, see `outlines.edges_of`.
+    shapes, nodes, quad, but, stack
+        As of `fills`.
+    """
+    s = shapes[but]
+    first, second = _axes(s)
+    x0, x1 = _reach(quad, 0, 0.0)
+    y0, y1 = _reach(quad, 1, 0.0)
+    z0, z1 = _reach(quad, 2, 0.0)
+    size = abs(x1 - x0) + abs(y1 - y0) + abs(z1 - z0)
+    height = 1
+    stack[0] = 0
+    while height:
+        height -= 1
+        node = stack[height]
+        box = nodes[node]
+        if box.x0 > x1 or box.x1 < x0 or box.y0 > y1 or box.y1 < y0 or box.z0 > z1 or box.z1 < z0:
+            continue
+        if not box.count:
+            stack[height], stack[height + 1] = box.second, node + 1
+            height += 2
+            continue
+        for i in range(box.first, box.first + box.count):
+            t = shapes[i]
+            if t.kind != TRIANGLE or not _in_one_plane(s, t, size):
+                continue
+            if _is_apart(t, x0, y0, z0, x1, y1, z1):
+                continue
+            for k in range(3):
+                p, q, r = corner(t, k), corner(t, (k + 1) % 3), corner(t, (k + 2) % 3)
+                if _misses(p, q, x0, y0, z0, x1, y1, z1):
+                    continue
+                other = (edges[i, k, 1], edges[i, k, 2], edges[i, k, 3])
+                across, up = q[first] - p[first], q[second] - p[second]
+                own = across * (r[second] - p[second]) - up * (r[first] - p[first])
+                beyond = across * (other[second] - p[second]) - up * (other[first] - p[first])
+                if edges[i, k, 0] == 0 or not own * beyond < 0:
+                    return False
+    return True
+
+
+@compiled
+def corner(t: Shape, k: int) -> tuple[float, float, float]:
+    """A corner of a triangle."""
+    if k == 0:
+        return t.x, t.y, t.z
+    if k == 1:
+        return t.x + t.ux, t.y + t.uy, t.z + t.uz
+    return t.x + t.vx, t.y + t.vy, t.z + t.vz
+
+
+@compiled
+def _misses(
+    p: tuple[float, float, float],
+    q: tuple[float, float, float],
+    x0: float,
+    y0: float,
+    z0: float,
+    x1: float,
+    y1: float,
+    z1: float,
+) -> bool:
+    """Whether the box of a line does not touch another box."""
+    return (
+        min(p[0], q[0]) > x1
+        or max(p[0], q[0]) < x0
+        or min(p[1], q[1]) > y1
+        or max(p[1], q[1]) < y0
+        or min(p[2], q[2]) > z1
+        or max(p[2], q[2]) < z0
+    )
+
+
+@compiled
 def _reach(quad: Floats, axis: int, near: float) -> tuple[float, float]:
     a, b, c, d = quad[0, axis], quad[1, axis], quad[2, axis], quad[3, axis]
     return min(a, b, c, d) - near, max(a, b, c, d) + near
