@@ -130,7 +130,8 @@ def contains(mesh: Mesh, point: Array) -> bool:
 
 def nearest_on(mesh: Mesh, point: Array) -> tuple[Array, Array]:
     """The nearest point of a mesh and the normal of its triangle, each shape (3,)."""
-    bound = float(np.sqrt(((mesh.vertices - point) ** 2).sum(axis=1).min()))
+    # Corners of triangles only: a file may have others, nearer than any triangle.
+    bound = float(np.sqrt(((mesh.corners - point) ** 2).sum(axis=-1).min()))
     leaves = len(mesh.order) // _LEAF
     low, high = mesh.low[-leaves:], mesh.high[-leaves:]
     with np.errstate(invalid="ignore"):

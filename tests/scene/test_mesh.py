@@ -67,6 +67,14 @@ def test_nearest_points_and_insides_of_a_box_are_known() -> None:
         assert np.abs(normal).max() == pytest.approx(1.0)
 
 
+def test_a_corner_of_no_triangle_is_not_near() -> None:
+    """A file may hold one, or a triangle without area that is left out."""
+    vertices = np.array([[40.0, 0, 5], [41, 0, 5], [40, 1, 5], [-97, -37, 10]])
+    place, normal = nearest_on(mesh_of(vertices, np.array([[0, 1, 2]])), np.array([-97.0, -37, 6]))
+    np.testing.assert_allclose(place, [40, 0, 5])
+    np.testing.assert_allclose(normal, [0, 0, 1])
+
+
 def test_a_mesh_target_is_where_its_pose_says(tmp_path: Path) -> None:
     BALL.copy().apply_scale(20).export(tmp_path / "ball.stl")
     scene = scene_with(tmp_path, "ball.stl", position=["10 mm", "0 mm", "30 mm"], rotation=["0 deg", "90 deg", "0 deg"])
