@@ -57,6 +57,8 @@ class Renderer:
     def __init__(self, folder: Path, ahead: Child | None = None, more: tuple[Path, ...] = ()) -> None:
         self._folder, self._more = folder, more
         self._ahead = ahead
+        if ahead is not None:  # at once: from now on somebody is there who removes them
+            self._tell_folders(ahead)
         self._child: Child | None = None
         self._warm: Path | None = None  # where its warm scene lies
         self._asked = 0
@@ -146,8 +148,7 @@ class Renderer:
             self.kill()
             ahead, self._ahead = self._ahead, None
             self._child = ahead if ahead is not None and not ahead.ended else start_module("radwrap.face.renderer")
-            told = self._child.tell(f"{_FOLDERS} {json.dumps([str(one) for one in (self._folder, *self._more)])}")
-            if not told or self._child.hear(_START) != "ready":
+            if not self._tell_folders(self._child) or self._child.hear(_START) != "ready":
                 self.kill()
                 raise _gone(again)
         return self._child
@@ -156,6 +157,9 @@ class Renderer:
     def pid(self) -> int | None:
         """Of the child, if there is one."""
         return None if self._child is None else self._child.pid
+
+    def _tell_folders(self, child: Child) -> bool:
+        return child.tell(f"{_FOLDERS} {json.dumps([str(one) for one in (self._folder, *self._more)])}")
 
     def kill(self) -> None:
         """End the child, and all that it has started, at once."""

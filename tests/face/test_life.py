@@ -320,6 +320,17 @@ def test_who_loses_its_server_removes_that_ones_folders(tmp_path: Path, farewell
     assert [folder.exists() for folder in folders] == [farewell, farewell]
 
 
+def test_a_renderer_that_is_there_already_knows_the_folders_at_once(tmp_path: Path) -> None:
+    """Before the first trace is asked for, which takes the server half a second: it may be killed before."""
+    folders = [tmp_path / "work", tmp_path / "quick"]
+    for folder in folders:
+        folder.mkdir()
+    child = own_modules.start_module("radwrap.face.renderer")
+    Renderer(folders[0], ahead=child, more=(folders[1],))
+    child.close(PATIENCE)
+    assert not any(folder.exists() for folder in folders)
+
+
 def test_what_is_wrong_is_told_before_anything_is_served(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene = write_scene(tmp_path, TWO)
     assert "no such scene file" in here(["face", tmp_path / "none.toml"], capsys).refusal(2)
