@@ -14,6 +14,7 @@ import trimesh
 from radwrap.frames import Pose
 from radwrap.scene.targets import MeshPart
 from radwrap.tracers.compiled.layout import CompiledScene, compiled_scene
+from radwrap.tracers.compiled.outlines import edges_of
 from radwrap.tracers.compiled.tree import DEPTH
 from radwrap.tracers.compiled.whole_face import fills, room
 from radwrap.tracers.text_frame import TextFrame
@@ -37,7 +38,24 @@ def top_fills(scene: CompiledScene, corners_mm: list[tuple[float, float]], near_
     top = int(np.flatnonzero((shapes["nz"] > 0.99) & (np.abs(shapes["z"] - HEIGHT * units) < 1e-9 * units))[0])
     corners = np.array([(x * 1e-3, y * 1e-3, HEIGHT) for x, y in corners_mm]) * units
     stack = np.empty(DEPTH, dtype=np.int64)
-    return bool(fills(shapes, scene.targets.nodes, corners, top, near_mm * 1e-3 * units, stack, room()))
+    found = {
+        bool(
+            fills(
+                shapes,
+                scene.targets.nodes,
+                edges_of(shapes),
+                joined,
+                corners,
+                top,
+                near_mm * 1e-3 * units,
+                stack,
+                room(),
+            )
+        )
+        for joined in (False, True)
+    }
+    assert len(found) == 1  # of a whole mesh
+    return found.pop()
 
 
 def square(x: float, y: float, half: float) -> list[tuple[float, float]]:

@@ -50,7 +50,7 @@ from radwrap.tracers.compiled.kernels import placed
 from radwrap.tracers.compiled.layout import CompiledScene
 from radwrap.tracers.compiled.shadows import clear_between
 from radwrap.tracers.compiled.tree import DEPTH
-from radwrap.tracers.compiled.whole_face import fills, is_seamless, room
+from radwrap.tracers.compiled.whole_face import fills, room
 from radwrap.tracers.compiled.wide_shape import may_be_outside
 from radwrap.tracers.engine import BlockLight
 
@@ -298,8 +298,7 @@ def _undisturbed(
                     quad[k, axis] = middle[axis] + (1 + _SPARE) * (places[b, k, axis] - middle[axis])
             s = shapes[but]
             filled = s.kind == TRIANGLE and s.decal < 0
-            filled = filled and fills(shapes, nodes, quad, but, _SPARE * reach[b], stack, polygons)
-            filled = filled and is_seamless(shapes, nodes, edges, quad, but, stack)
+            filled = filled and fills(shapes, nodes, edges, True, quad, but, _SPARE * reach[b], stack, polygons)
             proved = filled or (proved and _is_one_face(s, decals, tables, middle[0], middle[1], middle[2], reach[b]))
             for c in range(len(clusters)):
                 for i in range(clusters[c].first, clusters[c].end):
@@ -339,7 +338,7 @@ def _undisturbed(
             is_plain = shapes[but].kind == TRIANGLE or _is_one_face(
                 shapes[but], decals, tables, middle[0], middle[1], middle[2], reach[b]
             )
-            if is_plain and fills(shapes, nodes, quad, but, _NEAR * reach[b], stack, polygons):
+            if is_plain and fills(shapes, nodes, edges, False, quad, but, _NEAR * reach[b], stack, polygons):
                 found[b] = _LIKELY
 
 

@@ -23,13 +23,30 @@ def room() -> Floats:
 
 
 @compiled
-def fills(shapes: Shapes, nodes: Nodes, quad: Floats, but: int, near: float, stack: Whole, polygons: Floats) -> bool:
+def fills(
+    shapes: Shapes,
+    nodes: Nodes,
+    edges: Floats,
+    joined: bool,
+    quad: Floats,
+    but: int,
+    near: float,
+    stack: Whole,
+    polygons: Floats,
+) -> bool:
     """Whether faces in the plane of one fill a quadrangle in it, and no other shape is near.
+
+    By their area only, unless they are to be `joined`: a gap may be as large as an overlap. Where no edge of a triangle
+    ends or doubles what is there, all places lie in as many triangles, and so in one.
 
     Parameters
     ----------
     shapes, nodes
         All that is there.
+    edges : ndarray
+        What lies beyond edges of triangles, see `outlines.edges_of`.
+    joined : bool
+        Whether triangles must be.
     quad : ndarray, shape (4, 3)
         Corners, one after the other around it.
     but : int
@@ -63,11 +80,13 @@ def fills(shapes: Shapes, nodes: Nodes, quad: Floats, but: int, near: float, sta
             continue
         for i in range(box.first, box.first + box.count):
             t = shapes[i]
+            if t.kind == TRIANGLE and _is_apart(t, x0, y0, z0, x1, y1, z1):  # a leaf's box holds others
+                continue
             if not _in_one_plane(s, t, size):
-                if t.kind == TRIANGLE and _is_apart(t, x0, y0, z0, x1, y1, z1):  # a leaf's box holds others
-                    continue
                 return False
             if t.kind == TRIANGLE:
+                if joined and not _is_joined(t, edges[i], size, first, second, x0, y0, z0, x1, y1, z1):
+                    return False
                 found += _shared_area(start, t, first, second, polygons)
             elif i == but:
                 found += area
@@ -75,52 +94,31 @@ def fills(shapes: Shapes, nodes: Nodes, quad: Floats, but: int, near: float, sta
 
 
 @compiled
-def is_seamless(shapes: Shapes, nodes: Nodes, edges: Floats, quad: Floats, but: int, stack: Whole) -> bool:
-    """Whether no edge of faces in the plane of a triangle ends or doubles what is there within a quadrangle.
-
-    Then all places of it lie in as many triangles, and in one if these fill it by their area. Only "yes" is sure.
-
-    Parameters
-    ----------
-    edges : ndarray
-        What lies beyond edges of triangles, see `outlines.edges_of`.
-    shapes, nodes, quad, but, stack
-        As of `fills`.
-    """
-    s = shapes[but]
-    first, second = _axes(s)
-    x0, x1 = _reach(quad, 0, 0.0)
-    y0, y1 = _reach(quad, 1, 0.0)
-    z0, z1 = _reach(quad, 2, 0.0)
-    size = abs(x1 - x0) + abs(y1 - y0) + abs(z1 - z0)
-    height = 1
-    stack[0] = 0
-    while height:
-        height -= 1
-        node = stack[height]
-        box = nodes[node]
-        if box.x0 > x1 or box.x1 < x0 or box.y0 > y1 or box.y1 < y0 or box.z0 > z1 or box.z1 < z0:
+def _is_joined(
+    t: Shape,
+    beyond: Floats,
+    size: float,
+    first: int,
+    second: int,
+    x0: float,
+    y0: float,
+    z0: float,
+    x1: float,
+    y1: float,
+    z1: float,
+) -> bool:
+    """Whether each edge of a triangle that a box may hold has one other triangle, on its other side in that plane."""
+    for k in range(3):
+        p, q, r = corner(t, k), corner(t, (k + 1) % 3), corner(t, (k + 2) % 3)
+        if _misses(p, q, x0, y0, z0, x1, y1, z1):
             continue
-        if not box.count:
-            stack[height], stack[height + 1] = box.second, node + 1
-            height += 2
-            continue
-        for i in range(box.first, box.first + box.count):
-            t = shapes[i]
-            if t.kind != TRIANGLE or not _in_one_plane(s, t, size):
-                continue
-            if _is_apart(t, x0, y0, z0, x1, y1, z1):
-                continue
-            for k in range(3):
-                p, q, r = corner(t, k), corner(t, (k + 1) % 3), corner(t, (k + 2) % 3)
-                if _misses(p, q, x0, y0, z0, x1, y1, z1):
-                    continue
-                other = (edges[i, k, 1], edges[i, k, 2], edges[i, k, 3])
-                across, up = q[first] - p[first], q[second] - p[second]
-                own = across * (r[second] - p[second]) - up * (r[first] - p[first])
-                beyond = across * (other[second] - p[second]) - up * (other[first] - p[first])
-                if edges[i, k, 0] == 0 or not own * beyond < 0:
-                    return False
+        w = (beyond[k, 1], beyond[k, 2], beyond[k, 3])
+        across, up = q[first] - p[first], q[second] - p[second]
+        own = across * (r[second] - p[second]) - up * (r[first] - p[first])
+        other = across * (w[second] - p[second]) - up * (w[first] - p[first])
+        off = abs((w[0] - t.x) * t.nx + (w[1] - t.y) * t.ny + (w[2] - t.z) * t.nz)
+        if beyond[k, 0] == 0 or off > _ROUNDING * size or not own * other < 0:
+            return False
     return True
 
 
