@@ -214,7 +214,7 @@ def test_a_long_run_says_so_before_and_what_is_cheaper(
 
 
 def test_what_is_cheaper_looks_for_no_smooth_blocks_anew(monkeypatch: pytest.MonkeyPatch) -> None:
-    """They take a third of a render under wide lights, and are the same at twice the tolerance or in larger pixels."""
+    """They took a quarter of a render under wide lights; at twice the tolerance and in larger pixels they stay."""
     pytest.importorskip("numba")
     from tests.tracers.belt import scene_of  # imports numba
 
