@@ -154,7 +154,7 @@ def _settle_shaded(
     """Of blocks that are `_SHADED`, those on which no outline falls are proved, and nothing is known of the others."""
     shaded = found == _SHADED
     lights = outlines.places_of(scene.lights, scene.clusters)
-    if not shaded.any() or len(lights) > outlines.MOST_LIGHTS:
+    if len(lights) > outlines.MOST_LIGHTS:
         found[shaded] = 0
         return
     shapes = scene.targets.shapes
