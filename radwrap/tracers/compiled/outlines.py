@@ -187,7 +187,10 @@ def _height(x: float, y: float, z: float, seen: Floats) -> float:
 def _is_even(
     shapes: Shapes, nodes: Nodes, edges: Floats, light: Cluster, block: Cluster, but: int, stack: Whole, seen: Floats
 ) -> bool:
-    """Whether no outline lies between a point of light and a block; only "yes" is sure."""
+    """Whether no outline lies between a point of light and a block; only "yes" is sure.
+
+    The walk is that of `shadows.clear_between`, which each ray of an image goes: what is asked of a shape stays in it.
+    """
     over, least = seen[_HEIGHTS, 0], seen[_HEIGHTS, 1]
     if over < -least:  # it shines on the face's other side
         return True

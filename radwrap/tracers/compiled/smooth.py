@@ -300,9 +300,7 @@ def _undisturbed(
             filled = s.kind == TRIANGLE and s.decal < 0
             filled = filled and fills(shapes, nodes, edges, True, quad, but, _SPARE * reach[b], stack, polygons)
             proved = filled or (proved and _is_one_face(s, decals, tables, middle[0], middle[1], middle[2], reach[b]))
-            for c in range(len(clusters)):
-                for i in range(clusters[c].first, clusters[c].end):
-                    proved = proved and changes_slowly(lights[i], tables, middle, reach[b], _SMALL)
+            proved = proved and _all_change_slowly(lights, clusters, tables, middle, reach[b])
             if cover.kind != NOTHING:
                 away = _SMALL * cover.fine
                 proved = proved and reach[b] <= away * _distance(box, ex, ey, ez)
@@ -340,6 +338,16 @@ def _undisturbed(
             )
             if is_plain and fills(shapes, nodes, edges, False, quad, but, _NEAR * reach[b], stack, polygons):
                 found[b] = _LIKELY
+
+
+@compiled
+def _all_change_slowly(lights: Lights, clusters: Clusters, tables: Floats, middle: Floats, reach: float) -> bool:
+    """Whether no beam of small lights ends, or changes much, within reach of a place."""
+    for c in range(len(clusters)):
+        for i in range(clusters[c].first, clusters[c].end):
+            if not changes_slowly(lights[i], tables, middle, reach, _SMALL):
+                return False
+    return True
 
 
 @compiled

@@ -80,8 +80,10 @@ def fills(
             continue
         for i in range(box.first, box.first + box.count):
             t = shapes[i]
-            if t.kind == TRIANGLE and _is_apart(t, x0, y0, z0, x1, y1, z1):  # a leaf's box holds others
-                continue
+            if t.kind == TRIANGLE:
+                p, q, r = corner(t, 0), corner(t, 1), corner(t, 2)
+                if _is_apart(p, q, r, x0, y0, z0, x1, y1, z1):  # a leaf's box holds others
+                    continue
             if not _in_one_plane(s, t, size):
                 return False
             if t.kind == TRIANGLE:
@@ -110,7 +112,7 @@ def _is_joined(
     """Whether each edge of a triangle that a box may hold has one other triangle, on its other side in that plane."""
     for k in range(3):
         p, q, r = corner(t, k), corner(t, (k + 1) % 3), corner(t, (k + 2) % 3)
-        if _misses(p, q, x0, y0, z0, x1, y1, z1):
+        if _is_apart(p, q, q, x0, y0, z0, x1, y1, z1):
             continue
         w = (beyond[k, 1], beyond[k, 2], beyond[k, 3])
         across, up = q[first] - p[first], q[second] - p[second]
@@ -133,9 +135,10 @@ def corner(t: Shape, k: int) -> tuple[float, float, float]:
 
 
 @compiled
-def _misses(
+def _is_apart(
     p: tuple[float, float, float],
     q: tuple[float, float, float],
+    r: tuple[float, float, float],
     x0: float,
     y0: float,
     z0: float,
@@ -143,14 +146,14 @@ def _misses(
     y1: float,
     z1: float,
 ) -> bool:
-    """Whether the box of a line does not touch another box."""
+    """Whether the box of three places does not touch another box."""
     return (
-        min(p[0], q[0]) > x1
-        or max(p[0], q[0]) < x0
-        or min(p[1], q[1]) > y1
-        or max(p[1], q[1]) < y0
-        or min(p[2], q[2]) > z1
-        or max(p[2], q[2]) < z0
+        min(p[0], q[0], r[0]) > x1
+        or max(p[0], q[0], r[0]) < x0
+        or min(p[1], q[1], r[1]) > y1
+        or max(p[1], q[1], r[1]) < y0
+        or min(p[2], q[2], r[2]) > z1
+        or max(p[2], q[2], r[2]) < z0
     )
 
 
@@ -180,22 +183,9 @@ def _in_one_plane(s: Shape, t: Shape, size: float) -> bool:
 
 
 @compiled
-def _is_apart(t: Shape, x0: float, y0: float, z0: float, x1: float, y1: float, z1: float) -> bool:
-    """Whether the box of a triangle does not touch another box."""
-    return (
-        t.x + min(0.0, t.ux, t.vx) > x1
-        or t.x + max(0.0, t.ux, t.vx) < x0
-        or t.y + min(0.0, t.uy, t.vy) > y1
-        or t.y + max(0.0, t.uy, t.vy) < y0
-        or t.z + min(0.0, t.uz, t.vz) > z1
-        or t.z + max(0.0, t.uz, t.vz) < z0
-    )
-
-
-@compiled
 def _shared_area(start: Floats, t: Shape, first: int, second: int, polygons: Floats) -> float:
     """Area that a polygon of four corners and a triangle have in common."""
-    corners = ((t.x, t.y, t.z), (t.x + t.ux, t.y + t.uy, t.z + t.uz), (t.x + t.vx, t.y + t.vy, t.z + t.vz))
+    corners = (corner(t, 0), corner(t, 1), corner(t, 2))
     ax, ay = corners[0][first], corners[0][second]
     bx, by = corners[1][first], corners[1][second]
     cx, cy = corners[2][first], corners[2][second]
